@@ -1,0 +1,40 @@
+# make run   install what is needed and fly a descent on the built-in loopback
+# make test  install and run the checks and the tests
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: run test check docs clean
+
+run: $(VENV)/.ready
+	@$(BIN)/lidar-emu run descent.yaml
+
+test: $(VENV)/.ready-dev check
+	$(BIN)/pytest -n auto
+
+check: $(VENV)/.ready-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+
+# Everything in docs/ and in the protocol package that is generated from code and definitions.
+docs: $(VENV)/.ready-dev
+	$(BIN)/lidar-emu schema --markdown > docs/scenario-reference.md
+	$(BIN)/lidar-emu icd --out protocol/lidar_protocol
+
+# The stamps are written last: an environment without one was left half made and is made again.
+$(VENV)/.ready: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "lidar-emu needs Python 3.11 or later; say which: make $(MAKECMDGOALS) PYTHON=python3.12" >&2; exit 2; }
+	@test -e $@ || $(PYTHON) -m venv --clear $(VENV) || \
+	  { rm -rf $(VENV); echo "No venv here; on Debian and Ubuntu: apt install python3-venv" >&2; exit 2; }
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/.ready-dev: $(VENV)/.ready
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+clean:
+	rm -rf $(VENV) dist

@@ -1,0 +1,74 @@
+"""The bench pattern as a model: what it reports is what the scenario states."""
+
+from __future__ import annotations
+
+from math import ceil
+
+import numpy as np
+
+from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.measurement import FloatArray, Measurement
+from lidar_emu.plan import Plan, plan_bench
+from lidar_emu.scanner.model import ScannerState
+from lidar_emu.scenario.bench_pattern import Level, Ramp
+from lidar_emu.scenario.schema import BenchScenario
+
+
+class BenchModel:
+    """Constants and ramps instead of physics."""
+
+    def __init__(self, scenario: BenchScenario) -> None:
+        self.pattern = scenario.bench_pattern
+        self.period_ns = scenario.timing.period_ns
+        duration_s = scenario.duration_s or self.pattern.duration_s
+        self.shot_count = max(1, ceil(duration_s * 1e9 / self.period_ns))
+        self.beam_count = len(self.pattern.beams)
+        self.plan: Plan = plan_bench(scenario)
+        self.initial_state = ScannerState(())
+
+    def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
+        """Shots `first` to `first + count - 1`; there is no state to carry."""
+        shot = np.arange(first, first + count, dtype=np.int64)
+        start_ns = shot * self.period_ns
+        beams = self.pattern.beams
+        time_s = start_ns * 1e-9
+        valid = np.tile([beam.valid for beam in beams], (count, 1))
+        range_m, closing_mps = (
+            np.stack([_level(getattr(beam, name), time_s) for beam in beams], axis=1)
+            for name in ("range_m", "closing_speed_mps")
+        )
+        unknown = np.full(valid.shape, np.nan)
+        nowhere = np.full((count, 3), np.nan)
+        measurement = Measurement(
+            shot=shot,
+            time_ns=np.repeat(start_ns[:, None], self.beam_count, axis=1),
+            due_ns=start_ns + round(self.pattern.latency_s * 1e9),
+            fired=np.ones_like(valid),
+            beam_angle_deg=unknown,
+            range_m=np.where(valid, range_m, np.nan),
+            closing_speed_mps=np.where(valid, closing_mps, np.nan),
+            range_valid=valid,
+            speed_valid=valid,
+            sign_resolved=valid,
+            reason=np.where(valid, Reason.VALID, Reason.NO_SURFACE).astype(np.int8),
+            segments=np.where(valid, 7, 0).astype(np.uint8),
+            snr_db=np.where(valid, [beam.snr_db for beam in beams], np.nan),
+            residual_mps=unknown,
+            sigma_range_m=unknown,
+            sigma_speed_mps=unknown,
+            returns=valid.astype(np.uint8),
+            second_range_m=unknown,
+            true_range_m=np.where(valid, range_m, np.nan),
+            true_closing_speed_mps=closing_mps,
+            point_site_m=np.full((*valid.shape, 3), np.nan),
+            position_site_m=nowhere,
+            velocity_site_mps=nowhere,
+        )
+        return measurement, state
+
+
+def _level(level: Level, time_s: FloatArray) -> FloatArray:
+    if not isinstance(level, Ramp):
+        return np.full(len(time_s), level)
+    phase = np.mod(time_s, level.period_s) / level.period_s
+    return level.start + (level.stop - level.start) * phase

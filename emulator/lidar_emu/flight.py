@@ -1,0 +1,125 @@
+"""A flight ready to be measured: vehicle, beams and ground, and where each beam points at each shot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.errors import InputError
+from lidar_emu.measurement import BoolArray, FloatArray
+from lidar_emu.rotations import cross, rotate
+from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.scene.build import build_scene
+from lidar_emu.trajectory.build import build_trajectory
+from lidar_emu.trajectory.state import VehicleState
+
+
+@dataclass(frozen=True)
+class Pointing:
+    """Where the beams start and point; arrays are (shots, beams) and (shots, beams, 3), NaN for absent beams."""
+
+    time_ns: NDArray[np.int64]
+    fired: BoolArray
+    angle_deg: FloatArray
+    sensor_site_m: FloatArray
+    sensor_velocity_site_mps: FloatArray
+    true_site: FloatArray
+    published_site: FloatArray
+    position_site_m: FloatArray
+    """(shots, 3) Of the vehicle at the first beam's validity."""
+    velocity_site_mps: FloatArray
+    """(shots, 3)"""
+
+
+class Flight:
+    """The rooms of a flight, built once."""
+
+    def __init__(self, scenario: FlightScenario) -> None:
+        self.scenario = scenario
+        self.trajectory = build_trajectory(scenario.trajectory)
+        self.scanner = build_scanner(scenario.scanner)
+        self.scene = build_scene(scenario.site)
+        timing, waveform = scenario.timing, scenario.instrument.waveform
+        duration_s = self.trajectory.duration_s if scenario.duration_s is None else scenario.duration_s
+        if duration_s > self.trajectory.duration_s * (1 + 1e-9):
+            raise InputError(
+                scenario.name, "duration_s", duration_s, f"allowed: at most {self.trajectory.duration_s:.6g} s, the flight"
+            )
+        self.period_ns = timing.period_ns
+        self.shot_count = max(1, ceil(duration_s * 1e9 / self.period_ns))
+        cycle_ns = round(waveform.cycle_time_s * 1e9)
+        self._validity_ns = round(waveform.validity_offset_s * 1e9) + cycle_ns * self.scanner.firing_cycle
+        self._latency_ns = round((scenario.cycle_time_s + timing.processing_latency_s) * 1e9)
+        self._body_from_sensor = mounting_rotation(scenario.mounting)
+        self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
+        self._refuse_to_leave_the_ground()
+
+    def due_ns(self, shot: NDArray[np.int64]) -> NDArray[np.int64]:
+        """When the packets of shots are due, from the start."""
+        return shot * self.period_ns + self._latency_ns
+
+    def point(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
+        """Beams of consecutive shots, each taken at its own time of validity."""
+        chosen, state = self._choose_patterns(shot, state)
+        time_ns = shot[:, None] * self.period_ns + self._validity_ns[None, :]
+        vehicle = self.trajectory.state(time_ns.ravel() * 1e-9)
+        sensor_m, sensor_mps = self._sensor(vehicle)
+        shape = (*time_ns.shape, 3)
+        true_site, published_site = (
+            rotate(vehicle.site_from_body, rotate(self._body_from_sensor, directions[chosen].reshape(-1, 3)))
+            for directions in (self.scanner.true_sensor, self.scanner.published_sensor)
+        )
+        angle_deg = self.scanner.angle_deg[chosen]
+        pointing = Pointing(
+            time_ns=time_ns,
+            fired=~np.isnan(angle_deg),
+            angle_deg=angle_deg,
+            sensor_site_m=sensor_m.reshape(shape),
+            sensor_velocity_site_mps=sensor_mps.reshape(shape),
+            true_site=true_site.reshape(shape),
+            published_site=published_site.reshape(shape),
+            position_site_m=vehicle.position_site_m.reshape(shape)[:, 0],
+            velocity_site_mps=vehicle.velocity_site_mps.reshape(shape)[:, 0],
+        )
+        return pointing, state
+
+    def _sensor(self, vehicle: VehicleState) -> tuple[FloatArray, FloatArray]:
+        """Position and velocity of the sensor: the lever arm turns with the body."""
+        lever_site_m = rotate(vehicle.site_from_body, self._lever_arm_body_m)
+        turning_body_mps = cross(vehicle.body_rate_radps, self._lever_arm_body_m)
+        velocity_mps = vehicle.velocity_site_mps + rotate(vehicle.site_from_body, turning_body_mps)
+        return vehicle.position_site_m + lever_site_m, velocity_mps
+
+    def _choose_patterns(
+        self, shot: NDArray[np.int64], state: ScannerState
+    ) -> tuple[NDArray[np.intp], ScannerState]:
+        """The pattern of each shot, decided at the shot's start."""
+        time_s = shot * self.period_ns * 1e-9
+        sensor_m, _ = self._sensor(self.trajectory.state(time_s))
+        above_origin_m = sensor_m[:, 2]
+        above_ground_m = (
+            above_origin_m - self.scene.height_m(sensor_m[:, 0], sensor_m[:, 1])
+            if self.scanner.needs_ground_altitude
+            else np.full(len(shot), np.nan)
+        )
+        chosen = np.empty(len(shot), dtype=np.intp)
+        for k in range(len(shot)):
+            state, chosen[k] = self.scanner.select(state, time_s[k], above_origin_m[k], above_ground_m[k])
+        return chosen, state
+
+    def _refuse_to_leave_the_ground(self) -> None:
+        time_s = np.arange(self.shot_count) * self.period_ns * 1e-9
+        position_m = self.trajectory.state(time_s).position_site_m
+        outside = np.flatnonzero(~self.scene.covers(position_m[:, 0], position_m[:, 1]))
+        if outside.size:
+            east_m, north_m, up_m = position_m[outside[0]]
+            raise InputError(
+                self.scenario.name,
+                "trajectory",
+                f"{time_s[outside[0]]:.3f} s: {east_m:.1f} m east, {north_m:.1f} m north, {up_m:.1f} m up",
+                f"allowed: positions over the ground ({self.scene.description}), or site.ground.beyond: plane or sphere",
+            )

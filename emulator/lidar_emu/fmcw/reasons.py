@@ -1,0 +1,22 @@
+"""Why a beam gave no valid measurement."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Reason(IntEnum):
+    """What stands in the way of a valid range and speed; the codes are those of the wire."""
+
+    VALID = 0
+    NOT_FIRED = 1
+    NO_SURFACE = 2
+    """No beamlet meets anything."""
+    BELOW_THRESHOLD = 3
+    """The echo was not detected in all three segments."""
+    BEYOND_RANGE = 4
+    """The measured range, or the surface itself, lies beyond what the instrument may report."""
+    INSIDE_GROUND = 5
+    """The sensor touches the ground or is below it."""
+    AMBIGUOUS = 6
+    """No choice of signs and folds gives a range that the instrument can have measured."""

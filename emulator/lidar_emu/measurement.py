@@ -1,0 +1,109 @@
+"""What a run measured, beside the truth: arrays shaped (shots, beams)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Shots of all beams, in SI; NaN where a beam did not fire or a value is missing.
+
+    Arrays are shaped (shots, beams) unless the shape stands beside them. Closing speed is positive toward the ground.
+    """
+
+    shot: NDArray[np.int64]
+    """(shots,) Number of the shot, from 0."""
+    time_ns: NDArray[np.int64]
+    """Time of validity since the epoch, the centre of the constant segment's record."""
+    due_ns: NDArray[np.int64]
+    """(shots,) When the packet is due, since the epoch."""
+    fired: BoolArray
+    beam_angle_deg: FloatArray
+    """Published off-boresight angle."""
+    range_m: FloatArray
+    closing_speed_mps: FloatArray
+    range_valid: BoolArray
+    speed_valid: BoolArray
+    sign_resolved: BoolArray
+    reason: NDArray[np.int8]
+    """Why a beam is invalid: a `lidar_emu.fmcw.reasons.Reason`."""
+    segments: NDArray[np.uint8]
+    """Segments in which the target was detected: bit 0 up-chirp, bit 1 constant, bit 2 down-chirp."""
+    snr_db: FloatArray
+    residual_mps: FloatArray
+    """Disagreement of the three segments, as a speed."""
+    sigma_range_m: FloatArray
+    sigma_speed_mps: FloatArray
+    returns: NDArray[np.uint8]
+    second_range_m: FloatArray
+    true_range_m: FloatArray
+    """Along the true beam axis to the ground; NaN where there is none."""
+    true_closing_speed_mps: FloatArray
+    """Of the sensor along the true beam axis."""
+    point_site_m: FloatArray
+    """(shots, beams, 3) Measured point: the measured range along the published beam direction."""
+    position_site_m: FloatArray
+    """(shots, 3) True position of the vehicle at the shot's time of validity."""
+    velocity_site_mps: FloatArray
+    """(shots, 3) True velocity of the vehicle."""
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Time of validity in seconds since the epoch; NaN where a beam did not fire."""
+        return np.where(self.fired, self.time_ns * 1e-9, np.nan)
+
+    @property
+    def beam_count(self) -> int:
+        """Beams of a shot, fired or not."""
+        return self.fired.shape[1]
+
+    def __len__(self) -> int:
+        return len(self.shot)
+
+    def table(self) -> dict[str, NDArray[np.generic]]:
+        """One row per shot and beam: the columns of `simulate --out` and, truth aside, the keys of `listen --json`."""
+        shape = self.fired.shape
+        columns: dict[str, NDArray[np.generic]] = {
+            "shot": np.repeat(self.shot, shape[1]),
+            "beam": np.tile(np.arange(shape[1]), shape[0]),
+            "time_s": self.time_s.ravel(),
+        }
+        for name in _TABLE_FIELDS:
+            columns[name] = getattr(self, name).ravel()
+        for axis, name in enumerate(("point_east_m", "point_north_m", "point_up_m")):
+            columns[name] = self.point_site_m[..., axis].ravel()
+        return columns
+
+    @classmethod
+    def joined(cls, blocks: Sequence[Measurement]) -> Measurement:
+        """Blocks of shots, one after another."""
+        return cls(*(np.concatenate([getattr(b, f.name) for b in blocks]) for f in fields(cls)))
+
+
+_TABLE_FIELDS = (
+    "fired",
+    "beam_angle_deg",
+    "range_m",
+    "closing_speed_mps",
+    "range_valid",
+    "speed_valid",
+    "sign_resolved",
+    "reason",
+    "segments",
+    "snr_db",
+    "residual_mps",
+    "sigma_range_m",
+    "sigma_speed_mps",
+    "returns",
+    "second_range_m",
+    "true_range_m",
+    "true_closing_speed_mps",
+)

@@ -1,0 +1,1 @@
+"""Clock, processes, ring and pace: from finished packets with due times to bytes on a port."""

@@ -1,0 +1,92 @@
+"""The port process as its parent sees it: started, told, heard, ended."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import sys
+from typing import Any
+
+from lidar_emu.errors import RunError, one_line
+from lidar_emu.runtime.ring import anonymous_file
+
+_READ_BYTES = 65536
+
+
+class PortChild:
+    """`lidar_emu.runtime.port_process` in a session of its own, where no terminal's Ctrl-C reaches it.
+
+    Args:
+        descriptors: what it inherits besides its three standard ones.
+    """
+
+    def __init__(self, descriptors: tuple[int, ...]) -> None:
+        self.ended = False
+        """Whether it has said its last."""
+        self._heard = b""
+        self._errors = anonymous_file()
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "lidar_emu.runtime.port_process"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            pass_fds=descriptors,
+            start_new_session=True,
+            bufsize=0,
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._lifeline = self._process.stdin
+        self._answers = self._process.stdout
+
+    @property
+    def pid(self) -> int:
+        """Its number."""
+        return self._process.pid
+
+    @property
+    def descriptor(self) -> int:
+        """Ready when there is something to hear."""
+        return self._answers.fileno()
+
+    def tell(self, **order: object) -> None:
+        """Give it a line.
+
+        Raises:
+            RunError: it died.
+        """
+        try:
+            self._lifeline.write(json.dumps(order).encode() + b"\n")
+        except BrokenPipeError:
+            raise self.death() from None
+
+    def hear(self) -> list[dict[str, Any]]:
+        """What it has said since the last call; sets `ended` at the end."""
+        answers: list[dict[str, Any]] = []
+        while not self.ended and select.select([self._answers], [], [], 0)[0]:
+            data = os.read(self.descriptor, _READ_BYTES)
+            self.ended = not data
+            *lines, self._heard = (self._heard + data).split(b"\n")
+            answers += (json.loads(line) for line in lines)
+        return answers
+
+    def death(self) -> RunError:
+        """How it came to its end, with the last line that it wrote about it."""
+        status = self._process.wait()
+        how = f"signal {-status}" if status < 0 else f"exit code {status}"
+        errors = os.pread(self._errors, _READ_BYTES, 0).decode(errors="replace")
+        return RunError(one_line(": ".join([f"the port process ended ({how})", *errors.splitlines()[-1:]])))
+
+    def hang_up(self) -> None:
+        """Cut the lifeline: it closes the port and ends."""
+        self._lifeline.close()
+
+    def kill(self) -> None:
+        """Make sure that it has ended, and give everything back."""
+        self._process.kill()
+        self._process.wait()
+        self._lifeline.close()
+        self._answers.close()
+        os.close(self._errors)

@@ -1,0 +1,44 @@
+"""The only file that reads a clock."""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+_NS_PER_S = 1_000_000_000
+_COARSE_ABOVE_NS = 2_000_000
+_FINE_REST_NS = 1_000_000
+
+
+class Clock:
+    """The machine's clocks. Times are integer nanoseconds of the monotonic clock, which processes share."""
+
+    def now_ns(self) -> int:
+        """The monotonic clock."""
+        return time.monotonic_ns()
+
+    def utc_now(self) -> datetime:
+        """The wall clock, with its time zone UTC."""
+        return datetime.now(UTC)
+
+    def wait(
+        self, until_ns: int | None, readable: Sequence[int] = (), writable: Sequence[int] = ()
+    ) -> tuple[list[int], list[int]]:
+        """Sleep until an instant, or until one of the descriptors is ready; returns those that are.
+
+        Never returns early without a ready descriptor. None as instant waits for descriptors alone.
+        """
+        while True:
+            left_ns = None if until_ns is None else max(0, until_ns - self.now_ns())
+            ready, roomy, _ = select.select(readable, writable, (), _timeout_s(left_ns))
+            if ready or roomy or left_ns == 0:
+                return ready, roomy
+
+
+def _timeout_s(left_ns: int | None) -> float | None:
+    if left_ns is None:
+        return None
+    # The kernel may round a wait by a thousandth of its length: the last millisecond is a wait of its own.
+    return (left_ns - _FINE_REST_NS if left_ns > _COARSE_ABOVE_NS else left_ns) / _NS_PER_S

@@ -1,0 +1,40 @@
+"""When a packet goes out: a pure decision."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+
+
+class Pace(StrEnum):
+    """How the run's time passes."""
+
+    WALL = "wall"
+    """With the wall clock: a packet goes out when it is due, or not at all."""
+    MAX = "max"
+    """As fast as the link takes it; nothing is late."""
+
+
+class Action(Enum):
+    """What to do with the next packet."""
+
+    WAIT = "wait"
+    SEND = "send"
+    SKIP = "skip"
+
+
+@dataclass(frozen=True)
+class Pacing:
+    """The rule. After a stall what is too old is skipped: no burst follows that no instrument would make."""
+
+    pace: Pace
+    late_after_ns: int
+    """A packet that could not start within this time after it was due is late, and skipped."""
+
+    def action(self, now_ns: int, due_ns: int) -> Action:
+        """What to do at `now_ns` with a packet due at `due_ns`, both from the start of the run."""
+        if self.pace is Pace.MAX:
+            return Action.SEND
+        if now_ns < due_ns:
+            return Action.WAIT
+        return Action.SKIP if now_ns > due_ns + self.late_after_ns else Action.SEND

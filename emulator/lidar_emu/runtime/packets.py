@@ -1,0 +1,62 @@
+"""What passes between the model's process and the port's: packets one way, reports the other."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Self
+
+from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
+from lidar_emu.transports.link import Fate
+
+__all__ = ["Fate", "Frame", "Outgoing", "Report", "pack_frames", "unpack_frames"]
+
+_PACKET_HEAD = struct.Struct("<qq")
+_REPORT = struct.Struct("<qqqB")
+
+
+@dataclass(frozen=True)
+class Outgoing:
+    """A finished packet."""
+
+    shot: int
+    due_ns: int
+    """From the start of the run."""
+    payload: bytes
+    """Framed bytes on a byte link, frame records (`pack_frames`) on CAN."""
+
+    HEAD_BYTES = _PACKET_HEAD.size
+
+    def to_bytes(self) -> bytes:
+        """As a ring entry."""
+        return _PACKET_HEAD.pack(self.shot, self.due_ns) + self.payload
+
+    @classmethod
+    def from_bytes(cls, entry: bytes) -> Self:
+        """The inverse of `to_bytes`."""
+        shot, due_ns = _PACKET_HEAD.unpack_from(entry)
+        return cls(shot, due_ns, entry[_PACKET_HEAD.size :])
+
+
+@dataclass(frozen=True)
+class Report:
+    """What became of a packet."""
+
+    shot: int
+    due_ns: int
+    """From the start of the run."""
+    sent_ns: int
+    """When the link had taken it, from the start of the run; -1 if it did not."""
+    fate: Fate
+
+    SIZE_BYTES = _REPORT.size
+
+    def to_bytes(self) -> bytes:
+        """As a ring entry."""
+        return _REPORT.pack(self.shot, self.due_ns, self.sent_ns, self.fate)
+
+    @classmethod
+    def from_bytes(cls, entry: bytes) -> Self:
+        """The inverse of `to_bytes`."""
+        shot, due_ns, sent_ns, fate = _REPORT.unpack(entry)
+        return cls(shot, due_ns, sent_ns, Fate(fate))

@@ -1,0 +1,197 @@
+"""The process that owns the port. It sends what is due and counts what arrives; it imports little.
+
+Started by `PortRunner` with a pipe as standard input, which is its lifeline: at the end of file it closes the
+port and ends, however the parent ended. Both pipes carry one JSON object per line:
+
+    in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "loopback": fd or null}     once
+         {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ...}}    times of the monotonic clock
+         {"finish": true}                            no more packets will come
+    out  {"ready": description} or {"refused": [where, key, value, allowed]}
+         {"granted": [name]}                         what the system gave towards punctuality
+         {"event": [time_ns, text]}
+         {"finished": counts}                        every packet has its report
+         {"stopped": counts}                         last line
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Callable
+from typing import Any
+
+from lidar_emu.errors import InputError
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.pacing import Pace, Pacing
+from lidar_emu.runtime.realtime import become_punctual
+from lidar_emu.runtime.ring import Ring
+from lidar_emu.runtime.sender import Sender, Wait
+from lidar_emu.transports.link import Link
+from lidar_emu.transports.opening import opener
+from lidar_emu.transports.spec import PortSpec
+
+_LIFELINE, _ANSWERS = 0, 1
+_PIPE_BYTES = 65536
+_DRAIN_NS = 2_000_000_000
+_SETTLE_NS = 20_000_000
+
+
+def main() -> None:
+    """Run until the lifeline ends."""
+    # Ctrl-C in a terminal goes to the whole group; what it means is the parent's business.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    lines = _Lines()
+    settings = lines.next_blocking()
+    if settings is None:
+        return
+    try:
+        link = Link(opener(PortSpec.from_json(settings["port"]), settings["loopback"]))
+    except InputError as error:
+        _say(refused=[error.where, error.key, _plain(error.value), error.allowed])
+        return
+    os.set_blocking(_LIFELINE, False)
+    os.set_blocking(_ANSWERS, False)
+    _say(ready=link.description)
+    try:
+        with Ring(settings["packets"]) as packets, Ring(settings["reports"]) as reports:
+            _Port(link, packets, reports, settings["doorbell"], lines, Clock()).run()
+    finally:
+        link.close()
+
+
+class _Port:
+    """The loop: do what is due, then sleep until something else is."""
+
+    def __init__(
+        self, link: Link, packets: Ring, reports: Ring, doorbell: int, lines: _Lines, clock: Clock
+    ) -> None:
+        self._link = link
+        self._packets = packets
+        self._reports = reports
+        self._doorbell = doorbell
+        self._lines = lines
+        self._clock = clock
+        self._sender: Sender | None = None
+        self._received_bytes = 0
+        self._finishing = False
+        self._drain = _Drain()
+
+    def run(self) -> None:
+        """Until the lifeline ends."""
+        alive = True
+        while alive:
+            self._link.service(self._clock.now_ns())
+            wait = self._sender.step() if self._sender is not None else Wait()
+            for event in self._link.take_events():
+                _say(event=event)
+            drain_ns = self._drained_or_look_again(wait)
+            alive = self._sleep(wait, drain_ns)
+        _say(stopped=self._counts())
+
+    def _sleep(self, wait: Wait, drain_ns: int | None) -> bool:
+        """Sleep until something is to be done, and take what arrived; False at the end of the lifeline."""
+        wakes_ns = (wait.until_ns, drain_ns, self._link.wake_ns(self._clock.now_ns(), wait.for_room))
+        until_ns = min((wake_ns for wake_ns in wakes_ns if wake_ns is not None), default=None)
+        doorbells = [self._doorbell] if wait.for_packets else []
+        wants_room = wait.for_room or self._link.pending
+        ready, _ = self._clock.wait(
+            until_ns,
+            [_LIFELINE, *doorbells, *self._link.readable],
+            self._link.writable if wants_room else [],
+        )
+        if self._doorbell in ready:
+            os.read(self._doorbell, _PIPE_BYTES)
+        # Without a descriptor to watch, arrivals are looked for on every round.
+        if not self._link.readable or self._link.readable[0] in ready:
+            self._received_bytes += len(self._link.receive(self._clock.now_ns()))
+        return _LIFELINE not in ready or self._lines.obey(self._obey)
+
+    def _obey(self, order: dict[str, Any]) -> None:
+        if "begin" in order:
+            begin = order["begin"]
+            pacing = Pacing(Pace(begin["pace"]), begin["late_after_ns"])
+            if pacing.pace is Pace.WALL:
+                _say(granted=become_punctual())
+            self._sender = Sender(
+                self._packets, self._reports, self._link, self._clock, begin["start_ns"], pacing
+            )
+        if "finish" in order:
+            self._finishing = True
+
+    def _drained_or_look_again(self, wait: Wait) -> int | None:
+        """Say so once everything is out; while the other end still reads, when to look again."""
+        if not self._finishing or not wait.for_packets:
+            return None
+        now_ns = self._clock.now_ns()
+        if not self._drain.is_over(bool(self._link.pending or self._link.unread), now_ns):
+            return now_ns + _SETTLE_NS
+        self._finishing = False
+        _say(finished=self._counts())
+        return None
+
+    def _counts(self) -> dict[str, int]:
+        sent_bytes = self._sender.sent_bytes if self._sender is not None else 0
+        return {"sent_bytes": sent_bytes, "received_bytes": self._received_bytes}
+
+
+class _Drain:
+    """The time at the end in which the other end still reads what was sent."""
+
+    def __init__(self) -> None:
+        self._began_ns: int | None = None
+        self._busy_ns = 0
+
+    def is_over(self, busy: bool, now_ns: int) -> bool:
+        """Whether nothing is on its way any more, or the other end was given long enough."""
+        if self._began_ns is None:
+            self._began_ns = self._busy_ns = now_ns
+        if busy:
+            self._busy_ns = now_ns
+        # Bytes on their way through a pty are counted nowhere for a moment: it must look empty for a while.
+        return now_ns - self._busy_ns >= _SETTLE_NS or now_ns - self._began_ns >= _DRAIN_NS
+
+
+class _Lines:
+    """JSON lines from the lifeline."""
+
+    def __init__(self) -> None:
+        self._buffer = b""
+
+    def next_blocking(self) -> dict[str, Any] | None:
+        """The first line; None at the end of file."""
+        while b"\n" not in self._buffer:
+            data = os.read(_LIFELINE, _PIPE_BYTES)
+            if not data:
+                return None
+            self._buffer += data
+        return self._take()
+
+    def obey(self, act: Callable[[dict[str, Any]], None]) -> bool:
+        """Pass on all lines that have arrived; False at the end of file."""
+        data = os.read(_LIFELINE, _PIPE_BYTES)
+        self._buffer += data
+        while b"\n" in self._buffer:
+            act(self._take())
+        return bool(data)
+
+    def _take(self) -> dict[str, Any]:
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        order: dict[str, Any] = json.loads(line)
+        return order
+
+
+def _say(**answer: object) -> None:
+    """One line to the parent; lost if it does not listen, since nothing here may wait for it."""
+    try:
+        os.write(_ANSWERS, json.dumps(answer).encode() + b"\n")
+    except (BlockingIOError, BrokenPipeError):
+        return
+
+
+def _plain(value: object) -> object:
+    return value if isinstance(value, str | int | float | None) else str(value)
+
+
+if __name__ == "__main__":
+    main()

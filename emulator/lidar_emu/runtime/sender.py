@@ -1,0 +1,85 @@
+"""Takes packets from the ring and sends, skips or drops each; knows no time but its clock's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.pacing import Action, Pace, Pacing
+from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.ring import Ring
+
+_PACKETS_PER_STEP = 64
+
+
+class Sink(Protocol):
+    """Where packets go: a `Link`."""
+
+    def send(self, payload: bytes, now_ns: int) -> Fate:
+        """Take the whole packet or drop it."""
+
+
+@dataclass(frozen=True)
+class Wait:
+    """What the sender waits for."""
+
+    until_ns: int | None = None
+    """An instant of the monotonic clock."""
+    for_packets: bool = False
+    """The ring is empty."""
+    for_room: bool = False
+    """The line is full, and the pace is the link's."""
+
+
+class Sender:
+    """The way of each packet from the ring to its report.
+
+    The ring of reports must hold all packets of which the other process has not yet fetched a report.
+    """
+
+    def __init__(
+        self, packets: Ring, reports: Ring, link: Sink, clock: Clock, start_ns: int, pacing: Pacing
+    ) -> None:
+        self._packets = packets
+        self._reports = reports
+        self._link = link
+        self._clock = clock
+        self._start_ns = start_ns
+        self._pacing = pacing
+        self._next: Outgoing | None = None
+        self.sent_bytes = 0
+
+    def step(self) -> Wait:
+        """Do what is due now, a bounded part of it at a time."""
+        for _ in range(_PACKETS_PER_STEP):
+            packet = self._take()
+            if packet is None:
+                return Wait(for_packets=True)
+            now_ns = self._clock.now_ns()
+            match self._pacing.action(now_ns - self._start_ns, packet.due_ns):
+                case Action.WAIT:
+                    return Wait(until_ns=self._start_ns + packet.due_ns)
+                case Action.SKIP:
+                    self._finish(packet, Fate.LATE)
+                case Action.SEND:
+                    fate = self._link.send(packet.payload, now_ns)
+                    if fate is Fate.DROPPED_FULL and self._pacing.pace is Pace.MAX:
+                        return Wait(for_room=True)
+                    self._finish(packet, fate)
+        return Wait(until_ns=self._clock.now_ns())
+
+    def _take(self) -> Outgoing | None:
+        if self._next is None:
+            entry = self._packets.pop()
+            self._next = None if entry is None else Outgoing.from_bytes(entry)
+        return self._next
+
+    def _finish(self, packet: Outgoing, fate: Fate) -> None:
+        sent_ns = -1
+        if fate is Fate.SENT:
+            sent_ns = self._clock.now_ns() - self._start_ns
+            self.sent_bytes += len(packet.payload)
+        self._next = None
+        if not self._reports.push(Report(packet.shot, packet.due_ns, sent_ns, fate).to_bytes()):
+            raise RuntimeError("the ring of reports is too small")

@@ -1,0 +1,131 @@
+"""Beam directions of every pattern, and which pattern is active."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.errors import InputError
+from lidar_emu.rotations import FloatArray, from_rotation_vector, from_yaw_pitch_roll, rotate
+from lidar_emu.scenario.scanner import AltitudeSwitch, Mounting, Pattern, Scanner, TimeSwitch
+
+
+@dataclass(frozen=True)
+class ScannerState:
+    """What is carried from shot to shot."""
+
+    active: tuple[bool, ...]
+    """One per switch."""
+
+
+@dataclass(frozen=True)
+class ScannerModel:
+    """The patterns of a scanner: set 0 at the start, set k + 1 of switch k.
+
+    Arrays are (sets, beams); a set with fewer beams than another is filled up with NaN.
+    """
+
+    published_sensor: FloatArray
+    """(sets, beams, 3) Unit vectors in the sensor frame that the flight software believes."""
+    true_sensor: FloatArray
+    """(sets, beams, 3) Where the light goes."""
+    angle_deg: FloatArray
+    """Published off-boresight angle."""
+    firing_cycle: NDArray[np.int64]
+    """(beams,) Cycle of the shot in which a beam fires."""
+    switches: tuple[AltitudeSwitch | TimeSwitch, ...]
+    initial: ScannerState
+
+    @property
+    def beam_count(self) -> int:
+        """Beams of the largest set."""
+        return len(self.firing_cycle)
+
+    @property
+    def needs_ground_altitude(self) -> bool:
+        """Whether any switch counts its altitude from the ground."""
+        return any(
+            isinstance(switch, AltitudeSwitch) and switch.datum == "ground" for switch in self.switches
+        )
+
+    def select(
+        self, state: ScannerState, time_s: float, altitude_origin_m: float, altitude_ground_m: float
+    ) -> tuple[ScannerState, int]:
+        """The set of beams of a shot, and the state to pass with the next one.
+
+        Args:
+            state: of the shot before; `initial` for the first.
+            time_s: scenario time of the shot's start.
+            altitude_origin_m: of the sensor above the origin of the site frame.
+            altitude_ground_m: of the sensor above the ground straight below; NaN where there is none, which
+                leaves a switch as it is.
+        """
+        altitude_m = {"origin": altitude_origin_m, "ground": altitude_ground_m}
+        active = tuple(
+            bool(time_s >= switch.at_s)
+            if isinstance(switch, TimeSwitch)
+            else _below(switch, was_active, altitude_m[switch.datum])
+            for switch, was_active in zip(self.switches, state.active, strict=True)
+        )
+        chosen = max((k + 1 for k, is_active in enumerate(active) if is_active), default=0)
+        return ScannerState(active), chosen
+
+
+def _below(switch: AltitudeSwitch, was_active: bool, altitude_m: float) -> bool:
+    """NaN compares false: what was active stays, what was not stays off."""
+    left = switch.repeatedly and altitude_m > switch.below_m + switch.hysteresis_m
+    return bool(altitude_m < switch.below_m or (was_active and not left))
+
+
+def build_scanner(part: Scanner) -> ScannerModel:
+    """Directions of all patterns.
+
+    Raises:
+        InputError: misalignment is given for another number of beams than the scanner has.
+    """
+    beam_count = max(len(pattern.beams_deg) for pattern in part.patterns)
+    misaligned = _misalignment(part, beam_count)
+    published = [_directions(pattern, beam_count) for pattern in part.patterns]
+    angle_deg, published_sensor = (np.stack(arrays) for arrays in zip(*published, strict=True))
+    return ScannerModel(
+        published_sensor=published_sensor,
+        true_sensor=rotate(misaligned, published_sensor),
+        angle_deg=angle_deg,
+        firing_cycle=np.arange(beam_count) * (part.firing == "in_turn"),
+        switches=tuple(part.switches),
+        initial=ScannerState((False,) * len(part.switches)),
+    )
+
+
+def mounting_rotation(part: Mounting) -> FloatArray:
+    """body_from_sensor (3, 3)."""
+    yaw, pitch, roll = (np.radians(angle) for angle in (part.yaw_deg, part.pitch_deg, part.roll_deg))
+    return from_yaw_pitch_roll(yaw, pitch, roll)
+
+
+def _directions(pattern: Pattern, beam_count: int) -> tuple[FloatArray, FloatArray]:
+    """Off-boresight angles in degrees (beams,) and unit vectors (beams, 3); NaN beyond the beams it has."""
+    beams_deg = np.full((beam_count, 2), np.nan)
+    beams_deg[: len(pattern.beams_deg)] = pattern.beams_deg
+    angle, azimuth = np.radians(beams_deg).T
+    unit = np.stack(
+        [np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=-1
+    )
+    return beams_deg[:, 0], unit
+
+
+def _misalignment(part: Scanner, beam_count: int) -> FloatArray:
+    """sensor_from_believed rotations (beams, 3, 3)."""
+    given = part.misalignment_mrad or [(0.0, 0.0)] * beam_count
+    if len(given) != beam_count:
+        raise InputError(
+            "scanner",
+            "misalignment_mrad",
+            f"{len(given)} entries",
+            f"allowed: one for each of {beam_count} beams, or none",
+        )
+    vector_rad = np.zeros((beam_count, 3))
+    vector_rad[:, :2] = np.array(given) * 1e-3
+    return from_rotation_vector(vector_rad)

@@ -1,0 +1,35 @@
+"""What every part of a scenario has in common: strict values, no unknown keys, each key documented."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+
+class Part(BaseModel):
+    """A mapping in a scenario file. The docstring below each key is its documentation."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        strict=True,
+        frozen=True,
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
+        validate_default=True,
+    )
+
+
+_SWITCH_WORDS = {"on": True, "yes": True, "off": False, "no": False}
+
+
+def _switch(value: object) -> object:
+    """`on`, `off`, `yes`, `no` as an author means them: YAML 1.2 reads them as text."""
+    return _SWITCH_WORDS.get(value.lower(), value) if isinstance(value, str) else value
+
+
+Switch = Annotated[bool, BeforeValidator(_switch)]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(gt=0, le=1)]
+Vector3 = tuple[float, float, float]

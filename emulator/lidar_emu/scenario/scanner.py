@@ -1,0 +1,120 @@
+"""The scanner: beam directions, when they switch, and how the sensor sits on the vehicle."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from lidar_emu.scenario.part import NonNegative, Part, Switch, Vector3
+
+OffBoresight = Annotated[float, Field(ge=0, lt=90)]
+
+
+class Square(Part):
+    """Four beams at azimuths 45, 135, 225 and 315 degrees."""
+
+    kind: Literal["square"]
+    """Chooses this pattern."""
+    angle_deg: OffBoresight
+    """Off-boresight angle of every beam."""
+
+    @property
+    def beams_deg(self) -> list[tuple[float, float]]:
+        """Off-boresight angle and azimuth of each beam."""
+        return [(self.angle_deg, 45.0 + 90.0 * k) for k in range(4)]
+
+
+class Ring(Part):
+    """Beams evenly spaced in azimuth."""
+
+    kind: Literal["ring"]
+    """Chooses this pattern."""
+    count: Annotated[int, Field(ge=1, le=64)]
+    """Number of beams."""
+    angle_deg: OffBoresight
+    """Off-boresight angle of every beam."""
+    first_azimuth_deg: float = 0.0
+    """Azimuth of beam 0, from sensor x towards y."""
+
+    @property
+    def beams_deg(self) -> list[tuple[float, float]]:
+        """Off-boresight angle and azimuth of each beam."""
+        return [(self.angle_deg, self.first_azimuth_deg + 360.0 * k / self.count) for k in range(self.count)]
+
+
+class Directions(Part):
+    """A list of directions of your own."""
+
+    kind: Literal["directions"]
+    """Chooses this pattern."""
+    beams: Annotated[list[tuple[OffBoresight, float]], Field(min_length=1, max_length=64)]
+    """Off-boresight angle and azimuth of each beam, in degrees."""
+
+    @property
+    def beams_deg(self) -> list[tuple[float, float]]:
+        """Off-boresight angle and azimuth of each beam."""
+        return self.beams
+
+
+Pattern = Annotated[Square | Ring | Directions, Field(discriminator="kind")]
+
+
+class AltitudeSwitch(Part):
+    """Another pattern from an altitude downward."""
+
+    kind: Literal["altitude"]
+    """Chooses this kind of switch."""
+    below_m: NonNegative
+    """Active below this altitude."""
+    datum: Literal["origin", "ground"] = "origin"
+    """Altitude above the origin of the site frame, or above the ground straight below the sensor."""
+    repeatedly: Switch = False
+    """Switch back on climbing above `below_m + hysteresis_m`; otherwise the switch stays."""
+    hysteresis_m: NonNegative = 0.0
+    """See `repeatedly`."""
+    pattern: Pattern
+    """The beams while active."""
+
+
+class TimeSwitch(Part):
+    """Another pattern from an instant on."""
+
+    kind: Literal["time"]
+    """Chooses this kind of switch."""
+    at_s: NonNegative
+    """Scenario time."""
+    pattern: Pattern
+    """The beams from then on."""
+
+
+class Scanner(Part):
+    """Non-mechanical scanner: patterns change between shots."""
+
+    pattern: Pattern
+    """The beams at the start."""
+    switches: list[Annotated[AltitudeSwitch | TimeSwitch, Field(discriminator="kind")]] = []
+    """Changes in flight, taken at the start of a shot; where several are active the last one listed counts."""
+    firing: Literal["together", "in_turn"] = "together"
+    """All beams in one cycle (one receiver each), or one cycle after another, each with its own validity."""
+    misalignment_mrad: list[tuple[float, float]] = []
+    """True direction less published one, per beam, as small rotations about sensor x and y. Left out: none. The
+    published direction is what the flight software believes."""
+
+    @property
+    def patterns(self) -> list[Pattern]:
+        """The pattern at the start, then that of each switch."""
+        return [self.pattern, *(switch.pattern for switch in self.switches)]
+
+
+class Mounting(Part):
+    """Where the sensor sits on the body."""
+
+    lever_arm_m: Vector3 = (0.0, 0.0, 0.0)
+    """Sensor in the body frame (x forward, y right, z down), from the point whose trajectory is flown."""
+    roll_deg: float = 0.0
+    """Sensor against body about x (order yaw, pitch, roll). At zero the boresight is body z."""
+    pitch_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
+    """Sensor against body about y."""
+    yaw_deg: float = 0.0
+    """Sensor against body about z."""

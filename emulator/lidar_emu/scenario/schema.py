@@ -1,0 +1,113 @@
+"""The scenario: one file that says what is flown, over what, with which instrument."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Annotated, Literal, Self
+
+from pydantic import AwareDatetime, Field, model_validator
+
+from lidar_emu.scenario.bench_pattern import BenchPattern
+from lidar_emu.scenario.instrument import Instrument
+from lidar_emu.scenario.part import NonNegative, Part, Positive
+from lidar_emu.scenario.scanner import Mounting, Scanner
+from lidar_emu.scenario.site import Site
+from lidar_emu.scenario.trajectory import Trajectory
+
+
+class Timing(Part):
+    """When shots are fired and when their packets are due."""
+
+    rate_hz: Annotated[float, Field(gt=0, le=10_000)] = 20.0
+    """Shots per second."""
+    epoch: AwareDatetime = datetime(2030, 1, 1, tzinfo=UTC)
+    """Instant of scenario time 0 on the instrument's clock."""
+    processing_latency_s: NonNegative = 2e-3
+    """From the end of the cycle to the packet."""
+    late_after_s: Positive | None = None
+    """A packet later than this is late: skipped and counted. Left out: one period."""
+
+    @property
+    def period_ns(self) -> int:
+        """Time from shot to shot."""
+        return round(1e9 / self.rate_hz)
+
+    @property
+    def late_after_ns(self) -> int:
+        """`late_after_s` with its default, in nanoseconds."""
+        return self.period_ns if self.late_after_s is None else round(self.late_after_s * 1e9)
+
+
+class Wire(Part):
+    """What identifies this unit on the wire."""
+
+    unit: Annotated[int, Field(ge=0, le=15)] = 0
+    """Offsets the APID and the CAN identifiers, so that several units can share a bus."""
+    can_messages: Literal["core", "full"] = "full"
+    """On classic CAN: a header and one message per beam, or the second set as well. CAN FD carries everything."""
+
+
+class Scenario(Part):
+    """What every run states, whatever it flies."""
+
+    name: str
+    """Shown in plans and summaries."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    """Of everything drawn by chance."""
+    duration_s: Positive | None = None
+    """Length of the run. Left out: as long as the trajectory or the pattern."""
+    timing: Timing = Timing()
+    """Rate and latency."""
+    wire: Wire = Wire()
+    """Identity on the wire."""
+
+
+class FlightScenario(Scenario):
+    """A flight over ground, measured by the model of the instrument."""
+
+    instrument: Instrument
+    """The lidar."""
+    site: Site
+    """The ground."""
+    trajectory: Trajectory
+    """The flight."""
+    scanner: Scanner
+    """The beams."""
+    mounting: Mounting = Mounting()
+    """The sensor on the vehicle."""
+
+    @property
+    def cycle_time_s(self) -> float:
+        """From the start of a shot to the end of its last segment."""
+        return self.instrument.waveform.cycle_time_s * self._cycles
+
+    @property
+    def _cycles(self) -> int:
+        if self.scanner.firing == "together":
+            return 1
+        return max(len(pattern.beams_deg) for pattern in self.scanner.patterns)
+
+    @model_validator(mode="after")
+    def _rate_is_reachable(self) -> Self:
+        limit_hz = 1 / self.cycle_time_s
+        if self.timing.rate_hz > limit_hz * (1 + 1e-9):
+            raise ValueError(
+                f"timing.rate_hz {self.timing.rate_hz:g}: the waveform with beams fired "
+                f"{self.scanner.firing.replace('_', ' ')} reaches at most {limit_hz:.6g} Hz"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _misalignment_fits(self) -> Self:
+        given = len(self.scanner.misalignment_mrad)
+        needed = max(len(pattern.beams_deg) for pattern in self.scanner.patterns)
+        if given not in (0, needed):
+            raise ValueError(f"scanner.misalignment_mrad has {given} entries for {needed} beams")
+        return self
+
+
+class BenchScenario(Scenario):
+    """Constants and ramps instead of physics, to check a driver."""
+
+    bench_pattern: BenchPattern
+    """What the beams report."""

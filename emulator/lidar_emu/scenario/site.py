@@ -1,0 +1,124 @@
+"""The site: a body, the ground of one place on it, how the ground reflects, and the air above it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from lidar_emu.scenario.part import NonNegative, Part, Positive
+
+Latitude = Annotated[float, Field(ge=-90, le=90)]
+Longitude = Annotated[float, Field(ge=-180, le=360)]
+Slope = Annotated[float, Field(ge=0, lt=90)]
+
+
+class Body(Part):
+    """The body landed on. Its sphere is the altitude datum of the site."""
+
+    name: str = "Moon"
+    """Shown in plans and summaries."""
+    radius_m: Positive = 1_737_400.0
+    """Radius of the reference sphere: elevations are heights above it."""
+
+
+class Plane(Part):
+    """A plane through the origin of the site frame."""
+
+    kind: Literal["plane"]
+    """Chooses this kind of ground."""
+    slope_deg: Slope = 0.0
+    """Inclination of the plane."""
+    downhill_azimuth_deg: float = 0.0
+    """Direction in which it falls, clockwise from north."""
+
+
+class Sphere(Part):
+    """The reference sphere of the body; the site frame is tangent to it at the origin."""
+
+    kind: Literal["sphere"]
+    """Chooses this kind of ground."""
+
+
+class Origin(Part):
+    """Where on the grid the origin of the site frame lies. Give one pair, or none for the grid's centre."""
+
+    latitude_deg: Latitude | None = None
+    """Planetocentric latitude (needs a georeferenced file)."""
+    longitude_deg: Longitude | None = None
+    """East longitude (needs a georeferenced file)."""
+    map_x_m: float | None = None
+    """Map easting in the file's own projection."""
+    map_y_m: float | None = None
+    """Map northing in the file's own projection."""
+
+    @model_validator(mode="after")
+    def _pairs(self) -> Self:
+        geographic = (self.latitude_deg is None, self.longitude_deg is None)
+        projected = (self.map_x_m is None, self.map_y_m is None)
+        if geographic[0] != geographic[1] or projected[0] != projected[1]:
+            raise ValueError("latitude_deg goes with longitude_deg, map_x_m with map_y_m")
+        if not geographic[0] and not projected[0]:
+            raise ValueError("give latitude_deg and longitude_deg, or map_x_m and map_y_m, not both")
+        return self
+
+
+class Grid(Part):
+    """An elevation grid, read as the bilinear surface through its samples on the map plane."""
+
+    kind: Literal["grid"]
+    """Chooses this kind of ground."""
+    file: str
+    """GeoTIFF or ESRI ASCII (extra `geo`), or `.npz` with `elevation_m` (rows from north to south), `pixel_m`
+    and, as wanted, `map_x_m`, `map_y_m` of the first sample. Relative to the file that names it."""
+    band: str | Annotated[int, Field(ge=1)] = "elevation"
+    """Band by its description, or by number from 1. A file of one band needs neither."""
+    registration: Literal["file", "area", "point"] = "file"
+    """Whether a sample stands for its pixel's centre (`area`) or its corner node (`point`); `file`: as the file
+    says, else `area`."""
+    nodata: float | None = None
+    """Value that marks missing samples, where the file does not state it. Infinite and NaN samples are always
+    missing."""
+    elevation_scale: Positive = 1.0
+    """Metres per unit of the file."""
+    elevation_offset_m: float = 0.0
+    """Added after scaling: shifts the file's vertical datum to the site's sphere."""
+    origin: Origin = Origin()
+    """The point of the map that becomes the origin of the site frame."""
+    beyond: Literal["none", "plane", "sphere"] = "none"
+    """What lies outside the grid: nothing (beams that leave it find no surface), the level plane through the
+    origin, or the body's sphere through the origin. Missing samples count as outside."""
+
+
+class Surface(Part):
+    """How the ground reflects at the laser's wavelength."""
+
+    reflectance: Annotated[float, Field(ge=0, le=1)] = 0.18
+    """Lambertian albedo at normal incidence."""
+    lommel_seeliger_share: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """L in `L + (1 - L) cos(incidence)`: 0 Lambert, 1 the Moon's at zero phase angle, about 0.5 Mars."""
+
+
+class Atmosphere(Part):
+    """A homogeneous thin atmosphere."""
+
+    extinction_per_m: NonNegative
+    """Extinction coefficient; the echo loses exp(-2 · extinction · range)."""
+
+
+class Site(Part):
+    """A place to land."""
+
+    name: str = "site"
+    """Shown in plans and summaries."""
+    body: Body = Body()
+    """The body and its altitude datum."""
+    ground: Annotated[Plane | Sphere | Grid, Field(discriminator="kind")]
+    """What the beams hit."""
+    origin_altitude_m: float | None = None
+    """Height of the site frame's origin above the body's sphere. Left out: the ground's own height at the origin
+    (0 for a plane or a sphere), so that altitudes count from the ground at the landing point."""
+    surface: Surface = Surface()
+    """Reflection."""
+    atmosphere: Atmosphere | None = None
+    """Left out: vacuum."""

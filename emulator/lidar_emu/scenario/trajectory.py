@@ -1,0 +1,163 @@
+"""The trajectory: a constant-deceleration profile or a table, and the attitude of the body along it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from lidar_emu.scenario.part import NonNegative, Part, Positive, Vector3
+
+
+class Waypoint(Part):
+    """A point of a profile."""
+
+    altitude_m: NonNegative
+    """Height above the origin of the site frame."""
+    speed_mps: NonNegative
+    """Speed along the path, downward."""
+
+
+class Attitude(Part):
+    """Body attitude at the start, turning at constant body rates."""
+
+    roll_deg: float = 0.0
+    """About body x, after pitch and yaw (aerospace order yaw, pitch, roll from north-east-down)."""
+    pitch_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
+    """About body y; nose up is positive. At zero roll and pitch the body's z axis points straight down."""
+    yaw_deg: float = 0.0
+    """Heading of body x, clockwise from north."""
+    body_rate_radps: Vector3 = (0.0, 0.0, 0.0)
+    """Constant angular rate about body x, y and z."""
+
+
+class Profile(Part):
+    """Straight path with constant acceleration between waypoints."""
+
+    kind: Literal["profile"]
+    """Chooses this kind of trajectory."""
+    waypoints: Annotated[list[Waypoint], Field(min_length=2)]
+    """From high to low; the deceleration of each leg follows from its ends."""
+    path_angle_deg: Annotated[float, Field(gt=0, le=90)] = 90.0
+    """Angle of the path below the horizontal: 90 straight down, 45 a slant path."""
+    heading_deg: float = 0.0
+    """Horizontal direction of flight, clockwise from north."""
+    target_east_m: float = 0.0
+    """Where the path's line meets altitude 0."""
+    target_north_m: float = 0.0
+    """Where the path's line meets altitude 0."""
+    attitude: Attitude = Attitude()
+    """Body attitude and rates."""
+
+    @model_validator(mode="after")
+    def _descends(self) -> Self:
+        for upper, lower in zip(self.waypoints, self.waypoints[1:], strict=False):
+            if lower.altitude_m >= upper.altitude_m:
+                raise ValueError(f"waypoints must descend: {lower.altitude_m:g} m follows {upper.altitude_m:g} m")
+            if upper.speed_mps + lower.speed_mps <= 0:
+                raise ValueError("two waypoints with speed_mps 0 are never connected")
+        return self
+
+
+TimeUnit = Literal["s", "ms", "us", "ns", "min"]
+LengthUnit = Literal["m", "km", "ft"]
+SpeedUnit = Literal["m/s", "km/s", "km/h", "ft/s"]
+AngleUnit = Literal["deg", "rad"]
+RateUnit = Literal["deg/s", "rad/s"]
+
+
+class TimeColumn(Part):
+    """The column of time."""
+
+    column: str
+    """Name in the file's header."""
+    unit: TimeUnit
+    """Unit of the file."""
+
+
+class LengthColumn(Part):
+    """A column of positions, with its rate where the file has one."""
+
+    column: str
+    """Name in the file's header."""
+    unit: LengthUnit
+    """Unit of the file."""
+    rate_column: str | None = None
+    """Column of its time derivative; left out, derived from the rows."""
+    rate_unit: SpeedUnit | None = None
+    """Unit of the rate column."""
+
+    @model_validator(mode="after")
+    def _rate_pair(self) -> Self:
+        if (self.rate_column is None) != (self.rate_unit is None):
+            raise ValueError("rate_column goes with rate_unit")
+        return self
+
+
+class AngleColumn(Part):
+    """A column of Euler angles."""
+
+    column: str
+    """Name in the file's header."""
+    unit: AngleUnit
+    """Unit of the file."""
+    sign: Literal[1, -1] = 1
+    """-1 where the file counts the angle the other way."""
+
+
+class QuaternionColumns(Part):
+    """Attitude as a unit quaternion `site_from_body`, scalar first."""
+
+    columns: tuple[str, str, str, str]
+    """Names of the w, x, y and z columns."""
+
+
+class RateColumns(Part):
+    """Measured body rates."""
+
+    columns: tuple[str, str, str]
+    """Names of the columns about body x, y and z."""
+    unit: RateUnit
+    """Unit of the file."""
+
+
+class Table(Part):
+    """A CSV file with a header; cubic Hermite between its rows. Empty cells are passed over, column by column."""
+
+    kind: Literal["table"]
+    """Chooses this kind of trajectory."""
+    file: str
+    """Relative to the file that names it."""
+    time: TimeColumn
+    """Seconds count from the first row flown."""
+    up: LengthColumn
+    """Height above the origin of the site frame."""
+    east: LengthColumn | None = None
+    """Left out: 0."""
+    north: LengthColumn | None = None
+    """Left out: 0."""
+    roll: AngleColumn | None = None
+    """Left out: 0."""
+    pitch: AngleColumn | None = None
+    """Left out: 0."""
+    yaw: AngleColumn | None = None
+    """Left out: 0."""
+    quaternion: QuaternionColumns | None = None
+    """Instead of roll, pitch and yaw."""
+    body_rates: RateColumns | None = None
+    """Left out: the derivative of the interpolated attitude."""
+    from_time: float | None = None
+    """First instant flown, in the file's own time and unit; left out: the first row."""
+    to_time: float | None = None
+    """Last instant flown; left out: the last row."""
+    maximum_gap_s: Positive = 10.0
+    """A longer gap between filled cells of a column that is used, inside the part flown, is refused."""
+
+    @model_validator(mode="after")
+    def _one_attitude(self) -> Self:
+        if self.quaternion is not None and (self.roll or self.pitch or self.yaw):
+            raise ValueError("give quaternion, or roll, pitch and yaw, not both")
+        return self
+
+
+Trajectory = Annotated[Profile | Table, Field(discriminator="kind")]

@@ -1,0 +1,134 @@
+"""An elevation grid: the bilinear surface through its samples, and what lies beyond it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lidar_emu.scene import grid_cast, grid_exact
+from lidar_emu.scene.hits import BoolArray, FloatArray, Hits, contiguous
+from lidar_emu.scene.plane import PlaneGround
+from lidar_emu.scene.pyramid import build_pyramid
+from lidar_emu.scene.sphere import SphereGround
+
+
+@dataclass(frozen=True)
+class Samples:
+    """The samples of a grid in the site frame; some four neighbours are there to span a surface."""
+
+    height_m: FloatArray
+    """(rows, columns) site z, rows from south to north, columns from west to east; NaN where missing."""
+    west_m: float
+    """East coordinate of the first column."""
+    south_m: float
+    """North coordinate of the first row."""
+    pixel_east_m: float
+    """From column to column."""
+    pixel_north_m: float
+    """From row to row."""
+
+    @property
+    def east_m(self) -> FloatArray:
+        """(columns,) east coordinates."""
+        return self.west_m + self.pixel_east_m * np.arange(self.height_m.shape[1], dtype=np.float64)
+
+    @property
+    def north_m(self) -> FloatArray:
+        """(rows,) north coordinates."""
+        return self.south_m + self.pixel_north_m * np.arange(self.height_m.shape[0], dtype=np.float64)
+
+
+class GridGround:
+    """An elevation grid on the map plane, which is the site's horizontal plane; curvature is left out.
+
+    A cell is the bilinear surface between four samples; one with a missing sample counts as beyond the grid.
+    Where the grid ends higher than the ground beyond it, or lower, an upright face joins the two. With
+    nothing beyond, a ray that comes to such an end from below the surface finds nothing.
+
+    Args:
+        samples: heights in the site frame.
+        beyond: the ground around the grid and in its holes, through the origin; None where there is none.
+        description: one line for plans.
+        origin_altitude_m: height of the origin above the body's sphere.
+    """
+
+    def __init__(
+        self,
+        samples: Samples,
+        beyond: PlaneGround | SphereGround | None,
+        description: str,
+        origin_altitude_m: float,
+    ) -> None:
+        self.samples = samples
+        self.beyond = beyond
+        self.description = description
+        self.origin_altitude_m = origin_altitude_m
+        self._kind = _kind_of(beyond)
+        # In its holes the ground beyond, level plane or sphere, nowhere rises above the origin.
+        hole_m = -np.inf if beyond is None else 0.0
+        self._maxima, self._levels = build_pyramid(samples.height_m, hole_m)
+        self._grid = self._numbers()
+
+    def _numbers(self) -> FloatArray:
+        samples = self.samples
+        lowest, highest = float(np.nanmin(samples.height_m)), float(np.nanmax(samples.height_m))
+        radius_m = self.beyond.radius_m if isinstance(self.beyond, SphereGround) else np.inf
+        if self.beyond is not None:
+            # A sphere falls by less than the square of the distance over its radius.
+            square_m2 = max(np.square(samples.east_m)) + max(np.square(samples.north_m))
+            lowest, highest = min(lowest, -float(square_m2) / radius_m), max(highest, 0.0)
+        numbers = np.empty(7)
+        numbers[grid_cast.WEST_M] = samples.west_m
+        numbers[grid_cast.SOUTH_M] = samples.south_m
+        numbers[grid_cast.CELLS_PER_M_EAST] = 1 / samples.pixel_east_m
+        numbers[grid_cast.CELLS_PER_M_NORTH] = 1 / samples.pixel_north_m
+        numbers[grid_cast.CEILING_M] = highest
+        numbers[grid_cast.FLOOR_M] = lowest - 1.0
+        numbers[grid_cast.RADIUS_M] = radius_m
+        return numbers
+
+    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
+        """First contact with the surface or the ground beyond; see `Scene.cast`."""
+        origin, direction = contiguous(origin_site_m, direction_site)
+        hits = Hits.empty(len(origin))
+        grid_cast.cast_rays(
+            origin,
+            direction,
+            self._grid,
+            self.samples.height_m,
+            self._maxima,
+            self._levels,
+            self._kind,
+            hits.range_m,
+            hits.normal_site,
+            hits.inside,
+        )
+        return hits
+
+    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
+        """Every cell on the way, and bisection in it; see `grid_exact`."""
+        return grid_exact.cast(self.samples, self.beyond, origin_site_m, direction_site)
+
+    def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        """(n,) z of the surface, or of the ground beyond."""
+        east, north = contiguous(east_m, north_m)
+        height: FloatArray = grid_cast.surface_heights(self._grid, self.samples.height_m, east, north)
+        if self.beyond is None:
+            return height
+        return np.where(np.isnan(height), self.beyond.height_m(east, north), height)
+
+    def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
+        """True over the grid, holes included, and wherever there is ground beyond it."""
+        if self.beyond is not None:
+            return self.beyond.covers(east_m, north_m)
+        east, north = self.samples.east_m, self.samples.north_m
+        return np.asarray(
+            (east[0] <= east_m) & (east_m <= east[-1]) & (north[0] <= north_m) & (north_m <= north[-1])
+        )
+
+
+def _kind_of(beyond: PlaneGround | SphereGround | None) -> int:
+    if beyond is None:
+        return grid_cast.NOTHING
+    return grid_cast.PLANE if isinstance(beyond, PlaneGround) else grid_cast.SPHERE

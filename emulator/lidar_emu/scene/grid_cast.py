@@ -1,0 +1,143 @@
+"""Rays onto an elevation grid and the ground beyond it, in the order along each ray."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from lidar_emu.scene.cell import slopes, surface
+from lidar_emu.scene.hits import BoolArray, FloatArray, IntArray
+from lidar_emu.scene.plane import plane_stretch
+from lidar_emu.scene.sphere import sphere_stretch
+from lidar_emu.scene.traverse import BEYOND, CLEAR, FACE, SURFACE, clip, meet_beyond, traverse
+
+NOTHING, PLANE, SPHERE = 0, 1, 2
+"""What lies beyond the grid."""
+
+WEST_M, SOUTH_M, CELLS_PER_M_EAST, CELLS_PER_M_NORTH, CEILING_M, FLOOR_M, RADIUS_M = range(7)
+"""Places in the array of a grid's numbers: its south-west sample, its scale, bounds of its heights and of
+those of what fills its holes, and the radius of the sphere beyond."""
+
+MISS = (np.nan, np.nan, np.nan, np.nan, False)
+INSIDE = (np.nan, np.nan, np.nan, np.nan, True)
+
+
+@njit(cache=True, error_model="numpy")
+def _stretch_beyond(
+    beyond: int, x: float, y: float, z: float, dx: float, dy: float, dz: float, radius: float
+) -> tuple[float, float]:
+    """Where the ray's line is in the ground beyond the grid."""
+    if beyond == PLANE:
+        return plane_stretch(z, dz)
+    if beyond == SPHERE:
+        return sphere_stretch(x, y, z, dx, dy, dz, radius)
+    return np.inf, -np.inf
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _cast_one(
+    x: float,
+    y: float,
+    z: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    grid: FloatArray,
+    nodes: FloatArray,
+    maxima: FloatArray,
+    levels: IntArray,
+    beyond: int,
+) -> tuple[float, float, float, float, bool]:
+    """Range, normal and whether the ray starts inside."""
+    if not (np.isfinite(x + y + z) and 0.0 < dx * dx + dy * dy + dz * dz < np.inf):
+        return MISS
+    u, du = (x - grid[WEST_M]) * grid[CELLS_PER_M_EAST], dx * grid[CELLS_PER_M_EAST]
+    v, dv = (y - grid[SOUTH_M]) * grid[CELLS_PER_M_NORTH], dy * grid[CELLS_PER_M_NORTH]
+    enter, leave = _stretch_beyond(beyond, x, y, z, dx, dy, dz, grid[RADIUS_M])
+    u_in, u_out = clip(u, du, nodes.shape[1] - 1)
+    v_in, v_out = clip(v, dv, nodes.shape[0] - 1)
+    t_in, t_out = max(u_in, v_in, 0.0), min(u_out, v_out)
+    over_grid = t_in <= t_out
+
+    if z <= grid[CEILING_M]:
+        ground = surface(nodes, u, v) if over_grid and t_in == 0.0 else np.nan
+        if z < ground or (ground != ground and enter < 0.0 < leave):
+            return INSIDE
+
+    met, t, i, j, face = CLEAR, np.nan, 0, 0, 0
+    if not over_grid or t_in > 0.0:
+        met, t = meet_beyond(0.0, t_in if over_grid else np.inf, enter, leave)
+    if met == CLEAR and over_grid:
+        t_first, t_last = t_in, t_out
+        if dz < 0.0:
+            t_first = max(t_in, (grid[CEILING_M] - z) / dz)
+            t_last = min(t_out, (grid[FLOOR_M] - z) / dz)
+        elif dz > 0.0:
+            t_last = min(t_out, (grid[CEILING_M] - z) / dz)
+        elif z > grid[CEILING_M]:
+            t_last = -np.inf
+        if t_first <= t_last:
+            face = 0 if u_in >= v_in else 1
+            met, t, i, j, face = traverse(
+                nodes, maxima, levels, u, v, z, du, dv, dz, t_first, t_last, face, enter, leave
+            )
+        if met == CLEAR:
+            face = 0 if u_out <= v_out else 1
+            met, t = meet_beyond(t_out, np.inf, enter, leave)
+
+    if met == SURFACE:
+        rise_u, rise_v = slopes(nodes, i, j, u + t * du, v + t * dv)
+        east, north = rise_u * grid[CELLS_PER_M_EAST], rise_v * grid[CELLS_PER_M_NORTH]
+        up = 1.0 / np.sqrt(1.0 + east * east + north * north)
+        return t, -east * up, -north * up, up, False
+    if met == BEYOND and beyond == PLANE:
+        return t, 0.0, 0.0, 1.0, False
+    if met == BEYOND:
+        radius = grid[RADIUS_M]
+        return t, (x + t * dx) / radius, (y + t * dy) / radius, 1.0 + (z + t * dz) / radius, False
+    # With nothing beyond there is no ground for a face to belong to: what the ray met there is unknown.
+    if met == FACE and beyond != NOTHING:
+        return (t, -np.sign(dx), 0.0, 0.0, False) if face == 0 else (t, 0.0, -np.sign(dy), 0.0, False)
+    return MISS
+
+
+@njit(cache=True, error_model="numpy")
+def cast_rays(
+    origin: FloatArray,
+    direction: FloatArray,
+    grid: FloatArray,
+    nodes: FloatArray,
+    maxima: FloatArray,
+    levels: IntArray,
+    beyond: int,
+    range_m: FloatArray,
+    normal: FloatArray,
+    inside: BoolArray,
+) -> None:
+    """Fill range_m (n,), normal (n, 3) and inside (n,) for n rays in the site frame."""
+    for k in range(origin.shape[0]):
+        range_m[k], normal[k, 0], normal[k, 1], normal[k, 2], inside[k] = _cast_one(
+            origin[k, 0],
+            origin[k, 1],
+            origin[k, 2],
+            direction[k, 0],
+            direction[k, 1],
+            direction[k, 2],
+            grid,
+            nodes,
+            maxima,
+            levels,
+            beyond,
+        )
+
+
+@njit(cache=True, error_model="numpy")
+def surface_heights(grid: FloatArray, nodes: FloatArray, east: FloatArray, north: FloatArray) -> FloatArray:
+    """(n,) height of the grid's surface; NaN outside it and where samples are missing."""
+    height = np.full(east.shape[0], np.nan)
+    for k in range(east.shape[0]):
+        u = (east[k] - grid[WEST_M]) * grid[CELLS_PER_M_EAST]
+        v = (north[k] - grid[SOUTH_M]) * grid[CELLS_PER_M_NORTH]
+        if 0.0 <= u <= nodes.shape[1] - 1 and 0.0 <= v <= nodes.shape[0] - 1:
+            height[k] = surface(nodes, u, v)
+    return height

@@ -1,0 +1,120 @@
+"""The body's sphere in the site frame.
+
+All formulas count from the top of the sphere, never from its centre: the distance to the surface is then the
+small quantity that is computed, not the difference of two body radii.
+"""
+
+from __future__ import annotations
+
+from decimal import Decimal, localcontext
+
+import numpy as np
+from numba import njit
+
+from lidar_emu.scene.hits import BoolArray, FloatArray, Hits, contiguous
+
+
+@njit(cache=True, error_model="numpy")
+def sphere_stretch(
+    x: float, y: float, above: float, dx: float, dy: float, dz: float, radius: float
+) -> tuple[float, float]:
+    """First and last t of a line inside the sphere; (inf, -inf) if there is none.
+
+    The line starts at x, y and height ``above`` the top of the sphere; (dx, dy, dz) is a unit vector. Its
+    points in the sphere have t² + 2 b t + power <= 0, where power = |o - centre|² - R² is formed without
+    subtracting radii, and the roots without subtracting b from itself.
+    """
+    power = x * x + y * y + above * (above + 2.0 * radius)
+    b = x * dx + y * dy + above * dz + radius * dz
+    discriminant = b * b - power
+    if not discriminant >= 0.0:
+        return np.inf, -np.inf
+    if b < 0.0:
+        far = -b + np.sqrt(discriminant)
+        return power / far, far
+    near = -b - np.sqrt(discriminant)
+    return near, power / near if near != 0.0 else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _cast(
+    origin: FloatArray,
+    direction: FloatArray,
+    radius: float,
+    drop: float,
+    range_m: FloatArray,
+    normal: FloatArray,
+    inside: BoolArray,
+) -> None:
+    for k in range(origin.shape[0]):
+        x, y, above = origin[k, 0], origin[k, 1], origin[k, 2] + drop
+        dx, dy, dz = direction[k, 0], direction[k, 1], direction[k, 2]
+        enter, leave = sphere_stretch(x, y, above, dx, dy, dz, radius)
+        inside[k] = enter < 0.0 < leave
+        t = max(enter, 0.0) if not inside[k] and enter <= leave and leave >= 0.0 else np.nan
+        range_m[k] = t
+        normal[k, 0] = (x + t * dx) / radius
+        normal[k, 1] = (y + t * dy) / radius
+        normal[k, 2] = 1.0 + (above + t * dz) / radius
+
+
+class SphereGround:
+    """The body's sphere; horizontal at the origin of the site frame.
+
+    Args:
+        radius_m: radius of the body's reference sphere.
+        origin_altitude_m: height of the origin above it.
+    """
+
+    def __init__(self, radius_m: float, origin_altitude_m: float) -> None:
+        self.radius_m = radius_m
+        self.origin_altitude_m = origin_altitude_m
+        self.description = f"sphere, radius {radius_m / 1e3:.10g} km"
+
+    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
+        """First contact with the sphere; see `Scene.cast`."""
+        origin, direction = contiguous(origin_site_m, direction_site)
+        hits = Hits.empty(len(origin))
+        _cast(
+            origin,
+            direction,
+            self.radius_m,
+            self.origin_altitude_m,
+            hits.range_m,
+            hits.normal_site,
+            hits.inside,
+        )
+        return hits
+
+    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
+        """The textbook formula about the centre, in 50 digits."""
+        hits = Hits.none(len(origin_site_m))
+        for k, (origin, direction) in enumerate(zip(origin_site_m, direction_site, strict=True)):
+            if not np.isfinite([origin, direction]).all():
+                continue
+            with localcontext(prec=50):
+                radius = Decimal(self.radius_m)
+                d = [Decimal(v) for v in direction.tolist()]
+                o = [Decimal(v) for v in origin.tolist()]
+                o[2] += radius + Decimal(self.origin_altitude_m)
+                a = sum(v * v for v in d)
+                b = sum(v * w for v, w in zip(o, d, strict=True))
+                c = sum(v * v for v in o) - radius * radius
+                discriminant = b * b - a * c
+                hits.inside[k] = c < 0
+                if c == 0 or (c > 0 and b < 0 and discriminant >= 0):
+                    t = (-b - discriminant.sqrt()) / a if c else Decimal(0)
+                    hits.range_m[k] = float(t)
+                    hits.normal_site[k] = [float((v + t * w) / radius) for v, w in zip(o, d, strict=True)]
+        return hits
+
+    def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        """(n,) z of the upper half of the sphere; NaN beside it."""
+        square = np.square(east_m, dtype=np.float64) + np.square(north_m, dtype=np.float64)
+        square = np.where(square <= self.radius_m**2, square, np.nan)
+        sagitta = square / (self.radius_m + np.sqrt(self.radius_m**2 - square))
+        return np.asarray(-self.origin_altitude_m - sagitta, dtype=np.float64)
+
+    def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
+        """True above the sphere."""
+        return np.isfinite(self.height_m(east_m, north_m))

@@ -1,0 +1,162 @@
+"""The light's way on one screen: truth -> beams -> hits -> echoes -> measurement.
+
+Everything here takes a leading shots axis: real time passes short blocks, `simulate` long ones, and the bits
+of a shot do not depend on the block that it came in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import ceil
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.bench_model import BenchModel
+from lidar_emu.flight import Flight, Pointing
+from lidar_emu.fmcw.echo import coherent_power_w
+from lidar_emu.fmcw.receiver import Echoes, Returns, build_receiver, receive
+from lidar_emu.measurement import FloatArray, Measurement
+from lidar_emu.plan import Plan, plan_flight
+from lidar_emu.rotations import dot
+from lidar_emu.scanner.footprint import Footprint, sample_footprint
+from lidar_emu.scanner.model import ScannerState
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+from lidar_emu.scene.hits import Hits
+
+BLOCK_SHOTS = 128
+
+
+class Model(Protocol):
+    """What a run measures, shot by shot."""
+
+    beam_count: int
+    shot_count: int
+    plan: Plan
+    initial_state: ScannerState
+
+    def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
+        """Shots `first` to `first + count - 1`, given the scanner's state before them."""
+        ...
+
+
+class FlightModel:
+    """A flight over ground, measured by the model of the instrument."""
+
+    def __init__(self, scenario: FlightScenario) -> None:
+        self.scenario = scenario
+        self.flight = Flight(scenario)
+        self.plan = plan_flight(scenario, self.flight)
+        self.receiver = build_receiver(scenario.instrument)
+        self.beam_count = self.flight.scanner.beam_count
+        self.shot_count = self.flight.shot_count
+        self.initial_state = self.flight.scanner.initial
+
+    def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
+        """Shots `first` to `first + count - 1`, given the scanner's state before them."""
+        shot = np.arange(first, first + count, dtype=np.int64)
+        pointing, state = self.flight.point(shot, state)
+        axis_hits = self.flight.scene.cast(pointing.sensor_site_m, pointing.true_site)
+        echoes = self._echoes(pointing, axis_hits)
+        returns = receive(self.receiver, echoes, shot, self.scenario.seed)
+        return self._measurement(shot, pointing, axis_hits, returns), state
+
+    def _echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
+        """What arrives from each beamlet: (shots, beams, beamlets)."""
+        instrument, site = self.scenario.instrument, self.scenario.site
+        optics = instrument.optics
+        footprint = sample_footprint(
+            pointing.sensor_site_m,
+            pointing.true_site,
+            axis_hits.range_m,
+            self.plan.beamlets,
+            optics.waist_radius_m,
+            instrument.waveform.wavelength_m,
+        )
+        hits = self._cast_beamlets(footprint, pointing, axis_hits)
+        cos_incidence = np.abs(dot(hits.normal_site, footprint.ray_site))
+        power_w = coherent_power_w(instrument, site.surface, site.atmosphere, hits.range_m, cos_incidence)
+        return Echoes(
+            range_m=hits.range_m,
+            closing_speed_mps=dot(pointing.sensor_velocity_site_mps[..., None, :], footprint.doppler_site),
+            power_w=np.where(np.isnan(power_w), 0.0, power_w * footprint.weight),
+            fired=pointing.fired,
+            inside=axis_hits.inside,
+        )
+
+    def _cast_beamlets(self, footprint: Footprint, pointing: Pointing, axis_hits: Hits) -> Hits:
+        if footprint.weight.size > 1:
+            return self.flight.scene.cast(footprint.start_site_m, footprint.ray_site)
+        return axis_hits.expanded()
+
+    def _measurement(
+        self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits, returns: Returns
+    ) -> Measurement:
+        true_closing_mps = dot(pointing.sensor_velocity_site_mps, pointing.true_site)
+        point_site_m = pointing.sensor_site_m + returns.range_m[..., None] * pointing.published_site
+        return Measurement(
+            shot=shot,
+            time_ns=pointing.time_ns,
+            due_ns=self.flight.due_ns(shot),
+            fired=pointing.fired,
+            beam_angle_deg=pointing.angle_deg,
+            range_m=returns.range_m,
+            closing_speed_mps=returns.closing_speed_mps,
+            range_valid=returns.range_valid,
+            speed_valid=returns.speed_valid,
+            sign_resolved=returns.sign_resolved,
+            reason=returns.reason,
+            segments=returns.segments,
+            snr_db=returns.snr_db,
+            residual_mps=returns.residual_mps,
+            sigma_range_m=returns.sigma_range_m,
+            sigma_speed_mps=returns.sigma_speed_mps,
+            returns=returns.returns,
+            second_range_m=returns.second_range_m,
+            true_range_m=axis_hits.range_m,
+            true_closing_speed_mps=true_closing_mps,
+            point_site_m=point_site_m,
+            position_site_m=pointing.position_site_m,
+            velocity_site_mps=pointing.velocity_site_mps,
+        )
+
+
+def build_model(scenario: FlightScenario | BenchScenario) -> Model:
+    """The model that the scenario asks for.
+
+    Raises:
+        InputError: a file that the scenario names cannot be used, or the flight leaves the ground.
+    """
+    return BenchModel(scenario) if isinstance(scenario, BenchScenario) else FlightModel(scenario)
+
+
+def measure_in_blocks(model: Model, block_shots: int = BLOCK_SHOTS) -> Iterator[Measurement]:
+    """All shots of the run, a block at a time."""
+    state = model.initial_state
+    for first in range(0, model.shot_count, block_shots):
+        block, state = model.measure(first, min(block_shots, model.shot_count - first), state)
+        yield block
+
+
+def simulate(scenario: FlightScenario | BenchScenario, seed: int | None = None) -> Measurement:
+    """Measure a whole scenario without clock or wire.
+
+    Args:
+        scenario: as read by `load`.
+        seed: instead of the scenario's own.
+
+    Returns:
+        Arrays shaped (shots, beams); the same values as a run sends for the same seed.
+
+    Raises:
+        InputError: a file that the scenario names cannot be used, or the flight leaves the ground.
+    """
+    if seed is not None:
+        scenario = scenario.model_copy(update={"seed": seed})
+    return Measurement.joined(list(measure_in_blocks(build_model(scenario))))
+
+
+def shots_within(duration_s: float, period_ns: int) -> int:
+    """Shots that start before `duration_s` has passed; at least one."""
+    return max(1, ceil(duration_s * 1e9 / period_ns))

@@ -1,0 +1,81 @@
+"""Columns of numbers from a CSV file with a header; whatever cannot be used is refused by line and column."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+
+from lidar_emu.errors import InputError
+from lidar_emu.rotations import FloatArray
+
+
+@dataclass(frozen=True)
+class CsvRows:
+    """A file's header and rows, as text."""
+
+    file: str
+    header: list[str]
+    lines: list[int]
+    """Line number of each row in the file."""
+    rows: list[list[str]]
+
+    def column(self, name: str) -> FloatArray:
+        """The numbers (n,) of a column; NaN where a cell is empty.
+
+        Raises:
+            InputError: the header has no such column or has it twice, or a cell is not a finite number.
+        """
+        if self.header.count(name) != 1:
+            known = ", ".join(self.header)
+            raise InputError(self.file, "column", name, f"allowed: a name that the header has once: {known}")
+        place = self.header.index(name)
+        cells = [row[place] if place < len(row) else "" for row in self.rows]
+        return np.array([self._number(name, *cell) for cell in zip(self.lines, cells, strict=True)])
+
+    def refusal(self, row: int, name: str, value: object, allowed: str) -> InputError:
+        """The error for a cell that cannot be used."""
+        return InputError(self.file, f"line {self.lines[row]}, {name}", value, allowed)
+
+    def _number(self, name: str, line: int, text: str) -> float:
+        if not text:
+            return np.nan
+        try:
+            # Python also reads 1_000.
+            number = np.nan if "_" in text else float(text)
+        except ValueError:
+            number = np.nan
+        if not isfinite(number):
+            raise InputError(
+                self.file, f"line {line}, {name}", text, "allowed: a finite number, or an empty cell"
+            )
+        return number
+
+
+def read_csv(file: str) -> CsvRows:
+    """Header and rows of `file`, blanks around cells stripped and empty lines passed over.
+
+    Raises:
+        InputError: the file is unreadable, empty or not CSV text, or a row is longer than the header.
+    """
+    try:
+        with Path(file).open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.reader(stream, strict=True)
+            table = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+    except OSError as error:
+        raise InputError(file, None, error.strerror or "unreadable", "allowed: a readable CSV file") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(file, None, str(error), "allowed: CSV as UTF-8 text") from None
+    filled = [(line, row) for line, row in table if any(row)]
+    if not filled:
+        raise InputError(file, None, "an empty file", "allowed: a header and at least 2 rows")
+    (_, header), *body = filled
+    for line, row in body:
+        if any(row[len(header) :]):
+            raise InputError(
+                file, f"line {line}", f"{len(row)} cells", f"allowed: {len(header)}, as in the header"
+            )
+    return CsvRows(file, header, [line for line, _ in body], [row for _, row in body])

@@ -1,0 +1,63 @@
+"""A straight path with constant acceleration between waypoints, and constant body rates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lidar_emu.rotations import FloatArray
+from lidar_emu.scenario.trajectory import Profile
+from lidar_emu.trajectory.attitude import SteadyTurn
+from lidar_emu.trajectory.state import Gap, VehicleState
+
+
+class ProfileTrajectory:
+    """Legs between waypoints, in closed form; the first and the last leg's motion continues outside."""
+
+    gaps: tuple[Gap, ...] = ()
+
+    def __init__(self, part: Profile) -> None:
+        altitude_m = np.array([waypoint.altitude_m for waypoint in part.waypoints])
+        speed_mps = np.array([waypoint.speed_mps for waypoint in part.waypoints])
+        path_rad, heading_rad = np.radians(part.path_angle_deg), np.radians(part.heading_deg)
+        length_m = (altitude_m[:-1] - altitude_m[1:]) / np.sin(path_rad)
+        # Holds for equal speeds and for a stop, where dv/a would be 0/0 or cancel.
+        leg_s = 2 * length_m / (speed_mps[:-1] + speed_mps[1:])
+        leg_end_s = np.cumsum(leg_s)
+        self.duration_s = float(leg_end_s[-1])
+        self._leg_start_s = np.concatenate([[0.0], leg_end_s[:-1]])
+        self._speed_mps = speed_mps[:-1]
+        self._acceleration_mps2 = (speed_mps[1:] - speed_mps[:-1]) / leg_s
+        self._direction_site = np.array(
+            [
+                np.cos(path_rad) * np.sin(heading_rad),
+                np.cos(path_rad) * np.cos(heading_rad),
+                -np.sin(path_rad),
+            ]
+        )
+        self._start_site_m = _on_path(part, altitude_m[:-1], self._direction_site)
+        self._attitude = SteadyTurn(part.attitude)
+
+    def state(self, time_s: FloatArray) -> VehicleState:
+        """The vehicle at scenario times (n,)."""
+        leg = np.maximum(np.searchsorted(self._leg_start_s, time_s, side="right") - 1, 0)
+        since_s = time_s - self._leg_start_s[leg]
+        acceleration_mps2 = self._acceleration_mps2[leg]
+        speed_mps = self._speed_mps[leg] + acceleration_mps2 * since_s
+        flown_m = (self._speed_mps[leg] + 0.5 * acceleration_mps2 * since_s) * since_s
+        site_from_body, body_rate_radps = self._attitude.at(time_s)
+        return VehicleState(
+            time_s=time_s,
+            position_site_m=self._start_site_m[leg] + flown_m[:, None] * self._direction_site,
+            velocity_site_mps=speed_mps[:, None] * self._direction_site,
+            acceleration_site_mps2=acceleration_mps2[:, None] * self._direction_site,
+            site_from_body=site_from_body,
+            body_rate_radps=body_rate_radps,
+        )
+
+
+def _on_path(part: Profile, altitude_m: FloatArray, direction_site: FloatArray) -> FloatArray:
+    """Points (k, 3) of the path's line at altitudes (k,)."""
+    before_target_m = altitude_m / direction_site[2]
+    east_m = part.target_east_m + before_target_m * direction_site[0]
+    north_m = part.target_north_m + before_target_m * direction_site[1]
+    return np.stack([east_m, north_m, altitude_m], axis=-1)

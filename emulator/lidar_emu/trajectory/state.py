@@ -1,0 +1,59 @@
+"""What a trajectory says of the vehicle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from lidar_emu.rotations import FloatArray
+
+
+class Gap(NamedTuple):
+    """Two neighbouring filled cells of a column, bridged by interpolation."""
+
+    column: str
+    start_s: float
+    """Scenario time of the first of the two; negative where the gap began before the part flown."""
+    length_s: float
+
+
+@dataclass(frozen=True)
+class VehicleState:
+    """True motion of the vehicle's reference point at n instants.
+
+    Site frame: east, north, up. Body frame: x forward, y right, z down.
+    """
+
+    time_s: FloatArray
+    """(n,) Scenario time."""
+    position_site_m: FloatArray
+    """(n, 3)"""
+    velocity_site_mps: FloatArray
+    """(n, 3)"""
+    acceleration_site_mps2: FloatArray
+    """(n, 3)"""
+    site_from_body: FloatArray
+    """(n, 3, 3) Rotations."""
+    body_rate_radps: FloatArray
+    """(n, 3) Angular rate of the body against the site, about body x, y and z."""
+
+
+class Trajectory(Protocol):
+    """A flight from scenario time 0 on."""
+
+    @property
+    def duration_s(self) -> float:
+        """Scenario time at which the flight ends."""
+        ...
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """The longest gap of each column of a table in the part flown, longest first; empty for profiles."""
+        ...
+
+    def state(self, time_s: FloatArray) -> VehicleState:
+        """The vehicle at scenario times (n,); a little outside [0, duration] the motion is continued.
+
+        The bits of an instant do not depend on the others asked for.
+        """
+        ...

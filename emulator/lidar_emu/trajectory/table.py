@@ -1,0 +1,95 @@
+"""A flight read from a table: which rows are flown, and curves through its columns."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lidar_emu.rotations import FloatArray
+from lidar_emu.scenario.trajectory import AngleColumn, LengthColumn, QuaternionColumns, RateColumns, Table
+from lidar_emu.trajectory.attitude import Attitude, EulerAttitude
+from lidar_emu.trajectory.curve import Curve, hermite, through
+from lidar_emu.trajectory.flown import FlownRows, read_flown
+from lidar_emu.trajectory.quaternion import QuaternionAttitude
+from lidar_emu.trajectory.state import Gap, VehicleState
+
+M_PER_UNIT = {"m": 1.0, "km": 1e3, "ft": 0.3048}
+MPS_PER_UNIT = {"m/s": 1.0, "km/s": 1e3, "km/h": 1 / 3.6, "ft/s": 0.3048}
+RAD_PER_UNIT = {"deg": np.pi / 180, "rad": 1.0}
+RADPS_PER_UNIT = {"deg/s": np.pi / 180, "rad/s": 1.0}
+QUATERNION_TOLERANCE = 1e-3
+
+
+class TableTrajectory:
+    """Curves of position, attitude and, where measured, body rates."""
+
+    def __init__(self, part: Table) -> None:
+        """Raises InputError where the file, a column or a cell cannot be used."""
+        rows = read_flown(part)
+        self._coordinates = [_coordinate(rows, column) for column in (part.east, part.north, part.up)]
+        self._attitude = _attitude(rows, part)
+        self._body_rates = None if part.body_rates is None else _body_rates(rows, part.body_rates)
+        self.duration_s = rows.duration_s
+        self.gaps: tuple[Gap, ...] = tuple(sorted(rows.gaps, key=lambda gap: -gap.length_s))
+
+    def state(self, time_s: FloatArray) -> VehicleState:
+        """The vehicle at scenario times (n,)."""
+        still = np.zeros_like(time_s)
+        read = [(still,) * 3 if curve is None else curve.at(time_s) for curve in self._coordinates]
+        position_m, velocity_mps, acceleration_mps2 = (
+            np.stack([coordinate[order] for coordinate in read], axis=-1) for order in range(3)
+        )
+        site_from_body, body_rate_radps = self._attitude.at(time_s)
+        if self._body_rates is not None:
+            body_rate_radps = np.stack([curve.at(time_s)[0] for curve in self._body_rates], axis=-1)
+        return VehicleState(
+            time_s=time_s,
+            position_site_m=position_m,
+            velocity_site_mps=velocity_mps,
+            acceleration_site_mps2=acceleration_mps2,
+            site_from_body=site_from_body,
+            body_rate_radps=body_rate_radps,
+        )
+
+
+def _coordinate(rows: FlownRows, column: LengthColumn | None) -> Curve | None:
+    """Metres against seconds; with a rate column, through the rows that have both."""
+    if column is None:
+        return None
+    unit_m = M_PER_UNIT[column.unit]
+    if column.rate_column is None or column.rate_unit is None:
+        _, knot_s, (length,) = rows.filled(column.column)
+        return through(knot_s, unit_m * length)
+    _, knot_s, (length, rate) = rows.filled(column.column, column.rate_column)
+    return hermite(knot_s, unit_m * length, MPS_PER_UNIT[column.rate_unit] * rate)
+
+
+def _attitude(rows: FlownRows, part: Table) -> Attitude:
+    if part.quaternion is not None:
+        return _quaternions(rows, part.quaternion)
+    return EulerAttitude(*(_angle(rows, column) for column in (part.yaw, part.pitch, part.roll)))
+
+
+def _angle(rows: FlownRows, column: AngleColumn | None) -> Curve | None:
+    """Radians against seconds, carried on through full turns."""
+    if column is None:
+        return None
+    _, knot_s, (angle,) = rows.filled(column.column)
+    return through(knot_s, np.unwrap(column.sign * RAD_PER_UNIT[column.unit] * angle))
+
+
+def _quaternions(rows: FlownRows, part: QuaternionColumns) -> QuaternionAttitude:
+    row, knot_s, components = rows.filled(*part.columns)
+    length = np.sqrt(np.sum(components**2, axis=0))
+    wrong = np.flatnonzero(np.abs(length - 1) > QUATERNION_TOLERANCE)
+    if wrong.size:
+        allowed = f"allowed: a unit quaternion, within {QUATERNION_TOLERANCE:g}"
+        raise rows.csv.refusal(
+            row[wrong[0]], " ".join(part.columns), f"length {length[wrong[0]]:.6g}", allowed
+        )
+    return QuaternionAttitude(knot_s, (components / length).T)
+
+
+def _body_rates(rows: FlownRows, part: RateColumns) -> list[Curve]:
+    """Radians per second about body x, y and z, each column against its own rows."""
+    filled = [rows.filled(name) for name in part.columns]
+    return [through(one.knot_s, RADPS_PER_UNIT[part.unit] * one.values[0]) for one in filled]

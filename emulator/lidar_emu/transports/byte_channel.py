@@ -1,0 +1,158 @@
+"""Whole packets over a non-blocking descriptor: a serial device, a pty, a socket."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import select
+import struct
+import termios
+import tty
+from collections.abc import Callable
+from contextlib import suppress
+
+from lidar_emu.transports.link import LinkLostError
+
+_READ_BYTES = 65536
+
+
+class DescriptorChannel:
+    """A byte link by its descriptor.
+
+    Args:
+        descriptor: open for reading and writing; set non-blocking here.
+        description: how to name the link to the user.
+        close: gives the descriptor back.
+    """
+
+    def __init__(self, descriptor: int, description: str, close: Callable[[], None]) -> None:
+        os.set_blocking(descriptor, False)
+        self.description = description
+        self._descriptor = descriptor
+        self._close = close
+        self._rest = b""
+        self._poll = select.poll()
+        self._poll.register(descriptor, select.POLLIN)
+
+    @property
+    def pending(self) -> bool:
+        """Whether a packet is partly written."""
+        return bool(self._rest)
+
+    @property
+    def readable(self) -> int | None:
+        """Descriptor to wait on for something to `receive`."""
+        return self._descriptor
+
+    @property
+    def writable(self) -> int | None:
+        """Descriptor to wait on for room."""
+        return self._descriptor
+
+    def connected(self) -> bool:
+        """Always: a cable does not tell."""
+        return True
+
+    def send(self, payload: bytes) -> bool:
+        """Take the whole packet (True) or nothing of it (False: the line is full)."""
+        if not self.flush():
+            return False
+        written = self._write(payload)
+        if written:
+            self._rest = payload[written:]
+        return written > 0 or not payload
+
+    def flush(self) -> bool:
+        """Complete a packet that was partly written; True if none is left."""
+        if self._rest:
+            self._rest = self._rest[self._write(self._rest) :]
+        return not self._rest
+
+    def receive(self) -> bytes:
+        """What has arrived; empty if nothing."""
+        for _, happened in self._poll.poll(0):
+            data = self._read() if happened & select.POLLIN else b""
+            if not data:
+                # Readable and yet nothing to read is how a vanished device looks.
+                raise LinkLostError("the other end is gone")
+            return data
+        return b""
+
+    def unread(self) -> int:
+        """None: what a line or socket was given arrives after it is closed, too."""
+        return 0
+
+    def close(self) -> None:
+        """Give the descriptor back; never raises."""
+        with suppress(OSError, termios.error):
+            self._close()
+
+    def _write(self, data: bytes) -> int:
+        try:
+            return os.write(self._descriptor, data)
+        except BlockingIOError:
+            return 0
+        except OSError as error:
+            raise LinkLostError(error.strerror or str(error)) from None
+
+    def _read(self) -> bytes:
+        try:
+            return os.read(self._descriptor, _READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise LinkLostError(error.strerror or str(error)) from None
+
+
+class PtyChannel(DescriptorChannel):
+    """The master end of a pseudo terminal made here; `description` is the path that a program opens."""
+
+    def __init__(self) -> None:
+        master, slave = os.openpty()
+        # Cooked mode would eat control bytes and echo the rest.
+        tty.setraw(slave)
+        path = os.ttyname(slave)
+        # With our slave end closed, a hang-up says that nobody else has it open.
+        os.close(slave)
+        super().__init__(master, path, lambda: os.close(master))
+        self._had_reader = False
+
+    def connected(self) -> bool:
+        """Whether a program has the other end open."""
+        hung_up = any(happened & select.POLLHUP for _, happened in self._poll.poll(0))
+        if hung_up and self._had_reader:
+            # What the last reader left is stale for the next one, who starts with a whole packet.
+            self._rest = b""
+            self._on_slave(lambda slave: termios.tcflush(slave, termios.TCIFLUSH))
+        self._had_reader = not hung_up
+        return not hung_up
+
+    def receive(self) -> bytes:
+        """What has arrived; empty if nothing, or nobody is there."""
+        ready = self._poll.poll(0)
+        if not any(happened & select.POLLIN for _, happened in ready):
+            return b""
+        try:
+            return self._read()
+        except LinkLostError:  # EIO: the reader left, and the next one may come
+            return b""
+
+    def unread(self) -> int:
+        """Bytes that the reader has not fetched: closing the master throws them away."""
+        count = bytearray(4)
+        self._on_slave(lambda slave: fcntl.ioctl(slave, termios.FIONREAD, count))
+        return len(self._rest) + int(struct.unpack("i", count)[0])
+
+    def _write(self, data: bytes) -> int:
+        try:
+            return super()._write(data)
+        except LinkLostError:
+            return 0
+
+    def _on_slave(self, action: Callable[[int], object]) -> None:
+        with suppress(OSError, termios.error):
+            slave = os.open(self.description, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            try:
+                action(slave)
+            finally:
+                os.close(slave)

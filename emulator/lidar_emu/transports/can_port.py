@@ -1,0 +1,250 @@
+"""CAN through python-can: whole sets of frames, without waiting."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import select
+import socket
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+from lidar_emu.errors import InputError, one_line
+from lidar_emu.transports.byte_channel import DescriptorChannel
+from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
+from lidar_emu.transports.link import LinkLostError
+from lidar_emu.transports.spec import PortSpec
+
+if TYPE_CHECKING:
+    import can
+
+_RECEIVE_AT_MOST = 256
+_RECEIVE_BUFFER_BYTES = 4 << 20
+_SO_RCVBUFFORCE = 33
+_FULL_ERRNOS = (errno.ENOBUFS, errno.EAGAIN)
+
+
+class CanChannel:
+    """An open bus. A set of frames that did not fit in whole is completed before the next one."""
+
+    def __init__(self, bus: can.BusABC, description: str, lines: DescriptorChannel | None = None) -> None:
+        self.description = description
+        self.ignored_frames = 0
+        """Received without data of ours: error and remote frames, and slcan lines that make no sense."""
+        self._bus = bus
+        self._lines = lines
+        self._rest: deque[can.Message] = deque()
+        self._descriptor = _descriptor_of(bus)
+
+    @property
+    def pending(self) -> bool:
+        """Whether a set of frames is partly sent."""
+        return bool(self._rest) or (self._lines is not None and self._lines.pending)
+
+    @property
+    def readable(self) -> int | None:
+        """Descriptor to wait on, where the interface has one."""
+        return self._descriptor
+
+    @property
+    def writable(self) -> int | None:
+        """Descriptor to wait on for room, where it tells the truth."""
+        # SocketCAN's is writable even while frames are refused.
+        return None if self._lines is None else self._lines.writable
+
+    def connected(self) -> bool:
+        """Always: a bus does not tell."""
+        return True
+
+    def send(self, payload: bytes) -> bool:
+        """Take the whole set of frames (True) or nothing of it (False: the queue is full)."""
+        if not self.flush():
+            return False
+        messages = deque(_message(frame) for frame in unpack_frames(payload))
+        count = len(messages)
+        self._send_first_of(messages)
+        if len(messages) == count > 0:
+            return False
+        self._rest = messages
+        return True
+
+    def flush(self) -> bool:
+        """Complete a set that was partly sent; True if none is left."""
+        self._send_first_of(self._rest)
+        return not self._rest and (self._lines is None or self._lines.flush())
+
+    def receive(self) -> bytes:
+        """What has arrived, as frame records; empty if nothing."""
+        frames: list[Frame] = []
+        for _ in range(_RECEIVE_AT_MOST):
+            if self._descriptor is not None and not _is_readable(self._descriptor):
+                break
+            message = self._receive_one()
+            if message is None:
+                break
+            if message.is_error_frame or message.is_remote_frame:
+                self.ignored_frames += 1
+            else:
+                frames.append(_frame(message))
+        return pack_frames(frames)
+
+    def unread(self) -> int:
+        """Frames on a bus are nobody's to lose."""
+        return 0
+
+    def close(self) -> None:
+        """Give the bus back; never raises."""
+        try:
+            self._bus.shutdown()
+        except Exception:  # a broken adapter raises what it likes
+            port = getattr(self._bus, "serialPortOrig", None)
+            if port is not None:
+                port.close()
+
+    def _send_first_of(self, messages: deque[can.Message]) -> None:
+        """Send messages and remove them from the left, until none is left or the queue is full."""
+        from can import CanError
+
+        while messages:
+            try:
+                self._bus.send(messages[0], timeout=0)
+            except (CanError, OSError, ValueError) as error:
+                if _is_full(error):
+                    return
+                raise LinkLostError(_text_of(error)) from None
+            messages.popleft()
+
+    def _receive_one(self) -> can.Message | None:
+        from can import CanError
+
+        try:
+            return self._bus.recv(timeout=0)
+        except (ValueError, LookupError):  # a line that is not slcan
+            self.ignored_frames += 1
+            return None
+        except (CanError, OSError) as error:
+            raise LinkLostError(_text_of(error)) from None
+
+
+class _PatientPort:
+    """Stands in for the serial port of python-can's slcan: its own would wait for a full line, or spin."""
+
+    def __init__(self, port: Any, lines: DescriptorChannel) -> None:
+        self._port = port
+        self._lines = lines
+        self.write_timeout: float | None = None
+
+    def write(self, line: bytes) -> int:
+        if not self._lines.send(line):
+            raise BlockingIOError(errno.EAGAIN, "the line is full")
+        return len(line)
+
+    def flush(self) -> None:
+        self._lines.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._port, name)
+
+
+def open_can(spec: PortSpec) -> CanChannel:
+    """Open the bus that `spec` names.
+
+    Raises:
+        InputError: no such interface or channel, or values that the adapter cannot do.
+    """
+    import can
+
+    # Everything that matters is raised; the library's own log lines would end up between the user's.
+    logging.getLogger("can").setLevel(logging.CRITICAL)
+    if spec.interface not in can.VALID_INTERFACES:
+        known = ", ".join(sorted(can.VALID_INTERFACES - {"virtual"}))
+        raise InputError("--interface", None, spec.interface, f"allowed: {known}")
+    try:
+        bus = can.Bus(interface=spec.interface, channel=spec.channel, ignore_config=True, **_settings(spec))
+        lines = _prepare_slcan(bus, spec) if spec.interface == "slcan" else None
+    except (can.CanError, OSError, ValueError, TypeError) as error:
+        raise InputError(
+            "--channel", None, f"{spec.interface} {spec.channel}", f"it cannot be opened: {_text_of(error)}"
+        ) from None
+    _enlarge_receive_buffer(bus)
+    return CanChannel(bus, str(spec), lines)
+
+
+def _settings(spec: PortSpec) -> dict[str, Any]:
+    settings: dict[str, Any] = {"bitrate": spec.bitrate}
+    if spec.fd:
+        settings |= {"fd": True, "data_bitrate": spec.data_bitrate}
+    if spec.interface == "slcan":
+        settings |= {"sleep_after_open": 0, "timeout": 0}
+    return settings
+
+
+def _prepare_slcan(bus: Any, spec: PortSpec) -> DescriptorChannel:
+    if spec.fd:
+        bus.set_bitrate(spec.bitrate, spec.data_bitrate)
+    port = bus.serialPortOrig
+    lines = DescriptorChannel(port.fileno(), str(spec), port.close)
+    bus.serialPortOrig = _PatientPort(port, lines)
+    return lines
+
+
+def _enlarge_receive_buffer(bus: object) -> None:
+    """A SocketCAN reader that is slow for a moment loses frames without a word; give it room."""
+    sock = getattr(bus, "socket", None)
+    if not isinstance(sock, socket.socket):
+        return
+    for option in (socket.SO_RCVBUF, _SO_RCVBUFFORCE):
+        try:
+            sock.setsockopt(socket.SOL_SOCKET, option, _RECEIVE_BUFFER_BYTES)
+        except OSError:
+            continue
+
+
+def _descriptor_of(bus: can.BusABC) -> int | None:
+    from can import CanError
+
+    try:
+        descriptor = bus.fileno()
+    except (NotImplementedError, CanError, OSError):
+        return None
+    return descriptor if descriptor >= 0 else None
+
+
+def _is_readable(descriptor: int) -> bool:
+    try:
+        return bool(select.select([descriptor], [], [], 0)[0])
+    except (OSError, ValueError) as error:
+        raise LinkLostError(str(error)) from None
+
+
+def _is_full(error: Exception) -> bool:
+    cause = error.__cause__ if error.__cause__ is not None else error
+    number = getattr(error, "error_code", None) or getattr(cause, "errno", None)
+    return number in _FULL_ERRNOS or "buffer full" in str(error)
+
+
+def _text_of(error: BaseException) -> str:
+    cause = error.__cause__
+    return one_line(f"{error}: {cause}" if cause is not None and str(cause) not in str(error) else str(error))
+
+
+def _message(frame: Frame) -> can.Message:
+    from can import Message
+
+    return Message(
+        arbitration_id=frame.can_id,
+        data=frame.data,
+        is_fd=frame.is_fd,
+        bitrate_switch=frame.bitrate_switch,
+        is_extended_id=frame.is_extended,
+    )
+
+
+def _frame(message: can.Message) -> Frame:
+    return Frame(
+        message.arbitration_id,
+        bytes(message.data),
+        message.is_fd,
+        message.bitrate_switch,
+        message.is_extended_id,
+    )

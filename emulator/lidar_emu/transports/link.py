@@ -1,0 +1,196 @@
+"""A link that is never waited for: it takes whole packets or drops them, and comes back after a break."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Protocol
+
+from lidar_emu.errors import InputError
+
+_FIRST_RETRY_NS = 100_000_000
+_LAST_RETRY_NS = 2_000_000_000
+_LOOK_AGAIN_NS = 50_000_000
+_TRY_AGAIN_NS = 1_000_000
+
+
+class Fate(IntEnum):
+    """What became of a packet."""
+
+    SENT = 0
+    """Handed to the link in whole."""
+    LATE = 1
+    """Skipped: its time had passed by more than what is allowed."""
+    DROPPED_FULL = 2
+    """The line was still busy with earlier packets."""
+    DROPPED_NOBODY = 3
+    """Nobody has the other end of the pty open."""
+    DROPPED_BROKEN = 4
+    """The link was broken."""
+
+
+class LinkLostError(Exception):
+    """The link broke: cable pulled, interface down, other end gone."""
+
+
+class Channel(Protocol):
+    """An open port. No call waits; every call but `close` may raise LinkLostError."""
+
+    description: str
+
+    @property
+    def pending(self) -> bool:
+        """Whether a packet is partly written."""
+
+    @property
+    def readable(self) -> int | None:
+        """Descriptor to wait on for something to `receive`; None: look from time to time."""
+
+    @property
+    def writable(self) -> int | None:
+        """Descriptor to wait on for room; None: try from time to time."""
+
+    def connected(self) -> bool:
+        """Whether somebody is at the other end, as far as can be known."""
+
+    def send(self, payload: bytes) -> bool:
+        """Take the whole packet (True) or nothing of it (False: the line is full)."""
+
+    def flush(self) -> bool:
+        """Complete a packet that was partly written; True if none is left."""
+
+    def receive(self) -> bytes:
+        """What has arrived (CAN: frame records), also from one who left since; empty if nothing."""
+
+    def unread(self) -> int:
+        """Bytes that the other end would lose if the port were closed now."""
+
+    def close(self) -> None:
+        """Give the port back; never raises."""
+
+
+class Link:
+    """A channel, opened again with back-off when it is lost.
+
+    Raises:
+        InputError: the port cannot be opened at the start.
+    """
+
+    def __init__(self, open_channel: Callable[[], Channel]) -> None:
+        self._open = open_channel
+        self._channel: Channel | None = open_channel()
+        self.description = self._channel.description
+        self._somebody = True
+        self._retry_at_ns = 0
+        self._back_off_ns = _FIRST_RETRY_NS
+        self._events: list[tuple[int, str]] = []
+
+    def send(self, payload: bytes, now_ns: int) -> Fate:
+        """Send a packet or drop it."""
+        channel = self._channel
+        if channel is None:
+            return Fate.DROPPED_BROKEN
+        try:
+            if not self._is_connected(channel, now_ns):
+                return Fate.DROPPED_NOBODY
+            if not channel.send(payload):
+                return Fate.DROPPED_FULL
+        except LinkLostError as lost:
+            self._lose(str(lost), now_ns)
+            return Fate.DROPPED_BROKEN
+        self._back_off_ns = _FIRST_RETRY_NS
+        return Fate.SENT
+
+    def receive(self, now_ns: int) -> bytes:
+        """What has arrived (CAN: frame records); empty if nothing, or while the link is broken."""
+        if self._channel is None:
+            return b""
+        try:
+            self._is_connected(self._channel, now_ns)
+            return self._channel.receive()
+        except LinkLostError as lost:
+            self._lose(str(lost), now_ns)
+            return b""
+
+    def service(self, now_ns: int) -> None:
+        """Complete what is partly written; open a broken link again when it is time."""
+        if self._channel is None:
+            if now_ns >= self._retry_at_ns:
+                self._reopen(now_ns)
+            return
+        try:
+            if self._is_connected(self._channel, now_ns):
+                self._channel.flush()
+        except LinkLostError as lost:
+            self._lose(str(lost), now_ns)
+
+    @property
+    def pending(self) -> bool:
+        """Whether a packet is partly written."""
+        return self._channel is not None and self._channel.pending
+
+    @property
+    def unread(self) -> int:
+        """Bytes that the other end would lose if the port were closed now."""
+        try:
+            return 0 if self._channel is None or not self._somebody else self._channel.unread()
+        except LinkLostError:
+            return 0
+
+    @property
+    def readable(self) -> list[int]:
+        """Descriptors to wait on for something to receive."""
+        # Without a reader a pty's descriptor is readable (hung up) for ever.
+        descriptor = self._channel.readable if self._channel and self._somebody else None
+        return [] if descriptor is None else [descriptor]
+
+    @property
+    def writable(self) -> list[int]:
+        """Descriptors to wait on for room."""
+        descriptor = self._channel.writable if self._channel and self._somebody else None
+        return [] if descriptor is None else [descriptor]
+
+    def wake_ns(self, now_ns: int, wants_room: bool) -> int | None:
+        """When to call `service` at the latest; None: not before a descriptor is ready."""
+        if self._channel is None:
+            return self._retry_at_ns
+        if (wants_room or self.pending) and not self.writable:
+            return now_ns + _TRY_AGAIN_NS
+        return None if self.readable else now_ns + _LOOK_AGAIN_NS
+
+    def take_events(self) -> list[tuple[int, str]]:
+        """What happened to the link since the last call: (monotonic time in ns, text)."""
+        events, self._events = self._events, []
+        return events
+
+    def close(self) -> None:
+        """Give the port back."""
+        if self._channel is not None:
+            self._channel.close()
+            self._channel = None
+
+    def _is_connected(self, channel: Channel, now_ns: int) -> bool:
+        somebody = channel.connected()
+        if somebody != self._somebody:
+            self._somebody = somebody
+            self._events.append((now_ns, "connected" if somebody else "nobody connected"))
+        return somebody
+
+    def _lose(self, text: str, now_ns: int) -> None:
+        self.close()
+        self._somebody = True
+        self._retry_later(now_ns)
+        self._events.append((now_ns, f"link broken: {text}"))
+
+    def _reopen(self, now_ns: int) -> None:
+        try:
+            self._channel = self._open()
+        except InputError:
+            self._retry_later(now_ns)
+        else:
+            self._events.append((now_ns, "reopened"))
+
+    def _retry_later(self, now_ns: int) -> None:
+        # The back-off starts anew with the next packet sent: a port that opens but fails at once stays quiet.
+        self._retry_at_ns = now_ns + self._back_off_ns
+        self._back_off_ns = min(2 * self._back_off_ns, _LAST_RETRY_NS)

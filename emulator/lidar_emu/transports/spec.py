@@ -1,0 +1,142 @@
+"""Which port to open, and the rules for naming it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any, Self
+
+from lidar_emu.errors import InputError
+
+DEFAULT_BAUD = 115_200
+DEFAULT_BITRATE = 500_000
+DEFAULT_DATA_BITRATE = 2_000_000
+_URLS_WITHOUT_A_BIT_RATE = ("socket", "loop")
+
+
+class Kind(StrEnum):
+    """What sort of port it is."""
+
+    LOOPBACK = "loopback"
+    SERIAL = "serial"
+    PTY = "pty"
+    CAN = "can"
+
+
+@dataclass(frozen=True)
+class PortSpec:
+    """A port as the user named it."""
+
+    kind: Kind = Kind.LOOPBACK
+    path: str = ""
+    """Device path or pyserial URL (serial)."""
+    baud: int = DEFAULT_BAUD
+    """Bits per second on a serial line; on a pty, which has none, of the line that it stands for."""
+    interface: str = ""
+    """python-can's name of the adapter's kind (CAN), and so the following."""
+    channel: str = ""
+    bitrate: int = DEFAULT_BITRATE
+    """Bits per second; with CAN FD, of the arbitration phase."""
+    fd: bool = False
+    data_bitrate: int = DEFAULT_DATA_BITRATE
+    """Bits per second of a CAN FD frame's data phase."""
+
+    @property
+    def scheme(self) -> str:
+        """Scheme of a pyserial URL; empty for a device path."""
+        return self.path.partition("://")[0] if "://" in self.path else ""
+
+    @property
+    def has_bit_rate(self) -> bool:
+        """Whether bits take time on this link."""
+        return self.kind is not Kind.LOOPBACK and self.scheme not in _URLS_WITHOUT_A_BIT_RATE
+
+    def __str__(self) -> str:
+        match self.kind:
+            case Kind.LOOPBACK:
+                return "in-memory loopback"
+            case Kind.PTY:
+                return "pty"
+            case Kind.SERIAL:
+                return self.path
+            case Kind.CAN:
+                return f"{self.interface} {self.channel}"
+
+    def to_json(self) -> dict[str, Any]:
+        """As values that JSON knows."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> Self:
+        """The inverse of `to_json`."""
+        return cls(**{**values, "kind": Kind(values["kind"])})
+
+
+def parse_port(
+    port: str | None = None,
+    baud: int | None = None,
+    interface: str | None = None,
+    channel: str | None = None,
+    bitrate: int | None = None,
+    fd: bool = False,
+    data_bitrate: int | None = None,
+) -> PortSpec:
+    """The port that these options name together; None stands for an option that was not given.
+
+    Raises:
+        InputError: two ports at once, an option of the other kind of port, or a value out of range.
+    """
+    rates = {"--baud": baud, "--bitrate": bitrate, "--data-bitrate": data_bitrate}
+    for option, rate in rates.items():
+        if rate is not None and rate <= 0:
+            raise InputError(option, None, rate, "allowed: a positive number of bits per second")
+    if port is not None and interface is not None:
+        raise InputError("--port", None, port, f"allowed: one port; --interface {interface} names another")
+    if interface is None:
+        can_options = {"--channel": channel, "--fd": fd or None, **rates, "--baud": None}
+        _refuse_given(can_options, "allowed: only together with --interface")
+        return _serial(port, baud)
+    _refuse_given({"--baud": baud}, "allowed: only together with --port")
+    return _can(interface, channel, bitrate, fd, data_bitrate)
+
+
+def _refuse_given(options: dict[str, Any], allowed: str) -> None:
+    for option, value in options.items():
+        if value is not None:
+            raise InputError(option, None, value, allowed)
+
+
+def _serial(port: str | None, baud: int | None) -> PortSpec:
+    if port is None:
+        _refuse_given({"--baud": baud}, "allowed: only together with --port")
+        return PortSpec()
+    if not port:
+        raise InputError("--port", None, port, "allowed: a device, a pyserial URL, or pty")
+    speed = DEFAULT_BAUD if baud is None else baud
+    if port == "pty":
+        return PortSpec(Kind.PTY, baud=speed)
+    return PortSpec(Kind.SERIAL, path=port, baud=speed)
+
+
+def _can(
+    interface: str, channel: str | None, bitrate: int | None, fd: bool, data_bitrate: int | None
+) -> PortSpec:
+    if interface == "virtual":
+        raise InputError(
+            "--interface",
+            None,
+            interface,
+            "it ends with its process; allowed: socketcan (vcan0), slcan or another of python-can's",
+        )
+    if not channel:
+        raise InputError("--channel", None, channel or "nothing", "allowed: the channel of the CAN interface")
+    if data_bitrate is not None and not fd:
+        raise InputError("--data-bitrate", None, data_bitrate, "allowed: only together with --fd")
+    return PortSpec(
+        kind=Kind.CAN,
+        interface=interface,
+        channel=channel,
+        bitrate=bitrate or DEFAULT_BITRATE,
+        fd=fd,
+        data_bitrate=data_bitrate or DEFAULT_DATA_BITRATE,
+    )

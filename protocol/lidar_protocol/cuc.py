@@ -1,0 +1,29 @@
+"""CCSDS unsegmented time code (301.0-B, level 2: an agency-defined epoch), 4 + 3 bytes, without a P-field.
+
+Four bytes count seconds from the epoch, three bytes the fraction: one tick is 2**-24 s, about 60 ns.
+"""
+
+from __future__ import annotations
+
+from lidar_protocol.errors import EncodeError
+
+BITS = 56
+FRACTION_BITS = 24
+_NS_PER_S = 1_000_000_000
+
+
+def ticks_from_ns(time_ns: int) -> int:
+    """The tick nearest to `time_ns` after the epoch.
+
+    Raises:
+        EncodeError: before the epoch, or 2**32 s and more after it.
+    """
+    ticks = ((time_ns << FRACTION_BITS) + _NS_PER_S // 2) // _NS_PER_S
+    if 0 <= ticks < 1 << BITS:
+        return ticks
+    raise EncodeError(f"time {time_ns} ns lies outside the 2**32 s from the epoch that a time code counts")
+
+
+def ns_from_ticks(ticks: int) -> int:
+    """The nanosecond nearest to a tick; `ticks_from_ns` gives the tick back."""
+    return (ticks * _NS_PER_S + (1 << FRACTION_BITS - 1)) >> FRACTION_BITS

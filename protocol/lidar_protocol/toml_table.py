@@ -1,0 +1,110 @@
+"""Reading a TOML table key by key, with complaints that name the place."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+
+from lidar_protocol.errors import DefinitionError
+
+
+class TomlTable:
+    """A table whose keys are taken out one by one; `finish` refuses those that are left."""
+
+    def __init__(self, where: str, value: object) -> None:
+        if not isinstance(value, dict):
+            raise DefinitionError(where, value, "a table")
+        self.where = where
+        self._left = dict(value)
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._left
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """A text; required where there is no default."""
+        value = self._take(key, default, "a text")
+        if not isinstance(value, str):
+            raise self.refusal(key, value, "a text")
+        return value
+
+    def boolean(self, key: str) -> bool:
+        """`true` or `false`; false where left out."""
+        value = self._take(key, False, "true or false")
+        if not isinstance(value, bool):
+            raise self.refusal(key, value, "true or false")
+        return value
+
+    def integer(self, key: str, lowest: int, highest: int, default: int | None = None) -> int:
+        """A whole number from `lowest` to `highest`; required where there is no default."""
+        allowed = f"a whole number from {lowest} to {highest}"
+        value = self._take(key, default, allowed)
+        if isinstance(value, bool) or not isinstance(value, int) or not lowest <= value <= highest:
+            raise self.refusal(key, value, allowed)
+        return value
+
+    def optional_integer(self, key: str) -> int | None:
+        """A whole number, or None where it is left out."""
+        return self.integer(key, -(2**63), 2**63) if key in self else None
+
+    def decimal(self, key: str) -> Decimal:
+        """A number, exactly as it is written."""
+        return self._as_decimal(key, self._take(key, None, "a number"))
+
+    def decimal_pair(self, key: str) -> tuple[Decimal, Decimal]:
+        """Two numbers in ascending order, exactly as they are written."""
+        value = self._take(key, None, "two numbers")
+        if not isinstance(value, list) or len(value) != 2:
+            raise self.refusal(key, value, "two numbers")
+        low, high = (self._as_decimal(key, item) for item in value)
+        if low >= high:
+            raise self.refusal(key, value, "two numbers in ascending order")
+        return low, high
+
+    def items(self, key: str) -> list[object]:
+        """A list that is not empty."""
+        value = self._take(key, None, "a list")
+        if not isinstance(value, list) or not value:
+            raise self.refusal(key, value, "a list that is not empty")
+        return value
+
+    def table(self, key: str) -> TomlTable:
+        """A table within this one."""
+        return TomlTable(self._at(key), self._take(key, None, "a table"))
+
+    def tables(self, key: str) -> list[TomlTable]:
+        """A list of tables."""
+        return [TomlTable(f"{self._at(key)}[{place}]", item) for place, item in enumerate(self.items(key))]
+
+    def names(self) -> list[str]:
+        """The keys that are left."""
+        return list(self._left)
+
+    def rest(self) -> dict[str, object]:
+        """What is left, as it was read; nothing is left afterwards."""
+        rest, self._left = self._left, {}
+        return rest
+
+    def finish(self) -> None:
+        """Refuse keys that nobody has taken."""
+        if self._left:
+            raise DefinitionError(
+                self.where, ", ".join(self._left), "only the keys that the definition knows"
+            )
+
+    def refusal(self, key: str, value: object, allowed: str) -> DefinitionError:
+        """The error for the value of a key."""
+        return DefinitionError(self._at(key), value, allowed)
+
+    def _at(self, key: str) -> str:
+        return f"{self.where} {key}" if self.where.endswith(":") else f"{self.where}.{key}"
+
+    def _take(self, key: str, default: object, allowed: str) -> object:
+        if key in self._left:
+            return self._left.pop(key)
+        if default is None:
+            raise self.refusal(key, None, f"{allowed}; the key is required")
+        return default
+
+    def _as_decimal(self, key: str, value: object) -> Decimal:
+        if isinstance(value, bool) or not isinstance(value, int | Decimal) or not Decimal(value).is_finite():
+            raise self.refusal(key, value, "a finite number")
+        return Decimal(value)

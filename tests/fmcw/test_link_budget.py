@@ -1,0 +1,94 @@
+"""The link budget against closed forms and numbers worked by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lidar_emu.errors import InputError
+from lidar_emu.fmcw.echo import coherent_power_w
+from lidar_emu.fmcw.receiver import build_receiver
+from lidar_emu.scenario.instrument import Detection, Instrument, Optics, Receiver, Waveform
+from lidar_emu.scenario.site import Atmosphere, Surface
+
+INSTRUMENT = Instrument()
+SURFACE = Surface()
+
+
+def test_far_away_the_aperture_is_that_of_the_antenna_theorem() -> None:
+    range_m = 50_000.0
+    area_m2 = np.pi * 0.017**2
+    expected_w = 1.0 * 0.6 * 0.5 * (0.18 / np.pi) * np.cos(0.4) * area_m2 / range_m**2
+    power_w = coherent_power_w(INSTRUMENT, SURFACE, None, range_m, np.cos(0.4))
+    rayleigh_m = np.pi * 0.017**2 / 1550e-9
+    assert power_w * (1 + (rayleigh_m / range_m) ** 2) == pytest.approx(expected_w, rel=1e-12)
+
+
+def test_close_up_the_spot_is_the_waist() -> None:
+    expected_w = 0.3 * 0.18 / np.pi * 1550e-9**2 / (np.pi * 0.017**2)
+    assert coherent_power_w(INSTRUMENT, SURFACE, None, 0.0, 1.0) == pytest.approx(expected_w, rel=1e-12)
+
+
+@pytest.mark.parametrize(("share", "factor"), [(0.0, 0.5), (0.5, 0.75), (1.0, 1.0)])
+def test_limb_darkening(share: float, factor: float) -> None:
+    surface = Surface(lommel_seeliger_share=share)
+    at_60_deg = coherent_power_w(INSTRUMENT, surface, None, 100.0, 0.5)
+    assert at_60_deg / coherent_power_w(INSTRUMENT, surface, None, 100.0, 1.0) == pytest.approx(factor)
+
+
+def test_atmosphere_is_passed_twice() -> None:
+    air = Atmosphere(extinction_per_m=1e-4)
+    with_air, without = (coherent_power_w(INSTRUMENT, SURFACE, a, 3000.0, 1.0) for a in (air, None))
+    assert with_air / without == pytest.approx(np.exp(-0.6))
+
+
+def test_missing_and_hidden_surfaces() -> None:
+    power_w = coherent_power_w(INSTRUMENT, SURFACE, None, [np.nan, 100.0, 100.0], [1.0, -0.2, 0.0])
+    np.testing.assert_array_equal(power_w, [np.nan, 0.0, 0.0])
+
+
+def test_bits_do_not_depend_on_the_block() -> None:
+    air = Atmosphere(extinction_per_m=3e-5)
+    rng = np.random.default_rng(2)
+    range_m, cosine = rng.uniform(1, 12_000, (37, 4, 19)), rng.uniform(0, 1, (37, 4, 19))
+    whole = coherent_power_w(INSTRUMENT, SURFACE, air, range_m, cosine)
+    for shot in range(37):
+        alone = coherent_power_w(INSTRUMENT, SURFACE, air, range_m[shot], cosine[shot])
+        np.testing.assert_array_equal(alone, whole[shot])
+    strided = coherent_power_w(INSTRUMENT, SURFACE, air, range_m[:, ::2, ::3], cosine[:, ::2, ::3])
+    np.testing.assert_array_equal(strided, whole[:, ::2, ::3])
+
+
+def test_photons_detected_at_2_km() -> None:
+    """1 pW for a record of 218.453 us, 0.4 heterodyne efficiency, 1 A/W, 1 mW of local oscillator into 2 kohm.
+
+    1e-12 J/s * 2.184533e-4 s / 1.602177e-19 C = 1363.48 electrons, 545.39 with the heterodyne efficiency.
+    Thermal 4kT/R = 8.28389e-24 A2/Hz over shot 2qI = 3.20435e-22 A2/Hz is 0.0258520: 531.65.
+    """
+    model = build_receiver(INSTRUMENT)
+    assert model.snr_per_w * 1e-12 == pytest.approx(531.65, abs=0.01)
+
+
+def test_threshold_and_bins_of_the_defaults() -> None:
+    model = build_receiver(INSTRUMENT)
+    assert model.threshold == pytest.approx(-np.log(1e-3 / 65536), rel=1e-12)
+    assert model.threshold == pytest.approx(18.0, abs=0.01)
+    assert model.range_bin_m == pytest.approx(0.343085, abs=5e-7)
+    assert model.speed_bin_mps == pytest.approx(3.547668e-3, abs=5e-10)
+
+
+def test_responsivity_beyond_one_electron_per_photon_is_refused() -> None:
+    """1.25 A/W at 1550 nm: e * lambda / (h c) = 1.25016."""
+    build_receiver(Instrument(receiver=Receiver(responsivity_a_per_w=1.2501)))
+    with pytest.raises(InputError, match=r"receiver\.responsivity_a_per_w.*1\.2503.*at most 1\.2502"):
+        build_receiver(Instrument(receiver=Receiver(responsivity_a_per_w=1.2503)))
+
+
+def test_snr_follows_the_record_and_the_efficiencies() -> None:
+    base = build_receiver(INSTRUMENT).snr_per_w
+    half_record = Instrument(waveform=Waveform(fft_length=2**16))
+    assert build_receiver(half_record).snr_per_w == pytest.approx(base / 2)
+    optics = Optics(heterodyne_efficiency=0.2)
+    assert build_receiver(Instrument(optics=optics)).snr_per_w == pytest.approx(base / 2)
+    hann = Instrument(detection=Detection(window="hann"))
+    assert build_receiver(hann).snr_per_w == base

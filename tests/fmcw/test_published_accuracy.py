@@ -1,0 +1,87 @@
+"""The published quantisation figures and the three-bin estimate, from shots of the whole receiver."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lidar_emu.fmcw.receiver import Echoes, Returns, build_receiver, receive
+from lidar_emu.scenario.instrument import Detection, Instrument
+
+Shots = tuple[np.ndarray, np.ndarray, Returns]
+SHOTS = 40_000
+C_MPS = 299_792_458.0
+LAMBDA_M = 1550e-9
+DF_HZ = 600e6 / 2**17
+SLOPE = 2e12
+
+
+def _measure(detection: Detection, snr_db: float, shots: int = SHOTS) -> Shots:
+    """One tone per beam at random places within bins: true range, true speed, returns."""
+    model = build_receiver(Instrument(detection=detection))
+    rng = np.random.default_rng(17)
+    range_m = 2164.784 + rng.uniform(-20, 20, (shots, 1, 1))
+    speed_mps = 92.388 + rng.uniform(-0.5, 0.5, (shots, 1, 1))
+    power_w = np.full_like(range_m, 10 ** (snr_db / 10) / model.snr_per_w)
+    yes = np.ones((shots, 1), dtype=bool)
+    echoes = Echoes(range_m, speed_mps, power_w, yes, ~yes)
+    return range_m[:, 0, 0], speed_mps[:, 0, 0], receive(model, echoes, np.arange(shots), 1)
+
+
+@pytest.fixture(scope="module")
+def published() -> Shots:
+    return _measure(Detection(), 60.0)
+
+
+@pytest.fixture(scope="module")
+def joint() -> Shots:
+    return _measure(Detection(combine="least_squares"), 60.0)
+
+
+# Tolerances are four standard errors of a standard deviation over 40 000 shots, and the figures' last digit.
+def test_range_is_9_9_cm_where_the_doppler_shift_is_known(
+    published: Shots,
+) -> None:
+    range_m, speed_mps, returns = published
+    beat_hz = returns.segment_peak_hz[:, 0, 2] - 2 * speed_mps / LAMBDA_M
+    assert np.std(beat_hz * C_MPS / (2 * SLOPE) - range_m) == pytest.approx(0.09904, rel=0.012)
+
+
+def test_published_detector_is_14_cm_and_1_024_mm_per_s(
+    published: Shots,
+) -> None:
+    range_m, speed_mps, returns = published
+    assert returns.range_valid.all()
+    assert np.std(returns.range_m[:, 0] - range_m) == pytest.approx(0.1400, rel=0.015)
+    assert np.std(returns.closing_speed_mps[:, 0] - speed_mps) == pytest.approx(1.0241e-3, rel=0.012)
+    assert returns.sigma_range_m[0, 0] == pytest.approx(0.3430850 / np.sqrt(6), rel=1e-6)
+    assert returns.sigma_speed_mps[0, 0] == pytest.approx(3.5476685e-3 / np.sqrt(12), rel=1e-6)
+
+
+def test_least_squares_is_7_cm_and_0_591_mm_per_s(joint: Shots) -> None:
+    range_m, speed_mps, returns = joint
+    assert returns.range_valid.all()
+    assert np.std(returns.range_m[:, 0] - range_m) == pytest.approx(0.0700, rel=0.015)
+    assert np.std(returns.closing_speed_mps[:, 0] - speed_mps) == pytest.approx(0.591e-3, rel=0.015)
+    assert returns.sigma_range_m[0, 0] == pytest.approx(0.3430850 / np.sqrt(24), rel=1e-6)
+    assert returns.sigma_speed_mps[0, 0] == pytest.approx(3.5476685e-3 / 6, rel=1e-6)
+
+
+@pytest.mark.parametrize(("snr_db", "rmse_bin"), [(20, 0.070), (30, 0.022), (40, 0.0069)])
+def test_three_bin_peak(snr_db: float, rmse_bin: float) -> None:
+    _, speed_mps, returns = _measure(Detection(peak="hann"), snr_db, 20_000)
+    error = returns.segment_peak_hz[:, 0, 1] / DF_HZ - 2 * speed_mps / LAMBDA_M / DF_HZ
+    detected = ~np.isnan(error)
+    assert detected.mean() > 0.99
+    assert np.sqrt(np.mean(error[detected] ** 2)) == pytest.approx(rmse_bin, rel=0.03)
+
+
+@pytest.mark.parametrize("combine", ["chirp_minus_doppler", "least_squares"])
+def test_stated_sigmas_of_the_three_bin_peak_are_those_found(combine: str) -> None:
+    detection = Detection(peak="hann", combine=combine)  # type: ignore[arg-type]
+    range_m, speed_mps, returns = _measure(detection, 30.0, 20_000)
+    assert returns.range_valid.all()
+    range_score = (returns.range_m[:, 0] - range_m) / returns.sigma_range_m[:, 0]
+    speed_score = (returns.closing_speed_mps[:, 0] - speed_mps) / returns.sigma_speed_mps[:, 0]
+    assert np.std(range_score) == pytest.approx(1, abs=0.05)
+    assert np.std(speed_score) == pytest.approx(1, abs=0.05)

@@ -1,0 +1,23 @@
+"""Writes INTERFACE.md and lidar.dbc beside the interface definition that they are generated from.
+
+python tests/protocol/make_documents.py
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import lidar_protocol
+from lidar_protocol import documents
+
+
+def main() -> None:
+    """Write both files."""
+    folder = Path(lidar_protocol.__file__).parent
+    interface = lidar_protocol.default_interface()
+    (folder / "INTERFACE.md").write_text(documents.interface_markdown(interface), encoding="utf-8")
+    (folder / "lidar.dbc").write_text(documents.dbc(interface), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,109 @@
+"""The host's side of a CAN bus: sets, gaps, strangers, anything."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lidar_protocol import CanReceiver, Device, EncodeError, default_interface, example
+
+INTERFACE = default_interface()
+OWN_IDS = range(0x100, 0x500)
+
+
+def frames(shot, can_set="core", unit=0, beams=example.BEAMS):
+    return Device(INTERFACE, unit).can_frames(can_set, {**example.HEADER, "shot": shot}, beams)
+
+
+def feed(receiver, sent):
+    return [message for frame in sent for message in receiver.receive(frame.can_id, frame.data, frame.is_fd)]
+
+
+@pytest.mark.parametrize("can_set", ["core", "full", "fd"])
+def test_a_set_is_a_message_when_its_last_frame_has_come(can_set):
+    receiver = CanReceiver(INTERFACE)
+    *first, last = frames(5, can_set)
+    assert feed(receiver, first) == []
+    assert len(feed(receiver, [last])) == 1
+    assert receiver.buffered_frames == 0
+
+
+@pytest.mark.parametrize("can_set", ["core", "full", "fd"])
+def test_the_order_within_a_set_does_not_matter(can_set):
+    sent = frames(5, can_set)
+    ((there,), (back,)) = (feed(CanReceiver(INTERFACE), order) for order in (sent, sent[::-1]))
+    assert there == back
+
+
+def test_a_missing_frame_costs_its_shot_and_a_missing_shot_is_counted():
+    receiver = CanReceiver(INTERFACE)
+    sent = frames(1) + frames(2)[:3] + frames(2)[4:] + frames(3) + frames(6)
+    messages = feed(receiver, sent)
+    assert len(messages) == 3
+    counters = receiver.counters
+    assert (counters.incomplete, counters.sequence_gaps, counters.lost_shots) == (1, 1, 2)
+
+
+def test_shots_sixteen_apart_are_not_mixed():
+    receiver = CanReceiver(INTERFACE)
+    near = [{**beam, "range_m": 1.0} for beam in example.BEAMS]
+    assert feed(receiver, frames(4)[:-1]) == []
+    (message,) = feed(receiver, frames(20, beams=near))
+    assert message.beams[0]["range_m"] == 1.0
+    assert receiver.counters.incomplete == 1
+
+
+def test_units_are_put_together_apart():
+    receiver = CanReceiver(INTERFACE)
+    interleaved = [
+        frame for pair in zip(frames(1, unit=2), frames(9, unit=15), strict=True) for frame in pair
+    ]
+    assert [message.unit for message in feed(receiver, interleaved)] == [2, 15]
+    assert receiver.counters.incomplete == receiver.counters.lost_shots == 0
+
+
+def test_the_number_of_beams_may_change():
+    receiver = CanReceiver(INTERFACE)
+    messages = feed(receiver, frames(1) + frames(2, beams=example.BEAMS[:3]) + frames(3))
+    assert [len(message.beams) for message in messages] == [4, 3, 4]
+
+
+def test_strangers_and_wrong_lengths_are_counted():
+    receiver = CanReceiver(INTERFACE)
+    assert receiver.receive(0x0FF, bytes(8), False) == []
+    assert receiver.receive(0x100, bytes(8), True) == []
+    assert receiver.receive(0x100, bytes(7), False) == []
+    assert receiver.receive(0x100, b"", False) == []
+    assert (receiver.counters.unknown_ids, receiver.counters.bad_length, receiver.counters.frames) == (
+        2,
+        2,
+        4,
+    )
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 0x7FF) | st.sampled_from(OWN_IDS), st.binary(max_size=64), st.booleans())
+    )
+)
+def test_nothing_that_arrives_raises(sent):
+    receiver = CanReceiver(INTERFACE)
+    for can_id, data, is_fd in sent:
+        receiver.receive(can_id, data, is_fd)
+    assert receiver.counters.frames == len(sent)
+
+
+@given(st.data())
+def test_frames_of_the_right_length_with_any_content_do_not_raise_and_stay_few(data):
+    receiver = CanReceiver(INTERFACE)
+    addresses = [(f.can_id, len(f.data), f.is_fd) for s in ("full", "fd") for f in frames(0, s)]
+    for _ in range(60):
+        can_id, length, is_fd = data.draw(st.sampled_from(addresses))
+        receiver.receive(can_id, data.draw(st.binary(min_size=length, max_size=length)), is_fd)
+    assert receiver.buffered_frames <= len(addresses)
+    assert receiver.counters.bad_length == receiver.counters.unknown_ids == 0
+
+
+@pytest.mark.parametrize("count", [0, 9])
+def test_a_sender_refuses_more_beams_than_slots(count):
+    with pytest.raises(EncodeError, match="slots"):
+        frames(0, beams=[example.BEAMS[0]] * count)

@@ -1,0 +1,79 @@
+"""Interface definitions: what is refused, and how it is said."""
+
+from importlib.resources import files
+
+import pytest
+
+from lidar_protocol import DefinitionError, default_interface
+from lidar_protocol.can_frames import addresses
+from lidar_protocol.definitions import load
+
+DEFAULT = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
+
+
+def refusal(old, new):
+    """The complaint about the default definition with its first `old` replaced."""
+    assert old in DEFAULT
+    with pytest.raises(DefinitionError) as caught:
+        load(DEFAULT.replace(old, new, 1), "mine.toml")
+    text = str(caught.value)
+    assert "\n" not in text
+    assert text.startswith("mine.toml: ")
+    return text
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ("version = 1", "version = 256", ["interface.version", "256", "0 to 255"]),
+        ("version = 1", "version = true", ["interface.version", "True"]),
+        ("units = 16", "", ["interface.units", "required"]),
+        ('byte_order = "big"', 'byte_order = "middle"', ["interface.byte_order", "middle", "big"]),
+        ("apid = 0x2A0", "apid = 0x7F8", ["packet.apid", "2040", "2032"]),
+        ("apid = 0x2A0", "apid = 0x2A0\ncolour = 1", ["packet", "colour"]),
+        ('type = "u8"', 'type = "u65"', ["packet.header[2].type", "u65", "u1 to u32"]),
+        ('values = "mode"', 'values = "moods"', ["packet.header[3].values", "moods", "reason"]),
+        ("scale = 0.01", "scale = 0", ["packet.beam[8].scale", "above 0"]),
+        ("scale = 0.01", "scale = nan", ["packet.beam[8].scale", "finite"]),
+        ("none = -32768", "none = -32769", ["packet.beam[8]", "-32769"]),
+        ("none = -32768", "none = 12", ["packet.beam[8]", "12", "not values in range"]),
+        ('outside = "nearest"', 'outside = "wrap"', ["packet.beam[7].outside", "wrap", "none or nearest"]),
+        ('name = "due_ns"', 'name = "time_ns"', ["packet.header[1].name", "time_ns"]),
+        ("range = [0, 90]", "range = [90, 0]", ["packet.beam[15].range", "ascending"]),
+        ("id_base = 0x100", "id_base = 0x500", ["can.id_base", "11 bits"]),
+        ("id = 0x10", "id = 0x0A", ["quality.id", "10", "of its own"]),
+        ("unit_stride = 0x40", "unit_stride = 0x20", ["fd_header.id", "unit_stride"]),
+        ('sets = ["full"]', 'sets = ["some"]', ["can.messages[1].sets", "some"]),
+        ('all_of = "header"', 'all_of = "headers"', ["can.messages[6].fields[2].all_of", "headers"]),
+        (
+            '{ name = "shot_counter" },\n    { name = "details" },',
+            '{ name = "details" },',
+            ["can.messages[0].fields", "shot_counter first"],
+        ),
+        (
+            '{ name = "due_ns" },',
+            '{ name = "due_ns" }, { spare = 1 },',
+            ["can.messages[1].fields", "65 bits", "64"],
+        ),
+        ('{ name = "due_ns" },', '{ name = "do_ns" },', ["can.messages[1].fields[4].type", "required"]),
+        ("[interface]", "[interface", ["TOML"]),
+    ],
+)
+def test_what_cannot_be_used_is_named(old, new, named):
+    text = refusal(old, new)
+    for part in named:
+        assert part in text
+
+
+def test_sixteen_units_share_a_bus_without_a_shared_identifier():
+    interface = default_interface()
+    table = addresses(interface)
+    messages = sum(8 if message.each_beam else 1 for message in interface.can.messages)
+    assert len({can_id for can_id, _ in table}) == len(table) == 16 * messages
+    assert all(0x100 <= can_id <= 0x4FF for can_id, _ in table)
+
+
+def test_scales_are_exact_reciprocals():
+    codecs = {placed.field.name: placed.field.codec for placed in default_interface().packet.beam.placed}
+    assert codecs["range_m"].decoder()(2164784) == 2164.784
+    assert codecs["sigma_speed_mps"].steps_per_unit == 100_000

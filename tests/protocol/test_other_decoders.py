@@ -1,0 +1,223 @@
+"""The same bytes through other people's decoders, and through one built from the interface document alone."""
+
+import io
+import re
+import struct
+from pathlib import Path
+
+import cantools
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import lidar_protocol
+from lidar_protocol import Device, ccsds, default_interface, documents, example, packet
+
+INTERFACE = default_interface()
+FOLDER = Path(lidar_protocol.__file__).parent
+DOCUMENT = (FOLDER / "INTERFACE.md").read_text(encoding="utf-8")
+DATABASE = cantools.database.load_file(FOLDER / "lidar.dbc")
+PACKET = packet.encode(INTERFACE, 5, {**example.HEADER, "shot": 20_000}, example.BEAMS)
+
+
+def test_the_documents_are_up_to_date():
+    hint = "run tests/protocol/make_documents.py"
+    assert documents.interface_markdown(INTERFACE) == DOCUMENT, hint
+    assert documents.dbc(INTERFACE) == (FOLDER / "lidar.dbc").read_text(encoding="utf-8"), hint
+
+
+def test_crc_check_value():
+    assert ccsds.crc16(b"123456789") == 0x29B1
+
+
+def test_spacepackets_reads_the_primary_header():
+    from spacepackets.ccsds import SpacePacketHeader
+    from spacepackets.ccsds.spacepacket import PacketType, SequenceFlags
+
+    header = SpacePacketHeader.unpack(PACKET)
+    assert header.ccsds_version == 0
+    assert header.packet_type == PacketType.TM
+    assert header.sec_header_flag
+    assert header.apid == 0x2A5
+    assert header.seq_flags == SequenceFlags.UNSEGMENTED
+    assert header.seq_count == 20_000 - 2**14
+    assert header.packet_len == len(PACKET)
+
+
+def test_spacepackets_writes_the_same_primary_header():
+    from spacepackets.ccsds import SpacePacketHeader
+    from spacepackets.ccsds.spacepacket import PacketType
+
+    header = SpacePacketHeader(
+        PacketType.TM, apid=0x2A5, seq_count=20_000 - 2**14, data_len=len(PACKET) - 7, sec_header_flag=True
+    )
+    assert header.pack() == PACKET[:6]
+
+
+def test_ccsdspy_reads_every_field():
+    import ccsdspy
+    from ccsdspy import PacketField
+
+    def unsigned(name, bits):
+        return PacketField(name=name, data_type="uint", bit_length=bits)
+
+    header = [("seconds", 32), ("fraction", 24), ("due", 56), ("version", 8), ("mode", 8), ("status", 8)]
+    header += [("beam_count", 8), ("shot", 32)]
+    beam = [("fired", 1), ("valid", 3), ("spare", 1), ("segments", 3), ("reason", 4), ("returns", 4)]
+    fields = [unsigned(name, bits) for name, bits in header]
+    for k in range(4):
+        fields += [unsigned(f"{name}{k}", bits) for name, bits in beam]
+        fields.append(PacketField(name=f"snr{k}", data_type="int", bit_length=16))
+        fields.append(unsigned(f"range{k}", 32))
+        fields.append(PacketField(name=f"speed{k}", data_type="int", bit_length=32))
+        fields += [
+            unsigned(f"second{k}", 32),
+            unsigned(f"sigma_range{k}", 16),
+            unsigned(f"sigma_speed{k}", 16),
+        ]
+        fields.append(PacketField(name=f"residual{k}", data_type="int", bit_length=16))
+        fields += [unsigned(f"angle{k}", 16), unsigned(f"offset{k}", 32)]
+    fields.append(unsigned("crc", 16))
+    rows = ccsdspy.FixedLength(fields).load(io.BytesIO(PACKET * 2))
+    row = {name: column[1] for name, column in rows.items()}
+    assert row["seconds"] + row["fraction"] / 2**24 == pytest.approx(1.500490773, abs=3e-8)
+    assert (row["version"], row["mode"], row["beam_count"], row["shot"]) == (1, 4, 4, 20_000)
+    assert [row[f"range{k}"] for k in range(4)] == [2164784, 2164784, 2**32 - 1, 2**32 - 1]
+    assert [row[f"speed{k}"] for k in range(4)] == [923880, -461940, -(2**31), -(2**31)]
+    assert [row[f"residual{k}"] for k in range(4)] == [-12, -12, -(2**15), -(2**15)]
+    assert [row[f"reason{k}"] for k in range(4)] == [0, 0, 3, 1]
+    assert [row[f"offset{k}"] for k in range(4)] == [0, 900, 1800, 2**32 - 1]
+    assert row["snr2"] == 1150
+    assert row["second1"] == 2171500
+
+
+# The document alone.
+
+STRUCT_CODES = {"u8": "B", "u16": "H", "i16": "h", "u32": "I", "i32": "i"}
+
+
+def tables(text):
+    """Every table of the document: its heading's cells, then its rows' cells."""
+    found = re.findall(r"(?:^\|.*\|$\n?)+", text, re.MULTILINE)
+    rows = [
+        [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
+        for table in found
+    ]
+    return [(table[0], table[2:]) for table in rows]
+
+
+def field_of(row, data, first):
+    """One field, by its row: bytes, bits, type, name, step, range and code."""
+    where, bits, kind, _, step, limits, none, _ = row
+    start, _, end = where.partition("-")
+    block = data[first + int(start) : first + int(end or start) + 1]
+    if kind == "cuc":
+        return round(int.from_bytes(block, "big") * 10**9 / 2**24)
+    if kind in STRUCT_CODES and bits == "7-0":
+        (raw,) = struct.unpack(">" + STRUCT_CODES[kind], block)
+    else:
+        high, _, low = bits.partition("-")
+        raw = block[0] >> int(low or high) & (1 << int(high) - int(low or high) + 1) - 1
+    if none and raw == struct.unpack(">" + STRUCT_CODES[kind], bytes.fromhex(none.strip("`")[2:]))[0]:
+        return None
+    value = raw * float(step.split()[0]) if step else raw
+    assert not limits or float(limits.split()[0]) <= value <= float(limits.split()[2].rstrip(","))
+    return value
+
+
+def test_a_decoder_built_from_the_document_reads_its_example():
+    header_table, beam_table = (rows for heading, rows in tables(DOCUMENT)[1:3])
+    blocks = [bytes.fromhex(block) for block in re.findall(r"```text\n([0-9a-f \n]+)```", DOCUMENT)]
+    data = blocks[0]
+    stated = {heading[0]: rows for heading, rows in tables(DOCUMENT)}
+    for row in header_table:
+        expected = next(float(value) for name, value in stated["header"] if name == row[3])
+        assert field_of(row, data, 0) == pytest.approx(expected, abs=1)
+    for row in beam_table:
+        expected = next(values for name, *values in stated["beam"] if name == row[3])
+        for k, text in enumerate(expected):
+            value = field_of(row, data, 28 + 28 * k)
+            assert value == (None if text == "none" else pytest.approx(float(text), abs=1e-9)), (row[3], k)
+
+
+# CAN.
+
+
+def dbc_decoded(frame):
+    return DATABASE.get_message_by_frame_id(frame.can_id).decode(frame.data)
+
+
+@pytest.mark.parametrize("can_set", ["core", "full", "fd"])
+def test_cantools_encodes_the_same_frames(can_set):
+    for frame in Device(INTERFACE).can_frames(can_set, example.HEADER, example.BEAMS):
+        message = DATABASE.get_message_by_frame_id(frame.can_id)
+        assert message.is_fd == frame.is_fd
+        values = message.decode(frame.data)
+        assert message.encode(values) == frame.data
+
+
+def test_cantools_reads_the_core_set_with_the_dbc_alone():
+    header, *beams = map(dbc_decoded, Device(INTERFACE).can_frames("core", example.HEADER, example.BEAMS))
+    assert header["time_seconds"] + header["time_fraction"] == pytest.approx(1.500490773, abs=3e-8)
+    assert (header["shot_counter"], header["beam_count"], header["details"]) == (30 % 16, 4, 0)
+    assert [beam["range_m"] for beam in beams] == [
+        pytest.approx(2164.784),
+        pytest.approx(2164.784),
+        "none",
+        "absent",
+    ]
+    speeds = [beam["closing_speed_mps"] for beam in beams]
+    assert speeds == [pytest.approx(92.388), pytest.approx(-46.194), "none", "absent"]
+    assert [beam["range_valid"] for beam in beams] == [1, 1, 0, 0]
+    assert [str(beam["segments"]) for beam in beams[:3]] == [
+        "up_constant_down",
+        "up_constant_down",
+        "up_down",
+    ]
+    assert beams[0]["snr_db"] == 34
+
+
+def test_cantools_reads_the_reasons_and_the_rest():
+    sent = Device(INTERFACE).can_frames("full", example.HEADER, example.BEAMS)
+    quality = [dbc_decoded(frame) for frame in sent if 0x110 <= frame.can_id < 0x118]
+    geometry = [dbc_decoded(frame) for frame in sent if 0x118 <= frame.can_id < 0x120]
+    assert [str(each["reason"]) for each in quality] == ["valid", "valid", "below_threshold", "not_fired"]
+    assert quality[0]["sigma_range_m"] == pytest.approx(0.1401)
+    assert geometry[1]["second_range_m"] == pytest.approx(2171.5)
+    assert [str(each["time_offset_s"]) for each in geometry][3] == "none"
+    assert dbc_decoded(sent[2]) == {"shot_counter": 14, "mode": "track", "interface_version": 1, "shot": 30}
+
+
+@given(
+    range_m=st.integers(0, 0xFFFFFD).map(lambda raw: raw / 1000),
+    speed_mps=st.integers(-0x7FFFFE, 0x7FFFFF).map(lambda raw: raw / 10000),
+    snr_db=st.integers(0, 62),
+    segments=st.integers(0, 7),
+    flags=st.tuples(st.booleans(), st.booleans(), st.booleans()),
+    shot=st.integers(0, 2**32),
+)
+def test_core_beam_and_cantools_agree_both_ways(range_m, speed_mps, snr_db, segments, flags, shot):
+    beam = {
+        **example.BEAMS[0],
+        **dict(zip(("range_valid", "speed_valid", "sign_resolved"), flags, strict=True)),
+        "range_m": range_m,
+        "closing_speed_mps": speed_mps,
+        "snr_db": snr_db,
+        "segments": segments,
+    }
+    frame = Device(INTERFACE).can_frames("core", {**example.HEADER, "shot": shot}, [beam])[1]
+    values = DATABASE.get_message_by_name("Beam0").decode(frame.data, decode_choices=False)
+    assert values["range_m"] == pytest.approx(range_m, abs=1e-6)
+    assert values["closing_speed_mps"] == pytest.approx(speed_mps, abs=1e-6)
+    assert (values["snr_db"], values["segments"], values["shot_counter"]) == (snr_db, segments, shot % 16)
+    own = {name: beam[name] for name in values if name != "shot_counter"} | {"shot_counter": shot % 16}
+    assert DATABASE.get_message_by_name("Beam0").encode(own) == frame.data
+
+
+def test_every_identifier_is_in_the_dbc_and_no_other():
+    sent = {frame.can_id for s in ("core", "full", "fd") for frame in all_slots(s)}
+    assert sent == {message.frame_id for message in DATABASE.messages}
+
+
+def all_slots(can_set):
+    return Device(INTERFACE).can_frames(can_set, example.HEADER, [example.BEAMS[0]] * 8)

@@ -1,0 +1,171 @@
+"""The host's side of a byte link: portions, garbage, damage, gaps."""
+
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lidar_protocol import (
+    Device,
+    EncodeError,
+    SerialReceiver,
+    ccsds,
+    cobs,
+    default_interface,
+    example,
+    packet,
+)
+
+INTERFACE = default_interface()
+FULL_BEAMS = [example.BEAMS[0]] * 64
+
+
+def frame(shot, unit=0):
+    return Device(INTERFACE, unit).serial_bytes({**example.HEADER, "shot": shot}, example.BEAMS)
+
+
+def shots(messages):
+    return [message.shot for message in messages]
+
+
+def test_whole_and_byte_by_byte_give_the_same():
+    stream = b"".join(frame(shot) for shot in range(5))
+    whole, single = SerialReceiver(INTERFACE), SerialReceiver(INTERFACE)
+    messages = whole.receive(stream)
+    assert shots(messages) == [0, 1, 2, 3, 4]
+    assert [message for byte in stream for message in single.receive(bytes((byte,)))] == messages
+    assert single.counters == whole.counters
+    assert whole.counters.frames == whole.counters.messages == 5
+    assert whole.buffered_bytes == whole.counters.skipped_bytes == 0
+
+
+@given(st.binary(max_size=300), st.binary(max_size=300), st.lists(st.integers(0, 900), max_size=6))
+def test_packets_after_garbage_are_read_however_the_bytes_are_cut(before, after, cuts):
+    stream = before + b"\0" + frame(7) + frame(8) + after + b"\0" + frame(9)
+    receiver = SerialReceiver(INTERFACE)
+    edges = [0, *sorted(cuts), len(stream)]
+    messages = []
+    for start, end in pairwise(edges):
+        messages += receiver.receive(stream[start:end])
+    assert shots(messages)[:2] == [7, 8]
+    assert shots(messages)[-1] == 9
+    used = sum(len(frame(shot)) for shot in (7, 8, 9))
+    assert receiver.counters.skipped_bytes == len(stream) - used - stream.count(0) + 3
+
+
+def test_garbage_that_runs_into_a_frame_costs_that_frame_only():
+    receiver = SerialReceiver(INTERFACE)
+    assert shots(receiver.receive(b"\x11\x22" + frame(1) + frame(2))) == [2]
+
+
+def test_joining_in_the_middle_of_a_frame_is_no_gap():
+    receiver = SerialReceiver(INTERFACE)
+    assert shots(receiver.receive(frame(41)[50:] + frame(42) + frame(43))) == [42, 43]
+    assert receiver.counters.sequence_gaps == receiver.counters.lost_packets == 0
+
+
+@pytest.mark.parametrize("position", range(0, 142, 7))
+def test_a_flipped_bit_is_found(position):
+    plain = bytearray(packet.encode(INTERFACE, 0, example.HEADER, example.BEAMS))
+    plain[position] ^= 0x10
+    receiver = SerialReceiver(INTERFACE)
+    assert receiver.receive(cobs.encode(bytes(plain)) + b"\0") == []
+    assert receiver.counters.bad_crc + receiver.counters.bad_length == 1
+
+
+def test_each_kind_of_bad_frame_has_its_counter():
+    plain = packet.encode(INTERFACE, 0, example.HEADER, example.BEAMS)
+    body = plain[6:-2]
+    wrong_version = body[:14] + b"\x63" + body[15:]
+    wrong_count = body[:17] + b"\x05" + body[18:]
+    receiver = SerialReceiver(INTERFACE)
+    for bad in (
+        b"\x09\x01\x01",  # ends inside a run
+        cobs.encode(plain[:-1]),
+        cobs.encode(plain[:-1] + bytes((plain[-1] ^ 1,))),
+        cobs.encode(ccsds.seal(0x123, 0, body)),
+        cobs.encode(ccsds.seal(0x2A0, 0, wrong_version)),
+        cobs.encode(ccsds.seal(0x2A0, 0, wrong_count)),
+        b"\x01" * 5000,
+        b"",
+    ):
+        assert receiver.receive(bad + b"\0") == []
+    counters = receiver.counters
+    found = (counters.frames, counters.bad_cobs, counters.bad_length, counters.bad_crc, counters.foreign)
+    assert found == (7, 1, 3, 1, 2)
+    assert counters.messages == 0
+
+
+def test_gaps_restarts_and_units_are_told_apart():
+    receiver = SerialReceiver(INTERFACE)
+    for data in (
+        frame(10),
+        frame(11),
+        frame(500, unit=1),
+        frame(14),
+        frame(20_014),
+        frame(0),
+        frame(501, unit=1),
+    ):
+        receiver.receive(data)
+    counters = receiver.counters
+    assert (counters.sequence_gaps, counters.lost_packets, counters.restarts) == (2, 2 + 19_999, 1)
+
+
+def test_the_shot_number_wraps_without_a_gap():
+    receiver = SerialReceiver(INTERFACE)
+    assert shots(receiver.receive(frame(2**32 - 1) + frame(2**32))) == [2**32 - 1, 0]
+    assert receiver.counters.sequence_gaps == receiver.counters.restarts == 0
+
+
+def test_the_longest_packet_passes_and_the_buffer_holds_no_more():
+    data = Device(INTERFACE).serial_bytes(example.HEADER, FULL_BEAMS)
+    receiver = SerialReceiver(INTERFACE)
+    (message,) = receiver.receive(data)
+    assert len(message.beams) == 64
+    highest = 0
+    for _ in range(1000):
+        receiver.receive(b"\x55" * 100)
+        highest = max(highest, receiver.buffered_bytes)
+    assert 1000 < highest <= cobs.stuffed_length(INTERFACE.maximum_packet_bytes)
+    assert shots(receiver.receive(b"\0" + frame(3))) == [3]
+
+
+ANY_FRAME = st.binary(max_size=400).map(lambda data: cobs.encode(data) + b"\0")
+SEALED = st.builds(ccsds.seal, st.integers(0x29F, 0x2B0), st.integers(0, 2**14 - 1), st.binary(max_size=400))
+HEADED = st.builds(
+    lambda head, version, count, blocks: (
+        head + bytes((version,)) + head[:2] + bytes((count,)) + bytes(4) + blocks
+    ),
+    st.binary(min_size=14, max_size=14),
+    st.integers(0, 2),
+    st.integers(0, 3),
+    st.integers(0, 3).flatmap(lambda n: st.binary(min_size=28 * n, max_size=28 * n)),
+)
+HEADED_SEALED = HEADED.map(lambda body: ccsds.seal(0x2A0, 0, body))
+
+
+@settings(max_examples=300)
+@given(
+    st.lists(
+        st.binary(max_size=200) | ANY_FRAME | (SEALED | HEADED_SEALED).map(lambda p: cobs.encode(p) + b"\0")
+    )
+)
+def test_nothing_that_arrives_raises(portions):
+    receiver = SerialReceiver(INTERFACE)
+    delivered = sum(len(receiver.receive(portion)) for portion in portions)
+    counters = receiver.counters
+    bad = counters.bad_cobs + counters.bad_length + counters.bad_crc + counters.foreign
+    assert counters.messages == delivered
+    assert counters.frames == delivered + bad
+    assert receiver.buffered_bytes <= cobs.stuffed_length(INTERFACE.maximum_packet_bytes)
+
+
+def test_a_sender_refuses_what_cannot_be_sent():
+    with pytest.raises(EncodeError, match="unit 16"):
+        packet.encode(INTERFACE, 16, example.HEADER, example.BEAMS)
+    with pytest.raises(EncodeError, match="65 beams"):
+        packet.encode(INTERFACE, 0, example.HEADER, [*FULL_BEAMS, example.BEAMS[0]])
+    with pytest.raises(EncodeError, match="shot"):
+        packet.encode(INTERFACE, 0, {**example.HEADER, "shot": None}, example.BEAMS)

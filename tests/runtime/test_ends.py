@@ -1,0 +1,115 @@
+"""However a run ends, no process and no shared memory is left."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+RUN_FOR_EVER = """
+import sys
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.packets import Outgoing
+from lidar_emu.runtime.run import PortRunner
+from lidar_emu.transports.spec import Kind, PortSpec
+
+with PortRunner(slots=16) as runner:
+    runner.start(PortSpec(Kind(sys.argv[1])))
+    runner.begin(Clock().now_ns(), 10**10, Pace.WALL)
+    shot = reported = 0
+    try:
+        while True:
+            if runner.push(Outgoing(shot, shot * 10**7, b"packet")):
+                shot += 1
+            else:
+                runner.wait(0.01)
+            runner.far_end()
+            if reported == 0 and (reported := len(runner.reports())):
+                print(runner.pid, flush=True)
+    except KeyboardInterrupt:
+        runner.close()
+        print("interrupted", runner.sent_bytes is not None, flush=True)
+"""
+
+Start = Callable[[str], tuple["subprocess.Popen[str]", int]]
+
+
+@pytest.fixture
+def start() -> Iterator[Start]:
+    """Start a run in a process group of its own, as a terminal does; gives it and its port process's id."""
+    started: list[subprocess.Popen[str]] = []
+
+    def run(kind: str) -> tuple[subprocess.Popen[str], int]:
+        parent = subprocess.Popen(
+            [sys.executable, "-c", RUN_FOR_EVER, kind],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            process_group=0,
+        )
+        started.append(parent)
+        assert parent.stdout is not None
+        return parent, int(parent.stdout.readline())
+
+    yield run
+    for parent in started:
+        parent.kill()
+        parent.communicate()
+
+
+def is_alive(pid: int) -> bool:
+    """Whether the process runs; one that ended and waits for its parent's notice does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+@pytest.mark.parametrize("kind", ["loopback", "pty"])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_the_port_process_ends_with_its_parent(
+    start: Start, eventually: Any, kind: str, number: signal.Signals
+) -> None:
+    shared_before = set(os.listdir("/dev/shm"))  # noqa: PTH208
+    parent, child = start(kind)
+    assert is_alive(child)
+    parent.send_signal(number)
+    assert parent.wait() == -number
+    eventually(lambda: not is_alive(child))
+    assert not {name for name in os.listdir("/dev/shm") if "lidar" in name} - shared_before  # noqa: PTH208
+
+
+def test_ctrl_c_is_the_parents_business(start: Start, eventually: Any) -> None:
+    parent, child = start("loopback")
+    os.killpg(parent.pid, signal.SIGINT)
+    output, errors = parent.communicate()
+    assert (output.strip(), errors) == ("interrupted True", "")
+    assert parent.returncode == 0
+    eventually(lambda: not is_alive(child))
+
+
+def test_a_killed_port_process_ends_the_parent_with_an_error(start: Start) -> None:
+    parent, child = start("loopback")
+    os.kill(child, signal.SIGKILL)
+    _, errors = parent.communicate()
+    assert parent.returncode == 1
+    assert "RunError: the port process ended (signal 9)" in errors
+
+
+def test_a_parent_that_dies_at_once_leaves_nothing() -> None:
+    """The port process finds its lifeline closed before it was told anything."""
+    child = subprocess.Popen(
+        [sys.executable, "-m", "lidar_emu.runtime.port_process"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    output, _ = child.communicate(b"")
+    assert (child.returncode, output) == (0, b"")
+    assert not is_alive(child.pid)

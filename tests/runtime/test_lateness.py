@@ -1,0 +1,85 @@
+"""The histogram against numpy on the same values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lidar_emu.runtime.lateness import LatenessHistogram, steal_ticks
+
+NANOSECONDS = st.lists(st.integers(0, 2**63 - 1), min_size=1, max_size=50)
+
+
+def filled(values: list[int]) -> LatenessHistogram:
+    histogram = LatenessHistogram()
+    for value in values:
+        histogram.add(value)
+    return histogram
+
+
+def assert_just_above(bound_ns: int | None, exact_ns: int) -> None:
+    assert bound_ns is not None
+    assert exact_ns <= bound_ns <= exact_ns + exact_ns // 128
+
+
+@pytest.mark.parametrize("fraction", [0.5, 0.99, 0.999, 1.0])
+def test_quantiles_of_a_long_tail(fraction: float) -> None:
+    values = np.random.default_rng(5).lognormal(11, 1.5, 20_000).astype(np.int64)
+    exact = int(np.quantile(values, fraction, method="inverted_cdf"))
+    assert_just_above(filled(values.tolist()).quantile_ns(fraction), exact)
+
+
+@given(NANOSECONDS, st.sampled_from([0.01, 0.25, 0.5, 0.9, 1.0]))
+def test_quantiles_of_anything(values: list[int], fraction: float) -> None:
+    exact = int(np.quantile(np.array(values), fraction, method="inverted_cdf"))
+    assert_just_above(filled(values).quantile_ns(fraction), exact)
+
+
+@given(NANOSECONDS, NANOSECONDS)
+def test_merged_is_as_if_counted_together(some: list[int], others: list[int]) -> None:
+    merged = filled(some)
+    merged.merge(filled(others))
+    assert merged.summary() == filled(some + others).summary()
+    assert merged.count == len(some) + len(others)
+    assert merged.max_ns == max(some + others)
+
+
+def test_one_long_stall_stays_visible() -> None:
+    summary = filled([20_000] * 9_980 + [37_000_000] * 20).summary()
+    assert summary["max_ns"] == 37_000_000
+    assert_just_above(summary["p50_ns"], 20_000)
+    assert_just_above(summary["p99_9_ns"], 37_000_000)
+
+
+def test_nothing_counted_is_nothing_known() -> None:
+    nothing = LatenessHistogram()
+    nothing.merge(LatenessHistogram())
+    assert nothing.summary() == {"count": 0, "p50_ns": None, "p99_ns": None, "p99_9_ns": None, "max_ns": None}
+
+
+@pytest.mark.parametrize("value", [-1, 2**63])
+def test_what_is_no_lateness_is_refused(value: int) -> None:
+    with pytest.raises(ValueError, match="lateness"):
+        LatenessHistogram().add(value)
+
+
+@pytest.mark.parametrize(
+    ("text", "ticks"),
+    [
+        ("cpu  1 2 3 4 5 6 7 812 9 10\ncpu0 1 2 3 4 5 6 7 8 9 10\n", 812),
+        ("cpu 1 2 3\n", None),
+        ("", None),
+    ],
+)
+def test_steal_is_the_eighth_field(tmp_path: Path, text: str, ticks: int | None) -> None:
+    stat = tmp_path / "stat"
+    stat.write_text(text)
+    assert steal_ticks(stat) == ticks
+
+
+def test_steal_is_unknown_without_the_file(tmp_path: Path) -> None:
+    assert steal_ticks(tmp_path / "none") is None

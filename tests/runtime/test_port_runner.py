@@ -1,0 +1,223 @@
+"""The port process end to end: real processes, real descriptors."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lidar_emu.errors import InputError, RunError
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.packets import Fate, Frame, Outgoing, Report, pack_frames
+from lidar_emu.runtime.run import PortRunner
+from lidar_emu.transports.spec import Kind, PortSpec
+
+SECOND_NS = 1_000_000_000
+LOOPBACK, PTY = PortSpec(), PortSpec(Kind.PTY)
+
+
+def packets(count: int, period_ns: int = 0) -> list[Outgoing]:
+    """Packets of various lengths, with every byte value."""
+    return [Outgoing(k, k * period_ns, k.to_bytes(3, "big") + bytes(range(k % 256))) for k in range(count)]
+
+
+def joined(sent: list[Outgoing]) -> bytes:
+    return b"".join(packet.payload for packet in sent)
+
+
+def fly(runner: PortRunner, sent: list[Outgoing], pace: Pace, late_after_ns: int = 0) -> list[Report]:
+    """Push everything and wait for the end."""
+    runner.begin(Clock().now_ns(), late_after_ns, pace)
+    for packet in sent:
+        while not runner.push(packet):
+            runner.wait(0.005)
+    runner.finish()
+    return runner.reports()
+
+
+@pytest.fixture
+def runner() -> Iterator[PortRunner]:
+    with PortRunner(slots=64) as runner:
+        yield runner
+
+
+def test_the_loopback_delivers_every_byte_in_order_at_full_speed(runner: PortRunner) -> None:
+    sent = packets(3000, SECOND_NS)
+    assert runner.start(LOOPBACK) == "in-memory loopback"
+    reports = fly(runner, sent, Pace.MAX)
+    assert runner.far_end() == joined(sent)
+    assert [(report.shot, report.due_ns) for report in reports] == [(p.shot, p.due_ns) for p in sent]
+    assert {report.fate for report in reports} == {Fate.SENT}
+    assert runner.sent_bytes == len(joined(sent))
+    assert runner.events == []
+
+
+def test_nothing_goes_out_before_it_is_due(runner: PortRunner) -> None:
+    sent = packets(40, SECOND_NS // 200)
+    runner.start(LOOPBACK)
+    reports = fly(runner, sent, Pace.WALL, late_after_ns=60 * SECOND_NS)
+    assert {report.fate for report in reports} == {Fate.SENT}
+    assert all(report.sent_ns >= report.due_ns for report in reports)
+    assert runner.far_end() == joined(sent)
+
+
+def test_what_comes_too_late_is_skipped_and_said(runner: PortRunner) -> None:
+    sent = packets(10)
+    runner.start(LOOPBACK)
+    runner.begin(Clock().now_ns() - 10 * SECOND_NS, SECOND_NS, Pace.WALL)
+    for packet in sent:
+        assert runner.push(packet)
+    runner.finish()
+    assert [(r.shot, r.fate, r.sent_ns) for r in runner.reports()] == [(k, Fate.LATE, -1) for k in range(10)]
+    assert (runner.far_end(), runner.sent_bytes) == (b"", 0)
+
+
+def test_packets_pushed_before_the_beginning_wait_for_it(runner: PortRunner) -> None:
+    runner.start(LOOPBACK)
+    sent = packets(64)
+    assert all(runner.push(packet) for packet in sent)
+    assert not runner.push(sent[0])
+    assert runner.reports() == []
+    reports = fly(runner, [], Pace.MAX)
+    assert len(reports) == 64
+    assert runner.far_end() == joined(sent)
+
+
+def test_a_pty_reader_gets_every_byte_even_the_last(runner: PortRunner, pty_reader: Any) -> None:
+    path = runner.start(PTY)
+    assert path.startswith("/dev/pts/")
+    reader = pty_reader(path)
+    sent = packets(2000)
+    reports = fly(runner, sent, Pace.MAX)
+    runner.close()
+    reader.stop()
+    assert reader.data == joined(sent)
+    assert Counter(report.fate for report in reports) == {Fate.SENT: 2000}
+
+
+def test_without_a_reader_a_pty_drops_and_says_so_once(runner: PortRunner) -> None:
+    runner.start(PTY)
+    reports = fly(runner, packets(100), Pace.MAX)
+    assert Counter(report.fate for report in reports) == {Fate.DROPPED_NOBODY: 100}
+    assert [event.text for event in runner.events] == ["nobody connected"]
+
+
+def test_what_the_host_sends_is_counted(runner: PortRunner, pty_reader: Any, eventually: Any) -> None:
+    reader = pty_reader(runner.start(PTY))
+    sent = packets(1)
+    runner.begin(Clock().now_ns(), 0, Pace.MAX)
+    runner.push(sent[0])
+    eventually(lambda: reader.data == sent[0].payload)
+    os.write(reader.descriptor, bytes(1000))
+    runner.finish()
+    runner.close()
+    assert runner.received_bytes == 1000
+    reader.stop()
+
+
+def test_a_device_that_vanishes_does_not_end_the_run(runner: PortRunner, tmp_path: Path) -> None:
+    master, slave = os.openpty()
+    path = tmp_path / "port"
+    path.symlink_to(os.ttyname(slave))
+    runner.start(PortSpec(Kind.SERIAL, str(path)))
+    path.unlink()  # the next pty of anybody may get the same number
+    os.close(slave)
+    os.close(master)
+    reports = fly(runner, packets(50), Pace.MAX)
+    assert Counter(report.fate for report in reports) == {Fate.DROPPED_BROKEN: 50}
+    assert len(runner.events) == 1
+    assert runner.events[0].text.startswith("link broken")
+
+
+def test_slcan_carries_frame_records(runner: PortRunner) -> None:
+    master, slave = os.openpty()
+    frames = [Frame(0x100, b"\1\2"), Frame(0x101, b"")]
+    assert runner.start(PortSpec(Kind.CAN, interface="slcan", channel=os.ttyname(slave))).startswith("slcan")
+    reports = fly(runner, [Outgoing(0, 0, pack_frames(frames))], Pace.MAX)
+    assert [report.fate for report in reports] == [Fate.SENT]
+    runner.close()
+    assert b"t10020102\rt1010\r" in os.read(master, 65536)
+    os.close(slave)
+    os.close(master)
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        PortSpec(Kind.SERIAL, "/dev/nothing-of-the-kind"),
+        PortSpec(Kind.CAN, interface="nonsense", channel="x"),
+    ],
+)
+def test_a_port_that_cannot_be_opened_is_the_users_error(runner: PortRunner, spec: PortSpec) -> None:
+    with pytest.raises(InputError) as refused:
+        runner.start(spec)
+    assert refused.value.where in ("--port", "--interface")
+    runner.close()
+
+
+def test_a_packet_longer_than_agreed_is_an_error() -> None:
+    with PortRunner(slots=4, packet_bytes=100) as runner:
+        runner.start(LOOPBACK)
+        assert runner.push(Outgoing(0, 0, bytes(100)))
+        with pytest.raises(ValueError, match="do not fit"):
+            runner.push(Outgoing(1, 0, bytes(200)))
+
+
+def test_a_killed_port_process_is_a_failed_run(runner: PortRunner) -> None:
+    runner.start(LOOPBACK)
+    runner.begin(Clock().now_ns(), 0, Pace.MAX)
+    assert runner.pid is not None
+    os.kill(runner.pid, signal.SIGKILL)
+    with pytest.raises(RunError, match="signal 9"):
+        runner.finish()
+    runner.close()
+    assert runner.sent_bytes is None
+
+
+def test_an_error_in_the_port_process_is_told_in_its_own_words(runner: PortRunner) -> None:
+    master, slave = os.openpty()
+    runner.start(PortSpec(Kind.CAN, interface="slcan", channel=os.ttyname(slave)))
+    with pytest.raises(RunError, match="records end inside"):
+        fly(runner, [Outgoing(0, 0, b"no frame records")], Pace.MAX)
+    os.close(slave)
+    os.close(master)
+
+
+def test_order_matters(runner: PortRunner) -> None:
+    with pytest.raises(RunError, match="not open"):
+        runner.push(Outgoing(0, 0, b""))
+    runner.start(LOOPBACK)
+    with pytest.raises(RunError, match="not begun"):
+        runner.finish()
+    runner.close()
+    runner.close()
+    with pytest.raises(RunError, match="not open"):
+        runner.push(Outgoing(0, 0, b""))
+    assert (runner.reports(), runner.far_end()) == ([], b"")
+
+
+def test_closing_in_mid_run_keeps_what_is_known(runner: PortRunner, eventually: Any) -> None:
+    runner.start(LOOPBACK)
+    runner.begin(Clock().now_ns(), SECOND_NS * 3600, Pace.WALL)
+    runner.push(Outgoing(0, 0, b"now"))
+    runner.push(Outgoing(1, 3600 * SECOND_NS, b"in an hour"))
+    got = bytearray()
+    eventually(lambda: got.extend(runner.far_end()) or got == b"now")
+    runner.close()
+    assert [report.shot for report in runner.reports()] == [0]
+    assert runner.sent_bytes == 3
+
+
+def test_the_port_process_imports_little() -> None:
+    code = "import sys, lidar_emu.runtime.port_process; print(*sys.modules)"
+    modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    heavy = {"numpy", "scipy", "numba", "pydantic", "click", "can", "serial", "ctypes.wintypes", "asyncio"}
+    assert heavy.isdisjoint(modules.split())

@@ -1,0 +1,76 @@
+"""The ring against a deque, at its edges, and seen from two mappings as from two processes."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lidar_emu.runtime.ring import Ring
+
+SLOTS, ENTRY_BYTES = 3, 20
+
+
+@pytest.fixture
+def descriptor() -> Iterator[int]:
+    descriptor = Ring.create(SLOTS, ENTRY_BYTES)
+    yield descriptor
+    os.close(descriptor)
+
+
+@given(st.lists(st.one_of(st.none(), st.binary(max_size=ENTRY_BYTES)), max_size=60))
+def test_behaves_as_a_bounded_queue(operations: list[bytes | None]) -> None:
+    """None takes, bytes put; lists are long enough to go round several times."""
+    descriptor = Ring.create(SLOTS, ENTRY_BYTES)
+    expected: deque[bytes] = deque()
+    try:
+        with Ring(descriptor) as producer, Ring(descriptor) as consumer:
+            for entry in operations:
+                if entry is None:
+                    assert consumer.pop() == (expected.popleft() if expected else None)
+                else:
+                    assert producer.push(entry) == (len(expected) < SLOTS)
+                    if len(expected) < SLOTS:
+                        expected.append(entry)
+                assert len(producer) == len(consumer) == len(expected)
+    finally:
+        os.close(descriptor)
+
+
+def test_a_full_ring_refuses_and_keeps_what_it_has(descriptor: int) -> None:
+    with Ring(descriptor) as ring:
+        assert [ring.push(bytes([k])) for k in range(5)] == [True, True, True, False, False]
+        assert [ring.pop() for _ in range(4)] == [b"\0", b"\1", b"\2", None]
+
+
+def test_an_entry_longer_than_a_slot_is_an_error(descriptor: int) -> None:
+    with Ring(descriptor) as ring:
+        with pytest.raises(ValueError, match="do not fit"):
+            ring.push(bytes(ENTRY_BYTES + 5))
+        assert ring.pop() is None
+
+
+def test_an_entry_that_is_not_yet_visible_is_not_delivered(descriptor: int) -> None:
+    """As on a processor that makes the head visible first: the slot still holds what was there before."""
+    with Ring(descriptor) as ring:
+        for _ in range(SLOTS):  # the very same bytes, one lap earlier
+            ring.push(b"same")
+        for _ in range(SLOTS):
+            assert ring.pop() == b"same"
+        before = os.pread(descriptor, 4096, 0)
+        ring.push(b"same")
+        after = os.pread(descriptor, 4096, 0)
+        head_bytes = 8
+        os.pwrite(descriptor, before[head_bytes:], head_bytes)
+        assert len(ring) == 1
+        assert ring.pop() is None
+        os.pwrite(descriptor, after, 0)
+        assert ring.pop() == b"same"
+
+
+def test_the_memory_has_no_name(descriptor: int) -> None:
+    assert os.fstat(descriptor).st_nlink == 0

@@ -1,0 +1,193 @@
+"""Pace and sender on a clock that costs no time."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.pacing import Action, Pace, Pacing
+from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.ring import Ring
+from lidar_emu.runtime.sender import Sender, Wait
+
+START_NS = 5_000_000_000_000
+SECOND_NS = 1_000_000_000
+
+
+class VirtualClock(Clock):
+    """Time passes by waiting alone."""
+
+    def __init__(self) -> None:
+        self.time_ns = START_NS - SECOND_NS
+
+    def now_ns(self) -> int:
+        return self.time_ns
+
+    def wait(
+        self,
+        until_ns: int | None,
+        readable: Sequence[int] = (),  # noqa: ARG002
+        writable: Sequence[int] = (),  # noqa: ARG002
+    ) -> tuple[list[int], list[int]]:
+        assert until_ns is not None
+        self.time_ns = max(self.time_ns, until_ns)
+        return [], []
+
+
+class Line:
+    """Remembers what it took and when; refuses at chosen times."""
+
+    def __init__(self) -> None:
+        self.taken: list[tuple[int, bytes]] = []
+        self.fate = Fate.SENT
+
+    def send(self, payload: bytes, now_ns: int) -> Fate:
+        if self.fate is Fate.SENT:
+            self.taken.append((now_ns, payload))
+        return self.fate
+
+
+class Rig:
+    """A sender between two rings, a line and a virtual clock."""
+
+    def __init__(self, pace: Pace, late_after_ns: int, slots: int = 4096) -> None:
+        self.descriptors = [Ring.create(slots, 32), Ring.create(slots, 32)]
+        self.packets, self.reports = (Ring(descriptor) for descriptor in self.descriptors)
+        self.line, self.clock = Line(), VirtualClock()
+        self.sender = Sender(
+            self.packets, self.reports, self.line, self.clock, START_NS, Pacing(pace, late_after_ns)
+        )
+        self.seen: list[Report] = []
+
+    def push(self, shot: int, due_ns: int) -> None:
+        assert self.packets.push(Outgoing(shot, due_ns, shot.to_bytes(4, "big")).to_bytes())
+
+    def run_until_empty(self) -> None:
+        while not (wait := self.sender.step()).for_packets:
+            self.clock.wait(wait.until_ns)
+        while (entry := self.reports.pop()) is not None:
+            self.seen.append(Report.from_bytes(entry))
+
+    def close(self) -> None:
+        self.packets.close()
+        self.reports.close()
+        for descriptor in self.descriptors:
+            os.close(descriptor)
+
+
+@pytest.fixture
+def wall() -> Iterator[Rig]:
+    rig = Rig(Pace.WALL, late_after_ns=SECOND_NS // 1111)
+    yield rig
+    rig.close()
+
+
+@pytest.fixture
+def full_speed() -> Iterator[Rig]:
+    rig = Rig(Pace.MAX, late_after_ns=0)
+    yield rig
+    rig.close()
+
+
+def test_an_hour_goes_out_in_order_and_exactly_on_time(wall: Rig) -> None:
+    rate_hz = 20
+    shots = 3600 * rate_hz
+    for first in range(0, shots, 4000):
+        for shot in range(first, first + 4000):
+            wall.push(shot, shot * SECOND_NS // rate_hz)
+        wall.run_until_empty()
+    assert len(wall.seen) == shots
+    assert all(report.sent_ns == report.due_ns for report in wall.seen)
+    times_ns = [time_ns for time_ns, _ in wall.line.taken]
+    assert times_ns == [START_NS + shot * SECOND_NS // rate_hz for shot in range(shots)]
+    assert [int.from_bytes(payload, "big") for _, payload in wall.line.taken] == list(range(shots))
+
+
+def test_a_stall_of_ten_seconds_is_skipped_without_a_burst(wall: Rig) -> None:
+    period_ns = SECOND_NS // 1111
+    stalls_at, wakes_ns = 500, 500 * period_ns + 10 * SECOND_NS
+    shots = 15_000
+    for first in range(0, shots, 500):
+        if first == stalls_at:
+            wall.clock.time_ns = START_NS + wakes_ns
+        for shot in range(first, first + 500):
+            wall.push(shot, shot * period_ns)
+        wall.run_until_empty()
+    # Late are those with due < wake - late_after; shot s is due at s * period.
+    first_in_time = -(-(wakes_ns - period_ns) // period_ns)
+    late = [report.shot for report in wall.seen if report.fate is Fate.LATE]
+    assert late == list(range(stalls_at, first_in_time))
+    assert all(report.sent_ns == -1 for report in wall.seen if report.fate is Fate.LATE)
+    assert len(wall.line.taken) == shots - len(late)
+    assert max(Counter(time_ns for time_ns, _ in wall.line.taken).values()) <= 2
+
+
+def test_a_full_line_drops_the_new_packet_at_its_time(wall: Rig) -> None:
+    wall.line.fate = Fate.DROPPED_FULL
+    wall.push(0, 0)
+    wall.run_until_empty()
+    wall.line.fate = Fate.SENT
+    wall.push(1, SECOND_NS)
+    wall.run_until_empty()
+    assert [report.fate for report in wall.seen] == [Fate.DROPPED_FULL, Fate.SENT]
+    assert [payload for _, payload in wall.line.taken] == [b"\0\0\0\1"]
+
+
+def test_full_speed_waits_for_room_and_for_nothing_else(full_speed: Rig) -> None:
+    for shot in range(10):
+        full_speed.push(shot, shot * SECOND_NS)
+    full_speed.line.fate = Fate.DROPPED_FULL
+    assert full_speed.sender.step() == Wait(for_room=True)
+    assert full_speed.reports.pop() is None
+    full_speed.line.fate = Fate.SENT
+    full_speed.run_until_empty()
+    assert [report.shot for report in full_speed.seen] == list(range(10))
+    assert full_speed.clock.time_ns < START_NS
+
+
+def test_full_speed_does_not_wait_for_a_reader_that_is_not_there(full_speed: Rig) -> None:
+    full_speed.push(0, 0)
+    full_speed.line.fate = Fate.DROPPED_NOBODY
+    full_speed.run_until_empty()
+    assert [report.fate for report in full_speed.seen] == [Fate.DROPPED_NOBODY]
+    assert full_speed.sender.sent_bytes == 0
+
+
+def test_a_step_is_bounded(full_speed: Rig) -> None:
+    for shot in range(1000):
+        full_speed.push(shot, 0)
+    assert full_speed.sender.step().until_ns == full_speed.clock.now_ns()
+    assert 0 < len(full_speed.line.taken) < 1000
+
+
+@given(st.integers(0, 10**18), st.integers(0, 10**18), st.integers(0, 10**12))
+def test_the_rule_of_pace(now_ns: int, due_ns: int, late_after_ns: int) -> None:
+    action = Pacing(Pace.WALL, late_after_ns).action(now_ns, due_ns)
+    lateness_ns = now_ns - due_ns
+    assert (action is Action.WAIT) == (lateness_ns < 0)
+    assert (action is Action.SEND) == (0 <= lateness_ns <= late_after_ns)
+    assert (action is Action.SKIP) == (lateness_ns > late_after_ns)
+    assert Pacing(Pace.MAX, late_after_ns).action(now_ns, due_ns) is Action.SEND
+
+
+@given(
+    st.integers(0, 2**63 - 1),
+    st.integers(-(2**63), 2**63 - 1),
+    st.integers(-1, 2**63 - 1),
+    st.sampled_from(Fate),
+    st.binary(),
+)
+def test_packets_and_reports_survive_the_ring(
+    shot: int, due_ns: int, sent_ns: int, fate: Fate, payload: bytes
+) -> None:
+    packet, report = Outgoing(shot, due_ns, payload), Report(shot, due_ns, sent_ns, fate)
+    assert Outgoing.from_bytes(packet.to_bytes()) == packet
+    assert Report.from_bytes(report.to_bytes()) == report
+    assert len(report.to_bytes()) == Report.SIZE_BYTES
+    assert len(packet.to_bytes()) == Outgoing.HEAD_BYTES + len(payload)

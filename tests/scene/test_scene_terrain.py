@@ -1,0 +1,363 @@
+"""Elevation files: what is read, where it comes to lie, and what is refused in one line."""
+
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lidar_emu.errors import InputError
+from lidar_emu.scenario.site import Grid, Site
+from lidar_emu.scene import build_scene
+from lidar_emu.scene.build import read_terrain
+from lidar_emu.scene.terrain_origin import origin_of
+
+rasterio = pytest.importorskip("rasterio", reason="the extra geo is not installed")
+
+TERRAIN = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "terrain"
+MOON = "+proj=ortho +lat_0=25 +lon_0=-46 +R=1737400 +units=m"
+PLACE = (2.0, 0, 100.0, 0, -2.0, 300.0)
+RAMP = np.arange(20, dtype=np.float32).reshape(4, 5) * 10
+
+
+def grid(path, **keys):
+    return Grid(kind="grid", file=str(path), **keys)
+
+
+def scene(path, site=None, **keys):
+    return build_scene(Site(ground=grid(path, **keys), **(site or {})))
+
+
+def write_npz(path, **arrays):
+    np.savez(path, **({"elevation_m": RAMP, "pixel_m": 2.0} | arrays))
+    return path
+
+
+def write_tiff(path, *bands, names=(), crs=MOON, transform=PLACE, point=False, nodata=None):
+    bands = bands or (RAMP,)
+    rows, columns = bands[0].shape
+    profile = {"driver": "GTiff", "count": len(bands), "dtype": bands[0].dtype, "nodata": nodata, "crs": crs}
+    if transform is not None:
+        profile["transform"] = rasterio.Affine(*transform)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        file = rasterio.open(path, "w", height=rows, width=columns, **profile)
+    with file:
+        file.update_tags(AREA_OR_POINT="Point" if point else "Area")
+        for number, band in enumerate(bands, start=1):
+            file.write(band, number)
+        for number, name in enumerate(names, start=1):
+            file.set_band_description(number, name)
+    return path
+
+
+def write_ascii(path, corner="xllcorner"):
+    header = ["ncols 3", "nrows 2", f"{corner} 10", f"{corner.replace('x', 'y', 1)} 20", "cellsize 4"]
+    path.write_text("\n".join([*header, "NODATA_value -9999", "1 2 3", "4 -9999 6"]) + "\n")
+    return path
+
+
+def refusal(call, *args, **keys):
+    """The one line with which a call is refused."""
+    with pytest.raises(InputError) as caught:
+        call(*args, **keys)
+    line = str(caught.value)
+    assert "\n" not in line
+    assert "allowed" in line
+    return line
+
+
+# -- the site frame
+
+
+def test_rows_run_from_north_to_south(tmp_path):
+    ground = scene(write_npz(tmp_path / "a.npz"))
+    # Five columns and four rows at 2 m: the centre is the middle of the grid, 95 m high.
+    assert ground.origin_altitude_m == 95.0
+    east, north = np.array([0.0, -4.0, 4.0, 4.0]), np.array([0.0, 3.0, 3.0, -3.0])
+    np.testing.assert_array_equal(ground.height_m(east, north), [0, 0 - 95, 40 - 95, 190 - 95])
+    assert ground.description == "grid a.npz, 5 x 4 samples at 2 m; beyond: none"
+
+
+def test_origin_altitude_shifts_the_ground(tmp_path):
+    ground = scene(write_npz(tmp_path / "a.npz"), {"origin_altitude_m": 100.0}, beyond="plane")
+    assert ground.origin_altitude_m == 100.0
+    np.testing.assert_array_equal(ground.height_m(np.array([0.0, 99.0]), np.zeros(2)), [-5.0, 0.0])
+
+
+def test_sphere_beyond_goes_through_the_origin(tmp_path):
+    ground = scene(write_npz(tmp_path / "a.npz"), {"body": {"radius_m": 1e6}}, beyond="sphere")
+    height = ground.height_m(np.array([5000.0]), np.array([0.0]))
+    np.testing.assert_allclose(height, -(5000.0**2) / (2 * (1e6 + 95)), rtol=1e-5)
+
+
+def test_map_origin_and_its_refusals(tmp_path):
+    with_map = write_npz(tmp_path / "a.npz", map_x_m=1000.0, map_y_m=500.0)
+    ground = scene(with_map, origin={"map_x_m": 1002.0, "map_y_m": 496.0})
+    assert ground.origin_altitude_m == RAMP[2, 1]
+    assert (ground.samples.west_m, ground.samples.south_m) == (-2.0, -2.0)
+    line = refusal(scene, with_map, origin={"map_x_m": 1009.0, "map_y_m": 496.0})
+    assert "off the grid" in line
+    assert "x from 1000 to 1008 m, y from 494 to 500 m" in line
+    without = write_npz(tmp_path / "b.npz")
+    assert "ground.origin.map_x_m" in refusal(scene, without, origin={"map_x_m": 0.0, "map_y_m": 0.0})
+    line = refusal(scene, with_map, origin={"latitude_deg": 1.0, "longitude_deg": 2.0})
+    assert "no projection is stated" in line
+
+
+def test_origin_on_missing_samples(tmp_path):
+    hole = np.where(np.arange(20).reshape(4, 5) == 12, np.nan, RAMP)
+    path = write_npz(tmp_path / "a.npz", elevation_m=hole)
+    assert "samples are missing" in refusal(scene, path)
+    assert "5.00% missing" in read_terrain(grid(path)).description
+
+
+# -- numbers
+
+
+def test_scale_offset_and_markers(tmp_path):
+    stored = np.array([[1, 2, -32768], [4, 5, 6]], dtype=np.int16)
+    path = write_npz(tmp_path / "a.npz", elevation_m=stored)
+    terrain = read_terrain(grid(path, nodata=-32768.0, elevation_scale=0.5, elevation_offset_m=100.0))
+    np.testing.assert_array_equal(terrain.elevation_m, [[100.5, 101, np.nan], [102, 102.5, 103]])
+
+
+def test_marker_in_the_precision_of_the_file(tmp_path):
+    stored = np.array([[1, -3.4028235e38], [np.inf, 4]], dtype=np.float32)
+    path = write_npz(tmp_path / "a.npz", elevation_m=stored)
+    terrain = read_terrain(grid(path, nodata=-3.40282347e38))
+    np.testing.assert_array_equal(terrain.elevation_m, [[1, np.nan], [np.nan, 4]])
+
+
+def test_markers_and_scales_that_a_raster_states(tmp_path):
+    stored = np.array([[10, 20, -1], [40, 50, 7]], dtype=np.int16)
+    path = write_tiff(tmp_path / "a.tif", stored, nodata=-1)
+    with rasterio.open(path, "r+") as file:
+        file.scales, file.offsets = (0.5,), (1000.0,)
+    terrain = read_terrain(grid(path, nodata=7.0, elevation_offset_m=-5.0))
+    np.testing.assert_array_equal(terrain.elevation_m, [[1000, 1005, np.nan], [1015, 1020, np.nan]])
+
+
+@pytest.mark.parametrize("nodata", [-np.inf, np.nan, -3.4028234663852886e38])
+def test_markers_of_floating_point_rasters(tmp_path, nodata):
+    band = RAMP.copy()
+    band[0, 0] = nodata
+    terrain = read_terrain(grid(write_tiff(tmp_path / "a.tif", band, nodata=nodata)))
+    np.testing.assert_array_equal(np.isnan(terrain.elevation_m), np.arange(20).reshape(4, 5) == 0)
+
+
+# -- npz that is refused
+
+
+@pytest.mark.parametrize(
+    ("arrays", "expected"),
+    [
+        ({"elevation_m": np.zeros(5)}, "elevation_m: 'float64 of shape (5,)'"),
+        ({"elevation_m": np.zeros((3, 3), dtype=complex)}, "complex128"),
+        ({"elevation_m": np.array([["a", "b"], ["c", "d"]])}, "elevation_m"),
+        ({"elevation_m": np.array([[None, 1], [2, 3]])}, "allow_pickle"),
+        ({"elevation_m": np.zeros((1, 9))}, "9 x 1 samples"),
+        ({"elevation_m": np.full((3, 3), np.nan)}, "every sample is missing"),
+        ({"pixel_m": -1.0}, "pixel_m: -1.0"),
+        ({"pixel_m": np.array([1.0, 2.0])}, "pixel_m"),
+        ({"pixel_m": np.nan}, "pixel_m"),
+        ({"map_x_m": 1.0}, "map_y_m: 'nothing'"),
+        ({"elevations": np.zeros(2)}, "elevations: 'an unknown array'"),
+    ],
+)
+def test_npz_that_is_refused(tmp_path, arrays, expected):
+    assert expected in refusal(scene, write_npz(tmp_path / "a.npz", **arrays))
+
+
+@pytest.mark.parametrize("key", ["elevation_m", "pixel_m"])
+def test_npz_without_an_array(tmp_path, key):
+    arrays = {"elevation_m": RAMP, "pixel_m": 2.0}
+    del arrays[key]
+    np.savez(tmp_path / "a.npz", **arrays)
+    assert f"{key}: 'nothing'" in refusal(scene, tmp_path / "a.npz")
+
+
+def test_damaged_npz(tmp_path):
+    intact = write_npz(tmp_path / "a.npz").read_bytes()
+    array = tmp_path / "array.npy"
+    np.save(array, RAMP)
+    middle = intact[:150] + bytes([intact[150] ^ 1]) + intact[151:]
+    for content in (b"", b"no archive", intact[:200], intact[:-30], middle, array.read_bytes()):
+        path = tmp_path / "damaged.npz"
+        path.write_bytes(content)
+        assert "damaged.npz: 'unreadable'" in refusal(scene, path)
+
+
+def test_keys_that_an_npz_cannot_follow(tmp_path):
+    path = write_npz(tmp_path / "a.npz")
+    assert "ground.band: 'slope'" in refusal(scene, path, band="slope")
+    assert "ground.registration: 'area'" in refusal(scene, path, registration="area")
+
+
+def test_file_that_is_not_there(tmp_path):
+    assert "no such file" in refusal(scene, tmp_path / "a.tif")
+    assert "no such file" in refusal(scene, tmp_path)
+
+
+# -- rasters
+
+
+def test_samples_sit_at_the_centres_of_their_pixels(tmp_path):
+    terrain = read_terrain(grid(write_tiff(tmp_path / "a.tif")))
+    assert (terrain.first_x_m, terrain.first_y_m) == (101.0, 299.0)
+    assert (terrain.last_x_m, terrain.last_y_m) == (109.0, 293.0)
+    np.testing.assert_array_equal(terrain.elevation_m, RAMP)
+
+
+@pytest.mark.parametrize(
+    ("point", "registration", "first"),
+    [
+        # Of a file of points the tie point is the sample itself, half a pixel from rasterio's (100, 300).
+        (False, "file", (101, 299)),
+        (False, "area", (101, 299)),
+        (False, "point", (100, 300)),
+        (True, "file", (101, 299)),
+        (True, "point", (101, 299)),
+        (True, "area", (102, 298)),
+    ],
+)
+def test_registration(tmp_path, point, registration, first):
+    path = write_tiff(tmp_path / "a.tif", point=point)
+    terrain = read_terrain(grid(path, registration=registration))
+    assert (terrain.first_x_m, terrain.first_y_m) == first
+
+
+def test_tie_point_of_a_file_of_points(tmp_path):
+    """GDAL tells it as it is in the file when asked to ignore what it means: there the first sample lies."""
+    path = write_tiff(tmp_path / "a.tif", point=True)
+    with rasterio.Env(GTIFF_POINT_GEO_IGNORE=True), rasterio.open(path) as file:
+        tie = (file.transform.c, file.transform.f)
+    assert tie == (101.0, 299.0)
+    terrain = read_terrain(grid(path))
+    assert (terrain.first_x_m, terrain.first_y_m) == tie
+
+
+@pytest.mark.parametrize(("corner", "first"), [("xllcorner", (12, 26)), ("xllcenter", (10, 24))])
+def test_esri_ascii(tmp_path, corner, first):
+    terrain = read_terrain(grid(write_ascii(tmp_path / "a.asc", corner)))
+    assert (terrain.first_x_m, terrain.first_y_m) == first
+    np.testing.assert_array_equal(terrain.elevation_m, [[1, 2, 3], [4, np.nan, 6]])
+
+
+def test_rectangular_pixels(tmp_path):
+    path = write_tiff(tmp_path / "a.tif", transform=(2.0, 0, 0.0, 0, -5.0, 0.0))
+    ground = scene(path)
+    assert "5 x 4 samples at 2 m x 5 m" in ground.description
+    assert (ground.samples.west_m, ground.samples.south_m) == (-4.0, -7.5)
+
+
+def test_bands(tmp_path):
+    path = write_tiff(tmp_path / "a.tif", RAMP + 1, RAMP + 2, names=("slope", "Elevation"))
+    assert read_terrain(grid(path)).elevation_m[0, 0] == 2
+    assert read_terrain(grid(path, band="SLOPE")).elevation_m[0, 0] == 1
+    assert read_terrain(grid(path, band=1)).elevation_m[0, 0] == 1
+    line = refusal(scene, path, band="dem")
+    assert "ground.band: 'dem'" in line
+    assert "'slope', 'Elevation', or a number from 1 to 2" in line
+    assert "ground.band: 3" in refusal(scene, path, band=3)
+    twice = write_tiff(tmp_path / "b.tif", RAMP, RAMP, names=("elevation", "elevation"))
+    assert "ground.band" in refusal(scene, twice)
+    single = write_tiff(tmp_path / "c.tif", names=("dem",))
+    assert read_terrain(grid(single)).elevation_m[0, 1] == 10
+    assert "'dem', or a number from 1 to 1" in refusal(scene, single, band="slope")
+
+
+def test_latitude_and_longitude(tmp_path):
+    path = write_tiff(tmp_path / "a.tif", transform=(2000.0, 0, -5000.0, 0, -2000.0, 4000.0))
+    terrain = read_terrain(grid(path))
+    place = origin_of(terrain, grid(path, origin={"latitude_deg": 25.03, "longitude_deg": -45.95}))
+    # Snyder, Map Projections: a Working Manual, equations 20-3 and 20-4.
+    lat, lat0, dlon = np.radians([25.03, 25.0, 0.05])
+    x_m = 1737400 * np.cos(lat) * np.sin(dlon)
+    y_m = 1737400 * (np.cos(lat0) * np.sin(lat) - np.sin(lat0) * np.cos(lat) * np.cos(dlon))
+    assert (place.map_x_m, place.map_y_m) == pytest.approx((x_m, y_m), abs=1e-6)
+    again = origin_of(terrain, grid(path, origin={"latitude_deg": 25.03, "longitude_deg": 360 - 45.95}))
+    assert (again.map_x_m, again.map_y_m) == pytest.approx((x_m, y_m), abs=1e-6)
+    assert "off the grid" in refusal(scene, path, origin={"latitude_deg": 26.0, "longitude_deg": -46.0})
+    line = refusal(scene, path, origin={"latitude_deg": -25.0, "longitude_deg": 134.0})
+    assert "latitude -25, longitude 134" in line
+
+
+def test_planetocentric_latitude_on_an_ellipsoid(tmp_path):
+    """Mercator on the ellipsoid of Mars (Snyder, equation 7-7) is a function of planetographic latitude."""
+    a_m, b_m = 3396190.0, 3376200.0
+    crs = f"+proj=merc +a={a_m} +b={b_m} +units=m"
+    path = write_tiff(tmp_path / "a.tif", crs=crs, transform=(2e6, 0, -5e6, 0, -2e6, 4e6))
+    place = origin_of(
+        read_terrain(grid(path)), grid(path, origin={"latitude_deg": 30.0, "longitude_deg": 10.0})
+    )
+    graphic = np.arctan(np.tan(np.radians(30.0)) * (a_m / b_m) ** 2)
+    e = np.sqrt(1 - (b_m / a_m) ** 2)
+    y_m = a_m * (np.arctanh(np.sin(graphic)) - e * np.arctanh(e * np.sin(graphic)))
+    assert (place.map_x_m, place.map_y_m) == pytest.approx((a_m * np.radians(10.0), y_m), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ({"transform": None, "crs": None}, "no georeference"),
+        ({"transform": (2.0, 0.1, 0, 0.1, -2.0, 0)}, "rotated"),
+        ({"transform": (2.0, 0, 0, 0, 2.0, 0)}, "mirrored"),
+        ({"crs": "EPSG:4326", "transform": (0.01, 0, 10, 0, -0.01, 50)}, "in degrees"),
+        ({"crs": "+proj=utm +zone=10 +datum=NAD83 +units=us-ft"}, "a map in US survey foot"),
+    ],
+)
+def test_maps_that_are_refused(tmp_path, keys, expected):
+    assert expected in refusal(scene, write_tiff(tmp_path / "a.tif", **keys))
+
+
+def test_rasters_that_are_refused(tmp_path):
+    assert "every sample is missing" in refusal(
+        scene, write_tiff(tmp_path / "a.tif", np.full((3, 3), np.nan))
+    )
+    assert "3 x 1 samples" in refusal(scene, write_tiff(tmp_path / "b.tif", np.zeros((1, 3))))
+    assert "complex64" in refusal(scene, write_tiff(tmp_path / "c.tif", np.zeros((3, 3), dtype=np.complex64)))
+    intact = write_tiff(tmp_path / "d.tif", np.zeros((300, 300))).read_bytes()
+    for content in (b"", b"no raster", intact[: len(intact) // 2]):
+        path = tmp_path / "damaged.tif"
+        path.write_bytes(content)
+        assert "damaged.tif: 'unreadable'" in refusal(scene, path)
+
+
+def test_without_rasterio(tmp_path, monkeypatch):
+    path = write_tiff(tmp_path / "a.tif")
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    assert "pip install 'lidar-emu[geo]'" in refusal(scene, path)
+    assert scene(write_npz(tmp_path / "a.npz")).origin_altitude_m == 95.0
+
+
+# -- real maps
+
+
+@pytest.mark.skipif(not TERRAIN.is_dir(), reason="the real maps are not here")
+@pytest.mark.parametrize(
+    ("file", "lowest_m", "highest_m", "site"),
+    [
+        ("moon_aristarchus_imp_4p76m.tif", -1393.27, -1297.31, (25.047646, -46.76548)),
+        ("moon_herodotus_mons_53p6m.tif", -1684.63, -297.43, (27.489461, 307.042976)),
+    ],
+)
+def test_real_maps_of_the_moon(file, lowest_m, highest_m, site):
+    """Bands in different order, chosen by description; the projection is centred on the map's middle."""
+    keys = {"band": "QTS_DEMstack", "origin": {"latitude_deg": site[0], "longitude_deg": site[1]}}
+    terrain = read_terrain(grid(TERRAIN / file, **keys))
+    assert (terrain.elevation_m.min(), terrain.elevation_m.max()) == pytest.approx(
+        (lowest_m, highest_m), abs=0.005
+    )
+    ground = scene(TERRAIN / file, beyond="sphere", **keys)
+    centre = (ground.samples.east_m[[0, -1]].mean(), ground.samples.north_m[[0, -1]].mean())
+    assert np.abs(centre).max() < 50
+    assert ground.height_m(np.zeros(1), np.zeros(1))[0] == pytest.approx(0, abs=1e-9)
+    rng = np.random.default_rng(11)
+    direction = rng.normal(size=(40, 3)) - [0, 0, 2]
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    origin = np.tile([0.0, 0.0, 1200.0], (40, 1))
+    fast, exact = ground.cast(origin, direction), ground.cast_exact(origin, direction)
+    np.testing.assert_allclose(fast.range_m, exact.range_m, rtol=0, atol=1e-9)
+    assert np.isfinite(exact.range_m).sum() > 30

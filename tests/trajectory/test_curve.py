@@ -1,0 +1,65 @@
+"""Curves against scipy's cubic Hermite spline, numpy's gradient, parabolas and a sine."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.interpolate import CubicHermiteSpline
+
+from lidar_emu.trajectory.curve import hermite, knot_rates, through
+
+RNG = np.random.default_rng(11)
+
+
+def test_hermite_agrees_with_scipy_inside_and_outside() -> None:
+    knot_s = np.cumsum(RNG.uniform(0.1, 3, 30))
+    value, rate = RNG.normal(size=(2, 30))
+    time_s = np.concatenate([RNG.uniform(knot_s[0] - 1, knot_s[-1] + 1, 500), knot_s])
+    expected = CubicHermiteSpline(knot_s, value, rate)
+    for order, found in enumerate(hermite(knot_s, value, rate).at(time_s)):
+        np.testing.assert_allclose(found, expected(time_s, order), rtol=1e-9, atol=1e-9)
+
+
+def test_rates_are_those_of_numpys_gradient() -> None:
+    knot_s = np.cumsum(RNG.uniform(0.1, 3, 40))
+    value = RNG.normal(size=40)
+    step_s = np.diff(knot_s)
+    expected = np.gradient(value, knot_s, edge_order=2)
+    np.testing.assert_allclose(knot_rates(step_s, np.diff(value) / step_s), expected, rtol=1e-9, atol=1e-12)
+
+
+@given(
+    st.lists(st.floats(0.05, 30), min_size=2, max_size=12),
+    st.floats(-50, 50),
+    st.floats(-20, 20),
+    st.floats(0, 1),
+)
+def test_constant_acceleration_is_exact_at_any_spacing(
+    steps: list[float], speed: float, acceleration: float, share: float
+) -> None:
+    knot_s = np.concatenate([[0.0], np.cumsum(steps)])
+    time_s = np.array([share * knot_s[-1]])
+    value, rate, second = through(knot_s, (speed + acceleration * knot_s / 2) * knot_s).at(time_s)
+    scale = 1 + np.abs(speed) * knot_s[-1] + np.abs(acceleration) * knot_s[-1] ** 2
+    shortest = min(steps)
+    np.testing.assert_allclose(value, (speed + acceleration * time_s / 2) * time_s, atol=1e-13 * scale)
+    np.testing.assert_allclose(rate, speed + acceleration * time_s, atol=1e-13 * scale / shortest)
+    np.testing.assert_allclose(second, acceleration, atol=1e-12 * scale / shortest**2)
+
+
+def test_speed_through_rows_is_of_second_order_also_where_it_turns_back() -> None:
+    def worst(count: int) -> float:
+        knot_s = np.linspace(0, 10, count)
+        time_s = np.linspace(0, 10, 4001)
+        return float(np.max(np.abs(through(knot_s, np.sin(knot_s)).at(time_s)[1] - np.cos(time_s))))
+
+    assert worst(101) < 0.01**2 * 40
+    assert worst(101) / worst(201) > 3.8
+
+
+def test_two_rows_make_a_straight_line() -> None:
+    value, rate, second = through(np.array([1.0, 3.0]), np.array([5.0, 9.0])).at(np.array([0.0, 2.0, 4.0]))
+    np.testing.assert_allclose(value, [3, 7, 11])
+    np.testing.assert_allclose(rate, 2)
+    np.testing.assert_allclose(second, 0, atol=1e-15)

@@ -1,0 +1,54 @@
+"""Rotations against scipy's and against products of a library."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from lidar_emu.rotations import (
+    chained,
+    cross,
+    dot,
+    from_rotation_vector,
+    from_yaw_pitch_roll,
+    normalised,
+    rotate,
+)
+
+RNG = np.random.default_rng(5)
+
+
+@pytest.mark.parametrize("length", [0.0, 1e-200, 1e-9, 1e-4, 1.0, np.pi, 200.0])
+def test_rotation_vectors_agree_with_scipy(length: float) -> None:
+    vector = length * normalised(RNG.normal(size=(50, 3)))
+    np.testing.assert_allclose(
+        from_rotation_vector(vector), Rotation.from_rotvec(vector).as_matrix(), atol=1e-13
+    )
+
+
+def test_yaw_pitch_roll_agrees_with_scipy() -> None:
+    yaw, pitch, roll = RNG.uniform(-4, 4, size=(3, 200))
+    expected = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=-1)).as_matrix()
+    np.testing.assert_allclose(from_yaw_pitch_roll(yaw, pitch, roll), expected, atol=1e-15)
+
+
+def test_products_agree_with_numpy_and_broadcast() -> None:
+    a, b = RNG.normal(size=(2, 4, 1, 3, 3)), RNG.normal(size=(5, 3, 3))
+    v, w = RNG.normal(size=(5, 3)), RNG.normal(size=(2, 4, 1, 3))
+    np.testing.assert_allclose(chained(a, b), a @ b, atol=1e-14)
+    np.testing.assert_allclose(rotate(a, v), (a @ v[..., None])[..., 0], atol=1e-14)
+    np.testing.assert_allclose(rotate(a[0, 0, 0], v), v @ a[0, 0, 0].T, atol=1e-14)
+    np.testing.assert_allclose(dot(v, w), (v * w).sum(axis=-1), atol=1e-14)
+    np.testing.assert_allclose(cross(v, w), np.cross(v, w), atol=1e-14)
+
+
+def test_bits_do_not_depend_on_the_block() -> None:
+    vector = RNG.normal(size=(101, 3))
+    whole = chained(from_rotation_vector(vector), from_yaw_pitch_roll(*vector.T))
+    single = [
+        chained(from_rotation_vector(one), from_yaw_pitch_roll(*one.T))
+        for one in np.split(vector, len(vector))
+    ]
+    assert np.array_equal(whole, np.concatenate(single))
+    assert np.array_equal(rotate(whole, vector)[7], rotate(whole[7], vector[7]))

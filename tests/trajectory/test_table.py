@@ -1,0 +1,231 @@
+"""Tables: what is read, what is refused and how it is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from lidar_emu.errors import InputError
+from lidar_emu.scenario.trajectory import Table
+from lidar_emu.trajectory.build import build_trajectory
+from lidar_emu.trajectory.state import Gap, Trajectory
+
+UP = {"column": "up", "unit": "m"}
+
+
+def table(folder: Path, text: str | bytes, **keys: Any) -> Trajectory:
+    file = folder / "flight.csv"
+    file.write_bytes(text.encode() if isinstance(text, str) else text)
+    given = {"kind": "table", "file": str(file), "time": {"column": "t", "unit": "s"}, "up": UP, **keys}
+    return build_trajectory(Table.model_validate(given, strict=False))
+
+
+def rows(header: str, *columns: Any) -> str:
+    lines = [
+        ",".join("" if np.isnan(cell) else repr(float(cell)) for cell in row)
+        for row in zip(*columns, strict=True)
+    ]
+    return "\n".join([header, *lines, ""])
+
+
+def test_units_axes_and_time(tmp_path: Path) -> None:
+    """Free fall written in minutes, feet, kilometres and km/h, starting at minute 10."""
+    second = np.arange(0, 13, 3.0)
+    text = rows(
+        "minute,down_ft,north_km,east_m,kmh",
+        10 + second / 60,
+        (1000 - second**2) / 0.3048,
+        second * 0.02,
+        -7 * second,
+        -2 * second * 3.6,
+    )
+    flight = table(
+        tmp_path,
+        text,
+        time={"column": "minute", "unit": "min"},
+        up={"column": "down_ft", "unit": "ft", "rate_column": "kmh", "rate_unit": "km/h"},
+        north={"column": "north_km", "unit": "km"},
+        east={"column": "east_m", "unit": "m"},
+    )
+    assert flight.duration_s == pytest.approx(12, rel=1e-12)
+    time_s = np.linspace(0, 12, 25)
+    state = flight.state(time_s)
+    expected = np.stack([-7 * time_s, 20 * time_s, 1000 - time_s**2], axis=-1)
+    np.testing.assert_allclose(state.position_site_m, expected, rtol=1e-9, atol=1e-9)
+    velocity = np.stack([np.full(25, -7), np.full(25, 20), -2 * time_s], axis=-1)
+    np.testing.assert_allclose(state.velocity_site_mps, velocity, rtol=1e-9, atol=1e-8)
+    np.testing.assert_allclose(state.acceleration_site_mps2[:, 2], -2, rtol=1e-7)
+
+
+def test_part_flown_starts_at_zero_and_is_shaped_by_rows_outside(tmp_path: Path) -> None:
+    time = np.arange(100, 120, 2.0)
+    whole = table(tmp_path, rows("t,up", time, np.sin(time)))
+    part = table(tmp_path, rows("t,up", time, np.sin(time)), from_time=105, to_time=112)
+    assert part.duration_s == 7
+    inside = np.linspace(0, 7, 50)
+    np.testing.assert_allclose(
+        part.state(inside).position_site_m, whole.state(inside + 5).position_site_m, atol=1e-12
+    )
+
+
+def test_nanoseconds_since_1970_keep_their_spacing(tmp_path: Path) -> None:
+    text = "t,up\n1700000000000000000,9\n1700000000500000000,5\n1700000001000000000,1\n"
+    flight = table(tmp_path, text, time={"column": "t", "unit": "ns"})
+    assert flight.duration_s == pytest.approx(1, abs=1e-12)
+    np.testing.assert_allclose(flight.state(np.array([0.25])).velocity_site_mps[:, 2], -8, rtol=1e-6)
+
+
+def test_empty_cells_are_passed_over_column_by_column(tmp_path: Path) -> None:
+    time = np.arange(0, 11.0)
+    up, roll = 100 - 3 * time, 0.01 * time
+    up[[2, 3, 7]] = np.nan
+    roll[[0 + 1, 4, 5, 6]] = np.nan
+    flight = table(tmp_path, rows("t,up,roll", time, up, roll), roll={"column": "roll", "unit": "rad"})
+    state = flight.state(time)
+    np.testing.assert_allclose(state.position_site_m[:, 2], 100 - 3 * time, rtol=1e-13)
+    np.testing.assert_allclose(state.body_rate_radps, np.broadcast_to([0.01, 0, 0], (11, 3)), atol=1e-15)
+    assert flight.gaps == (Gap("roll", 3.0, 4.0), Gap("up", 1.0, 3.0))
+
+
+def test_rate_column_counts_only_where_both_are_filled(tmp_path: Path) -> None:
+    text = "t,up,rate\n0,50,-2\n1,,-9\n2,47,\n4,40,-3\n"
+    flight = table(tmp_path, text, up={**UP, "rate_column": "rate", "rate_unit": "m/s"})
+    state = flight.state(np.array([0.0, 4.0]))
+    assert state.position_site_m[:, 2].tolist() == [50, 40]
+    np.testing.assert_allclose(state.velocity_site_mps[:, 2], [-2, -3], rtol=1e-14)
+    assert flight.gaps == (Gap("up with rate", 0.0, 4.0),)
+
+
+def test_angles_go_on_through_a_full_turn_and_heed_their_sign(tmp_path: Path) -> None:
+    time = np.arange(0, 8.0)
+    heading_deg = (170 + 10 * time + 180) % 360 - 180
+    flight = table(
+        tmp_path,
+        rows("t,up,psi", time, 50 - time, -heading_deg),
+        yaw={"column": "psi", "unit": "deg", "sign": -1},
+    )
+    time_s = np.linspace(0, 7, 15)
+    state = flight.state(time_s)
+    heading = np.radians(170 + 10 * time_s)
+    forward = np.stack([np.sin(heading), np.cos(heading), 0 * heading], axis=-1)
+    np.testing.assert_allclose(state.site_from_body[:, :, 0], forward, atol=1e-13)
+    np.testing.assert_allclose(state.body_rate_radps[:, 2], np.radians(10), rtol=1e-12)
+
+
+def test_quaternions_agree_with_scipys_and_are_normalised(tmp_path: Path) -> None:
+    time = np.arange(0, 5.0)
+    turns = Rotation.from_rotvec(0.2 * time[:, None] * np.array([0.6, 0.0, 0.8]))
+    w, x, y, z = 1.0005 * np.roll(turns.as_quat(), 1, axis=1).T
+    flight = table(
+        tmp_path,
+        rows("t,up,w,x,y,z", time, 9 - time, w, x, y, z),
+        quaternion={"columns": ("w", "x", "y", "z")},
+    )
+    state = flight.state(time)
+    np.testing.assert_allclose(state.site_from_body, turns.as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(state.body_rate_radps, np.broadcast_to([0.12, 0, 0.16], (5, 3)), atol=1e-13)
+
+
+def test_measured_body_rates_stand_for_the_derived_ones(tmp_path: Path) -> None:
+    text = rows("t,up,p,q,r", [0, 1, 2], [9, 8, 7], [1, 2, 3], [0, 0, 0], [-9, np.nan, -5])
+    flight = table(tmp_path, text, body_rates={"columns": ("p", "q", "r"), "unit": "deg/s"})
+    rate = np.degrees(flight.state(np.array([0.5, 1.0])).body_rate_radps)
+    np.testing.assert_allclose(rate, np.array([[1.5, 0, -8], [2, 0, -7]]), atol=1e-13)
+
+
+def test_bits_do_not_depend_on_the_block(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    time = np.cumsum(rng.uniform(0.2, 1, 30))
+    text = rows("t,up,east,roll,yaw", time, *rng.normal(size=(4, 30)))
+    angles = {name: {"column": name, "unit": "rad"} for name in ("roll", "yaw")}
+    flight = table(tmp_path, text, east={"column": "east", "unit": "km"}, **angles)
+    time_s = rng.uniform(-0.1, flight.duration_s + 0.1, 200)
+    whole = flight.state(time_s)
+    for k in range(len(time_s)):
+        single = flight.state(time_s[k : k + 1])
+        for name, values in vars(whole).items():
+            assert np.array_equal(values[k : k + 1], getattr(single, name)), name
+
+
+def test_quotes_blanks_byte_order_mark_and_empty_lines(tmp_path: Path) -> None:
+    text = b'\xef\xbb\xbf "t" , up ,note\r\n\r\n0, 9,"a, b"\r\n1 ,8\r\n,,\r\n2,7,\r\n'.replace(
+        b' "t" ', b'"t"'
+    )
+    flight = table(tmp_path, text)
+    np.testing.assert_allclose(flight.state(np.array([1.5])).position_site_m, [[0, 0, 7.5]])
+
+
+@pytest.mark.parametrize(
+    ("text", "keys", "said"),
+    [
+        (b"", {}, ("empty file",)),
+        ("\n\n", {}, ("empty file",)),
+        ("t,up\n", {}, ("0 rows", "at least 2")),
+        ("t,up\n0,1\n", {}, ("1 rows", "at least 2")),
+        ("t,up\n0,1\n1,\n", {}, ("up", "1 filled rows")),
+        ("time,up\n0,1\n1,2\n", {}, ("'t'", "time, up")),
+        ("t,up,up\n0,1,1\n1,2,2\n", {}, ("'up'", "once")),
+        ("t,up\n0,1\n1,high\n", {}, ("line 3, up", "'high'")),
+        ("t,up\n0,1\n1,nan\n", {}, ("line 3, up", "'nan'")),
+        ("t,up\n0,1\n1,-inf\n", {}, ("line 3, up", "'-inf'")),
+        ("t,up\n0,1\n1,1e999\n", {}, ("line 3, up", "'1e999'")),
+        ("t,up\n0,1\n1,1_0\n", {}, ("line 3, up", "'1_0'")),
+        ("t,up\n0,1\n1,2;3\n", {}, ("line 3, up", "'2;3'")),
+        ("t,up\n0,1\n1,2,3\n", {}, ("line 3", "3 cells")),
+        ("t,up\n0,1\n,2\n", {}, ("line 3, t", "a time in every row")),
+        ("t,up\n0,1\n2,2\n2,3\n", {}, ("line 4, t", "'2'", "above 2")),
+        ("t,up\n0,1\n2,2\n1,3\n", {}, ("line 4, t", "'1'", "above 2")),
+        ("t,up\n0,1\n10.5,2\n", {}, ("up", "10.5 s after 0", "maximum_gap_s, 10 s")),
+        ("t,up\n0,1\n5,\n11,2\n", {}, ("up", "11 s after 0")),
+        ("t,up\n0,1\n5,2\n", {"from_time": -1.0}, ("from_time", "-1.0", "0 to 5")),
+        ("t,up\n0,1\n5,2\n", {"to_time": 6.0}, ("to_time", "6.0", "0 to 5")),
+        ("t,up\n0,1\n5,2\n", {"from_time": 4.0, "to_time": 3.0}, ("from_time, to_time", "'4, 3'")),
+        ("t,up\n0,1\n5,2\n", {"from_time": 5.0}, ("from_time, to_time", "'5, 5'")),
+        ("t,up\n0,\n1,5\n2,4\n", {}, ("up", "no value before 1", "from_time 1")),
+        ("t,up\n0,6\n1,5\n2,\n", {}, ("up", "no value after 1", "to_time 1")),
+        (b"t,up\n0,6\n1,\xff\n", {}, ("UTF-8",)),
+        (b't,up\n0,6\n1,"5\n', {}, ("CSV",)),
+        (b"t,up\n0,6\n1,5\x00\n", {}, ("line",)),
+        (
+            "t,up,w,x,y,z\n0,6,1,0,0,0\n1,5,0.5,0,0,0\n",
+            {"quaternion": {"columns": ("w", "x", "y", "z")}},
+            ("line 3, w x y z", "length 0.5"),
+        ),
+    ],
+)
+def test_refusals_name_file_place_and_value(
+    tmp_path: Path, text: str | bytes, keys: dict[str, Any], said: tuple[str, ...]
+) -> None:
+    with pytest.raises(InputError) as refused:
+        table(tmp_path, text, **keys)
+    message = str(refused.value)
+    assert message.startswith(str(tmp_path / "flight.csv"))
+    assert "\n" not in message
+    for part in (*said, "allowed:"):
+        assert part in message
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    for file in (tmp_path / "absent.csv", tmp_path):
+        part = Table.model_validate(
+            {"kind": "table", "file": str(file), "time": {"column": "t", "unit": "s"}, "up": UP}
+        )
+        with pytest.raises(InputError, match=r"allowed: a readable CSV file"):
+            build_trajectory(part)
+
+
+def test_gaps_outside_the_part_flown_do_not_matter(tmp_path: Path) -> None:
+    text = "t,up\n0,9\n50,8\n51,7\n53,6\n99,5\n"
+    flight = table(tmp_path, text, from_time=50, to_time=53)
+    assert flight.gaps == (Gap("up", 1.0, 2.0),)
+    with pytest.raises(InputError, match="50 s after 0"):
+        table(tmp_path, text, from_time=49, to_time=53)
+
+
+def test_a_gap_of_just_the_maximum_is_bridged(tmp_path: Path) -> None:
+    flight = table(tmp_path, "t,up\n0.1,9\n0.4,8\n", maximum_gap_s=0.3)
+    assert flight.gaps[0].length_s == pytest.approx(0.3)

@@ -1,0 +1,217 @@
+"""Whole packets over real descriptors: a socket pair with little room, and ptys."""
+
+from __future__ import annotations
+
+import os
+import socket
+import termios
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from lidar_emu.errors import InputError
+from lidar_emu.transports.byte_channel import DescriptorChannel, PtyChannel
+from lidar_emu.transports.link import LinkLostError
+from lidar_emu.transports.serial_port import loopback_pair, open_byte_channel
+from lidar_emu.transports.spec import Kind, PortSpec
+
+ALL_BYTES = bytes(range(256))
+
+
+@pytest.fixture
+def narrow() -> Iterator[tuple[DescriptorChannel, socket.socket]]:
+    """A line that takes a few kilobytes at most, and less than a packet at a time."""
+    near, far = socket.socketpair()
+    near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1)
+    far.setblocking(False)
+    yield DescriptorChannel(near.fileno(), "narrow", near.close), far
+    near.close()
+    far.close()
+
+
+@pytest.fixture
+def pty() -> Iterator[PtyChannel]:
+    channel = PtyChannel()
+    yield channel
+    channel.close()
+
+
+def reader_of(pty: PtyChannel) -> int:
+    return os.open(pty.description, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+
+
+def read_all(descriptor: int) -> bytes:
+    data = b""
+    while True:
+        try:
+            data += os.read(descriptor, 65536)
+        except BlockingIOError:
+            return data
+
+
+def packet(number: int) -> bytes:
+    return number.to_bytes(4, "big") * 1250
+
+
+def numbers_of(data: bytes) -> list[int]:
+    """The packets in the data; fails where one is torn."""
+    size = len(packet(0))
+    assert len(data) % size == 0
+    numbers = [int.from_bytes(data[at : at + 4], "big") for at in range(0, len(data), size)]
+    assert data == b"".join(packet(number) for number in numbers)
+    return numbers
+
+
+def test_packets_are_whole_or_absent(narrow: tuple[DescriptorChannel, socket.socket]) -> None:
+    channel, far = narrow
+    taken, torn_writes, data = [], 0, b""
+    for number in range(400):
+        if channel.send(packet(number)):
+            taken.append(number)
+        torn_writes += channel.pending
+        if number % 3 == 0:
+            data += read_all(far.fileno())
+    while channel.pending:
+        data += read_all(far.fileno())
+        channel.flush()
+    data += read_all(far.fileno())
+    assert numbers_of(data) == taken
+    assert torn_writes > 20
+    assert 20 < len(taken) < 400
+
+
+def test_a_line_without_room_takes_nothing(narrow: tuple[DescriptorChannel, socket.socket]) -> None:
+    channel, _ = narrow
+    while channel.send(packet(1)):
+        pass
+    assert [channel.send(packet(2)) for _ in range(3)] == [False] * 3
+
+
+def test_a_closed_far_end_is_a_lost_link(narrow: tuple[DescriptorChannel, socket.socket]) -> None:
+    channel, far = narrow
+    assert channel.receive() == b""
+    far.send(b"command")
+    far.close()
+    assert channel.receive() == b"command"
+    with pytest.raises(LinkLostError):
+        channel.receive()
+    with pytest.raises(LinkLostError):
+        channel.send(b"x")
+
+
+def test_a_pty_is_raw_both_ways(pty: PtyChannel) -> None:
+    reader = reader_of(pty)
+    assert pty.connected()
+    assert pty.send(ALL_BYTES)
+    assert read_all(reader) == ALL_BYTES
+    os.write(reader, ALL_BYTES)
+    assert pty.receive() == ALL_BYTES
+    assert read_all(reader) == b""  # no echo
+    os.close(reader)
+
+
+def test_a_pty_knows_whether_somebody_is_there(pty: PtyChannel) -> None:
+    assert not pty.connected()
+    reader = reader_of(pty)
+    assert pty.connected()
+    os.close(reader)
+    assert not pty.connected()
+    assert pty.receive() == b""
+
+
+def test_the_next_reader_gets_nothing_stale_and_no_torn_packet(pty: PtyChannel) -> None:
+    reader = reader_of(pty)
+    assert pty.connected()
+    while pty.send(packet(1)):
+        pass
+    assert pty.pending
+    os.close(reader)
+    assert not pty.connected()
+    reader = reader_of(pty)
+    assert pty.connected()
+    assert pty.send(b"fresh")
+    assert read_all(reader) == b"fresh"
+    assert not termios.tcgetattr(reader)[3] & termios.ICANON
+    os.close(reader)
+
+
+def test_a_pty_says_what_its_reader_has_not_fetched(pty: PtyChannel, eventually: Any) -> None:
+    reader = reader_of(pty)
+    pty.connected()
+    pty.send(ALL_BYTES)
+    eventually(lambda: pty.unread() == len(ALL_BYTES))
+    read_all(reader)
+    assert pty.unread() == 0
+    os.close(reader)
+
+
+def test_the_loopback_holds_hundreds_of_packets() -> None:
+    near, far = loopback_pair()
+    channel = DescriptorChannel(near.fileno(), "loopback", near.close)
+    count = 0
+    while channel.send(bytes(130)) and count < 100_000:
+        count += 1
+    assert count > 400
+    near.close()
+    far.close()
+
+
+def test_a_device_is_opened_raw_and_for_one_alone(raw_pty: Any) -> None:
+    path, master = raw_pty.path, raw_pty.master
+    channel = open_byte_channel(PortSpec(Kind.SERIAL, path))
+    assert channel.send(ALL_BYTES)
+    assert raw_pty.read() == ALL_BYTES
+    os.write(master, ALL_BYTES)
+    assert channel.receive() == ALL_BYTES
+    with pytest.raises(InputError, match="in use by another program"):
+        open_byte_channel(PortSpec(Kind.SERIAL, path))
+    channel.close()
+
+
+def test_a_device_that_vanishes_is_a_lost_link(raw_pty: Any) -> None:
+    channel = open_byte_channel(PortSpec(Kind.SERIAL, raw_pty.path))
+    os.close(raw_pty.master)
+    with pytest.raises(LinkLostError):
+        channel.send(b"x")
+    with pytest.raises(LinkLostError):
+        channel.receive()
+    channel.close()
+
+
+@pytest.mark.parametrize(
+    ("path", "reason"),
+    [
+        ("/dev/nothing-of-the-kind", "no such port"),
+        ("/dev/null", "not a serial device"),
+        ("/dev", "folder"),
+        ("nonsense://x", "pyserial's URLs"),
+        ("socket://127.0.0.1:1", "refused"),
+    ],
+)
+def test_a_port_that_cannot_be_opened_is_named(path: str, reason: str) -> None:
+    with pytest.raises(InputError, match=reason) as refused:
+        open_byte_channel(PortSpec(Kind.SERIAL, path))
+    assert refused.value.value == path
+
+
+def test_a_url_without_a_descriptor_works() -> None:
+    channel = open_byte_channel(PortSpec(Kind.SERIAL, "loop://"))
+    assert channel.readable is None
+    assert channel.receive() == b""
+    assert channel.send(ALL_BYTES)
+    assert channel.receive() == ALL_BYTES
+    channel.close()
+    with pytest.raises(LinkLostError):
+        channel.send(b"x")
+
+
+def test_a_socket_url_carries_packets() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        host, port = server.getsockname()
+        channel = open_byte_channel(PortSpec(Kind.SERIAL, f"socket://{host}:{port}"))
+        far, _ = server.accept()
+        with far:
+            assert channel.send(ALL_BYTES)
+            assert far.recv(1000) == ALL_BYTES
+        channel.close()

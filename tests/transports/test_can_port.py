@@ -1,0 +1,204 @@
+"""CAN: frames through python-can's slcan on a pty, read as the lines that its document describes; and a bus
+that fails as SocketCAN does."""
+
+from __future__ import annotations
+
+import os
+import socket
+from typing import Any
+
+import can
+import pytest
+
+from lidar_emu.errors import InputError
+from lidar_emu.transports.can_port import CanChannel, open_can
+from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
+from lidar_emu.transports.host import CanHost, open_host
+from lidar_emu.transports.link import LinkLostError
+from lidar_emu.transports.spec import Kind, PortSpec
+
+SHOT = [Frame(0x100, bytes.fromhex("0011223344556677")), Frame(0x101, b"\xab"), Frame(0x7FF, b"")]
+SHOT_LINES = [b"t10080011223344556677", b"t1011AB", b"t7FF0"]
+
+
+def slcan(path: str, **settings: Any) -> PortSpec:
+    return PortSpec(Kind.CAN, interface="slcan", channel=path, **settings)
+
+
+def data_lines(data: bytes) -> list[bytes]:
+    """Lines that carry frames; fails where the last one is torn."""
+    assert data.endswith(b"\r")
+    return [line for line in data.split(b"\r") if line[:1] in (b"t", b"T", b"d", b"b", b"B")]
+
+
+def test_slcan_sets_the_bit_rate_and_carries_a_set_of_frames(raw_pty: Any) -> None:
+    channel = open_can(slcan(raw_pty.path, bitrate=250_000))
+    assert channel.send(pack_frames(SHOT))
+    data = raw_pty.read()
+    channel.close()
+    assert b"S5\r" in data  # 250 kbit/s
+    assert data_lines(data) == SHOT_LINES
+    assert raw_pty.read() == b"C\r"
+
+
+def test_slcan_carries_fd_frames(raw_pty: Any) -> None:
+    channel = open_can(slcan(raw_pty.path, fd=True, data_bitrate=5_000_000))
+    frames = [
+        Frame(0x123, bytes(12), is_fd=True, bitrate_switch=True),
+        Frame(0x1ABCDEF0, b"\1", is_extended=True),
+    ]
+    assert channel.send(pack_frames(frames))
+    data = raw_pty.read()
+    assert b"S6\rY5\r" in data
+    assert data_lines(data) == [b"b1239" + b"00" * 12, b"T1ABCDEF0101"]
+    channel.close()
+
+
+def test_slcan_receives_and_passes_over_what_is_no_frame(raw_pty: Any) -> None:
+    channel = open_can(slcan(raw_pty.path))
+    assert channel.receive() == b""
+    os.write(raw_pty.master, b"t1232AABB\rtXYZ\rr1230\r\rT0000012318000000000000000F\r")
+    frames = []
+    for _ in range(10):  # each line that makes no sense ends one call
+        frames += unpack_frames(channel.receive())
+    assert frames[0] == Frame(0x123, b"\xaa\xbb")
+    assert channel.ignored_frames == 2
+    assert [frame.can_id for frame in frames[1:]] == [0x123]
+    channel.close()
+
+
+def test_a_full_line_drops_whole_sets_and_tears_no_line(raw_pty: Any) -> None:
+    channel = open_can(slcan(raw_pty.path))
+    raw_pty.read()
+    taken = 0
+    for _ in range(2000):  # twice what a pty holds; python-can alone would wait for ever here
+        taken += channel.send(pack_frames(SHOT))
+    assert 200 < taken < 1900
+    assert channel.pending
+    data = raw_pty.read()
+    while not channel.flush():
+        data += raw_pty.read()
+    data += raw_pty.read()
+    assert data_lines(data) == SHOT_LINES * taken
+    assert channel.send(pack_frames(SHOT))
+    channel.close()
+
+
+def test_a_vanished_adapter_is_a_lost_link(raw_pty: Any) -> None:
+    channel = open_can(slcan(raw_pty.path))
+    os.close(raw_pty.master)
+    with pytest.raises(LinkLostError):
+        channel.send(pack_frames(SHOT))
+    with pytest.raises(LinkLostError):
+        channel.receive()
+    channel.close()
+
+
+def test_two_ends_of_a_bus(pty_pair: tuple[str, str]) -> None:
+    channel, host = open_can(slcan(pty_pair[0])), open_host(slcan(pty_pair[1]))
+    assert isinstance(host, CanHost)
+    assert channel.send(pack_frames(SHOT))
+    frames: list[Frame] = []
+    for _ in range(20):
+        if len(frames) < len(SHOT):
+            frames += host.read(1.0)
+    assert frames == SHOT
+    channel.close()
+    host.close()
+
+
+@pytest.mark.parametrize(
+    ("settings", "option", "allowed"),
+    [
+        ({"interface": "nonsense", "channel": "x"}, "--interface", "socketcan"),
+        ({"interface": "slcan", "channel": "/dev/nothing-of-the-kind"}, "--channel", "No such file"),
+        ({"interface": "socketcan", "channel": "no-such-bus"}, "--channel", "cannot be opened"),
+    ],
+)
+def test_a_bus_that_cannot_be_opened_is_named(settings: dict[str, str], option: str, allowed: str) -> None:
+    with pytest.raises(InputError, match=allowed) as refused:
+        open_can(PortSpec(Kind.CAN, **settings))
+    assert refused.value.where == option
+
+
+def test_a_bit_rate_that_the_adapter_cannot_do_is_named(raw_pty: Any) -> None:
+    with pytest.raises(InputError, match="choose one of"):
+        open_can(slcan(raw_pty.path, bitrate=123_456))
+
+
+class FailingBus:
+    """A bus that takes some frames, then fails in one of the ways that SocketCAN has."""
+
+    def __init__(self, error: Exception) -> None:
+        self.error = error
+        self.room = 0
+        self.sent: list[int] = []
+        self.arrived: list[can.Message] = []
+
+    def fileno(self) -> int:
+        raise NotImplementedError
+
+    def send(self, message: can.Message, timeout: float) -> None:
+        assert timeout == 0
+        if not self.room:
+            raise self.error
+        self.room -= 1
+        self.sent.append(message.arbitration_id)
+
+    def recv(self, timeout: float) -> can.Message | None:
+        assert timeout == 0
+        return self.arrived.pop(0) if self.arrived else None
+
+
+def on(bus: Any) -> CanChannel:
+    return CanChannel(bus, "bus")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        can.CanOperationError("Failed to transmit: No buffer space available", 105),
+        can.CanOperationError("Transmit buffer full"),
+        BlockingIOError(11, "again"),
+    ],
+)
+def test_a_set_that_was_begun_is_completed_before_the_next(error: Exception) -> None:
+    bus = FailingBus(error)
+    channel = on(bus)
+    assert not channel.send(pack_frames(SHOT))
+    assert not channel.pending
+    bus.room = 2
+    assert channel.send(pack_frames(SHOT))
+    assert channel.pending
+    assert not channel.send(pack_frames(SHOT))
+    bus.room = 10
+    assert channel.flush()
+    assert bus.sent == [frame.can_id for frame in SHOT]
+
+
+def test_an_interface_that_is_down_is_a_lost_link() -> None:
+    channel = on(FailingBus(can.CanOperationError("Failed to transmit: Network is down", 100)))
+    with pytest.raises(LinkLostError, match="Network is down"):
+        channel.send(pack_frames(SHOT))
+
+
+def test_error_frames_are_no_data() -> None:
+    bus = FailingBus(OSError())
+    bus.arrived = [
+        can.Message(is_error_frame=True),
+        can.Message(arbitration_id=5, data=b"\1", is_extended_id=False),
+    ]
+    channel = on(bus)
+    assert unpack_frames(channel.receive()) == [Frame(5, b"\1")]
+    assert channel.ignored_frames == 1
+
+
+def test_a_socketcan_reader_gets_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    class WithSocket(FailingBus):
+        socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    before = WithSocket.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+    monkeypatch.setattr(can, "Bus", lambda **_: WithSocket(OSError()))
+    open_can(PortSpec(Kind.CAN, interface="socketcan", channel="vcan0"))
+    assert WithSocket.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) > before
+    WithSocket.socket.close()

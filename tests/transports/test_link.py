@@ -1,0 +1,135 @@
+"""A link that breaks and comes back, on times that the test chooses."""
+
+from __future__ import annotations
+
+from lidar_emu.errors import InputError
+from lidar_emu.transports.link import Fate, Link, LinkLostError
+
+MS = 1_000_000
+
+
+class Cable:
+    """A port on the test's side: what it can do at the moment, and what happened to it."""
+
+    def __init__(self) -> None:
+        self.plugged = True
+        self.working = True
+        self.somebody = True
+        self.room = True
+        self.attempts = 0
+        self.carried: list[bytes] = []
+
+    def open(self) -> Plug:
+        self.attempts += 1
+        if not self.plugged:
+            raise InputError("--port", None, "cable", "there is no such port")
+        return Plug(self)
+
+
+class Plug:
+    """The channel of a `Cable`."""
+
+    description = "cable"
+    pending = False
+    readable: int | None = 7
+    writable: int | None = 7
+
+    def __init__(self, cable: Cable) -> None:
+        self._cable = cable
+
+    def _check(self) -> None:
+        if not (self._cable.plugged and self._cable.working):
+            raise LinkLostError("pulled")
+
+    def connected(self) -> bool:
+        return self._cable.somebody
+
+    def send(self, payload: bytes) -> bool:
+        self._check()
+        if self._cable.room:
+            self._cable.carried.append(payload)
+        return self._cable.room
+
+    def flush(self) -> bool:
+        return True
+
+    def receive(self) -> bytes:
+        self._check()
+        return b"hello"
+
+    def unread(self) -> int:
+        return 3
+
+    def close(self) -> None:
+        pass
+
+
+def texts(link: Link) -> list[tuple[int, str]]:
+    return [(time_ns // MS, text) for time_ns, text in link.take_events()]
+
+
+def test_a_pulled_cable_is_reported_once_and_opened_again_with_back_off() -> None:
+    cable = Cable()
+    link = Link(cable.open)
+    assert link.send(b"a", 0) is Fate.SENT
+    cable.plugged = False
+    assert [link.send(b"b", 10 * MS), link.send(b"c", 20 * MS)] == [Fate.DROPPED_BROKEN] * 2
+    attempts_at_ms = []
+    for now_ms in range(20, 8000):
+        before = cable.attempts
+        link.service(now_ms * MS)
+        if cable.attempts > before:
+            attempts_at_ms.append(now_ms)
+    assert attempts_at_ms == [110, 310, 710, 1510, 3110, 5110, 7110]
+    assert link.wake_ns(8000 * MS, wants_room=False) == 9110 * MS
+    cable.plugged = True
+    link.service(9110 * MS)
+    assert link.send(b"d", 9120 * MS) is Fate.SENT
+    assert cable.carried == [b"a", b"d"]
+    assert texts(link) == [(10, "link broken: pulled"), (9110, "reopened")]
+
+
+def test_a_port_that_opens_but_fails_at_once_is_left_in_peace() -> None:
+    cable = Cable()
+    link = Link(cable.open)
+    cable.working = False
+    for now_ms in range(10_000):
+        link.service(now_ms * MS)
+        link.send(b"", now_ms * MS)
+    assert cable.attempts < 10
+
+
+def test_a_break_seen_while_reading_counts_as_well() -> None:
+    cable = Cable()
+    link = Link(cable.open)
+    assert link.receive(0) == b"hello"
+    cable.plugged = False
+    assert link.receive(5 * MS) == b""
+    assert link.readable == link.writable == []
+    assert texts(link) == [(5, "link broken: pulled")]
+
+
+def test_nobody_connected_is_reported_when_it_changes() -> None:
+    cable = Cable()
+    link = Link(cable.open)
+    cable.somebody = False
+    fates = [link.send(b"x", now_ms * MS) for now_ms in range(3)]
+    assert fates == [Fate.DROPPED_NOBODY] * 3
+    assert (link.readable, link.unread) == ([], 0)
+    # The descriptor of a pty without a reader is always readable: it must be looked at by time.
+    assert link.wake_ns(3 * MS, wants_room=False) is not None
+    cable.somebody = True
+    assert link.send(b"y", 4 * MS) is Fate.SENT
+    assert (link.readable, link.unread) == ([7], 3)
+    assert texts(link) == [(0, "nobody connected"), (4, "connected")]
+    assert texts(link) == []
+
+
+def test_a_full_line_is_not_a_broken_one() -> None:
+    cable = Cable()
+    link = Link(cable.open)
+    cable.room = False
+    assert link.send(b"x", 0) is Fate.DROPPED_FULL
+    cable.room = True
+    assert link.send(b"y", 0) is Fate.SENT
+    assert texts(link) == []

@@ -1,0 +1,100 @@
+"""Which options name which port."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from lidar_emu.errors import InputError
+from lidar_emu.transports.options import port_options
+from lidar_emu.transports.spec import Kind, PortSpec, parse_port
+
+PORTS: list[tuple[dict[str, Any], PortSpec]] = [
+    ({}, PortSpec(Kind.LOOPBACK)),
+    ({"port": "/dev/ttyUSB0"}, PortSpec(Kind.SERIAL, "/dev/ttyUSB0", baud=115_200)),
+    ({"port": "pty", "baud": 921_600}, PortSpec(Kind.PTY, baud=921_600)),
+    ({"port": "socket://localhost:7000"}, PortSpec(Kind.SERIAL, "socket://localhost:7000")),
+    (
+        {"interface": "socketcan", "channel": "vcan0"},
+        PortSpec(Kind.CAN, interface="socketcan", channel="vcan0", bitrate=500_000),
+    ),
+    (
+        {
+            "interface": "slcan",
+            "channel": "/dev/ttyACM0",
+            "bitrate": 1_000_000,
+            "fd": True,
+            "data_bitrate": 5_000_000,
+        },
+        PortSpec(
+            Kind.CAN,
+            interface="slcan",
+            channel="/dev/ttyACM0",
+            bitrate=1_000_000,
+            fd=True,
+            data_bitrate=5_000_000,
+        ),
+    ),
+]
+
+
+@pytest.mark.parametrize(("options", "spec"), PORTS)
+def test_options_name_a_port(options: dict[str, Any], spec: PortSpec) -> None:
+    assert parse_port(**options) == spec
+    assert PortSpec.from_json(json.loads(json.dumps(spec.to_json()))) == spec
+
+
+@pytest.mark.parametrize(
+    ("options", "option", "allowed"),
+    [
+        ({"port": "pty", "interface": "slcan", "channel": "x"}, "--port", "one port"),
+        ({"port": "", "baud": 9600}, "--port", "a device"),
+        ({"port": "pty", "baud": 0}, "--baud", "positive"),
+        ({"baud": 9600}, "--baud", "--port"),
+        ({"interface": "slcan", "channel": "x", "baud": 9600}, "--baud", "--port"),
+        ({"interface": "slcan"}, "--channel", "the channel"),
+        ({"interface": "virtual", "channel": "x"}, "--interface", "socketcan"),
+        ({"channel": "vcan0"}, "--channel", "--interface"),
+        ({"port": "pty", "fd": True}, "--fd", "--interface"),
+        ({"bitrate": 500_000}, "--bitrate", "--interface"),
+        ({"interface": "slcan", "channel": "x", "bitrate": -1}, "--bitrate", "positive"),
+        ({"interface": "slcan", "channel": "x", "data_bitrate": 2_000_000}, "--data-bitrate", "--fd"),
+    ],
+)
+def test_what_names_no_port_is_refused_by_its_option(
+    options: dict[str, Any], option: str, allowed: str
+) -> None:
+    with pytest.raises(InputError) as refused:
+        parse_port(**options)
+    assert refused.value.where == option
+    assert allowed in refused.value.allowed
+    assert "\n" not in str(refused.value)
+
+
+@click.command()
+@click.argument("scenario")
+@port_options
+def fly(scenario: str, port: PortSpec) -> None:
+    click.echo(f"{scenario}: {port}")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("descent.yaml", "descent.yaml: in-memory loopback"),
+        ("descent.yaml --port pty --baud 9600", "descent.yaml: pty"),
+        ("-i socketcan -c vcan0 --bitrate 250000 --fd descent.yaml", "descent.yaml: socketcan vcan0"),
+    ],
+)
+def test_a_command_receives_one_port(words: str, said: str) -> None:
+    result = CliRunner().invoke(fly, words.split())
+    assert (result.exit_code, result.output.strip()) == (0, said)
+
+
+def test_a_command_passes_the_refusal_on() -> None:
+    result = CliRunner().invoke(fly, ["descent.yaml", "--port", "pty", "-i", "slcan"])
+    assert isinstance(result.exception, InputError)
