@@ -14,6 +14,7 @@ from lidar_emu.rotations import cross, rotate
 from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.build import build_scene
+from lidar_emu.scene.hits import Hits
 from lidar_emu.trajectory.build import build_trajectory
 from lidar_emu.trajectory.state import VehicleState
 
@@ -47,7 +48,10 @@ class Flight:
         duration_s = self.trajectory.duration_s if scenario.duration_s is None else scenario.duration_s
         if duration_s > self.trajectory.duration_s * (1 + 1e-9):
             raise InputError(
-                scenario.name, "duration_s", duration_s, f"allowed: at most {self.trajectory.duration_s:.6g} s, the flight"
+                scenario.name,
+                "duration_s",
+                duration_s,
+                f"allowed: at most {self.trajectory.duration_s:.6g} s, the flight",
             )
         self.period_ns = timing.period_ns
         self.shot_count = max(1, ceil(duration_s * 1e9 / self.period_ns))
@@ -87,6 +91,14 @@ class Flight:
         )
         return pointing, state
 
+    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
+        """First contact with the ground of rays in any arrangement: arrays (..., 3), hits shaped (...)."""
+        shape = direction_site.shape
+        hits = self.scene.cast(origin_site_m.reshape(-1, 3), direction_site.reshape(-1, 3))
+        return Hits(
+            hits.range_m.reshape(shape[:-1]), hits.normal_site.reshape(shape), hits.inside.reshape(shape[:-1])
+        )
+
     def _sensor(self, vehicle: VehicleState) -> tuple[FloatArray, FloatArray]:
         """Position and velocity of the sensor: the lever arm turns with the body."""
         lever_site_m = rotate(vehicle.site_from_body, self._lever_arm_body_m)
@@ -121,5 +133,5 @@ class Flight:
                 self.scenario.name,
                 "trajectory",
                 f"{time_s[outside[0]]:.3f} s: {east_m:.1f} m east, {north_m:.1f} m north, {up_m:.1f} m up",
-                f"allowed: positions over the ground ({self.scene.description}), or site.ground.beyond: plane or sphere",
+                f"allowed: positions over the ground ({self.scene.description}), or beyond: plane or sphere",
             )

@@ -68,6 +68,17 @@ class Measurement:
     def __len__(self) -> int:
         return len(self.shot)
 
+    def first(self, count: int) -> Measurement:
+        """The first `count` shots."""
+        return self._rows(slice(count))
+
+    def one(self, row: int) -> Measurement:
+        """A single shot."""
+        return self._rows(slice(row, row + 1))
+
+    def _rows(self, rows: slice) -> Measurement:
+        return Measurement(*(getattr(self, f.name)[rows] for f in fields(self)))
+
     def table(self) -> dict[str, NDArray[np.generic]]:
         """One row per shot and beam: the columns of `simulate --out` and, truth aside, the keys of `listen --json`."""
         shape = self.fired.shape

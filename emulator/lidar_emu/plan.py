@@ -55,7 +55,13 @@ def plan_bench(scenario: BenchScenario) -> Plan:
 def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     """Decide each stage for the whole run."""
     footprint, beamlets = _footprint(scenario, flight)
-    decisions = [_trajectory(flight), *_ground(scenario, flight), _air(scenario), footprint, *_scanner(flight)]
+    decisions = [
+        _trajectory(flight),
+        *_ground(scenario, flight),
+        _air(scenario),
+        footprint,
+        *_scanner(flight),
+    ]
     return Plan(tuple(decisions), beamlets)
 
 
@@ -80,7 +86,13 @@ def _ground(scenario: FlightScenario, flight: Flight) -> list[Decision]:
         ]
     return [
         Decision("ground", True, flight.scene.description, "the site has an elevation grid", "exact"),
-        Decision("curvature of the grid", False, "map plane", "grids are read on their map plane", "0.2 m at 830 m on the Moon"),
+        Decision(
+            "curvature of the grid",
+            False,
+            "map plane",
+            "grids are read on their map plane",
+            "0.2 m at 830 m on the Moon",
+        ),
     ]
 
 
@@ -123,7 +135,7 @@ def spectral_spread_bins(scenario: FlightScenario, flight: Flight) -> float:
     waveform, optics = scenario.instrument.waveform, scenario.instrument.optics
     shot = np.unique(np.linspace(0, flight.shot_count - 1, _SAMPLES).astype(np.int64))
     pointing, _ = flight.point(shot, flight.scanner.initial)
-    hits = flight.scene.cast(pointing.sensor_site_m, pointing.true_site)
+    hits = flight.cast(pointing.sensor_site_m, pointing.true_site)
     radius_m = beam_radius_m(hits.range_m, optics.waist_radius_m, waveform.wavelength_m)
     curvature_m = wavefront_radius_m(hits.range_m, optics.waist_radius_m, waveform.wavelength_m)
     cosine = np.abs(dot(hits.normal_site, pointing.true_site))

@@ -7,7 +7,6 @@ of a shot do not depend on the block that it came in.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import ceil
 from typing import Protocol
 
 import numpy as np
@@ -17,7 +16,7 @@ from lidar_emu.bench_model import BenchModel
 from lidar_emu.flight import Flight, Pointing
 from lidar_emu.fmcw.echo import coherent_power_w
 from lidar_emu.fmcw.receiver import Echoes, Returns, build_receiver, receive
-from lidar_emu.measurement import FloatArray, Measurement
+from lidar_emu.measurement import Measurement
 from lidar_emu.plan import Plan, plan_flight
 from lidar_emu.rotations import dot
 from lidar_emu.scanner.footprint import Footprint, sample_footprint
@@ -57,7 +56,7 @@ class FlightModel:
         """Shots `first` to `first + count - 1`, given the scanner's state before them."""
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.flight.point(shot, state)
-        axis_hits = self.flight.scene.cast(pointing.sensor_site_m, pointing.true_site)
+        axis_hits = self.flight.cast(pointing.sensor_site_m, pointing.true_site)
         echoes = self._echoes(pointing, axis_hits)
         returns = receive(self.receiver, echoes, shot, self.scenario.seed)
         return self._measurement(shot, pointing, axis_hits, returns), state
@@ -74,7 +73,7 @@ class FlightModel:
             optics.waist_radius_m,
             instrument.waveform.wavelength_m,
         )
-        hits = self._cast_beamlets(footprint, pointing, axis_hits)
+        hits = self._cast_beamlets(footprint, axis_hits)
         cos_incidence = np.abs(dot(hits.normal_site, footprint.ray_site))
         power_w = coherent_power_w(instrument, site.surface, site.atmosphere, hits.range_m, cos_incidence)
         return Echoes(
@@ -85,10 +84,12 @@ class FlightModel:
             inside=axis_hits.inside,
         )
 
-    def _cast_beamlets(self, footprint: Footprint, pointing: Pointing, axis_hits: Hits) -> Hits:
+    def _cast_beamlets(self, footprint: Footprint, axis_hits: Hits) -> Hits:
         if footprint.weight.size > 1:
-            return self.flight.scene.cast(footprint.start_site_m, footprint.ray_site)
-        return axis_hits.expanded()
+            return self.flight.cast(footprint.start_site_m, footprint.ray_site)
+        return Hits(
+            axis_hits.range_m[..., None], axis_hits.normal_site[..., None, :], axis_hits.inside[..., None]
+        )
 
     def _measurement(
         self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits, returns: Returns
@@ -155,8 +156,3 @@ def simulate(scenario: FlightScenario | BenchScenario, seed: int | None = None) 
     if seed is not None:
         scenario = scenario.model_copy(update={"seed": seed})
     return Measurement.joined(list(measure_in_blocks(build_model(scenario))))
-
-
-def shots_within(duration_s: float, period_ns: int) -> int:
-    """Shots that start before `duration_s` has passed; at least one."""
-    return max(1, ceil(duration_s * 1e9 / period_ns))

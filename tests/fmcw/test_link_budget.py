@@ -60,7 +60,7 @@ def test_bits_do_not_depend_on_the_block() -> None:
 
 
 def test_photons_detected_at_2_km() -> None:
-    """1 pW for a record of 218.453 us, 0.4 heterodyne efficiency, 1 A/W, 1 mW of local oscillator into 2 kohm.
+    """1 pW for a record of 218.453 us, 0.4 heterodyne efficiency, 1 A/W, 1 mW of oscillator into 2 kohm.
 
     1e-12 J/s * 2.184533e-4 s / 1.602177e-19 C = 1363.48 electrons, 545.39 with the heterodyne efficiency.
     Thermal 4kT/R = 8.28389e-24 A2/Hz over shot 2qI = 3.20435e-22 A2/Hz is 0.0258520: 531.65.

@@ -246,7 +246,7 @@ def test_nothing_absurd_comes_out_whatever_goes_in(
 def test_no_surface_within_a_short_maximum_comes_back_as_a_short_range() -> None:
     """Beyond the maximum, but within the record: measured where it is, and refused."""
     for combine in ("chirp_minus_doppler", "least_squares"):
-        detection = Detection(maximum_range_m=3000.0, combine=combine)  # type: ignore[arg-type]
+        detection = Detection(maximum_range_m=3000.0, combine=combine)
         model = build_receiver(Instrument(detection=detection))
         range_m = np.random.default_rng(6).uniform(3001, 12_200, (300, 1, 1))
         returns = _receive(_echoes(range_m, 60.0), model)

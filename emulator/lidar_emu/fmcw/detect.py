@@ -5,11 +5,11 @@ from __future__ import annotations
 from math import pi, sqrt
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.sine import FAST, sin_pi
 from lidar_emu.fmcw.spectrum import FloatArray, windowed_bin
+from lidar_emu.kernels import njit
 
 MAX_GROUPS = 4
 """Groups kept of one spectrum, the strongest."""

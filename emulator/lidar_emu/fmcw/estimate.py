@@ -10,7 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from lidar_emu.kernels import njit
 
 _RESOLVED_COST = 9.0
 """A rival explanation that costs this much more, three standard deviations, is refuted."""
@@ -86,8 +87,8 @@ def least_squares(
     g₋ - g₊ - 2 g₀ to zero by corrections in proportion to the variances, and is admitted where b lies between
     0 and `farthest_bin`, give or take three standard deviations. It costs r² over its variance, plus 9 for
     each fold at N/2 that it assumes; of equals the closing one is taken. The sign counts as resolved when
-    every admitted explanation that lies more than six standard deviations away in b or d costs more by 9, or by 9
-    times r² over its variance where the residual shows that the variances are too small.
+    every admitted explanation that lies more than six standard deviations away in b or d costs more by 9, or
+    by 9 times r² over its variance where the residual shows that the variances are too small.
 
     Args:
         up, constant, down: observed frequencies F₊, F₀, F₋.

@@ -6,7 +6,6 @@ from math import cos, log10, pi, sin, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.detect import BIN_VARIANCE, MAX_GROUPS, find_groups, hann_peak
@@ -26,6 +25,7 @@ from lidar_emu.fmcw.spectrum import (
     set_power,
     set_tones,
 )
+from lidar_emu.kernels import njit
 
 if TYPE_CHECKING:
     from lidar_emu.fmcw.receiver import ReceiverModel

@@ -9,9 +9,9 @@ from __future__ import annotations
 from math import log, sqrt
 
 import numpy as np
-from numba import njit
 
 from lidar_emu.fmcw.sine import FAST, sin_pi
+from lidar_emu.kernels import njit
 
 _MULTIPLIER_0 = np.uint64(0xD2511F53)
 _MULTIPLIER_1 = np.uint64(0xCD9E8D57)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import factorial, pi
 
-from numba import njit
+from lidar_emu.kernels import njit
 
 FAST = {"contract", "arcp", "nsz"}
 """The liberties that kernels may take: none that changes the order of a sum or the meaning of NaN."""

@@ -2,8 +2,8 @@
 
 Everything here is referred to the centre of the record: a tone has its phase there, and bin k is the bin of
 the ordinary transform times exp(-jπk/N). The exact rectangular-window bin of tones of complex weight w at n +
-δ bins, scaled so that a tone on its bin gives w, is then a sum with real kernels (the transform is a geometric
-series):
+δ bins, scaled so that a tone on its bin gives w, is then a sum with real kernels (the transform is a
+geometric series):
 
     Y[k] = Σ (-1)^n sin(πδ)/N · ( w / sin(π(n - k + δ)/N)  +  conj(w) / sin(π(n + k + δ)/N) ),
 
@@ -20,11 +20,11 @@ from math import copysign, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.philox import complex_normal
 from lidar_emu.fmcw.sine import FAST, sin_pi
+from lidar_emu.kernels import njit
 
 FloatArray = NDArray[np.float64]
 
@@ -63,9 +63,9 @@ def fold(signed_bin: float, length: float) -> tuple[float, float, float]:
     """Where a real-valued receiver sees a tone of signed frequency, and what becomes of its weight.
 
     Returns:
-        The observed bin, 0 to N/2, and factors of ±1 for the real and the imaginary part of the weight: a fold
-        at 0 conjugates it; sampled at whole steps, a shift by N turns the phase at the record's centre, half a
-        step from the nearest sample, by π.
+        The observed bin, 0 to N/2, and factors of ±1 for the real and the imaginary part of the weight: a
+        fold at 0 conjugates it; sampled at whole steps, a shift by N turns the phase at the record's centre,
+        half a step from the nearest sample, by π.
     """
     shift = np.rint(signed_bin / length)
     nearest = signed_bin - length * shift

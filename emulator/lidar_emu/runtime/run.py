@@ -177,8 +177,8 @@ class PortRunner:
         self._clock.wait(self._clock.now_ns() + round(timeout_s * 1e9), descriptors)
         self._collect()
 
-    def finish(self) -> None:
-        """Wait until every packet was sent, skipped or dropped and, for at most 2 s, a pty's reader has read.
+    def last_packet_pushed(self) -> None:
+        """No more packets will come: `finished` turns true once the process is through with them.
 
         Raises:
             RunError: the run has not begun, or the process died.
@@ -187,6 +187,19 @@ class PortRunner:
             raise RunError("the run has not begun")
         self._running().tell(finish=True)
         self._ring()
+
+    @property
+    def finished(self) -> bool:
+        """Every packet was sent, skipped or dropped and, for at most 2 s, a pty's reader has read."""
+        return self._finished
+
+    def finish(self) -> None:
+        """`last_packet_pushed`, and wait until `finished`.
+
+        Raises:
+            RunError: the run has not begun, or the process died.
+        """
+        self.last_packet_pushed()
         while not self._finished:
             self.wait(_POLL_NS / 1e9)
 

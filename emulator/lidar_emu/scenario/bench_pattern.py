@@ -44,7 +44,9 @@ class BenchBeam(Part):
 
     @model_validator(mode="after")
     def _range_is_a_range(self) -> Self:
-        lowest = min(self.range_m.start, self.range_m.stop) if isinstance(self.range_m, Ramp) else self.range_m
+        lowest = (
+            min(self.range_m.start, self.range_m.stop) if isinstance(self.range_m, Ramp) else self.range_m
+        )
         if lowest < 0:
             raise ValueError("range_m must not be negative")
         return self

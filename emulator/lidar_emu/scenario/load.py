@@ -87,7 +87,9 @@ def _read_mapping(path: Path) -> Tree:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(str(path), None, error.strerror or "unreadable", "allowed: a readable file") from None
+        raise InputError(
+            str(path), None, error.strerror or "unreadable", "allowed: a readable file"
+        ) from None
     if len(data) > _MAXIMUM_BYTES:
         raise InputError(str(path), None, f"{len(data)} bytes", f"allowed: at most {_MAXIMUM_BYTES}")
     try:
@@ -185,7 +187,9 @@ def _find_part(part: str, name: str, owner: Path) -> Path:
             if candidate.is_file():
                 return candidate
     known = ", ".join(sorted(path.stem for path in folders[1].glob("*.yaml"))) or "none"
-    raise InputError(str(owner), part, name, f"allowed: a file beside the scenario, or one of those shipped: {known}")
+    raise InputError(
+        str(owner), part, name, f"allowed: a file beside the scenario, or one of those shipped: {known}"
+    )
 
 
 def _merged(base: Tree, own: Tree) -> Tree:
@@ -193,7 +197,11 @@ def _merged(base: Tree, own: Tree) -> Tree:
     result = dict(base)
     for key, value in own.items():
         old = result.get(key)
-        if isinstance(value, dict) and isinstance(old, dict) and value.get("kind", old.get("kind")) == old.get("kind"):
+        if (
+            isinstance(value, dict)
+            and isinstance(old, dict)
+            and value.get("kind", old.get("kind")) == old.get("kind")
+        ):
             result[key] = _merged(old, value)
         else:
             result[key] = value
@@ -232,7 +240,9 @@ def _explained(error: ValidationError, tree: Tree, sources: Mapping[Key, str]) -
     if first["type"] == "extra_forbidden":
         return InputError(where, key, value, "allowed: only the documented keys (lidar-emu schema)")
     if first["type"] == "value_error":
-        return InputError(where, key, "the value" if isinstance(value, dict) else value, f"allowed: {message}")
+        return InputError(
+            where, key, "the value" if isinstance(value, dict) else value, f"allowed: {message}"
+        )
     return InputError(where, key, value, f"allowed: {message}")
 
 

@@ -53,7 +53,9 @@ class Profile(Part):
     def _descends(self) -> Self:
         for upper, lower in zip(self.waypoints, self.waypoints[1:], strict=False):
             if lower.altitude_m >= upper.altitude_m:
-                raise ValueError(f"waypoints must descend: {lower.altitude_m:g} m follows {upper.altitude_m:g} m")
+                raise ValueError(
+                    f"waypoints must descend: {lower.altitude_m:g} m follows {upper.altitude_m:g} m"
+                )
             if upper.speed_mps + lower.speed_mps <= 0:
                 raise ValueError("two waypoints with speed_mps 0 are never connected")
         return self

@@ -7,8 +7,8 @@ array is inlined by request: a call that passes one counts references to it, a q
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from lidar_emu.kernels import njit
 from lidar_emu.scene.hits import FloatArray
 
 

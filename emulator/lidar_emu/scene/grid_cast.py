@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from lidar_emu.kernels import njit
 from lidar_emu.scene.cell import slopes, surface
 from lidar_emu.scene.hits import BoolArray, FloatArray, IntArray
 from lidar_emu.scene.plane import plane_stretch

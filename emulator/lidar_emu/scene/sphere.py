@@ -9,8 +9,8 @@ from __future__ import annotations
 from decimal import Decimal, localcontext
 
 import numpy as np
-from numba import njit
 
+from lidar_emu.kernels import njit
 from lidar_emu.scene.hits import BoolArray, FloatArray, Hits, contiguous
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from lidar_emu.kernels import njit
 from lidar_emu.scene.cell import cell_of, first_descent, height_along
 from lidar_emu.scene.hits import FloatArray, IntArray
 

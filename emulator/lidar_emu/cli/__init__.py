@@ -1,0 +1,60 @@
+"""The command line: one group, a file per family of commands, heavy imports inside the commands."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import click
+
+from lidar_emu import __version__
+from lidar_emu.cli.documents import icd, scenarios, schema
+from lidar_emu.cli.listen import listen
+from lidar_emu.cli.plan import plan
+from lidar_emu.cli.run import run
+from lidar_emu.cli.simulate import simulate
+from lidar_emu.errors import InputError, RunError, one_line
+
+EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(__version__, prog_name="lidar-emu")
+def cli() -> None:
+    """Stand in for a multi-beam FMCW Doppler landing lidar.
+
+    \b
+    lidar-emu run descent.yaml                        fly on an in-memory loopback, show what arrives
+    lidar-emu run descent.yaml --port /dev/ttyUSB0 --baud 921600
+    lidar-emu run descent.yaml -i socketcan -c vcan0
+    lidar-emu listen --port /dev/ttyUSB1 --baud 921600 --json
+    lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
+    lidar-emu plan descent.yaml                       what the run computes and what it leaves out
+    """
+
+
+for command in (run, listen, simulate, plan, scenarios, schema, icd):
+    cli.add_command(command)
+
+
+def main() -> None:
+    """Run a command: exit code 0 on success, 1 for a run that failed, 2 for what the user has to mend."""
+    try:
+        sys.exit(cli(standalone_mode=False))
+    except InputError as error:
+        _complain(str(error), EXIT_USAGE)
+    except click.ClickException as error:
+        _complain(error.format_message(), EXIT_USAGE)
+    except RunError as error:
+        _complain(str(error), EXIT_FAILED)
+    except (KeyboardInterrupt, click.Abort):
+        sys.exit(EXIT_INTERRUPTED)
+    except BrokenPipeError:
+        # Whoever read our output has enough of it: `lidar-emu listen | head`.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
+
+
+def _complain(message: str, code: int) -> None:
+    click.echo(f"lidar-emu: {one_line(message)}", err=True)
+    sys.exit(code)

@@ -1,0 +1,60 @@
+"""Commands that print documents: the shipped scenarios, the schema, the interface."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from lidar_emu.errors import InputError
+
+
+@click.command(short_help="The scenarios that come with the tool.")
+def scenarios() -> None:
+    """List the shipped scenarios and where they are, to be copied and changed."""
+    from lidar_emu.scenario.load import shipped, shipped_scenarios
+
+    for name in shipped_scenarios():
+        path = shipped("scenarios") / name
+        click.echo(f"{name:24} {path.read_text().splitlines()[0].lstrip('# ')}")
+    click.echo(f"in {shipped('scenarios')}")
+
+
+@click.command(short_help="The scenario's JSON schema, or its reference for people.")
+@click.option("--markdown", is_flag=True, help="Every key with its documentation.")
+def schema(markdown: bool) -> None:
+    """Print the JSON schema of scenario files.
+
+    \b
+    lidar-emu schema > lidar-emu.schema.json
+    then in the scenario's first line, for editors with a YAML language server:
+    # yaml-language-server: $schema=lidar-emu.schema.json
+    """
+    from lidar_emu.scenario import reference
+
+    click.echo(
+        reference.markdown() if markdown else json.dumps(reference.json_schema(), indent=2), nl=not markdown
+    )
+
+
+@click.command(short_help="The interface document and the CAN database.")
+@click.option("--out", metavar="FOLDER", default=".", show_default=True, help="Where to write them.")
+def icd(out: str) -> None:
+    """Write INTERFACE.md and lidar.dbc, generated from the message definitions.
+
+    \b
+    lidar-emu icd --out docs/
+    """
+    from lidar_protocol import default_interface, documents
+
+    folder = Path(out)
+    if not folder.is_dir():
+        raise InputError("--out", None, out, "allowed: a folder that exists")
+    interface = default_interface()
+    for name, text in (
+        ("INTERFACE.md", documents.interface_markdown(interface)),
+        ("lidar.dbc", documents.dbc(interface)),
+    ):
+        (folder / name).write_text(text)
+        click.echo(str(folder / name))

@@ -1,0 +1,56 @@
+"""`lidar-emu listen`: the host's end of the line."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from lidar_emu.errors import InputError
+from lidar_emu.transports.options import port_options
+
+if TYPE_CHECKING:
+    from lidar_emu.transports.spec import PortSpec
+
+_READ_S = 0.2
+
+
+@click.command(short_help="Decode what arrives at the other end of the line.")
+@port_options
+@click.option("--json", "as_json", is_flag=True, help="One JSON object per beam and line.")
+@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N shots.")
+def listen(port: PortSpec, as_json: bool, count: int | None) -> None:
+    """Decode what arrives, and count gaps and bad bytes.
+
+    `--port pty` opens a pseudo-terminal and prints the path for `lidar-emu run --port PATH`. Ctrl-C ends it.
+
+    \b
+    lidar-emu listen --port /dev/ttyUSB1 --baud 921600
+    lidar-emu listen --port pty --json
+    lidar-emu listen -i socketcan -c vcan0 --count 100
+    """
+    from lidar_emu.cli.far_end import Decoder, Screen, counter_line, json_lines
+    from lidar_emu.transports.host import open_host
+    from lidar_emu.transports.spec import Kind
+
+    if port.kind is Kind.LOOPBACK:
+        raise InputError("listen", None, "no port", "allowed: --port PORT, or --interface and --channel")
+    host = open_host(port)
+    click.echo(f"listening on {host.description}", err=True)
+    decoder, screen = Decoder(), Screen(every_s=0.0)
+    try:
+        while count is None or decoder.messages < count:
+            messages = decoder.decode(host.read(_READ_S))
+            if count is not None and decoder.messages > count:
+                messages = messages[: count - decoder.messages]
+            if as_json:
+                for message in messages:
+                    click.echo("\n".join(json_lines(message)))
+            else:
+                screen.show(messages)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        host.close()
+        lost = f"; the link broke {host.times_lost} times" if host.times_lost else ""
+        click.echo(f"received: {counter_line(decoder.counters())}{lost}", err=True)

@@ -1,0 +1,125 @@
+"""`lidar-emu run`: fly a scenario over a port in real time."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from lidar_emu.cli.options import overrides, scenario_options
+from lidar_emu.cli.progress import COMPILING, busy
+from lidar_emu.errors import InputError
+from lidar_emu.transports.options import port_options
+
+if TYPE_CHECKING:
+    from lidar_emu.runtime.fly import Observer, Outcome
+    from lidar_emu.transports.spec import PortSpec
+
+_FAILURES = ("late", "dropped")
+
+
+@click.command(short_help="Fly a scenario in real time over a serial line, a CAN bus or a loopback.")
+@scenario_options
+@port_options
+@click.option("--pace", type=click.Choice(["wall", "max"]), default="wall", show_default=True,
+              help="With the clock, or as fast as the link takes it.")  # fmt: skip
+@click.option("--start", default="now", show_default=True, metavar="now|UTC",
+              help="Instant of scenario time 0, e.g. 2030-01-01T12:00:00Z.")  # fmt: skip
+@click.option("--record", metavar="FILE", help="Keep truth, measurements and packets (MCAP).")
+@click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
+@click.option("--fail-on", metavar="LIST", default="", help="Exit 1 if shots were: late,dropped.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON, nothing else.")
+def run(
+    scenario: str,
+    duration: str | None,
+    seed: str | None,
+    settings: tuple[str, ...],
+    port: PortSpec,
+    pace: str,
+    start: str,
+    record: str | None,
+    summary_file: str | None,
+    fail_on: str,
+    as_json: bool,
+) -> int:
+    """Fly SCENARIO, a YAML file or a shipped one by name, and send every shot when it is due.
+
+    Without a port the packets go through an in-memory loopback, and what its far end decodes is shown.
+
+    \b
+    lidar-emu run descent.yaml
+    lidar-emu run descent.yaml --port pty
+    lidar-emu run descent.yaml --port /dev/ttyUSB0 --baud 921600 --record flight.mcap
+    lidar-emu run descent.yaml -i slcan -c /dev/ttyACM0 --bitrate 1000000
+    lidar-emu run my.yaml --pace max --fail-on late,dropped --summary out.json --set timing.rate_hz=100
+    """
+    failures = _failures(fail_on)
+    start_utc = _start(start)
+    for option, file in (("--record", record), ("--summary", summary_file)):
+        _refuse_folder(option, file)
+    from lidar_emu.cli.run_display import Announcer, LoopbackView, summary_lines
+    from lidar_emu.runtime.fly import Run, RunOptions
+    from lidar_emu.runtime.pacing import Pace
+    from lidar_emu.scenario.load import load
+
+    flown = load(scenario, overrides(duration, seed, settings))
+    from lidar_emu.shots import build_model
+
+    view = LoopbackView(quiet=as_json)
+    observers: list[Observer] = [view] if as_json else [Announcer(flown.name, pace), view]
+    with busy(COMPILING):
+        model = build_model(flown)
+        this_run = Run(flown, model, RunOptions(port, Pace(pace), start_utc), observers)
+    if this_run.warning is not None:
+        click.echo(f"lidar-emu: warning: {this_run.warning}", err=True)
+    if record is not None:
+        from lidar_emu.recording.write import Recorder
+
+        with Recorder(Path(record), flown, port) as recorder:
+            observers.append(recorder)
+            outcome = this_run.fly()
+    else:
+        outcome = this_run.fly()
+    return _end(outcome, view, failures, summary_file, as_json, summary_lines)
+
+
+def _end(
+    outcome: Outcome, view: Any, failures: set[str], summary_file: str | None, as_json: bool, lines: Any
+) -> int:
+    told = outcome.to_json() | {"far_end": view.counters()}
+    text = json.dumps(told, indent=2)
+    if summary_file is not None:
+        Path(summary_file).write_text(text + "\n")
+    click.echo(text if as_json else "\n".join(lines(told)))
+    failed = {"late": outcome.tally.late > 0, "dropped": outcome.tally.dropped > 0}
+    return 1 if any(failed[name] for name in failures) else 0
+
+
+def _failures(text: str) -> set[str]:
+    names = {name.strip() for name in text.split(",") if name.strip()}
+    for name in names - set(_FAILURES):
+        raise InputError("--fail-on", None, name, f"allowed: {', '.join(_FAILURES)}")
+    return names
+
+
+def _start(text: str) -> datetime | None:
+    if text == "now":
+        return None
+    try:
+        instant = datetime.fromisoformat(text)
+    except ValueError:
+        raise InputError(
+            "--start", None, text, "allowed: now, or an instant as 2030-01-01T12:00:00Z"
+        ) from None
+    return instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant
+
+
+def _refuse_folder(option: str, file: str | None) -> None:
+    if file is None:
+        return
+    path = Path(file)
+    if path.is_dir() or not path.parent.is_dir():
+        raise InputError(option, None, file, "allowed: a file in a folder that exists")

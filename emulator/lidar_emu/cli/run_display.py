@@ -1,0 +1,113 @@
+"""What a run shows: the port, what the loopback's far end decodes, and the summary."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from lidar_emu.cli.far_end import Decoder, Screen, counter_line
+from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.session import Block
+
+_SHOW_EVERY_S = 0.5
+
+
+class Announcer:
+    """Says which port was opened, before the first packet."""
+
+    def __init__(self, name: str, pace: str) -> None:
+        self._name = name
+        self._pace = pace
+
+    def opened(self, port: str) -> None:
+        """The port is open under this name."""
+        click.echo(f"{self._name} on {port}, pace {self._pace}; Ctrl-C ends it")
+
+    def computed(self, block: Block) -> None:
+        """Nothing to say."""
+
+    def report(self, packet: Outgoing, report: Report) -> None:
+        """Nothing to say."""
+
+    def arrived(self, data: bytes) -> None:
+        """Nothing to say."""
+
+
+class LoopbackView:
+    """The far end of the in-memory loopback: decodes all, shows two lines a second."""
+
+    def __init__(self, quiet: bool) -> None:
+        self._decoder = Decoder()
+        self._screen = None if quiet else Screen(_SHOW_EVERY_S)
+
+    def opened(self, port: str) -> None:
+        """Nothing to say."""
+
+    def computed(self, block: Block) -> None:
+        """Nothing to say."""
+
+    def report(self, packet: Outgoing, report: Report) -> None:
+        """Nothing to say."""
+
+    def arrived(self, data: bytes) -> None:
+        """Decode, and show what is due."""
+        messages = self._decoder.decode(data)
+        if self._screen is not None:
+            self._screen.show(messages)
+
+    def counters(self) -> dict[str, int]:
+        """What the far end counted."""
+        return self._decoder.counters()
+
+
+def summary_lines(told: dict[str, Any]) -> list[str]:
+    """The summary for the eye."""
+    shots, lateness = told["shots"], told["lateness"]
+    dropped = ", ".join(
+        f"{name.replace('_', ' ')} {count}" for name, count in shots["dropped"].items() if count
+    )
+    lines = [
+        "",
+        f"shots      {shots['due']} due of {told['planned_shots']} planned: {shots['sent']} sent, "
+        f"{shots['late']} late, {sum(shots['dropped'].values())} dropped"
+        + (f" ({dropped})" if dropped else ""),
+    ]
+    if lateness["count"]:
+        figures = ", ".join(
+            f"{label} {_time(lateness[key])}"
+            for label, key in (("p50", "p50_ns"), ("p99", "p99_ns"), ("p99.9", "p99_9_ns"), ("max", "max_ns"))
+        )
+        steal = "" if told["steal_ticks"] is None else f"; host steal {told['steal_ticks']} ticks"
+        lines.append(f"lateness   {figures}{steal}")
+    lines += [f"beam {beam:<6}{_reasons(counts)}" for beam, counts in enumerate(told["beams"])]
+    lines.append(f"range      error {_error(told['range_error_m'], 1, 'm')}")
+    lines.append(f"speed      error {_error(told['speed_error_mps'], 1000, 'mm/s')}")
+    if told["wire"]["sent_bytes"] is not None:
+        lines.append(
+            f"wire       {told['wire']['sent_bytes']} bytes, {100 * told['wire']['load']:.1f} % of the link"
+        )
+    if any(told["far_end"].values()):
+        lines.append(f"far end    {counter_line(told['far_end'])}")
+    lines += [f"link       {event['time_s']:.3f} s: {event['what']}" for event in told["link_events"]]
+    left_out = ", ".join(row["stage"] for row in told["left_out"])
+    lines.append(f"left out   {left_out or 'nothing'} (lidar-emu plan says why)")
+    if told["interrupted"]:
+        lines.append("the run was interrupted")
+    return lines
+
+
+def _time(nanoseconds: int) -> str:
+    return f"{nanoseconds / 1e3:.0f} us" if nanoseconds < 10_000_000 else f"{nanoseconds / 1e6:.1f} ms"
+
+
+def _reasons(counts: dict[str, int]) -> str:
+    total = sum(counts.values())
+    return ", ".join(f"{name.replace('_', ' ')} {100 * n / total:.1f} %" for name, n in counts.items())
+
+
+def _error(statistics: dict[str, Any], factor: float, unit: str) -> str:
+    if not statistics["count"]:
+        return "unknown: no valid measurement"
+    rms, mean, largest = (factor * statistics[key] for key in ("rms", "mean", "max"))
+    return f"{rms:.4g} {unit} rms, {mean:+.3g} {unit} mean, {largest:.4g} {unit} at most ({statistics['count']} values)"

@@ -1,0 +1,233 @@
+"""One page about a descent: where the beams met the ground, and how far off the truth they were.
+
+The two upper panels are in the manner of figures 3 to 5 of Budge et al.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.errors import InputError
+from lidar_emu.measurement import FloatArray, Measurement
+from lidar_emu.report.whole_file import check_destination, check_extra, whole_file
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    from lidar_emu.scene.hits import Scene
+
+_SIZE_INCH = (16.0, 11.0)
+_DOTS_PER_INCH = 100
+_GROUND_SAMPLES = 80
+_WIDEST_RATIO = 3.0
+"""Of the longer to the shorter horizontal axis: a long approach stays readable."""
+_BEAMS_IN_LEGEND = 12
+_PATH_COLOUR = "#b22222"
+
+
+def check_plot_path(path: Path) -> None:
+    """Raise what `plot_descent` would raise for this path, before a long run.
+
+    Raises:
+        InputError: not a `.png`, missing or read-only folder, or the extra `plots` is absent.
+    """
+    if path.suffix != ".png":
+        raise InputError(str(path), None, path.suffix or "no suffix", "allowed: .png")
+    check_extra(path, "matplotlib", "plots")
+    check_destination(path)
+
+
+def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path: Path) -> None:
+    """Draw a flight as a PNG of 1600 by 1100 pixels.
+
+    Args:
+        measurement: of a flight; beams without a valid range or speed are left out where it is shown.
+        scene: the ground to draw below the points; None draws the points alone.
+        title: stands above the panels.
+        path: a `.png`.
+
+    Raises:
+        InputError: as `check_plot_path`, or there is nothing to draw: a bench pattern, or no valid range.
+        RunError: writing failed on the way.
+    """
+    check_plot_path(path)
+    if np.isnan(measurement.position_site_m).all():
+        raise InputError(
+            title, None, "a bench pattern", "allowed: a flight; a bench pattern has no ground to draw"
+        )
+    if not measurement.range_valid.any():
+        raise InputError(
+            title, None, "a run without a valid range", "allowed: a flight that measured some point"
+        )
+    figure = _draw(measurement, scene, title)
+    with whole_file(path) as file:
+        figure.savefig(file, format="png")
+
+
+def _draw(measurement: Measurement, scene: Scene | None, title: str) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=_SIZE_INCH, dpi=_DOTS_PER_INCH)
+    figure.suptitle(title, x=0.5, y=0.975, fontsize=17)
+    extent = _extent_of(measurement)
+    ground_m = None if scene is None else _sample_ground(scene, extent)
+    has_speed = measurement.range_valid & measurement.speed_valid
+    panels = (
+        (0.015, measurement.range_m, measurement.range_valid, "viridis", "range (m)"),
+        (0.505, measurement.closing_speed_mps, has_speed, "plasma", "closing speed (m/s)"),
+    )
+    for left, values, valid, colours, label in panels:
+        axes: Any = figure.add_axes((left, 0.385, 0.42, 0.565), projection="3d")
+        _set_up(axes, extent)
+        if ground_m is not None:
+            axes.add_collection3d(_surface(ground_m))
+        points = _add_flight(axes, measurement, values, valid, colours)
+        bar = figure.colorbar(points, cax=figure.add_axes((left + 0.437, 0.47, 0.011, 0.39)))
+        bar.set_label(label)
+    _draw_errors(figure, measurement)
+    return figure
+
+
+@dataclass(frozen=True)
+class _Extent:
+    """The box that is drawn, in the site frame."""
+
+    low_m: FloatArray
+    """(3,) East, north, up."""
+    high_m: FloatArray
+    """(3,)"""
+
+
+def _extent_of(measurement: Measurement) -> _Extent:
+    """Room for the path and the points, with a margin, and never flat."""
+    seen_m = np.concatenate([measurement.position_site_m, measurement.point_site_m[measurement.range_valid]])
+    low_m, high_m = np.nanmin(seen_m, axis=0), np.nanmax(seen_m, axis=0)
+    centre_m, half_m = (high_m + low_m) / 2, (high_m - low_m) / 2
+    half_m[:2] = np.maximum(half_m[:2], max(half_m[:2].max() / _WIDEST_RATIO, 0.05 * half_m[2], 0.5)) * 1.08
+    half_m[2] = max(half_m[2], 0.5) * 1.02
+    return _Extent(centre_m - half_m, centre_m + half_m)
+
+
+def _sample_ground(scene: Scene, extent: _Extent) -> FloatArray:
+    """(n, n, 3) points of the ground over the extent; NaN up where there is none."""
+    axes_m = (np.linspace(extent.low_m[k], extent.high_m[k], _GROUND_SAMPLES) for k in range(2))
+    east_m, north_m = np.meshgrid(*axes_m)
+    up_m = scene.height_m(east_m.ravel(), north_m.ravel()).reshape(east_m.shape)
+    return np.stack([east_m, north_m, up_m], axis=-1)
+
+
+def _surface(ground_m: FloatArray) -> Any:
+    """The ground as light grey quadrilaterals in the light of a low sun, where all four corners exist."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
+
+    quads_m = np.stack([ground_m[:-1, :-1], ground_m[:-1, 1:], ground_m[1:, 1:], ground_m[1:, :-1]], axis=2)
+    shade = 0.84 + 0.09 * _slope_to_sun(ground_m)
+    exists = ~np.isnan(quads_m).any(axis=(2, 3))
+    grey = np.repeat(shade[exists][:, None], 3, axis=1)
+    return Poly3DCollection(quads_m[exists], facecolors=grey, edgecolors=grey, linewidths=0.3, zorder=1)
+
+
+def _slope_to_sun(ground_m: FloatArray) -> FloatArray:
+    """(n-1, n-1) slope of each quadrilateral toward the north-west, within -1 and 1 for the steepest."""
+    east_m, north_m, up_m = np.moveaxis(ground_m, -1, 0)
+    rise_east = np.diff(up_m, axis=1)[:-1] / np.diff(east_m, axis=1)[:-1]
+    rise_north = np.diff(up_m, axis=0)[:, :-1] / np.diff(north_m, axis=0)[:, :-1]
+    facing = rise_east - rise_north
+    steepest = np.nanmax(np.abs(facing), initial=0.0)
+    # A slope below a thousandth is rounding on level ground, not relief.
+    return facing / max(steepest, 1e-3)
+
+
+def _set_up(axes: Any, extent: _Extent) -> None:
+    # matplotlib orders whole collections by depth, which hides points in the ground; the given order holds
+    # from every view above it.
+    axes.computed_zorder = False
+    size_m = extent.high_m - extent.low_m
+    axes.set(
+        xlim=(extent.low_m[0], extent.high_m[0]),
+        ylim=(extent.low_m[1], extent.high_m[1]),
+        zlim=(extent.low_m[2], extent.high_m[2]),
+        xlabel="east (m)",
+        ylabel="north (m)",
+        zlabel="up (m)",
+    )
+    longest_m = size_m[:2].max()
+    axes.set_box_aspect((size_m[0], size_m[1], 0.95 * longest_m), zoom=1.08)
+    axes.view_init(elev=24, azim=-58)
+    shares = (*size_m[:2] / longest_m, 1.0)
+    for axis, share in zip((axes.xaxis, axes.yaxis, axes.zaxis), shares, strict=True):
+        axis.set_pane_color((1, 1, 1, 0))
+        axis.set_major_locator(_ticks(5 if share > 0.7 else 3))
+        axis.labelpad = 9
+
+
+def _ticks(count: int) -> MaxNLocator:
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(nbins=count, steps=[1, 2, 2.5, 5, 10])
+
+
+def _add_flight(
+    axes: Any, measurement: Measurement, values: FloatArray, valid: NDArray[np.bool_], colours: str
+) -> Any:
+    """The path with its footprints; returns the coloured points."""
+    position_m = measurement.position_site_m
+    few = len(measurement) <= 100
+    axes.plot(
+        *position_m.T,
+        color=_PATH_COLOUR,
+        linewidth=1.6,
+        marker="o" if few else "",
+        markersize=3.5,
+        label="flight path",
+        zorder=3,
+    )
+    points = axes.scatter(
+        *measurement.point_site_m[valid].T,
+        c=values[valid],
+        cmap=colours,
+        s=26 if few else 5,
+        linewidths=0.3 if few else 0,
+        edgecolors="black",
+        depthshade=False,
+        label="measured points",
+        zorder=2,
+    )
+    axes.legend(loc="upper left", bbox_to_anchor=(0.02, 0.97), frameon=False)
+    return points
+
+
+def _draw_errors(figure: Figure, measurement: Measurement) -> None:
+    range_error_m = measurement.range_m - measurement.true_range_m
+    speed_error_mmps = (measurement.closing_speed_mps - measurement.true_closing_speed_mps) * 1e3
+    upper = figure.add_axes((0.06, 0.215, 0.86, 0.125))
+    lower = figure.add_axes((0.06, 0.06, 0.86, 0.125), sharex=upper)
+    _add_errors(upper, measurement, range_error_m, measurement.range_valid)
+    _add_errors(lower, measurement, speed_error_mmps, measurement.speed_valid)
+    upper.set_ylabel("range error (m)")
+    upper.tick_params(labelbottom=False)
+    lower.set_ylabel("speed error (mm/s)")
+    lower.set_xlabel("time (s)")
+    figure.align_ylabels([upper, lower])
+    if measurement.beam_count <= _BEAMS_IN_LEGEND:
+        upper.legend(loc="upper left", bbox_to_anchor=(1.005, 1.06), frameon=False, handletextpad=0.1)
+
+
+def _add_errors(axes: Axes, measurement: Measurement, error: FloatArray, valid: NDArray[np.bool_]) -> None:
+    largest = 10.0 if len(measurement) <= 100 else 4.0
+    axes.axhline(0, color="0.6", linewidth=0.8, zorder=1)
+    for beam in range(measurement.beam_count):
+        shown = valid[:, beam]
+        # Smaller from beam to beam: where beams agree, all of them are seen.
+        size = largest * (1 - 0.6 * beam / measurement.beam_count)
+        time_s = measurement.time_s[shown, beam]
+        axes.plot(time_s, error[shown, beam], ".", markersize=size, label=f"beam {beam}", zorder=2)
+    axes.grid(color="0.92")
+    axes.margins(x=0.01)

@@ -1,0 +1,148 @@
+"""A measurement as a file for other tools: tables, arrays and point clouds."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.errors import InputError
+from lidar_emu.measurement import FloatArray, Measurement
+from lidar_emu.report.whole_file import check_destination, check_extra, whole_file
+
+_PLY_VERTEX = np.dtype(
+    [
+        ("x", "<f8"),
+        ("y", "<f8"),
+        ("z", "<f8"),
+        ("range_m", "<f4"),
+        ("closing_speed_mps", "<f4"),
+        ("beam", "u1"),
+        ("red", "u1"),
+        ("green", "u1"),
+        ("blue", "u1"),
+    ]
+)
+_PLY_TYPES = {"f8": "double", "f4": "float", "u1": "uchar"}
+_NEAR_TO_FAR_RGB = np.array(
+    [(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], dtype=float
+)
+"""Evenly spaced stops of matplotlib's viridis, which needs no matplotlib here."""
+
+
+def check_export_path(path: Path) -> None:
+    """Raise what `export` would raise for this path, before a long run.
+
+    Raises:
+        InputError: unknown suffix, missing or read-only folder, or the extra `tables` is needed and absent.
+    """
+    if path.suffix not in _WRITERS:
+        raise InputError(str(path), None, path.suffix or "no suffix", f"allowed: {', '.join(_WRITERS)}")
+    if path.suffix == ".parquet":
+        check_extra(path, "pyarrow", "tables")
+    check_destination(path)
+
+
+def export(measurement: Measurement, path: Path) -> None:
+    """Write a measurement in the format that the suffix of `path` names.
+
+    `.csv`, `.npz` and `.parquet` hold the columns of `Measurement.table()`, one row per shot and beam. Missing
+    values are empty cells in CSV, NaN in NPZ and nulls in Parquet; CSV states switches as 1 and 0 and floats with
+    all their digits. `.ply` holds the points with a valid range (binary, site frame: east, north, up in metres).
+
+    Raises:
+        InputError: as `check_export_path`, or points were asked of a bench pattern.
+        RunError: writing failed on the way.
+    """
+    check_export_path(path)
+    if path.suffix == ".ply" and np.isnan(measurement.position_site_m).all():
+        raise InputError(
+            str(path), None, "a bench pattern", "allowed: a flight; a bench pattern has no points"
+        )
+    with whole_file(path) as file:
+        _WRITERS[path.suffix](measurement, file)
+
+
+def _write_csv(measurement: Measurement, file: BinaryIO) -> None:
+    table = measurement.table()
+    text = io.TextIOWrapper(file, encoding="ascii", newline="")
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(table)
+    rows.writerows(zip(*(_cells(column) for column in table.values()), strict=True))
+    # The wrapper would close the file, which is not its own.
+    text.detach()
+
+
+def _cells(column: NDArray[np.generic]) -> list[object]:
+    """Python values of a column; the csv module writes floats by `repr` and None as an empty cell."""
+    if column.dtype == np.bool_:
+        return list(column.astype(np.uint8).tolist())
+    if not np.issubdtype(column.dtype, np.floating):
+        return list(column.tolist())
+    return [None if value != value else value for value in column.tolist()]
+
+
+def _write_npz(measurement: Measurement, file: BinaryIO) -> None:
+    np.savez_compressed(file, allow_pickle=False, **measurement.table())
+
+
+def _write_parquet(measurement: Measurement, file: BinaryIO) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    # `from_pandas` makes nulls of NaN, so that queries skip what is missing.
+    columns = {name: pa.array(column, from_pandas=True) for name, column in measurement.table().items()}
+    pyarrow.parquet.write_table(pa.table(columns), file)
+
+
+def _write_ply(measurement: Measurement, file: BinaryIO) -> None:
+    vertices = _vertices(measurement)
+    properties = (
+        f"property {_PLY_TYPES[_PLY_VERTEX[name].str[1:]]} {name}" for name in _PLY_VERTEX.names or ()
+    )
+    header = (
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment site frame: x east, y north, z up, in metres",
+        f"element vertex {len(vertices)}",
+        *properties,
+        "end_header\n",
+    )
+    file.write("\n".join(header).encode())
+    file.write(vertices.tobytes())
+
+
+def _vertices(measurement: Measurement) -> NDArray[np.void]:
+    """(points,) of `_PLY_VERTEX`: shot by shot, beam by beam."""
+    valid = measurement.range_valid
+    vertices = np.empty(np.count_nonzero(valid), dtype=_PLY_VERTEX)
+    vertices["x"], vertices["y"], vertices["z"] = measurement.point_site_m[valid].T
+    vertices["range_m"] = measurement.range_m[valid]
+    vertices["closing_speed_mps"] = measurement.closing_speed_mps[valid]
+    vertices["beam"] = np.nonzero(valid)[1]
+    vertices["red"], vertices["green"], vertices["blue"] = _colours(measurement.range_m[valid]).T
+    return vertices
+
+
+def _colours(range_m: FloatArray) -> NDArray[np.uint8]:
+    """(points, 3) red, green and blue, from dark at the nearest point to bright at the farthest."""
+    if range_m.size == 0:
+        return np.empty((0, 3), dtype=np.uint8)
+    nearest_m, farthest_m = range_m.min(), range_m.max()
+    share = (range_m - nearest_m) / max(farthest_m - nearest_m, np.finfo(float).tiny)
+    stops = np.linspace(0, 1, len(_NEAR_TO_FAR_RGB))
+    channels = [np.interp(share, stops, channel) for channel in _NEAR_TO_FAR_RGB.T]
+    return np.stack(channels, axis=1).round().astype(np.uint8)
+
+
+_WRITERS: dict[str, Callable[[Measurement, BinaryIO], None]] = {
+    ".csv": _write_csv,
+    ".npz": _write_npz,
+    ".parquet": _write_parquet,
+    ".ply": _write_ply,
+}

@@ -1,0 +1,65 @@
+"""Files that are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import BinaryIO
+
+from lidar_emu.errors import InputError, RunError
+
+
+def check_destination(path: Path) -> None:
+    """Refuse, before a long run, a path that cannot be written.
+
+    Raises:
+        InputError: the folder is missing or not writable, or `path` is a folder itself.
+    """
+    folder = path.parent
+    if not folder.is_dir():
+        raise InputError(str(path), None, "no such folder", "allowed: a file in an existing folder")
+    if path.is_dir():
+        raise InputError(str(path), None, "a folder", "allowed: the name of a file")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(str(path), None, "a read-only folder", "allowed: a folder that you may write to")
+
+
+def check_extra(path: Path, module: str, extra: str) -> None:
+    """Refuse a path whose kind needs an optional package that is not installed.
+
+    Raises:
+        InputError: `module` is absent; names the extra that brings it.
+    """
+    if find_spec(module) is None:
+        allowed = f"allowed after: pip install 'lidar-emu[{extra}]'"
+        raise InputError(str(path), None, f"{path.suffix} without {module}", allowed)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[BinaryIO]:
+    """An open file that takes the name `path` once it is complete; an older file stays until then.
+
+    Raises:
+        InputError: nothing can be written there.
+        RunError: writing failed on the way (a full disk).
+    """
+    check_destination(path)
+    # A sibling, since a rename is atomic within one file system only.
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        file = unfinished.open("wb")
+    except OSError as error:
+        raise InputError(
+            str(path), None, error.strerror or "unwritable", "allowed: a writable file"
+        ) from None
+    try:
+        with file:
+            yield file
+        unfinished.replace(path)
+    except OSError as error:
+        raise RunError(f"{path}: could not be written: {error.strerror or error}") from error
+    finally:
+        unfinished.unlink(missing_ok=True)

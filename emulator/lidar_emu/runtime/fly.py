@@ -1,0 +1,224 @@
+"""A run: packets computed ahead into the ring, reports counted, the far end shown, all in one loop."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Protocol
+
+from lidar_emu.errors import InputError
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.lateness import steal_ticks
+from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.runtime.run import PortRunner
+from lidar_emu.runtime.summary import Tally
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+from lidar_emu.session import Block, Session
+from lidar_emu.shots import Model
+from lidar_emu.transports.frames import Frame, pack_frames
+from lidar_emu.transports.spec import Kind, PortSpec
+from lidar_emu.transports.wire_load import check_wire_load, wire_load
+from lidar_emu.wire import Encoder, Packet
+
+LOOK_AHEAD_S = 2.0
+_BLOCK_S = 0.25
+_LEAD_NS = 100_000_000
+_WAIT_S = 0.02
+_PACKET_ROOM_BYTES = 8192
+
+
+class Observer(Protocol):
+    """Whoever looks on: displays and recorders."""
+
+    def opened(self, port: str) -> None:
+        """The port is open under this name."""
+
+    def computed(self, block: Block) -> None:
+        """Shots are on their way to the port."""
+
+    def report(self, packet: Outgoing, report: Report) -> None:
+        """A packet met its fate."""
+
+    def arrived(self, data: bytes) -> None:
+        """Bytes at the far end of the in-memory loopback."""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How a scenario is run."""
+
+    port: PortSpec
+    pace: Pace = Pace.WALL
+    start: datetime | None = None
+    """UTC instant of scenario time 0; None as soon as the first shots are computed."""
+
+
+@dataclass
+class Outcome:
+    """What is known at the end of a run."""
+
+    tally: Tally
+    details: dict[str, Any]
+
+    def to_json(self) -> dict[str, Any]:
+        """The summary file."""
+        return {**self.details, **self.tally.to_json()}
+
+
+class Run:
+    """One flight of a scenario over a port.
+
+    Args:
+        scenario: what is flown.
+        model: of the scenario.
+        options: port, pace and start.
+        observers: told of everything, in the loop: they must be quick.
+
+    Raises:
+        InputError: the wire is too slow for the rate, or the interface too small for the beams.
+    """
+
+    def __init__(
+        self,
+        scenario: FlightScenario | BenchScenario,
+        model: Model,
+        options: RunOptions,
+        observers: list[Observer],
+        clock: Clock | None = None,
+    ) -> None:
+        self._scenario = scenario
+        self._model = model
+        self._options = options
+        self._observers = observers
+        self._clock = clock or Clock()
+        rate_hz = scenario.timing.rate_hz
+        block_shots = max(1, min(128, round(rate_hz * _BLOCK_S)))
+        port = options.port
+        encoder = Encoder(scenario.wire, port.kind is Kind.CAN, port.fd, model.beam_count)
+        self._session = Session(model, encoder, block_shots)
+        # The first block is computed before the run: kernels are compiled, and the packets' length is known.
+        self._first = self._session.next_block()
+        assert self._first is not None
+        longest = max((payload_of(packet) for packet in self._first.packets), key=len)
+        self.warning = check_wire_load(port, longest, rate_hz)
+        self._wire_load = wire_load(port, longest, rate_hz)
+        self._slots = max(2 * block_shots, round(rate_hz * LOOK_AHEAD_S))
+        self._in_flight: deque[Outgoing] = deque()
+        self.tally = Tally(options.pace)
+
+    def fly(self) -> Outcome:
+        """Run to the end, or until KeyboardInterrupt, which ends the run as cleanly.
+
+        Raises:
+            InputError: the port cannot be opened, or the start lies in the past.
+            RunError: the port's process died.
+        """
+        stolen = steal_ticks()
+        interrupted = False
+        with PortRunner(self._slots, _PACKET_ROOM_BYTES) as port:
+            try:
+                description = port.start(self._options.port)
+                self._tell_opened(description)
+                start_ns = self._start_ns()
+                port.begin(start_ns, self._scenario.timing.late_after_ns, self._options.pace)
+                self._feed(port)
+            except KeyboardInterrupt:
+                interrupted = True
+            with _interrupts_ignored():
+                port.close()
+                self._take(port)
+        self.tally.close()
+        return Outcome(self.tally, self._details(port, interrupted, stolen))
+
+    def _feed(self, port: PortRunner) -> None:
+        block = self._first
+        while block is not None:
+            for observer in self._observers:
+                observer.computed(block)
+            self.tally.measured(block.measurement)
+            for packet in self._outgoing(block):
+                self._in_flight.append(packet)
+                while not port.push(packet):
+                    port.wait(_WAIT_S)
+                    self._take(port)
+            self._take(port)
+            block = self._session.next_block()
+        port.last_packet_pushed()
+        while not port.finished:
+            port.wait(_WAIT_S)
+            self._take(port)
+
+    @staticmethod
+    def _outgoing(block: Block) -> Iterator[Outgoing]:
+        shots, dues = block.measurement.shot.tolist(), block.measurement.due_ns.tolist()
+        for shot, due_ns, packet in zip(shots, dues, block.packets, strict=True):
+            yield Outgoing(shot, due_ns, payload_of(packet))
+
+    def _take(self, port: PortRunner) -> None:
+        """Count what became of packets and pass on what arrived."""
+        for report in port.reports():
+            packet = self._in_flight.popleft()
+            self.tally.report(report)
+            for observer in self._observers:
+                observer.report(packet, report)
+        if data := port.far_end():
+            for observer in self._observers:
+                observer.arrived(data)
+
+    def _tell_opened(self, description: str) -> None:
+        for observer in self._observers:
+            observer.opened(description)
+
+    def _start_ns(self) -> int:
+        start = self._options.start
+        if start is None:
+            return self._clock.now_ns() + _LEAD_NS
+        ahead_s = (start - self._clock.utc_now()).total_seconds()
+        if ahead_s < 0:
+            raise InputError("--start", None, start.isoformat(), "allowed: now, or an instant to come")
+        return self._clock.now_ns() + round(ahead_s * 1e9)
+
+    def _details(self, port: PortRunner, interrupted: bool, stolen: int | None) -> dict[str, Any]:
+        stolen_now = steal_ticks()
+        return {
+            "scenario": self._scenario.name,
+            "seed": self._scenario.seed,
+            "epoch": self._scenario.timing.epoch.isoformat(),
+            "rate_hz": self._scenario.timing.rate_hz,
+            "planned_shots": self._model.shot_count,
+            "interrupted": interrupted,
+            "port": port.description or str(self._options.port),
+            "pace": str(self._options.pace),
+            "granted": port.granted,
+            "steal_ticks": None if stolen is None or stolen_now is None else stolen_now - stolen,
+            "wire": {
+                "load": self._wire_load,
+                "sent_bytes": port.sent_bytes,
+                "received_bytes": port.received_bytes,
+            },
+            "link_events": [{"time_s": event.time_ns * 1e-9, "what": event.text} for event in port.events],
+            "left_out": [row for row in self._model.plan.rows() if not row["computed"]],
+        }
+
+
+def payload_of(packet: Packet) -> bytes:
+    """A packet as the port process takes it."""
+    if isinstance(packet, bytes):
+        return packet
+    return pack_frames([Frame(f.can_id, f.data, f.is_fd, f.bitrate_switch) for f in packet])
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """A second Ctrl-C must not cut the end of the run short: it takes a second at most."""
+    import signal
+
+    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)

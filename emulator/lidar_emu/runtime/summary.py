@@ -1,0 +1,118 @@
+"""What a run amounted to: counted while it flies, told at its end."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.measurement import FloatArray, Measurement
+from lidar_emu.runtime.lateness import LatenessHistogram
+from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.packets import Fate, Report
+
+_DROPS = {Fate.DROPPED_FULL: "full", Fate.DROPPED_NOBODY: "nobody_connected", Fate.DROPPED_BROKEN: "broken"}
+
+
+@dataclass
+class ErrorStatistics:
+    """Moments of an error, added up."""
+
+    count: int = 0
+    total: float = 0.0
+    squares: float = 0.0
+    largest: float = 0.0
+
+    def add(self, error: FloatArray) -> None:
+        """Add errors; NaN is passed over."""
+        known = error[np.isfinite(error)]
+        if known.size:
+            self.count += known.size
+            self.total += float(known.sum())
+            self.squares += float((known**2).sum())
+            self.largest = max(self.largest, float(np.abs(known).max()))
+
+    def to_json(self) -> dict[str, float | int | None]:
+        """Count, mean, root mean square and largest magnitude."""
+        if not self.count:
+            return {"count": 0, "mean": None, "rms": None, "max": None}
+        mean, rms = self.total / self.count, float(np.sqrt(self.squares / self.count))
+        return {"count": self.count, "mean": mean, "rms": rms, "max": self.largest}
+
+
+@dataclass
+class Tally:
+    """Counts of a run in constant memory. Shots count once their packet has met its fate."""
+
+    pace: Pace
+    fates: Counter[Fate] = field(default_factory=Counter)
+    lateness: LatenessHistogram = field(default_factory=LatenessHistogram)
+    range_error_m: ErrorStatistics = field(default_factory=ErrorStatistics)
+    speed_error_mps: ErrorStatistics = field(default_factory=ErrorStatistics)
+    reasons: list[Counter[int]] = field(default_factory=list)
+    _pending: deque[Measurement] = field(default_factory=deque)
+    _unmatched: int = 0
+
+    def measured(self, block: Measurement) -> None:
+        """Shots whose packets are on their way."""
+        self._pending.append(block)
+
+    def report(self, report: Report) -> None:
+        """One packet met its fate."""
+        self.fates[report.fate] += 1
+        if report.fate is Fate.SENT and self.pace is Pace.WALL:
+            self.lateness.add(max(0, report.sent_ns - report.due_ns))
+        self._unmatched += 1
+        while self._pending and self._unmatched >= len(self._pending[0]):
+            self._unmatched -= len(self._pending[0])
+            self._absorb(self._pending.popleft())
+
+    def close(self) -> None:
+        """Count the shots of a block that was cut off."""
+        if self._pending and self._unmatched:
+            self._absorb(self._pending[0].first(self._unmatched))
+        self._pending.clear()
+
+    @property
+    def due(self) -> int:
+        """Packets that met their fate."""
+        return self.fates.total()
+
+    @property
+    def late(self) -> int:
+        """Packets skipped because they were late."""
+        return self.fates[Fate.LATE]
+
+    @property
+    def dropped(self) -> int:
+        """Packets that the link did not take."""
+        return sum(self.fates[fate] for fate in _DROPS)
+
+    def _absorb(self, block: Measurement) -> None:
+        self.range_error_m.add((block.range_m - block.true_range_m)[block.range_valid])
+        self.speed_error_mps.add((block.closing_speed_mps - block.true_closing_speed_mps)[block.speed_valid])
+        if not self.reasons:
+            self.reasons = [Counter() for _ in range(block.beam_count)]
+        for beam, counts in enumerate(self.reasons):
+            counts.update(block.reason[:, beam].tolist())
+
+    def to_json(self) -> dict[str, Any]:
+        """The counts under the names of the summary file."""
+        return {
+            "shots": {
+                "due": self.due,
+                "sent": self.fates[Fate.SENT],
+                "late": self.late,
+                "dropped": {name: self.fates[fate] for fate, name in _DROPS.items()},
+            },
+            "lateness": self.lateness.summary(),
+            "beams": [
+                {Reason(code).name.lower(): count for code, count in sorted(counts.items())}
+                for counts in self.reasons
+            ],
+            "range_error_m": self.range_error_m.to_json(),
+            "speed_error_mps": self.speed_error_mps.to_json(),
+        }
