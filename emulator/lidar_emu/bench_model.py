@@ -31,7 +31,7 @@ class BenchModel:
         shot = np.arange(first, first + count, dtype=np.int64)
         start_ns = shot * self.period_ns
         beams = self.pattern.beams
-        time_s = start_ns * 1e-9
+        time_s = start_ns.astype(np.float64) * 1e-9
         valid = np.tile([beam.valid for beam in beams], (count, 1))
         range_m, closing_mps = (
             np.stack([_level(getattr(beam, name), time_s) for beam in beams], axis=1)

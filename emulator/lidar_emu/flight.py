@@ -70,7 +70,7 @@ class Flight:
         """Beams of consecutive shots, each taken at its own time of validity."""
         chosen, state = self._choose_patterns(shot, state)
         time_ns = shot[:, None] * self.period_ns + self._validity_ns[None, :]
-        vehicle = self.trajectory.state(time_ns.ravel() * 1e-9)
+        vehicle = self.trajectory.state(_seconds(time_ns.ravel()))
         sensor_m, sensor_mps = self._sensor(vehicle)
         shape = (*time_ns.shape, 3)
         true_site, published_site = (
@@ -110,7 +110,7 @@ class Flight:
         self, shot: NDArray[np.int64], state: ScannerState
     ) -> tuple[NDArray[np.intp], ScannerState]:
         """The pattern of each shot, decided at the shot's start."""
-        time_s = shot * self.period_ns * 1e-9
+        time_s = _seconds(shot * self.period_ns)
         sensor_m, _ = self._sensor(self.trajectory.state(time_s))
         above_origin_m = sensor_m[:, 2]
         above_ground_m = (
@@ -124,7 +124,7 @@ class Flight:
         return chosen, state
 
     def _refuse_to_leave_the_ground(self) -> None:
-        time_s = np.arange(self.shot_count) * self.period_ns * 1e-9
+        time_s = _seconds(np.arange(self.shot_count, dtype=np.int64) * self.period_ns)
         position_m = self.trajectory.state(time_s).position_site_m
         outside = np.flatnonzero(~self.scene.covers(position_m[:, 0], position_m[:, 1]))
         if outside.size:
@@ -135,3 +135,7 @@ class Flight:
                 f"{time_s[outside[0]]:.3f} s: {east_m:.1f} m east, {north_m:.1f} m north, {up_m:.1f} m up",
                 f"allowed: positions over the ground ({self.scene.description}), or beyond: plane or sphere",
             )
+
+
+def _seconds(time_ns: NDArray[np.int64]) -> FloatArray:
+    return time_ns.astype(np.float64) * 1e-9

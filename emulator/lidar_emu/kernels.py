@@ -11,7 +11,8 @@ import hashlib
 import os
 from pathlib import Path
 
-from numba import config, njit
+from numba import njit
+from numba.core import config
 
 __all__ = ["njit"]
 
@@ -31,5 +32,5 @@ def _cache_folder() -> Path:
     return Path(home) / "lidar-emu" / f"kernels-{_sources_digest()}"
 
 
-if not config.CACHE_DIR:
-    config.CACHE_DIR = str(_cache_folder())
+if not config.CACHE_DIR:  # type: ignore[attr-defined]
+    config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]

@@ -63,7 +63,7 @@ class Measurement:
     @property
     def beam_count(self) -> int:
         """Beams of a shot, fired or not."""
-        return self.fired.shape[1]
+        return int(self.fired.shape[1])
 
     def __len__(self) -> int:
         return len(self.shot)

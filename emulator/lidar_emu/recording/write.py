@@ -70,7 +70,7 @@ class Recorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with self._file:
-            self._writer.finish()
+            self._writer.finish()  # type: ignore[no-untyped-call]
 
     def opened(self, port: str) -> None:
         """Nothing to keep: the port stands in the metadata."""

@@ -80,16 +80,16 @@ def _draw(measurement: Measurement, scene: Scene | None, title: str) -> Figure:
     ground_m = None if scene is None else _sample_ground(scene, extent)
     has_speed = measurement.range_valid & measurement.speed_valid
     panels = (
-        (0.015, measurement.range_m, measurement.range_valid, "viridis", "range (m)"),
-        (0.505, measurement.closing_speed_mps, has_speed, "plasma", "closing speed (m/s)"),
+        (0.0, measurement.range_m, measurement.range_valid, "viridis", "range (m)"),
+        (0.495, measurement.closing_speed_mps, has_speed, "plasma", "closing speed (m/s)"),
     )
     for left, values, valid, colours, label in panels:
-        axes: Any = figure.add_axes((left, 0.385, 0.42, 0.565), projection="3d")
+        axes: Any = figure.add_axes((left, 0.385, 0.42, 0.57), projection="3d")
         _set_up(axes, extent)
         if ground_m is not None:
             axes.add_collection3d(_surface(ground_m))
         points = _add_flight(axes, measurement, values, valid, colours)
-        bar = figure.colorbar(points, cax=figure.add_axes((left + 0.437, 0.47, 0.011, 0.39)))
+        bar = figure.colorbar(points, cax=figure.add_axes((left + 0.445, 0.47, 0.011, 0.39)))
         bar.set_label(label)
     _draw_errors(figure, measurement)
     return figure
@@ -159,13 +159,13 @@ def _set_up(axes: Any, extent: _Extent) -> None:
         zlabel="up (m)",
     )
     longest_m = size_m[:2].max()
-    axes.set_box_aspect((size_m[0], size_m[1], 0.95 * longest_m), zoom=1.08)
+    axes.set_box_aspect((size_m[0], size_m[1], 0.95 * longest_m), zoom=0.95 + 0.08 * size_m[:2].min() / longest_m)
     axes.view_init(elev=24, azim=-58)
     shares = (*size_m[:2] / longest_m, 1.0)
     for axis, share in zip((axes.xaxis, axes.yaxis, axes.zaxis), shares, strict=True):
         axis.set_pane_color((1, 1, 1, 0))
         axis.set_major_locator(_ticks(5 if share > 0.7 else 3))
-        axis.labelpad = 9
+        axis.labelpad = 7
 
 
 def _ticks(count: int) -> MaxNLocator:
@@ -200,7 +200,7 @@ def _add_flight(
         label="measured points",
         zorder=2,
     )
-    axes.legend(loc="upper left", bbox_to_anchor=(0.02, 0.97), frameon=False)
+    axes.legend(loc="upper left", bbox_to_anchor=(0.06, 0.97), frameon=False, markerscale=1.0 if few else 2.5)
     return points
 
 

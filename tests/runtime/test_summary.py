@@ -1,0 +1,53 @@
+"""The tally of a run against sums over the whole."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.packets import Fate, Report
+from lidar_emu.runtime.summary import Tally
+from lidar_emu.scenario.load import load
+from lidar_emu.shots import build_model, measure_in_blocks, simulate
+
+
+def test_blocks_count_once_their_packets_have_met_their_fate():
+    scenario = load("descent.yaml", {"duration_s": "5", "scanner.pattern.angle_deg": "22.5"})
+    tally = Tally(Pace.WALL)
+    for block in measure_in_blocks(build_model(scenario), 32):
+        tally.measured(block)
+    assert tally.range_error_m.count == 0
+    fates = [Fate.LATE if shot % 10 == 0 else Fate.SENT for shot in range(70)]
+    for shot, fate in enumerate(fates):
+        tally.report(
+            Report(
+                shot, shot * 50_000_000, shot * 50_000_000 + 1000 * shot if fate is Fate.SENT else -1, fate
+            )
+        )
+    tally.close()
+    told = tally.to_json()
+    assert told["shots"] == {
+        "due": 70,
+        "sent": 63,
+        "late": 7,
+        "dropped": {"full": 0, "nobody_connected": 0, "broken": 0},
+    }
+    assert told["lateness"]["count"] == 63
+    assert told["lateness"]["max_ns"] == 69_000
+    assert told["beams"] == [{"valid": 70}] * 4
+    run = simulate(scenario)
+    error = (run.range_m - run.true_range_m)[:70]
+    expected = {
+        "count": 280,
+        "mean": error.mean(),
+        "rms": np.sqrt((error**2).mean()),
+        "max": np.abs(error).max(),
+    }
+    for name, value in expected.items():
+        np.testing.assert_allclose(told["range_error_m"][name], value, rtol=1e-12, err_msg=name)
+
+
+def test_pace_max_knows_no_lateness():
+    tally = Tally(Pace.MAX)
+    tally.report(Report(0, 10_000_000, 5, Fate.SENT))
+    assert tally.to_json()["lateness"]["count"] == 0

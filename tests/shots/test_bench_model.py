@@ -1,0 +1,23 @@
+"""The bench pattern reports what it was told."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.scenario.load import load
+from lidar_emu.shots import simulate
+
+
+def test_constants_ramps_and_an_invalid_beam():
+    run = simulate(load("bench.yaml"))
+    time_s = 0.1 * np.arange(200)
+    assert run.range_m.shape == (200, 4)
+    np.testing.assert_array_equal(run.range_m[:, 0], 1000)
+    np.testing.assert_allclose(run.range_m[:, 1], 200 * np.mod(time_s + 1e-12, 10), atol=1e-6)
+    np.testing.assert_allclose(run.closing_speed_mps[:, 1], -100 + 20 * np.mod(time_s + 1e-12, 10), atol=1e-6)
+    np.testing.assert_array_equal(run.closing_speed_mps[:, 2], -7.8901)
+    assert np.isnan(run.range_m[:, 3]).all()
+    assert (run.reason[:, 3] == Reason.NO_SURFACE).all()
+    assert not run.range_valid[:, 3].any()
+    assert run.range_valid[:, :3].all()

@@ -1,0 +1,148 @@
+"""Truth of a flight against closed forms: the beams, the ground and the sensor on a turning body."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.measurement import Measurement
+from lidar_emu.shots import build_model, measure_in_blocks, simulate
+
+SLANT = 1 / np.cos(np.radians(22.5))
+
+
+def test_vertical_descent_over_a_plane(make_flight):
+    run = simulate(make_flight())
+    up_m = run.position_site_m[:, 2:]
+    speed_mps = -run.velocity_site_mps[:, 2:]
+    np.testing.assert_allclose(
+        run.true_range_m, np.broadcast_to(up_m * SLANT, run.true_range_m.shape), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        run.true_closing_speed_mps, np.broadcast_to(speed_mps / SLANT, run.true_range_m.shape), rtol=1e-12
+    )
+    # v² falls linearly with altitude: 60 to 20 m/s over 900 m.
+    np.testing.assert_allclose(speed_mps**2, 400 + (up_m - 100) * (3600 - 400) / 900, rtol=1e-9)
+
+
+def test_measured_values_lie_within_a_few_sigma_of_the_truth(make_flight):
+    run = simulate(make_flight())
+    assert run.range_valid.all()
+    range_error = (run.range_m - run.true_range_m) / run.sigma_range_m
+    speed_error = (run.closing_speed_mps - run.true_closing_speed_mps) / run.sigma_speed_mps
+    for error in (range_error, speed_error):
+        assert 0.5 < np.sqrt(np.mean(error**2)) < 1.5
+
+
+def test_validity_is_the_centre_of_the_constant_segment(make_flight):
+    run = simulate(make_flight(timing={"rate_hz": 10}))
+    record_s = 2**17 / 600e6
+    expected_s = 0.1 * np.arange(len(run)) + 2 * 300e-6 - record_s / 2
+    np.testing.assert_allclose(run.time_s, np.repeat(expected_s[:, None], 4, axis=1), atol=1e-9)
+    # The packet is due when the cycle has ended and 2 ms of processing have passed.
+    np.testing.assert_array_equal(run.due_ns, 100_000_000 * np.arange(len(run)) + 900_000 + 2_000_000)
+
+
+def test_beams_in_turn_have_their_own_time_and_truth(make_flight):
+    scanner = {"pattern": {"kind": "square", "angle_deg": 22.5}, "firing": "in_turn"}
+    run = simulate(make_flight(scanner=scanner))
+    together = simulate(make_flight())
+    np.testing.assert_array_equal(np.diff(run.time_ns, axis=1), 900_000)
+    np.testing.assert_array_equal(run.due_ns - together.due_ns, 3 * 900_000)
+    fallen_m = (run.true_range_m[:, 0] - run.true_range_m[:, 3]) / SLANT
+    speed_mps = -run.velocity_site_mps[:, 2]
+    np.testing.assert_allclose(fallen_m, speed_mps * 2.7e-3, atol=2e-5)
+
+
+def test_lever_arm_on_a_turning_body(make_flight):
+    """2 m at 0.5 rad/s: the beam's closing speed is (v + omega x r) . u, which differentiating positions confirms."""
+    turning = make_flight(
+        trajectory={
+            "kind": "profile",
+            "waypoints": [{"altitude_m": 1000, "speed_mps": 60}, {"altitude_m": 900, "speed_mps": 60}],
+            "attitude": {"roll_deg": 3, "pitch_deg": 2, "yaw_deg": 30, "body_rate_radps": [0.1, 0.5, -0.2]},
+        },
+        mounting={"lever_arm_m": [2.0, 0.3, -0.5], "pitch_deg": 5},
+        timing={"rate_hz": 1000},
+    )
+    model = build_model(turning)
+    pointing, _ = model.flight.point(np.arange(200), model.initial_state)
+    step_s = 1e-3
+    by_difference = (pointing.sensor_site_m[2:] - pointing.sensor_site_m[:-2]) / (2 * step_s)
+    np.testing.assert_allclose(pointing.sensor_velocity_site_mps[1:-1], by_difference, atol=3e-7)
+    body_mps = pointing.velocity_site_mps[:, None, :]
+    turning_mps = np.linalg.norm(pointing.sensor_velocity_site_mps - body_mps, axis=-1)
+    lever, rate = np.array([2.0, 0.3, -0.5]), np.array([0.1, 0.5, -0.2])
+    np.testing.assert_allclose(turning_mps, np.linalg.norm(np.cross(rate, lever)), rtol=1e-9)
+
+
+def test_plane_with_a_slope(make_flight):
+    site = {"ground": {"kind": "plane", "slope_deg": 20, "downhill_azimuth_deg": 90}}
+    run = simulate(make_flight(site=site))
+    # Level at heading 0, sensor x points north and y east: beam at azimuth a looks sin a to the east.
+    tilt, angle = np.tan(np.radians(20)), np.radians(22.5)
+    east = np.sin(np.radians(45 + 90 * np.arange(4))) * np.sin(angle)
+    expected = run.position_site_m[:, 2:] / (np.cos(angle) - tilt * east)
+    np.testing.assert_allclose(run.true_range_m, expected, rtol=1e-12)
+
+
+def test_a_curved_body_falls_away_under_the_outer_beams(make_flight):
+    flat = simulate(make_flight(trajectory=_hover(2000)))
+    moon = simulate(make_flight(site={"ground": {"kind": "sphere"}}, trajectory=_hover(2000)))
+    away_m = 2000 * np.tan(np.radians(22.5))
+    drop_m = (moon.true_range_m - flat.true_range_m)[0] / SLANT
+    np.testing.assert_allclose(drop_m, away_m**2 / (2 * 1737.4e3), rtol=2e-3)  # 0.20 m
+
+
+def _hover(altitude_m: float) -> dict:
+    waypoints = [{"altitude_m": altitude_m, "speed_mps": 1}, {"altitude_m": altitude_m - 1, "speed_mps": 1}]
+    return {"kind": "profile", "waypoints": waypoints}
+
+
+def test_misalignment_moves_the_truth_but_not_the_published_direction(make_flight):
+    scanner = {"pattern": {"kind": "ring", "count": 1, "angle_deg": 0}, "misalignment_mrad": [[0, 10]]}
+    run = simulate(make_flight(scanner=scanner))
+    np.testing.assert_allclose(run.true_range_m[:, 0], run.position_site_m[:, 2] / np.cos(10e-3), rtol=1e-9)
+    below_m = run.position_site_m[:, None, :2] - run.point_site_m[..., :2]
+    np.testing.assert_allclose(below_m, 0, atol=1e-9)
+
+
+def test_a_switch_changes_angle_and_number_on_a_shot_boundary(make_flight):
+    scanner = {
+        "pattern": {"kind": "square", "angle_deg": 22.5},
+        "switches": [
+            {"kind": "altitude", "below_m": 500, "pattern": {"kind": "ring", "count": 3, "angle_deg": 7.5}}
+        ],
+    }
+    run = simulate(make_flight(scanner=scanner))
+    start_m = np.interp(0.05 * np.arange(len(run)), run.time_s[:, 0], run.position_site_m[:, 2])
+    low = start_m < 500 - 0.1
+    high = start_m > 500 + 0.1
+    assert (run.beam_angle_deg[high] == 22.5).all()
+    assert (run.beam_angle_deg[low][:, :3] == 7.5).all()
+    assert not run.fired[low][:, 3].any()
+    assert (run.reason[low][:, 3] == Reason.NOT_FIRED).all()
+    for name in ("time_s", "range_m", "closing_speed_mps", "true_range_m", "beam_angle_deg"):
+        assert np.isnan(getattr(run, name)[low][:, 3]).all(), name
+
+
+@pytest.mark.parametrize("scenario", ["descent.yaml", "nasa_three_beam.yaml", "bench.yaml"])
+def test_a_shot_does_not_depend_on_the_block_that_it_came_in(scenario):
+    from lidar_emu.scenario.load import load
+
+    model = build_model(load(scenario, {"duration_s": "6"}))
+    whole = Measurement.joined(list(measure_in_blocks(model, 1000)))
+    for size in (1, 7, 64):
+        parts = Measurement.joined(list(measure_in_blocks(model, size)))
+        for field in fields(Measurement):
+            np.testing.assert_array_equal(getattr(parts, field.name), getattr(whole, field.name), field.name)
+
+
+def test_seed_changes_the_noise_and_nothing_else(make_flight):
+    one, same, other = (simulate(make_flight(), seed=seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one.range_m, same.range_m)
+    assert (one.range_m != other.range_m).mean() > 0.9
+    np.testing.assert_array_equal(one.true_range_m, other.true_range_m)

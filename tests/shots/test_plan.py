@@ -1,0 +1,71 @@
+"""The plan leaves out what a scene does not need, within the bound that it states."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lidar_emu.flight import Flight
+from lidar_emu.plan import ONE_BEAMLET_BELOW_BINS, spectral_spread_bins
+from lidar_emu.shots import build_model, simulate
+
+LOW = {
+    "kind": "profile",
+    "waypoints": [{"altitude_m": 300, "speed_mps": 4}, {"altitude_m": 280, "speed_mps": 4}],
+}
+FAST = {
+    "kind": "profile",
+    "waypoints": [{"altitude_m": 300, "speed_mps": 90}, {"altitude_m": 200, "speed_mps": 90}],
+}
+
+
+def stages(model, computed):
+    return {d.stage for d in model.plan.decisions if d.computed is computed}
+
+
+def test_a_slow_low_flight_over_a_plane_needs_one_beamlet(make_flight):
+    slow, fast = build_model(make_flight(trajectory=LOW)), build_model(make_flight(trajectory=FAST))
+    assert slow.plan.beamlets == 1
+    assert "footprint" in stages(slow, False)
+    assert fast.plan.beamlets == 19
+    assert "footprint" in stages(fast, True)
+
+
+def test_one_beamlet_measures_what_the_whole_footprint_does(make_flight, monkeypatch):
+    few = simulate(make_flight(trajectory=LOW))
+    monkeypatch.setattr("lidar_emu.plan.ONE_BEAMLET_BELOW_BINS", 0.0)
+    many = simulate(make_flight(trajectory=LOW))
+    spread = spectral_spread_bins(make_flight(trajectory=LOW), Flight(make_flight(trajectory=LOW)))
+    loss_db = -10 * np.log10(1 - np.pi**2 / 3 * spread**2)
+    # Same noise, same phase: what differs is the width of the footprint's spectrum.
+    assert np.max(np.abs(few.snr_db - many.snr_db)) < 2 * loss_db + 0.02
+    assert np.max(np.abs(few.range_m - many.range_m) / few.sigma_range_m) < 1
+    assert np.max(np.abs(few.closing_speed_mps - many.closing_speed_mps) / few.sigma_speed_mps) < 1
+
+
+def test_spread_of_a_hovering_beam_is_that_of_the_slant(make_flight):
+    waypoints = [{"altitude_m": 2000, "speed_mps": 1e-6}, {"altitude_m": 1999.9999, "speed_mps": 1e-6}]
+    hover = {"kind": "profile", "waypoints": waypoints}
+    scenario = make_flight(trajectory=hover, timing={"rate_hz": 1})
+    slant_m = 2000 / np.cos(np.radians(22.5))
+    radius_m = 0.017 * np.sqrt(1 + (1550e-9 * slant_m / (np.pi * 0.017**2)) ** 2)
+    rms_m = radius_m / np.sqrt(8) * np.tan(np.radians(22.5))
+    bins = rms_m / 0.343085
+    assert spectral_spread_bins(scenario, Flight(scenario)) == pytest.approx(bins, rel=1e-3)
+    assert bins < ONE_BEAMLET_BELOW_BINS
+
+
+def test_vacuum_and_air(make_flight):
+    assert "atmosphere" in stages(build_model(make_flight()), False)
+    air = {"ground": {"kind": "plane"}, "atmosphere": {"extinction_per_m": 1e-4}}
+    thick, clear = simulate(make_flight(site=air)), simulate(make_flight())
+    assert "atmosphere" in stages(build_model(make_flight(site=air)), True)
+    lost_db = 20 * np.log10(np.e) * 1e-4 * clear.true_range_m
+    # The noise is the same in both and adds a few tenths of a decibel of its own.
+    np.testing.assert_allclose(np.mean(clear.snr_db - thick.snr_db - lost_db), 0, atol=0.05)
+
+
+def test_a_bench_pattern_computes_nothing_else():
+    from lidar_emu.scenario.load import load
+
+    assert stages(build_model(load("bench.yaml")), True) == {"pattern"}
