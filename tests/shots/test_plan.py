@@ -15,7 +15,7 @@ LOW = {
 }
 FAST = {
     "kind": "profile",
-    "waypoints": [{"altitude_m": 300, "speed_mps": 90}, {"altitude_m": 200, "speed_mps": 90}],
+    "waypoints": [{"altitude_m": 2000, "speed_mps": 99}, {"altitude_m": 1900, "speed_mps": 99}],
 }
 
 

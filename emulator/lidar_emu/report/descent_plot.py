@@ -159,7 +159,9 @@ def _set_up(axes: Any, extent: _Extent) -> None:
         zlabel="up (m)",
     )
     longest_m = size_m[:2].max()
-    axes.set_box_aspect((size_m[0], size_m[1], 0.95 * longest_m), zoom=0.95 + 0.08 * size_m[:2].min() / longest_m)
+    axes.set_box_aspect(
+        (size_m[0], size_m[1], 0.95 * longest_m), zoom=0.95 + 0.08 * size_m[:2].min() / longest_m
+    )
     axes.view_init(elev=24, azim=-58)
     shares = (*size_m[:2] / longest_m, 1.0)
     for axis, share in zip((axes.xaxis, axes.yaxis, axes.zaxis), shares, strict=True):
