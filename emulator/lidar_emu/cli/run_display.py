@@ -7,13 +7,12 @@ from typing import Any
 import click
 
 from lidar_emu.cli.far_end import Decoder, Screen, counter_line
-from lidar_emu.runtime.packets import Outgoing, Report
-from lidar_emu.session import Block
+from lidar_emu.runtime.fly import Observer
 
 _SHOW_EVERY_S = 0.5
 
 
-class Announcer:
+class Announcer(Observer):
     """Says which port was opened, before the first packet."""
 
     def __init__(self, name: str, pace: str) -> None:
@@ -24,31 +23,13 @@ class Announcer:
         """The port is open under this name."""
         click.echo(f"{self._name} on {port}, pace {self._pace}; Ctrl-C ends it")
 
-    def computed(self, block: Block) -> None:
-        """Nothing to say."""
 
-    def report(self, packet: Outgoing, report: Report) -> None:
-        """Nothing to say."""
-
-    def arrived(self, data: bytes) -> None:
-        """Nothing to say."""
-
-
-class LoopbackView:
+class LoopbackView(Observer):
     """The far end of the in-memory loopback: decodes all, shows two lines a second."""
 
     def __init__(self, quiet: bool) -> None:
         self._decoder = Decoder()
         self._screen = None if quiet else Screen(_SHOW_EVERY_S)
-
-    def opened(self, port: str) -> None:
-        """Nothing to say."""
-
-    def computed(self, block: Block) -> None:
-        """Nothing to say."""
-
-    def report(self, packet: Outgoing, report: Report) -> None:
-        """Nothing to say."""
 
     def arrived(self, data: bytes) -> None:
         """Decode, and show what is due."""

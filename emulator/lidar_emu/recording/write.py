@@ -22,6 +22,7 @@ from mcap.writer import CompressionType, Writer
 from lidar_emu import __version__
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.measurement import Measurement
+from lidar_emu.runtime.fly import Observer
 from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block
@@ -31,7 +32,7 @@ _ANY_OBJECT = json.dumps({"type": "object"}).encode()
 _TRUTH = ("true_range_m", "true_closing_speed_mps")
 
 
-class Recorder:
+class Recorder(Observer):
     """An observer of a run that writes everything down.
 
     Raises (on opening):
@@ -72,9 +73,6 @@ class Recorder:
         with self._file:
             self._writer.finish()  # type: ignore[no-untyped-call]
 
-    def opened(self, port: str) -> None:
-        """Nothing to keep: the port stands in the metadata."""
-
     def computed(self, block: Block) -> None:
         """Keep truth and measurements, shot by shot."""
         for k, shot in enumerate(block.measurement.shot.tolist()):
@@ -94,9 +92,6 @@ class Recorder:
         }
         self._write("/packet", packet.shot, packet.due_ns, packet.payload)
         self._write("/fate", packet.shot, packet.due_ns, _json(fate))
-
-    def arrived(self, data: bytes) -> None:
-        """Nothing to keep: the packets are."""
 
     def _write(self, topic: str, shot: int, time_ns: int, data: bytes) -> None:
         instant_ns = self._epoch_ns + time_ns

@@ -139,10 +139,10 @@ def _slope_to_sun(ground_m: FloatArray) -> FloatArray:
     east_m, north_m, up_m = np.moveaxis(ground_m, -1, 0)
     rise_east = np.diff(up_m, axis=1)[:-1] / np.diff(east_m, axis=1)[:-1]
     rise_north = np.diff(up_m, axis=0)[:, :-1] / np.diff(north_m, axis=0)[:, :-1]
-    facing = rise_east - rise_north
+    facing: FloatArray = rise_east - rise_north
     steepest = np.nanmax(np.abs(facing), initial=0.0)
     # A slope below a thousandth is rounding on level ground, not relief.
-    return facing / max(steepest, 1e-3)
+    return facing / max(float(steepest), 1e-3)
 
 
 def _set_up(axes: Any, extent: _Extent) -> None:

@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,18 @@ _PLY_VERTEX = np.dtype(
 )
 _PLY_TYPES = {"f8": "double", "f4": "float", "u1": "uchar"}
 _NEAR_TO_FAR_RGB = np.array(
-    [(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], dtype=float
+    [
+        (68, 1, 84),
+        (71, 45, 123),
+        (59, 82, 139),
+        (44, 114, 142),
+        (33, 145, 140),
+        (40, 174, 128),
+        (94, 201, 98),
+        (173, 220, 48),
+        (253, 231, 37),
+    ],
+    dtype=float,
 )
 """Evenly spaced stops of matplotlib's viridis, which needs no matplotlib here."""
 
@@ -88,7 +99,8 @@ def _cells(column: NDArray[np.generic]) -> list[object]:
 
 
 def _write_npz(measurement: Measurement, file: BinaryIO) -> None:
-    np.savez_compressed(file, allow_pickle=False, **measurement.table())
+    columns: dict[str, Any] = {**measurement.table()}
+    np.savez_compressed(file, **columns)
 
 
 def _write_parquet(measurement: Measurement, file: BinaryIO) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, Protocol
+from typing import Any
 
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.clock import Clock
@@ -31,8 +31,8 @@ _WAIT_S = 0.02
 _PACKET_ROOM_BYTES = 8192
 
 
-class Observer(Protocol):
-    """Whoever looks on: displays and recorders."""
+class Observer:
+    """Whoever looks on, displays and recorders: each overrides what concerns it."""
 
     def opened(self, port: str) -> None:
         """The port is open under this name."""

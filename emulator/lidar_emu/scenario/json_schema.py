@@ -1,0 +1,116 @@
+"""The scenario's JSON Schema for editors: the models, and parts by reference as `load` takes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import TypeAdapter
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
+
+from lidar_emu.scenario.load import PART_FOLDERS, shipped
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+
+Node = dict[str, Any]
+
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_DEFINITIONS = "#/$defs/"
+
+
+class _Generator(GenerateJsonSchema):
+    """Says what an author may write, without titles that only repeat the keys."""
+
+    def field_title_should_be_set(self, schema: object) -> bool:  # noqa: ARG002
+        return False
+
+    def function_before_schema(self, schema: core_schema.BeforeValidatorFunctionSchema) -> JsonSchemaValue:
+        if schema["schema"]["type"] == "bool":
+            return {"enum": [True, False, "on", "off", "yes", "no"]}
+        return super().function_before_schema(schema)
+
+    def tagged_union_schema(self, schema: core_schema.TaggedUnionSchema) -> JsonSchemaValue:
+        node = super().tagged_union_schema(schema)
+        # OpenAPI's word, unknown to JSON Schema: each choice already fixes its `kind`.
+        node.pop("discriminator", None)
+        return node
+
+
+def models_schema() -> Node:
+    """What a scenario says once its references are resolved: `anyOf` the scenarios, and `$defs` of all models."""
+    adapter: TypeAdapter[Any] = TypeAdapter(FlightScenario | BenchScenario)
+    return adapter.json_schema(schema_generator=_Generator)
+
+
+def json_schema() -> Node:
+    """JSON Schema (draft 2020-12) of a scenario file as its author writes it.
+
+    Where a part stands, the name of a file and a mapping with `base` and the keys that differ are allowed too.
+    Conditions between several keys are left to `load`.
+    """
+    schema = models_schema()
+    definitions = schema["$defs"]
+    for scenario in (FlightScenario, BenchScenario):
+        properties = definitions[scenario.__name__]["properties"]
+        for part in (part for part in PART_FOLDERS if part in properties):
+            properties[part] = _or_reference(part, properties[part], definitions)
+    return {"$schema": _DIALECT, "title": "lidar-emu scenario", **schema}
+
+
+def shipped_parts(part: str) -> list[str]:
+    """Names of the shipped files of a part, e.g. the instruments."""
+    return sorted(path.stem for path in shipped(PART_FOLDERS[part]).glob("*.yaml"))
+
+
+def target(node: Node) -> str:
+    """The name of the definition that a `$ref` points to."""
+    return str(node["$ref"]).removeprefix(_DEFINITIONS)
+
+
+def choices(node: Node) -> list[Node]:
+    """What a node may be: the alternatives of a union, or the node alone."""
+    alternatives: list[Node] = node.get("anyOf") or node.get("oneOf") or [node]
+    return alternatives
+
+
+def _or_reference(part: str, node: Node, definitions: Node) -> Node:
+    """The schema of a part given in place, by name, or as a `base` with other values."""
+    name = {
+        "type": "string",
+        "description": "A YAML file beside the scenario, or one that is shipped.",
+        "examples": shipped_parts(part),
+    }
+    inline = [{"$ref": choice["$ref"]} for choice in choices(node)]
+    based = [_with_base(name, target(choice), definitions) for choice in inline]
+    return {"description": node["description"], "anyOf": [name, *inline, *based]}
+
+
+def _with_base(name: Node, model: str, definitions: Node) -> Node:
+    overrides = definitions[target(_overrides(model, definitions))]
+    definitions[f"{model}WithBase"] = {
+        **overrides,
+        "title": f"{model} with base",
+        "properties": {"base": name, **overrides["properties"]},
+        "required": ["base"],
+    }
+    return {"$ref": f"{_DEFINITIONS}{model}WithBase"}
+
+
+def _overrides(model: str, definitions: Node) -> Node:
+    """A reference to the model with no key required: what is left out comes from the base file."""
+    name = f"{model}Overrides"
+    if name not in definitions:
+        full = {key: value for key, value in definitions[model].items() if key != "required"}
+        properties = {key: _relaxed(node, definitions) for key, node in full["properties"].items()}
+        definitions[name] = {**full, "title": f"{model} overrides", "properties": properties}
+    return {"$ref": _DEFINITIONS + name}
+
+
+def _relaxed(node: Node, definitions: Node) -> Node:
+    """A key below a `base`: mappings are merged key by key, anything else is replaced as a whole."""
+    own = {key: value for key, value in node.items() if key not in ("default", "$ref", "anyOf", "oneOf")}
+    alternatives = [
+        _overrides(target(choice), definitions) if "$ref" in choice else choice for choice in choices(node)
+    ]
+    if alternatives == [node]:
+        return own
+    return {**own, "anyOf": alternatives}

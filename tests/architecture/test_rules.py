@@ -1,0 +1,68 @@
+"""Rules that hold everywhere in the source, read off its syntax trees."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = sorted([*(ROOT / "emulator").rglob("*.py"), *(ROOT / "protocol").rglob("*.py")])
+CLOCK_FILE = ROOT / "emulator" / "lidar_emu" / "runtime" / "clock.py"
+CLOCK_READERS = {
+    "time.time", "time.time_ns", "time.monotonic", "time.monotonic_ns", "time.perf_counter", "time.perf_counter_ns",
+    "time.sleep", "datetime.now", "datetime.utcnow", "datetime.today", "date.today",
+}  # fmt: skip
+GLOBAL_CHANCE = {
+    "random.random",
+    "random.seed",
+    "np.random.rand",
+    "np.random.randn",
+    "np.random.seed",
+    "os.urandom",
+}
+
+
+def calls(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Call):
+            yield ast.unparse(node.func)
+
+
+def test_there_are_sources():
+    assert len(SOURCES) > 100
+    assert CLOCK_FILE in SOURCES
+
+
+def test_one_file_reads_the_clock():
+    assert CLOCK_READERS & set(calls(CLOCK_FILE))
+    readers = [str(path) for path in SOURCES if path != CLOCK_FILE and CLOCK_READERS & set(calls(path))]
+    assert readers == []
+
+
+def test_nobody_draws_from_a_global_generator():
+    assert [str(path) for path in SOURCES if GLOBAL_CHANCE & set(calls(path))] == []
+
+
+def test_files_are_short():
+    long = {str(path): n for path in SOURCES if (n := len(path.read_text().splitlines())) > 300}
+    assert long == {}
+
+
+@pytest.mark.parametrize("command", [[], ["run"], ["listen"], ["simulate"], ["plan"], ["schema"], ["icd"]])
+def test_help_loads_nothing_heavy(command):
+    code = (
+        "import sys; sys.argv = ['lidar-emu', *%r, '--help']\n"
+        "from lidar_emu.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as end: assert not end.code, end.code\n"
+        "heavy = {'numba', 'numpy', 'scipy', 'trimesh', 'matplotlib', 'pydantic', 'can', 'serial', 'rich'}\n"
+        "print('loaded:', sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code % command], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "loaded: []"
+    assert "lidar-emu" in done.stdout

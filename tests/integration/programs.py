@@ -1,0 +1,177 @@
+"""The command line as processes, and pseudo terminals as cables whose far end the test holds."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+import tty
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+COMMAND = Path(sys.executable).parent / "lidar-emu"
+LIMIT_S = 120.0
+
+
+def eventually(condition: Callable[[], Any], limit_s: float = LIMIT_S) -> Any:
+    """Wait until a condition of the outside world holds; returns what made it true."""
+    deadline_s = time.monotonic() + limit_s
+    while not (value := condition()):
+        assert time.monotonic() < deadline_s, "it did not happen"
+        time.sleep(0.005)
+    return value
+
+
+class Program:
+    """A `lidar-emu` in a session of its own, as a shell starts it in a terminal."""
+
+    def __init__(self, arguments: list[str], folder: Path, name: str) -> None:
+        self._files = folder / f"{name}.out", folder / f"{name}.err"
+        with self._files[0].open("wb") as out, self._files[1].open("wb") as err:
+            self.process = subprocess.Popen(
+                [str(COMMAND), *arguments],
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=err,
+                start_new_session=True,
+            )
+
+    @property
+    def out(self) -> str:
+        """What it has printed so far."""
+        return self._files[0].read_text()
+
+    @property
+    def err(self) -> str:
+        """What it has complained of so far."""
+        return self._files[1].read_text()
+
+    def word_after(self, text: str) -> str:
+        """Wait until it has said `text`, and return the next word: the path of a pty."""
+
+        def word() -> str | None:
+            _, _, rest = (self.out + self.err).partition(text)
+            return rest.split()[0].rstrip(",") if "\n" in rest else None
+
+        return str(eventually(word))
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send a signal to the program and its group, as a terminal does."""
+        os.killpg(self.process.pid, number)
+
+    def wait(self, limit_s: float = LIMIT_S) -> int:
+        """Wait for its end; returns the exit code."""
+        return self.process.wait(limit_s)
+
+    def succeed(self) -> None:
+        """Wait for its end, which must be a good one."""
+        assert self.wait() == 0, self.err
+        assert self.err == ""
+
+    def port_process(self) -> int:
+        """Wait for the process that owns the port; returns its number."""
+
+        def child() -> int | None:
+            with suppress(OSError):
+                pid = self.process.pid
+                for text in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+                    if b"port_process" in Path(f"/proc/{text}/cmdline").read_bytes():
+                        return int(text)
+            return None
+
+        return int(eventually(child))
+
+    def end(self) -> None:
+        """Whatever the test did, leave no process behind."""
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+
+
+def is_running(pid: int) -> bool:
+    """Whether there is such a process, zombies aside."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def read_summary(path: Path) -> dict[str, Any]:
+    """A summary file; NaN and Infinity, which are no JSON, are refused."""
+
+    def refuse(text: str) -> None:
+        raise AssertionError(f"{text} is no JSON")
+
+    told: dict[str, Any] = json.loads(path.read_text(), parse_constant=refuse)
+    return told
+
+
+class FarEnd:
+    """A cable: what a program writes to the pty `path` is kept in `data`, and passed on where asked."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self._forward_to: int | None = None
+        self._opened: int | None = None
+        # The slave stays open: without it the master would report a hang-up between two programs.
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        self.path = os.ttyname(self._slave)
+        self._stop_out, self._stop = os.pipe()
+        self._thread = threading.Thread(target=self._carry)
+        self._thread.start()
+
+    def forward_to(self, path: str) -> None:
+        """From now on pass everything on to another serial port."""
+        self._forward_to = self._opened = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        tty.setraw(self._opened)
+
+    def deliver_to(self, other: FarEnd) -> None:
+        """From now on pass everything on to the program that has the other cable's `path` open."""
+        self._forward_to = other._master
+
+    def _carry(self) -> None:
+        while self._stop_out not in (ready := select.select([self._master, self._stop_out], [], [])[0]):
+            assert ready
+            data = os.read(self._master, 65536)
+            self.data += data
+            while self._forward_to is not None and data:
+                data = data[os.write(self._forward_to, data) :]
+
+    def close(self) -> None:
+        """Stop reading and give everything back."""
+        os.write(self._stop, b"\0")
+        self._thread.join()
+        descriptors = [self._master, self._slave, self._stop_out, self._stop]
+        if self._opened is not None:
+            descriptors.append(self._opened)
+        for descriptor in descriptors:
+            os.close(descriptor)
+
+
+class PtyReader:
+    """A host that opens the pty of a program and reads until the program closes it."""
+
+    def __init__(self, path: str) -> None:
+        self.data = bytearray()
+        self._descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        self._thread = threading.Thread(target=self._read)
+        self._thread.start()
+
+    def _read(self) -> None:
+        with suppress(OSError):  # EIO: the master is closed
+            while data := os.read(self._descriptor, 65536):
+                self.data += data
+
+    def close(self) -> None:
+        """Wait for the other side's end, and give the port back."""
+        self._thread.join()
+        os.close(self._descriptor)

@@ -1,0 +1,80 @@
+"""slcan by hand: lines of text to CAN frames, and those through cantools with the DBC alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cantools
+
+import lidar_protocol
+
+DATABASE = cantools.database.load_file(Path(lidar_protocol.__file__).parent / "lidar.dbc")
+FD_LENGTHS = dict(zip("0123456789ABCDEF", (*range(9), 12, 16, 20, 24, 32, 48, 64), strict=True))
+BEAM_SLOTS = 8
+BEAM_MESSAGES = {"Beam", "Quality", "Geometry", "FdBeam"}
+
+
+@dataclass(frozen=True)
+class Line:
+    """A frame with an 11-bit identifier."""
+
+    kind: str
+    """`t` classic, `d` FD, `b` FD with bit rate switch."""
+    can_id: int
+    data: bytes
+
+
+def frames(stream: bytes) -> list[Line]:
+    """The data frames of a stream of slcan lines, configuration passed over."""
+    *lines, rest = bytes(stream).decode("ascii").split("\r")
+    assert rest == "", "the stream ends inside a line"
+    return [_frame(line) for line in lines if line[:1] in set("tTdDbBrR")]
+
+
+def _frame(line: str) -> Line:
+    assert line[0] in "tdb", f"{line} is no data frame with a standard identifier"
+    data = bytes.fromhex(line[5:])
+    assert len(data) == FD_LENGTHS[line[4]]
+    return Line(line[0], int(line[1:4], 16), data)
+
+
+def shots(lines: Iterable[Line], unit: int = 0) -> list[dict[str, Any]]:
+    """Shots as the DBC reads them: values of the header messages, and `beams`, one mapping per slot.
+
+    A new shot begins with each (FD) header; every frame of a shot carries the same counter.
+    """
+    result: list[dict[str, Any]] = []
+    for line in lines:
+        message = DATABASE.get_message_by_frame_id(line.can_id - 0x40 * unit)
+        values = {name: _plain(value) for name, value in message.decode(line.data).items()}
+        counter = values.pop("shot_counter")
+        name, slot = message.name.rstrip("0123456789"), (line.can_id % BEAM_SLOTS)
+        if name in ("Header", "FdHeader"):
+            result.append(
+                {"counter": counter, "beams": [{} for _ in range(values["beam_count"])], "messages": []}
+            )
+        shot = result[-1]
+        assert shot["counter"] == counter, "a frame of another shot"
+        shot["messages"].append(message.name)
+        (shot["beams"][slot] if name in BEAM_MESSAGES else shot).update(values)
+    return result
+
+
+def rows(decoded: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One row per beam. The core set has no shot number: shots are then counted by their counters."""
+    result, shot = [], -1
+    for each in decoded:
+        shot = each.get("shot", shot + 1 + (each["counter"] - shot - 1) % 16)
+        result += [{"shot": shot, "beam": beam, **values} for beam, values in enumerate(each["beams"])]
+    return result
+
+
+def _plain(value: Any) -> Any:
+    """A number, or None for the codes that stand for no value."""
+    if isinstance(value, cantools.database.namedsignalvalue.NamedSignalValue):
+        # "none" is also the name of segments 0.
+        return None if value.name in ("none", "absent") and value.value != 0 else value.value
+    return value

@@ -1,0 +1,114 @@
+"""The byte stream of a run through two other people's decoders of CCSDS space packets."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from typing import Any
+
+import ccsdspy
+import handwritten
+import numpy as np
+import pytest
+from ccsdspy import PacketField
+from programs import FarEnd, Program
+from spacepackets.ccsds import SpacePacketHeader
+from spacepackets.ccsds.spacepacket import PacketType, SequenceFlags
+
+from lidar_emu.measurement import Measurement
+
+Start = Callable[..., Program]
+Simulated = Callable[..., Measurement]
+
+# INTERFACE.md, section 2: name, type, bits, step, code for no value.
+HEADER = [("seconds", "uint", 32), ("fraction", "uint", 24), ("due_seconds", "uint", 32), ("due_fraction", "uint", 24),
+          ("interface_version", "uint", 8), ("mode", "uint", 8), ("unused", "uint", 6), ("laser_on", "uint", 1),
+          ("clock_locked", "uint", 1), ("beam_count", "uint", 8), ("shot", "uint", 32)]  # fmt: skip
+BEAM = [
+    ("fired", "uint", 1, None, None),
+    ("range_valid", "uint", 1, None, None),
+    ("speed_valid", "uint", 1, None, None),
+    ("sign_resolved", "uint", 1, None, None),
+    ("unused", "uint", 1, None, None),
+    ("segments", "uint", 3, None, None),
+    ("reason", "uint", 4, None, None),
+    ("returns", "uint", 4, None, None),
+    ("snr_db", "int", 16, 0.01, -0x8000),
+    ("range_m", "uint", 32, 0.001, 0xFFFFFFFF),
+    ("closing_speed_mps", "int", 32, 0.0001, -0x80000000),
+    ("second_range_m", "uint", 32, 0.001, 0xFFFFFFFF),
+    ("sigma_range_m", "uint", 16, 0.0001, 0xFFFF),
+    ("sigma_speed_mps", "uint", 16, 0.00001, 0xFFFF),
+    ("residual_mps", "int", 16, 0.0001, -0x8000),
+    ("beam_angle_deg", "uint", 16, 0.01, 0xFFFF),
+    ("time_offset_s", "uint", 32, 1e-6, 0xFFFFFFFF),
+]
+
+
+def packets_of(start: Start, far_end: FarEnd, *arguments: str) -> list[bytes]:
+    """Everything that a run sends, at any pace."""
+    start("run", *arguments, "--port", far_end.path, "--baud", "3000000", "--pace", "max").succeed()
+    return handwritten.unstuffed(far_end.data)
+
+
+def columns_of(packets: list[bytes], beams: int) -> dict[str, Any]:
+    fields = [PacketField(name, kind, bits) for name, kind, bits in HEADER]
+    for k in range(beams):
+        fields += [PacketField(f"{name}_{k}", kind, bits) for name, kind, bits, _, _ in BEAM]
+    fields.append(PacketField("crc", "uint", 16))
+    columns: dict[str, Any] = ccsdspy.FixedLength(fields).load(
+        io.BytesIO(b"".join(packets)), include_primary_header=True
+    )
+    return columns
+
+
+def test_spacepackets_reads_every_header(start: Start, far_end: FarEnd) -> None:
+    packets = packets_of(start, far_end, "descent.yaml", "--set", "wire.unit=5")
+    assert len(packets) == 1008
+    for k, packet in enumerate(packets):
+        header = SpacePacketHeader.unpack(packet)
+        assert (header.ccsds_version, header.packet_type, header.sec_header_flag) == (0, PacketType.TM, True)
+        assert header.apid == 0x2A5
+        assert header.seq_flags == SequenceFlags.UNSEGMENTED
+        assert header.seq_count == k
+        assert header.packet_len == len(packet) == 142
+
+
+def test_ccsdspy_reads_every_value(start: Start, far_end: FarEnd, simulated: Simulated) -> None:
+    columns = columns_of(packets_of(start, far_end, "descent.yaml"), beams=4)
+    expected = simulated("descent.yaml")
+    np.testing.assert_array_equal(columns["shot"], expected.shot)
+    assert set(columns["CCSDS_APID"]) == {0x2A0}
+    for name, column_ns in (("", expected.time_ns[:, 0]), ("due_", expected.due_ns)):
+        received_s = columns[f"{name}seconds"] + columns[f"{name}fraction"] / 2**24
+        np.testing.assert_allclose(received_s, column_ns * 1e-9, rtol=0, atol=0.5 * 2**-24 + 1e-12)
+    for k in range(4):
+        for name, _, _, step, none in BEAM:
+            received = columns[f"{name}_{k}"]
+            if name == "unused":
+                assert not received.any()
+            elif step is None:
+                np.testing.assert_array_equal(received, getattr(expected, name)[:, k], name)
+            elif name == "time_offset_s":
+                assert not received.any(), "all beams fire together"
+            else:
+                values = np.where(received == none, np.nan, received.astype(np.float64) * step)
+                atol = 0.5 * step * (1 + 1e-6)
+                np.testing.assert_allclose(
+                    values, getattr(expected, name)[:, k], rtol=0, atol=atol, err_msg=name
+                )
+
+
+@pytest.mark.slow
+def test_the_sequence_count_wraps_and_the_shot_number_does_not(start: Start, far_end: FarEnd) -> None:
+    packets = packets_of(start, far_end, "bench.yaml", "--set", "timing.rate_hz=1000")
+    columns = columns_of(packets, beams=4)
+    np.testing.assert_array_equal(columns["shot"], np.arange(20_000))
+    np.testing.assert_array_equal(columns["CCSDS_SEQUENCE_COUNT"], np.arange(20_000) % 2**14)
+    # The pattern of the scenario file, by its own words: a ramp to 2000 m and back to 0 every 10 s.
+    ramp_m = 2000 * (np.arange(20_000) % 10_000) / 10_000
+    np.testing.assert_allclose(columns["range_m_1"] / 1000, ramp_m, rtol=0, atol=0.0005 + 1e-9)
+    assert set(columns["range_m_2"]) == {123_456}
+    assert set(columns["closing_speed_mps_2"]) == {-78_901}
+    assert set(columns["range_m_3"]) == {0xFFFFFFFF}
+    assert set(columns["reason_3"]) == {2}
