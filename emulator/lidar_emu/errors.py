@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
+
 
 class InputError(Exception):
     """What the user gave cannot be used: one line that names file, key, value and what is allowed.
 
-    The command line turns it into exit code 2. ``allowed`` completes the sentence "allowed: ...".
+    The command line turns it into exit code 2. ``allowed`` completes the sentence, mostly as "allowed: ...".
     """
 
     def __init__(self, where: str, key: str | None, value: object, allowed: str) -> None:
@@ -18,20 +20,29 @@ class InputError(Exception):
 
     def __str__(self) -> str:
         subject = f"{self.where}: {self.key}" if self.key else self.where
-        return one_line(f"{subject}: {shown(self.value)} is not usable; {self.allowed}")
+        found = self.value if isinstance(self.value, Finding) else f"{shown(self.value)} is not usable"
+        return one_line(f"{subject}: {found}; {self.allowed}")
 
 
 class RunError(Exception):
     """The run itself failed (a process died, a recording could not be written): exit code 1."""
 
 
+class Finding(str):
+    """What was found where a value cannot be shown, such as `no such file`: it stands in the line as it is."""
+
+    __slots__ = ()
+
+
 def shown(value: object, limit: int = 60) -> str:
-    """``value`` as a short piece of text for a message."""
-    text = value if isinstance(value, str) else repr(value)
-    text = f"{text!r}" if isinstance(value, str) else text
+    """``value`` as a short piece of text for a message, much as an author would write it."""
+    try:
+        text = repr(value) if isinstance(value, str | float) else json.dumps(value, default=repr)
+    except (TypeError, ValueError):  # a whole number of thousands of digits, a list within itself
+        text = f"a value of type {type(value).__name__}"
     return text if len(text) <= limit else text[: limit - 3] + "..."
 
 
 def one_line(text: str) -> str:
-    """``text`` with every run of white space made one blank."""
-    return " ".join(text.split())
+    """``text`` with every run of white space made one blank, and nothing that would move a terminal's cursor."""
+    return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))

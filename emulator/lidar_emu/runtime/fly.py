@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -111,7 +113,7 @@ class Run:
         self.tally = Tally(options.pace)
 
     def fly(self) -> Outcome:
-        """Run to the end, or until KeyboardInterrupt, which ends the run as cleanly.
+        """Run to the end, or until SIGINT (Ctrl-C) or SIGTERM, which end the run as cleanly.
 
         Raises:
             InputError: the port cannot be opened, or the start lies in the past.
@@ -119,7 +121,10 @@ class Run:
         """
         stolen = steal_ticks()
         interrupted = False
-        with PortRunner(self._slots, _PACKET_ROOM_BYTES) as port:
+        with (
+            _on_signal(signal.SIGTERM, signal.default_int_handler),
+            PortRunner(self._slots, _PACKET_ROOM_BYTES) as port,
+        ):
             try:
                 description = port.start(self._options.port)
                 self._tell_opened(description)
@@ -128,7 +133,8 @@ class Run:
                 self._feed(port)
             except KeyboardInterrupt:
                 interrupted = True
-            with _interrupts_ignored():
+            # A second one must not cut the end short: it takes a second at most.
+            with _on_signal(signal.SIGINT, signal.SIG_IGN), _on_signal(signal.SIGTERM, signal.SIG_IGN):
                 port.close()
                 self._take(port)
         self.tally.close()
@@ -213,12 +219,13 @@ def payload_of(packet: Packet) -> bytes:
 
 
 @contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """A second Ctrl-C must not cut the end of the run short: it takes a second at most."""
-    import signal
-
-    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _on_signal(number: signal.Signals, act: Any) -> Iterator[None]:
+    """Let a signal do something else for a while; a thread other than the main one has no say in that."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    previous = signal.signal(number, act)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, previous)
+        signal.signal(number, previous)

@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from lidar_emu.scenario.part import NonNegative, Part, Positive, Switch
+from lidar_emu.scenario.part import NonNegative, Part, Positive, Switch, unusable
 
 
 class Ramp(Part):
@@ -44,11 +44,11 @@ class BenchBeam(Part):
 
     @model_validator(mode="after")
     def _range_is_a_range(self) -> Self:
-        lowest = (
-            min(self.range_m.start, self.range_m.stop) if isinstance(self.range_m, Ramp) else self.range_m
-        )
-        if lowest < 0:
-            raise ValueError("range_m must not be negative")
+        ramp = self.range_m if isinstance(self.range_m, Ramp) else None
+        stated = {"range_m.start": ramp.start, "range_m.stop": ramp.stop} if ramp else {"range_m": self.range_m}
+        for key, value in stated.items():
+            if value < 0:
+                raise unusable(key, value, "greater than or equal to 0")
         return self
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from lidar_emu.scenario.part import Fraction, Part, Positive
+from lidar_emu.scenario.part import Fraction, Part, Positive, unusable
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
 
@@ -29,11 +29,13 @@ class Waveform(Part):
     @model_validator(mode="after")
     def _record_fits(self) -> Self:
         if self.fft_length & (self.fft_length - 1):
-            raise ValueError("fft_length must be a power of two")
+            raise unusable("fft_length", self.fft_length, "a power of two")
         if self.record_time_s > self.segment_time_s:
-            raise ValueError(
-                f"a record of fft_length / sample_rate_hz = {self.record_time_s:.6g} s "
-                f"must fit into segment_time_s = {self.segment_time_s:.6g} s"
+            raise unusable(
+                "fft_length",
+                self.fft_length,
+                f"a record, fft_length / sample_rate_hz = {self.record_time_s:.6g} s, "
+                f"within segment_time_s, {self.segment_time_s:.6g} s",
             )
         return self
 
@@ -130,8 +132,9 @@ class Instrument(Part):
     def _consistent(self) -> Self:
         edge = self.waveform.record_edge_range_m
         if self.detection.maximum_range_m > edge * (1 + 1e-9):
-            raise ValueError(
-                f"detection.maximum_range_m must not lie beyond the record edge, {edge:.6g} m "
-                "(c/2 times segment_time_s less the record)"
+            raise unusable(
+                "detection.maximum_range_m",
+                self.detection.maximum_range_m,
+                f"at most {edge:.6g}, the record edge (c/2 times segment_time_s less the record)",
             )
         return self

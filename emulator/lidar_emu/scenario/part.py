@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic_core import PydanticCustomError
 
 
 class Part(BaseModel):
@@ -18,6 +19,12 @@ class Part(BaseModel):
         use_attribute_docstrings=True,
         validate_default=True,
     )
+
+
+def unusable(key: str, value: object, allowed: str) -> PydanticCustomError:
+    """What a part's own check raises: the dotted key below the part, its value, and what is allowed."""
+    context = {"key": key, "value": value, "allowed": allowed}
+    return PydanticCustomError("unusable", "{key}: {value} is not usable; allowed: {allowed}", context)
 
 
 _SWITCH_WORDS = {"on": True, "yes": True, "off": False, "no": False}

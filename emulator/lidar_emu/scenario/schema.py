@@ -7,9 +7,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AwareDatetime, Field, model_validator
 
+from lidar_emu.errors import Finding
 from lidar_emu.scenario.bench_pattern import BenchPattern
 from lidar_emu.scenario.instrument import Instrument
-from lidar_emu.scenario.part import NonNegative, Part, Positive
+from lidar_emu.scenario.part import NonNegative, Part, Positive, unusable
 from lidar_emu.scenario.scanner import Mounting, Scanner
 from lidar_emu.scenario.site import Site
 from lidar_emu.scenario.trajectory import Trajectory
@@ -91,9 +92,11 @@ class FlightScenario(Scenario):
     def _rate_is_reachable(self) -> Self:
         limit_hz = 1 / self.cycle_time_s
         if self.timing.rate_hz > limit_hz * (1 + 1e-9):
-            raise ValueError(
-                f"timing.rate_hz {self.timing.rate_hz:g}: the waveform with beams fired "
-                f"{self.scanner.firing.replace('_', ' ')} reaches at most {limit_hz:.6g} Hz"
+            raise unusable(
+                "timing.rate_hz",
+                self.timing.rate_hz,
+                f"at most {limit_hz:.6g}, what the waveform reaches with beams fired "
+                f"{self.scanner.firing.replace('_', ' ')}",
             )
         return self
 
@@ -102,7 +105,8 @@ class FlightScenario(Scenario):
         given = len(self.scanner.misalignment_mrad)
         needed = max(len(pattern.beams_deg) for pattern in self.scanner.patterns)
         if given not in (0, needed):
-            raise ValueError(f"scanner.misalignment_mrad has {given} entries for {needed} beams")
+            found = Finding(f"{given} entries")
+            raise unusable("scanner.misalignment_mrad", found, f"{needed} entries, one per beam, or none")
         return self
 
 

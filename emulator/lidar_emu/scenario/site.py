@@ -6,7 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from lidar_emu.scenario.part import NonNegative, Part, Positive
+from lidar_emu.errors import Finding
+from lidar_emu.scenario.part import NonNegative, Part, Positive, unusable
 
 Latitude = Annotated[float, Field(ge=-90, le=90)]
 Longitude = Annotated[float, Field(ge=-180, le=360)]
@@ -54,12 +55,13 @@ class Origin(Part):
 
     @model_validator(mode="after")
     def _pairs(self) -> Self:
-        geographic = (self.latitude_deg is None, self.longitude_deg is None)
-        projected = (self.map_x_m is None, self.map_y_m is None)
-        if geographic[0] != geographic[1] or projected[0] != projected[1]:
-            raise ValueError("latitude_deg goes with longitude_deg, map_x_m with map_y_m")
-        if not geographic[0] and not projected[0]:
-            raise ValueError("give latitude_deg and longitude_deg, or map_x_m and map_y_m, not both")
+        for one, other in (("latitude_deg", "longitude_deg"), ("map_x_m", "map_y_m")):
+            missing = [key for key in (one, other) if getattr(self, key) is None]
+            if len(missing) == 1:
+                raise unusable(missing[0], Finding("missing"), f"{one} and {other}, or neither")
+        if self.latitude_deg is not None and self.map_x_m is not None:
+            allowed = "latitude_deg and longitude_deg, or map_x_m and map_y_m, not both"
+            raise unusable("map_x_m", self.map_x_m, allowed)
         return self
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from lidar_emu.scenario.part import NonNegative, Part, Positive, Vector3
+from lidar_emu.errors import Finding
+from lidar_emu.scenario.part import NonNegative, Part, Positive, Vector3, unusable
 
 
 class Waypoint(Part):
@@ -51,13 +53,13 @@ class Profile(Part):
 
     @model_validator(mode="after")
     def _descends(self) -> Self:
-        for upper, lower in zip(self.waypoints, self.waypoints[1:], strict=False):
+        for place, (upper, lower) in enumerate(pairwise(self.waypoints), start=1):
             if lower.altitude_m >= upper.altitude_m:
-                raise ValueError(
-                    f"waypoints must descend: {lower.altitude_m:g} m follows {upper.altitude_m:g} m"
-                )
+                allowed = f"below {upper.altitude_m:g}, the waypoint before it"
+                raise unusable(f"waypoints.{place}.altitude_m", lower.altitude_m, allowed)
             if upper.speed_mps + lower.speed_mps <= 0:
-                raise ValueError("two waypoints with speed_mps 0 are never connected")
+                allowed = "greater than 0 here or at the waypoint before it"
+                raise unusable(f"waypoints.{place}.speed_mps", lower.speed_mps, allowed)
         return self
 
 
@@ -91,8 +93,9 @@ class LengthColumn(Part):
 
     @model_validator(mode="after")
     def _rate_pair(self) -> Self:
-        if (self.rate_column is None) != (self.rate_unit is None):
-            raise ValueError("rate_column goes with rate_unit")
+        missing = [key for key in ("rate_column", "rate_unit") if getattr(self, key) is None]
+        if len(missing) == 1:
+            raise unusable(missing[0], Finding("missing"), "rate_column and rate_unit, or neither")
         return self
 
 
@@ -158,7 +161,7 @@ class Table(Part):
     @model_validator(mode="after")
     def _one_attitude(self) -> Self:
         if self.quaternion is not None and (self.roll or self.pitch or self.yaw):
-            raise ValueError("give quaternion, or roll, pitch and yaw, not both")
+            raise unusable("quaternion", Finding("two attitudes"), "quaternion, or roll, pitch and yaw, not both")
         return self
 
 

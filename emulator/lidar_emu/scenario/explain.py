@@ -1,0 +1,157 @@
+"""The first complaint of the schema as one line: file, key, value and what is allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel, ValidationError
+
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.scenario.yaml_text import Key, Tree, dotted
+
+_WHOLE = "a whole number, without point or exponent"
+_LIST = "a list"
+_MAPPING = "a mapping of keys to values"
+_INSTANT = "an instant such as 2030-01-01T12:00:00Z"
+_MISSING, _UNKNOWN = "missing", "extra_forbidden"
+_NO_KIND, _OTHER_KIND = "union_tag_not_found", "union_tag_invalid"
+_WORDS = {
+    "float_type": "a number",
+    "int_type": _WHOLE,
+    "int_from_float": _WHOLE,
+    "string_type": "text (a number in quotes)",
+    "bool_type": "on or off",
+    "list_type": _LIST,
+    "tuple_type": _LIST,
+    "model_type": _MAPPING,
+    "model_attributes_type": _MAPPING,
+    _NO_KIND: "a mapping with the key kind",
+}
+
+
+class Source(NamedTuple):
+    """Who stated a key: a file or an option, and how many leading steps of the key are not its own."""
+
+    name: str
+    outer: int = 0
+
+
+def explained(
+    error: ValidationError, model: type[BaseModel], tree: Tree, sources: Mapping[Key, Source]
+) -> InputError:
+    """What `model` found wrong first with `tree`; `sources` tells who stated what below each key."""
+    complaints = error.errors(include_url=False)
+    first = _most_telling(complaints)
+    key = _place(tree, first)
+    source = sources[max((start for start in sources if key[: len(start)] == start), key=len)]
+    name = dotted(key[source.outer :])
+    nodes = list(_schema_at(model, first["loc"][:-1] if first["type"] == _UNKNOWN else first["loc"]))
+    value = _value_at(tree, key)
+    match first["type"]:
+        case "unusable":
+            return InputError(source.name, name, first["ctx"]["value"], f"allowed: {first['ctx']['allowed']}")
+        case "missing":
+            return InputError(source.name, name, Finding("missing"), "this key is required")
+        case "extra_forbidden":
+            return InputError(source.name, name, value, f"no such key; allowed: {_keys(nodes)}")
+        case "union_tag_invalid" | "union_tag_not_found" if isinstance(value, dict):
+            found = value.get("kind", Finding("missing"))
+            return InputError(source.name, f"{name}.kind", found, f"allowed: {_kinds(nodes)}")
+        case "too_short" | "too_long":
+            found = Finding(f"{len(value)} entries")
+            return InputError(source.name, name, found, f"allowed: {_length(first)}")
+    # A value that may be one thing or another is wrong for each of them.
+    together = dict.fromkeys(_words(one) for one in complaints if _place(tree, one) == key)
+    return InputError(source.name, name, value, f"allowed: {', or '.join(together)}")
+
+
+def _most_telling(complaints: list[Any]) -> Any:
+    """The first one; but of a mistyped key, the key that is there rather than the one that is missing."""
+    first = complaints[0]
+    if first["type"] != _MISSING:
+        return first
+    beside = (one for one in complaints if one["type"] == _UNKNOWN and one["loc"][:-1] == first["loc"][:-1])
+    return next(beside, first)
+
+
+def _place(tree: Tree, complaint: Any) -> Key:
+    """The key in question: pydantic also names the kind that it chose in a union."""
+    node: Any = tree
+    key: list[str | int] = []
+    just_entered = False
+    *outer, last = complaint["loc"] or ("",)
+    for step in complaint["loc"]:
+        if just_entered and isinstance(node, dict) and step == node.get("kind"):
+            just_entered = False
+        elif _has(node, step):
+            node = node[step]
+            key.append(step)
+            just_entered = True
+    if complaint["type"] == _MISSING:
+        key.append(last)
+    if complaint["type"] == "unusable":
+        key += [int(step) if step.isdecimal() else step for step in complaint["ctx"]["key"].split(".")]
+    return tuple(key)
+
+
+def _has(node: Any, step: str | int) -> bool:
+    if isinstance(node, list):
+        return isinstance(step, int) and step < len(node)
+    return isinstance(node, dict) and step in node
+
+
+def _value_at(tree: Tree, key: Key) -> Any:
+    node: Any = tree
+    for step in key:
+        node = node[step] if _has(node, step) else None
+    return node
+
+
+def _words(complaint: Any) -> str:
+    kind = str(complaint["type"])
+    if kind.startswith(("datetime", "timezone")):
+        return _INSTANT
+    return _WORDS.get(kind) or complaint["msg"].removeprefix("Input should be ")
+
+
+def _length(complaint: Any) -> str:
+    if complaint["type"] == "too_short":
+        return f"at least {complaint['ctx']['min_length']}"
+    return f"at most {complaint['ctx']['max_length']}"
+
+
+def _schema_at(model: type[BaseModel], location: Key) -> Iterator[dict[str, Any]]:
+    """The JSON schemas that apply at a location as pydantic tells it."""
+    schema = model.model_json_schema()
+    nodes = list(_alternatives(schema, schema["$defs"]))
+    for step in location:
+        below = [child for node in nodes if (child := _child(node, step)) is not None]
+        # A step that leads nowhere is the name of an alternative, and the alternatives are here already.
+        nodes = [one for node in below for one in _alternatives(node, schema["$defs"])] or nodes
+    yield from nodes
+
+
+def _child(node: dict[str, Any], step: str | int) -> dict[str, Any] | None:
+    if isinstance(step, int):
+        return node.get("items")
+    properties = node.get("properties", {})
+    if properties.get("kind", {}).get("const") == step:
+        return node
+    return properties.get(step)
+
+
+def _alternatives(node: dict[str, Any], definitions: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    yield node
+    if "$ref" in node:
+        yield from _alternatives(definitions[node["$ref"].rpartition("/")[2]], definitions)
+    for choice in (*node.get("oneOf", ()), *node.get("anyOf", ())):
+        yield from _alternatives(choice, definitions)
+
+
+def _keys(nodes: list[dict[str, Any]]) -> str:
+    return ", ".join(dict.fromkeys(key for node in nodes for key in node.get("properties", ())))
+
+
+def _kinds(nodes: list[dict[str, Any]]) -> str:
+    return ", ".join(node["properties"]["kind"]["const"] for node in nodes if "properties" in node)

@@ -1,0 +1,124 @@
+"""YAML 1.2 as plain values: text, numbers, lists and mappings, within reason.
+
+`1e6` is a number and `12:30:45` is text, as an author means them; instants stay text for the schema to read.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from lidar_emu.errors import Finding, InputError, one_line
+
+Tree = dict[str, Any]
+Key = tuple[str | int, ...]
+
+MAXIMUM_DEPTH = 32
+_MAXIMUM_BYTES = 1_000_000
+_MAXIMUM_NODES = 100_000
+_PLAIN = "allowed: text, numbers, true, false, null, lists and mappings"
+
+
+def read_mapping(path: Path) -> Tree:
+    """The file's keys and values.
+
+    Raises:
+        InputError: the file cannot be read, or is no mapping of plain values in YAML 1.2.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        reason = Finding(error.strerror or "unreadable")
+        raise InputError(str(path), None, reason, "allowed: a readable YAML file") from None
+    if len(data) > _MAXIMUM_BYTES:
+        raise InputError(str(path), None, Finding(f"{len(data)} bytes"), f"allowed: at most {_MAXIMUM_BYTES}")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(str(path), None, Finding("not UTF-8 text"), "allowed: a YAML file") from None
+    tree = parse(text, str(path))
+    if not isinstance(tree, dict):
+        found = Finding("an empty file") if tree is None else tree
+        raise InputError(str(path), None, found, "allowed: a mapping of keys to values")
+    return tree
+
+
+def parse(text: str, where: str) -> Any:
+    """One YAML document as plain values.
+
+    Raises:
+        InputError: names `where`, and the line or key that cannot be used.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.constructor import SafeConstructor
+
+    class Constructor(SafeConstructor):
+        """Reads instants as text."""
+
+    Constructor.add_constructor("tag:yaml.org,2002:timestamp", SafeConstructor.construct_yaml_str)
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Constructor = Constructor
+    try:
+        with warnings.catch_warnings():
+            # About numbers in files that declare themselves YAML 1.1.
+            warnings.simplefilter("ignore")
+            tree = yaml.load(text)
+    except Exception as error:  # what values of explicit tags raise is not bounded
+        raise InputError(where, _line_of(error), _problem_of(error), _mended(error)) from None
+    _refuse_unreasonable(tree, where)
+    return tree
+
+
+def dotted(key: Key) -> str | None:
+    """A key as in `--set`; None for the whole."""
+    return ".".join(str(step) for step in key) or None
+
+
+def _problem_of(error: Exception) -> Finding:
+    for name in ("problem", "reason"):
+        if text := getattr(error, name, None):
+            return Finding(one_line(str(text)))
+    return Finding(one_line(str(error)) or type(error).__name__)
+
+
+def _line_of(error: Exception) -> str | None:
+    mark = getattr(error, "problem_mark", None)
+    return None if mark is None else f"line {mark.line + 1}"
+
+
+def _mended(error: Exception) -> str:
+    from ruamel.yaml.constructor import DuplicateKeyError
+
+    return "allowed: each key once" if isinstance(error, DuplicateKeyError) else "allowed: YAML 1.2"
+
+
+def _refuse_unreasonable(tree: Any, where: str) -> None:
+    """Refuse values that no key takes, and aliases that expand beyond reason."""
+    for count, (key, node) in enumerate(_nodes(tree, ())):
+        if len(key) >= MAXIMUM_DEPTH or count >= _MAXIMUM_NODES:
+            limits = f"allowed: at most {_MAXIMUM_NODES} values, nested {MAXIMUM_DEPTH} deep"
+            raise InputError(where, dotted(key[:3]), Finding("nested or repeated too often"), limits)
+        if isinstance(node, dict):
+            for name in node:
+                if not _is_text(name):
+                    raise InputError(where, dotted(key), name, "allowed: text as a key")
+        elif isinstance(node, int):
+            if not -(2**63) <= node < 2**63:
+                found = Finding("a whole number of more than 64 bits")
+                raise InputError(where, dotted(key), found, "allowed: fewer digits")
+        elif not (node is None or isinstance(node, float | list) or _is_text(node)):
+            raise InputError(where, dotted(key), node, _PLAIN)
+
+
+def _is_text(value: object) -> bool:
+    """Whether it is text that can be written to JSON and name a file."""
+    return isinstance(value, str) and "\0" not in value and not any("\ud800" <= c <= "\udfff" for c in value)
+
+
+def _nodes(node: Any, key: Key) -> Iterator[tuple[Key, Any]]:
+    yield key, node
+    children = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    for step, child in children:
+        yield from _nodes(child, (*key, step))

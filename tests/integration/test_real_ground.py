@@ -1,0 +1,233 @@
+"""Descents over real maps of the Moon and along a real flight, beside geometry worked out here.
+
+The ground is read with rasterio and cut by bisection; nothing of the project's casting or pointing is used.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lidar_emu
+from lidar_emu.errors import InputError
+from lidar_emu.measurement import Measurement
+
+rasterio = pytest.importorskip("rasterio")
+
+DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+ARISTARCHUS = DATA / "terrain" / "moon_aristarchus_imp_4p76m.tif"
+HERODOTUS = DATA / "terrain" / "moon_herodotus_mons_53p6m.tif"
+APOLLO = DATA / "trajectory" / "apollo11_descent_clean.csv"
+VALIDITY_S = round(2 * 300e-6 - 131_072 / 600e6 / 2, 9)
+"""Centre of the constant segment's record, by the waveform of ndl_four_beam, in whole nanoseconds."""
+
+Floats = NDArray[np.float64]
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no maps in {DATA}")
+
+
+def flown(folder: Path, ground: dict[str, Any], trajectory: str, pattern: str, rate_hz: float) -> Measurement:
+    """A scenario file with these parts, simulated."""
+    lines = [f"    {key}: {value}" for key, value in ground.items()]
+    text = "\n".join([
+        "name: real",
+        f"timing: {{rate_hz: {rate_hz}}}",
+        "instrument: ndl_four_beam",
+        "site:", "  name: real", "  ground:", *lines,
+        f"scanner: {{pattern: {pattern}}}",
+        f"trajectory: {trajectory}",
+    ])  # fmt: skip
+    (folder / "real.yaml").write_text(text + "\n")
+    return lidar_emu.simulate(lidar_emu.load(folder / "real.yaml"), seed=1)
+
+
+def map_of(file: Path, **keys: Any) -> dict[str, Any]:
+    return {"kind": "grid", "file": file, "band": "qts_demstack", **keys}
+
+
+@dataclass
+class Surface:
+    """The bilinear surface through the samples of a band, above the middle of the map."""
+
+    elevation_m: Floats
+    pixel_m: float
+
+    @classmethod
+    def read(cls, file: Path, band: int) -> Surface:
+        with rasterio.open(file) as stream:
+            surface = cls(stream.read(band).astype(np.float64), stream.transform.a)
+        surface.elevation_m -= surface.height_m(np.zeros(1), np.zeros(1))
+        return surface
+
+    def height_m(self, east_m: Floats, north_m: Floats) -> Floats:
+        """NaN beyond the outermost samples."""
+        rows, columns = self.elevation_m.shape
+        across = (columns - 1) / 2 + east_m / self.pixel_m
+        down = (rows - 1) / 2 - north_m / self.pixel_m
+        outside = (across < 0) | (across > columns - 1) | (down < 0) | (down > rows - 1)
+        column = np.clip(np.floor(across), 0, columns - 2).astype(int)
+        row = np.clip(np.floor(down), 0, rows - 2).astype(int)
+        a, b, z = across - column, down - row, self.elevation_m
+        upper = z[row, column] * (1 - a) + z[row, column + 1] * a
+        lower = z[row + 1, column] * (1 - a) + z[row + 1, column + 1] * a
+        return np.where(outside, np.nan, upper * (1 - b) + lower * b)
+
+    def first_contact_m(self, origin_m: Floats, direction: Floats, step_m: float) -> Floats:
+        """Range of each ray (n, 3): steps to the first change of sign, then bisection. Rays stay over the map."""
+
+        def above_m(range_m: Floats) -> Floats:
+            point_m = origin_m + range_m[:, None] * direction
+            return point_m[:, 2] - self.height_m(point_m[:, 0], point_m[:, 1])
+
+        # No ground lies higher than the highest sample: march from there.
+        near_m = np.maximum(0, (self.elevation_m.max() - origin_m[:, 2]) / direction[:, 2])
+        assert (above_m(near_m) >= 0).all()
+        marching = np.ones(len(near_m), dtype=bool)
+        while marching.any():
+            marching &= above_m(near_m + step_m) > 0
+            near_m[marching] += step_m
+        far_m = near_m + step_m
+        for _ in range(60):
+            middle_m = (near_m + far_m) / 2
+            is_above = above_m(middle_m) > 0
+            near_m, far_m = np.where(is_above, middle_m, near_m), np.where(is_above, far_m, middle_m)
+        return near_m
+
+
+def straight_down_m(time_s: Floats, from_m: float, from_mps: float, to_m: float, to_mps: float) -> Floats:
+    """Altitude at constant deceleration: v² - v0² = 2 a s."""
+    deceleration_mps2 = (from_mps**2 - to_mps**2) / (2 * (from_m - to_m))
+    return from_m - from_mps * time_s + 0.5 * deceleration_mps2 * time_s**2
+
+
+def square(angle_deg: float, pitch_deg: Floats | float = 0.0) -> Floats:
+    """Beams (4, 3) or (4, n, 3) in east, north, up of a body that heads north and pitches up: azimuths count
+    from forward over right."""
+    angle, pitch = np.radians(angle_deg), np.radians(pitch_deg)
+    beams = []
+    for azimuth in np.radians([45, 135, 225, 315]):
+        forward, right, below = (
+            np.sin(angle) * np.cos(azimuth),
+            np.sin(angle) * np.sin(azimuth),
+            np.cos(angle),
+        )
+        north = forward * np.cos(pitch) + below * np.sin(pitch)
+        down = below * np.cos(pitch) - forward * np.sin(pitch)
+        beams.append(np.stack(np.broadcast_arrays(right, north, -down), axis=-1))
+    return np.stack(beams)
+
+
+def ranges_by_bisection_m(surface: Surface, altitude_m: Floats, angle_deg: float, step_m: float) -> Floats:
+    origin_m = np.stack([0 * altitude_m, 0 * altitude_m, altitude_m], axis=-1)
+    columns = [
+        surface.first_contact_m(origin_m, np.tile(direction, (len(altitude_m), 1)), step_m)
+        for direction in square(angle_deg)
+    ]
+    return np.stack(columns, axis=1)
+
+
+@pytest.mark.parametrize(
+    ("file", "band", "from_m", "to_m", "angle_deg"),
+    [(ARISTARCHUS, 1, 1500.0, 60.0, 22.5), (HERODOTUS, 2, 6000.0, 1500.0, 22.5)],
+)
+def test_true_ranges_over_a_map_are_those_of_bisection(
+    tmp_path: Path, file: Path, band: int, from_m: float, to_m: float, angle_deg: float
+) -> None:
+    with rasterio.open(file) as stream:
+        assert stream.descriptions[band - 1] == "qts_demstack"
+    waypoints = f"[{{altitude_m: {from_m}, speed_mps: 90}}, {{altitude_m: {to_m}, speed_mps: 5}}]"
+    trajectory = f"{{kind: profile, waypoints: {waypoints}}}"
+    run = flown(tmp_path, map_of(file), trajectory, f"{{kind: square, angle_deg: {angle_deg}}}", 10)
+    time_s = run.shot / 10 + VALIDITY_S
+    altitude_m = straight_down_m(time_s, from_m, 90, to_m, 5)
+    np.testing.assert_allclose(run.position_site_m[:, 2], altitude_m, rtol=0, atol=1e-8)
+    surface = Surface.read(file, band)
+    expected_m = ranges_by_bisection_m(surface, altitude_m, angle_deg, step_m=surface.pixel_m / 40)
+    np.testing.assert_allclose(run.true_range_m, expected_m, rtol=0, atol=1e-6)
+    # The ground is rough enough to tell bands and directions apart.
+    assert np.ptp(expected_m - altitude_m[:, None] / np.cos(np.radians(angle_deg)), axis=1).max() > 10
+    error_m = (run.range_m - run.true_range_m)[run.range_valid]
+    assert run.range_valid.mean() > 0.95
+    assert np.sqrt(np.mean(error_m**2)) < 0.01 * np.median(expected_m)
+
+
+def test_a_band_is_not_guessed(tmp_path: Path) -> None:
+    trajectory = (
+        "{kind: profile, waypoints: [{altitude_m: 900, speed_mps: 9}, {altitude_m: 800, speed_mps: 9}]}"
+    )
+    with pytest.raises(InputError, match="qts_demstack_slope"):
+        flown(tmp_path, map_of(HERODOTUS, band="elevation"), trajectory, "{kind: square, angle_deg: 9}", 1)
+
+
+APOLLO_DESCENT = (
+    f"{{kind: table, file: {APOLLO}, time: {{column: t_touchdown_s, unit: s}}, "
+    "up: {column: alt_m, unit: m, rate_column: hdot_mps, rate_unit: m/s}, "
+    "pitch: {column: pitch_from_vertical_deg, unit: deg}, "
+    "from_time: -245, to_time: -11, maximum_gap_s: 40}"
+)
+
+
+def apollo_rows(*columns: str) -> Floats:
+    """Columns of the rows in which all are filled, and the time before contact."""
+    with APOLLO.open() as stream:
+        rows = [[row[name] for name in ("t_touchdown_s", *columns)] for row in csv.DictReader(stream)]
+    return np.array([row for row in rows if all(row)], dtype=np.float64).T
+
+
+def between_rows(
+    time_s: Floats, row_s: Floats, altitude_m: Floats, rate_mps: Floats
+) -> tuple[Floats, Floats]:
+    """Altitude and rate of the cubic with the given values and rates at the rows around, in Bernstein's form."""
+    k = np.clip(np.searchsorted(row_s, time_s, side="right") - 1, 0, len(row_s) - 2)
+    step_s = row_s[k + 1] - row_s[k]
+    u = (time_s - row_s[k]) / step_s
+    p0, p3 = altitude_m[k], altitude_m[k + 1]
+    p1, p2 = p0 + rate_mps[k] * step_s / 3, p3 - rate_mps[k + 1] * step_s / 3
+    height_m = p0 * (1 - u) ** 3 + 3 * p1 * u * (1 - u) ** 2 + 3 * p2 * u**2 * (1 - u) + p3 * u**3
+    rate = 3 * ((p1 - p0) * (1 - u) ** 2 + 2 * (p2 - p1) * u * (1 - u) + (p3 - p2) * u**2) / step_s
+    return height_m, rate
+
+
+def test_apollo_over_a_plane(tmp_path: Path) -> None:
+    run = flown(tmp_path, {"kind": "plane"}, APOLLO_DESCENT, "{kind: square, angle_deg: 7.5}", 20)
+    assert len(run) == 20 * 234
+    time_s = -245 + run.shot / 20 + VALIDITY_S
+    altitude_m, rate_mps = between_rows(time_s, *apollo_rows("alt_m", "hdot_mps"))
+    np.testing.assert_allclose(run.position_site_m[:, 2], altitude_m, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(run.velocity_site_mps[:, 2], rate_mps, rtol=0, atol=1e-9)
+    # Shots next to a row have its displayed pitch, whatever is flown between rows.
+    row_s, pitch_deg = apollo_rows("pitch_from_vertical_deg")
+    inside = (row_s >= -245) & (row_s < -11)
+    shot = np.rint((row_s[inside] + 245) * 20).astype(int)
+    beams = square(7.5, pitch_deg[inside])
+    expected_m = (altitude_m[shot] / -beams[..., 2]).T
+    # Half a millisecond after the row, at up to 2.5 degrees a second of pitch.
+    share = np.tan(np.radians(52 + 7.5)) * np.radians(2.5) * VALIDITY_S
+    np.testing.assert_allclose(run.true_range_m[shot], expected_m, rtol=share)
+    np.testing.assert_allclose(
+        run.true_closing_speed_mps[shot], (rate_mps[shot] * beams[..., 2]).T, rtol=share
+    )
+    assert run.range_valid.mean() > 0.9
+
+
+def test_apollo_over_aristarchus(tmp_path: Path) -> None:
+    ground = map_of(ARISTARCHUS, beyond="plane")
+    run = flown(tmp_path, ground, APOLLO_DESCENT, "{kind: square, angle_deg: 7.5}", 5)
+    surface = Surface.read(ARISTARCHUS, 1)
+    hit = run.fired & np.isfinite(run.true_range_m)
+    assert hit.all(), "the level plane lies around the map"
+    # True points lie on the bilinear surface, or around it on the plane.
+    row_s, pitch_deg = apollo_rows("pitch_from_vertical_deg")
+    shot = np.rint((row_s + 245) * 5).astype(int)
+    inside = (row_s >= -245) & (row_s < -11) & (np.abs((row_s + 245) * 5 - shot) < 1e-9)
+    shot, beams = shot[inside], square(7.5, pitch_deg[inside])
+    point_m = run.position_site_m[shot] + run.true_range_m[shot].T[..., None] * beams
+    ground_m = np.nan_to_num(surface.height_m(point_m[..., 0], point_m[..., 1]), nan=0.0)
+    assert np.isfinite(surface.height_m(point_m[..., 0], point_m[..., 1])).mean() > 0.5
+    # The pitch is that of half a millisecond later: up to 1e-5 rad, times a range of at most 5 km.
+    np.testing.assert_allclose(point_m[..., 2], ground_m, rtol=0, atol=0.2)
