@@ -14,7 +14,7 @@ HEAD = struct.Struct(">HHH7s7sBBBBI")
 BEAM = struct.Struct(">BBhIiIHHhHI")
 
 
-def unstuffed(stream: bytes) -> list[bytes]:
+def unstuffed(stream: bytes | bytearray) -> list[bytes]:
     """Space packets of a byte stream that ends with a delimiter; what is damaged stops the test."""
     *frames, rest = bytes(stream).split(b"\0")
     assert rest == b"", "the stream ends inside a packet"
@@ -55,7 +55,7 @@ def decoded(packet: bytes) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     return header, beams
 
 
-def rows(stream: bytes) -> list[dict[str, Any]]:
+def rows(stream: bytes | bytearray) -> list[dict[str, Any]]:
     """All beams of a byte stream."""
     return [beam for packet in unstuffed(stream) for beam in decoded(packet)[1]]
 

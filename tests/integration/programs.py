@@ -89,6 +89,13 @@ class Program:
 
         return int(eventually(child))
 
+    @staticmethod
+    def stall(pid: int, duration_s: float) -> None:
+        """Stop a process of the run for a while: here time is what is done, not what is waited for."""
+        os.kill(pid, signal.SIGSTOP)
+        threading.Event().wait(duration_s)
+        os.kill(pid, signal.SIGCONT)
+
     def end(self) -> None:
         """Whatever the test did, leave no process behind."""
         if self.process.poll() is None:
@@ -137,6 +144,10 @@ class FarEnd:
     def deliver_to(self, other: FarEnd) -> None:
         """From now on pass everything on to the program that has the other cable's `path` open."""
         self._forward_to = other._master
+
+    def wait_for(self, count: int) -> None:
+        """Wait until so many bytes have come."""
+        eventually(lambda: len(self.data) >= count)
 
     def _carry(self) -> None:
         while self._stop_out not in (ready := select.select([self._master, self._stop_out], [], [])[0]):

@@ -11,7 +11,7 @@ import cantools
 
 import lidar_protocol
 
-DATABASE = cantools.database.load_file(Path(lidar_protocol.__file__).parent / "lidar.dbc")
+DATABASE: Any = cantools.database.load_file(Path(lidar_protocol.__file__).parent / "lidar.dbc")
 FD_LENGTHS = dict(zip("0123456789ABCDEF", (*range(9), 12, 16, 20, 24, 32, 48, 64), strict=True))
 BEAM_SLOTS = 8
 BEAM_MESSAGES = {"Beam", "Quality", "Geometry", "FdBeam"}
@@ -27,7 +27,7 @@ class Line:
     data: bytes
 
 
-def frames(stream: bytes) -> list[Line]:
+def frames(stream: bytes | bytearray) -> list[Line]:
     """The data frames of a stream of slcan lines, configuration passed over."""
     *lines, rest = bytes(stream).decode("ascii").split("\r")
     assert rest == "", "the stream ends inside a line"

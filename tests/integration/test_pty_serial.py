@@ -95,6 +95,22 @@ def test_headers_read_by_hand(start: Start, far_end: FarEnd, simulated: Simulate
         assert header["clock_locked"]
 
 
+def test_beams_fired_in_turn_have_times_of_their_own(
+    start: Start, far_end: FarEnd, simulated: Simulated
+) -> None:
+    arguments = ["--duration", "3", "--set", "scanner.firing=in_turn", "--pace", "max"]
+    start("run", "descent.yaml", "--port", far_end.path, *arguments).succeed()
+    rows = handwritten.rows(far_end.data)
+    expected = simulated("descent.yaml", duration_s="3", scanner__firing="in_turn")
+    assert len(rows) == BEAMS * len(expected)
+    assert_equal(rows, expected)
+    # One cycle of three segments of 300 us after another.
+    assert [row["time_offset_s"] for row in rows[:BEAMS]] == [0.0, 0.0009, 0.0018, 0.0027]
+    assert {(row["beam"], row["time_offset_s"]) for row in rows} == set(
+        enumerate((0.0, 0.0009, 0.0018, 0.0027))
+    )
+
+
 @pytest.mark.slow
 def test_a_run_makes_a_pty_and_a_host_attaches(start: Start, simulated: Simulated, tmp_path: Path) -> None:
     expected = simulated("descent.yaml")  # first: the kernels are compiled before the start is set

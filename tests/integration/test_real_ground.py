@@ -82,10 +82,11 @@ class Surface:
 
         def above_m(range_m: Floats) -> Floats:
             point_m = origin_m + range_m[:, None] * direction
-            return point_m[:, 2] - self.height_m(point_m[:, 0], point_m[:, 1])
+            above: Floats = point_m[:, 2] - self.height_m(point_m[:, 0], point_m[:, 1])
+            return above
 
         # No ground lies higher than the highest sample: march from there.
-        near_m = np.maximum(0, (self.elevation_m.max() - origin_m[:, 2]) / direction[:, 2])
+        near_m: Floats = np.maximum(0, (self.elevation_m.max() - origin_m[:, 2]) / direction[:, 2])
         assert (above_m(near_m) >= 0).all()
         marching = np.ones(len(near_m), dtype=bool)
         while marching.any():

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import signal
-import threading
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
+from threading import current_thread, main_thread
 from typing import Any
 
 from lidar_emu.errors import InputError
@@ -110,6 +110,8 @@ class Run:
         self._wire_load = wire_load(port, longest, rate_hz)
         self._slots = max(2 * block_shots, round(rate_hz * LOOK_AHEAD_S))
         self._in_flight: deque[Outgoing] = deque()
+        self._opening = True
+        self._interrupted = False
         self.tally = Tally(options.pace)
 
     def fly(self) -> Outcome:
@@ -120,43 +122,51 @@ class Run:
             RunError: the port's process died.
         """
         stolen = steal_ticks()
-        interrupted = False
-        with (
-            _on_signal(signal.SIGTERM, signal.default_int_handler),
-            PortRunner(self._slots, _PACKET_ROOM_BYTES) as port,
-        ):
-            try:
-                description = port.start(self._options.port)
-                self._tell_opened(description)
-                start_ns = self._start_ns()
-                port.begin(start_ns, self._scenario.timing.late_after_ns, self._options.pace)
-                self._feed(port)
-            except KeyboardInterrupt:
-                interrupted = True
-            # A second one must not cut the end short: it takes a second at most.
-            with _on_signal(signal.SIGINT, signal.SIG_IGN), _on_signal(signal.SIGTERM, signal.SIG_IGN):
-                port.close()
-                self._take(port)
+        with _on_signals(self._interrupt), PortRunner(self._slots, _PACKET_ROOM_BYTES) as port:
+            with suppress(KeyboardInterrupt):
+                self._open(port)
+            self._feed(port)
+            port.close()
+            self._take(port)
         self.tally.close()
-        return Outcome(self.tally, self._details(port, interrupted, stolen))
+        return Outcome(self.tally, self._details(port, stolen))
+
+    def _interrupt(self, *_: object) -> None:
+        """Noted, and acted on between packets: an exception anywhere could lose reports that were just fetched.
+        While the port is being opened there is nothing to lose, and no loop that would look."""
+        self._interrupted = True
+        if self._opening:
+            raise KeyboardInterrupt
+
+    def _open(self, port: PortRunner) -> None:
+        description = port.start(self._options.port)
+        for observer in self._observers:
+            observer.opened(description)
+        port.begin(self._start_ns(), self._scenario.timing.late_after_ns, self._options.pace)
+        self._opening = False
 
     def _feed(self, port: PortRunner) -> None:
         block = self._first
-        while block is not None:
+        while block is not None and not self._interrupted:
             for observer in self._observers:
                 observer.computed(block)
             self.tally.measured(block.measurement)
             for packet in self._outgoing(block):
                 self._in_flight.append(packet)
                 while not port.push(packet):
-                    port.wait(_WAIT_S)
-                    self._take(port)
+                    self._wait(port)
+                    if self._interrupted:
+                        return
             self._take(port)
             block = self._session.next_block()
-        port.last_packet_pushed()
-        while not port.finished:
-            port.wait(_WAIT_S)
-            self._take(port)
+        if not self._interrupted:
+            port.last_packet_pushed()
+        while not (port.finished or self._interrupted):
+            self._wait(port)
+
+    def _wait(self, port: PortRunner) -> None:
+        port.wait(_WAIT_S)
+        self._take(port)
 
     @staticmethod
     def _outgoing(block: Block) -> Iterator[Outgoing]:
@@ -175,10 +185,6 @@ class Run:
             for observer in self._observers:
                 observer.arrived(data)
 
-    def _tell_opened(self, description: str) -> None:
-        for observer in self._observers:
-            observer.opened(description)
-
     def _start_ns(self) -> int:
         start = self._options.start
         if start is None:
@@ -188,7 +194,7 @@ class Run:
             raise InputError("--start", None, start.isoformat(), "allowed: now, or an instant to come")
         return self._clock.now_ns() + round(ahead_s * 1e9)
 
-    def _details(self, port: PortRunner, interrupted: bool, stolen: int | None) -> dict[str, Any]:
+    def _details(self, port: PortRunner, stolen: int | None) -> dict[str, Any]:
         stolen_now = steal_ticks()
         return {
             "scenario": self._scenario.name,
@@ -196,7 +202,7 @@ class Run:
             "epoch": self._scenario.timing.epoch.isoformat(),
             "rate_hz": self._scenario.timing.rate_hz,
             "planned_shots": self._model.shot_count,
-            "interrupted": interrupted,
+            "interrupted": self._interrupted,
             "port": port.description or str(self._options.port),
             "pace": str(self._options.pace),
             "granted": port.granted,
@@ -219,13 +225,19 @@ def payload_of(packet: Packet) -> bytes:
 
 
 @contextmanager
-def _on_signal(number: signal.Signals, act: Any) -> Iterator[None]:
-    """Let a signal do something else for a while; a thread other than the main one has no say in that."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    previous = signal.signal(number, act)
+def _on_signals(act: Callable[..., None]) -> Iterator[None]:
+    """Let SIGINT and SIGTERM do something else for a while.
+
+    A signal that is ignored stays so: a shell's background job is not meant to hear Ctrl-C. Threads other than
+    the main one have no say in this.
+    """
+    numbers = (signal.SIGINT, signal.SIGTERM) if current_thread() is main_thread() else ()
+    previous = {number: signal.getsignal(number) for number in numbers}
+    heard = [number for number in numbers if previous[number] is not signal.SIG_IGN]
+    for number in heard:
+        signal.signal(number, act)
     try:
         yield
     finally:
-        signal.signal(number, previous)
+        for number in heard:
+            signal.signal(number, previous[number])

@@ -1,0 +1,87 @@
+"""How runs end before their time: by the user, by the system, by the death of one of the two processes."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import handwritten
+import pytest
+from comparison import assert_equal
+from programs import FarEnd, Program, eventually, is_running, read_summary
+
+from lidar_emu.measurement import Measurement
+
+Start = Callable[..., Program]
+Simulated = Callable[..., Measurement]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_run_with_its_summary(
+    number: signal.Signals, start: Start, far_end: FarEnd, simulated: Simulated, tmp_path: Path
+) -> None:
+    run = start("run", "descent.yaml", "--port", far_end.path, "--baud", "921600", "--summary", "s.json")
+    port = run.port_process()
+    far_end.wait_for(5 * 144)
+    run.signal(number)
+    run.succeed()
+    assert "the run was interrupted" in run.out
+    summary = read_summary(tmp_path / "s.json")
+    assert summary["interrupted"] is True
+    assert 5 <= summary["shots"]["sent"] <= summary["shots"]["due"] < summary["planned_shots"] == 1008
+    rows = handwritten.rows(far_end.data)
+    assert len(rows) == 4 * summary["shots"]["sent"]
+    assert len(far_end.data) == summary["wire"]["sent_bytes"]
+    assert_equal(rows, simulated("descent.yaml"))
+    assert sum(summary["beams"][0].values()) == summary["shots"]["due"]
+    assert not is_running(port)
+
+
+def test_ctrl_c_as_fast_as_the_link_takes_it(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
+    scenario = ["bench.yaml", "--set", "timing.rate_hz=1000", "--set", "bench_pattern.duration_s=1000"]
+    options = ["--port", far_end.path, "--baud", "3000000", "--pace", "max", "--summary", "s.json"]
+    run = start("run", *scenario, *options, "--record", "r.mcap")
+    far_end.wait_for(2000 * 144)
+    run.signal(signal.SIGINT)
+    run.succeed()
+    shots = read_summary(tmp_path / "s.json")["shots"]
+    assert 2000 <= shots["sent"] == shots["due"] < 1_000_000
+    assert len(handwritten.unstuffed(far_end.data)) == shots["sent"]
+
+
+def test_a_signal_while_the_start_is_awaited(start: Start, tmp_path: Path) -> None:
+    run = start("run", "descent.yaml", "--start", "2099-01-01T00:00:00Z", "--summary", "s.json")
+    run.word_after("descent on ")
+    run.signal(signal.SIGINT)
+    run.succeed()
+    assert read_summary(tmp_path / "s.json")["shots"]["due"] == 0
+
+
+@pytest.mark.parametrize("options", [[], ["--port", "pty"]])
+def test_the_death_of_the_port_process_is_one_line(options: list[str], start: Start, tmp_path: Path) -> None:
+    run = start("run", "descent.yaml", *options, "--record", "r.mcap")
+    port = run.port_process()
+    run.word_after("descent on ")
+    os.kill(port, signal.SIGKILL)
+    assert run.wait() == 1
+    assert run.err == "lidar-emu: the port process ended (signal 9)\n"
+    assert (tmp_path / "r.mcap").stat().st_size > 0
+
+
+def test_the_port_process_does_not_outlive_a_killed_run(start: Start, far_end: FarEnd) -> None:
+    run = start("run", "descent.yaml", "--port", far_end.path, "--baud", "921600")
+    port = run.port_process()
+    far_end.wait_for(144)
+    run.process.kill()
+    assert run.wait() == -signal.SIGKILL
+    eventually(lambda: not is_running(port), 10)
+
+
+def test_a_port_that_is_not_there(start: Start) -> None:
+    run = start("run", "descent.yaml", "--port", "/dev/no-such-port", "--duration", "1")
+    assert run.wait() == 2
+    assert run.out == ""
+    assert run.err.startswith("lidar-emu: --port: '/dev/no-such-port'")
+    assert run.err.count("\n") == 1

@@ -1,0 +1,165 @@
+"""The same scenario and seed give the same bytes, however, where to and how late they are sent."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import handwritten
+import pytest
+from mcap.reader import make_reader
+from programs import FarEnd, Program, is_running, read_summary
+
+import lidar_emu
+from lidar_emu.session import Session
+from lidar_emu.shots import build_model
+from lidar_emu.wire import Encoder
+
+SHOTS = 200
+FAST = ["descent.yaml", "--set", "timing.rate_hz=100", "--duration", "2"]
+STALL_S = 0.5
+
+Start = Callable[..., Program]
+
+
+def in_blocks(block_shots: int, **overrides: str) -> list[Any]:
+    """The packets of a descent, computed in blocks of so many shots, in this process."""
+    scenario = lidar_emu.load("descent.yaml", {k.replace("__", "."): v for k, v in overrides.items()})
+    session = Session(build_model(scenario), Encoder(scenario.wire, False, False, 4), block_shots)
+    packets: list[Any] = []
+    while (block := session.next_block()) is not None:
+        packets += block.packets
+    return packets
+
+
+def computed() -> list[Any]:
+    """The packets of FAST."""
+    packets = in_blocks(128, timing__rate_hz="100", duration_s="2")
+    assert len(packets) == SHOTS
+    return packets
+
+
+def recorded(file: Path, topic: str) -> list[bytes]:
+    """What a recording holds under a topic, read by the mcap library."""
+    with file.open("rb") as stream:
+        return [message.data for _, _, message in make_reader(stream).iter_messages(topics=[topic])]
+
+
+@pytest.fixture
+def sent_bytes(start: Start, far_end: FarEnd) -> Callable[..., bytes]:
+    """What a run of FAST sends to a serial port."""
+
+    def run(*options: str) -> bytes:
+        far_end.data.clear()
+        start("run", *FAST, "--port", far_end.path, "--baud", "921600", *options).succeed()
+        return bytes(far_end.data)
+
+    return run
+
+
+def test_blocks_do_not_matter() -> None:
+    reference = in_blocks(128)
+    assert len(reference) == 1008
+    assert len({handwritten.rows(packet)[0]["beam_angle_deg"] for packet in reference}) == 2, (
+        "the beams switch"
+    )
+    assert in_blocks(1) == reference
+    assert in_blocks(7) == reference
+
+
+@pytest.mark.slow
+def test_neither_pace_nor_repetition_nor_link_matters(
+    sent_bytes: Callable[..., bytes], start: Start, tmp_path: Path
+) -> None:
+    reference = b"".join(computed())
+    assert sent_bytes("--pace", "max") == reference
+    assert sent_bytes("--pace", "max") == reference
+    start("run", *FAST, "--pace", "max", "--record", "loopback.mcap").succeed()
+    assert b"".join(recorded(tmp_path / "loopback.mcap", "/packet")) == reference
+
+
+def test_the_pace_of_the_clock_sends_the_same(sent_bytes: Callable[..., bytes], tmp_path: Path) -> None:
+    reference = computed()
+    stream = sent_bytes("--record", "wall.mcap", "--summary", "s.json")
+    fates = [json.loads(text) for text in recorded(tmp_path / "wall.mcap", "/fate")]
+    sent = [fate["shot"] for fate in fates if fate["fate"] == "sent"]
+    assert len(sent) == read_summary(tmp_path / "s.json")["shots"]["sent"] > SHOTS / 2
+    assert stream == b"".join(reference[shot] for shot in sent)
+
+
+def test_another_seed_differs(sent_bytes: Callable[..., bytes]) -> None:
+    first, other = (handwritten.rows(sent_bytes("--pace", "max", "--seed", seed)) for seed in "12")
+    snr = [row["snr_db"] for row in first], [row["snr_db"] for row in other]
+    assert sum(a == b for a, b in zip(*snr, strict=True)) < 0.1 * len(first)
+    assert {(row["shot"], row["beam_angle_deg"]) for row in first} == {
+        (row["shot"], row["beam_angle_deg"]) for row in other
+    }
+
+
+def test_two_units_differ_in_their_identity_alone(sent_bytes: Callable[..., bytes]) -> None:
+    units = [
+        handwritten.unstuffed(sent_bytes("--pace", "max", "--set", f"wire.unit={unit}")) for unit in (0, 1)
+    ]
+    for packet, other in zip(*units, strict=True):
+        assert (handwritten.decoded(packet)[0]["apid"], handwritten.decoded(other)[0]["apid"]) == (
+            0x2A0,
+            0x2A1,
+        )
+        assert packet[2:-2] == other[2:-2]  # between the packet's identification and its CRC
+
+
+@pytest.mark.parametrize(("fd", "can_messages"), [(False, "core"), (False, "full"), (True, "full")])
+def test_two_units_on_can_differ_in_their_identifiers_alone(fd: bool, can_messages: str) -> None:
+    def frames(unit: int) -> list[tuple[int, bytes, bool]]:
+        overrides = {"wire.unit": str(unit), "wire.can_messages": can_messages, "duration_s": "1"}
+        scenario = lidar_emu.load("descent.yaml", overrides)
+        block = Session(build_model(scenario), Encoder(scenario.wire, True, fd, 4), 128).next_block()
+        assert block is not None
+        packets: list[Any] = block.packets
+        return [(frame.can_id, frame.data, frame.is_fd) for packet in packets for frame in packet]
+
+    shifted = [(can_id + 0x40, data, is_fd) for can_id, data, is_fd in frames(0)]
+    assert frames(1) == shifted
+
+
+def test_a_stall_is_counted_and_changes_no_byte(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
+    options = ["--record", "stall.mcap", "--summary", "s.json"]
+    run = start("run", *FAST, "--port", far_end.path, "--baud", "921600", *options)
+    port = run.port_process()
+    far_end.wait_for(20 * 144)
+    run.stall(port, STALL_S)
+    run.succeed()
+    summary = read_summary(tmp_path / "s.json")
+    fates = [json.loads(text) for text in recorded(tmp_path / "stall.mcap", "/fate")]
+    assert [fate["shot"] for fate in fates] == list(range(SHOTS))
+    sent = [fate for fate in fates if fate["fate"] == "sent"]
+    late = [fate["shot"] for fate in fates if fate["fate"] == "late"]
+    assert summary["shots"] == {
+        "due": SHOTS,
+        "sent": len(sent),
+        "late": len(late),
+        "dropped": {"full": 0, "nobody_connected": 0, "broken": 0},
+    }
+    # What was due in the half second is skipped, but for the period within which nothing is late.
+    longest = max(len(run) for run in runs(late))
+    assert longest >= STALL_S * 100 - 3
+    # No burst: whatever was sent, was sent when it was due and not when the stall was over.
+    lateness_s = [(fate["sent_ns"] - fate["due_ns"]) * 1e-9 for fate in sent]
+    assert max(lateness_s) < STALL_S / 2
+    assert min(lateness_s) >= 0
+    reference = computed()
+    assert bytes(far_end.data) == b"".join(reference[fate["shot"]] for fate in sent)
+    assert not is_running(port)
+
+
+def runs(numbers: list[int]) -> list[list[int]]:
+    """Consecutive numbers, together."""
+    result: list[list[int]] = []
+    for number in numbers:
+        if result and result[-1][-1] == number - 1:
+            result[-1].append(number)
+        else:
+            result.append([number])
+    return result

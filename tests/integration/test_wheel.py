@@ -1,0 +1,123 @@
+"""What is installed is whole: a wheel in an environment of its own, and the tree from an empty folder."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from pathlib import Path
+
+import pytest
+from programs import COMMAND
+
+TREE = Path(__file__).resolve().parents[2]
+PACKAGES = {"emulator": "lidar_emu", "protocol": "lidar_protocol"}
+HEAVY = {
+    "numba",
+    "numpy",
+    "scipy",
+    "trimesh",
+    "matplotlib",
+    "pydantic",
+    "can",
+    "serial",
+    "mcap",
+    "rasterio",
+    "pyarrow",
+}
+
+
+def done(*command: str | Path, folder: Path) -> str:
+    """The output of a command that must succeed."""
+    result = subprocess.run(
+        list(map(str, command)), cwd=folder, capture_output=True, text=True, check=False, timeout=300
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+@pytest.fixture
+def empty(tmp_path: Path) -> Path:
+    """A folder with nothing in it."""
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    done(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, TREE, folder=folder)
+    (built,) = folder.glob("lidar_emu-*.whl")
+    return built
+
+
+@pytest.fixture
+def installed(wheel: Path, tmp_path: Path) -> Path:
+    """Scripts of a new environment with the wheel in it, which sees the dependencies of this one but not the tree.
+
+    A path in a .pth file is searched without the .pth files there: the editable install stays out of sight.
+    """
+    environment = tmp_path / "environment"
+    done(sys.executable, "-m", "venv", "--without-pip", environment, folder=tmp_path)
+    python = environment / "bin" / "python"
+    libraries = done(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", folder=tmp_path)
+    here = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
+    (Path(libraries.strip()) / "dependencies.pth").write_text("\n".join(sorted(here)) + "\n")
+    pip: list[str | Path] = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", python]
+    done(*pip, "install", "--quiet", "--no-deps", "--no-index", "--ignore-installed", wheel, folder=tmp_path)
+    return environment / "bin"
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_every_file_of_the_packages(wheel: Path) -> None:
+    in_tree = {
+        str(path.relative_to(TREE / root))
+        for root, package in PACKAGES.items()
+        for path in (TREE / root / package).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    with zipfile.ZipFile(wheel) as archive:
+        packed = {name for name in archive.namelist() if ".dist-info/" not in name}
+    assert packed == in_tree
+    assert {"lidar_protocol/lidar.dbc", "lidar_protocol/INTERFACE.md"} <= packed
+    assert "lidar_emu/shipped/ground/mare.npz" in packed
+
+
+@pytest.mark.slow
+def test_a_wheel_flies_from_an_empty_folder(installed: Path, empty: Path) -> None:
+    where = done(installed / "python", "-c", "import lidar_emu; print(lidar_emu.__file__)", folder=empty)
+    assert Path(where.strip()).is_relative_to(installed.parent)
+    assert "descent.yaml" in done(installed / "lidar-emu", "scenarios", folder=empty)
+    told = json.loads(
+        done(installed / "lidar-emu", "run", "descent.yaml", "--pace", "max", "--json", folder=empty)
+    )
+    assert told["shots"]["sent"] == told["far_end"]["messages"] == told["planned_shots"] == 1008
+    assert list(empty.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_the_tree_flies_from_an_empty_folder(empty: Path) -> None:
+    assert "descent.yaml" in done(COMMAND, "scenarios", folder=empty)
+    output = done(COMMAND, "run", "descent.yaml", "--pace", "max", folder=empty)
+    assert "1008 due of 1008 planned: 1008 sent, 0 late, 0 dropped" in output
+    assert list(empty.iterdir()) == []
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["simulate", "--help"], ["--version"]])
+def test_help_is_light(arguments: list[str], empty: Path) -> None:
+    program = (
+        "import sys\n"
+        f"sys.argv = ['lidar-emu', *{arguments}]\n"
+        "from lidar_emu.cli import main\n"
+        "try:\n"
+        "    main()\n"
+        "except SystemExit as end:\n"
+        "    assert not end.code\n"
+        "print(*sys.modules)\n"
+    )
+    *text, modules = done(sys.executable, "-c", program, folder=empty).splitlines()
+    assert text
+    assert HEAVY.isdisjoint(modules.split())
