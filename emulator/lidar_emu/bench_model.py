@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from math import ceil
-
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import FloatArray, Measurement
@@ -20,8 +19,8 @@ class BenchModel:
     def __init__(self, scenario: BenchScenario) -> None:
         self.pattern = scenario.bench_pattern
         self.period_ns = scenario.timing.period_ns
-        duration_s = scenario.duration_s or self.pattern.duration_s
-        self.shot_count = max(1, ceil(duration_s * 1e9 / self.period_ns))
+        duration_s = self.pattern.duration_s if scenario.duration_s is None else scenario.duration_s
+        self.shot_count = scenario.timing.shots_within(duration_s)
         self.beam_count = len(self.pattern.beams)
         self.plan: Plan = plan_bench(scenario)
         self.initial_state = ScannerState(())
@@ -31,10 +30,9 @@ class BenchModel:
         shot = np.arange(first, first + count, dtype=np.int64)
         start_ns = shot * self.period_ns
         beams = self.pattern.beams
-        time_s = start_ns.astype(np.float64) * 1e-9
         valid = np.tile([beam.valid for beam in beams], (count, 1))
         range_m, closing_mps = (
-            np.stack([_level(getattr(beam, name), time_s) for beam in beams], axis=1)
+            np.stack([_level(getattr(beam, name), start_ns) for beam in beams], axis=1)
             for name in ("range_m", "closing_speed_mps")
         )
         unknown = np.full(valid.shape, np.nan)
@@ -67,8 +65,10 @@ class BenchModel:
         return measurement, state
 
 
-def _level(level: Level, time_s: FloatArray) -> FloatArray:
+def _level(level: Level, time_ns: NDArray[np.int64]) -> FloatArray:
     if not isinstance(level, Ramp):
-        return np.full(len(time_s), level)
-    phase = np.mod(time_s, level.period_s) / level.period_s
+        return np.full(len(time_ns), level)
+    # In whole nanoseconds: a period that starts with a shot starts there exactly.
+    period_ns = round(level.period_s * 1e9)
+    phase = (time_ns % period_ns).astype(np.float64) / period_ns
     return level.start + (level.stop - level.start) * phase

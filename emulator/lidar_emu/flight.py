@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +12,13 @@ from lidar_emu.measurement import BoolArray, FloatArray
 from lidar_emu.rotations import cross, rotate
 from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
 from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.scenario.site import Grid
 from lidar_emu.scene.build import build_scene
 from lidar_emu.scene.hits import Hits
 from lidar_emu.trajectory.build import build_trajectory
 from lidar_emu.trajectory.state import VehicleState
+
+_CHECKED_SHOTS = 4096
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Flight:
                 f"allowed: at most {self.trajectory.duration_s:.6g} s, the flight",
             )
         self.period_ns = timing.period_ns
-        self.shot_count = max(1, ceil(duration_s * 1e9 / self.period_ns))
+        self.shot_count = timing.shots_within(duration_s)
         cycle_ns = round(waveform.cycle_time_s * 1e9)
         self._validity_ns = round(waveform.validity_offset_s * 1e9) + cycle_ns * self.scanner.firing_cycle
         self._latency_ns = round((scenario.cycle_time_s + timing.processing_latency_s) * 1e9)
@@ -124,7 +126,14 @@ class Flight:
         return chosen, state
 
     def _refuse_to_leave_the_ground(self) -> None:
-        time_s = _seconds(np.arange(self.shot_count, dtype=np.int64) * self.period_ns)
+        ground = self.scenario.site.ground
+        if not isinstance(ground, Grid) or ground.beyond != "none":
+            return
+        for first in range(0, self.shot_count, _CHECKED_SHOTS):
+            shot = np.arange(first, min(first + _CHECKED_SHOTS, self.shot_count), dtype=np.int64)
+            self._refuse_outside(_seconds(shot * self.period_ns))
+
+    def _refuse_outside(self, time_s: FloatArray) -> None:
         position_m = self.trajectory.state(time_s).position_site_m
         outside = np.flatnonzero(~self.scene.covers(position_m[:, 0], position_m[:, 1]))
         if outside.size:

@@ -22,7 +22,8 @@ class Measurement:
     shot: NDArray[np.int64]
     """(shots,) Number of the shot, from 0."""
     time_ns: NDArray[np.int64]
-    """Time of validity since the epoch, the centre of the constant segment's record."""
+    """Time of validity since the epoch: the centre of the constant segment's record; of a bench pattern the shot's
+    start."""
     due_ns: NDArray[np.int64]
     """(shots,) When the packet is due, since the epoch."""
     fired: BoolArray
@@ -51,7 +52,7 @@ class Measurement:
     point_site_m: FloatArray
     """(shots, beams, 3) Measured point: the measured range along the published beam direction."""
     position_site_m: FloatArray
-    """(shots, 3) True position of the vehicle at the shot's time of validity."""
+    """(shots, 3) True position of the vehicle at the first beam's time of validity."""
     velocity_site_mps: FloatArray
     """(shots, 3) True velocity of the vehicle."""
 

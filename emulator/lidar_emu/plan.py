@@ -6,15 +6,17 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from lidar_emu.flight import Flight
+from lidar_emu.flight import Flight, Pointing
+from lidar_emu.measurement import FloatArray
 from lidar_emu.rotations import dot
 from lidar_emu.scanner.footprint import beam_radius_m, wavefront_radius_m
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.site import Grid
+from lidar_emu.scene.hits import Hits
 
 ONE_BEAMLET_BELOW_BINS = 0.1
-_SAMPLES = 256
+_LOOK_EVERY_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -53,21 +55,30 @@ def plan_bench(scenario: BenchScenario) -> Plan:
 
 
 def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
-    """Decide each stage for the whole run."""
-    footprint, beamlets = _footprint(scenario, flight)
-    decisions = [
+    """Decide each stage for the whole run, from a look at the flight every tenth of a second."""
+    pointing, hits = _look(flight)
+    footprint, beamlets = _footprint(scenario, pointing, hits)
+    decisions = (
         _trajectory(flight),
-        *_ground(scenario, flight),
+        *_ground(scenario, flight, pointing, hits),
         _air(scenario),
         footprint,
-        *_scanner(flight),
-    ]
-    return Plan(tuple(decisions), beamlets)
+        *_switching(flight),
+        *_not_modelled(scenario, flight),
+    )
+    return Plan(decisions, beamlets)
+
+
+def _look(flight: Flight) -> tuple[Pointing, Hits]:
+    """Beams and where they hit along the flight, with every pattern chosen as it will be."""
+    step = max(1, round(_LOOK_EVERY_S * 1e9 / flight.period_ns))
+    shot = np.unique(np.append(np.arange(0, flight.shot_count, step, dtype=np.int64), flight.shot_count - 1))
+    pointing, _ = flight.point(shot, flight.scanner.initial)
+    return pointing, flight.cast(pointing.sensor_site_m, pointing.true_site)
 
 
 def _trajectory(flight: Flight) -> Decision:
-    trajectory = flight.trajectory
-    gaps = ", ".join(f"{g.column} {g.length_s:.1f} s from {g.start_s:.1f} s" for g in trajectory.gaps)
+    gaps = ", ".join(f"{g.column} {g.length_s:.1f} s from {g.start_s:.1f} s" for g in flight.trajectory.gaps)
     return Decision(
         "trajectory",
         True,
@@ -77,22 +88,20 @@ def _trajectory(flight: Flight) -> Decision:
     )
 
 
-def _ground(scenario: FlightScenario, flight: Flight) -> list[Decision]:
+def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
     ground = scenario.site.ground
     if not isinstance(ground, Grid):
         return [
             Decision("ground", True, flight.scene.description, f"a {ground.kind} is a formula", "exact"),
             Decision("grid traversal", False, "-", "the site has no elevation grid", "exact"),
         ]
+    horizontal_m = (pointing.sensor_site_m + hits.range_m[..., None] * pointing.true_site)[..., :2]
+    away_m = float(np.sqrt(np.nanmax((horizontal_m**2).sum(axis=-1), initial=0.0)))
+    fall_m = away_m**2 / (2 * scenario.site.body.radius_m)
+    bound = f"{fall_m:.2g} m of height, {away_m:.0f} m from the origin"
     return [
         Decision("ground", True, flight.scene.description, "the site has an elevation grid", "exact"),
-        Decision(
-            "curvature of the grid",
-            False,
-            "map plane",
-            "grids are read on their map plane",
-            "0.2 m at 830 m on the Moon",
-        ),
+        Decision("curvature of the grid", False, "map plane", "grids are read on their map plane", bound),
     ]
 
 
@@ -104,46 +113,73 @@ def _air(scenario: FlightScenario) -> Decision:
     return Decision("atmosphere", True, "extinction", f"up to {loss_db:.2f} dB at maximum range", "exact")
 
 
-def _scanner(flight: Flight) -> list[Decision]:
+def _switching(flight: Flight) -> list[Decision]:
     if flight.scanner.needs_ground_altitude:
         return []
     return [Decision("ground altitude", False, "-", "no switch counts its altitude from the ground", "exact")]
 
 
-def _footprint(scenario: FlightScenario, flight: Flight) -> tuple[Decision, int]:
-    """One beamlet stands for the footprint where its spectrum is narrow beside a bin, as far as can be known before
-    the run: over a plane or a sphere. A spectrum of rms width s bins loses pi² s²/3 of its peak and moves by less
-    than its own skew; on a grid the facets are unknown until they are hit."""
+def _not_modelled(scenario: FlightScenario, flight: Flight) -> list[Decision]:
+    """What the model does not have yet, as far as it matters to this flight."""
+    time_s = np.linspace(0.0, flight.trajectory.duration_s, 256)
+    acceleration_mps2 = flight.trajectory.state(time_s).acceleration_site_mps2
+    largest_mps2 = float(np.sqrt(np.max((acceleration_mps2**2).sum(axis=-1))))
+    waveform = scenario.instrument.waveform
+    # Between up- and down-chirp the speed changes by 2 T a, which reads as range.
+    bias_m = (
+        SPEED_OF_LIGHT_MPS
+        * waveform.segment_time_s
+        * largest_mps2
+        / (waveform.wavelength_m * waveform.chirp_slope_hz_per_s)
+    )
+    return [
+        Decision(
+            "motion in a shot",
+            False,
+            "-",
+            "not modelled",
+            f"{bias_m:.2g} m of range at {largest_mps2:.3g} m/s²",
+        ),
+        Decision("speckle", False, "-", "not modelled", "echoes do not fade; spread over a bin loses power"),
+        Decision("false alarms far off", False, "-", "not modelled", "none away from the echo's own bins"),
+    ]
+
+
+def _footprint(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> tuple[Decision, int]:
+    """How many beamlets stand for the footprint.
+
+    One where its spectrum is narrow beside a bin, as far as that can be known before the run: over a plane or a
+    sphere. A spectrum of rms width s bins loses pi² s²/3 of its peak. On a grid the facets are unknown until
+    they are hit.
+    """
     asked = scenario.instrument.optics.beamlets
     if asked == 1:
         return Decision("footprint", False, "1 beamlet", "the instrument asks for one", "as asked"), 1
     if isinstance(scenario.site.ground, Grid):
-        return Decision("footprint", True, f"{asked} beamlets", "slopes of a grid vary", "exact"), asked
-    spread = spectral_spread_bins(scenario, flight)
+        return Decision("footprint", True, f"{asked} beamlets", "slopes of a grid vary", "sampled"), asked
+    spread = float(np.nanmax(spectral_spread_bins(scenario, pointing, hits), initial=0.0))
+    reason = f"rms spread at most {spread:.3f} bin"
     if spread < ONE_BEAMLET_BELOW_BINS:
         bound = f"{100 * np.pi**2 / 3 * spread**2:.2g} % of the peak's power"
-        return Decision("footprint", False, "1 beamlet", f"rms spread {spread:.3f} bin", bound), 1
-    return Decision("footprint", True, f"{asked} beamlets", f"rms spread {spread:.3f} bin", "exact"), asked
+        return Decision("footprint", False, "1 beamlet", reason, bound), 1
+    return Decision("footprint", True, f"{asked} beamlets", reason, "sampled"), asked
 
 
-def spectral_spread_bins(scenario: FlightScenario, flight: Flight) -> float:
-    """Largest rms width of a beam's spectrum over the flight, in bins, over a plane or a sphere.
+def spectral_spread_bins(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> FloatArray:
+    """Rms width of each beam's chirp spectrum in bins, (shots, beams), on the facet that its axis hits.
 
-    The echo weighs the footprint by exp(-4 r²/w²): rms w / sqrt(8) along one axis. Range varies by tan(incidence) times
-    that; closing speed by the transverse speed over the radius of the wavefront.
+    The echo weighs the footprint by exp(-4 r²/w²): rms w / sqrt(8) along one axis. Range varies by tan(incidence)
+    times that; closing speed by the transverse speed over the radius of the wavefront.
     """
     waveform, optics = scenario.instrument.waveform, scenario.instrument.optics
-    shot = np.unique(np.linspace(0, flight.shot_count - 1, _SAMPLES).astype(np.int64))
-    pointing, _ = flight.point(shot, flight.scanner.initial)
-    hits = flight.cast(pointing.sensor_site_m, pointing.true_site)
     radius_m = beam_radius_m(hits.range_m, optics.waist_radius_m, waveform.wavelength_m)
     curvature_m = wavefront_radius_m(hits.range_m, optics.waist_radius_m, waveform.wavelength_m)
-    cosine = np.abs(dot(hits.normal_site, pointing.true_site))
+    cosine = -dot(hits.normal_site, pointing.true_site)
     tangent = np.sqrt(np.maximum(0.0, 1 - cosine**2)) / cosine
-    along_mps = dot(pointing.sensor_velocity_site_mps, pointing.true_site)
-    total_mps = np.sqrt(dot(pointing.sensor_velocity_site_mps, pointing.sensor_velocity_site_mps))
-    across_mps = np.sqrt(np.maximum(0.0, total_mps**2 - along_mps**2))
+    velocity_mps = pointing.sensor_velocity_site_mps
+    along_mps = dot(velocity_mps, pointing.true_site)
+    across_mps = np.sqrt(np.maximum(0.0, dot(velocity_mps, velocity_mps) - along_mps**2))
     by_range_hz = waveform.chirp_slope_hz_per_s * 2 * tangent / SPEED_OF_LIGHT_MPS
     by_speed_hz = 2 * across_mps / curvature_m / waveform.wavelength_m
-    spread = radius_m / np.sqrt(8) * (by_range_hz + by_speed_hz) / waveform.bin_width_hz
-    return float(np.nanmax(spread, initial=0.0))
+    spread: FloatArray = radius_m / np.sqrt(8) * (by_range_hz + by_speed_hz) / waveform.bin_width_hz
+    return spread

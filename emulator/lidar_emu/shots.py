@@ -74,7 +74,7 @@ class FlightModel:
             instrument.waveform.wavelength_m,
         )
         hits = self._cast_beamlets(footprint, axis_hits)
-        cos_incidence = np.abs(dot(hits.normal_site, footprint.ray_site))
+        cos_incidence = -dot(hits.normal_site, footprint.ray_site)
         power_w = coherent_power_w(instrument, site.surface, site.atmosphere, hits.range_m, cos_incidence)
         return Echoes(
             range_m=hits.range_m,
@@ -152,7 +152,8 @@ def simulate(scenario: FlightScenario | BenchScenario, seed: int | None = None) 
 
     Raises:
         InputError: a file that the scenario names cannot be used, or the flight leaves the ground.
+        ValueError: the seed is not one.
     """
     if seed is not None:
-        scenario = scenario.model_copy(update={"seed": seed})
+        scenario = type(scenario).model_validate({**dict(scenario), "seed": seed})
     return Measurement.joined(list(measure_in_blocks(build_model(scenario))))

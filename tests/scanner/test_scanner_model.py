@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from lidar_emu.errors import InputError
 from lidar_emu.rotations import dot, rotate
 from lidar_emu.scanner.model import ScannerModel, build_scanner, mounting_rotation
 from lidar_emu.scenario.scanner import Mounting, Scanner
@@ -99,12 +97,6 @@ def test_misalignment_holds_for_a_beam_in_every_pattern() -> None:
     turns = Rotation.from_rotvec(np.column_stack([1e-3 * np.array(misalignment), np.zeros(4)]))
     for true, published in zip(model.true_sensor, model.published_sensor, strict=True):
         np.testing.assert_allclose(true, turns.apply(published), atol=1e-15)
-
-
-@pytest.mark.parametrize("count", [1, 3, 5])
-def test_misalignment_of_another_number_of_beams_is_refused(count: int) -> None:
-    with pytest.raises(InputError, match=f"misalignment_mrad.*{count} entries.*4 beams"):
-        scanner(WIDE, misalignment_mrad=[(0.0, 0.0)] * count)
 
 
 def test_firing_cycles() -> None:

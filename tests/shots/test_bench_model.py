@@ -21,3 +21,12 @@ def test_constants_ramps_and_an_invalid_beam():
     assert (run.reason[:, 3] == Reason.NO_SURFACE).all()
     assert not run.range_valid[:, 3].any()
     assert run.range_valid[:, :3].all()
+
+
+def test_a_ramp_starts_anew_with_the_shot_that_its_period_starts_with():
+    scenario = load("bench.yaml", {
+        "timing.rate_hz": "20",
+        "bench_pattern.beams.0.range_m": "{start: 0, stop: 100, period_s: 0.1}",
+    })  # fmt: skip
+    run = simulate(scenario)
+    np.testing.assert_array_equal(run.range_m[:, 0], np.tile([0.0, 50.0], 200))

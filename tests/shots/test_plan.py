@@ -7,6 +7,7 @@ import pytest
 
 from lidar_emu.flight import Flight
 from lidar_emu.plan import ONE_BEAMLET_BELOW_BINS, spectral_spread_bins
+from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots import build_model, simulate
 
 LOW = {
@@ -23,6 +24,16 @@ def stages(model, computed):
     return {d.stage for d in model.plan.decisions if d.computed is computed}
 
 
+def widest(scenario: FlightScenario) -> float:
+    flight = Flight(scenario)
+    pointing, _ = flight.point(np.arange(flight.shot_count), flight.scanner.initial)
+    return float(
+        spectral_spread_bins(
+            scenario, pointing, flight.cast(pointing.sensor_site_m, pointing.true_site)
+        ).max()
+    )
+
+
 def test_a_slow_low_flight_over_a_plane_needs_one_beamlet(make_flight):
     slow, fast = build_model(make_flight(trajectory=LOW)), build_model(make_flight(trajectory=FAST))
     assert slow.plan.beamlets == 1
@@ -35,7 +46,7 @@ def test_one_beamlet_measures_what_the_whole_footprint_does(make_flight, monkeyp
     few = simulate(make_flight(trajectory=LOW))
     monkeypatch.setattr("lidar_emu.plan.ONE_BEAMLET_BELOW_BINS", 0.0)
     many = simulate(make_flight(trajectory=LOW))
-    spread = spectral_spread_bins(make_flight(trajectory=LOW), Flight(make_flight(trajectory=LOW)))
+    spread = widest(make_flight(trajectory=LOW))
     loss_db = -10 * np.log10(1 - np.pi**2 / 3 * spread**2)
     # Same noise, same phase: what differs is the width of the footprint's spectrum.
     assert np.max(np.abs(few.snr_db - many.snr_db)) < 2 * loss_db + 0.02
@@ -51,7 +62,7 @@ def test_spread_of_a_hovering_beam_is_that_of_the_slant(make_flight):
     radius_m = 0.017 * np.sqrt(1 + (1550e-9 * slant_m / (np.pi * 0.017**2)) ** 2)
     rms_m = radius_m / np.sqrt(8) * np.tan(np.radians(22.5))
     bins = rms_m / 0.343085
-    assert spectral_spread_bins(scenario, Flight(scenario)) == pytest.approx(bins, rel=1e-3)
+    assert widest(scenario) == pytest.approx(bins, rel=1e-3)
     assert bins < ONE_BEAMLET_BELOW_BINS
 
 
@@ -69,3 +80,13 @@ def test_a_bench_pattern_computes_nothing_else():
     from lidar_emu.scenario.load import load
 
     assert stages(build_model(load("bench.yaml")), True) == {"pattern"}
+
+
+def test_bounds_of_what_is_left_out_follow_the_flight():
+    from lidar_emu.scenario.load import load
+
+    bounds = {d.stage: d.bound for d in build_model(load("descent.yaml")).plan.decisions}
+    # c T a / (lambda S) with a = (100² - 32²) / 3000 m/s²; the outer beams at 2000 m reach 828 m.
+    assert bounds["motion in a shot"].startswith(f"{299792458 * 300e-6 * 2.992 / (1550e-9 * 2e12):.2g} m")
+    away_m = 2000 * np.tan(np.radians(22.5))
+    assert bounds["curvature of the grid"].startswith(f"{away_m**2 / 2 / 1737.4e3:.2g} m")

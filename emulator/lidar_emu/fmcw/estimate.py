@@ -47,7 +47,8 @@ def chirp_minus_doppler(
     """The published detector: range from the chirp that holds the sum, less the Doppler line.
 
     Budge et al.: the up-chirp above the down-chirp means receding. It knows nothing of folds at N/2. The sign
-    counts as resolved when the chirps differ by more than three standard deviations of their difference.
+    counts as resolved when the chirps differ by more than three standard deviations of their difference and the
+    residual stays within three of its own: a fold at N/2 shows there.
 
     Args:
         up, constant, down: observed frequencies F₊, F₀, F₋.
@@ -58,6 +59,8 @@ def chirp_minus_doppler(
     # The shorter chirp's tone may have passed zero: its sign is the one that fits better.
     excess = longer - 2.0 * constant
     residual = excess - shorter if abs(excess - shorter) <= abs(excess + shorter) else excess + shorter
+    apart = (down - up) ** 2 > _RESOLVED_COST * (up_var + down_var)
+    consistent = residual**2 <= _RESOLVED_COST * (up_var + 4.0 * constant_var + down_var)
     return Estimate(
         True,
         longer - constant,
@@ -65,7 +68,7 @@ def chirp_minus_doppler(
         (down_var if closing else up_var) + constant_var,
         constant_var,
         residual if closing else -residual,
-        (down - up) ** 2 > _RESOLVED_COST * (up_var + down_var),
+        apart and consistent,
     )
 
 

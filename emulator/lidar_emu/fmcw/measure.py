@@ -239,9 +239,17 @@ def _measure_segment(
         offset, variance = 0.0, BIN_VARIANCE
         if model.three_bin_peak:
             offset, variance = hann_peak(spectrum, peaks[g], cosine, sine)
+            if _touches_its_image(spectrum[BIN, peaks[g]], length):
+                variance = max(variance, BIN_VARIANCE)
         targets[g, 0] = spectrum[BIN, peaks[g]] + offset
         targets[g, 1] = variance
     return groups, spectrum[POWER, peaks[0]] / model.noise_power if groups > 0 else 0.0
+
+
+@njit(cache=True)
+def _touches_its_image(peak_bin: float, length: float) -> bool:
+    """Within two bins of 0 or N/2 a tone's own image biases the three-bin peak by up to half a bin."""
+    return peak_bin <= 2.0 or peak_bin >= 0.5 * length - 2.0
 
 
 @njit(cache=True)

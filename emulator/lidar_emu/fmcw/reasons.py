@@ -19,4 +19,4 @@ class Reason(IntEnum):
     INSIDE_GROUND = 5
     """The sensor touches the ground or is below it."""
     AMBIGUOUS = 6
-    """No choice of signs and folds gives a range that the instrument can have measured."""
+    """No choice of signs and folds gives a range from 0 to what the instrument can have measured."""

@@ -68,7 +68,8 @@ class Returns:
     range_valid: BoolArray
     speed_valid: BoolArray
     sign_resolved: BoolArray
-    """Direction of motion and folds are beyond doubt; the estimators say by which rule."""
+    """Direction of motion and folds are beyond doubt, for closing speeds up to λ fs / 4 (232.5 m/s): beyond, every
+    segment looks like an alias. The estimators say by which rule."""
     reason: NDArray[np.int8]
     """A `Reason`."""
     segments: NDArray[np.uint8]

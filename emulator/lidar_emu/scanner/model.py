@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.errors import InputError
 from lidar_emu.rotations import FloatArray, from_rotation_vector, from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.scanner import AltitudeSwitch, Mounting, Pattern, Scanner, TimeSwitch
 
@@ -80,11 +79,7 @@ def _below(switch: AltitudeSwitch, was_active: bool, altitude_m: float) -> bool:
 
 
 def build_scanner(part: Scanner) -> ScannerModel:
-    """Directions of all patterns.
-
-    Raises:
-        InputError: misalignment is given for another number of beams than the scanner has.
-    """
+    """Directions of all patterns."""
     beam_count = max(len(pattern.beams_deg) for pattern in part.patterns)
     misaligned = _misalignment(part, beam_count)
     published = [_directions(pattern, beam_count) for pattern in part.patterns]
@@ -119,13 +114,6 @@ def _directions(pattern: Pattern, beam_count: int) -> tuple[FloatArray, FloatArr
 def _misalignment(part: Scanner, beam_count: int) -> FloatArray:
     """sensor_from_believed rotations (beams, 3, 3)."""
     given = part.misalignment_mrad or [(0.0, 0.0)] * beam_count
-    if len(given) != beam_count:
-        raise InputError(
-            "scanner",
-            "misalignment_mrad",
-            f"{len(given)} entries",
-            f"allowed: one for each of {beam_count} beams, or none",
-        )
     vector_rad = np.zeros((beam_count, 3))
     vector_rad[:, :2] = np.array(given) * 1e-3
     return from_rotation_vector(vector_rad)
