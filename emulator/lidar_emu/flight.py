@@ -11,7 +11,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.measurement import BoolArray, FloatArray
 from lidar_emu.rotations import cross, rotate
 from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
-from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
 from lidar_emu.scenario.site import Grid
 from lidar_emu.scene.build import build_scene
 from lidar_emu.scene.hits import Hits
@@ -47,6 +47,9 @@ class Flight:
         self.scanner = build_scanner(scenario.scanner)
         self.scene = build_scene(scenario.site)
         timing, waveform = scenario.timing, scenario.instrument.waveform
+        if not self.trajectory.duration_s <= LONGEST_S:
+            lasts = f"{self.trajectory.duration_s:.3g} s"
+            raise InputError(scenario.name, "trajectory", lasts, f"allowed: at most {LONGEST_S:.3g} s")
         duration_s = self.trajectory.duration_s if scenario.duration_s is None else scenario.duration_s
         if duration_s > self.trajectory.duration_s * (1 + 1e-9):
             raise InputError(

@@ -26,14 +26,17 @@ def dbc(interface: Interface) -> str:
         f"CM_ {_quoted(_comment(interface))};",
         *(comment for can_id, field in fields for comment in _signal_comments(can_id, field)),
         f'\nBA_DEF_ BO_ "VFrameFormat" ENUM {formats};',
+        'BA_DEF_ BO_ "CANFD_BRS" ENUM "0","1";',
         'BA_DEF_ "BusType" STRING ;',
         'BA_DEF_DEF_ "VFrameFormat" "StandardCAN";',
+        'BA_DEF_DEF_ "CANFD_BRS" "0";',
         'BA_DEF_DEF_ "BusType" "CAN";',
         'BA_ "BusType" "CAN FD";',
         *(
             f'BA_ "VFrameFormat" BO_ {can_id} {_FD if message.is_fd else _CLASSIC};'
             for can_id, _, message in messages
         ),
+        *(f'BA_ "CANFD_BRS" BO_ {can_id} 1;' for can_id, _, message in messages if message.is_fd),
         "",
         *(table for can_id, field in fields for table in _value_tables(interface, can_id, field)),
     ]

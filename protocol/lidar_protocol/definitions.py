@@ -54,6 +54,11 @@ class CanMessage:
     def is_fd(self) -> bool:
         return "fd" in self.sets
 
+    @cached_property
+    def opens_set(self) -> bool:
+        """It is the header, which states how many beams follow."""
+        return any(placed.field.name == "beam_count" for placed in self.layout.placed)
+
 
 @dataclass(frozen=True)
 class CanDefinition:

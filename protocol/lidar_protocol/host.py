@@ -119,7 +119,7 @@ class SerialReceiver:
 
 @dataclass(slots=True)
 class CanCounters:
-    """What has come in from a CAN bus."""
+    """What has come in from a CAN bus. Each shot sent is a message, incomplete or lost."""
 
     frames: int = 0
     """Frames, good or bad."""
@@ -129,12 +129,17 @@ class CanCounters:
     """Frames with an identifier of something else, or the wrong kind of frame for it."""
     bad_length: int = 0
     """Frames that are not as long as their message."""
+    orphans: int = 0
+    """Frames that no open set waits for, as where the header of their shot was lost; they are dropped."""
     incomplete: int = 0
-    """Shots of which frames were missing; they are dropped."""
+    """Shots whose header came, but not all that it announced, or no possible number of beams; they are dropped."""
     sequence_gaps: int = 0
-    """Times that whole shots were missing."""
+    """Times that the header's counter was not the next one."""
     lost_shots: int = 0
-    """Whole shots that were missing, modulo 16 in each gap."""
+    """Shots whose header did not come, modulo 16 in each gap.
+
+    The counter alone does not tell a restart of the device from a gap: it counts as a gap of 0 to 15 shots.
+    """
 
 
 _Place = tuple[str, int]
@@ -143,20 +148,24 @@ _Place = tuple[str, int]
 
 @dataclass(slots=True)
 class _Shot:
-    """What has come in of a shot."""
+    """What has come in of a shot, from its header on."""
 
     counter: int
+    beam_count: int
+    expected: frozenset[_Place]
     seen: set[_Place] = field(default_factory=set)
     header: dict[str, Value] = field(default_factory=dict)
     beams: dict[int, dict[str, Value]] = field(default_factory=dict)
-    beam_count: int = 0
-    needed: frozenset[_Place] | None = None
-    """Known from the header on, as is `beam_count`."""
-    complete: bool = False
+    open: bool = True
+    """Neither complete nor given up."""
 
 
 class CanReceiver:
-    """Messages out of the frames of a bus: one shot of each unit at a time, put together by its counter."""
+    """Messages out of the frames of a bus: one shot of each unit at a time, from its header on.
+
+    The messages after the header may come in any order. Without times of arrival one gap cannot be seen: one that
+    goes from some frame of a set to the same frame of the sixteenth set after it.
+    """
 
     def __init__(self, interface: Interface) -> None:
         self.counters = CanCounters()
@@ -167,7 +176,7 @@ class CanReceiver:
     @property
     def buffered_frames(self) -> int:
         """Frames of shots that are not complete yet; never more than a unit has identifiers."""
-        return sum(len(shot.seen) for shot in self._shots.values() if not shot.complete)
+        return sum(len(shot.seen) for shot in self._shots.values() if shot.open)
 
     def receive(self, can_id: int, data: bytes, is_fd: bool) -> list[Message]:
         """The message that is complete with this frame, if there is one."""
@@ -179,45 +188,66 @@ class CanReceiver:
         if len(data) != address.message.layout.length:
             self.counters.bad_length += 1
             return []
-        shot = self._shot_of(address, can_frames.shot_counter(data))
-        self._take(shot, address, can_frames.decode(address.message, data))
-        if shot.needed is None or not shot.needed <= shot.seen:
+        values = can_frames.decode(address.message, data)
+        counter = int(values.pop("shot_counter") or 0)
+        shot = (
+            self._begin(address, counter, values)
+            if address.message.opens_set
+            else self._open(address, counter)
+        )
+        if shot is None:
             return []
-        shot.complete = True
+        self._take(shot, address, values)
+        if shot.seen != shot.expected:
+            return []
+        shot.open = False
         self.counters.messages += 1
         beams = (shot.beams[slot] for slot in range(shot.beam_count))
         return [Message(address.unit, shot.header, tuple(beams))]
 
-    def _shot_of(self, address: Address, counter: int) -> _Shot:
-        """The unit's latest shot; a new one if the counter is another, or the frame has come already."""
+    def _begin(self, address: Address, counter: int, header: dict[str, Value]) -> _Shot | None:
+        """The shot of this header; None if it states no possible number of beams."""
+        self._give_up(address.unit)
         last = self._shots.get(address.unit)
         if last is not None:
-            repeated = (address.message.name, address.slot) in last.seen
-            if counter == last.counter and not repeated and not last.complete:
-                return last
             missing = (counter - last.counter - 1) % _COUNTER_CYCLE
-            self.counters.incomplete += not last.complete
             self.counters.sequence_gaps += missing > 0
             self.counters.lost_shots += missing
-        shot = self._shots[address.unit] = _Shot(counter)
+        beam_count = int(header["beam_count"] or 0)
+        details = header.pop("details", False)
+        can_set = "fd" if address.message.is_fd else "full" if details else "core"
+        shot = _Shot(counter, beam_count, self._expected(can_set, beam_count))
+        self._shots[address.unit] = shot
+        if not beam_count:
+            self._give_up(address.unit)
+            return None
         return shot
+
+    def _open(self, address: Address, counter: int) -> _Shot | None:
+        """The unit's open shot, if it waits for this message; otherwise that shot is over."""
+        shot, place = self._shots.get(address.unit), (address.message.name, address.slot)
+        if shot is not None and shot.open and counter == shot.counter and place in shot.expected - shot.seen:
+            return shot
+        self.counters.orphans += 1
+        self._give_up(address.unit)
+        return None
+
+    def _give_up(self, unit: int) -> None:
+        """No more frames for the unit's shot."""
+        shot = self._shots.get(unit)
+        if shot is not None and shot.open:
+            shot.open = False
+            self.counters.incomplete += 1
 
     def _take(self, shot: _Shot, address: Address, values: dict[str, Value]) -> None:
         message, slot = address.message, address.slot
         shot.seen.add((message.name, slot))
-        del values["shot_counter"]
         if message.each_beam:
             shot.beams.setdefault(slot, {}).update(values)
-            return
-        shot.header.update(values)
-        if "beam_count" in values:
-            shot.beam_count = int(values["beam_count"] or 0)
-            details = shot.header.pop("details", False)
-            shot.needed = self._needed(
-                "fd" if message.is_fd else "full" if details else "core", shot.beam_count
-            )
+        else:
+            shot.header.update(values)
 
-    def _needed(self, can_set: str, beam_count: int) -> frozenset[_Place]:
+    def _expected(self, can_set: str, beam_count: int) -> frozenset[_Place]:
         return frozenset(
             (message.name, slot)
             for message in self._can.messages

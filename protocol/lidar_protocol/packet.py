@@ -22,13 +22,13 @@ def encode(interface: Interface, unit: int, header: Values, beams: Sequence[Valu
         beams: for each beam the fields of a beam block. None and NaN mean that there is no value.
 
     Raises:
-        EncodeError: a field is missing or cannot be sent, or there are too many beams.
+        EncodeError: a field is missing or cannot be sent, or there are too many beams or none.
     """
     definition = interface.packet
     if not 0 <= unit < interface.units:
         raise EncodeError(f"unit {unit}: allowed are 0 to {interface.units - 1}")
-    if len(beams) > definition.maximum_beams:
-        raise EncodeError(f"{len(beams)} beams: a packet carries at most {definition.maximum_beams}")
+    if not 1 <= len(beams) <= definition.maximum_beams:
+        raise EncodeError(f"{len(beams)} beams: a packet carries 1 to {definition.maximum_beams}")
     filled_in = {"interface_version": interface.version, "beam_count": len(beams)}
     body = definition.header.pack({**header, **filled_in})
     body += b"".join([definition.beam.pack(beam) for beam in beams])
@@ -53,7 +53,10 @@ def decode(interface: Interface, packet: bytes) -> Message:
         raise DecodeError(
             Fault.FOREIGN, f"interface version {header['interface_version']}, not {interface.version}"
         )
-    if len(body) != first + step * int(header["beam_count"] or 0):
-        raise DecodeError(Fault.BAD_LENGTH, f"{len(body)} bytes do not hold {header['beam_count']} beams")
+    count = header["beam_count"]
+    if count is None or len(body) != first + step * int(count):
+        raise DecodeError(
+            Fault.BAD_LENGTH, f"{len(body)} bytes do not hold {count or 'such a number of'} beams"
+        )
     beams = [definition.beam.unpack(body[start : start + step]) for start in range(first, len(body), step)]
     return Message(unit, header, tuple(beams))

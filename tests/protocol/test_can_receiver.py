@@ -28,9 +28,9 @@ def test_a_set_is_a_message_when_its_last_frame_has_come(can_set):
 
 
 @pytest.mark.parametrize("can_set", ["core", "full", "fd"])
-def test_the_order_within_a_set_does_not_matter(can_set):
-    sent = frames(5, can_set)
-    ((there,), (back,)) = (feed(CanReceiver(INTERFACE), order) for order in (sent, sent[::-1]))
+def test_the_order_after_the_header_does_not_matter(can_set):
+    header, *rest = frames(5, can_set)
+    ((there,), (back,)) = (feed(CanReceiver(INTERFACE), [header, *order]) for order in (rest, rest[::-1]))
     assert there == back
 
 
@@ -43,13 +43,81 @@ def test_a_missing_frame_costs_its_shot_and_a_missing_shot_is_counted():
     assert (counters.incomplete, counters.sequence_gaps, counters.lost_shots) == (1, 1, 2)
 
 
-def test_shots_sixteen_apart_are_not_mixed():
+NEAR = [{**beam, "range_m": 1.0} for beam in example.BEAMS]
+
+
+@pytest.mark.parametrize("can_set", ["core", "full", "fd"])
+def test_a_shot_sixteen_later_takes_the_place_of_one_without_its_tail(can_set):
     receiver = CanReceiver(INTERFACE)
-    near = [{**beam, "range_m": 1.0} for beam in example.BEAMS]
-    assert feed(receiver, frames(4)[:-1]) == []
-    (message,) = feed(receiver, frames(20, beams=near))
+    assert feed(receiver, frames(4, can_set)[:-1]) == []
+    (message,) = feed(receiver, frames(20, can_set, beams=NEAR))
     assert message.beams[0]["range_m"] == 1.0
     assert receiver.counters.incomplete == 1
+
+
+@pytest.mark.parametrize("can_set", ["core", "full", "fd"])
+def test_frames_without_their_header_do_not_join_the_next_shot_of_the_same_counter(can_set):
+    receiver = CanReceiver(INTERFACE)
+    late, early = frames(4, can_set)[-2:], frames(20, can_set, beams=NEAR)[:-2]
+    assert feed(receiver, late + early) == []
+    counters = receiver.counters
+    assert (counters.orphans, receiver.buffered_frames) == (2, len(early))
+    (message,) = feed(receiver, frames(21, can_set))
+    assert (counters.orphans, counters.incomplete, counters.lost_shots) == (2, 1, 0)
+
+
+@given(st.sampled_from(["core", "full", "fd"]), st.data())
+def test_a_tail_and_a_head_sixteen_shots_later_are_not_mixed(can_set, data):
+    """Shot 4 loses its tail and shot 20 its head; where both break at the same frame nothing tells."""
+    sent, later = frames(4, can_set), frames(20, can_set, beams=NEAR)
+    kept = data.draw(st.integers(1, len(sent) - 1))
+    lost = data.draw(st.integers(1, len(sent) - 1).filter(lambda lost: lost != kept))
+    receiver = CanReceiver(INTERFACE)
+    (message,) = feed(receiver, sent[:kept] + later[lost:] + frames(21, can_set, beams=NEAR))
+    assert message.beams[0]["range_m"] == 1.0
+    counters = receiver.counters
+    assert (counters.messages, counters.incomplete) == (1, 1)
+    assert counters.orphans == (len(later) - lost if lost < kept else 0)
+
+
+def test_a_shot_without_its_header_is_lost_and_its_frames_are_orphans():
+    receiver = CanReceiver(INTERFACE)
+    messages = feed(receiver, frames(1) + frames(2)[1:] + frames(3))
+    assert len(messages) == 2
+    counters = receiver.counters
+    assert (counters.orphans, counters.incomplete, counters.lost_shots) == (4, 0, 1)
+
+
+def test_a_frame_that_comes_twice_after_its_shot_is_an_orphan():
+    receiver = CanReceiver(INTERFACE)
+    messages = feed(receiver, [*frames(1), frames(1)[-1], *frames(2)])
+    assert len(messages) == 2
+    counters = receiver.counters
+    assert (counters.orphans, counters.incomplete, counters.lost_shots) == (1, 0, 0)
+
+
+def test_a_message_that_the_header_does_not_announce_ends_the_shot():
+    receiver = CanReceiver(INTERFACE)
+    stranger = frames(1, "full")[-1]
+    assert feed(receiver, [*frames(1)[:-1], stranger, frames(1)[-1]]) == []
+    assert (receiver.counters.orphans, receiver.counters.incomplete) == (2, 1)
+
+
+@pytest.mark.parametrize("stated", [0, 9, 255])
+def test_a_header_with_an_impossible_number_of_beams_is_no_message(stated):
+    receiver = CanReceiver(INTERFACE)
+    header, *beams = frames(1, "fd")
+    data = bytearray(header.data)
+    data[18] = stated
+    assert feed(receiver, [header._replace(data=bytes(data)), *beams]) == []
+    assert (receiver.counters.orphans, receiver.counters.incomplete) == (len(beams), 1)
+    assert len(feed(receiver, frames(2, "fd"))) == 1
+
+
+def test_a_restart_counts_as_a_gap():
+    receiver = CanReceiver(INTERFACE)
+    assert len(feed(receiver, frames(100) + frames(0))) == 2
+    assert receiver.counters.lost_shots == (0 - 100 - 1) % 16
 
 
 def test_units_are_put_together_apart():

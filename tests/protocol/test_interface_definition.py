@@ -44,7 +44,7 @@ def refusal(old, new):
         ("id = 0x10", "id = 0x0A", ["quality.id", "10", "of its own"]),
         ("unit_stride = 0x40", "unit_stride = 0x20", ["fd_header.id", "unit_stride"]),
         ('sets = ["full"]', 'sets = ["some"]', ["can.messages[1].sets", "some"]),
-        ('all_of = "header"', 'all_of = "headers"', ["can.messages[6].fields[2].all_of", "headers"]),
+        ('all_of = "beam"', 'all_of = "beams"', ["can.messages[7].fields[2].all_of", "beams"]),
         (
             '{ name = "shot_counter" },\n    { name = "details" },',
             '{ name = "details" },',
@@ -71,6 +71,29 @@ def test_sixteen_units_share_a_bus_without_a_shared_identifier():
     messages = sum(8 if message.each_beam else 1 for message in interface.can.messages)
     assert len({can_id for can_id, _ in table}) == len(table) == 16 * messages
     assert all(0x100 <= can_id <= 0x4FF for can_id, _ in table)
+
+
+def test_beams_are_counted_up_to_what_fits():
+    interface = default_interface()
+    layouts = [(interface.packet.header, interface.packet.maximum_beams)]
+    layouts += [(each.layout, interface.can.beam_slots) for each in interface.can.messages if each.opens_set]
+    for layout, most in layouts:
+        (codec,) = (placed.field.codec for placed in layout.placed if placed.field.name == "beam_count")
+        assert codec.limits == (1, most)
+
+
+@pytest.mark.parametrize("can_set", ["core", "full", "fd"])
+def test_a_set_is_opened_by_its_first_message_alone(can_set):
+    messages = [message for message in default_interface().can.messages if can_set in message.sets]
+    assert [message.opens_set for message in messages] == [True] + [False] * (len(messages) - 1)
+
+
+def test_the_header_of_an_fd_set_carries_what_that_of_a_packet_does():
+    interface = default_interface()
+    (header,) = (message for message in interface.can.messages if message.name == "fd_header")
+    assert [placed.field.name for placed in header.layout.placed[1:]] == [
+        placed.field.name for placed in interface.packet.header.placed
+    ]
 
 
 def test_scales_are_exact_reciprocals():

@@ -16,7 +16,7 @@ from lidar_protocol import Device, ccsds, default_interface, documents, example,
 INTERFACE = default_interface()
 FOLDER = Path(lidar_protocol.__file__).parent
 DOCUMENT = (FOLDER / "INTERFACE.md").read_text(encoding="utf-8")
-DATABASE = cantools.database.load_file(FOLDER / "lidar.dbc")
+DATABASE = cantools.database.load_file(FOLDER / "lidar.dbc", strict=True)
 PACKET = packet.encode(INTERFACE, 5, {**example.HEADER, "shot": 20_000}, example.BEAMS)
 
 
@@ -154,6 +154,20 @@ def test_cantools_encodes_the_same_frames(can_set):
         assert message.is_fd == frame.is_fd
         values = message.decode(frame.data)
         assert message.encode(values) == frame.data
+
+
+def test_the_dbc_marks_fd_frames_and_their_bit_rate_switch():
+    formats = {message.frame_id: message.is_fd for message in DATABASE.messages}
+    switched = {
+        message.frame_id: attribute.value
+        for message in DATABASE.messages
+        if (attribute := message.dbc.attributes.get("CANFD_BRS")) is not None
+    }
+    assert DATABASE.dbc.attribute_definitions["CANFD_BRS"].default_value == "0"
+    for can_set in ("core", "full", "fd"):
+        for frame in all_slots(can_set):
+            assert formats[frame.can_id] == frame.is_fd
+            assert switched.get(frame.can_id, 0) == frame.bitrate_switch
 
 
 def test_cantools_reads_the_core_set_with_the_dbc_alone():

@@ -18,9 +18,13 @@ from lidar_emu.errors import InputError, RunError, one_line
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    invoke_without_command=True,
+)
 @click.version_option(__version__, prog_name="lidar-emu")
-def cli() -> None:
+@click.pass_context
+def cli(context: click.Context) -> None:
     """Stand in for a multi-beam FMCW Doppler landing lidar.
 
     \b
@@ -31,6 +35,8 @@ def cli() -> None:
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
     lidar-emu plan descent.yaml                       what the run computes and what it leaves out
     """
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help())
 
 
 for command in (run, listen, simulate, plan, scenarios, schema, icd):
@@ -40,11 +46,11 @@ for command in (run, listen, simulate, plan, scenarios, schema, icd):
 def main() -> None:
     """Run a command: exit code 0 on success, 1 for a run that failed, 2 for what the user has to mend."""
     try:
-        sys.exit(cli(standalone_mode=False))
+        sys.exit(cli(prog_name="lidar-emu", standalone_mode=False))
     except InputError as error:
         _complain(str(error), EXIT_USAGE)
     except click.ClickException as error:
-        _complain(error.format_message(), EXIT_USAGE)
+        _complain(error.format_message() + _where_to_look(error), EXIT_USAGE)
     except RunError as error:
         _complain(str(error), EXIT_FAILED)
     except (KeyboardInterrupt, click.Abort):
@@ -53,6 +59,11 @@ def main() -> None:
         # Whoever read our output has enough of it: `lidar-emu listen | head`.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
+
+
+def _where_to_look(error: click.ClickException) -> str:
+    context = getattr(error, "ctx", None)
+    return "" if context is None else f" What is allowed: {context.command_path} --help"
 
 
 def _complain(message: str, code: int) -> None:

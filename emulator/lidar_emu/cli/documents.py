@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import InputError, RunError
 
 
 @click.command(short_help="The scenarios that come with the tool.")
@@ -56,5 +56,8 @@ def icd(out: str) -> None:
         ("INTERFACE.md", documents.interface_markdown(interface)),
         ("lidar.dbc", documents.dbc(interface)),
     ):
-        (folder / name).write_text(text)
+        try:
+            (folder / name).write_text(text)
+        except OSError as error:
+            raise RunError(f"{folder / name}: could not be written: {error.strerror}") from None
         click.echo(str(folder / name))

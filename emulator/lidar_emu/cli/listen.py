@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
@@ -34,7 +34,9 @@ def listen(port: PortSpec, as_json: bool, count: int | None) -> None:
     from lidar_emu.transports.spec import Kind
 
     if port.kind is Kind.LOOPBACK:
-        raise InputError("listen", None, "no port", "allowed: --port PORT, or --interface and --channel")
+        raise InputError(
+            "listen", None, Finding("no port"), "allowed: --port PORT, or --interface and --channel"
+        )
     host = open_host(port)
     click.echo(f"listening on {host.description}", err=True)
     decoder, screen = Decoder(), Screen(every_s=0.0)

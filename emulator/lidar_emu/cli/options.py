@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from lidar_emu.errors import InputError
+
+if TYPE_CHECKING:
+    from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 
 Command = Callable[..., Any]
 
@@ -32,20 +35,32 @@ def scenario_options(command: Command) -> Command:
     return command
 
 
-def overrides(duration: str | None, seed: str | None, settings: tuple[str, ...]) -> dict[str, str]:
-    """The options as overrides for `load`.
+def load_scenario(
+    scenario: str, duration: str | None, seed: str | None, settings: tuple[str, ...]
+) -> FlightScenario | BenchScenario:
+    """The scenario with what the options say instead of the file.
 
     Raises:
-        InputError: a setting without a key or a value.
+        InputError: a setting without a key or a value, or whatever `load` refuses, under the option's own name.
     """
+    from lidar_emu.scenario.load import load
+
+    options = {"duration_s": ("--duration", duration), "seed": ("--seed", seed)}
+    given = {key: (option, text) for key, (option, text) in options.items() if text is not None}
+    try:
+        return load(scenario, _keys_and_values(settings) | {key: text for key, (_, text) in given.items()})
+    except InputError as error:
+        for key, (option, _) in given.items():
+            if (error.where, error.key) == ("--set", key) or error.where == f"--set {key}":
+                raise InputError(option, None, error.value, error.allowed) from None
+        raise
+
+
+def _keys_and_values(settings: tuple[str, ...]) -> dict[str, str]:
     result = {}
     for setting in settings:
         key, separator, value = setting.partition("=")
         if not (key and separator and value):
             raise InputError("--set", None, setting, "allowed: KEY=VALUE, e.g. timing.rate_hz=100")
         result[key] = value
-    if duration is not None:
-        result["duration_s"] = duration
-    if seed is not None:
-        result["seed"] = seed
     return result

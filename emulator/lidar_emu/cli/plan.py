@@ -6,7 +6,7 @@ import json
 
 import click
 
-from lidar_emu.cli.options import overrides, scenario_options
+from lidar_emu.cli.options import load_scenario, scenario_options
 
 
 @click.command(short_help="What a run computes and what it leaves out, with reasons.")
@@ -21,10 +21,9 @@ def plan(
     lidar-emu plan descent.yaml
     lidar-emu plan my.yaml --json
     """
-    from lidar_emu.scenario.load import load
     from lidar_emu.shots import build_model
 
-    flown = load(scenario, overrides(duration, seed, settings))
+    flown = load_scenario(scenario, duration, seed, settings)
     decisions = build_model(flown).plan.decisions
     if as_json:
         from dataclasses import asdict

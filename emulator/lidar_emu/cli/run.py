@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.options import overrides, scenario_options
+from lidar_emu.cli.options import load_scenario, scenario_options
 from lidar_emu.cli.progress import COMPILING, busy
-from lidar_emu.errors import InputError
+from lidar_emu.errors import InputError, RunError
 from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
@@ -59,13 +60,12 @@ def run(
     failures = _failures(fail_on)
     start_utc = _start(start)
     for option, file in (("--record", record), ("--summary", summary_file)):
-        _refuse_folder(option, file)
+        _check_destination(option, file)
     from lidar_emu.cli.run_display import Announcer, LoopbackView, summary_lines
     from lidar_emu.runtime.fly import Run, RunOptions
     from lidar_emu.runtime.pacing import Pace
-    from lidar_emu.scenario.load import load
 
-    flown = load(scenario, overrides(duration, seed, settings))
+    flown = load_scenario(scenario, duration, seed, settings)
     from lidar_emu.shots import build_model
 
     view = LoopbackView(quiet=as_json)
@@ -92,15 +92,22 @@ def _end(
     told = outcome.to_json() | {"far_end": view.counters()}
     text = json.dumps(told, indent=2)
     if summary_file is not None:
-        Path(summary_file).write_text(text + "\n")
+        _write(Path(summary_file), text + "\n")
     click.echo(text if as_json else "\n".join(lines(told)))
     failed = {"late": outcome.tally.late > 0, "dropped": outcome.tally.dropped > 0}
     return 1 if any(failed[name] for name in failures) else 0
 
 
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text)
+    except OSError as error:
+        raise RunError(f"{path}: could not be written: {error.strerror}") from None
+
+
 def _failures(text: str) -> set[str]:
     names = {name.strip() for name in text.split(",") if name.strip()}
-    for name in names - set(_FAILURES):
+    for name in sorted(names - set(_FAILURES)):
         raise InputError("--fail-on", None, name, f"allowed: {', '.join(_FAILURES)}")
     return names
 
@@ -111,15 +118,25 @@ def _start(text: str) -> datetime | None:
     try:
         instant = datetime.fromisoformat(text)
     except ValueError:
-        raise InputError(
-            "--start", None, text, "allowed: now, or an instant as 2030-01-01T12:00:00Z"
-        ) from None
-    return instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant
+        allowed = "allowed: now, or an instant as 2030-01-01T12:00:00Z"
+        raise InputError("--start", None, text, allowed) from None
+    instant = instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant
+    # Seen again when the run begins, but then the kernels have been compiled.
+    if instant < datetime.now(UTC):
+        raise InputError("--start", None, text, "it is past; allowed: now, or an instant to come")
+    return instant
 
 
-def _refuse_folder(option: str, file: str | None) -> None:
+def _check_destination(option: str, file: str | None) -> None:
     if file is None:
         return
     path = Path(file)
-    if path.is_dir() or not path.parent.is_dir():
+    try:
+        usable = path.parent.is_dir() and not path.is_dir()
+        writable = os.access(path if path.exists() else path.parent, os.W_OK)
+    except OSError as error:
+        raise InputError(option, None, file, f"{error.strerror}; allowed: the name of a file") from None
+    if not usable:
         raise InputError(option, None, file, "allowed: a file in a folder that exists")
+    if not writable:
+        raise InputError(option, None, file, "allowed: a file that you may write")

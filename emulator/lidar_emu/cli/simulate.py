@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from lidar_emu.cli.options import overrides, scenario_options
+from lidar_emu.cli.options import load_scenario, scenario_options
 from lidar_emu.cli.progress import COMPILING, busy
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 
 
 @click.command(short_help="The same measurements as a table, point cloud or picture.")
@@ -31,27 +31,29 @@ def simulate(
     lidar-emu simulate descent.yaml --out points.ply --set timing.rate_hz=200
     """
     from lidar_emu.report.exports import check_export_path, export
-    from lidar_emu.scenario.load import load
 
     if out is None and plot is None:
-        raise InputError("simulate", None, "no output", "allowed: --out FILE, --plot FILE.png or both")
+        raise InputError(
+            "simulate", None, Finding("no output"), "allowed: --out FILE, --plot FILE.png or both"
+        )
     if out is not None:
         check_export_path(Path(out))
     if plot is not None:
         from lidar_emu.report.descent_plot import check_plot_path, plot_descent
 
         check_plot_path(Path(plot))
-    flown = load(scenario, overrides(duration, seed, settings))
+    flown = load_scenario(scenario, duration, seed, settings)
     from lidar_emu.measurement import Measurement
     from lidar_emu.shots import FlightModel, build_model, measure_in_blocks
 
     with busy(COMPILING):
         model = build_model(flown)
         measurement = Measurement.joined(list(measure_in_blocks(model)))
-    if out is not None:
-        export(measurement, Path(out))
-        click.echo(f"{out}: {len(measurement)} shots of {measurement.beam_count} beams")
+    # The picture first: it may find nothing to draw, and then no file must be left.
     if plot is not None:
         scene = model.flight.scene if isinstance(model, FlightModel) else None
         plot_descent(measurement, scene, flown.name, Path(plot))
         click.echo(f"{plot}: {flown.name}")
+    if out is not None:
+        export(measurement, Path(out))
+        click.echo(f"{out}: {len(measurement)} shots of {measurement.beam_count} beams")

@@ -35,34 +35,19 @@ _TRUTH = ("true_range_m", "true_closing_speed_mps")
 class Recorder(Observer):
     """An observer of a run that writes everything down.
 
-    Raises (on opening):
-        InputError: the file cannot be written.
+    The file is begun once the port is open: a run that is refused leaves none, and an older one as it was.
     """
 
     def __init__(self, path: Path, scenario: FlightScenario | BenchScenario, port: PortSpec) -> None:
         self._path = path
         self._epoch_ns = round(scenario.timing.epoch.timestamp() * 1e9)
-        try:
-            self._file: BinaryIO = path.open("wb")
-        except OSError as error:
-            raise InputError("--record", None, str(path), f"allowed: a file; {error.strerror}") from None
-        self._writer = Writer(self._file, use_chunking=False, compression=CompressionType.NONE)
-        self._writer.start(profile="", library=f"lidar-emu {__version__}")
-        self._writer.add_metadata(
-            "run",
-            {
-                "version": __version__,
-                "seed": str(scenario.seed),
-                "port": str(port),
-                "scenario": scenario.model_dump_json(),
-            },
-        )
-        schema = self._writer.register_schema("any", "jsonschema", _ANY_OBJECT)
-        self._channels = {
-            "/packet": self._writer.register_channel("/packet", "application/octet-stream", 0),
-            **{topic: self._writer.register_channel(topic, "json", schema) for topic in _JSON_TOPICS},
+        self._metadata = {
+            "version": __version__,
+            "seed": str(scenario.seed),
+            "port": str(port),
+            "scenario": scenario.model_dump_json(),
         }
-        self._file.flush()
+        self._begun = False
 
     def __enter__(self) -> Self:
         return self
@@ -70,8 +55,32 @@ class Recorder(Observer):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with self._file:
-            self._writer.finish()  # type: ignore[no-untyped-call]
+        if self._begun:
+            with self._file:
+                self._writer.finish()  # type: ignore[no-untyped-call]
+
+    def opened(self, port: str) -> None:  # noqa: ARG002
+        """Begin the file.
+
+        Raises:
+            InputError: it cannot be written.
+        """
+        try:
+            self._file: BinaryIO = self._path.open("wb")
+        except OSError as error:
+            raise InputError(
+                "--record", None, str(self._path), f"allowed: a file; {error.strerror}"
+            ) from None
+        self._writer = Writer(self._file, use_chunking=False, compression=CompressionType.NONE)
+        self._begun = True
+        self._writer.start(profile="", library=f"lidar-emu {__version__}")
+        self._writer.add_metadata("run", self._metadata)
+        schema = self._writer.register_schema("any", "jsonschema", _ANY_OBJECT)
+        self._channels = {
+            "/packet": self._writer.register_channel("/packet", "application/octet-stream", 0),
+            **{topic: self._writer.register_channel(topic, "json", schema) for topic in _JSON_TOPICS},
+        }
+        self._flush()
 
     def computed(self, block: Block) -> None:
         """Keep truth and measurements, shot by shot."""

@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from lidar_emu.scenario.part import NonNegative, Part, Positive, Switch, unusable
+from lidar_emu.scenario.part import Part, Switch, unusable
 
 
 class Ramp(Part):
@@ -16,7 +16,7 @@ class Ramp(Part):
     """Value at the start of each period."""
     stop: float
     """Value that it approaches at the end of each period."""
-    period_s: Positive
+    period_s: Annotated[float, Field(ge=1e-6, le=1e7)]
     """Length of a period."""
 
 
@@ -44,8 +44,11 @@ class BenchBeam(Part):
 
     @model_validator(mode="after")
     def _range_is_a_range(self) -> Self:
-        ramp = self.range_m if isinstance(self.range_m, Ramp) else None
-        stated = {"range_m.start": ramp.start, "range_m.stop": ramp.stop} if ramp else {"range_m": self.range_m}
+        level = self.range_m
+        if isinstance(level, Ramp):
+            stated = {"range_m.start": level.start, "range_m.stop": level.stop}
+        else:
+            stated = {"range_m": level}
         for key, value in stated.items():
             if value < 0:
                 raise unusable(key, value, "greater than or equal to 0")
@@ -57,7 +60,7 @@ class BenchPattern(Part):
 
     beams: Annotated[list[BenchBeam], Field(min_length=1, max_length=64)]
     """The beams, from 0."""
-    duration_s: Positive
+    duration_s: Annotated[float, Field(gt=0, le=1e7)]
     """Length of the pattern."""
-    latency_s: NonNegative = 2.9e-3
+    latency_s: Annotated[float, Field(ge=0, le=3600)] = 2.9e-3
     """From a shot's start to its packet."""

@@ -24,9 +24,9 @@ _WORDS = {
     "bool_type": "on or off",
     "list_type": _LIST,
     "tuple_type": _LIST,
+    "dict_type": _MAPPING,
     "model_type": _MAPPING,
     "model_attributes_type": _MAPPING,
-    _NO_KIND: "a mapping with the key kind",
 }
 
 
@@ -37,6 +37,11 @@ class Source(NamedTuple):
     outer: int = 0
 
 
+def source_of(key: Key, sources: Mapping[Key, Source]) -> Source:
+    """Who stated the key, or the nearest mapping around it."""
+    return sources[max((start for start in sources if key[: len(start)] == start), key=len)]
+
+
 def explained(
     error: ValidationError, model: type[BaseModel], tree: Tree, sources: Mapping[Key, Source]
 ) -> InputError:
@@ -44,22 +49,25 @@ def explained(
     complaints = error.errors(include_url=False)
     first = _most_telling(complaints)
     key = _place(tree, first)
-    source = sources[max((start for start in sources if key[: len(start)] == start), key=len)]
+    source = source_of(key, sources)
     name = dotted(key[source.outer :])
     nodes = list(_schema_at(model, first["loc"][:-1] if first["type"] == _UNKNOWN else first["loc"]))
     value = _value_at(tree, key)
     match first["type"]:
         case "unusable":
-            return InputError(source.name, name, first["ctx"]["value"], f"allowed: {first['ctx']['allowed']}")
+            found = first["ctx"]["value"]
+            found = found if value is None or isinstance(found, Finding) else value
+            return InputError(source.name, name, found, f"allowed: {first['ctx']['allowed']}")
         case "missing":
-            return InputError(source.name, name, Finding("missing"), "this key is required")
+            what = "key" if isinstance(key[-1], str) else "entry"
+            return InputError(source.name, name, Finding("missing"), f"this {what} is required")
         case "extra_forbidden":
             return InputError(source.name, name, value, f"no such key; allowed: {_keys(nodes)}")
-        case "union_tag_invalid" | "union_tag_not_found" if isinstance(value, dict):
-            found = value.get("kind", Finding("missing"))
-            return InputError(source.name, f"{name}.kind", found, f"allowed: {_kinds(nodes)}")
+        case "union_tag_invalid" | "union_tag_not_found":
+            found = Finding("missing") if first["type"] == _NO_KIND else value
+            return InputError(source.name, name, found, f"allowed: {_kinds(nodes)}")
         case "too_short" | "too_long":
-            found = Finding(f"{len(value)} entries")
+            found = Finding(f"a list of {len(value)}")
             return InputError(source.name, name, found, f"allowed: {_length(first)}")
     # A value that may be one thing or another is wrong for each of them.
     together = dict.fromkeys(_words(one) for one in complaints if _place(tree, one) == key)
@@ -80,7 +88,6 @@ def _place(tree: Tree, complaint: Any) -> Key:
     node: Any = tree
     key: list[str | int] = []
     just_entered = False
-    *outer, last = complaint["loc"] or ("",)
     for step in complaint["loc"]:
         if just_entered and isinstance(node, dict) and step == node.get("kind"):
             just_entered = False
@@ -89,7 +96,9 @@ def _place(tree: Tree, complaint: Any) -> Key:
             key.append(step)
             just_entered = True
     if complaint["type"] == _MISSING:
-        key.append(last)
+        key.append(complaint["loc"][-1])
+    if complaint["type"] in (_NO_KIND, _OTHER_KIND):
+        key.append("kind")
     if complaint["type"] == "unusable":
         key += [int(step) if step.isdecimal() else step for step in complaint["ctx"]["key"].split(".")]
     return tuple(key)
@@ -133,12 +142,11 @@ def _schema_at(model: type[BaseModel], location: Key) -> Iterator[dict[str, Any]
 
 
 def _child(node: dict[str, Any], step: str | int) -> dict[str, Any] | None:
-    if isinstance(step, int):
-        return node.get("items")
-    properties = node.get("properties", {})
-    if properties.get("kind", {}).get("const") == step:
+    below: dict[str, Any] = node.get("properties", {})
+    if below.get("kind", {}).get("const") == step:
         return node
-    return properties.get(step)
+    child: dict[str, Any] | None = node.get("items") if isinstance(step, int) else below.get(step)
+    return child
 
 
 def _alternatives(node: dict[str, Any], definitions: dict[str, Any]) -> Iterator[dict[str, Any]]:

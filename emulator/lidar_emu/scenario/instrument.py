@@ -70,7 +70,7 @@ class Optics(Part):
 
     laser_power_w: Positive = 1.0
     """Transmitted power of each beam."""
-    waist_radius_m: Positive = 0.017
+    waist_radius_m: Annotated[float, Field(ge=1e-5, le=10)] = 0.017
     """1/e² intensity radius of the beam at the aperture."""
     optical_efficiency: Fraction = 0.6
     """Transmission of the optics, out and back."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.scenario.explain import Source, explained
+from lidar_emu.scenario.explain import Source, explained, source_of
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.yaml_text import MAXIMUM_DEPTH, Key, Tree, parse, read_mapping
 
@@ -64,68 +64,74 @@ def load(scenario: str | Path, overrides: Mapping[str, str] | None = None) -> Fl
 
 
 def _find_scenario(given: Path) -> Path:
-    if _is_file(given):
+    if _is(given.is_file):
         return given
     for name in (given.name, given.name + ".yaml"):
         if given.parent == Path() and name in shipped_scenarios():
             return shipped("scenarios") / name
-    if given.is_dir():
-        raise InputError(str(given), None, Finding("a folder"), "allowed: a YAML file")
     raise InputError(
         str(given),
         None,
-        Finding("no such file"),
+        Finding("a folder" if _is(given.is_dir) else "no such file"),
         f"allowed: a path to a YAML file, or one of those shipped: {', '.join(shipped_scenarios())}",
     )
 
 
-def _is_file(path: Path) -> bool:
-    """Whether it is one; a name that no file can have is none."""
+def _is(look: Callable[[], bool]) -> bool:
+    """What a look at the file system says; a name that no file can have is nothing."""
     try:
-        return path.is_file()
+        return look()
     except (OSError, ValueError):
         return False
 
 
 def _override(tree: Tree, key: str, text: str, sources: Sources) -> None:
     """Set one dotted key; a part that is named by reference keeps its reference as `base`."""
-    steps: list[str | int] = [int(step) if step.isdecimal() else step for step in key.split(".")]
+    steps = key.split(".")
     if len(steps) > MAXIMUM_DEPTH:
         raise InputError("--set", key[:60], Finding(f"{len(steps)} steps"), f"allowed: {MAXIMUM_DEPTH}")
     node: Any = tree
-    for depth, step in enumerate(steps[:-1]):
-        child = _child(node, step, key)
+    for depth, name in enumerate(steps[:-1]):
+        step = _step(node, name, key)
+        child = node.get(step) if isinstance(node, dict) else node[step]
         if depth == 0 and isinstance(child, str) and step in PART_FOLDERS:
             child = node[step] = {"base": child}
         elif child is None:
             child = node[step] = {}
+            sources[_key(steps[: depth + 1])] = Source("--set")
         node = child
-    _child(node, steps[-1], key)
-    node[steps[-1]] = parse(text, f"--set {key}")
-    sources[tuple(steps)] = Source("--set")
+    node[_step(node, steps[-1], key)] = parse(text, f"--set {key}")
+    sources[_key(steps)] = Source("--set")
 
 
-def _child(node: Any, step: str | int, key: str) -> Any:
+def _key(steps: list[str]) -> Key:
+    return tuple(int(step) if step.isdecimal() else step for step in steps)
+
+
+def _step(node: Any, name: str, key: str) -> str | int:
+    """One step of a dotted key: a key of a mapping, or an index into a list."""
     if isinstance(node, dict):
-        return node.get(step)
-    if isinstance(node, list) and isinstance(step, int) and step < len(node):
-        return node[step]
-    raise InputError("--set", key, step, "allowed: a key below a mapping, or an index into a list")
+        return name
+    if not isinstance(node, list):
+        raise InputError("--set", key, name, "allowed: a key that has keys below it")
+    return _index(node, name, key)
+
+
+def _index(entries: list[Any], name: str, key: str) -> int:
+    if name.isdecimal() and int(name) < len(entries):
+        return int(name)
+    raise InputError("--set", key, name, f"allowed: an index from 0 to {len(entries) - 1}")
 
 
 def _refuse_foreign(part: str, value: Any, model: type[Any], sources: Sources) -> None:
     if part not in model.model_fields:
         allowed = "not together with bench_pattern; allowed: bench_pattern, or the parts of a flight"
-        raise InputError(_source(part, sources).name, part, value, allowed)
-
-
-def _source(part: str, sources: Sources) -> Source:
-    return sources.get((part,), sources[()])
+        raise InputError(source_of((part,), sources).name, part, value, allowed)
 
 
 def _resolve_part(part: str, value: Any, owner: Path, sources: Sources) -> Any:
     """A part given in place, by the name of a file, or as a `base` file with keys that replace its own."""
-    source = _source(part, sources)
+    source = source_of((part,), sources)
     if isinstance(value, str):
         return _read_part(part, value, owner, source, sources)
     if not isinstance(value, dict):
@@ -137,9 +143,9 @@ def _resolve_part(part: str, value: Any, owner: Path, sources: Sources) -> Any:
         return own
     if not isinstance(value["base"], str):
         raise InputError(source.name, f"{part}.base", value["base"], "allowed: the name of a file")
-    for key in _leaves(own, (part,)):
-        sources.setdefault(key, source)
-    return _merged(_read_part(part, value["base"], owner, source, sources), own)
+    # What lies below the part is the base's from here on, other than this.
+    sources.update({key: source_of(key, sources) for key in _leaves(own, (part,))})
+    return _merged(_read_part(part, value["base"], owner, source, sources), own, part)
 
 
 def _read_part(part: str, name: str, owner: Path, source: Source, sources: Sources) -> Tree:
@@ -154,7 +160,7 @@ def _find_part(part: str, name: str, owner: Path, source: Source) -> Path:
     folders = (owner.parent, shipped(PART_FOLDERS[part]))
     for folder in folders:
         for candidate in (folder / name, folder / f"{name}.yaml"):
-            if _is_file(candidate):
+            if _is(candidate.is_file):
                 return candidate
     known = ", ".join(sorted(path.stem for path in folders[1].glob("*.yaml"))) or "none"
     raise InputError(
@@ -171,18 +177,20 @@ def _leaves(node: Any, key: Key) -> list[Key]:
     return [leaf for step, child in node.items() for leaf in _leaves(child, (*key, step))]
 
 
-def _merged(base: Any, own: Any) -> Any:
+def _merged(base: Any, own: Any, key: str) -> Any:
     """`own` laid over `base`, mappings key by key; a mapping of another `kind` replaces the base's.
 
-    Indices into a list of the base, as overrides state them, replace the entries that they point to.
+    Overrides state entries of a list of the base by index.
     """
-    if not isinstance(own, dict):
+    if isinstance(base, list) and isinstance(own, dict) and own and all(map(str.isdecimal, own)):
+        entries = {_index(base, name, f"{key}.{name}"): item for name, item in own.items()}
+        return [_merged(old, entries.get(k, old), f"{key}.{k}") for k, old in enumerate(base)]
+    if not (isinstance(base, dict) and isinstance(own, dict)):
         return own
-    if isinstance(base, list) and all(isinstance(step, int) and step < len(base) for step in own):
-        return [_merged(old, own[step]) if step in own else old for step, old in enumerate(base)]
-    if not isinstance(base, dict) or own.get("kind", base.get("kind")) != base.get("kind"):
+    if own.get("kind", base.get("kind")) != base.get("kind"):
         return own
-    return base | {key: _merged(base[key], item) if key in base else item for key, item in own.items()}
+    merged = {name: _merged(base[name], item, f"{key}.{name}") for name, item in own.items() if name in base}
+    return base | own | merged
 
 
 def _anchor_files(tree: Tree, folder: Path, where: str, part: str | None) -> None:

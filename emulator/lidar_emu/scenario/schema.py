@@ -5,27 +5,38 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Annotated, Literal, Self
 
-from pydantic import AwareDatetime, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.bench_pattern import BenchPattern
 from lidar_emu.scenario.instrument import Instrument
-from lidar_emu.scenario.part import NonNegative, Part, Positive, unusable
+from lidar_emu.scenario.part import Part, unusable
 from lidar_emu.scenario.scanner import Mounting, Scanner
 from lidar_emu.scenario.site import Site
 from lidar_emu.scenario.trajectory import Trajectory
 
 
+def _in_utc(instant: datetime) -> datetime:
+    return instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant
+
+
+Epoch = Annotated[datetime, AfterValidator(_in_utc)]
+
+
+LONGEST_S = 1e7
+"""Longest run; the time code of the wire holds four hundred times that."""
+
+
 class Timing(Part):
     """When shots are fired and when their packets are due."""
 
-    rate_hz: Annotated[float, Field(gt=0, le=10_000)] = 20.0
+    rate_hz: Annotated[float, Field(ge=1e-3, le=10_000)] = 20.0
     """Shots per second."""
-    epoch: AwareDatetime = datetime(2030, 1, 1, tzinfo=UTC)
-    """Instant of scenario time 0 on the instrument's clock."""
-    processing_latency_s: NonNegative = 2e-3
+    epoch: Epoch = datetime(2030, 1, 1, tzinfo=UTC)
+    """Instant of scenario time 0 on the instrument's clock; UTC where it names no zone."""
+    processing_latency_s: Annotated[float, Field(ge=0, le=3600)] = 2e-3
     """From the end of the cycle to the packet."""
-    late_after_s: Positive | None = None
+    late_after_s: Annotated[float, Field(ge=1e-6, le=3600)] | None = None
     """A packet later than this is late: skipped and counted. Left out: one period."""
 
     @property
@@ -37,6 +48,10 @@ class Timing(Part):
     def late_after_ns(self) -> int:
         """`late_after_s` with its default, in nanoseconds."""
         return self.period_ns if self.late_after_s is None else round(self.late_after_s * 1e9)
+
+    def shots_within(self, duration_s: float) -> int:
+        """Shots that start before `duration_s` has passed; at least the one at 0."""
+        return max(1, -(-round(duration_s * 1e9) // self.period_ns))
 
 
 class Wire(Part):
@@ -55,7 +70,7 @@ class Scenario(Part):
     """Shown in plans and summaries."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Of everything drawn by chance."""
-    duration_s: Positive | None = None
+    duration_s: Annotated[float, Field(gt=0, le=LONGEST_S)] | None = None
     """Length of the run. Left out: as long as the trajectory or the pattern."""
     timing: Timing = Timing()
     """Rate and latency."""
@@ -105,7 +120,7 @@ class FlightScenario(Scenario):
         given = len(self.scanner.misalignment_mrad)
         needed = max(len(pattern.beams_deg) for pattern in self.scanner.patterns)
         if given not in (0, needed):
-            found = Finding(f"{given} entries")
+            found = Finding(f"a list of {given}")
             raise unusable("scanner.misalignment_mrad", found, f"{needed} entries, one per beam, or none")
         return self
 

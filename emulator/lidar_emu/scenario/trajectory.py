@@ -8,16 +8,19 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from lidar_emu.errors import Finding
-from lidar_emu.scenario.part import NonNegative, Part, Positive, Vector3, unusable
+from lidar_emu.scenario.part import Part, Positive, unusable
 
 
 class Waypoint(Part):
     """A point of a profile."""
 
-    altitude_m: NonNegative
+    altitude_m: Annotated[float, Field(ge=0, le=1e7)]
     """Height above the origin of the site frame."""
-    speed_mps: NonNegative
+    speed_mps: Annotated[float, Field(ge=0, le=1e5)]
     """Speed along the path, downward."""
+
+
+BodyRate = Annotated[float, Field(ge=-1000, le=1000)]
 
 
 class Attitude(Part):
@@ -29,7 +32,7 @@ class Attitude(Part):
     """About body y; nose up is positive. At zero roll and pitch the body's z axis points straight down."""
     yaw_deg: float = 0.0
     """Heading of body x, clockwise from north."""
-    body_rate_radps: Vector3 = (0.0, 0.0, 0.0)
+    body_rate_radps: tuple[BodyRate, BodyRate, BodyRate] = (0.0, 0.0, 0.0)
     """Constant angular rate about body x, y and z."""
 
 
@@ -40,7 +43,7 @@ class Profile(Part):
     """Chooses this kind of trajectory."""
     waypoints: Annotated[list[Waypoint], Field(min_length=2)]
     """From high to low; the deceleration of each leg follows from its ends."""
-    path_angle_deg: Annotated[float, Field(gt=0, le=90)] = 90.0
+    path_angle_deg: Annotated[float, Field(ge=0.1, le=90)] = 90.0
     """Angle of the path below the horizontal: 90 straight down, 45 a slant path."""
     heading_deg: float = 0.0
     """Horizontal direction of flight, clockwise from north."""
@@ -161,7 +164,9 @@ class Table(Part):
     @model_validator(mode="after")
     def _one_attitude(self) -> Self:
         if self.quaternion is not None and (self.roll or self.pitch or self.yaw):
-            raise unusable("quaternion", Finding("two attitudes"), "quaternion, or roll, pitch and yaw, not both")
+            raise unusable(
+                "quaternion", Finding("two attitudes"), "quaternion, or roll, pitch and yaw, not both"
+            )
         return self
 
 

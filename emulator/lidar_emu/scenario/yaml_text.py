@@ -51,20 +51,13 @@ def parse(text: str, where: str) -> Any:
     Raises:
         InputError: names `where`, and the line or key that cannot be used.
     """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.constructor import SafeConstructor
+    from lidar_emu.scenario.yaml_values import read_values
 
-    class Constructor(SafeConstructor):
-        """Reads instants as text."""
-
-    Constructor.add_constructor("tag:yaml.org,2002:timestamp", SafeConstructor.construct_yaml_str)
-    yaml = YAML(typ="safe", pure=True)
-    yaml.Constructor = Constructor
     try:
         with warnings.catch_warnings():
             # About numbers in files that declare themselves YAML 1.1.
             warnings.simplefilter("ignore")
-            tree = yaml.load(text)
+            tree = read_values(text)
     except Exception as error:  # what values of explicit tags raise is not bounded
         raise InputError(where, _line_of(error), _problem_of(error), _mended(error)) from None
     _refuse_unreasonable(tree, where)
@@ -77,10 +70,11 @@ def dotted(key: Key) -> str | None:
 
 
 def _problem_of(error: Exception) -> Finding:
-    for name in ("problem", "reason"):
-        if text := getattr(error, name, None):
-            return Finding(one_line(str(text)))
-    return Finding(one_line(str(error)) or type(error).__name__)
+    if isinstance(error, RecursionError):
+        return Finding("nested too deeply")
+    parts = [getattr(error, name, None) for name in ("context", "problem", "reason")]
+    known = ", ".join(str(part) for part in parts if part)
+    return Finding(one_line(known or str(error)) or type(error).__name__)
 
 
 def _line_of(error: Exception) -> str | None:
@@ -106,8 +100,7 @@ def _refuse_unreasonable(tree: Any, where: str) -> None:
                     raise InputError(where, dotted(key), name, "allowed: text as a key")
         elif isinstance(node, int):
             if not -(2**63) <= node < 2**63:
-                found = Finding("a whole number of more than 64 bits")
-                raise InputError(where, dotted(key), found, "allowed: fewer digits")
+                raise InputError(where, dotted(key), node, "allowed: whole numbers of up to 18 digits")
         elif not (node is None or isinstance(node, float | list) or _is_text(node)):
             raise InputError(where, dotted(key), node, _PLAIN)
 

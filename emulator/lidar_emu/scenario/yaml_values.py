@@ -1,0 +1,35 @@
+"""How YAML nodes become values: instants stay text, and merge keys are counted."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.constructor import ConstructorError, SafeConstructor
+from ruamel.yaml.nodes import MappingNode
+
+_MAXIMUM_MERGED_KEYS = 10_000
+
+
+class _Constructor(SafeConstructor):
+    """Instants are left to the schema, which knows the time zone to assume."""
+
+    merged_keys = 0
+
+    def flatten_mapping(self, node: MappingNode) -> None:
+        """Merge, but not as often as a few lines of nested `<<` can ask for."""
+        before = len(node.value)
+        super().flatten_mapping(node)
+        self.merged_keys += max(0, len(node.value) - before)
+        if self.merged_keys > _MAXIMUM_MERGED_KEYS:
+            raise ConstructorError(problem="merged too many keys", problem_mark=node.start_mark)
+
+
+_Constructor.add_constructor("tag:yaml.org,2002:timestamp", SafeConstructor.construct_yaml_str)
+
+
+def read_values(text: str) -> Any:
+    """One YAML 1.2 document."""
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Constructor = _Constructor
+    return yaml.load(text)

@@ -1,0 +1,95 @@
+"""Scenarios that are well-formed, and whose elevation grid or table of a flight cannot be used."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bad_case import FLIGHT, Case, Content, changed
+
+ROWS = "t,z\n0,200\n1,190\n2,180\n"
+_TABLE = (
+    "trajectory: {kind: table, file: flight.csv, time: {column: t, unit: s}, up: {column: z, unit: m%s}%s}\n"
+)
+
+
+def on_grid(file: str, more: str = "") -> str:
+    """The flight over an elevation grid."""
+    return changed(FLIGHT, "{kind: plane, slope_deg: 1}", f"{{kind: grid, file: {file}{more}}}")
+
+
+def on_table(up: str = "", more: str = "") -> str:
+    """The flight of a table."""
+    return FLIGHT[: FLIGHT.index("trajectory:")].replace("duration_s: 5\n", "") + _TABLE % (up, more)
+
+
+def npz(**arrays: object) -> Callable[[Path], None]:
+    """Writes a grid in numpy's container."""
+    return lambda path: np.savez(path, **arrays)  # type: ignore[arg-type]
+
+
+def _nowhere_tif(path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio", reason="GeoTIFF needs the extra geo")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        shape = {"width": 8, "height": 8, "count": 1, "dtype": "float32"}
+        with rasterio.open(path, "w", driver="GTiff", **shape) as file:
+            file.write(np.zeros((1, 8, 8), dtype=np.float32))
+
+
+LEVEL = npz(elevation_m=np.zeros((20, 20)), pixel_m=10.0, map_x_m=0.0, map_y_m=190.0)
+_HOLLOW = npz(elevation_m=np.full((4, 4), np.nan), pixel_m=1.0)
+_MARKED = npz(elevation_m=np.full((4, 4), -9999.0), pixel_m=1.0)
+_NO_PIXEL = npz(elevation_m=np.zeros((4, 4)))
+_OFF = ", origin: {map_x_m: 500, map_y_m: 50}"
+_TWO = ", origin: {latitude_deg: 3, longitude_deg: 3, map_x_m: 1, map_y_m: 1}"
+
+_GRIDS: list[tuple[str, str, Content | None, str, tuple[str, ...]]] = [
+    ("no grid", "dem.npz", None, "", ("dem.npz", "no such file", "allowed: GeoTIFF")),
+    ("a grid's name too long", 300 * "x", None, "", ("my.yaml: site.ground.file: 'xxx", "too long")),
+    ("empty npz", "dem.npz", b"", "", ("dem.npz", "unreadable", "allowed: an intact")),
+    ("empty GeoTIFF", "dem.tif", b"", "", ("dem.tif", "unreadable", "allowed: an intact")),
+    ("npz without keys", "dem.npz", npz(), "", ("dem.npz: elevation_m", "allowed: elevation_m")),
+    ("npz without pixel", "dem.npz", _NO_PIXEL, "", ("dem.npz: pixel_m", "allowed: elevation_m")),
+    ("GeoTIFF from nowhere", "dem.tif", _nowhere_tif, "", ("dem.tif", "no georeference", "allowed: a file that")),
+    ("all samples NaN", "dem.npz", _HOLLOW, "", ("dem.npz", "every sample is missing", "allowed: an elev")),
+    ("all samples nodata", "dem.npz", _MARKED, ", nodata: -9999", ("dem.npz", "every sample is missing")),
+    ("origin off the grid", "dem.npz", LEVEL, _OFF, ("dem.npz: ground.origin", "x 500 m", "x from 0 to 190 m")),
+    ("half an origin", "dem.npz", LEVEL, ", origin: {latitude_deg: 3}", ("longitude_deg: missing", "or neither")),
+    ("two origins", "dem.npz", LEVEL, _TWO, ("my.yaml: site.ground.origin.map_x_m: 1", "not both")),
+    ("band 1.5", "dem.npz", LEVEL, ", band: 1.5", ("my.yaml: site.ground.band: 1.5", "text", "or a whole number")),
+]  # fmt: skip
+
+_TABLES: list[tuple[str, str | None, str, tuple[str, ...]]] = [
+    ("no table", None, on_table(), ("flight.csv", "No such file", "allowed: a readable CSV file")),
+    ("empty table", "", on_table(), ("flight.csv", "an empty file", "a header")),
+    ("no such column", "t,up\n0,1\n1,2\n", on_table(), ("flight.csv: column: 'z'", "t, up")),
+    ("text in a column", ROWS.replace("190", "high"), on_table(), ("flight.csv: line 3, z: 'high'", "a finite number")),
+    ("time out of order", ROWS.replace("2,", "0.5,"), on_table(), ("flight.csv: line 4, t: '0.5'", "above 1")),
+    ("gap", ROWS.replace("2,", "50,"), on_table(), ("flight.csv: z", "no value for 49 s", "maximum_gap_s, 10 s")),
+    ("half a rate", ROWS, on_table(", rate_column: v"), ("trajectory.up.rate_unit: missing", "rate_column")),
+    ("two attitudes", ROWS, on_table("", ", roll: {column: z, unit: deg}, quaternion: {columns: [z, z, z, z]}"),
+     ("my.yaml: trajectory.quaternion", "roll, pitch and yaw, not both")),
+]  # fmt: skip
+
+
+def _files(text: str, name: str, content: Content | None) -> dict[str, Content]:
+    return {"my.yaml": text} if content is None else {"my.yaml": text, name: content}
+
+
+CASES = [
+    *(Case(name, says, _files(on_grid(file, more), file, grid)) for name, file, grid, more, says in _GRIDS),
+    *(Case(name, says, _files(text, "flight.csv", rows)) for name, rows, text, says in _TABLES),
+    Case(
+        "flight off the grid",
+        ("trajectory", "m east", "allowed: positions over the ground", "beyond: plane or sphere"),
+        _files(
+            changed(on_grid("dem.npz"), "kind: profile", "kind: profile\n  path_angle_deg: 10"),
+            "dem.npz",
+            LEVEL,
+        ),
+    ),
+]

@@ -1,0 +1,150 @@
+"""Scenario files that cannot be used, each broken in one place."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from bad_case import BENCH, FLIGHT, SITE, Case, changed
+
+
+def _nested(first: str, again: str) -> str:
+    """Ten of ten of ten, nine times over."""
+    lines = [f"{new}: &{new} {again % ', '.join(10 * [f'*{old}'])}" for old, new in pairwise("abcdefghi")]
+    return "\n".join([f"a: &a {first}", *lines])
+
+
+_DOCUMENTS: list[tuple[str, str | bytes, tuple[str, ...]]] = [
+    ("an empty file", "", ("an empty file", "allowed: a mapping")),
+    ("comments only", "# nothing yet\n", ("an empty file", "allowed: a mapping")),
+    ("a list", "[1, 2]", ("[1, 2]", "allowed: a mapping")),
+    ("a word", "descent", ("'descent'", "allowed: a mapping")),
+    ("not YAML", "name: hop\n- {a: [\n", ("line 2", "allowed: YAML 1.2")),
+    ("two documents", f"{FLIGHT}---\n{FLIGHT}", ("a single document", "allowed: YAML 1.2")),
+    ("not UTF-8", b"name: \xff\xfe\n", ("not UTF-8 text", "allowed: a YAML file")),
+    ("control characters", bytes(range(8)) * 4, ("special characters", "allowed: YAML 1.2")),
+    ("too large", "#" * 1_000_002, ("1000002 bytes", "allowed: at most 1000000")),
+    ("duplicate key", "name: one\nname: two\n", ("line 2", '"name"', '"two"', "allowed: each key once")),
+    ("key of an object", "? [1, 2]\n: 3\n", ("[1, 2]", "allowed: text as a key")),
+    (
+        "tag of a program",
+        "name: !!python/object:os.system ls\n",
+        ("line 1", "os.system", "allowed: YAML 1.2"),
+    ),
+    ("tag of bytes", "name: !!binary aGVsbG8=\n", ("name", "hello", "allowed: text, numbers")),
+    ("tag that does not fit", "seed: !!bool perhaps\n", ("perhaps", "allowed: YAML 1.2")),
+    ("half a surrogate", 'name: "\\ud800"\n', ("name", "d800", "allowed: text")),
+    ("alias bomb", _nested("[x, x, x, x]", "[%s]"), ("repeated", "allowed: at most 100000 values")),
+    ("merge bomb", _nested("{p: 1, q: 2}", "{<<: [%s]}"), ("merged too many keys", "allowed: YAML 1.2")),
+    ("alias recursion", "a: &a [*a]\n", ("nested", "32 deep")),
+    ("alias recursion in a mapping", "a: &a {b: *a}\n", ("nested", "32 deep")),
+    ("deep nesting", "a: " + 1000 * "[", ("nested too deeply", "allowed: YAML 1.2")),
+]
+
+_KEYS: list[tuple[str, str, str, tuple[str, ...]]] = [
+    ("unknown key", "name: hop", "name: hop\ncolour: red", ("colour: 'red'", "no such key", "timing")),
+    ("unknown key below", "rate_hz: 20", "rate: 5", ("timing.rate: 5", "no such key; allowed: rate_hz")),
+    ("unknown key of a kind", "slope_deg: 1", "slope: 2", ("site.ground.slope: 2", "kind, slope_deg")),
+    ("number as key", "rate_hz: 20", "5: 20", ("timing: 5", "allowed: text as a key")),
+    ("unknown kind", "kind: plane", "kind: cone", ("site.ground.kind: 'cone'", "plane, sphere, grid")),
+    ("no kind", "kind: plane, ", "", ("site.ground.kind: missing", "plane, sphere, grid")),
+    ("wrong unit", "altitude_m: 200", "altitude_km: 2", ("trajectory.waypoints.0.altitude_km: 2", "altitude_m, ")),
+    ("missing key", ", speed_mps: 10", "", ("trajectory.waypoints.1.speed_mps: missing", "required")),
+    ("missing part", SITE, "", ("site: missing", "required")),
+    ("unknown part", SITE, "site: venus", ("site: 'venus'", "no such file", "flat, mare")),
+    ("unknown base", SITE, "site: {base: venus}", ("site: 'venus'", "no such file", "flat, mare")),
+    ("number as base", SITE, "site: {base: 3}", ("site.base: 3", "allowed: the name of a file")),
+    ("name with NUL", SITE, 'site: "a\\0b"', ("site: 'a\\x00b'", "allowed: text")),
+    ("name too long", SITE, f"site: {300 * 'x'}", ("site: 'xxx", "no such file", "flat, mare")),
+    ("number for a part", SITE, "site: 7", ("site: 7", "allowed: a mapping of keys to values, or the name")),
+    ("a base's replaced value", SITE, "site: {base: flat, surface: {reflectance: 2}}",
+     ("site.surface.reflectance: 2", "less than or equal to 1")),
+]  # fmt: skip
+
+_NUMBERS: list[tuple[str, str, str, tuple[str, ...]]] = [
+    ("negative altitude", "altitude_m: 100", "altitude_m: -3",
+     ("trajectory.waypoints.1.altitude_m: -3 is not usable; allowed: greater than or equal to 0",)),
+    ("NaN", "duration_s: 5", "duration_s: .nan", ("duration_s: nan", "a finite number")),
+    ("nan as text", "duration_s: 5", "duration_s: nan", ("duration_s: 'nan'", "a number")),
+    ("negative duration", "duration_s: 5", "duration_s: -5", ("duration_s: -5", "greater than 0")),
+    ("inf", "rate_hz: 20", "rate_hz: .inf", ("timing.rate_hz: inf", "a finite number")),
+    ("1e400", "rate_hz: 20", "rate_hz: 1e400", ("timing.rate_hz: inf", "a finite number")),
+    ("too many digits", "rate_hz: 20", f"rate_hz: 1{400 * '0'}", ("timing.rate_hz: 1000", "up to 18 digits")),
+    ("far too many", "rate_hz: 20", f"rate_hz: 0x1{9000 * '0'}", ("timing.rate_hz: a value", "18 digits")),
+    ("true for a number", "rate_hz: 20", "rate_hz: true", ("timing.rate_hz: true", "a number")),
+    ("text for a number", "rate_hz: 20", "rate_hz: fast", ("timing.rate_hz: 'fast'", "a number")),
+    ("list for a number", "rate_hz: 20", "rate_hz: [20]", ("timing.rate_hz: [20]", "a number")),
+    ("number for text", "name: hop", "name: 5", ("name: 5", "allowed: text")),
+    ("fraction for a count", "name: hop", "name: hop\nseed: 1.5", ("seed: 1.5", "a whole number")),
+    ("exponent for a count", "131072", "1e5", ("instrument.waveform.fft_length: 100000.0", "without point")),
+    ("nothing for a mapping", "timing: {rate_hz: 20, epoch: 2030-01-01T00:00:00Z}", "timing:",
+     ("timing: null", "a mapping of keys to values")),
+    ("mapping for a list", "waypoints:", "waypoints: {}\n  attic:", ("trajectory.waypoints: {}", "a list")),
+    ("no instant", "2030-01-01T00:00:00Z", "tomorrow", ("timing.epoch: 'tomorrow'", "2030-01-01T12:00:00Z")),
+    ("no such date", "2030-01-01T00", "2030-13-45T00", ("timing.epoch: '2030-13-45T00", "an instant")),
+    ("zero rate", "rate_hz: 20", "rate_hz: 0", ("timing.rate_hz: 0 ", "greater than 0")),
+    ("unreachable rate", "rate_hz: 20", "rate_hz: 2000", ("timing.rate_hz: 2000", "at most 1111.11", "together")),
+    ("no waypoint", "waypoints:", "waypoints: []\n  attic:", ("trajectory.waypoints: a list of 0", "at least 2")),
+    ("ascending", "altitude_m: 100", "altitude_m: 300", ("waypoints.1.altitude_m: 300", "below 200")),
+    ("standing still", "20}\n    - {altitude_m: 100, speed_mps: 10", "0}\n    - {altitude_m: 100, speed_mps: 0",
+     ("trajectory.waypoints.1.speed_mps: 0", "greater than 0")),
+    ("beam angle 90", "angle_deg: 20", "angle_deg: 90", ("scanner.pattern.angle_deg: 90", "less than 90")),
+    ("beamlets 20", "beamlets: 1", "beamlets: 20", ("instrument.optics.beamlets: 20", "1, 7, 19")),
+    ("FFT of 1000", "131072", "1000", ("instrument.waveform.fft_length: 1000", "a power of two")),
+    ("record longer than segment", "131072", "262144",
+     ("instrument.waveform.fft_length: 262144", "0.000436907 s", "segment_time_s, 0.0003 s")),
+    ("beyond the record edge", "maximum_range_m: 12000", "maximum_range_m: 13000",
+     ("instrument.detection.maximum_range_m: 13000", "at most 12223.5")),
+    ("segment too short for the range", "300e-6", "250e-6",
+     ("instrument.detection.maximum_range_m: 12000", "at most 4728.73")),
+    ("gain", "responsivity_a_per_w: 1.0", "responsivity_a_per_w: 1.3", ("responsivity_a_per_w: 1.3", "at most 1.25")),
+    ("unknown window", "window: hann", "window: kaiser", ("instrument.detection.window: 'kaiser'", "'hann'")),
+    ("three misalignments", "firing: together", "misalignment_mrad: [[0, 1], [0, 1], [0, 1]]",
+     ("scanner.misalignment_mrad: a list of 3", "4 entries")),
+    ("half a misalignment", "firing: together", "misalignment_mrad: [[0]]",
+     ("scanner.misalignment_mrad.0.1: missing", "required")),
+    ("lever arm of four", "name: hop", "name: hop\nmounting: {lever_arm_m: [0, 0, 0, 0]}",
+     ("mounting.lever_arm_m: a list of 4", "at most 3")),
+    ("longer than the flight", "duration_s: 5", "duration_s: 100", ("duration_s: 100", "at most 6.66667 s")),
+]  # fmt: skip
+
+_PATTERNS: list[tuple[str, str, str, tuple[str, ...]]] = [
+    ("pattern and site", "name: bench", "name: bench\nsite: flat", ("site: 'flat'", "not together", "bench_pattern")),
+    ("negative range", "range_m: 100", "range_m: -100", ("beams.0.range_m: -100", "greater than or equal to 0")),
+    ("text for a level", "range_m: 100", "range_m: far", ("beams.0.range_m: 'far'", "a number")),
+    ("ramp below zero", "range_m: 100", "range_m: {start: 1, stop: -1, period_s: 1}",
+     ("bench_pattern.beams.0.range_m.stop: -1", "greater than or equal to 0")),
+    ("ramp of nothing", "range_m: 100", "range_m: {begin: 1}", ("beams.0.range_m.begin: 1", "start, stop, period_s")),
+    ("no switch", "speed_mps: 5", "speed_mps: 5, valid: maybe", ("beams.0.valid: 'maybe'", "on or off")),
+]  # fmt: skip
+
+
+def _in_part(name: str, text: str, *says: str) -> Case:
+    return Case(name, says, {"my.yaml": changed(FLIGHT, SITE, "site: my_site"), "my_site.yaml": text})
+
+
+CASES = [
+    *(Case(name, ("my.yaml: ", *says), {"my.yaml": text}) for name, text, says in _DOCUMENTS),
+    *(
+        Case(name, ("my.yaml: ", *says), {"my.yaml": changed(FLIGHT, old, new)})
+        for name, old, new, says in _KEYS
+    ),
+    *(Case(name, says, {"my.yaml": changed(FLIGHT, old, new)}) for name, old, new, says in _NUMBERS),
+    *(
+        Case(name, ("my.yaml: ", *says), {"my.yaml": changed(BENCH, old, new)})
+        for name, old, new, says in _PATTERNS
+    ),
+    Case(
+        "unreachable rate in turn",
+        ("my.yaml: timing.rate_hz: 300", "at most 277.778", "in turn"),
+        {"my.yaml": changed(FLIGHT, "rate_hz: 20", "rate_hz: 300").replace("together", "in_turn")},
+    ),
+    _in_part(
+        "unknown key in a part's file",
+        "ground: {kind: plane, h: 3}",
+        "my_site.yaml: ground.h: 3",
+        "slope_deg",
+    ),
+    _in_part("missing key in a part's file", "name: here", "my_site.yaml: ground: missing", "required"),
+    _in_part("duplicate key in a part's file", "name: a\nname: b", "my_site.yaml: line 2", "each key once"),
+    _in_part("an empty part's file", "", "my_site.yaml: an empty file", "a mapping"),
+]

@@ -1,0 +1,274 @@
+"""Scenarios mean what their authors expect: values, parts by reference, bases, overrides."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+
+import pytest
+
+from lidar_emu.errors import InputError
+from lidar_emu.scenario.load import load, shipped, shipped_scenarios
+from lidar_emu.scenario.scanner import AltitudeSwitch, Square
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+from lidar_emu.scenario.site import Grid, Plane
+from lidar_emu.scenario.trajectory import Profile, Table
+
+BENCH = "name: bench\nbench_pattern: {duration_s: 1, beams: [{range_m: 100, closing_speed_mps: 5}]}\n"
+FLIGHT = """\
+name: hop
+instrument: ndl_fine
+site: SITE
+scanner: ndl_four_beam
+trajectory: {kind: profile, waypoints: [{altitude_m: 200, speed_mps: 20}, {altitude_m: 100, speed_mps: 10}]}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path
+
+
+def bench(folder: Path, text: str = "") -> BenchScenario:
+    """The bench pattern with more lines."""
+    (folder / "bench.yaml").write_text(BENCH + text)
+    scenario = load(folder / "bench.yaml")
+    assert isinstance(scenario, BenchScenario)
+    return scenario
+
+
+def flight(folder: Path, site: str, overrides: dict[str, str] | None = None) -> FlightScenario:
+    """The flight over a site as the scenario names or states it."""
+    (folder / "hop.yaml").write_text(FLIGHT.replace("SITE", site))
+    scenario = load(folder / "hop.yaml", overrides)
+    assert isinstance(scenario, FlightScenario)
+    return scenario
+
+
+@pytest.mark.parametrize("name", shipped_scenarios())
+def test_shipped_scenarios_load_by_name_and_by_path(name: str) -> None:
+    by_name = load(name)
+    assert by_name == load(shipped("scenarios") / name) == load(name.removesuffix(".yaml"))
+    assert by_name.name == name.removesuffix(".yaml")
+
+
+def test_a_file_comes_before_a_shipped_one(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (folder / "descent.yaml").write_text(BENCH)
+    monkeypatch.chdir(folder)
+    assert load("descent.yaml").name == "bench"
+
+
+@pytest.mark.parametrize(
+    ("text", "rate_hz"),
+    [
+        ("1e2", 100.0),
+        ("1.0E+2", 100.0),
+        ("100", 100.0),
+        ("010", 10.0),
+        ("0o10", 8.0),
+        ("0x10", 16.0),
+        ("+5", 5.0),
+    ],
+)
+def test_numbers(folder: Path, text: str, rate_hz: float) -> None:
+    assert bench(folder, f"timing: {{rate_hz: {text}}}").timing.rate_hz == rate_hz
+
+
+@pytest.mark.parametrize(
+    "text", ["12:30:45", "1:30", "on", "no", "2030-01-01", "2030-01-01T12:00:00Z", "1.2.3", "ü"]
+)
+def test_text_stays_text(folder: Path, text: str) -> None:
+    (folder / "named.yaml").write_text(BENCH.replace("name: bench", f"name: {text}"), encoding="utf-8")
+    assert load(folder / "named.yaml").name == text
+
+
+@pytest.mark.parametrize(
+    ("word", "valid"),
+    [
+        ("on", True),
+        ("off", False),
+        ("yes", True),
+        ("No", False),
+        ("true", True),
+        ("False", False),
+        ("'off'", False),
+    ],
+)
+def test_switches(folder: Path, word: str, valid: bool) -> None:
+    (folder / "bench.yaml").write_text(BENCH.replace("speed_mps: 5", f"speed_mps: 5, valid: {word}"))
+    scenario = load(folder / "bench.yaml")
+    assert isinstance(scenario, BenchScenario)
+    assert scenario.bench_pattern.beams[0].valid is valid
+
+
+NOON = datetime(2030, 6, 1, 12, tzinfo=UTC)
+
+
+@pytest.mark.parametrize(
+    ("text", "epoch"),
+    [
+        ("2030-06-01T12:00:00Z", NOON),
+        ("'2030-06-01T12:00:00Z'", NOON),
+        ("2030-06-01 12:00:00", NOON),
+        ("2030-06-01T12:00:00", NOON),
+        ("2030-06-01T14:00:00+02:00", NOON),
+        ("2030-06-01T12:00:00.250Z", NOON + timedelta(milliseconds=250)),
+    ],
+)
+def test_epochs(folder: Path, text: str, epoch: datetime) -> None:
+    read = bench(folder, f"timing: {{epoch: {text}}}").timing.epoch
+    assert read == epoch
+    assert read.tzinfo is not None
+
+
+def test_an_epoch_keeps_its_instant_in_another_zone(folder: Path) -> None:
+    east = timezone(timedelta(hours=9))
+    read = bench(folder, "timing: {epoch: 2030-06-01T21:00:00+09:00}").timing.epoch
+    assert read == datetime(2030, 6, 1, 21, tzinfo=east) == NOON
+
+
+def test_a_byte_order_mark_is_no_text(folder: Path) -> None:
+    (folder / "bench.yaml").write_bytes(b"\xef\xbb\xbf" + BENCH.encode())
+    assert load(folder / "bench.yaml").name == "bench"
+
+
+def test_a_merge_key_merges(folder: Path) -> None:
+    text = BENCH.replace("beams: [", "beams: [&beam ").replace("}]}", "}, {<<: *beam, range_m: 7}]}")
+    (folder / "bench.yaml").write_text(text)
+    scenario = load(folder / "bench.yaml")
+    assert isinstance(scenario, BenchScenario)
+    assert [beam.range_m for beam in scenario.bench_pattern.beams] == [100, 7]
+    assert scenario.bench_pattern.beams[1].closing_speed_mps == 5
+
+
+def test_parts_are_shipped_ones_unless_a_file_lies_beside(folder: Path) -> None:
+    assert flight(folder, "mars").site.body.name == "Mars"
+    (folder / "mars.yaml").write_text("body: {name: Phobos, radius_m: 11e3}\nground: {kind: sphere}\n")
+    assert flight(folder, "mars").site.body.name == "Phobos"
+    assert flight(folder, "mars.yaml").site.body.name == "Phobos"
+    assert flight(folder, str(folder / "mars.yaml")).site.body.name == "Phobos"
+
+
+def test_a_base_gives_what_is_not_stated(folder: Path) -> None:
+    site = flight(folder, "{base: mars, surface: {reflectance: 0.3}}").site
+    mars = flight(folder, "mars").site
+    assert site.surface.reflectance == 0.3
+    assert site.surface.lommel_seeliger_share == mars.surface.lommel_seeliger_share == 0.5
+    assert site.body == mars.body
+
+
+def test_another_kind_replaces_the_ground_of_a_base(folder: Path) -> None:
+    assert flight(folder, "{base: mare, ground: {kind: plane, slope_deg: 3}}").site.ground == Plane(
+        kind="plane", slope_deg=3
+    )
+    ground = flight(folder, "{base: mare, ground: {beyond: sphere}}").site.ground
+    assert isinstance(ground, Grid)
+    assert ground.beyond == "sphere"
+    assert Path(ground.file) == shipped("ground") / "mare.npz"
+
+
+def test_files_are_relative_to_the_file_that_names_them(folder: Path) -> None:
+    (folder / "parts").mkdir()
+    (folder / "parts" / "crater.yaml").write_text("ground: {kind: grid, file: crater.npz}\n")
+    named = flight(folder, "parts/crater.yaml").site.ground
+    stated = flight(folder, "{ground: {kind: grid, file: crater.npz}}").site.ground
+    replaced = flight(folder, "{base: parts/crater.yaml, ground: {file: other.npz}}").site.ground
+    absolute = flight(folder, "{ground: {kind: grid, file: /data/crater.npz}}").site.ground
+    files = [Path(ground.file) for ground in (named, stated, replaced, absolute) if isinstance(ground, Grid)]
+    assert files == [
+        folder / "parts" / "crater.npz",
+        folder / "crater.npz",
+        folder / "other.npz",
+        Path("/data/crater.npz"),
+    ]
+
+
+def test_shipped_ground_is_found_unless_a_file_lies_beside(folder: Path) -> None:
+    def file() -> Path:
+        ground = flight(folder, "{ground: {kind: grid, file: mare.npz}}").site.ground
+        assert isinstance(ground, Grid)
+        return Path(ground.file)
+
+    assert file() == shipped("ground") / "mare.npz"
+    (folder / "mare.npz").touch()
+    assert file() == folder / "mare.npz"
+
+
+def test_a_table_lies_beside_the_part_that_names_it(folder: Path) -> None:
+    (folder / "flights").mkdir()
+    part = "kind: table\nfile: apollo.csv\ntime: {column: t, unit: s}\nup: {column: z, unit: ft}\n"
+    (folder / "flights" / "apollo.yaml").write_text(part)
+    trajectory = flight(folder, "flat", {"trajectory": "flights/apollo.yaml"}).trajectory
+    assert isinstance(trajectory, Table)
+    assert Path(trajectory.file) == folder / "flights" / "apollo.csv"
+
+
+def test_overrides_reach_into_parts_given_by_name(folder: Path) -> None:
+    overrides = {
+        "site.surface.reflectance": "0.4",
+        "instrument.detection.window": "hann",
+        "scanner.switches.0.below_m": "300",
+        "scanner.pattern.angle_deg": "10",
+        "trajectory.waypoints.1.altitude_m": "50",
+    }
+    scenario = flight(folder, "mare", overrides)
+    assert scenario.site.surface.reflectance == 0.4
+    assert scenario.site.surface.lommel_seeliger_share == 1.0
+    assert scenario.instrument.detection.window == "hann"
+    assert scenario.instrument.detection.combine == "least_squares"
+    (switch,) = scenario.scanner.switches
+    assert isinstance(switch, AltitudeSwitch)
+    assert (switch.below_m, switch.datum) == (300, "origin")
+    assert scenario.scanner.pattern == Square(kind="square", angle_deg=10)
+    assert isinstance(scenario.trajectory, Profile)
+    assert [point.altitude_m for point in scenario.trajectory.waypoints] == [200, 50]
+
+
+def test_overrides_replace_whole_parts_and_make_mappings() -> None:
+    scenario = load("descent", {"site": "flat", "mounting.roll_deg": "3", "wire": "{unit: 2}"})
+    assert isinstance(scenario, FlightScenario)
+    assert scenario.site.name == "flat"
+    assert scenario.mounting.roll_deg == 3
+    assert scenario.wire.unit == 2
+
+
+def test_a_replaced_kind_of_ground_leaves_nothing_of_the_old_one() -> None:
+    scenario = load("descent", {"site.ground.kind": "sphere"})
+    assert isinstance(scenario, FlightScenario)
+    assert scenario.site.ground.kind == "sphere"
+    assert scenario.site.surface.lommel_seeliger_share == 1.0
+
+
+def test_seed_and_duration_are_overrides_like_others() -> None:
+    scenario = load("bench", {"seed": "7", "duration_s": "2.5"})
+    assert (scenario.seed, scenario.duration_s) == (7, 2.5)
+    assert load("bench").duration_s is None
+
+
+@pytest.mark.parametrize(
+    ("site", "overrides", "where", "key"),
+    [
+        ("bad_site", {}, "bad_site.yaml", "surface.reflectance"),
+        ("{base: bad_site}", {}, "bad_site.yaml", "surface.reflectance"),
+        ("{base: bad_site, surface: {reflectance: 3}}", {}, "hop.yaml", "site.surface.reflectance"),
+        ("{base: bad_site, name: own}", {}, "bad_site.yaml", "surface.reflectance"),
+        ("bad_site", {"site.surface.reflectance": "3"}, "--set", "site.surface.reflectance"),
+        ("bad_site", {"site.name": "own"}, "bad_site.yaml", "surface.reflectance"),
+        ("flat", {"site": "bad_site"}, "bad_site.yaml", "surface.reflectance"),
+        ("flat", {"site.surface.shine": "1"}, "--set", "site.surface.shine"),
+        (
+            "flat",
+            {"site": "{base: bad_site, surface: {reflectance: 3}}"},
+            "--set",
+            "site.surface.reflectance",
+        ),
+    ],
+)
+def test_complaints_name_who_stated_the_value(
+    folder: Path, site: str, overrides: dict[str, str], where: str, key: str
+) -> None:
+    (folder / "bad_site.yaml").write_text("ground: {kind: plane}\nsurface: {reflectance: 2}\n")
+    with pytest.raises(InputError) as refused:
+        flight(folder, site, overrides)
+    assert Path(refused.value.where).name == where
+    assert refused.value.key == key

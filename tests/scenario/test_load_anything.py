@@ -1,0 +1,109 @@
+"""Whatever a file or an override holds, loading it succeeds or says in one line what is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lidar_emu.errors import InputError
+from lidar_emu.scenario.load import load, shipped
+
+DESCENT = (shipped("scenarios") / "descent.yaml").read_text()
+BENCH = (shipped("scenarios") / "bench.yaml").read_text()
+FRAGMENTS = [
+    *("name", "site", "timing", "kind", "file", "ground", "base", "bench_pattern", "epoch", "plane", "a", "x"),
+    *(": ", ":", "\n", "\n  ", "\n    - ", "- ", "[", "]", "{", "}", ", ", "? ", "|\n", ">\n", "'", '"', "#", "\t"),
+    *("&a ", "*a", "<<: *a", "<<", "!!set ", "!!bool ", "!!int ", "!!omap ", "!!binary ", "!!float ", "!x ", "!"),
+    *("1", "-1", "1e400", ".nan", "-.inf", "0x1F", "010", "12:30:45", "2030-01-01", "2030-99-99T25:61:61Z", "~"),
+    *("on", "true", "null", "---\n", "...\n", "%YAML 1.1\n", "%TAG ! y\n", "\\ud800", "\\0", "\0", "\ufeff", "²"),
+]  # fmt: skip
+
+yaml_like = st.lists(st.sampled_from(FRAGMENTS) | st.text(max_size=3), max_size=30).map("".join)
+values = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.sampled_from(["plane", "grid", "ramp", "flat", "hann", "", "/"])
+    | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+keys = st.sampled_from(
+    [
+        *("name", "seed", "duration_s", "timing", "timing.rate_hz", "timing.epoch", "timing.late_after_s", "wire.unit"),
+        *("instrument", "instrument.waveform", "instrument.waveform.fft_length", "instrument.waveform.sample_rate_hz"),
+        *("instrument.waveform.segment_time_s", "instrument.optics.beamlets", "instrument.detection.window", "1"),
+        *("instrument.detection.maximum_range_m", "site", "site.ground", "site.ground.kind", "site.ground.file"),
+        *("site.ground.band", "site.ground.origin", "site.ground.origin.map_x_m", "site.base", "site.name"),
+        *("scanner", "scanner.pattern", "scanner.pattern.kind", "scanner.switches", "scanner.switches.0", "x.y.z"),
+        *("scanner.switches.0.kind", "scanner.switches.0.pattern", "scanner.misalignment_mrad", "trajectory.kind"),
+        *("trajectory", "trajectory.waypoints", "trajectory.waypoints.0", "trajectory.waypoints.1.altitude_m"),
+        *("trajectory.waypoints.9.speed_mps", "mounting.lever_arm_m", "mounting.lever_arm_m.1", "bench_pattern"),
+        *("mounting", "bench_pattern.beams.0", "bench_pattern.beams.0.range_m", "bench_pattern.beams.1.range_m.start", "0", ".."),
+    ]
+)  # fmt: skip
+
+
+def loads_or_refuses(scenario: Path | str, overrides: dict[str, str] | None = None) -> None:
+    try:
+        load(scenario, overrides)
+    except InputError as refused:
+        line = str(refused)
+        assert line
+        assert line.isprintable()
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("anything") / "my.yaml"
+
+
+@settings(max_examples=300, deadline=None)
+@given(text=yaml_like | st.text())
+def test_any_text(file: Path, text: str) -> None:
+    file.write_bytes(text.encode(errors="surrogatepass"))
+    loads_or_refuses(file)
+
+
+@settings(max_examples=100, deadline=None)
+@given(data=st.binary(max_size=200))
+def test_any_bytes(file: Path, data: bytes) -> None:
+    file.write_bytes(data)
+    loads_or_refuses(file)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    whole=st.sampled_from([DESCENT, BENCH]),
+    cuts=st.lists(
+        st.tuples(st.integers(0, len(DESCENT)), st.integers(0, 20), yaml_like), min_size=1, max_size=4
+    ),
+)
+def test_a_shipped_scenario_with_parts_replaced(
+    file: Path, whole: str, cuts: list[tuple[int, int, str]]
+) -> None:
+    for start, length, new in cuts:
+        whole = whole[:start] + new + whole[start + length :]
+    file.write_bytes(whole.encode(errors="surrogatepass"))
+    loads_or_refuses(file)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    scenario=st.sampled_from(["descent", "bench"]),
+    overrides=st.dictionaries(
+        keys | st.text(max_size=6), values.map(repr) | yaml_like, min_size=1, max_size=3
+    ),
+)
+def test_a_shipped_scenario_with_any_overrides(scenario: str, overrides: dict[str, str]) -> None:
+    loads_or_refuses(scenario, overrides)
+
+
+@settings(max_examples=50, deadline=None)
+@given(name=st.text(max_size=300))
+def test_any_name_of_a_scenario(name: str) -> None:
+    loads_or_refuses(name)
