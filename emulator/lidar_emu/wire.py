@@ -99,9 +99,11 @@ class Encoder:
 def rows(message: Message) -> list[dict[str, Any]]:
     """What arrived, one row per beam, under the names of `Measurement.table`; None where a value is missing.
 
-    Core CAN messages carry a part of the columns only.
+    `packet_time_s` is the time of validity of the beams that fired first. Core CAN messages carry a part of the
+    columns only: without a time offset a beam's own time is unknown.
     """
-    unit = {"unit": message.unit, "shot": message.shot}
+    packet_time_s = None if message.time_ns is None else message.time_ns * 1e-9
+    unit = {"unit": message.unit, "shot": message.shot, "packet_time_s": packet_time_s}
     result = []
     for beam, values in enumerate(message.beams):
         row: dict[str, Any] = {**unit, "beam": beam, "time_s": _time_s(message, values)}
@@ -111,6 +113,7 @@ def rows(message: Message) -> list[dict[str, Any]]:
 
 
 def _time_s(message: Message, beam: Mapping[str, Value]) -> float | None:
-    if message.time_ns is None or not beam.get("fired"):
+    offset_s = beam.get("time_offset_s")
+    if message.time_ns is None or offset_s is None or not beam.get("fired"):
         return None
-    return message.time_ns * 1e-9 + (beam.get("time_offset_s") or 0.0)
+    return message.time_ns * 1e-9 + offset_s

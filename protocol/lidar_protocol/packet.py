@@ -56,7 +56,7 @@ def decode(interface: Interface, packet: bytes) -> Message:
     count = header["beam_count"]
     if count is None or len(body) != first + step * int(count):
         raise DecodeError(
-            Fault.BAD_LENGTH, f"{len(body)} bytes do not hold {count or 'such a number of'} beams"
+            Fault.BAD_LENGTH, f"{len(body)} bytes do not hold the number of beams that they state"
         )
     beams = [definition.beam.unpack(body[start : start + step]) for start in range(first, len(body), step)]
     return Message(unit, header, tuple(beams))

@@ -81,7 +81,7 @@ _NUMBERS: list[tuple[str, str, str, tuple[str, ...]]] = [
     ("mapping for a list", "waypoints:", "waypoints: {}\n  attic:", ("trajectory.waypoints: {}", "a list")),
     ("no instant", "2030-01-01T00:00:00Z", "tomorrow", ("timing.epoch: 'tomorrow'", "2030-01-01T12:00:00Z")),
     ("no such date", "2030-01-01T00", "2030-13-45T00", ("timing.epoch: '2030-13-45T00", "an instant")),
-    ("zero rate", "rate_hz: 20", "rate_hz: 0", ("timing.rate_hz: 0 ", "greater than 0")),
+    ("zero rate", "rate_hz: 20", "rate_hz: 0", ("timing.rate_hz: 0 ", "allowed: greater than")),
     ("unreachable rate", "rate_hz: 20", "rate_hz: 2000", ("timing.rate_hz: 2000", "at most 1111.11", "together")),
     ("no waypoint", "waypoints:", "waypoints: []\n  attic:", ("trajectory.waypoints: a list of 0", "at least 2")),
     ("ascending", "altitude_m: 100", "altitude_m: 300", ("waypoints.1.altitude_m: 300", "below 200")),

@@ -10,7 +10,7 @@ import bad_commands
 import bad_files
 import bad_scenarios
 import pytest
-from bad_case import BENCH, FLIGHT, Case
+from bad_case import BENCH, FLIGHT, Case, Content
 
 from lidar_emu import cli
 from lidar_emu.scenario.load import load
@@ -79,7 +79,7 @@ def test_refused_as_a_program(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", [FLIGHT, BENCH, bad_files.on_grid("dem.npz"), bad_files.on_table()])
 def test_unbroken_files_are_good(text: str, tmp_path: Path) -> None:
-    files = {"my.yaml": text, "dem.npz": bad_files.LEVEL, "flight.csv": bad_files.ROWS}
+    files: dict[str, Content] = {"my.yaml": text, "dem.npz": bad_files.LEVEL, "flight.csv": bad_files.ROWS}
     Case("unbroken", (), files).write_files(tmp_path)
     assert build_model(load(tmp_path / "my.yaml")).shot_count > 0
 

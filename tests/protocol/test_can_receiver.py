@@ -62,7 +62,7 @@ def test_frames_without_their_header_do_not_join_the_next_shot_of_the_same_count
     assert feed(receiver, late + early) == []
     counters = receiver.counters
     assert (counters.orphans, receiver.buffered_frames) == (2, len(early))
-    (message,) = feed(receiver, frames(21, can_set))
+    assert len(feed(receiver, frames(21, can_set))) == 1
     assert (counters.orphans, counters.incomplete, counters.lost_shots) == (2, 1, 0)
 
 
@@ -175,3 +175,9 @@ def test_frames_of_the_right_length_with_any_content_do_not_raise_and_stay_few(d
 def test_a_sender_refuses_more_beams_than_slots(count):
     with pytest.raises(EncodeError, match="slots"):
         frames(0, beams=[example.BEAMS[0]] * count)
+
+
+def test_what_the_smaller_fields_on_can_do_to_a_value_outside_their_range():
+    beam = {**example.BEAMS[0], "snr_db": -3.0, "time_offset_s": 1.048575}
+    (message,) = feed(CanReceiver(INTERFACE), frames(0, "full", beams=[beam]))
+    assert (message.beams[0]["snr_db"], message.beams[0]["time_offset_s"]) == (0.0, None)

@@ -162,10 +162,20 @@ def test_nothing_that_arrives_raises(portions):
     assert receiver.buffered_bytes <= cobs.stuffed_length(INTERFACE.maximum_packet_bytes)
 
 
+def test_a_packet_without_beams_is_refused():
+    body = INTERFACE.packet.header.pack({**example.HEADER, "interface_version": 1, "beam_count": 1})
+    empty = ccsds.seal(INTERFACE.packet.apid, 0, body[:17] + bytes(1) + body[18:])
+    receiver = SerialReceiver(INTERFACE)
+    assert receiver.receive(cobs.encode(empty) + cobs.DELIMITER) == []
+    assert receiver.counters.bad_length == 1
+
+
 def test_a_sender_refuses_what_cannot_be_sent():
     with pytest.raises(EncodeError, match="unit 16"):
         packet.encode(INTERFACE, 16, example.HEADER, example.BEAMS)
     with pytest.raises(EncodeError, match="65 beams"):
         packet.encode(INTERFACE, 0, example.HEADER, [*FULL_BEAMS, example.BEAMS[0]])
+    with pytest.raises(EncodeError, match="0 beams"):
+        packet.encode(INTERFACE, 0, example.HEADER, [])
     with pytest.raises(EncodeError, match="shot"):
         packet.encode(INTERFACE, 0, {**example.HEADER, "shot": None}, example.BEAMS)

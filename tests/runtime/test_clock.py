@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import select
 from collections.abc import Iterator
 from datetime import timedelta
+from typing import Any
 
 import pytest
 
@@ -52,6 +54,25 @@ def test_a_wait_is_taken_up_again_until_its_time_has_come(monkeypatch: pytest.Mo
     assert clock.wait(10_000_000) == ([], [])
     assert timeouts == pytest.approx([9e-3, 0.99999e-3, 1e-9, 0.0])
     assert clock.times_ns == []
+
+
+def test_an_instant_in_another_century_is_waited_for_by_the_hour(monkeypatch: pytest.MonkeyPatch) -> None:
+    eight_thousand_years_ns = 8000 * 365 * 86_400 * 10**9
+    waited = select.select
+    times_s: list[float] = []
+
+    def wait_not_at_all(*args: Any) -> Any:
+        *descriptors, timeout_s = args
+        times_s.append(timeout_s)
+        with pytest.raises(OverflowError):
+            waited(*descriptors, eight_thousand_years_ns * 1e-9)
+        return waited(*descriptors, 0.0)
+
+    monkeypatch.setattr(clock_module.select, "select", wait_not_at_all)
+    hour_ns = 3600 * 10**9
+    clock = SteppedClock(0, hour_ns, eight_thousand_years_ns)
+    assert clock.wait(eight_thousand_years_ns) == ([], [])
+    assert times_s == [3600.0, 3600.0, 0.0]
 
 
 def test_the_wall_clock_is_utc() -> None:

@@ -38,6 +38,23 @@ with PortRunner(slots=16) as runner:
         print("interrupted", runner.sent_bytes is not None, flush=True)
 """
 
+RUN_ONCE = """
+import sys
+from pathlib import Path
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.packets import Outgoing
+from lidar_emu.runtime.run import PortRunner
+from lidar_emu.transports.spec import PortSpec
+
+with PortRunner(slots=16) as runner:
+    runner.start(PortSpec())
+    runner.begin(Clock().now_ns(), 0, Pace.MAX)
+    runner.push(Outgoing(0, 0, b"packet"))
+    runner.finish()
+    Path(sys.argv[1]).write_text(f"{runner.far_end().decode()} sent_bytes {runner.sent_bytes}")
+"""
+
 Start = Callable[[str], tuple["subprocess.Popen[str]", int]]
 
 
@@ -101,6 +118,16 @@ def test_a_killed_port_process_ends_the_parent_with_an_error(start: Start) -> No
     _, errors = parent.communicate()
     assert parent.returncode == 1
     assert "RunError: the port process ended (signal 9)" in errors
+
+
+@pytest.mark.parametrize("closed", [(0,), (1,), (0, 1), (0, 1, 2)])
+def test_a_run_without_standard_descriptors(closed: tuple[int, ...], tmp_path: Path) -> None:
+    """Descriptors made in such a process take the numbers of the missing ones."""
+    script, told = tmp_path / "run.py", tmp_path / "told"
+    script.write_text(f"import os\nfor fd in {closed}: os.close(fd)\n{RUN_ONCE}")
+    done = subprocess.run([sys.executable, script, told], stdin=subprocess.DEVNULL, capture_output=True)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert told.read_text() == "packet sent_bytes 6"
 
 
 def test_a_parent_that_dies_at_once_leaves_nothing() -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import subprocess
 import sys
+import threading
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -105,9 +107,54 @@ def test_a_pty_reader_gets_every_byte_even_the_last(runner: PortRunner, pty_read
 
 def test_without_a_reader_a_pty_drops_and_says_so_once(runner: PortRunner) -> None:
     runner.start(PTY)
-    reports = fly(runner, packets(100), Pace.MAX)
+    reports = fly(runner, packets(100), Pace.WALL, late_after_ns=60 * SECOND_NS)
     assert Counter(report.fate for report in reports) == {Fate.DROPPED_NOBODY: 100}
     assert [event.text for event in runner.events] == ["nobody connected"]
+    assert runner.event_count == 1
+
+
+def test_at_full_speed_a_pty_waits_for_its_first_reader(
+    runner: PortRunner, pty_reader: Any, eventually: Any
+) -> None:
+    path = runner.start(PTY)
+    runner.begin(Clock().now_ns(), 0, Pace.MAX)
+    sent = packets(60)
+    assert all(runner.push(packet) for packet in sent)
+
+    def nobody_is_known_to_be_there() -> bool:
+        assert runner.reports() == []
+        return bool(runner.events)
+
+    eventually(nobody_is_known_to_be_there)
+    reader = pty_reader(path)
+    runner.finish()
+    runner.close()
+    reader.stop()
+    assert {report.fate for report in runner.reports()} == {Fate.SENT}
+    assert reader.data == joined(sent)
+    assert [event.text for event in runner.events] == ["nobody connected", "connected"]
+
+
+def test_what_counts_as_sent_is_read_even_where_the_run_is_cut_off(
+    runner: PortRunner, eventually: Any
+) -> None:
+    reader = os.open(runner.start(PTY), os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    runner.begin(Clock().now_ns(), 0, Pace.MAX)
+    sent = packets(20)
+    assert all(runner.push(packet) for packet in sent)
+    reports: list[Report] = []
+    eventually(lambda: reports.extend(runner.reports()) or len(reports) == 20)
+    closing = threading.Thread(target=runner.close)
+    closing.start()
+    eventually(lambda: runner._closed)
+    data = b""
+    while len(data) < len(joined(sent)):
+        select.select([reader], [], [])
+        data += os.read(reader, 100)
+    closing.join()
+    os.close(reader)
+    assert data == joined(sent)
+    assert runner.sent_bytes == len(data)
 
 
 def test_what_the_host_sends_is_counted(runner: PortRunner, pty_reader: Any, eventually: Any) -> None:

@@ -46,6 +46,11 @@ class Line:
     def __init__(self) -> None:
         self.taken: list[tuple[int, bytes]] = []
         self.fate = Fate.SENT
+        self.unread = 0
+        self.notes: list[tuple[int, str]] = []
+
+    def note(self, text: str, now_ns: int) -> None:
+        self.notes.append((now_ns, text))
 
     def send(self, payload: bytes, now_ns: int) -> Fate:
         if self.fate is Fate.SENT:
@@ -143,7 +148,8 @@ def test_full_speed_waits_for_room_and_for_nothing_else(full_speed: Rig) -> None
     for shot in range(10):
         full_speed.push(shot, shot * SECOND_NS)
     full_speed.line.fate = Fate.DROPPED_FULL
-    assert full_speed.sender.step() == Wait(for_room=True)
+    wait = full_speed.sender.step()
+    assert wait == Wait(full_speed.clock.time_ns + 5 * SECOND_NS, for_room=True)
     assert full_speed.reports.pop() is None
     full_speed.line.fate = Fate.SENT
     full_speed.run_until_empty()
@@ -151,12 +157,72 @@ def test_full_speed_waits_for_room_and_for_nothing_else(full_speed: Rig) -> None
     assert full_speed.clock.time_ns < START_NS
 
 
-def test_full_speed_does_not_wait_for_a_reader_that_is_not_there(full_speed: Rig) -> None:
-    full_speed.push(0, 0)
-    full_speed.line.fate = Fate.DROPPED_NOBODY
+@pytest.mark.parametrize("refusal", [Fate.DROPPED_FULL, Fate.DROPPED_NOBODY])
+def test_full_speed_waits_half_a_minute_in_all_and_then_drops(full_speed: Rig, refusal: Fate) -> None:
+    for shot in range(100):
+        full_speed.push(shot, 0)
+    full_speed.line.fate = refusal
+    began_ns = full_speed.clock.time_ns
     full_speed.run_until_empty()
-    assert [report.fate for report in full_speed.seen] == [Fate.DROPPED_NOBODY]
+    assert [report.fate for report in full_speed.seen] == [refusal] * 100
+    assert full_speed.clock.time_ns == began_ns + 30 * SECOND_NS
     assert full_speed.sender.sent_bytes == 0
+    told = [(began_ns + 5 * SECOND_NS, "the line has taken nothing for 5 s"),
+            (began_ns + 30 * SECOND_NS, "the line has taken nothing for 30 s: packets are dropped")]  # fmt: skip
+    assert full_speed.line.notes == (told if refusal is Fate.DROPPED_FULL else [])
+
+
+def test_a_line_that_moves_again_is_borne_anew(full_speed: Rig) -> None:
+    full_speed.line.fate = Fate.DROPPED_FULL
+    full_speed.push(0, 0)
+    full_speed.run_until_empty()
+    full_speed.line.fate = Fate.SENT
+    full_speed.push(1, 0)
+    full_speed.run_until_empty()
+    full_speed.line.fate = Fate.DROPPED_FULL
+    full_speed.push(2, 0)
+    assert full_speed.sender.step() == Wait(full_speed.clock.time_ns + 5 * SECOND_NS, for_room=True)
+    assert len(full_speed.line.notes) == 2
+
+
+def test_a_line_that_works_on_what_it_has_is_not_given_up(full_speed: Rig) -> None:
+    full_speed.line.fate, full_speed.line.unread = Fate.DROPPED_FULL, 4096
+    full_speed.push(0, 0)
+    for _ in range(1000):
+        assert full_speed.sender.step().for_room
+        full_speed.clock.time_ns += 4 * SECOND_NS
+        full_speed.line.unread -= 1
+    assert full_speed.line.notes == []
+
+
+def test_only_the_first_reader_is_waited_for(full_speed: Rig) -> None:
+    full_speed.line.fate = Fate.DROPPED_NOBODY
+    full_speed.push(0, 0)
+    wait = full_speed.sender.step()
+    assert wait.until_ns is not None
+    assert not wait.for_room
+    full_speed.line.fate = Fate.SENT
+    full_speed.run_until_empty()
+    full_speed.line.fate = Fate.DROPPED_NOBODY
+    full_speed.push(1, 0)
+    began_ns = full_speed.clock.time_ns
+    full_speed.run_until_empty()
+    assert [report.fate for report in full_speed.seen] == [Fate.SENT, Fate.DROPPED_NOBODY]
+    assert full_speed.clock.time_ns == began_ns
+
+
+def test_by_the_clock_nobody_is_waited_for(wall: Rig) -> None:
+    wall.line.fate = Fate.DROPPED_NOBODY
+    wall.push(0, 0)
+    wall.run_until_empty()
+    assert (wall.clock.time_ns, len(wall.seen)) == (START_NS, 1)
+
+
+def test_a_start_in_another_century_does_not_matter_at_full_speed(full_speed: Rig) -> None:
+    full_speed.clock.time_ns = START_NS - 8000 * 365 * 86_400 * SECOND_NS
+    full_speed.push(0, 0)
+    full_speed.run_until_empty()
+    assert [(report.fate, report.sent_ns) for report in full_speed.seen] == [(Fate.SENT, 0)]
 
 
 def test_a_step_is_bounded(full_speed: Rig) -> None:

@@ -157,6 +157,32 @@ def test_the_loopback_holds_hundreds_of_packets() -> None:
     far.close()
 
 
+def test_a_line_says_what_has_not_arrived_yet(narrow: tuple[DescriptorChannel, socket.socket]) -> None:
+    channel, far = narrow
+    assert channel.unread() == 0
+    while channel.send(packet(1)):
+        pass
+    assert channel.pending
+    before = channel.unread()
+    # What is partly written counts, and what the system holds.
+    assert before > len(packet(1))
+    read_all(far.fileno())
+    assert 0 < channel.unread() < before
+    while channel.pending:
+        channel.flush()
+        read_all(far.fileno())
+    assert channel.unread() == 0
+
+
+def test_a_port_without_a_queue_has_nothing_unread() -> None:
+    ends = os.pipe()
+    channel = DescriptorChannel(ends[1], "pipe", lambda: None)
+    assert channel.unread() == 0
+    for end in ends:
+        os.close(end)
+    assert channel.unread() == 0
+
+
 def test_a_device_is_opened_raw_and_for_one_alone(raw_pty: Any) -> None:
     path, master = raw_pty.path, raw_pty.master
     channel = open_byte_channel(PortSpec(Kind.SERIAL, path))

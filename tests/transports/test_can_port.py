@@ -121,6 +121,31 @@ def test_a_bus_that_cannot_be_opened_is_named(settings: dict[str, str], option: 
     assert refused.value.where == option
 
 
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (
+            NameError("name 'canOpenChannel' is not defined"),
+            "NameError: name 'canOpenChannel' is not defined",
+        ),
+        (AttributeError("no\nlibrary"), "AttributeError: no library"),
+        (KeyError("x"), "KeyError: 'x'"),
+        (can.CanInitializationError("no adapter"), "opened: no adapter"),
+    ],
+)
+def test_whatever_an_interface_without_its_driver_raises_is_the_users_to_mend(
+    monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
+) -> None:
+    def fail(**_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(can, "Bus", fail)
+    with pytest.raises(InputError) as refused:
+        open_can(PortSpec(Kind.CAN, interface="kvaser", channel="0"))
+    assert refused.value.where == "--channel"
+    assert refused.value.allowed.endswith(told)
+
+
 def test_a_bit_rate_that_the_adapter_cannot_do_is_named(raw_pty: Any) -> None:
     with pytest.raises(InputError, match="choose one of"):
         open_can(slcan(raw_pty.path, bitrate=123_456))

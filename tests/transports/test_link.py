@@ -125,6 +125,15 @@ def test_nobody_connected_is_reported_when_it_changes() -> None:
     assert texts(link) == []
 
 
+def test_what_others_know_about_the_link_is_told_in_its_turn() -> None:
+    cable = Cable()
+    link = Link(cable.open)
+    link.note("slow", 3 * MS)
+    cable.plugged = False
+    link.send(b"x", 4 * MS)
+    assert texts(link) == [(3, "slow"), (4, "link broken: pulled")]
+
+
 def test_a_full_line_is_not_a_broken_one() -> None:
     cable = Cable()
     link = Link(cable.open)

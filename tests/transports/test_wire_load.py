@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from lidar_emu.errors import InputError
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.spec import Kind, PortSpec
-from lidar_emu.transports.wire_load import check_wire_load, frame_bits, wire_load
+from lidar_emu.transports.wire_load import check_wire_load, drain_time_s, frame_bits, wire_load
 
 CAN_500K = PortSpec(Kind.CAN, interface="socketcan", channel="can0", bitrate=500_000)
 CAN_FD = PortSpec(
@@ -100,3 +100,9 @@ def test_torn_frame_records_are_an_error(length: int) -> None:
     payload = pack_frames([Frame(1, b"ab")])
     with pytest.raises(ValueError, match="records end"):
         unpack_frames(payload[:length])
+
+
+def test_a_serial_line_takes_its_time_for_what_waits_in_it() -> None:
+    assert drain_time_s(PortSpec(Kind.SERIAL, "/dev/ttyS0", baud=9600), 960) == 1.0
+    for spec in (PortSpec(), PortSpec(Kind.PTY), PortSpec(Kind.SERIAL, "socket://host:1", baud=9600)):
+        assert drain_time_s(spec, 960) == 0.0

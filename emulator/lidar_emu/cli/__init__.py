@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 
 import click
@@ -10,6 +9,7 @@ import click
 from lidar_emu import __version__
 from lidar_emu.cli.documents import icd, scenarios, schema
 from lidar_emu.cli.listen import listen
+from lidar_emu.cli.output import silence
 from lidar_emu.cli.plan import plan
 from lidar_emu.cli.run import run
 from lidar_emu.cli.simulate import simulate
@@ -55,10 +55,11 @@ def main() -> None:
         _complain(str(error), EXIT_FAILED)
     except (KeyboardInterrupt, click.Abort):
         sys.exit(EXIT_INTERRUPTED)
-    except BrokenPipeError:
-        # Whoever read our output has enough of it: `lidar-emu listen | head`.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
+    except MemoryError:
+        _complain("not enough memory; a shorter --duration or a lower timing.rate_hz needs less", EXIT_FAILED)
+    except OSError as error:
+        silence()
+        _complain(str(error), EXIT_FAILED)
 
 
 def _where_to_look(error: click.ClickException) -> str:

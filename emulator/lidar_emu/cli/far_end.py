@@ -7,8 +7,7 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
-import click
-
+from lidar_emu.cli.output import say
 from lidar_emu.transports.frames import Frame
 from lidar_emu.wire import rows
 from lidar_protocol import CanReceiver, Message, SerialReceiver, default_interface
@@ -48,16 +47,16 @@ def json_lines(message: Message) -> Iterable[str]:
 
 
 def text_line(message: Message) -> str:
-    """One line per shot: time, shot, then range and closing speed of each beam, or why there is none."""
+    """One line per shot: time, unit, shot, then range and closing speed of each beam, or why there is none."""
     cells = [_cell(row) for row in rows(message)]
     time_s = "-" if message.time_ns is None else f"{message.time_ns * 1e-9:.3f}"
     shot = "-" if message.shot is None else str(message.shot)
-    return f"{time_s:>9} s  shot {shot:>6}  " + "  ".join(cells)
+    return f"{time_s:>9} s  unit {message.unit} shot {shot:>6}  " + "  ".join(cells)
 
 
 def heading(beams: int) -> str:
     """The line above `text_line`."""
-    return f"{'time':>9}    {'':>11}  " + "  ".join(
+    return f"{'time':>9}    {'':>18}  " + "  ".join(
         f"{f'beam {beam}: range m, speed m/s':>26}" for beam in range(beams)
     )
 
@@ -85,20 +84,20 @@ def counter_line(counters: dict[str, int]) -> str:
 
 
 class Screen:
-    """Messages as lines, at most one per `every_s` of the messages' own time."""
+    """Messages as lines; of each unit at most one per `every_s` of its own time, 0 for all."""
 
     def __init__(self, every_s: float) -> None:
         self._every_s = every_s
-        self._next_s = float("-inf")
-        self._headed = False
+        self._shown_s: dict[int, float] = {}
 
     def show(self, messages: Iterable[Message]) -> None:
         """Print those that are due."""
         for message in messages:
-            if not self._headed:
-                click.echo(heading(len(message.beams)))
-                self._headed = True
+            if not self._shown_s:
+                say(heading(len(message.beams)))
             time_s = (message.time_ns or 0) * 1e-9
-            if time_s >= self._next_s:
-                click.echo(text_line(message))
-                self._next_s = time_s + self._every_s
+            since_s = time_s - self._shown_s.get(message.unit, float("-inf"))
+            # Time that goes back is a device that started anew.
+            if since_s >= self._every_s or since_s < 0:
+                say(text_line(message))
+                self._shown_s[message.unit] = time_s

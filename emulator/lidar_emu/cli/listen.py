@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 from typing import TYPE_CHECKING
 
 import click
 
+from lidar_emu.cli.output import silence
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.transports.options import port_options
 
@@ -37,6 +39,9 @@ def listen(port: PortSpec, as_json: bool, count: int | None) -> None:
         raise InputError(
             "listen", None, Finding("no port"), "allowed: --port PORT, or --interface and --channel"
         )
+    # A listener is also ended by `timeout` and by a terminal that closes: its counts are told all the same.
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.default_int_handler)
     host = open_host(port)
     click.echo(f"listening on {host.description}", err=True)
     decoder, screen = Decoder(), Screen(every_s=0.0)
@@ -52,6 +57,8 @@ def listen(port: PortSpec, as_json: bool, count: int | None) -> None:
                 screen.show(messages)
     except KeyboardInterrupt:
         pass
+    except BrokenPipeError:
+        silence()  # whoever read along has enough: `lidar-emu listen --json | head`
     finally:
         host.close()
         lost = f"; the link broke {host.times_lost} times" if host.times_lost else ""

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from lidar_emu.cli.options import load_scenario, scenario_options
+from lidar_emu.cli.output import say
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.transports.options import port_options
@@ -28,10 +30,11 @@ _FAILURES = ("late", "dropped")
 @click.option("--pace", type=click.Choice(["wall", "max"]), default="wall", show_default=True,
               help="With the clock, or as fast as the link takes it.")  # fmt: skip
 @click.option("--start", default="now", show_default=True, metavar="now|UTC",
-              help="Instant of scenario time 0, e.g. 2030-01-01T12:00:00Z.")  # fmt: skip
+              help="When to begin, e.g. 2030-01-01T12:00:00Z; packets tell scenario time all the same.")  # fmt: skip
 @click.option("--record", metavar="FILE", help="Keep truth, measurements and packets (MCAP).")
 @click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
-@click.option("--fail-on", metavar="LIST", default="", help="Exit 1 if shots were: late,dropped.")
+@click.option("--fail-on", metavar="LIST", default="",
+              help="Exit 1 if shots were late or dropped (late,dropped), or the run was cut short.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON, nothing else.")
 def run(
     scenario: str,
@@ -61,41 +64,49 @@ def run(
     start_utc = _start(start)
     for option, file in (("--record", record), ("--summary", summary_file)):
         _check_destination(option, file)
-    from lidar_emu.cli.run_display import Announcer, LoopbackView, summary_lines
+    if record is not None and record == summary_file:
+        raise InputError("--summary", None, summary_file, "it is the recording; allowed: another file")
+    from lidar_emu.cli.run_display import Announcer, LoopbackView, Progress, summary_lines
     from lidar_emu.runtime.fly import Run, RunOptions
     from lidar_emu.runtime.pacing import Pace
+    from lidar_emu.transports.spec import Kind
 
     flown = load_scenario(scenario, duration, seed, settings)
     from lidar_emu.shots import build_model
 
     view = LoopbackView(quiet=as_json)
     observers: list[Observer] = [view] if as_json else [Announcer(flown.name, pace), view]
+    if port.kind is not Kind.LOOPBACK and sys.stderr.isatty():
+        observers.append(Progress())
     with busy(COMPILING):
         model = build_model(flown)
         this_run = Run(flown, model, RunOptions(port, Pace(pace), start_utc), observers)
     if this_run.warning is not None:
         click.echo(f"lidar-emu: warning: {this_run.warning}", err=True)
+    recording_error = None
     if record is not None:
         from lidar_emu.recording.write import Recorder
 
         with Recorder(Path(record), flown, port) as recorder:
             observers.append(recorder)
             outcome = this_run.fly()
+        recording_error = recorder.error
     else:
         outcome = this_run.fly()
-    return _end(outcome, view, failures, summary_file, as_json, summary_lines)
-
-
-def _end(
-    outcome: Outcome, view: Any, failures: set[str], summary_file: str | None, as_json: bool, lines: Any
-) -> int:
-    told = outcome.to_json() | {"far_end": view.counters()}
+    told = outcome.to_json() | {"far_end": view.counters(), "recording_error": recording_error}
     text = json.dumps(told, indent=2)
+    say(text if as_json else "\n".join(summary_lines(told)))
     if summary_file is not None:
         _write(Path(summary_file), text + "\n")
-    click.echo(text if as_json else "\n".join(lines(told)))
-    failed = {"late": outcome.tally.late > 0, "dropped": outcome.tally.dropped > 0}
-    return 1 if any(failed[name] for name in failures) else 0
+    if recording_error is not None:
+        raise RunError(recording_error)
+    return 1 if _failed(outcome, failures) else 0
+
+
+def _failed(outcome: Outcome, failures: set[str]) -> bool:
+    """Whether the run was not what `--fail-on` asks for; one that was cut short proves nothing."""
+    lost = {"late": outcome.tally.late > 0, "dropped": outcome.tally.dropped > 0}
+    return bool(failures) and (outcome.details["interrupted"] or any(lost[name] for name in failures))
 
 
 def _write(path: Path, text: str) -> None:
@@ -113,6 +124,8 @@ def _failures(text: str) -> set[str]:
 
 
 def _start(text: str) -> datetime | None:
+    from lidar_emu.runtime.clock import Clock
+
     if text == "now":
         return None
     try:
@@ -122,7 +135,7 @@ def _start(text: str) -> datetime | None:
         raise InputError("--start", None, text, allowed) from None
     instant = instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant
     # Seen again when the run begins, but then the kernels have been compiled.
-    if instant < datetime.now(UTC):
+    if instant < Clock().utc_now():
         raise InputError("--start", None, text, "it is past; allowed: now, or an instant to come")
     return instant
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from datetime import datetime
 from typing import Any
 
 import click
 
 from lidar_emu.cli.far_end import Decoder, Screen, counter_line
+from lidar_emu.cli.output import say
 from lidar_emu.runtime.fly import Observer
+from lidar_emu.runtime.packets import Fate, Outgoing, Report
 
 _SHOW_EVERY_S = 0.5
 
@@ -19,9 +23,27 @@ class Announcer(Observer):
         self._name = name
         self._pace = pace
 
-    def opened(self, port: str) -> None:
+    def opened(self, port: str, start: datetime) -> None:
         """The port is open under this name."""
-        click.echo(f"{self._name} on {port}, pace {self._pace}; Ctrl-C ends it")
+        say(f"{self._name} on {port}, pace {self._pace}, from {start:%Y-%m-%d %H:%M:%S} UTC; Ctrl-C ends it")
+
+
+class Progress(Observer):
+    """A line on the terminal that says how far the run is."""
+
+    def __init__(self) -> None:
+        self._fates: Counter[Fate] = Counter()
+        self._next_ns = 0
+
+    def report(self, packet: Outgoing, report: Report) -> None:  # noqa: ARG002
+        """Count, and show the counts twice a second."""
+        self._fates[report.fate] += 1
+        if report.due_ns >= self._next_ns:
+            self._next_ns = report.due_ns + round(_SHOW_EVERY_S * 1e9)
+            sent, late = self._fates[Fate.SENT], self._fates[Fate.LATE]
+            dropped = self._fates.total() - sent - late
+            line = f"\r{report.due_ns * 1e-9:9.1f} s: {sent} sent, {late} late, {dropped} dropped "
+            click.echo(line, nl=False, err=True)
 
 
 class LoopbackView(Observer):
@@ -65,9 +87,8 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
     lines.append(f"range      error {_error(told['range_error_m'], 1, 'm')}")
     lines.append(f"speed      error {_error(told['speed_error_mps'], 1000, 'mm/s')}")
     if told["wire"]["sent_bytes"] is not None:
-        lines.append(
-            f"wire       {told['wire']['sent_bytes']} bytes, {100 * told['wire']['load']:.1f} % of the link"
-        )
+        load = f", {100 * told['wire']['load']:.1f} % of the link" if told["wire"]["load"] else ""
+        lines.append(f"wire       {told['wire']['sent_bytes']} bytes{load}")
     if any(told["far_end"].values()):
         lines.append(f"far end    {counter_line(told['far_end'])}")
     lines += [f"link       {event['time_s']:.3f} s: {event['what']}" for event in told["link_events"]]

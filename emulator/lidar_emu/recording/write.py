@@ -13,6 +13,9 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
@@ -20,7 +23,7 @@ from typing import Any, BinaryIO, Self
 from mcap.writer import CompressionType, Writer
 
 from lidar_emu import __version__
-from lidar_emu.errors import InputError, RunError
+from lidar_emu.errors import InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.runtime.fly import Observer
 from lidar_emu.runtime.packets import Outgoing, Report
@@ -29,25 +32,36 @@ from lidar_emu.session import Block
 from lidar_emu.transports.spec import PortSpec
 
 _ANY_OBJECT = json.dumps({"type": "object"}).encode()
+_UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _TRUTH = ("true_range_m", "true_closing_speed_mps")
 
 
 class Recorder(Observer):
     """An observer of a run that writes everything down.
 
-    The file is begun once the port is open: a run that is refused leaves none, and an older one as it was.
+    The file is begun once the port is open: a run that is refused leaves none, and an older one as it was. If
+    it cannot be written any more the flight goes on without it, and `error` says why.
+
+    Raises:
+        InputError: the epoch lies before 1970, where MCAP's times begin.
     """
 
     def __init__(self, path: Path, scenario: FlightScenario | BenchScenario, port: PortSpec) -> None:
         self._path = path
-        self._epoch_ns = round(scenario.timing.epoch.timestamp() * 1e9)
+        self._epoch_ns = (scenario.timing.epoch - _UNIX_EPOCH) // timedelta(microseconds=1) * 1000
+        if self._epoch_ns < 0:
+            epoch = scenario.timing.epoch.isoformat()
+            raise InputError("--record", "timing.epoch", epoch, "allowed in a recording: 1970 and later")
         self._metadata = {
             "version": __version__,
             "seed": str(scenario.seed),
             "port": str(port),
             "scenario": scenario.model_dump_json(),
         }
-        self._begun = False
+        self._writer: Writer | None = None
+        self._file: BinaryIO
+        self.error: str | None = None
+        """Why the recording is not whole; None if it is."""
 
     def __enter__(self) -> Self:
         return self
@@ -55,37 +69,42 @@ class Recorder(Observer):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._begun:
-            with self._file:
-                self._writer.finish()  # type: ignore[no-untyped-call]
+        if self._writer is None:
+            return
+        with self._trying():
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        with self._trying():
+            self._file.close()
 
-    def opened(self, port: str) -> None:  # noqa: ARG002
+    def opened(self, port: str, start: datetime) -> None:
         """Begin the file.
 
         Raises:
             InputError: it cannot be written.
         """
         try:
-            self._file: BinaryIO = self._path.open("wb")
+            self._file = self._path.open("wb")
         except OSError as error:
-            raise InputError(
-                "--record", None, str(self._path), f"allowed: a file; {error.strerror}"
-            ) from None
+            why = f"allowed: a file; {error.strerror}"
+            raise InputError("--record", None, str(self._path), why) from None
         self._writer = Writer(self._file, use_chunking=False, compression=CompressionType.NONE)
-        self._begun = True
-        self._writer.start(profile="", library=f"lidar-emu {__version__}")
-        self._writer.add_metadata("run", self._metadata)
-        schema = self._writer.register_schema("any", "jsonschema", _ANY_OBJECT)
+        with self._trying():
+            self._begin(self._writer, {**self._metadata, "port": port, "started_utc": start.isoformat()})
+            self._file.flush()
+
+    def _begin(self, writer: Writer, metadata: dict[str, str]) -> None:
+        writer.start(profile="", library=f"lidar-emu {__version__}")
+        writer.add_metadata("run", metadata)
+        schema = writer.register_schema("any", "jsonschema", _ANY_OBJECT)
         self._channels = {
-            "/packet": self._writer.register_channel("/packet", "application/octet-stream", 0),
-            **{topic: self._writer.register_channel(topic, "json", schema) for topic in _JSON_TOPICS},
+            "/packet": writer.register_channel("/packet", "application/octet-stream", 0),
+            **{topic: writer.register_channel(topic, "json", schema) for topic in _JSON_TOPICS},
         }
-        self._flush()
 
     def computed(self, block: Block) -> None:
         """Keep truth and measurements, shot by shot."""
         for k, shot in enumerate(block.measurement.shot.tolist()):
-            time_ns = int(block.measurement.time_ns[k, 0])
+            time_ns = int(block.measurement.time_ns[k].min())
             truth, measured = _truth_and_measurement(block.measurement, k)
             self._write("/truth", shot, time_ns, _json(truth))
             self._write("/measurement", shot, time_ns, _json(measured))
@@ -103,17 +122,23 @@ class Recorder(Observer):
         self._write("/fate", packet.shot, packet.due_ns, _json(fate))
 
     def _write(self, topic: str, shot: int, time_ns: int, data: bytes) -> None:
+        if self._writer is None or self.error is not None:
+            return
         instant_ns = self._epoch_ns + time_ns
-        try:
+        with self._trying():
             self._writer.add_message(self._channels[topic], instant_ns, data, instant_ns, shot & 0xFFFFFFFF)
-        except OSError as error:
-            raise RunError(f"{self._path}: {error.strerror}") from None
 
     def _flush(self) -> None:
+        if self.error is None:
+            with self._trying():
+                self._file.flush()
+
+    @contextmanager
+    def _trying(self) -> Iterator[None]:
         try:
-            self._file.flush()
+            yield
         except OSError as error:
-            raise RunError(f"{self._path}: {error.strerror}") from None
+            self.error = self.error or f"{self._path}: the recording is not whole: {error.strerror}"
 
 
 _JSON_TOPICS = ("/truth", "/measurement", "/fate")

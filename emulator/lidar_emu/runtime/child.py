@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import select
@@ -13,13 +14,14 @@ from lidar_emu.errors import RunError, one_line
 from lidar_emu.runtime.ring import anonymous_file
 
 _READ_BYTES = 65536
+_FIRST_NOT_STANDARD = 3
 
 
 class PortChild:
     """`lidar_emu.runtime.port_process` in a session of its own, where no terminal's Ctrl-C reaches it.
 
     Args:
-        descriptors: what it inherits besides its three standard ones.
+        descriptors: what it inherits besides its three standard ones; they stay the caller's.
     """
 
     def __init__(self, descriptors: tuple[int, ...]) -> None:
@@ -27,15 +29,23 @@ class PortChild:
         """Whether it has said its last."""
         self._heard = b""
         self._errors = anonymous_file()
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "lidar_emu.runtime.port_process"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._errors,
-            pass_fds=descriptors,
-            start_new_session=True,
-            bufsize=0,
-        )
+        # In a process that was started without standard descriptors ours may have taken their numbers.
+        copies = tuple(fcntl.fcntl(fd, fcntl.F_DUPFD_CLOEXEC, _FIRST_NOT_STANDARD) for fd in descriptors)
+        self.inherited = copies
+        """The numbers under which it knows `descriptors`."""
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "lidar_emu.runtime.port_process"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._errors,
+                pass_fds=copies,
+                start_new_session=True,
+                bufsize=0,
+            )
+        finally:
+            for copy in copies:
+                os.close(copy)
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._lifeline = self._process.stdin

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 _NS_PER_S = 1_000_000_000
 _COARSE_ABOVE_NS = 2_000_000
 _FINE_REST_NS = 1_000_000
+_LONGEST_WAIT_NS = 3600 * _NS_PER_S
 
 
 class Clock:
@@ -41,4 +42,6 @@ def _timeout_s(left_ns: int | None) -> float | None:
     if left_ns is None:
         return None
     # The kernel may round a wait by a thousandth of its length: the last millisecond is a wait of its own.
-    return (left_ns - _FINE_REST_NS if left_ns > _COARSE_ABOVE_NS else left_ns) / _NS_PER_S
+    timeout_ns = left_ns - _FINE_REST_NS if left_ns > _COARSE_ABOVE_NS else left_ns
+    # An instant in some far century is beyond what the system's calls can express.
+    return min(timeout_ns, _LONGEST_WAIT_NS) / _NS_PER_S

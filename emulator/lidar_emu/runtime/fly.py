@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from threading import current_thread, main_thread
 from typing import Any
 
@@ -36,8 +36,8 @@ _PACKET_ROOM_BYTES = 8192
 class Observer:
     """Whoever looks on, displays and recorders: each overrides what concerns it."""
 
-    def opened(self, port: str) -> None:
-        """The port is open under this name."""
+    def opened(self, port: str, start: datetime) -> None:
+        """The port is open under this name; scenario time 0 will be at `start`, in UTC."""
 
     def computed(self, block: Block) -> None:
         """Shots are on their way to the port."""
@@ -112,6 +112,7 @@ class Run:
         self._in_flight: deque[Outgoing] = deque()
         self._opening = True
         self._interrupted = False
+        self._start_utc: datetime | None = None
         self.tally = Tally(options.pace)
 
     def fly(self) -> Outcome:
@@ -140,10 +141,11 @@ class Run:
 
     def _open(self, port: PortRunner) -> None:
         description = port.start(self._options.port)
-        for observer in self._observers:
-            observer.opened(description)
-        port.begin(self._start_ns(), self._scenario.timing.late_after_ns, self._options.pace)
         self._opening = False
+        start_ns, self._start_utc = self._start()
+        for observer in self._observers:
+            observer.opened(description, self._start_utc)
+        port.begin(start_ns, self._scenario.timing.late_after_ns, self._options.pace)
 
     def _feed(self, port: PortRunner) -> None:
         block = self._first
@@ -185,14 +187,15 @@ class Run:
             for observer in self._observers:
                 observer.arrived(data)
 
-    def _start_ns(self) -> int:
+    def _start(self) -> tuple[int, datetime]:
+        """The start of the run, on the monotonic clock and in UTC."""
+        now_ns, now = self._clock.now_ns(), self._clock.utc_now()
         start = self._options.start
         if start is None:
-            return self._clock.now_ns() + _LEAD_NS
-        ahead_s = (start - self._clock.utc_now()).total_seconds()
-        if ahead_s < 0:
+            return now_ns + _LEAD_NS, now + timedelta(microseconds=_LEAD_NS / 1000)
+        if start < now:
             raise InputError("--start", None, start.isoformat(), "allowed: now, or an instant to come")
-        return self._clock.now_ns() + round(ahead_s * 1e9)
+        return now_ns + (start - now) // timedelta(microseconds=1) * 1000, start
 
     def _details(self, port: PortRunner, stolen: int | None) -> dict[str, Any]:
         stolen_now = steal_ticks()
@@ -202,6 +205,7 @@ class Run:
             "epoch": self._scenario.timing.epoch.isoformat(),
             "rate_hz": self._scenario.timing.rate_hz,
             "planned_shots": self._model.shot_count,
+            "started_utc": None if self._start_utc is None else self._start_utc.isoformat(),
             "interrupted": self._interrupted,
             "port": port.description or str(self._options.port),
             "pace": str(self._options.pace),
@@ -226,12 +230,12 @@ def payload_of(packet: Packet) -> bytes:
 
 @contextmanager
 def _on_signals(act: Callable[..., None]) -> Iterator[None]:
-    """Let SIGINT and SIGTERM do something else for a while.
+    """Let SIGINT, SIGTERM and SIGHUP do something else for a while.
 
     A signal that is ignored stays so: a shell's background job is not meant to hear Ctrl-C. Threads other than
     the main one have no say in this.
     """
-    numbers = (signal.SIGINT, signal.SIGTERM) if current_thread() is main_thread() else ()
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if current_thread() is main_thread() else ()
     previous = {number: signal.getsignal(number) for number in numbers}
     heard = [number for number in numbers if previous[number] is not signal.SIG_IGN]
     for number in heard:

@@ -12,7 +12,11 @@ class Pace(StrEnum):
     WALL = "wall"
     """With the wall clock: a packet goes out when it is due, or not at all."""
     MAX = "max"
-    """As fast as the link takes it; nothing is late."""
+    """As fast as the link takes it; nothing is late.
+
+    A full line is waited for, and so is the first reader of a pty, but not for ever: when the line has taken
+    nothing for 5 s that is a link event, and when nothing moved for 30 s packets are dropped as full, or as
+    nobody connected, until something moves again. Once a pty had a reader, none is waited for any more."""
 
 
 class Action(Enum):

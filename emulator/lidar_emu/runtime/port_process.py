@@ -1,14 +1,15 @@
 """The process that owns the port. It sends what is due and counts what arrives; it imports little.
 
 Started by `PortRunner` with a pipe as standard input, which is its lifeline: at the end of file it closes the
-port and ends, however the parent ended. Both pipes carry one JSON object per line:
+port and ends, however the parent ended; in mid-run the other end has half a second to fetch what was sent.
+Both pipes carry one JSON object per line:
 
     in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "loopback": fd or null}     once
          {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ...}}    times of the monotonic clock
          {"finish": true}                            no more packets will come
     out  {"ready": description} or {"refused": [where, key, value, allowed]}
          {"granted": [name]}                         what the system gave towards punctuality
-         {"event": [time_ns, text]}
+         {"event": [number, time_ns, text]}          counted from 1; lost while the parent does not listen
          {"finished": counts}                        every packet has its report
          {"stopped": counts}                         last line
 """
@@ -22,6 +23,7 @@ from collections.abc import Callable
 from typing import Any
 
 from lidar_emu.errors import InputError
+from lidar_emu.runtime.answers import Answers
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.pacing import Pace, Pacing
 from lidar_emu.runtime.realtime import become_punctual
@@ -30,11 +32,14 @@ from lidar_emu.runtime.sender import Sender, Wait
 from lidar_emu.transports.link import Link
 from lidar_emu.transports.opening import opener
 from lidar_emu.transports.spec import PortSpec
+from lidar_emu.transports.wire_load import drain_time_s
 
-_LIFELINE, _ANSWERS = 0, 1
+_LIFELINE, _PARENT = 0, 1
 _PIPE_BYTES = 65536
 _DRAIN_NS = 2_000_000_000
+_HASTY_DRAIN_NS = 500_000_000
 _SETTLE_NS = 20_000_000
+_LOOK_AGAIN_NS = 5_000_000
 
 
 def main() -> None:
@@ -45,17 +50,20 @@ def main() -> None:
     settings = lines.next_blocking()
     if settings is None:
         return
+    clock = Clock()
+    answers = Answers(_PARENT, clock)
+    spec = PortSpec.from_json(settings["port"])
     try:
-        link = Link(opener(PortSpec.from_json(settings["port"]), settings["loopback"]))
+        link = Link(opener(spec, settings["loopback"]))
     except InputError as error:
-        _say(refused=[error.where, error.key, _plain(error.value), error.allowed])
+        answers.say(refused=[error.where, error.key, _plain(error.value), error.allowed])
+        answers.end()
         return
     os.set_blocking(_LIFELINE, False)
-    os.set_blocking(_ANSWERS, False)
-    _say(ready=link.description)
+    answers.say(ready=link.description)
     try:
         with Ring(settings["packets"]) as packets, Ring(settings["reports"]) as reports:
-            _Port(link, packets, reports, settings["doorbell"], lines, Clock()).run()
+            _Port(spec, link, packets, reports, settings["doorbell"], lines, answers, clock).run()
     finally:
         link.close()
 
@@ -64,18 +72,29 @@ class _Port:
     """The loop: do what is due, then sleep until something else is."""
 
     def __init__(
-        self, link: Link, packets: Ring, reports: Ring, doorbell: int, lines: _Lines, clock: Clock
+        self,
+        spec: PortSpec,
+        link: Link,
+        packets: Ring,
+        reports: Ring,
+        doorbell: int,
+        lines: _Lines,
+        answers: Answers,
+        clock: Clock,
     ) -> None:
+        self._spec = spec
         self._link = link
         self._packets = packets
         self._reports = reports
         self._doorbell = doorbell
         self._lines = lines
+        self._answers = answers
         self._clock = clock
         self._sender: Sender | None = None
         self._received_bytes = 0
+        self._event_count = 0
         self._finishing = False
-        self._drain = _Drain()
+        self._drain: _Drain | None = None
 
     def run(self) -> None:
         """Until the lifeline ends."""
@@ -83,11 +102,14 @@ class _Port:
         while alive:
             self._link.service(self._clock.now_ns())
             wait = self._sender.step() if self._sender is not None else Wait()
-            for event in self._link.take_events():
-                _say(event=event)
+            self._tell_events()
             drain_ns = self._drained_or_look_again(wait)
+            self._answers.flush()
             alive = self._sleep(wait, drain_ns)
-        _say(stopped=self._counts())
+        if self._sender is not None and (self._drain is None or self._finishing):
+            self._drain_in_haste()
+        self._answers.say(stopped=self._counts())
+        self._answers.end()
 
     def _sleep(self, wait: Wait, drain_ns: int | None) -> bool:
         """Sleep until something is to be done, and take what arrived; False at the end of the lifeline."""
@@ -98,13 +120,13 @@ class _Port:
         ready, _ = self._clock.wait(
             until_ns,
             [_LIFELINE, *doorbells, *self._link.readable],
-            self._link.writable if wants_room else [],
+            [*self._answers.writable, *(self._link.writable if wants_room else [])],
         )
         if self._doorbell in ready:
             os.read(self._doorbell, _PIPE_BYTES)
         # Without a descriptor to watch, arrivals are looked for on every round.
         if not self._link.readable or self._link.readable[0] in ready:
-            self._received_bytes += len(self._link.receive(self._clock.now_ns()))
+            self._receive()
         return _LIFELINE not in ready or self._lines.obey(self._obey)
 
     def _obey(self, order: dict[str, Any]) -> None:
@@ -112,7 +134,7 @@ class _Port:
             begin = order["begin"]
             pacing = Pacing(Pace(begin["pace"]), begin["late_after_ns"])
             if pacing.pace is Pace.WALL:
-                _say(granted=become_punctual())
+                self._answers.say(granted=become_punctual())
             self._sender = Sender(
                 self._packets, self._reports, self._link, self._clock, begin["start_ns"], pacing
             )
@@ -124,11 +146,33 @@ class _Port:
         if not self._finishing or not wait.for_packets:
             return None
         now_ns = self._clock.now_ns()
-        if not self._drain.is_over(bool(self._link.pending or self._link.unread), now_ns):
+        unread = self._link.unread
+        if self._drain is None:
+            self._drain = _Drain(now_ns, _DRAIN_NS + round(drain_time_s(self._spec, unread) * 1e9))
+        if not self._drain.is_over(bool(self._link.pending or unread), now_ns):
             return now_ns + _SETTLE_NS
         self._finishing = False
-        _say(finished=self._counts())
+        self._answers.say(finished=self._counts())
         return None
+
+    def _drain_in_haste(self) -> None:
+        """What counts as sent should arrive, even where nobody cares for the rest of the run."""
+        now_ns = self._clock.now_ns()
+        drain = _Drain(now_ns, _HASTY_DRAIN_NS)
+        while not drain.is_over(bool(self._link.pending or self._link.unread), now_ns):
+            self._clock.wait(now_ns + _LOOK_AGAIN_NS)
+            now_ns = self._clock.now_ns()
+            self._link.service(now_ns)
+            self._receive()
+        self._tell_events()
+
+    def _receive(self) -> None:
+        self._received_bytes += len(self._link.receive(self._clock.now_ns()))
+
+    def _tell_events(self) -> None:
+        for time_ns, text in self._link.take_events():
+            self._event_count += 1
+            self._answers.mention(event=[self._event_count, time_ns, text])
 
     def _counts(self) -> dict[str, int]:
         sent_bytes = self._sender.sent_bytes if self._sender is not None else 0
@@ -136,20 +180,18 @@ class _Port:
 
 
 class _Drain:
-    """The time at the end in which the other end still reads what was sent."""
+    """The time at the end in which the other end still reads what was sent; it begins at once."""
 
-    def __init__(self) -> None:
-        self._began_ns: int | None = None
-        self._busy_ns = 0
+    def __init__(self, now_ns: int, limit_ns: int) -> None:
+        self._ends_ns = now_ns + limit_ns
+        self._busy_ns = now_ns
 
     def is_over(self, busy: bool, now_ns: int) -> bool:
         """Whether nothing is on its way any more, or the other end was given long enough."""
-        if self._began_ns is None:
-            self._began_ns = self._busy_ns = now_ns
         if busy:
             self._busy_ns = now_ns
         # Bytes on their way through a pty are counted nowhere for a moment: it must look empty for a while.
-        return now_ns - self._busy_ns >= _SETTLE_NS or now_ns - self._began_ns >= _DRAIN_NS
+        return now_ns - self._busy_ns >= _SETTLE_NS or now_ns >= self._ends_ns
 
 
 class _Lines:
@@ -179,14 +221,6 @@ class _Lines:
         line, _, self._buffer = self._buffer.partition(b"\n")
         order: dict[str, Any] = json.loads(line)
         return order
-
-
-def _say(**answer: object) -> None:
-    """One line to the parent; lost if it does not listen, since nothing here may wait for it."""
-    try:
-        os.write(_ANSWERS, json.dumps(answer).encode() + b"\n")
-    except (BlockingIOError, BrokenPipeError):
-        return
 
 
 def _plain(value: object) -> object:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import socket
 from collections import deque
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
 
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.child import PortChild
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.events import EventLog, LinkEvent
 from lidar_emu.runtime.pacing import Pace
 from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.runtime.ring import Ring
@@ -19,18 +19,9 @@ from lidar_emu.transports.serial_port import loopback_pair
 from lidar_emu.transports.spec import Kind, PortSpec
 
 _START_LIMIT_NS = 30_000_000_000
-_STOP_LIMIT_NS = 1_000_000_000
+_STOP_LIMIT_NS = 2_000_000_000  # the process itself takes half a second for what is still unread
 _POLL_NS = 2_000_000
 _READ_BYTES = 65536
-
-
-@dataclass(frozen=True)
-class LinkEvent:
-    """Something that happened to the link."""
-
-    time_ns: int
-    """From the start of the run."""
-    text: str
 
 
 class PortRunner:
@@ -57,7 +48,7 @@ class PortRunner:
         self._passed = (packets_fd, reports_fd, doorbell_fd)
         self._far_end: socket.socket | None = None
         self._far_end_bytes = bytearray()
-        self._events: list[tuple[int, str]] = []
+        self._events = EventLog()
         self._start_ns = 0
         self._begun = False
         self._finished = False
@@ -86,22 +77,20 @@ class PortRunner:
             InputError: the port cannot be opened.
             RunError: the process did not start.
         """
-        packets_fd, reports_fd, doorbell_fd = self._passed
-        loopback_fd = None
         if spec.kind is Kind.LOOPBACK:
             device_end, self._far_end = loopback_pair()
             self._far_end.setblocking(False)
             with device_end:
-                loopback_fd = device_end.fileno()
-                self._child = PortChild((*self._passed, loopback_fd))
+                self._child = PortChild((*self._passed, device_end.fileno()))
         else:
             self._child = PortChild(self._passed)
+        packets_fd, reports_fd, doorbell_fd, *loopback_fds = self._child.inherited
         self._child.tell(
             port=spec.to_json(),
             packets=packets_fd,
             reports=reports_fd,
             doorbell=doorbell_fd,
-            loopback=loopback_fd,
+            loopback=next(iter(loopback_fds), None),
         )
         deadline_ns = self._clock.now_ns() + _START_LIMIT_NS
         while not self.description:
@@ -162,8 +151,13 @@ class PortRunner:
 
     @property
     def events(self) -> list[LinkEvent]:
-        """All that happened to the link so far."""
-        return [LinkEvent(time_ns - self._start_ns, text) for time_ns, text in self._events]
+        """What happened to the link so far: of more than 20 events the first and the last ten."""
+        return self._events.since(self._start_ns)
+
+    @property
+    def event_count(self) -> int:
+        """How many events there were, with those that `events` leaves out."""
+        return self._events.count
 
     def wait(self, timeout_s: float) -> None:
         """Sleep until the process says something or the loopback delivers, at most `timeout_s`.
@@ -190,7 +184,8 @@ class PortRunner:
 
     @property
     def finished(self) -> bool:
-        """Every packet was sent, skipped or dropped and, for at most 2 s, a pty's reader has read."""
+        """Every packet was sent, skipped or dropped, and what was sent has left the line or, on a pty, was read;
+        for that the other end has 2 s, and a serial line the time that its bit rate makes it take besides."""
         return self._finished
 
     def finish(self) -> None:
@@ -204,7 +199,10 @@ class PortRunner:
             self.wait(_POLL_NS / 1e9)
 
     def close(self) -> None:
-        """End the process and give everything back; may be called again."""
+        """End the process and give everything back; may be called again.
+
+        In mid-run the other end still has half a second to fetch what counts as sent.
+        """
         if self._closed:
             return
         self._closed = True
@@ -268,8 +266,8 @@ class PortRunner:
                     self.description = description
                 case {"granted": granted}:
                     self.granted = granted
-                case {"event": [time_ns, text]}:
-                    self._events.append((time_ns, text))
+                case {"event": [number, time_ns, text]}:
+                    self._events.add(number, time_ns, text)
                 case {"finished": counts} | {"stopped": counts}:
                     self._finished = True
                     self.sent_bytes, self.received_bytes = counts["sent_bytes"], counts["received_bytes"]

@@ -8,12 +8,13 @@ from typing import Protocol
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.pacing import Action, Pace, Pacing
 from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.patience import Patience, Refuser
 from lidar_emu.runtime.ring import Ring
 
 _PACKETS_PER_STEP = 64
 
 
-class Sink(Protocol):
+class Sink(Refuser, Protocol):
     """Where packets go: a `Link`."""
 
     def send(self, payload: bytes, now_ns: int) -> Fate:
@@ -47,6 +48,7 @@ class Sender:
         self._clock = clock
         self._start_ns = start_ns
         self._pacing = pacing
+        self._patience = Patience(link)
         self._next: Outgoing | None = None
         self.sent_bytes = 0
 
@@ -64,10 +66,15 @@ class Sender:
                     self._finish(packet, Fate.LATE)
                 case Action.SEND:
                     fate = self._link.send(packet.payload, now_ns)
-                    if fate is Fate.DROPPED_FULL and self._pacing.pace is Pace.MAX:
-                        return Wait(for_room=True)
+                    until_ns = self._patience_ends_ns(fate, now_ns)
+                    if until_ns is not None:
+                        return Wait(until_ns, for_room=fate is Fate.DROPPED_FULL)
                     self._finish(packet, fate)
         return Wait(until_ns=self._clock.now_ns())
+
+    def _patience_ends_ns(self, fate: Fate, now_ns: int) -> int | None:
+        """Until when the packet is kept; None: it met its fate."""
+        return self._patience.wait_until(fate, now_ns) if self._pacing.pace is Pace.MAX else None
 
     def _take(self) -> Outgoing | None:
         if self._next is None:
@@ -78,7 +85,8 @@ class Sender:
     def _finish(self, packet: Outgoing, fate: Fate) -> None:
         sent_ns = -1
         if fate is Fate.SENT:
-            sent_ns = self._clock.now_ns() - self._start_ns
+            # As fast as the link takes it, a packet may go out before the start, even centuries before it.
+            sent_ns = max(0, self._clock.now_ns() - self._start_ns)
             self.sent_bytes += len(packet.payload)
         self._next = None
         if not self._reports.push(Report(packet.shot, packet.due_ns, sent_ns, fate).to_bytes()):

@@ -14,6 +14,7 @@ from contextlib import suppress
 from lidar_emu.transports.link import LinkLostError
 
 _READ_BYTES = 65536
+_INT = struct.Struct("i")
 
 
 class DescriptorChannel:
@@ -79,8 +80,9 @@ class DescriptorChannel:
         return b""
 
     def unread(self) -> int:
-        """None: what a line or socket was given arrives after it is closed, too."""
-        return 0
+        """Bytes that wait in the system for a serial line, or for the other end of a socket (there counted
+        with the system's overhead)."""
+        return len(self._rest) + _queued(self._descriptor, termios.TIOCOUTQ)
 
     def close(self) -> None:
         """Give the descriptor back; never raises."""
@@ -139,9 +141,9 @@ class PtyChannel(DescriptorChannel):
 
     def unread(self) -> int:
         """Bytes that the reader has not fetched: closing the master throws them away."""
-        count = bytearray(4)
-        self._on_slave(lambda slave: fcntl.ioctl(slave, termios.FIONREAD, count))
-        return len(self._rest) + int(struct.unpack("i", count)[0])
+        counts = [0]
+        self._on_slave(lambda slave: counts.append(_queued(slave, termios.FIONREAD)))
+        return len(self._rest) + counts[-1]
 
     def _write(self, data: bytes) -> int:
         try:
@@ -156,3 +158,11 @@ class PtyChannel(DescriptorChannel):
                 action(slave)
             finally:
                 os.close(slave)
+
+
+def _queued(descriptor: int, request: int) -> int:
+    """Bytes in a queue of the descriptor; 0 where it has no such queue, or is gone."""
+    count = bytearray(_INT.size)
+    with suppress(OSError):
+        fcntl.ioctl(descriptor, request, count)
+    return int(_INT.unpack(count)[0])

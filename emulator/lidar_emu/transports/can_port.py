@@ -89,8 +89,8 @@ class CanChannel:
         return pack_frames(frames)
 
     def unread(self) -> int:
-        """Frames on a bus are nobody's to lose."""
-        return 0
+        """Bytes on their way to an slcan adapter; frames on a bus are nobody's to lose."""
+        return 0 if self._lines is None else self._lines.unread()
 
     def close(self) -> None:
         """Give the bus back; never raises."""
@@ -162,10 +162,9 @@ def open_can(spec: PortSpec) -> CanChannel:
     try:
         bus = can.Bus(interface=spec.interface, channel=spec.channel, ignore_config=True, **_settings(spec))
         lines = _prepare_slcan(bus, spec) if spec.interface == "slcan" else None
-    except (can.CanError, OSError, ValueError, TypeError) as error:
-        raise InputError(
-            "--channel", None, f"{spec.interface} {spec.channel}", f"it cannot be opened: {_text_of(error)}"
-        ) from None
+    except Exception as error:  # without its vendor's driver an interface raises what it likes
+        reason = f"it cannot be opened: {_kind_of(error)}{_text_of(error)}"
+        raise InputError("--channel", None, f"{spec.interface} {spec.channel}", reason) from None
     _enlarge_receive_buffer(bus)
     return CanChannel(bus, str(spec), lines)
 
@@ -221,6 +220,14 @@ def _is_full(error: Exception) -> bool:
     cause = error.__cause__ if error.__cause__ is not None else error
     number = getattr(error, "error_code", None) or getattr(cause, "errno", None)
     return number in _FULL_ERRNOS or "buffer full" in str(error)
+
+
+def _kind_of(error: Exception) -> str:
+    """The name of an error whose text alone would say too little."""
+    from can import CanError
+
+    speaks_for_itself = isinstance(error, CanError | OSError | ValueError)
+    return "" if speaks_for_itself else f"{type(error).__name__}: "
 
 
 def _text_of(error: BaseException) -> str:

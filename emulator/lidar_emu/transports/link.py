@@ -63,7 +63,7 @@ class Channel(Protocol):
         """What has arrived (CAN: frame records), also from one who left since; empty if nothing."""
 
     def unread(self) -> int:
-        """Bytes that the other end would lose if the port were closed now."""
+        """Bytes taken that have not left the line or, on a pty, were not fetched by its reader."""
 
     def close(self) -> None:
         """Give the port back; never raises."""
@@ -131,7 +131,7 @@ class Link:
 
     @property
     def unread(self) -> int:
-        """Bytes that the other end would lose if the port were closed now."""
+        """Bytes taken that have not left the line or, on a pty, were not fetched by its reader."""
         try:
             return 0 if self._channel is None or not self._somebody else self._channel.unread()
         except LinkLostError:
@@ -158,6 +158,10 @@ class Link:
             return now_ns + _TRY_AGAIN_NS
         return None if self.readable else now_ns + _LOOK_AGAIN_NS
 
+    def note(self, text: str, now_ns: int) -> None:
+        """Add to what happened to the link."""
+        self._events.append((now_ns, text))
+
     def take_events(self) -> list[tuple[int, str]]:
         """What happened to the link since the last call: (monotonic time in ns, text)."""
         events, self._events = self._events, []
@@ -173,14 +177,14 @@ class Link:
         somebody = channel.connected()
         if somebody != self._somebody:
             self._somebody = somebody
-            self._events.append((now_ns, "connected" if somebody else "nobody connected"))
+            self.note("connected" if somebody else "nobody connected", now_ns)
         return somebody
 
     def _lose(self, text: str, now_ns: int) -> None:
         self.close()
         self._somebody = True
         self._retry_later(now_ns)
-        self._events.append((now_ns, f"link broken: {text}"))
+        self.note(f"link broken: {text}", now_ns)
 
     def _reopen(self, now_ns: int) -> None:
         try:
@@ -188,7 +192,7 @@ class Link:
         except InputError:
             self._retry_later(now_ns)
         else:
-            self._events.append((now_ns, "reopened"))
+            self.note("reopened", now_ns)
 
     def _retry_later(self, now_ns: int) -> None:
         # The back-off starts anew with the next packet sent: a port that opens but fails at once stays quiet.

@@ -53,6 +53,13 @@ def check_wire_load(spec: PortSpec, payload: bytes, rate_hz: float) -> str | Non
     return f"{what} take {100 * load:.0f} % of {option} {rate}"
 
 
+def drain_time_s(spec: PortSpec, unread: int) -> float:
+    """How long the port takes for bytes that it was given and that have not left it; 0 where no bit rate tells."""
+    if spec.kind is not Kind.SERIAL or not spec.has_bit_rate:
+        return 0.0
+    return _SERIAL_BITS_PER_BYTE * unread / spec.baud
+
+
 def frame_time_s(frame: Frame, spec: PortSpec) -> float:
     """Longest time that one frame and the space behind it take on the bus."""
     arbitration_bits, data_bits = frame_bits(frame)

@@ -1,0 +1,26 @@
+"""Which of many link events are kept."""
+
+from __future__ import annotations
+
+import pytest
+
+from lidar_emu.runtime.events import EventLog
+
+
+@pytest.mark.parametrize("count", [0, 1, 9, 10, 11, 19, 20, 21, 30, 5000])
+def test_the_first_and_the_last_ten_are_kept_in_order(count: int) -> None:
+    log = EventLog()
+    for number in range(1, count + 1):
+        log.add(number, 1000 + number, str(number))
+    everything = [(number, str(number)) for number in range(1, count + 1)]
+    expected = everything if count <= 20 else everything[:10] + everything[-10:]
+    assert [(event.time_ns, event.text) for event in log.since(1000)] == expected
+    assert log.count == count
+
+
+def test_events_that_were_lost_on_the_way_count() -> None:
+    log = EventLog()
+    log.add(1, 0, "nobody connected")
+    log.add(1001, 7, "connected")
+    assert log.count == 1001
+    assert [event.text for event in log.since(0)] == ["nobody connected", "connected"]
