@@ -38,12 +38,12 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
     ("simulate without output", "simulate my.yaml", ("simulate: no output", "--out FILE, --plot FILE.png")),
     ("out of unknown kind", "simulate my.yaml --out out.xlsx", ("out.xlsx", ".csv, .npz")),
     ("plot of unknown kind", "simulate my.yaml --plot out.jpg", ("out.jpg", ".png")),
-    ("out into no folder", "simulate my.yaml --out nowhere/out.csv", ("nowhere/out.csv", "existing folder")),
+    ("out into no folder", "simulate my.yaml --out nowhere/out.csv", ("nowhere/out.csv", "no such folder")),
     ("points of a pattern", "simulate my.yaml --out out.ply", ("out.ply", "bench pattern", "allowed: a flight")),
     ("plot of a pattern", f"{SIMULATE} --plot out.png", ("bench pattern", "allowed: a flight")),
     ("record into no folder", "run my.yaml --record nowhere/out.mcap", ("--record: 'nowhere/", "a folder that")),
-    ("record under a name too long", f"run my.yaml --record {_LONG}", ("--record: 'xxx", "too long")),
-    ("summary onto a folder", "run my.yaml --summary .", ("--summary: '.'", "allowed: a file")),
+    ("record under a name too long", f"run my.yaml --record {_LONG}", ("--record: 'xxx", "the name of a file")),
+    ("summary onto a folder", "run my.yaml --summary .", ("--summary: '.'", "allowed: the name of a file")),
     ("documents into no folder", "icd --out nowhere", ("--out: 'nowhere'", "a folder that exists")),
 ]  # fmt: skip
 

@@ -56,7 +56,7 @@ def test_what_listen_decodes_is_what_simulate_computes(
     assert_equal(rows, simulated("descent.yaml"))
     assert_times_equal(rows, simulated("descent.yaml"))
     assert {"unit", "shot", "beam", "time_s", *SERIAL_STEPS} <= rows[0].keys() <= {
-        "unit", *simulated("descent.yaml").table()
+        "unit", "packet_time_s", *simulated("descent.yaml").table()
     }  # fmt: skip
 
 

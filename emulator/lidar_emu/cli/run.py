@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,6 +14,7 @@ from lidar_emu.cli.options import load_scenario, scenario_options
 from lidar_emu.cli.output import say
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import InputError, RunError
+from lidar_emu.report.whole_file import check_destination
 from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
@@ -63,7 +63,8 @@ def run(
     failures = _failures(fail_on)
     start_utc = _start(start)
     for option, file in (("--record", record), ("--summary", summary_file)):
-        _check_destination(option, file)
+        if file is not None:
+            check_destination(Path(file), option)
     if record is not None and record == summary_file:
         raise InputError("--summary", None, summary_file, "it is the recording; allowed: another file")
     from lidar_emu.cli.run_display import Announcer, LoopbackView, Progress, summary_lines
@@ -138,18 +139,3 @@ def _start(text: str) -> datetime | None:
     if instant < Clock().utc_now():
         raise InputError("--start", None, text, "it is past; allowed: now, or an instant to come")
     return instant
-
-
-def _check_destination(option: str, file: str | None) -> None:
-    if file is None:
-        return
-    path = Path(file)
-    try:
-        usable = path.parent.is_dir() and not path.is_dir()
-        writable = os.access(path if path.exists() else path.parent, os.W_OK)
-    except OSError as error:
-        raise InputError(option, None, file, f"{error.strerror}; allowed: the name of a file") from None
-    if not usable:
-        raise InputError(option, None, file, "allowed: a file in a folder that exists")
-    if not writable:
-        raise InputError(option, None, file, "allowed: a file that you may write")

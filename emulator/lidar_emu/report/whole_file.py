@@ -9,22 +9,28 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import BinaryIO
 
-from lidar_emu.errors import InputError, RunError
+from lidar_emu.errors import Finding, InputError, RunError
 
 
-def check_destination(path: Path) -> None:
+def check_destination(path: Path, option: str | None = None) -> None:
     """Refuse, before a long run, a path that cannot be written.
 
     Raises:
-        InputError: the folder is missing or not writable, or `path` is a folder itself.
+        InputError: the folder is missing or not writable, or `path` is no name of a file; names `option` or `path`.
     """
-    folder = path.parent
-    if not folder.is_dir():
-        raise InputError(str(path), None, "no such folder", "allowed: a file in an existing folder")
-    if path.is_dir():
-        raise InputError(str(path), None, "a folder", "allowed: the name of a file")
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise InputError(str(path), None, "a read-only folder", "allowed: a folder that you may write to")
+    where, name = (str(path), None) if option is None else (option, str(path))
+    try:
+        exists, has_folder, is_folder = path.exists(), path.parent.is_dir(), path.is_dir()
+    except (OSError, ValueError) as error:  # a name that is too long, or holds a NUL
+        raise InputError(where, None, name or Finding(str(error)), "allowed: the name of a file") from None
+    if not has_folder:
+        raise InputError(
+            where, None, name or Finding("no such folder"), "allowed: a file in a folder that exists"
+        )
+    if is_folder:
+        raise InputError(where, None, name or Finding("a folder"), "allowed: the name of a file")
+    if not os.access(path if exists else path.parent, os.W_OK):
+        raise InputError(where, None, name or Finding("not writable"), "allowed: a file that you may write")
 
 
 def check_extra(path: Path, module: str, extra: str) -> None:
