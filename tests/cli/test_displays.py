@@ -1,0 +1,75 @@
+"""What is shown, and what goes on when nobody can be shown anything any more."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lidar_emu.cli.far_end import Decoder, Screen
+from lidar_emu.scenario.load import load
+from lidar_emu.shots import simulate
+from lidar_emu.wire import Encoder
+
+COMMAND = Path(sys.executable).parent / "lidar-emu"
+QUICK = ("run", "bench.yaml", "--duration", "2", "--pace", "max")
+
+
+def packets(unit: int, shots: int) -> list[bytes]:
+    scenario = load("bench.yaml", {"wire.unit": str(unit)})
+    encoder = Encoder(scenario.wire, can=False, fd=False, beam_count=4)
+    return list(encoder.packets(simulate(scenario).first(shots)))
+
+
+def lines_of(screen: Screen, stream: list[bytes], capsys: pytest.CaptureFixture[str]) -> list[str]:
+    screen.show(Decoder().decode(b"".join(stream)))
+    return [line for line in capsys.readouterr().out.splitlines() if " shot " in line]
+
+
+def test_a_listener_shows_the_second_flight_as_well(capsys: pytest.CaptureFixture[str]) -> None:
+    screen = Screen(every_s=0.0)
+    assert len(lines_of(screen, packets(0, 5), capsys)) == 5
+    assert len(lines_of(screen, packets(0, 3), capsys)) == 3
+
+
+def test_units_do_not_hide_one_another(capsys: pytest.CaptureFixture[str]) -> None:
+    mixed = [packet for pair in zip(packets(0, 20)[10:], packets(7, 10), strict=True) for packet in pair]
+    lines = lines_of(Screen(every_s=0.5), mixed, capsys)
+    # Ten shots at 10 Hz, one line each half second of each unit's own time.
+    assert sum("unit 0 " in line for line in lines) == 2
+    assert sum("unit 7 " in line for line in lines) == 2
+
+
+def test_a_reader_that_goes_away_does_not_end_the_flight(tmp_path: Path) -> None:
+    run = subprocess.Popen([COMMAND, *QUICK, "--summary", "s.json"], cwd=tmp_path, stdout=subprocess.PIPE)
+    assert run.stdout is not None
+    run.stdout.readline()
+    run.stdout.close()
+    assert run.wait(60) == 0
+    assert json.loads((tmp_path / "s.json").read_text())["shots"]["sent"] == 20
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_ends_the_recording_and_not_the_flight(tmp_path: Path) -> None:
+    command = [COMMAND, *QUICK, "--summary", "s.json", "--record", "/dev/full"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == "lidar-emu: /dev/full: the recording is not whole: No space left on device\n"
+    told = json.loads((tmp_path / "s.json").read_text())
+    assert told["shots"]["sent"] == 20
+    assert "not whole" in told["recording_error"]
+
+
+def test_an_interrupted_run_proves_nothing(tmp_path: Path) -> None:
+    """Cut short by SIGTERM: a clean end, but not what --fail-on asks for."""
+    command = [COMMAND, "run", "bench.yaml", "--fail-on", "late", "--summary", "s.json"]
+    run = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE)
+    assert run.stdout is not None
+    run.stdout.readline()
+    run.terminate()
+    run.communicate()
+    assert run.returncode == 1
+    assert json.loads((tmp_path / "s.json").read_text())["interrupted"] is True
