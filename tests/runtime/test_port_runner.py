@@ -150,7 +150,9 @@ def test_what_counts_as_sent_is_read_even_where_the_run_is_cut_off(
     data = b""
     while len(data) < len(joined(sent)):
         select.select([reader], [], [])
-        data += os.read(reader, 100)
+        read = os.read(reader, 100)
+        assert read, "the port was closed too early"
+        data += read
     closing.join()
     os.close(reader)
     assert data == joined(sent)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 import click
@@ -45,6 +46,7 @@ for command in (run, listen, simulate, plan, scenarios, schema, icd):
 
 def main() -> None:
     """Run a command: exit code 0 on success, 1 for a run that failed, 2 for what the user has to mend."""
+    _open_standard_descriptors()
     try:
         sys.exit(cli(prog_name="lidar-emu", standalone_mode=False))
     except InputError as error:
@@ -60,6 +62,14 @@ def main() -> None:
     except OSError as error:
         silence()
         _complain(str(error), EXIT_FAILED)
+
+
+def _open_standard_descriptors() -> None:
+    """Started with `>&-` or the like: no port and no file may become descriptor 0, 1 or 2 in its place."""
+    descriptor = os.open(os.devnull, os.O_RDWR)
+    while descriptor <= 2:
+        descriptor = os.dup(descriptor)
+    os.close(descriptor)
 
 
 def _where_to_look(error: click.ClickException) -> str:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 @contextmanager
 def busy(what: str) -> Iterator[None]:
     """Show `what` while something takes its time; nothing where nobody looks."""
-    if not sys.stderr.isatty():
+    if sys.stderr is None or not sys.stderr.isatty():
         yield
         return
     from rich.console import Console

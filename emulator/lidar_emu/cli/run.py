@@ -77,7 +77,7 @@ def run(
 
     view = LoopbackView(quiet=as_json)
     observers: list[Observer] = [view] if as_json else [Announcer(flown.name, pace), view]
-    if port.kind is not Kind.LOOPBACK and sys.stderr.isatty():
+    if port.kind is not Kind.LOOPBACK and sys.stderr is not None and sys.stderr.isatty():
         observers.append(Progress())
     with busy(COMPILING):
         model = build_model(flown)

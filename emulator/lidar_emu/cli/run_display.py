@@ -92,6 +92,8 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
     if any(told["far_end"].values()):
         lines.append(f"far end    {counter_line(told['far_end'])}")
     lines += [f"link       {event['time_s']:.3f} s: {event['what']}" for event in told["link_events"]]
+    if told["link_event_count"] > len(told["link_events"]):
+        lines.append(f"link       {told['link_event_count']} events in all: the first and the last are shown")
     left_out = ", ".join(row["stage"] for row in told["left_out"])
     lines.append(f"left out   {left_out or 'nothing'} (lidar-emu plan says why)")
     if told["interrupted"]:

@@ -216,6 +216,7 @@ class Run:
                 "sent_bytes": port.sent_bytes,
                 "received_bytes": port.received_bytes,
             },
+            "link_event_count": port.event_count,
             "link_events": [{"time_s": event.time_ns * 1e-9, "what": event.text} for event in port.events],
             "left_out": [row for row in self._model.plan.rows() if not row["computed"]],
         }
