@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.reasons import Reason
-from lidar_emu.measurement import FloatArray, Measurement
+from lidar_emu.measurement import Measurement
 from lidar_emu.plan import Plan, plan_bench
 from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.bench_pattern import Level, Ramp

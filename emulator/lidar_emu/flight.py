@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.errors import InputError
-from lidar_emu.measurement import BoolArray, FloatArray
+from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.rotations import cross, rotate
 from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
@@ -144,7 +144,9 @@ class Flight:
             raise InputError(
                 self.scenario.name,
                 "trajectory",
-                f"{time_s[outside[0]]:.3f} s: {east_m:.1f} m east, {north_m:.1f} m north, {up_m:.1f} m up",
+                Finding(
+                    f"{time_s[outside[0]]:.3f} s: {east_m:.1f} m east, {north_m:.1f} m north, {up_m:.1f} m up"
+                ),
                 f"allowed: positions over the ground ({self.scene.description}), or beyond: plane or sphere",
             )
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from lidar_emu.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)

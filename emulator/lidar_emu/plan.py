@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from lidar_emu.arrays import FloatArray
 from lidar_emu.flight import Flight, Pointing
-from lidar_emu.measurement import FloatArray
 from lidar_emu.rotations import dot
 from lidar_emu.scanner.footprint import beam_radius_m, wavefront_radius_m
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS

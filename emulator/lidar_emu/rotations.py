@@ -8,9 +8,8 @@ the source's axes in the target frame.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from lidar_emu.arrays import FloatArray
 
 _IDENTITY = np.eye(3)
 _NEXT, _AFTER_NEXT = [1, 2, 0], [2, 0, 1]

@@ -7,8 +7,9 @@ from math import pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.sine import FAST, sin_pi
-from lidar_emu.fmcw.spectrum import FloatArray, windowed_bin
+from lidar_emu.fmcw.spectrum import windowed_bin
 from lidar_emu.kernels import njit
 
 MAX_GROUPS = 4

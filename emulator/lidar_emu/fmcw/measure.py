@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.detect import BIN_VARIANCE, MAX_GROUPS, find_groups, hann_peak
 from lidar_emu.fmcw.estimate import Estimate, chirp_minus_doppler, least_squares
 from lidar_emu.fmcw.philox import uniform_pair, unit_phasor
@@ -17,7 +18,6 @@ from lidar_emu.fmcw.spectrum import (
     BINS_PER_TONE,
     POWER,
     ROWS,
-    FloatArray,
     add_noise,
     fold,
     lay_bins,

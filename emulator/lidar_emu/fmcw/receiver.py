@@ -8,14 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.constants import BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C, PLANCK_J_S
 from lidar_emu.fmcw.measure import BEAM_RETURN, measure_beams
 from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Receiver
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 class ReceiverModel(NamedTuple):

@@ -20,13 +20,11 @@ from math import copysign, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.philox import complex_normal
 from lidar_emu.fmcw.sine import FAST, sin_pi
 from lidar_emu.kernels import njit
-
-FloatArray = NDArray[np.float64]
 
 BIN, COS, SIN, RE, IM, POWER = range(6)
 """Rows of a spectrum: index of the bin, cosine and sine of πk/N, rectangular bin, power under the window."""

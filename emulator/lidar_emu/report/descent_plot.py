@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.errors import InputError
-from lidar_emu.measurement import FloatArray, Measurement
+from lidar_emu.arrays import FloatArray
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.measurement import Measurement
 from lidar_emu.report.whole_file import check_destination, check_extra, whole_file
 
 if TYPE_CHECKING:
@@ -60,11 +61,14 @@ def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path
     check_plot_path(path)
     if np.isnan(measurement.position_site_m).all():
         raise InputError(
-            title, None, "a bench pattern", "allowed: a flight; a bench pattern has no ground to draw"
+            title,
+            None,
+            Finding("a bench pattern"),
+            "allowed: a flight; a bench pattern has no ground to draw",
         )
     if not measurement.range_valid.any():
         raise InputError(
-            title, None, "a run without a valid range", "allowed: a flight that measured some point"
+            title, None, Finding("a run without a valid range"), "allowed: a flight that measured some point"
         )
     figure = _draw(measurement, scene, title)
     with whole_file(path) as file:

@@ -11,8 +11,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.errors import InputError
-from lidar_emu.measurement import FloatArray, Measurement
+from lidar_emu.arrays import FloatArray
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.measurement import Measurement
 from lidar_emu.report.whole_file import check_destination, check_extra, whole_file
 
 _PLY_VERTEX = np.dtype(
@@ -73,7 +74,7 @@ def export(measurement: Measurement, path: Path) -> None:
     check_export_path(path)
     if path.suffix == ".ply" and np.isnan(measurement.position_site_m).all():
         raise InputError(
-            str(path), None, "a bench pattern", "allowed: a flight; a bench pattern has no points"
+            str(path), None, Finding("a bench pattern"), "allowed: a flight; a bench pattern has no points"
         )
     with whole_file(path) as file:
         _WRITERS[path.suffix](measurement, file)

@@ -41,7 +41,7 @@ def check_extra(path: Path, module: str, extra: str) -> None:
     """
     if find_spec(module) is None:
         allowed = f"allowed after: pip install 'lidar-emu[{extra}]'"
-        raise InputError(str(path), None, f"{path.suffix} without {module}", allowed)
+        raise InputError(str(path), None, Finding(f"{path.suffix} without {module}"), allowed)
 
 
 @contextmanager

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.reasons import Reason
-from lidar_emu.measurement import FloatArray, Measurement
+from lidar_emu.measurement import Measurement
 from lidar_emu.runtime.lateness import LatenessHistogram
 from lidar_emu.runtime.pacing import Pace
 from lidar_emu.runtime.packets import Fate, Report

@@ -13,7 +13,8 @@ from functools import cache
 
 import numpy as np
 
-from lidar_emu.rotations import FloatArray, normalised
+from lidar_emu.arrays import FloatArray
+from lidar_emu.rotations import normalised
 
 _OUTERMOST_W = {7: np.sqrt(0.5)}
 _OUTERMOST_OTHERWISE_W = 1.1445706

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.rotations import FloatArray, from_rotation_vector, from_yaw_pitch_roll, rotate
+from lidar_emu.arrays import FloatArray
+from lidar_emu.rotations import from_rotation_vector, from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.scanner import AltitudeSwitch, Mounting, Pattern, Scanner, TimeSwitch
 
 

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario import site
 from lidar_emu.scene.hits import Scene
 
@@ -74,7 +74,9 @@ def read_terrain(ground: site.Grid) -> Terrain:
         InputError: the file is not there, cannot be read, or is no elevation grid in metres with north up.
     """
     if not Path(ground.file).is_file():
-        raise InputError(ground.file, None, "no such file", "allowed: GeoTIFF, ESRI ASCII grid or .npz")
+        raise InputError(
+            ground.file, None, Finding("no such file"), "allowed: GeoTIFF, ESRI ASCII grid or .npz"
+        )
     if ground.file.lower().endswith(".npz"):
         from lidar_emu.scene.terrain_npz import read_npz
 

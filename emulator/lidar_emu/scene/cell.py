@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from lidar_emu.arrays import FloatArray
 from lidar_emu.kernels import njit
-from lidar_emu.scene.hits import FloatArray
 
 
 @njit(cache=True, error_model="numpy")

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.scene import grid_cast, grid_exact
-from lidar_emu.scene.hits import BoolArray, FloatArray, Hits, contiguous
+from lidar_emu.scene.hits import Hits, contiguous
 from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.pyramid import build_pyramid
 from lidar_emu.scene.sphere import SphereGround

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.kernels import njit
 from lidar_emu.scene.cell import slopes, surface
-from lidar_emu.scene.hits import BoolArray, FloatArray, IntArray
 from lidar_emu.scene.plane import plane_stretch
 from lidar_emu.scene.sphere import sphere_stretch
 from lidar_emu.scene.traverse import BEYOND, CLEAR, FACE, SURFACE, clip, meet_beyond, traverse

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidar_emu.scene.hits import FloatArray, Hits
+from lidar_emu.arrays import FloatArray
+from lidar_emu.scene.hits import Hits
 from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.sphere import SphereGround
 

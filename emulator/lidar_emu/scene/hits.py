@@ -12,9 +12,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int64]
+from lidar_emu.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,9 @@ from decimal import Decimal, localcontext
 
 import numpy as np
 
+from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.kernels import njit
-from lidar_emu.scene.hits import BoolArray, FloatArray, Hits, contiguous
+from lidar_emu.scene.hits import Hits, contiguous
 
 
 @njit(cache=True, error_model="numpy")

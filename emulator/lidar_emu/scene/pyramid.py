@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.scene.hits import FloatArray, IntArray
+from lidar_emu.arrays import FloatArray, IntArray
 
 
 def cell_maxima(nodes_m: FloatArray, hole_m: float) -> FloatArray:

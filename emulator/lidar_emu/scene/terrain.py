@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from lidar_emu.errors import InputError
+from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import Grid
-from lidar_emu.scene.hits import BoolArray, FloatArray
 
 MAXIMUM_SAMPLES = 100_000_000
 
@@ -94,7 +94,7 @@ def elevations(
     if ground.nodata is not None:
         absent |= values == _as_stored(ground.nodata, stored.dtype)
     if absent.all():
-        raise InputError(ground.file, None, "every sample is missing", "allowed: an elevation grid")
+        raise InputError(ground.file, None, Finding("every sample is missing"), "allowed: an elevation grid")
     values[absent] = np.nan
     return (values * file_scale + file_offset) * ground.elevation_scale + ground.elevation_offset_m
 

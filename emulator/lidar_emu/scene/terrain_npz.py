@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.npyio import NpzFile
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import Grid
 from lidar_emu.scene.terrain import Terrain, check_size, elevations
 
@@ -64,7 +64,7 @@ def _load(path: str) -> Content:
             content = {key: np.asarray(file[key]) for key in file.files}
     except _DAMAGE as error:
         allowed = f"{error}; allowed: an intact .npz of plain numbers"
-        raise InputError(path, None, "unreadable", allowed) from None
+        raise InputError(path, None, Finding("unreadable"), allowed) from None
     for key in content:
         if key not in ("elevation_m", "pixel_m", "map_x_m", "map_y_m"):
             raise InputError(path, key, "an unknown array", _ALLOWED)

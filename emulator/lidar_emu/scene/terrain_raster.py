@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import Grid
 from lidar_emu.scene.terrain import Terrain, check_size, elevations
 
@@ -30,7 +30,7 @@ def read_raster(ground: Grid) -> Terrain:
                 return _read(ground, file)
     except _failures() as error:
         allowed = f"{error}; allowed: an intact GeoTIFF or ESRI ASCII grid"
-        raise InputError(ground.file, None, "unreadable", allowed) from None
+        raise InputError(ground.file, None, Finding("unreadable"), allowed) from None
 
 
 def project(terrain: Terrain, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
@@ -68,7 +68,7 @@ def _import_rasterio(where: str) -> Any:
         raise InputError(
             where,
             None,
-            "a file of this kind",
+            Finding("a file of this kind"),
             "it needs rasterio (pip install 'lidar-emu[geo]'); allowed without it: .npz",
         ) from None
     return rasterio
@@ -123,17 +123,19 @@ def _check_map(where: str, file: Any) -> None:
     """Refuse what is no map in metres with north up; ASCII grids mostly state no projection and pass."""
     transform = file.transform
     if transform.is_identity:
-        raise InputError(where, None, "no georeference", "allowed: a file that states its place on a map")
+        raise InputError(
+            where, None, Finding("no georeference"), "allowed: a file that states its place on a map"
+        )
     if transform.b or transform.d or transform.a <= 0 or transform.e >= 0:
         found = "a rotated or mirrored grid"
         raise InputError(where, None, found, "allowed: rows from north to south, columns from west to east")
     if not file.crs:
         return
     if not file.crs.is_projected:
-        raise InputError(where, None, "a grid on no projected map, such as one in degrees", _METRES)
+        raise InputError(where, None, Finding("a grid on no projected map, such as one in degrees"), _METRES)
     unit, metres = file.crs.linear_units_factor
     if not np.isclose(metres, 1.0, rtol=1e-12):
-        raise InputError(where, None, f"a map in {unit}", _METRES)
+        raise InputError(where, None, Finding(f"a map in {unit}"), _METRES)
 
 
 def _band(ground: Grid, file: Any) -> int:

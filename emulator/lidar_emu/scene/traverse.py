@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from lidar_emu.arrays import FloatArray, IntArray
 from lidar_emu.kernels import njit
 from lidar_emu.scene.cell import cell_of, first_descent, height_along
-from lidar_emu.scene.hits import FloatArray, IntArray
 
 CLEAR, SURFACE, BEYOND, FACE = 0, 1, 2, 3
 """What a ray meets: nothing, the surface of a cell, the ground beyond the grid, or the upright face where one

@@ -6,7 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
-from lidar_emu.rotations import FloatArray, chained, from_rotation_vector, from_yaw_pitch_roll
+from lidar_emu.arrays import FloatArray
+from lidar_emu.rotations import chained, from_rotation_vector, from_yaw_pitch_roll
 from lidar_emu.scenario import trajectory as scenario
 from lidar_emu.trajectory.curve import Curve
 

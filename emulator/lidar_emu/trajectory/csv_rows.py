@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar_emu.errors import InputError
-from lidar_emu.rotations import FloatArray
+from lidar_emu.arrays import FloatArray
+from lidar_emu.errors import Finding, InputError
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def read_csv(file: str) -> CsvRows:
         raise InputError(file, None, str(error), "allowed: CSV as UTF-8 text") from None
     filled = [(line, row) for line, row in table if any(row)]
     if not filled:
-        raise InputError(file, None, "an empty file", "allowed: a header and at least 2 rows")
+        raise InputError(file, None, Finding("an empty file"), "allowed: a header and at least 2 rows")
     (_, header), *body = filled
     for line, row in body:
         if any(row[len(header) :]):

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.errors import InputError
-from lidar_emu.rotations import FloatArray
+from lidar_emu.arrays import FloatArray
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.trajectory import Table
 from lidar_emu.trajectory.csv_rows import CsvRows, read_csv
 from lidar_emu.trajectory.state import Gap
@@ -114,7 +114,7 @@ def read_flown(part: Table) -> FlownRows:
 
 def _refuse_disordered(csv: CsvRows, name: str, file_time: FloatArray) -> None:
     if len(file_time) < 2:
-        raise InputError(csv.file, None, f"{len(file_time)} rows", "allowed: at least 2")
+        raise InputError(csv.file, None, Finding(f"{len(file_time)} rows"), "allowed: at least 2")
     empty = np.flatnonzero(np.isnan(file_time))
     if empty.size:
         raise csv.refusal(empty[0], name, "an empty cell", "allowed: a time in every row")

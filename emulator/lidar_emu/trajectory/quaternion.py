@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.rotations import FloatArray, cross, dot
+from lidar_emu.arrays import FloatArray
+from lidar_emu.rotations import cross, dot
 from lidar_emu.trajectory.curve import hermite, knot_rates
 
 

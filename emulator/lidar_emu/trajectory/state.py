@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from lidar_emu.rotations import FloatArray
+from lidar_emu.arrays import FloatArray
 
 
 class Gap(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.rotations import FloatArray
+from lidar_emu.arrays import FloatArray
 from lidar_emu.scenario.trajectory import AngleColumn, LengthColumn, QuaternionColumns, RateColumns, Table
 from lidar_emu.trajectory.attitude import Attitude, EulerAttitude
 from lidar_emu.trajectory.curve import Curve, hermite, through
