@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lidar_emu.measurement import Measurement
-from lidar_emu.shots import Model
+from lidar_emu.shots import Model, measure_in_blocks
 from lidar_emu.wire import Encoder, Packet
 
 
@@ -18,7 +18,7 @@ class Block:
 
 
 class Session:
-    """Works through the shots of a model; what is carried from shot to shot is here.
+    """Works through the shots of a model.
 
     Args:
         model: what is measured.
@@ -27,17 +27,12 @@ class Session:
     """
 
     def __init__(self, model: Model, encoder: Encoder, block_shots: int) -> None:
-        self.model = model
         self._encoder = encoder
-        self._block_shots = block_shots
-        self._next_shot = 0
-        self._state = model.initial_state
+        self._measurements = measure_in_blocks(model, block_shots)
 
     def next_block(self) -> Block | None:
         """The next shots; None after the last."""
-        count = min(self._block_shots, self.model.shot_count - self._next_shot)
-        if count <= 0:
+        measurement = next(self._measurements, None)
+        if measurement is None:
             return None
-        measurement, self._state = self.model.measure(self._next_shot, count, self._state)
-        self._next_shot += count
         return Block(measurement, list(self._encoder.packets(measurement)))

@@ -140,6 +140,11 @@ def measure_in_blocks(model: Model, block_shots: int = BLOCK_SHOTS) -> Iterator[
         yield block
 
 
+def measure_whole(model: Model) -> Measurement:
+    """All shots of the run at once."""
+    return Measurement.joined(list(measure_in_blocks(model)))
+
+
 def simulate(scenario: FlightScenario | BenchScenario, seed: int | None = None) -> Measurement:
     """Measure a whole scenario without clock or wire.
 
@@ -156,4 +161,4 @@ def simulate(scenario: FlightScenario | BenchScenario, seed: int | None = None) 
     """
     if seed is not None:
         scenario = type(scenario).model_validate({**dict(scenario), "seed": seed})
-    return Measurement.joined(list(measure_in_blocks(build_model(scenario))))
+    return measure_whole(build_model(scenario))

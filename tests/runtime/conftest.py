@@ -6,7 +6,7 @@ import os
 import select
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 import pytest
@@ -58,3 +58,12 @@ class PtyReader:
 def pty_reader() -> type[PtyReader]:
     """See `PtyReader`."""
     return PtyReader
+
+
+@pytest.fixture
+def pipe() -> Iterator[tuple[int, int]]:
+    """Its reading and its writing end."""
+    ends = os.pipe()
+    yield ends
+    for descriptor in ends:
+        os.close(descriptor)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Sequence
-
-import pytest
+from collections.abc import Sequence
 
 from lidar_emu.runtime.answers import Answers
 from lidar_emu.runtime.clock import Clock
@@ -35,14 +33,6 @@ class ReaderAtLast(Clock):
             return [], []
         self.heard += os.read(self.reader, 65536)
         return [], list(writable)
-
-
-@pytest.fixture
-def pipe() -> Iterator[tuple[int, int]]:
-    ends = os.pipe()
-    yield ends
-    for descriptor in ends:
-        os.close(descriptor)
 
 
 def fill(descriptor: int) -> int:

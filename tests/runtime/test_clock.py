@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import select
-from collections.abc import Iterator
 from datetime import timedelta
 from typing import Any
 
@@ -12,14 +11,6 @@ import pytest
 
 from lidar_emu.runtime import clock as clock_module
 from lidar_emu.runtime.clock import Clock
-
-
-@pytest.fixture
-def pipe() -> Iterator[tuple[int, int]]:
-    ends = os.pipe()
-    yield ends
-    for descriptor in ends:
-        os.close(descriptor)
 
 
 class SteppedClock(Clock):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -77,23 +78,22 @@ def run(
 
     view = LoopbackView(quiet=as_json)
     observers: list[Observer] = [view] if as_json else [Announcer(flown.name, pace), view]
-    if port.kind is not Kind.LOOPBACK and sys.stderr is not None and sys.stderr.isatty():
-        observers.append(Progress())
     with busy(COMPILING):
         model = build_model(flown)
         this_run = Run(flown, model, RunOptions(port, Pace(pace), start_utc), observers)
+    if port.kind is not Kind.LOOPBACK and sys.stderr is not None and sys.stderr.isatty():
+        observers.append(Progress(this_run.tally))
     if this_run.warning is not None:
         click.echo(f"lidar-emu: warning: {this_run.warning}", err=True)
-    recording_error = None
+    recorder = None
     if record is not None:
         from lidar_emu.recording.write import Recorder
 
-        with Recorder(Path(record), flown, port) as recorder:
-            observers.append(recorder)
-            outcome = this_run.fly()
-        recording_error = recorder.error
-    else:
+        recorder = Recorder(Path(record), flown)
+        observers.append(recorder)
+    with recorder or nullcontext():
         outcome = this_run.fly()
+    recording_error = None if recorder is None else recorder.error
     told = outcome.to_json() | {"far_end": view.counters(), "recording_error": recording_error}
     text = json.dumps(told, indent=2)
     say(text if as_json else "\n".join(summary_lines(told)))

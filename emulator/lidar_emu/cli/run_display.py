@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from datetime import datetime
 from typing import Any
 
@@ -11,7 +10,8 @@ import click
 from lidar_emu.cli.far_end import Decoder, Screen, counter_line
 from lidar_emu.cli.output import say
 from lidar_emu.runtime.fly import Observer
-from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.runtime.summary import Tally
 
 _SHOW_EVERY_S = 0.5
 
@@ -31,17 +31,15 @@ class Announcer(Observer):
 class Progress(Observer):
     """A line on the terminal that says how far the run is."""
 
-    def __init__(self) -> None:
-        self._fates: Counter[Fate] = Counter()
+    def __init__(self, tally: Tally) -> None:
+        self._tally = tally
         self._next_ns = 0
 
     def report(self, packet: Outgoing, report: Report) -> None:  # noqa: ARG002
-        """Count, and show the counts twice a second."""
-        self._fates[report.fate] += 1
+        """Show the counts twice a second."""
         if report.due_ns >= self._next_ns:
             self._next_ns = report.due_ns + round(_SHOW_EVERY_S * 1e9)
-            sent, late = self._fates[Fate.SENT], self._fates[Fate.LATE]
-            dropped = self._fates.total() - sent - late
+            sent, late, dropped = self._tally.sent, self._tally.late, self._tally.dropped
             line = f"\r{report.due_ns * 1e-9:9.1f} s: {sent} sent, {late} late, {dropped} dropped "
             click.echo(line, nl=False, err=True)
 

@@ -43,12 +43,11 @@ def simulate(
 
         check_plot_path(Path(plot))
     flown = load_scenario(scenario, duration, seed, settings)
-    from lidar_emu.measurement import Measurement
-    from lidar_emu.shots import FlightModel, build_model, measure_in_blocks
+    from lidar_emu.shots import FlightModel, build_model, measure_whole
 
     with busy(COMPILING):
         model = build_model(flown)
-        measurement = Measurement.joined(list(measure_in_blocks(model)))
+        measurement = measure_whole(model)
     # The picture first: it may find nothing to draw, and then no file must be left.
     if plot is not None:
         scene = model.flight.scene if isinstance(model, FlightModel) else None

@@ -29,7 +29,6 @@ from lidar_emu.runtime.fly import Observer
 from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block
-from lidar_emu.transports.spec import PortSpec
 
 _ANY_OBJECT = json.dumps({"type": "object"}).encode()
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -46,7 +45,7 @@ class Recorder(Observer):
         InputError: the epoch lies before 1970, where MCAP's times begin.
     """
 
-    def __init__(self, path: Path, scenario: FlightScenario | BenchScenario, port: PortSpec) -> None:
+    def __init__(self, path: Path, scenario: FlightScenario | BenchScenario) -> None:
         self._path = path
         self._epoch_ns = (scenario.timing.epoch - _UNIX_EPOCH) // timedelta(microseconds=1) * 1000
         if self._epoch_ns < 0:
@@ -55,7 +54,6 @@ class Recorder(Observer):
         self._metadata = {
             "version": __version__,
             "seed": str(scenario.seed),
-            "port": str(port),
             "scenario": scenario.model_dump_json(),
         }
         self._writer: Writer | None = None

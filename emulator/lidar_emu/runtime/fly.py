@@ -116,7 +116,7 @@ class Run:
         self.tally = Tally(options.pace)
 
     def fly(self) -> Outcome:
-        """Run to the end, or until SIGINT (Ctrl-C) or SIGTERM, which end the run as cleanly.
+        """Run to the end, or until SIGINT (Ctrl-C), SIGTERM or SIGHUP, which end the run as cleanly.
 
         Raises:
             InputError: the port cannot be opened, or the start lies in the past.

@@ -83,6 +83,11 @@ class Tally:
         return self.fates.total()
 
     @property
+    def sent(self) -> int:
+        """Packets that the link took."""
+        return self.fates[Fate.SENT]
+
+    @property
     def late(self) -> int:
         """Packets skipped because they were late."""
         return self.fates[Fate.LATE]
@@ -105,7 +110,7 @@ class Tally:
         return {
             "shots": {
                 "due": self.due,
-                "sent": self.fates[Fate.SENT],
+                "sent": self.sent,
                 "late": self.late,
                 "dropped": {name: self.fates[fate] for fate, name in _DROPS.items()},
             },
