@@ -45,9 +45,9 @@ class Echoes:
     """What arrives from each beamlet of each beam."""
 
     range_m: FloatArray
-    """(shots, beams, beamlets) NaN where a beamlet meets nothing."""
+    """(shots, beams, beamlets) At the time of validity; NaN where a beamlet meets nothing."""
     closing_speed_mps: FloatArray
-    """(shots, beams, beamlets) Positive toward the sensor."""
+    """(shots, beams, beamlets) Of the ground there, at the time of validity; positive toward the sensor."""
     power_w: FloatArray
     """(shots, beams, beamlets) In the mode of the local oscillator (`coherent_power_w` times the beamlet's
     share of the footprint); 0 where a beamlet meets nothing."""

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from lidar_emu.scenario.part import Fraction, Part, Positive, unusable
+from lidar_emu.scenario.part import Fraction, NonNegative, Part, Positive, Switch, unusable
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
 
@@ -25,6 +25,13 @@ class Waveform(Part):
     """Rate of the digitiser."""
     fft_length: Annotated[int, Field(ge=256, le=2**24)] = 2**17
     """Samples in a record; a power of two."""
+    slope_error: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
+    """Relative error of the slope that the laser really has: 1e-3 reads 2 m too far at 2 km."""
+    linewidth_hz: NonNegative = 3e3
+    """Full width at half maximum of the laser's Lorentzian line; 0 leaves it out."""
+    linewidth_model: Literal["homodyne", "coherent"] = "homodyne"
+    """Only what the laser drifts within the echo's delay counts (`homodyne`), or the published simulation's
+    convolution of every line with a Gaussian of that width whatever the delay (`coherent`)."""
 
     @model_validator(mode="after")
     def _record_fits(self) -> Self:
@@ -78,8 +85,21 @@ class Optics(Part):
     """Overlap of the echo with the local oscillator."""
     depolarisation: Fraction = 0.5
     """Share of the echo that returns in the received polarisation."""
+    alignment_error_rad: NonNegative = 0.0
+    """Angle between the transmitted and the received mode."""
+    speckle: Switch = True
+    """Each beamlet's echo is a circular Gaussian number that changes as the beam moves; off: all add in phase."""
     beamlets: Literal[1, 7, 19, 37, 61, 91, 127] = 19
     """Rays that sample the footprint of each beam: the centre and whole hexagonal rings around it."""
+
+
+class Adc(Part):
+    """The digitiser after the amplifier."""
+
+    effective_bits: Annotated[float, Field(ge=1, le=24)] = 8.0
+    """Effective number of bits: quantisation and all other noise of the digitiser."""
+    full_scale_v: Positive = 0.05
+    """From the lowest to the highest voltage at the amplifier's output; beyond, the signal is clipped."""
 
 
 class Receiver(Part):
@@ -93,6 +113,18 @@ class Receiver(Part):
     """Feedback resistance of the amplifier; its thermal noise adds to the shot noise."""
     temperature_k: Positive = 300.0
     """Noise temperature of the amplifier's feedback resistance."""
+    dark_current_a: NonNegative = 1e-8
+    """Of the pair of detectors."""
+    relative_intensity_noise_db_per_hz: Annotated[float, Field(ge=-300, le=0)] | None = -150.0
+    """Of the laser; null leaves it out."""
+    common_mode_rejection_db: NonNegative = 30.0
+    """By which the balanced pair suppresses intensity noise."""
+    bandwidth_hz: Positive | None = 300e6
+    """Half-power frequency of the amplifier's single pole; null is flat."""
+    ac_coupling_hz: NonNegative = 50e3
+    """Half-power frequency of the single-pole high-pass before the digitiser; 0 couples directly."""
+    adc: Adc | None = Adc()
+    """null is ideal."""
 
 
 class Detection(Part):
@@ -104,14 +136,25 @@ class Detection(Part):
     """Probability that noise alone crosses the threshold anywhere in one FFT."""
     group_fraction: Annotated[float, Field(gt=0, lt=1)] = 0.3
     """Contiguous bins above this share of the spectrum's highest magnitude form one target."""
-    peak: Literal["bin", "hann"] = "bin"
-    """Frequency of a target: the centre of its highest bin, or the exact three-bin estimate on
-    Hann-weighted bins, which resolves a small part of a bin."""
+    looks: Annotated[int, Field(ge=1, le=64)] = 1
+    """Cycles whose power spectra are averaged into one measurement."""
+    peak: Literal["bin", "parabola", "jacobsen", "hann", "aboutanios_mulgrew"] = "bin"
+    """Frequency of a target: the centre of its highest bin, or an estimate that resolves a small part of a bin:
+    a parabola through the log power of three windowed bins, Jacobsen's on rectangular bins, the exact three-bin
+    formula on Hann-weighted bins, or Aboutanios and Mulgrew's iteration on half bins."""
     combine: Literal["chirp_minus_doppler", "least_squares"] = "chirp_minus_doppler"
     """Range and speed from the three frequencies: the published detector (the chirp that holds the sum, minus
     the Doppler line), or least squares over the three segments with the signs of least residual."""
+    rule: Literal["all_three", "any_two"] = "all_three"
+    """Segments that must hold a target; two suffice for least squares alone."""
     maximum_range_m: Positive = 12_000.0
     """Beyond it a return is reported as invalid."""
+
+    @model_validator(mode="after")
+    def _rule_fits(self) -> Self:
+        if self.rule == "any_two" and self.combine != "least_squares":
+            raise unusable("rule", self.rule, "all_three, or combine: least_squares with it")
+        return self
 
 
 class Instrument(Part):

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, model_validator
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.bench_pattern import BenchPattern
 from lidar_emu.scenario.instrument import Instrument
-from lidar_emu.scenario.part import Part, unusable
+from lidar_emu.scenario.part import Part, Switch, unusable
 from lidar_emu.scenario.scanner import Mounting, Scanner
 from lidar_emu.scenario.site import Site
 from lidar_emu.scenario.trajectory import Trajectory
@@ -91,6 +91,11 @@ class FlightScenario(Scenario):
     """The beams."""
     mounting: Mounting = Mounting()
     """The sensor on the vehicle."""
+    level: Literal["geometric", "statistical", "spectral", "waveform"] = "spectral"
+    """How the receiver is computed: `geometric` reports the truth, `statistical` draws from the closed-form error
+    model, `spectral` computes the bins of the spectra that matter, `waveform` every sample (slow)."""
+    exact: Switch = False
+    """Compute every stage of the model, also those whose effect is below its bound."""
 
     @property
     def cycle_time_s(self) -> float:

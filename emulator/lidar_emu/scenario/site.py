@@ -106,6 +106,8 @@ class Atmosphere(Part):
 
     extinction_per_m: NonNegative
     """Extinction coefficient; the echo loses exp(-2 · extinction · range)."""
+    backscatter_per_m_sr: NonNegative = 0.0
+    """Backscatter coefficient of the air itself; about 1e-7 in clear Martian air."""
 
 
 class Site(Part):
@@ -124,3 +126,6 @@ class Site(Part):
     """Reflection."""
     atmosphere: Atmosphere | None = None
     """Left out: vacuum."""
+    sunlight_w_per_m2_um: NonNegative = 0.0
+    """Spectral irradiance of the ground by the sun at the laser's wavelength; about 270 on the Moon and 117 on Mars
+    at 1550 nm; 0 at night."""
