@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +31,25 @@ class Pointing:
     angle_deg: FloatArray
     sensor_site_m: FloatArray
     sensor_velocity_site_mps: FloatArray
+    sensor_acceleration_site_mps2: FloatArray
+    """The body's angular rate is taken as steady: its change, times the lever arm, is left out."""
+    turning_site_radps: FloatArray
+    """Angular rate of the body, and of the beams with it."""
     true_site: FloatArray
     published_site: FloatArray
     position_site_m: FloatArray
     """(shots, 3) Of the vehicle at the first beam's validity."""
     velocity_site_mps: FloatArray
     """(shots, 3)"""
+
+
+class _Sensor(NamedTuple):
+    """Motion of the sensor in the site frame at n instants: (n, 3) each."""
+
+    position_m: FloatArray
+    velocity_mps: FloatArray
+    acceleration_mps2: FloatArray
+    turning_radps: FloatArray
 
 
 class Flight:
@@ -46,7 +60,7 @@ class Flight:
         self.trajectory = build_trajectory(scenario.trajectory)
         self.scanner = build_scanner(scenario.scanner)
         self.scene = build_scene(scenario.site)
-        timing, waveform = scenario.timing, scenario.instrument.waveform
+        timing, instrument = scenario.timing, scenario.instrument
         if not self.trajectory.duration_s <= LONGEST_S:
             lasts = f"{self.trajectory.duration_s:.3g} s"
             raise InputError(scenario.name, "trajectory", lasts, f"allowed: at most {LONGEST_S:.3g} s")
@@ -60,10 +74,14 @@ class Flight:
             )
         self.period_ns = timing.period_ns
         self.shot_count = timing.shots_within(duration_s)
-        cycle_ns = round(waveform.cycle_time_s * 1e9)
-        self._validity_ns = round(waveform.validity_offset_s * 1e9) + cycle_ns * self.scanner.firing_cycle
+        looks, cycle_s = instrument.detection.looks, instrument.waveform.cycle_time_s
+        validity_s = instrument.waveform.validity_offset_s + (looks - 1) / 2 * cycle_s
+        turn_ns = round(looks * cycle_s * 1e9)
+        self._validity_ns = round(validity_s * 1e9) + turn_ns * self.scanner.firing_cycle
         self._latency_ns = round((scenario.cycle_time_s + timing.processing_latency_s) * 1e9)
-        self._body_from_sensor = mounting_rotation(scenario.mounting)
+        body_from_sensor = mounting_rotation(scenario.mounting)
+        self._true_body = rotate(body_from_sensor, self.scanner.true_sensor)
+        self._published_body = rotate(body_from_sensor, self.scanner.published_sensor)
         self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
         self._refuse_to_leave_the_ground()
 
@@ -76,19 +94,21 @@ class Flight:
         chosen, state = self._choose_patterns(shot, state)
         time_ns = shot[:, None] * self.period_ns + self._validity_ns[None, :]
         vehicle = self.trajectory.state(_seconds(time_ns.ravel()))
-        sensor_m, sensor_mps = self._sensor(vehicle)
+        sensor = self._sensor(vehicle)
         shape = (*time_ns.shape, 3)
         true_site, published_site = (
-            rotate(vehicle.site_from_body, rotate(self._body_from_sensor, directions[chosen].reshape(-1, 3)))
-            for directions in (self.scanner.true_sensor, self.scanner.published_sensor)
+            rotate(vehicle.site_from_body, direction_body[chosen].reshape(-1, 3))
+            for direction_body in (self._true_body, self._published_body)
         )
         angle_deg = self.scanner.angle_deg[chosen]
         pointing = Pointing(
             time_ns=time_ns,
             fired=~np.isnan(angle_deg),
             angle_deg=angle_deg,
-            sensor_site_m=sensor_m.reshape(shape),
-            sensor_velocity_site_mps=sensor_mps.reshape(shape),
+            sensor_site_m=sensor.position_m.reshape(shape),
+            sensor_velocity_site_mps=sensor.velocity_mps.reshape(shape),
+            sensor_acceleration_site_mps2=sensor.acceleration_mps2.reshape(shape),
+            turning_site_radps=sensor.turning_radps.reshape(shape),
             true_site=true_site.reshape(shape),
             published_site=published_site.reshape(shape),
             position_site_m=vehicle.position_site_m.reshape(shape)[:, 0],
@@ -104,19 +124,27 @@ class Flight:
             hits.range_m.reshape(shape[:-1]), hits.normal_site.reshape(shape), hits.inside.reshape(shape[:-1])
         )
 
-    def _sensor(self, vehicle: VehicleState) -> tuple[FloatArray, FloatArray]:
-        """Position and velocity of the sensor: the lever arm turns with the body."""
-        lever_site_m = rotate(vehicle.site_from_body, self._lever_arm_body_m)
-        turning_body_mps = cross(vehicle.body_rate_radps, self._lever_arm_body_m)
-        velocity_mps = vehicle.velocity_site_mps + rotate(vehicle.site_from_body, turning_body_mps)
-        return vehicle.position_site_m + lever_site_m, velocity_mps
+    def _sensor(self, vehicle: VehicleState) -> _Sensor:
+        """The lever arm turns with the body: r, ω x r and ω x (ω x r) are added."""
+        turning_radps = rotate(vehicle.site_from_body, vehicle.body_rate_radps)
+        lever_m = rotate(vehicle.site_from_body, self._lever_arm_body_m)
+        lever_mps = cross(turning_radps, lever_m)
+        return _Sensor(
+            vehicle.position_site_m + lever_m,
+            vehicle.velocity_site_mps + lever_mps,
+            vehicle.acceleration_site_mps2 + cross(turning_radps, lever_mps),
+            turning_radps,
+        )
 
     def _choose_patterns(
         self, shot: NDArray[np.int64], state: ScannerState
     ) -> tuple[NDArray[np.intp], ScannerState]:
         """The pattern of each shot, decided at the shot's start."""
+        if not self.scanner.switches:
+            return np.zeros(len(shot), dtype=np.intp), state
         time_s = _seconds(shot * self.period_ns)
-        sensor_m, _ = self._sensor(self.trajectory.state(time_s))
+        vehicle = self.trajectory.state(time_s)
+        sensor_m = vehicle.position_site_m + rotate(vehicle.site_from_body, self._lever_arm_body_m)
         above_origin_m = sensor_m[:, 2]
         above_ground_m = (
             above_origin_m - self.scene.height_m(sensor_m[:, 0], sensor_m[:, 1])

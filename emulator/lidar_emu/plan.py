@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
+from lidar_emu.echoes import receive_light
 from lidar_emu.flight import Flight, Pointing
+from lidar_emu.plan_receiver import Decision, plan_receiver
 from lidar_emu.rotations import dot
 from lidar_emu.scanner.footprint import beam_radius_m, wavefront_radius_m
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS
@@ -20,18 +22,6 @@ _LOOK_EVERY_S = 0.1
 
 
 @dataclass(frozen=True)
-class Decision:
-    """One stage of the model, computed or left out."""
-
-    stage: str
-    computed: bool
-    how: str
-    reason: str
-    bound: str
-    """The largest effect of the decision; `exact` where there is none."""
-
-
-@dataclass(frozen=True)
 class Plan:
     """The decisions of a run, and the one figure that the model takes from them."""
 
@@ -40,7 +30,7 @@ class Plan:
 
     def rows(self) -> list[dict[str, str | bool]]:
         """The decisions for JSON."""
-        return [asdict(decision) for decision in self.decisions]
+        return [decision.row() for decision in self.decisions]
 
 
 def plan_bench(scenario: BenchScenario) -> Plan:
@@ -57,6 +47,7 @@ def plan_bench(scenario: BenchScenario) -> Plan:
 def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     """Decide each stage for the whole run, from a look at the flight every tenth of a second."""
     pointing, hits = _look(flight)
+    echoes = receive_light(scenario.instrument, scenario.site, flight, 1, pointing, hits)
     footprint, beamlets = _footprint(scenario, pointing, hits)
     decisions = (
         _trajectory(flight),
@@ -64,7 +55,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
         _air(scenario),
         footprint,
         *_switching(flight),
-        *_not_modelled(scenario, flight),
+        *plan_receiver(scenario, echoes),
     )
     return Plan(decisions, beamlets)
 
@@ -108,41 +99,15 @@ def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: 
 def _air(scenario: FlightScenario) -> Decision:
     air = scenario.site.atmosphere
     if air is None or air.extinction_per_m == 0:
-        return Decision("atmosphere", False, "vacuum", f"{scenario.site.name} has none", "exact")
+        return Decision("extinction", False, "vacuum", f"{scenario.site.name} has none", "exact")
     loss_db = 20 * np.log10(np.e) * air.extinction_per_m * scenario.instrument.detection.maximum_range_m
-    return Decision("atmosphere", True, "extinction", f"up to {loss_db:.2f} dB at maximum range", "exact")
+    return Decision("extinction", True, "exp(-2αR)", f"up to {loss_db:.2f} dB at maximum range", "exact")
 
 
 def _switching(flight: Flight) -> list[Decision]:
     if flight.scanner.needs_ground_altitude:
         return []
     return [Decision("ground altitude", False, "-", "no switch counts its altitude from the ground", "exact")]
-
-
-def _not_modelled(scenario: FlightScenario, flight: Flight) -> list[Decision]:
-    """What the model does not have yet, as far as it matters to this flight."""
-    time_s = np.linspace(0.0, flight.trajectory.duration_s, 256)
-    acceleration_mps2 = flight.trajectory.state(time_s).acceleration_site_mps2
-    largest_mps2 = float(np.sqrt(np.max((acceleration_mps2**2).sum(axis=-1))))
-    waveform = scenario.instrument.waveform
-    # Between up- and down-chirp the speed changes by 2 T a, which reads as range.
-    bias_m = (
-        SPEED_OF_LIGHT_MPS
-        * waveform.segment_time_s
-        * largest_mps2
-        / (waveform.wavelength_m * waveform.chirp_slope_hz_per_s)
-    )
-    return [
-        Decision(
-            "motion in a shot",
-            False,
-            "-",
-            "not modelled",
-            f"{bias_m:.2g} m of range at {largest_mps2:.3g} m/s²",
-        ),
-        Decision("speckle", False, "-", "not modelled", "echoes do not fade; spread over a bin loses power"),
-        Decision("false alarms far off", False, "-", "not modelled", "none away from the echo's own bins"),
-    ]
 
 
 def _footprint(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> tuple[Decision, int]:
@@ -153,13 +118,15 @@ def _footprint(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> tupl
     they are hit.
     """
     asked = scenario.instrument.optics.beamlets
+    if scenario.level == "geometric":
+        return Decision("footprint", False, "1 beamlet", "the beam's axis is reported", "exact"), 1
     if asked == 1:
         return Decision("footprint", False, "1 beamlet", "the instrument asks for one", "as asked"), 1
     if isinstance(scenario.site.ground, Grid):
         return Decision("footprint", True, f"{asked} beamlets", "slopes of a grid vary", "sampled"), asked
     spread = float(np.nanmax(spectral_spread_bins(scenario, pointing, hits), initial=0.0))
     reason = f"rms spread at most {spread:.3f} bin"
-    if spread < ONE_BEAMLET_BELOW_BINS:
+    if spread < ONE_BEAMLET_BELOW_BINS and not scenario.exact:
         bound = f"{100 * np.pi**2 / 3 * spread**2:.2g} % of the peak's power"
         return Decision("footprint", False, "1 beamlet", reason, bound), 1
     return Decision("footprint", True, f"{asked} beamlets", reason, "sampled"), asked

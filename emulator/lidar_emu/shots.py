@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.bench_model import BenchModel
+from lidar_emu.echoes import receive_light
 from lidar_emu.flight import Flight, Pointing
-from lidar_emu.fmcw.echo import coherent_power_w
-from lidar_emu.fmcw.receiver import Echoes, Returns, build_receiver, receive
+from lidar_emu.fmcw.returns import Returns
+from lidar_emu.levels import build_level
 from lidar_emu.measurement import Measurement
 from lidar_emu.plan import Plan, plan_flight
 from lidar_emu.rotations import dot
-from lidar_emu.scanner.footprint import Footprint, sample_footprint
 from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scene.hits import Hits
@@ -47,7 +47,7 @@ class FlightModel:
         self.scenario = scenario
         self.flight = Flight(scenario)
         self.plan = plan_flight(scenario, self.flight)
-        self.receiver = build_receiver(scenario.instrument)
+        self.level = build_level(scenario)
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count = self.flight.shot_count
         self.initial_state = self.flight.scanner.initial
@@ -57,39 +57,10 @@ class FlightModel:
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.flight.point(shot, state)
         axis_hits = self.flight.cast(pointing.sensor_site_m, pointing.true_site)
-        echoes = self._echoes(pointing, axis_hits)
-        returns = receive(self.receiver, echoes, shot, self.scenario.seed)
-        return self._measurement(shot, pointing, axis_hits, returns), state
-
-    def _echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
-        """What arrives from each beamlet: (shots, beams, beamlets)."""
         instrument, site = self.scenario.instrument, self.scenario.site
-        optics = instrument.optics
-        footprint = sample_footprint(
-            pointing.sensor_site_m,
-            pointing.true_site,
-            axis_hits.range_m,
-            self.plan.beamlets,
-            optics.waist_radius_m,
-            instrument.waveform.wavelength_m,
-        )
-        hits = self._cast_beamlets(footprint, axis_hits)
-        cos_incidence = -dot(hits.normal_site, footprint.ray_site)
-        power_w = coherent_power_w(instrument, site.surface, site.atmosphere, hits.range_m, cos_incidence)
-        return Echoes(
-            range_m=hits.range_m,
-            closing_speed_mps=dot(pointing.sensor_velocity_site_mps[..., None, :], footprint.doppler_site),
-            power_w=np.where(np.isnan(power_w), 0.0, power_w * footprint.weight),
-            fired=pointing.fired,
-            inside=axis_hits.inside,
-        )
-
-    def _cast_beamlets(self, footprint: Footprint, axis_hits: Hits) -> Hits:
-        if footprint.weight.size > 1:
-            return self.flight.cast(footprint.start_site_m, footprint.ray_site)
-        return Hits(
-            axis_hits.range_m[..., None], axis_hits.normal_site[..., None, :], axis_hits.inside[..., None]
-        )
+        echoes = receive_light(instrument, site, self.flight, self.plan.beamlets, pointing, axis_hits)
+        returns = self.level(echoes, shot)
+        return self._measurement(shot, pointing, axis_hits, returns), state
 
     def _measurement(
         self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits, returns: Returns

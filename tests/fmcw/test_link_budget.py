@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
+from scipy.integrate import dblquad, quad
 
 from lidar_emu.errors import InputError
-from lidar_emu.fmcw.echo import coherent_power_w
-from lidar_emu.fmcw.receiver import build_receiver
+from lidar_emu.fmcw.build import build_receiver
+from lidar_emu.fmcw.echo import coherent_power_w, haze_power_w, haze_w_per_m, sunlight_over_shot
 from lidar_emu.scenario.instrument import Detection, Instrument, Optics, Receiver, Waveform
-from lidar_emu.scenario.site import Atmosphere, Surface
+from lidar_emu.scenario.site import Atmosphere, Plane, Site, Surface
 
 INSTRUMENT = Instrument()
 SURFACE = Surface()
@@ -42,6 +45,70 @@ def test_atmosphere_is_passed_twice() -> None:
     assert with_air / without == pytest.approx(np.exp(-0.6))
 
 
+@pytest.mark.parametrize("range_m", [40.0, 1000.0, 8000.0])
+def test_two_modes_at_an_angle_overlap_less(range_m: float) -> None:
+    """Intensities exp(-2r²/w²) of both modes on the ground, one moved aside by R times the angle."""
+    error_rad = 20e-6
+    optics = Optics(alignment_error_rad=error_rad)
+    tilted = coherent_power_w(Instrument(optics=optics), SURFACE, None, range_m, 1.0)
+    aside_w = range_m * error_rad / (0.017 * np.hypot(1, 1550e-9 * range_m / (np.pi * 0.017**2)))
+
+    def product(y: float, x: float, apart: float) -> float:
+        return float(np.exp(-2 * (x**2 + y**2) - 2 * ((x - apart) ** 2 + y**2)))
+
+    together, apart = (dblquad(product, -4, 4, -4, 4, args=(moved,))[0] for moved in (0.0, aside_w))
+    straight = coherent_power_w(INSTRUMENT, SURFACE, None, range_m, 1.0)
+    assert tilted / straight == pytest.approx(apart / together, rel=1e-7)
+
+
+RAYLEIGH_M = np.pi * 0.017**2 / 1550e-9
+
+
+@pytest.mark.parametrize("extinction_per_m", [0.0, 1e-5, 1e-3, 0.1, 10.0])
+def test_light_of_the_air_is_the_sum_over_its_layers(extinction_per_m: float) -> None:
+    air = Atmosphere(extinction_per_m=extinction_per_m, backscatter_per_m_sr=1e-7)
+    range_m = np.array([0.0, 0.3, 30.0, 600.0, 3000.0, 12_000.0])
+
+    def layer(r: float) -> float:
+        return float(np.exp(-2 * extinction_per_m * r) / (1 + (r / RAYLEIGH_M) ** 2))
+
+    # 30 optical depths are all that returns.
+    ends = np.minimum(range_m, 30 / extinction_per_m if extinction_per_m else np.inf)
+    layers = [(near, far) for near, far in pairwise(ends) if far > near]
+    parts = [quad(layer, near, far, epsabs=0, epsrel=1e-12, limit=500)[0] for near, far in layers]
+    expected_m = np.concatenate([[0.0], np.cumsum(parts)])
+    power_w = haze_power_w(INSTRUMENT, air, range_m)[: len(expected_m)]
+    np.testing.assert_allclose(power_w, haze_w_per_m(INSTRUMENT, air) * expected_m, rtol=1e-9)
+
+
+def test_air_that_does_not_dim_is_an_arctangent() -> None:
+    air = Atmosphere(extinction_per_m=0.0, backscatter_per_m_sr=1e-7)
+    per_m_w = 0.6 * 1e-7 * 1550e-9**2 / (np.pi * 0.017**2)
+    range_m = np.array([[0.0, 10.0], [1e4, np.inf]])
+    expected_w = per_m_w * RAYLEIGH_M * np.arctan(range_m / RAYLEIGH_M)
+    np.testing.assert_allclose(haze_power_w(INSTRUMENT, air, range_m), expected_w, rtol=1e-12)
+    assert np.isnan(haze_power_w(INSTRUMENT, air, np.nan))
+
+
+def test_air_beside_the_ground_of_mars() -> None:
+    """At 1.5 km, straight down: the air's 1e-7 * 585.8 m * 1.1985 = 7.02e-5 /sr over the beam's area at the sensor, the
+    ground's 0.5 * 0.25/π = 0.0398 over 7.557 times it: 0.0133, -18.7 dB.
+    """
+    air = Atmosphere(extinction_per_m=0.0, backscatter_per_m_sr=1e-7)
+    mars = Surface(reflectance=0.25)
+    ratio = haze_power_w(INSTRUMENT, air, 1500.0) / coherent_power_w(INSTRUMENT, mars, None, 1500.0, 1.0)
+    assert 10 * np.log10(ratio) == pytest.approx(-18.75, abs=0.02)
+
+
+def test_sunlight_on_the_moon() -> None:
+    """270 W/m²/um on 0.18: 15.47 MW/m²/sr per metre; λ⁴/c = 1.92533e-32 of that, half of it in one polarisation, is
+    1.4893e-25 W/Hz, and twice that at 1 A/W over the electron's charge 1.859e-6.
+    """
+    moon = Site(ground=Plane(kind="plane"), sunlight_w_per_m2_um=270)
+    assert sunlight_over_shot(INSTRUMENT, moon) == pytest.approx(1.859e-6, rel=1e-3)
+    assert sunlight_over_shot(INSTRUMENT, Site(ground=Plane(kind="plane"))) == 0
+
+
 def test_missing_and_hidden_surfaces() -> None:
     power_w = coherent_power_w(INSTRUMENT, SURFACE, None, [np.nan, 100.0, 100.0], [1.0, -0.2, 0.0])
     np.testing.assert_array_equal(power_w, [np.nan, 0.0, 0.0])
@@ -65,7 +132,8 @@ def test_photons_detected_at_2_km() -> None:
     1e-12 J/s * 2.184533e-4 s / 1.602177e-19 C = 1363.48 electrons, 545.39 with the heterodyne efficiency.
     Thermal 4kT/R = 8.28389e-24 A2/Hz over shot 2qI = 3.20435e-22 A2/Hz is 0.0258520: 531.65.
     """
-    model = build_receiver(INSTRUMENT)
+    quiet = Receiver(dark_current_a=0, relative_intensity_noise_db_per_hz=None, adc=None)
+    model = build_receiver(Instrument(receiver=quiet))
     assert model.snr_per_w * 1e-12 == pytest.approx(531.65, abs=0.01)
 
 

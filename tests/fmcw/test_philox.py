@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lidar_emu.fmcw.philox import complex_normal, philox4x32, uniform_pair
+from lidar_emu.fmcw.philox import complex_normal, fill_complex_normals, philox4x32, uniform_pair
 
 
 # Known answers published with the Random123 library: counter, key, result.
@@ -65,3 +65,38 @@ def test_every_part_of_the_key_and_the_counter_counts() -> None:
     ]
     drawn = {uniform_pair(*counter) for counter in [base, *others]}
     assert len(drawn) == len(others) + 1
+
+
+def _filled(first_pair: int, count: int, shot: int = 3) -> np.ndarray:
+    out = np.empty((2, count))
+    words = np.empty((4, count // 2), dtype=np.uint64)
+    fill_complex_normals(np.uint64(2**40 + 11), shot, 5, 2, first_pair, words, out)
+    return out[0] + 1j * out[1]
+
+
+def test_filled_normals_are_box_muller_of_the_words() -> None:
+    """Two numbers of each counter, from 32 bits each for magnitude and phase."""
+    shot, seed = 2**33 + 3, 2**40 + 11
+    for i, pair in enumerate(_filled(7, 64, shot).reshape(-1, 2)):
+        counter = (shot % 2**32, shot >> 32, (2 << 16) | 5, 7 + i)
+        words = philox4x32(*map(np.uint64, counter), np.uint64(seed % 2**32), np.uint64(seed >> 32))
+        a, b, c, d = ((int(w) + 0.5) / 2**32 for w in words)
+        for z, u, turn in ((pair[0], a, b), (pair[1], c, d)):
+            assert z == pytest.approx(np.sqrt(-np.log(u)) * np.exp(2j * np.pi * turn - 1j * np.pi), rel=1e-13)
+
+
+def test_filled_normals_are_normal_and_independent() -> None:
+    z = _filled(0, 200_000)
+    for part in (z.real, z.imag):
+        assert stats.kstest(part * np.sqrt(2), "norm").pvalue > 1e-3
+    assert stats.kstest(abs(z) ** 2, "expon").pvalue > 1e-3
+    bound = 4 / np.sqrt(len(z))
+    for lag in (1, 2, 3):
+        assert abs(np.mean(z[lag:] * np.conj(z[:-lag]))) < bound
+        assert abs(np.corrcoef(abs(z[lag:]) ** 2, abs(z[:-lag]) ** 2)[0, 1]) < bound
+    assert abs(np.mean(z**2)) < bound * np.sqrt(2)
+
+
+def test_filled_normals_do_not_depend_on_where_filling_starts() -> None:
+    whole = _filled(0, 64)
+    np.testing.assert_array_equal(_filled(5, 20), whole[10:30])

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.fmcw.estimate import Estimate, chirp_minus_doppler, least_squares
+from lidar_emu.fmcw.estimate import (
+    ALL,
+    CONSTANT,
+    DOWN,
+    UP,
+    Estimate,
+    chirp_minus_doppler,
+    least_squares,
+)
 
 LENGTH = 2.0**17
 FARTHEST = 35_600.0
@@ -43,7 +53,7 @@ def test_published_detector_errs_beyond_nyquist_and_its_residual_says_so() -> No
 def _least_squares(
     observed: np.ndarray, variances: tuple[float, float, float] = (TWELFTH, TWELFTH, TWELFTH)
 ) -> Estimate:
-    return least_squares(*observed, *variances, LENGTH, FARTHEST)
+    return least_squares(ALL, *observed, *variances, LENGTH, FARTHEST)
 
 
 @settings(deadline=None)
@@ -115,6 +125,148 @@ def test_a_false_lock_is_not_resolved() -> None:
 
 def test_frequencies_that_nothing_explains_are_not_found() -> None:
     far_beyond = np.array([60_000.0, 50.0, 100.0])
-    estimate = least_squares(*far_beyond, TWELFTH, TWELFTH, TWELFTH, LENGTH, 100.0)
+    estimate = least_squares(ALL, *far_beyond, TWELFTH, TWELFTH, TWELFTH, LENGTH, 100.0)
     assert not estimate.found
     assert np.isnan(estimate.range_bin)
+    assert not estimate.sign_resolved
+
+
+PAIRS = [UP | CONSTANT, UP | DOWN, CONSTANT | DOWN]
+RANGE_BIN_M, SPEED_BIN_MPS = 0.343085, 3.547668e-3
+
+
+def _of_two(mask: int, observed: np.ndarray, farthest: float = FARTHEST) -> Estimate:
+    """Least squares that would show if the missing segment's frequency or variance were read."""
+    there = [bool(mask & bit) for bit in (UP, CONSTANT, DOWN)]
+    frequencies = np.where(there, observed, np.nan)
+    variances = np.where(there, TWELFTH, np.nan)
+    return least_squares(mask, *frequencies, *variances, LENGTH, farthest)
+
+
+def _slow_explanations(mask: int, observed: np.ndarray) -> list[tuple[int, bool, bool, bool, float, float]]:
+    """All explanations, best first: folds, receding, third segment audible, b not below |d|; b and d."""
+    signs = [(1, 0), (-1, 0), (-1, 1), (1, -1)]  # of F, and how many N come with it
+    explanations = []
+    for choices in product(signs, signs):
+        segments = [s for s in range(3) if mask & (1 << s)]
+        if any(s == 1 and folds for s, (_, folds) in zip(segments, choices, strict=True)):
+            continue
+        signed = {s: sign * observed[s] + n * LENGTH for s, (sign, n) in zip(segments, choices, strict=True)}
+        if 1 not in signed:
+            signed[1] = (signed[2] - signed[0]) / 2
+            silent = signed[1]
+        elif 2 not in signed:
+            silent = signed[2] = signed[0] + 2 * signed[1]
+        else:
+            silent = signed[0] = signed[2] - 2 * signed[1]
+        beat, doppler = (signed[0] + signed[2]) / 2, signed[1]
+        slack = 3 * np.sqrt(TWELFTH / 2 if mask == UP | DOWN else TWELFTH * 2)
+        if -slack <= beat <= FARTHEST + slack and abs(doppler) <= LENGTH / 2:
+            folds = sum(n != 0 for _, n in choices)
+            explanations.append((folds, doppler < 0, abs(silent) > 16, abs(doppler) <= beat, beat, doppler))
+    return sorted(explanations, key=lambda e: e[:4])
+
+
+@settings(deadline=None)
+@given(mask=st.sampled_from(PAIRS), range_m=st.floats(0, 12_000), speed_mps=st.floats(-230, 230))
+def test_two_segments_admit_the_truth_and_choose_the_likeliest(
+    mask: int, range_m: float, speed_mps: float
+) -> None:
+    beat, doppler = range_m / RANGE_BIN_M, speed_mps / SPEED_BIN_MPS
+    observed = np.rint(_observed(beat, doppler))
+    explanations = _slow_explanations(mask, observed)
+    assert any(abs(e[4] - beat) <= 1 and abs(e[5] - doppler) <= 1 for e in explanations)
+    estimate = _of_two(mask, observed)
+    assert estimate.found
+    assert np.isnan(estimate.residual_bin)
+    same_rank = [e for e in explanations if e[:4] == explanations[0][:4]]
+    assert (estimate.range_bin, estimate.doppler_bin) in [e[4:] for e in same_rank]
+    if estimate.sign_resolved:  # then nothing else is admitted but what lies within six standard deviations
+        assert abs(estimate.range_bin - beat) <= 1 + 6 * np.sqrt(estimate.range_variance)
+        assert abs(estimate.doppler_bin - doppler) <= 1 + 6 * np.sqrt(estimate.doppler_variance)
+
+
+@settings(deadline=None)
+@given(range_m=st.floats(0, 12_000), speed_mps=st.floats(-230, 230))
+def test_three_segments_always_find_an_explanation(range_m: float, speed_mps: float) -> None:
+    beat, doppler = range_m / RANGE_BIN_M, speed_mps / SPEED_BIN_MPS
+    estimate = _least_squares(np.rint(_observed(beat, doppler)))
+    assert estimate.found
+    if estimate.sign_resolved:
+        assert abs(estimate.range_bin - beat) <= 1
+        assert abs(estimate.doppler_bin - doppler) <= 1
+
+
+@pytest.mark.parametrize(
+    ("range_m", "speed_mps"),
+    [(2164.784, 92.3880), (541.196, 29.5641), (504.314, 29.7433), (2164.784, 84.4623)],
+)
+def test_two_segments_of_a_descent(range_m: float, speed_mps: float) -> None:
+    """The published descents: the Doppler shift exceeds the beat of range, and neither chirp folds at N/2."""
+    beat, doppler = range_m / RANGE_BIN_M, speed_mps / SPEED_BIN_MPS
+    for mask in (UP | CONSTANT, UP | DOWN):
+        estimate = _of_two(mask, np.rint(_observed(beat, doppler)))
+        assert estimate.range_bin == pytest.approx(beat, abs=1)
+        assert estimate.doppler_bin == pytest.approx(doppler, abs=1)
+    # The constant segment and the down-chirp say as much as the chirp pair: the sign remains that of closing.
+    estimate = _of_two(CONSTANT | DOWN, np.rint(_observed(beat, doppler)))
+    assert estimate.range_bin == pytest.approx(beat, abs=1)
+    assert estimate.doppler_bin == pytest.approx(doppler, abs=1)
+
+
+@pytest.mark.parametrize("doppler", [-10.0, 0.0, 10.0])
+def test_chirps_without_doppler_line_are_a_hover(doppler: float) -> None:
+    estimate = _of_two(UP | DOWN, _observed(3000.0, doppler))
+    assert estimate.range_bin == 3000.0
+    assert estimate.doppler_bin == doppler
+    assert not estimate.sign_resolved
+
+
+@pytest.mark.parametrize(
+    ("mask", "range_variance", "doppler_variance"),
+    [(UP | DOWN, (0.1 + 0.3) / 4, (0.1 + 0.3) / 4), (UP | CONSTANT, 0.3, 0.2), (CONSTANT | DOWN, 0.5, 0.2)],
+)
+def test_variances_of_two_segments(mask: int, range_variance: float, doppler_variance: float) -> None:
+    estimate = least_squares(mask, *_observed(2000.0, 9000.0), 0.1, 0.2, 0.3, LENGTH, FARTHEST)
+    assert [estimate.range_variance, estimate.doppler_variance] == pytest.approx(
+        [range_variance, doppler_variance]
+    )
+
+
+def test_one_explanation_alone_is_resolved() -> None:
+    """As far as the instrument goes: what lies beyond is no rival."""
+    observed = _observed(9000.0, 20_000.0)
+    assert not _of_two(UP | CONSTANT, observed).sign_resolved
+    estimate = _of_two(UP | CONSTANT, observed, farthest=9500.0)
+    assert estimate.sign_resolved
+    assert (estimate.range_bin, estimate.doppler_bin) == (9000.0, 20_000.0)
+
+
+@pytest.mark.parametrize("mask", [0, UP, CONSTANT, DOWN])
+def test_fewer_than_two_segments_say_nothing(mask: int) -> None:
+    estimate = least_squares(mask, 1.0, 2.0, 3.0, TWELFTH, TWELFTH, TWELFTH, LENGTH, FARTHEST)
+    assert not estimate.found
+    assert not estimate.sign_resolved
+    assert np.isnan([estimate.range_bin, estimate.doppler_bin]).all()
+
+
+EXTREME = st.sampled_from([0.0, 1e-300, 1.0, 65_535.5, 65_536.0, 1e9, 1e150, np.inf, np.nan])
+
+
+@settings(deadline=None, max_examples=300)
+@given(
+    mask=st.sampled_from([*PAIRS, ALL]),
+    observed=st.tuples(EXTREME, EXTREME, EXTREME),
+    variances=st.tuples(EXTREME, EXTREME, EXTREME),
+    farthest=st.sampled_from([0.0, 1.0, FARTHEST]),
+)
+def test_what_is_found_is_finite(
+    mask: int, observed: tuple[float, ...], variances: tuple[float, ...], farthest: float
+) -> None:
+    estimate = least_squares(mask, *observed, *variances, LENGTH, farthest)
+    if estimate.found:
+        assert np.isfinite([estimate.range_bin, estimate.doppler_bin]).all()
+        assert np.isfinite([estimate.range_variance, estimate.doppler_variance]).all()
+        assert np.isnan(estimate.residual_bin) == (mask != ALL)
+    else:
+        assert not estimate.sign_resolved

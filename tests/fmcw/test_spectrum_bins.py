@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mpmath import mp, mpf
+from scipy import stats
+from synthesis import COSINES, fft_bins, tones_in_time
 
 from lidar_emu.fmcw.sine import sin_pi
 from lidar_emu.fmcw.spectrum import (
     BIN,
-    BINS_PER_TONE,
-    IM,
+    NOISE,
     POWER,
-    RE,
     REACH,
     ROWS,
     TAPS,
@@ -24,6 +24,7 @@ from lidar_emu.fmcw.spectrum import (
     Window,
     add_noise,
     fold,
+    grid_capacity,
     lay_bins,
     mirror_ends,
     set_power,
@@ -31,55 +32,42 @@ from lidar_emu.fmcw.spectrum import (
     windowed_bin,
 )
 
-COSINES = {"rect": (1.0, 0.0), "hann": (0.5, 0.5), "hamming": (0.54, 0.46)}
-
-
-def _record(signed_bin: np.ndarray, weight: np.ndarray, length: int) -> np.ndarray:
-    """Real samples of tones that have the phase of `weight` at the record's centre."""
-    n = np.arange(length)
-    samples = np.zeros(length)
-    for place, w in zip(signed_bin, weight, strict=True):
-        phase = 2 * pi * place / length * (n - (length - 1) / 2) + np.angle(w)
-        samples += abs(w) * np.cos(phase)
-    return samples
-
-
-def _windowed_fft(samples: np.ndarray, window: str) -> np.ndarray:
-    """Bins 0 to N/2, scaled so that a tone of unit amplitude on its bin gives `centre`."""
-    length = len(samples)
-    a, b = COSINES[window]
-    weights = a - b * np.cos(2 * pi * np.arange(length) / length)
-    return np.fft.rfft(samples * weights) / (length / 2)
-
-
-def _lay(signed_bin: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.ndarray, int]:
-    """The product's rectangular bins of these tones."""
+def _lay(signed_bin: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarray]:
+    """The product's grid and rectangular bins of these tones, the columns in use."""
     tones = np.empty((4, len(signed_bin)))
     for i, (place, w) in enumerate(zip(signed_bin, weight, strict=True)):
         observed, factor_re, factor_im = fold(place, float(length))
         tones[:, i] = np.rint(observed), observed - np.rint(observed), factor_re * w.real, factor_im * w.imag
-    spectrum = np.zeros((ROWS, len(signed_bin) * BINS_PER_TONE))
-    count = lay_bins(tones[0], float(length), np.empty(len(signed_bin)), spectrum)
-    set_tones(tones, float(length), spectrum, count)
-    mirror_ends(float(length), spectrum, count)
-    return spectrum, count
+    grid = _grid(tones[0], length)
+    bins = np.zeros((2, grid.shape[1]))
+    set_tones(tones, float(length), grid, grid.shape[1], bins)
+    mirror_ends(float(length), grid, grid.shape[1], bins)
+    return grid, bins
 
 
-def _inner(spectrum: np.ndarray, count: int, length: int) -> list[int]:
+def _grid(tone_bin: np.ndarray, length: int) -> np.ndarray:
+    """Bins laid around tones, the columns in use, with unit noise."""
+    grid = np.zeros((ROWS, grid_capacity(len(tone_bin), REACH)))
+    count = lay_bins(tone_bin, float(REACH), float(length), np.empty(len(tone_bin)), grid)
+    grid[NOISE] = 1.0
+    return grid[:, :count].copy()
+
+
+def _inner(grid: np.ndarray, length: int) -> list[int]:
     """Columns with their neighbours in place, from bin 0 to N/2."""
-    bins = spectrum[BIN, :count]
-    return [j for j in range(1, count - 1) if bins[j + 1] - bins[j - 1] == 2 and 0 <= bins[j] <= length / 2]
+    k = grid[BIN]
+    return [j for j in range(1, len(k) - 1) if k[j + 1] - k[j - 1] == 2 and 0 <= k[j] <= length / 2]
 
 
 def _worst_error(signed_bin: np.ndarray, weight: np.ndarray, length: int, window: str) -> float:
     """Largest complex error over the bins, relative to the spectrum's peak."""
-    spectrum, count = _lay(signed_bin, weight, length)
-    expected = _windowed_fft(_record(signed_bin, weight, length), window)
+    grid, bins = _lay(signed_bin, weight, length)
+    expected = fft_bins(tones_in_time(signed_bin, weight, length), window)
     taps = (*WINDOWS[window], cos(pi / length), sin(pi / length))
     worst = 0.0
-    for j in _inner(spectrum, count, length):
-        k = int(spectrum[BIN, j])
-        ours = complex(*windowed_bin(spectrum, j, *taps)) * np.exp(1j * pi * k / length)
+    for j in _inner(grid, length):
+        k = int(grid[BIN, j])
+        ours = complex(*windowed_bin(bins, j, *taps)) * np.exp(1j * pi * k / length)
         worst = max(worst, abs(ours - expected[k]))
     return worst / float(abs(expected).max())
 
@@ -121,7 +109,7 @@ def test_bins_of_any_set_of_tones(count: int, centre: float, spread: float, wind
     places = centre + spread * rng.standard_normal(count)
     weight = rng.standard_normal(count) + 1j * rng.standard_normal(count)
     expected_peak = 1e-3 * abs(weight).max()
-    spectrum = _windowed_fft(_record(places, weight, 4096), window)
+    spectrum = fft_bins(tones_in_time(places, weight, 4096), window)
     if abs(spectrum).max() > expected_peak:
         assert _worst_error(places, weight, 4096, window) < 1e-9
 
@@ -143,28 +131,34 @@ def test_sine_keeps_its_relative_error(x: float) -> None:
     places=st.lists(st.integers(0, 128), min_size=1, max_size=40),
 )
 def test_bins_laid_are_the_union_around_the_tones(places: list[int]) -> None:
-    tone_bin = np.array(places, dtype=float)
-    spectrum = np.zeros((ROWS, len(places) * BINS_PER_TONE))
-    count = lay_bins(tone_bin, 256.0, np.empty(len(places)), spectrum)
-    expected = sorted(
-        {k for n in places for k in range(n - REACH, n + REACH + 1) if -TAPS <= k <= 128 + TAPS}
-    )
-    assert spectrum[BIN, :count].tolist() == expected
+    laid = _grid(np.array(places, dtype=float), 256)[BIN]
+    # Tones no farther apart than 48 bins share one interval, whatever lies between them.
+    middles = range(min(places), max(places) + 1) if max(places) - min(places) <= 48 else places
+    around = {k for n in middles for k in range(n - REACH, n + REACH + 1)}
+    expected = sorted(k for k in around if -TAPS <= k <= 128 + TAPS)
+    assert laid.tolist() == expected
 
 
-def _noise_spectra(window: Window, first: int, bins: int, length: float, shots: int) -> np.ndarray:
-    """(shots, bins) power of windowed noise."""
-    spectrum = np.zeros((ROWS, 400))
-    powers = np.empty((shots, bins))
-    middle = np.arange(first + REACH, first + bins - REACH, 1.0)
-    count = lay_bins(middle, length, np.empty(len(middle)), spectrum)
+def _add_noise(shot: int, first_index: int, length: float, grid: np.ndarray, bins: np.ndarray) -> None:
+    columns = grid.shape[1]
+    words, scratch = np.empty((4, columns), dtype=np.uint64), np.empty((2, columns + 2))
+    add_noise(np.uint64(3), shot, 0, 2, first_index, length, grid, columns, bins, words, scratch)
+    mirror_ends(length, grid, grid.shape[1], bins)
+
+
+def _noise_spectra(
+    window: Window, first: int, count: int, length: float, shots: int, looks: int = 1
+) -> np.ndarray:
+    """(shots, count) power of windowed noise."""
+    grid = _grid(np.arange(first + REACH, first + count - REACH, 1.0), int(length))
     taps = (*window, cos(pi / length), sin(pi / length))
+    powers = np.empty((shots, count))
     for shot in range(shots):
-        spectrum[RE : IM + 1] = 0.0
-        add_noise(np.uint64(3), shot, 0, 2, 0, length, spectrum, count)
-        mirror_ends(length, spectrum, count)
-        set_power(*taps, length, spectrum, count)
-        powers[shot] = spectrum[POWER, :bins]
+        bins = np.zeros((looks, 2, grid.shape[1]))
+        for look in range(looks):
+            _add_noise(shot, look * 2**24, length, grid, bins[look])
+        set_power(*taps, length, grid, grid.shape[1], bins)
+        powers[shot] = grid[POWER, :count]
     return powers
 
 
@@ -192,14 +186,32 @@ def test_noise_beside_dc_is_that_of_real_samples(window: str) -> None:
     np.testing.assert_allclose(ours[1:], expected[1:], rtol=0.06)
 
 
+def test_looks_are_averaged() -> None:
+    """The mean of M exponential powers: M times it, doubled, is chi-squared with 2M degrees of freedom."""
+    powers = _noise_spectra(WINDOWS["rect"], 100, 40, 1024.0, 2000, looks=4)[:, TAPS:-TAPS]
+    assert stats.kstest(8 * powers.ravel(), stats.chi2(8).cdf).pvalue > 1e-3
+
+
+def test_noise_has_the_level_of_its_bin() -> None:
+    grid = _grid(np.array([500.0]), 1024)
+    grid[NOISE] = 1.0 + np.arange(grid.shape[1])
+    power = np.zeros(grid.shape[1])
+    shots = 4000
+    for shot in range(shots):
+        bins = np.zeros((2, grid.shape[1]))
+        _add_noise(shot, 0, 1024.0, grid, bins)
+        power += (bins**2).sum(axis=0) / shots
+    np.testing.assert_allclose(power, grid[NOISE], rtol=5 / np.sqrt(shots))
+
+
 def test_noise_of_a_bin_does_not_depend_on_its_interval() -> None:
-    wide, narrow = np.zeros((ROWS, 200)), np.zeros((ROWS, 200))
-    for spectrum, tones in ((wide, [490.0, 500.0, 505.0]), (narrow, [505.0])):
-        count = lay_bins(np.array(tones), 1024.0, np.empty(len(tones)), spectrum)
-        add_noise(np.uint64(3), 1, 2, 2, 1000, 1024.0, spectrum, count)
-        mirror_ends(1024.0, spectrum, count)
-    columns = {k: j for j, k in enumerate(wide[BIN, :100])}
-    for j in range(BINS_PER_TONE - 1):
-        k = narrow[BIN, j]
-        if k > 0:
-            assert (narrow[RE, j], narrow[IM, j]) == (wide[RE, columns[k]], wide[IM, columns[k]])
+    drawn = []
+    for tones in ([490.0, 500.0, 505.0], [504.0], [511.0], [100.0, 505.0]):
+        grid = _grid(np.array(tones), 1024)
+        bins = np.zeros((2, grid.shape[1]))
+        _add_noise(1, 1000, 1024.0, grid, bins)
+        drawn.append({k: tuple(b) for k, b in zip(grid[BIN], bins.T, strict=True)})
+    for other in drawn[1:]:
+        shared = drawn[0].keys() & other.keys()
+        assert len(shared) > REACH
+        assert all(other[k] == drawn[0][k] for k in shared)

@@ -37,7 +37,7 @@ def flown(folder: Path, ground: dict[str, Any], trajectory: str, pattern: str, r
     text = "\n".join([
         "name: real",
         f"timing: {{rate_hz: {rate_hz}}}",
-        "instrument: ndl_four_beam",
+        "instrument: ndl_as_published",
         "site:", "  name: real", "  ground:", *lines,
         f"scanner: {{pattern: {pattern}}}",
         f"trajectory: {trajectory}",

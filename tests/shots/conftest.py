@@ -20,7 +20,10 @@ def make_flight() -> FlightMaker:
     def make(**parts: Any) -> FlightScenario:
         tree: dict[str, Any] = {
             "name": "test",
-            "instrument": {"detection": {"peak": "hann", "combine": "least_squares"}},
+            "instrument": {
+                "optics": {"speckle": False},
+                "detection": {"peak": "hann", "combine": "least_squares"},
+            },
             "site": {"ground": {"kind": "plane"}},
             "scanner": {"pattern": {"kind": "square", "angle_deg": 22.5}},
             "trajectory": {

@@ -7,6 +7,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from lidar_emu.flight import Flight
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.shots import build_model, measure_in_blocks, simulate
@@ -29,10 +30,26 @@ def test_vertical_descent_over_a_plane(make_flight):
 
 
 def test_measured_values_lie_within_a_few_sigma_of_the_truth(make_flight):
-    run = simulate(make_flight())
+    """Beside what three segments one after another read wrongly: sigma is that of noise alone.
+
+    Between the chirps the range changes by 2 v T and the speed by 2 a T, and their carriers differ, f - S T_rec/2 and
+    f - S (T - T_rec/2).
+    """
+    instrument = {
+        "waveform": {"linewidth_hz": 0},
+        "optics": {"speckle": False},
+        "detection": {"peak": "hann", "combine": "least_squares"},
+    }
+    run = simulate(make_flight(instrument=instrument))
     assert run.range_valid.all()
-    range_error = (run.range_m - run.true_range_m) / run.sigma_range_m
-    speed_error = (run.closing_speed_mps - run.true_closing_speed_mps) / run.sigma_speed_mps
+    light_mps, slope, segment_s, record_s = 299792458, 2e12, 300e-6, 2**17 / 600e6
+    acceleration_mps2 = -(60**2 - 20**2) / (2 * 900) / SLANT
+    closing_mps = run.true_closing_speed_mps
+    bias_m = light_mps * segment_s * acceleration_mps2 / (1550e-9 * slope)
+    bias_m += closing_mps * (2 * run.true_range_m / light_mps - (segment_s - record_s) / 2)
+    bias_mps = -closing_mps * slope * segment_s * 1550e-9 / light_mps
+    range_error = (run.range_m - run.true_range_m - bias_m) / run.sigma_range_m
+    speed_error = (run.closing_speed_mps - closing_mps - bias_mps) / run.sigma_speed_mps
     for error in (range_error, speed_error):
         assert 0.5 < np.sqrt(np.mean(error**2)) < 1.5
 
@@ -55,6 +72,49 @@ def test_beams_in_turn_have_their_own_time_and_truth(make_flight):
     fallen_m = (run.true_range_m[:, 0] - run.true_range_m[:, 3]) / SLANT
     speed_mps = -run.velocity_site_mps[:, 2]
     np.testing.assert_allclose(fallen_m, speed_mps * 2.7e-3, atol=2e-5)
+
+
+@pytest.mark.parametrize("firing", ["together", "in_turn"])
+def test_looks_are_centred_on_the_time_of_validity(make_flight, firing):
+    """Four cycles of 0.9 ms a beam: the middle of their constant records lies 1.5 cycles after the first's."""
+    scenario = make_flight(
+        instrument={"detection": {"looks": 4}},
+        scanner={"pattern": {"kind": "square", "angle_deg": 22.5}, "firing": firing},
+    )
+    beams_in_turn = 4 if firing == "in_turn" else 1
+    assert scenario.cycle_time_s == pytest.approx(4 * 0.9e-3 * beams_in_turn, rel=1e-12)
+    flight = Flight(scenario)
+    pointing, _ = flight.point(np.arange(3), flight.scanner.initial)
+    first_s = 2 * 300e-6 - 2**17 / 600e6 / 2 + 1.5 * 0.9e-3
+    expected_s = first_s + np.arange(4) * 3.6e-3 * (firing == "in_turn")
+    np.testing.assert_allclose(pointing.time_ns[0] * 1e-9, expected_s, atol=2e-9)
+    np.testing.assert_array_equal(flight.due_ns(np.arange(1)), 3_600_000 * beams_in_turn + 2_000_000)
+
+
+def test_looks_lower_the_rate_that_can_be_reached(make_flight):
+    with pytest.raises(ValueError, match=r"at most 277\.778.*detection\.looks 4"):
+        make_flight(instrument={"detection": {"looks": 4}}, timing={"rate_hz": 278})
+    make_flight(instrument={"detection": {"looks": 4}}, timing={"rate_hz": 277})
+
+
+def test_acceleration_of_the_sensor_on_a_turning_body(make_flight):
+    flight = Flight(
+        make_flight(
+            trajectory={
+                "kind": "profile",
+                "waypoints": [{"altitude_m": 1000, "speed_mps": 60}, {"altitude_m": 900, "speed_mps": 30}],
+                "attitude": {"body_rate_radps": [0.1, 0.5, -0.2]},
+            },
+            mounting={"lever_arm_m": [2.0, 0.3, -0.5]},
+        )
+    )
+    flight.period_ns = 100_000
+    pointing, _ = flight.point(np.arange(200), flight.scanner.initial)
+    for rate, value, atol in (
+        (pointing.sensor_acceleration_site_mps2, pointing.sensor_velocity_site_mps, 1e-8),
+        (np.cross(pointing.turning_site_radps, pointing.true_site), pointing.true_site, 1e-8),
+    ):
+        np.testing.assert_allclose(rate[1:-1], (value[2:] - value[:-2]) / 200e-6, atol=atol)
 
 
 def test_lever_arm_on_a_turning_body(make_flight):

@@ -8,6 +8,7 @@ import sys
 import click
 
 from lidar_emu import __version__
+from lidar_emu.cli.detection import detection
 from lidar_emu.cli.documents import icd, scenarios, schema
 from lidar_emu.cli.listen import listen
 from lidar_emu.cli.output import silence
@@ -34,13 +35,14 @@ def cli(context: click.Context) -> None:
     lidar-emu run descent.yaml -i socketcan -c vcan0
     lidar-emu listen --port /dev/ttyUSB1 --baud 921600 --json
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
+    lidar-emu detection descent.yaml                  what the instrument will detect, by altitude
     lidar-emu plan descent.yaml                       what the run computes and what it leaves out
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help())
 
 
-for command in (run, listen, simulate, plan, scenarios, schema, icd):
+for command in (run, listen, simulate, detection, plan, scenarios, schema, icd):
     cli.add_command(command)
 
 

@@ -14,29 +14,32 @@ if TYPE_CHECKING:
 
 Command = Callable[..., Any]
 
+scenario_argument = click.argument("scenario")
+settings_option = click.option(
+    "--set",
+    "settings",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Replace a key of the scenario, e.g. timing.rate_hz=100 (repeatable).",
+)
 _SCENARIO_OPTIONS = (
-    click.argument("scenario"),
+    scenario_argument,
     click.option("--duration", metavar="S", help="Fly only the first seconds."),
     click.option("--seed", metavar="N", help="Seed instead of the scenario's."),
-    click.option(
-        "--set",
-        "settings",
-        metavar="KEY=VALUE",
-        multiple=True,
-        help="Replace a key of the scenario, e.g. timing.rate_hz=100 (repeatable).",
-    ),
+    settings_option,
+    click.option("--exact", is_flag=True, help="Leave out nothing, whatever its effect."),
 )
 
 
 def scenario_options(command: Command) -> Command:
-    """Give a click command `scenario`, `duration`, `seed` and `settings`."""
+    """Give a click command `scenario`, `duration`, `seed`, `settings` and `exact`."""
     for option in reversed(_SCENARIO_OPTIONS):
         command = option(command)
     return command
 
 
 def load_scenario(
-    scenario: str, duration: str | None, seed: str | None, settings: tuple[str, ...]
+    scenario: str, duration: str | None, seed: str | None, settings: tuple[str, ...], exact: bool = False
 ) -> FlightScenario | BenchScenario:
     """The scenario with what the options say instead of the file.
 
@@ -45,7 +48,11 @@ def load_scenario(
     """
     from lidar_emu.scenario.load import load
 
-    options = {"duration_s": ("--duration", duration), "seed": ("--seed", seed)}
+    options = {
+        "duration_s": ("--duration", duration),
+        "seed": ("--seed", seed),
+        "exact": ("--exact", "true" if exact else None),
+    }
     given = {key: (option, text) for key, (option, text) in options.items() if text is not None}
     try:
         return load(scenario, _keys_and_values(settings) | {key: text for key, (_, text) in given.items()})

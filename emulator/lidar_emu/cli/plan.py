@@ -13,7 +13,12 @@ from lidar_emu.cli.options import load_scenario, scenario_options
 @scenario_options
 @click.option("--json", "as_json", is_flag=True, help="For machines.")
 def plan(
-    scenario: str, duration: str | None, seed: str | None, settings: tuple[str, ...], as_json: bool
+    scenario: str,
+    duration: str | None,
+    seed: str | None,
+    settings: tuple[str, ...],
+    exact: bool,
+    as_json: bool,
 ) -> None:
     """Show what SCENARIO needs, what is left out, the reason and what it costs at most.
 
@@ -23,7 +28,7 @@ def plan(
     """
     from lidar_emu.shots import build_model
 
-    flown = load_scenario(scenario, duration, seed, settings)
+    flown = load_scenario(scenario, duration, seed, settings, exact)
     decisions = build_model(flown).plan.decisions
     if as_json:
         from dataclasses import asdict

@@ -42,6 +42,7 @@ def run(
     duration: str | None,
     seed: str | None,
     settings: tuple[str, ...],
+    exact: bool,
     port: PortSpec,
     pace: str,
     start: str,
@@ -73,7 +74,7 @@ def run(
     from lidar_emu.runtime.pacing import Pace
     from lidar_emu.transports.spec import Kind
 
-    flown = load_scenario(scenario, duration, seed, settings)
+    flown = load_scenario(scenario, duration, seed, settings, exact)
     from lidar_emu.shots import build_model
 
     view = LoopbackView(quiet=as_json)

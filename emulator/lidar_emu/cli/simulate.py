@@ -20,6 +20,7 @@ def simulate(
     duration: str | None,
     seed: str | None,
     settings: tuple[str, ...],
+    exact: bool,
     out: str | None,
     plot: str | None,
 ) -> None:
@@ -42,7 +43,7 @@ def simulate(
         from lidar_emu.report.descent_plot import check_plot_path, plot_descent
 
         check_plot_path(Path(plot))
-    flown = load_scenario(scenario, duration, seed, settings)
+    flown = load_scenario(scenario, duration, seed, settings, exact)
     from lidar_emu.shots import FlightModel, build_model, measure_whole
 
     with busy(COMPILING):

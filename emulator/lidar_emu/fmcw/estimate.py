@@ -13,6 +13,10 @@ import numpy as np
 
 from lidar_emu.kernels import njit
 
+UP, CONSTANT, DOWN = 1, 2, 4
+"""Bits of a mask of segments."""
+ALL = UP | CONSTANT | DOWN
+
 _RESOLVED_COST = 9.0
 """A rival explanation that costs this much more, three standard deviations, is refuted."""
 
@@ -21,6 +25,11 @@ _FOLD_COST = 9.0
 
 _APART_VARIANCES = 36.0
 """Explanations nearer than six standard deviations tell the same."""
+
+_DEAF_BINS = 16.0
+"""A tone so near 0 may have been lost to AC coupling: 73 kHz with the default instrument."""
+
+_ROUNDING = 1.0 + 1e-9
 
 
 class Estimate(NamedTuple):
@@ -35,7 +44,7 @@ class Estimate(NamedTuple):
     range_variance: float
     doppler_variance: float
     residual_bin: float
-    """g₋ - g₊ - 2 g₀ with the chosen signs: 0 for three consistent frequencies."""
+    """g₋ - g₊ - 2 g₀ with the chosen signs: 0 for three consistent frequencies, NaN for two."""
     sign_resolved: bool
     """No rival explanation comes near."""
 
@@ -72,8 +81,9 @@ def chirp_minus_doppler(
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def least_squares(
+    mask: int,
     up: float,
     constant: float,
     down: float,
@@ -83,22 +93,53 @@ def least_squares(
     length: float,
     farthest_bin: float,
 ) -> Estimate:
-    """Joint least squares over the three segments, with the signs and folds that explain them best.
+    """Joint least squares over the segments that hold a target, with the signs and folds that explain them best.
 
     A chirp's signed beat is F, -F, N - F or F - N. The constant segment's is F or -F: a Doppler shift beyond
-    N/2 moves all three tones by N and looks in every way like its alias. An explanation puts the residual r =
-    g₋ - g₊ - 2 g₀ to zero by corrections in proportion to the variances, and is admitted where b lies between
-    0 and `farthest_bin`, give or take three standard deviations. It costs r² over its variance, plus 9 for
-    each fold at N/2 that it assumes; of equals the closing one is taken. The sign counts as resolved when
-    every admitted explanation that lies more than six standard deviations away in b or d costs more by 9, or
-    by 9 times r² over its variance where the residual shows that the variances are too small.
+    N/2 moves all three tones by N and looks in every way like its alias.
+
+    Of all three, an explanation puts the residual r = g₋ - g₊ - 2 g₀ to zero by corrections in proportion to the
+    variances, and is admitted where b lies between 0 and `farthest_bin`, give or take three standard deviations.
+    It costs r² over its variance, plus 9 for each fold at N/2 that it assumes; of equals the closing one is taken.
+    The sign counts as resolved when every admitted explanation that lies more than six standard deviations away
+    in b or d costs more by 9, or by 9 times r² over its variance where the residual shows that the variances are
+    too small.
+
+    Two have no residual, and seldom a single explanation; see `_from_two`.
 
     Args:
+        mask: bits of the segments whose frequencies exist: UP, CONSTANT, DOWN. The others' are not read.
         up, constant, down: observed frequencies F₊, F₀, F₋.
         up_var, constant_var, down_var: their variances.
         length: N.
         farthest_bin: largest b that the instrument can have observed.
+
+    Returns:
+        The estimate, not found where fewer than two segments are there or none of the explanations is admitted.
     """
+    if mask == ALL:
+        return _from_three(up, constant, down, up_var, constant_var, down_var, length, farthest_bin)
+    if mask == UP | DOWN:
+        variance = 0.25 * (up_var + down_var)
+        return _from_two(mask, up, down, variance, variance, length, farthest_bin)
+    if mask == UP | CONSTANT:
+        return _from_two(mask, up, constant, up_var + constant_var, constant_var, length, farthest_bin)
+    if mask == CONSTANT | DOWN:
+        return _from_two(mask, down, constant, down_var + constant_var, constant_var, length, farthest_bin)
+    return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, False)
+
+
+@njit(cache=True, error_model="numpy")
+def _from_three(
+    up: float,
+    constant: float,
+    down: float,
+    up_var: float,
+    constant_var: float,
+    down_var: float,
+    length: float,
+    farthest_bin: float,
+) -> Estimate:
     spread = up_var + 4.0 * constant_var + down_var
     range_var = 0.25 * (up_var + down_var - (up_var - down_var) ** 2 / spread)
     doppler_var = constant_var - 4.0 * constant_var**2 / spread
@@ -107,35 +148,97 @@ def least_squares(
     doppler_share = 2.0 * constant_var / spread
 
     best_cost, best_range, best_doppler, best_residual = np.inf, np.nan, np.nan, np.nan
-    rival_cost = np.inf
+    limit = np.inf
+    rivalled = False
     for rivals in (False, True):
-        for choice in range(32):
-            g_constant = constant if choice < 16 else -constant
-            g_up = _signed(up, (choice >> 2) & 3, length)
-            g_down = _signed(down, choice & 3, length)
-            residual = g_down - g_up - 2.0 * g_constant
-            beat = 0.5 * (g_up + g_down) + range_share * residual
-            if not -slack <= beat <= farthest_bin + slack:
-                continue
-            doppler = g_constant + doppler_share * residual
-            folds = ((choice >> 3) & 1) + ((choice >> 1) & 1)
-            cost = residual * residual / spread + _FOLD_COST * folds
-            if not rivals:
-                if cost < best_cost:
-                    best_cost, best_range, best_doppler, best_residual = cost, beat, doppler, residual
-            elif (beat - best_range) ** 2 > _APART_VARIANCES * range_var or (
-                doppler - best_doppler
-            ) ** 2 > _APART_VARIANCES * doppler_var:
-                rival_cost = min(rival_cost, cost)
+        if rivals:
+            limit = best_cost + _RESOLVED_COST * max(1.0, best_residual**2 / spread)
+        for g_constant in (constant, -constant):
+            for i in range(4):
+                g_up = _signed(up, i, length)
+                for j in range(4):
+                    g_down = _signed(down, j, length)
+                    residual = g_down - g_up - 2.0 * g_constant
+                    folding_cost = _FOLD_COST * ((i >> 1) + (j >> 1))
+                    # Most are far too dear, which shows without a division.
+                    if residual * residual > (limit - folding_cost) * spread * _ROUNDING:
+                        continue
+                    cost = residual * residual / spread + folding_cost
+                    beat = 0.5 * (g_up + g_down) + range_share * residual
+                    if not (cost <= limit and -slack <= beat <= farthest_bin + slack):
+                        continue
+                    doppler = g_constant + doppler_share * residual
+                    if rivals:
+                        rivalled |= (beat - best_range) ** 2 > _APART_VARIANCES * range_var or (
+                            doppler - best_doppler
+                        ) ** 2 > _APART_VARIANCES * doppler_var
+                    elif cost < best_cost:
+                        best_cost, best_range, best_doppler, best_residual = cost, beat, doppler, residual
+                        limit = cost
+    found = best_cost < np.inf
     return Estimate(
-        best_cost < np.inf,
-        best_range,
-        best_doppler,
-        range_var,
-        doppler_var,
-        best_residual,
-        rival_cost > best_cost + _RESOLVED_COST * max(1.0, best_residual**2 / spread),
+        found, best_range, best_doppler, range_var, doppler_var, best_residual, found and not rivalled
     )
+
+
+@njit(cache=True, error_model="numpy")
+def _from_two(
+    mask: int,
+    chirp: float,
+    other: float,
+    range_var: float,
+    doppler_var: float,
+    length: float,
+    farthest_bin: float,
+) -> Estimate:
+    """A chirp and either the other chirp or the constant segment.
+
+    Explanations are admitted where 0 <= b <= `farthest_bin`, give or take three standard deviations, and |d| <=
+    N/2. Of those with the fewest folds at N/2 the choice falls on
+
+    1. one that is closing;
+    2. one that says why the third segment is silent: its tone would lie within _DEAF_BINS of 0, where AC coupling
+       takes it. Two chirps without Doppler line are thus a hovering lidar if their tones lie close together;
+    3. one with |d| > b, the state of nearly all of a landing: time to touchdown is then less than λS/c (97 s for a
+       chirp of 2 MHz/µs at 1.55 µm), and what silenced the third segment is a fade.
+
+    That is a choice of the likelier: the sign counts as resolved only where no other explanation is admitted, of
+    any number of folds, that lies more than six standard deviations away.
+    """
+    slack = 3.0 * np.sqrt(range_var) if range_var < np.inf else np.nan
+    best_cost, best_range, best_doppler = np.inf, np.nan, np.nan
+    rivalled = False
+    for rivals in (False, True):
+        for choice in range(16):
+            if mask != UP | DOWN and choice & 2:
+                continue  # a fold of the Doppler line
+            g_chirp = _signed(chirp, (choice >> 2) & 3, length)
+            g_other = _signed(other, choice & 3, length)
+            if mask == UP | DOWN:
+                beat, doppler = 0.5 * (g_other + g_chirp), 0.5 * (g_other - g_chirp)
+                silent = doppler
+            elif mask == UP | CONSTANT:
+                beat, doppler = g_chirp + g_other, g_other
+                silent = beat + doppler
+            else:
+                beat, doppler = g_chirp - g_other, g_other
+                silent = beat - doppler
+            if not (-slack <= beat <= farthest_bin + slack and abs(doppler) <= 0.5 * length):
+                continue
+            if rivals:
+                rivalled |= (beat - best_range) ** 2 > _APART_VARIANCES * range_var or (
+                    doppler - best_doppler
+                ) ** 2 > _APART_VARIANCES * doppler_var
+                continue
+            folds = ((choice >> 3) & 1) + ((choice >> 1) & 1)
+            cost = 8.0 * folds
+            cost += 4.0 if doppler < 0.0 else 0.0
+            cost += 2.0 if abs(silent) > _DEAF_BINS else 0.0
+            cost += 1.0 if abs(doppler) <= beat else 0.0
+            if cost < best_cost:
+                best_cost, best_range, best_doppler = cost, beat, doppler
+    found = best_cost < np.inf
+    return Estimate(found, best_range, best_doppler, range_var, doppler_var, np.nan, found and not rivalled)
 
 
 @njit(cache=True)

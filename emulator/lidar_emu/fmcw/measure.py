@@ -1,34 +1,26 @@
-"""The kernel over shots and beams: tones, spectra, targets, estimate."""
+"""The kernel over shots and beams: three spectra, their targets, range and closing speed."""
 
 from __future__ import annotations
 
-from math import cos, log10, pi, sin, sqrt
+from math import log10, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.fmcw.detect import BIN_VARIANCE, MAX_GROUPS, find_groups, hann_peak
 from lidar_emu.fmcw.estimate import Estimate, chirp_minus_doppler, least_squares
-from lidar_emu.fmcw.philox import uniform_pair, unit_phasor
+from lidar_emu.fmcw.model import ReceiverModel, Workspace, build_workspace, without_owners
 from lidar_emu.fmcw.reasons import Reason
-from lidar_emu.fmcw.spectrum import (
-    BIN,
-    BINS_PER_TONE,
-    POWER,
-    ROWS,
-    add_noise,
-    fold,
-    lay_bins,
-    mirror_ends,
-    set_power,
-    set_tones,
-)
+from lidar_emu.fmcw.records import set_spectrum, widest_filter
+from lidar_emu.fmcw.speckle import forget
+from lidar_emu.fmcw.statistical import draw_targets
+from lidar_emu.fmcw.targets import find_targets
+from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS, gather_beamlets
 from lidar_emu.kernels import njit
 
 if TYPE_CHECKING:
-    from lidar_emu.fmcw.receiver import ReceiverModel
+    from lidar_emu.fmcw.returns import Echoes
 
 BEAM_RETURN = np.dtype(
     [
@@ -51,59 +43,141 @@ BEAM_RETURN = np.dtype(
 )
 """One row of `Returns`."""
 
-_PHASE = 1
-_NOISE = 2
-"""What a random number is for; part of its counter."""
-
-_SEGMENT_INDICES = 2**24
-"""Indices kept for the bins of each segment; N is at most 2**24."""
-
-_MOST_SNR = 1e30
-"""Echoes are held below it, so that powers stay finite for any input."""
-
 _VALID = int(Reason.VALID)
 _NOT_FIRED = int(Reason.NOT_FIRED)
-_NO_SURFACE = int(Reason.NO_SURFACE)
-_BELOW_THRESHOLD = int(Reason.BELOW_THRESHOLD)
 _BEYOND_RANGE = int(Reason.BEYOND_RANGE)
 _INSIDE_GROUND = int(Reason.INSIDE_GROUND)
 _AMBIGUOUS = int(Reason.AMBIGUOUS)
 
 
-@njit(cache=True)
 def measure_beams(
+    model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed: int, rows: NDArray[Any]
+) -> None:
+    """Fill `rows` (shots, beams) from beamlets; see `receive`."""
+    arrays = tuple(
+        np.ascontiguousarray(getattr(echoes, name), dtype=float)
+        for name in (
+            "range_m",
+            "closing_speed_mps",
+            "power_w",
+            "range_rate_mps",
+            "closing_acceleration_mps2",
+            "smear_acceleration_mps2",
+            "speckle_place",
+            "speckle_drift_per_s",
+        )
+    )
+    flags = np.ascontiguousarray(echoes.fired), np.ascontiguousarray(echoes.inside)
+    work = build_workspace(echoes.range_m.shape[2], model.looks, _widest(model, *arrays[:2], arrays[5]))
+    _measure(model, work, *arrays, *flags, np.ascontiguousarray(shot, dtype=np.int64), np.uint64(seed), rows)
+
+
+@njit(cache=True)
+def _widest(
     model: ReceiverModel,
     range_m: FloatArray,
     closing_speed_mps: FloatArray,
+    smear_acceleration_mps2: FloatArray,
+) -> int:
+    """The widest filter that any beam needs."""
+    widest = 0
+    for s in range(range_m.shape[0]):
+        for b in range(range_m.shape[1]):
+            for i in range(range_m.shape[2]):
+                needed = widest_filter(
+                    model, range_m[s, b, i], closing_speed_mps[s, b, i], smear_acceleration_mps2[s, b]
+                )
+                widest = max(widest, needed)
+    return widest
+
+
+@njit(cache=True)
+def _measure(
+    model: ReceiverModel,
+    work: Workspace,
+    range_m: FloatArray,
+    closing_speed_mps: FloatArray,
     power_w: FloatArray,
+    range_rate_mps: FloatArray,
+    closing_acceleration_mps2: FloatArray,
+    smear_acceleration_mps2: FloatArray,
+    speckle_place: FloatArray,
+    speckle_drift_per_s: FloatArray,
     fired: NDArray[np.bool_],
     inside: NDArray[np.bool_],
     shot: NDArray[np.int64],
     seed: np.uint64,
     rows: NDArray[Any],
 ) -> None:
-    """Fill `rows` (shots, beams) from beamlets (shots, beams, beamlets); see `receive`."""
-    beamlets = range_m.shape[2]
-    beats = np.empty((4, beamlets))
-    tones = np.empty((4, beamlets))
-    spectrum = np.empty((ROWS, beamlets * BINS_PER_TONE))
-    targets = np.empty((3, MAX_GROUPS, 2))
+    work = without_owners(work)
     for s in range(range_m.shape[0]):
         for b in range(range_m.shape[1]):
             row = rows[s, b]
             _blank(row)
             if not fired[s, b]:
                 row.reason = _NOT_FIRED
-            elif inside[s, b]:
+                continue
+            if inside[s, b]:
                 row.reason = _INSIDE_GROUND
-            else:
-                row.reason, count = _gather_beats(
-                    model, range_m[s, b], closing_speed_mps[s, b], power_w[s, b], beats
+                continue
+            row.reason, count, total_w = gather_beamlets(
+                model, range_m[s, b], closing_speed_mps[s, b], power_w[s, b], range_rate_mps[s, b], work.beamlets
+            )
+            if row.reason == _INSIDE_GROUND:
+                continue
+            half = 0
+            if count > 0:
+                half = widest_filter(
+                    model, work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0], smear_acceleration_mps2[s, b]
                 )
-                if count > 0:
-                    _measure_beam(
-                        model, beats[:, :count], tones[:, :count], spectrum, targets, shot[s], b, seed, row
-                    )
+            forget(work.held)
+            for segment in range(3):
+                targets = _find(
+                    model,
+                    work,
+                    count,
+                    half,
+                    segment,
+                    closing_acceleration_mps2[s, b],
+                    smear_acceleration_mps2[s, b],
+                    speckle_place[s, b],
+                    speckle_drift_per_s[s, b],
+                    total_w,
+                    shot[s],
+                    b,
+                    seed,
+                )
+                if targets > 0:
+                    row.segments |= 1 << segment
+                row.returns = targets if segment == 0 else min(row.returns, targets)
+            _conclude(model, work.targets, row)
+
+
+@njit(cache=True)
+def _find(
+    model: ReceiverModel,
+    work: Workspace,
+    count: int,
+    half: int,
+    segment: int,
+    acceleration_mps2: float,
+    smear_mps2: float,
+    place: FloatArray,
+    drift_per_s: FloatArray,
+    power_w: float,
+    shot: int,
+    beam: int,
+    seed: np.uint64,
+) -> int:
+    """Targets of one segment, by the closed-form error model or from its spectrum."""
+    if model.statistical:
+        return draw_targets(
+            model, work, count, segment, acceleration_mps2, smear_mps2, place, drift_per_s, power_w, shot, beam, seed
+        )
+    bins = set_spectrum(
+        model, work, count, half, segment, acceleration_mps2, smear_mps2, place, drift_per_s, power_w, shot, beam, seed
+    )
+    return find_targets(model, work, bins, segment, shot, beam, seed)
 
 
 @njit(cache=True)
@@ -118,149 +192,37 @@ def _blank(row: Any) -> None:
     row.segment_peak_hz[:] = np.nan
 
 
-@njit(cache=True, error_model="numpy")
-def _gather_beats(
-    model: ReceiverModel,
-    range_m: FloatArray,
-    closing_speed_mps: FloatArray,
-    power_w: FloatArray,
-    beats: FloatArray,
-) -> tuple[int, int]:
-    """Fill rows 0 to 2 of `beats`: range beat, Doppler shift and amplitude of the beamlets that return light.
-
-    Returns:
-        The reason why nothing can be detected, for the case that nothing is, and the number of tones.
-    """
-    reason = _NO_SURFACE
-    count = 0
-    total_w = 0.0
-    for i in range(len(range_m)):
-        distance_m, power = range_m[i], power_w[i]
-        if distance_m <= 0.0:
-            return _INSIDE_GROUND, 0
-        if distance_m > model.record_edge_range_m:
-            if reason == _NO_SURFACE:
-                reason = _BEYOND_RANGE
-        elif distance_m > 0.0:
-            reason = _BELOW_THRESHOLD
-            if 0.0 < power < np.inf and np.isfinite(closing_speed_mps[i]):
-                beats[0, count] = distance_m / model.range_bin_m
-                beats[1, count] = closing_speed_mps[i] / model.speed_bin_mps
-                beats[2, count] = power
-                total_w += power
-                count += 1
-    amplitude = sqrt(min(total_w * model.snr_per_w, _MOST_SNR))
-    for i in range(count):
-        beats[2, i] *= amplitude / total_w
-    return reason, count
-
-
 @njit(cache=True)
-def _measure_beam(
-    model: ReceiverModel,
-    beats: FloatArray,
-    tones: FloatArray,
-    spectrum: FloatArray,
-    targets: FloatArray,
-    shot: int,
-    beam: int,
-    seed: np.uint64,
-    row: Any,
-) -> None:
-    """Three segments of one beam, and what they say together."""
-    returns = MAX_GROUPS
+def _conclude(model: ReceiverModel, targets: FloatArray, row: Any) -> None:
+    """What the targets of three segments, (3, MAX_GROUPS, 3), say together."""
     power = 0.0
     detections = 0
     for segment in range(3):
-        count, highest = _measure_segment(
-            model, beats, tones, spectrum, targets[segment], segment, shot, beam, seed
-        )
-        returns = min(returns, count)
-        if count > 0:
-            row.segments |= 1 << segment
+        if row.segments & (1 << segment):
             row.segment_peak_hz[segment] = targets[segment, 0, 0] * model.bin_width_hz
-            power += highest
+            power += targets[segment, 0, 2]
             detections += 1
-    row.returns = returns
     if detections > 0:
         scale = model.noise_power / model.window_centre**2
         row.snr_db = 10.0 * log10(scale * power / detections)
-    if detections == 3:
-        _report(model, _estimate(model, targets[:, 0]), row)
-    if returns > 1:
-        second = _estimate(model, targets[:, 1])
+    if detections >= model.least_segments:
+        _report(model, _estimate(model, row.segments, targets[:, 0]), row)
+    if row.returns > 1:
+        second = _estimate(model, 7, targets[:, 1])
         distance_m = second.range_bin * model.range_bin_m
         if second.found and 0.0 <= distance_m <= model.maximum_range_m:
             row.second_range_m = distance_m
 
 
 @njit(cache=True)
-def _measure_segment(
-    model: ReceiverModel,
-    beats: FloatArray,
-    tones: FloatArray,
-    spectrum: FloatArray,
-    targets: FloatArray,
-    segment: int,
-    shot: int,
-    beam: int,
-    seed: np.uint64,
-) -> tuple[int, float]:
-    """Spectrum and targets of one segment.
-
-    Fills `targets` (MAX_GROUPS, 2) with frequency and its variance in bins, strongest first.
-
-    Returns:
-        Number of targets, and power of the highest bin over the mean noise power.
-    """
-    length = model.fft_length
-    range_sign = 0.0 if segment == 1 else 1.0
-    doppler_sign = -1.0 if segment == 0 else 1.0
-    turn, _ = uniform_pair(seed, shot, beam, _PHASE, segment)
-    phase_re, phase_im = unit_phasor(turn)
-    for i in range(tones.shape[1]):
-        signed_bin = range_sign * beats[0, i] + doppler_sign * beats[1, i]
-        observed_bin, factor_re, factor_im = fold(signed_bin, length)
-        tones[0, i] = np.rint(observed_bin)
-        tones[1, i] = observed_bin - tones[0, i]
-        tones[2, i] = factor_re * beats[2, i] * phase_re
-        tones[3, i] = factor_im * beats[2, i] * phase_im
-    count = lay_bins(tones[0], length, beats[3], spectrum)
-    set_tones(tones, length, spectrum, count)
-    add_noise(seed, shot, beam, _NOISE, segment * _SEGMENT_INDICES, length, spectrum, count)
-    mirror_ends(length, spectrum, count)
-    cosine, sine = cos(pi / length), sin(pi / length)
-    set_power(model.window_centre, model.window_side, cosine, sine, length, spectrum, count)
-
-    peaks = np.empty(MAX_GROUPS, dtype=np.int64)
-    threshold = model.threshold * model.noise_power
-    groups = find_groups(spectrum[POWER, :count], threshold, model.group_power_share, peaks)
-    for g in range(groups):
-        offset, variance = 0.0, BIN_VARIANCE
-        if model.three_bin_peak:
-            offset, variance = hann_peak(spectrum, peaks[g], cosine, sine)
-            if _touches_its_image(spectrum[BIN, peaks[g]], length):
-                variance = max(variance, BIN_VARIANCE)
-        targets[g, 0] = spectrum[BIN, peaks[g]] + offset
-        targets[g, 1] = variance
-    return groups, spectrum[POWER, peaks[0]] / model.noise_power if groups > 0 else 0.0
-
-
-@njit(cache=True)
-def _touches_its_image(peak_bin: float, length: float) -> bool:
-    """Within two bins of 0 or N/2 a tone's own image biases the three-bin peak by up to half a bin."""
-    return peak_bin <= 2.0 or peak_bin >= 0.5 * length - 2.0
-
-
-@njit(cache=True)
-def _estimate(model: ReceiverModel, targets: FloatArray) -> Estimate:
-    """One target of each segment, (3, 2), combined."""
+def _estimate(model: ReceiverModel, segments: int, targets: FloatArray) -> Estimate:
+    """One target of each segment, (3, 3), combined."""
     up, constant, down = targets[0, 0], targets[1, 0], targets[2, 0]
     up_var, constant_var, down_var = targets[0, 1], targets[1, 1], targets[2, 1]
     if model.joint_estimate:
         farthest_bin = model.record_edge_range_m / model.range_bin_m
         return least_squares(
-            up, constant, down, up_var, constant_var, down_var, model.fft_length, farthest_bin
+            segments, up, constant, down, up_var, constant_var, down_var, model.fft_length, farthest_bin
         )
     return chirp_minus_doppler(up, constant, down, up_var, constant_var, down_var)
 

@@ -6,10 +6,12 @@ seed; the counter says what the number is for: shot, beam, purpose and index.
 
 from __future__ import annotations
 
-from math import log, sqrt
+from math import copysign, log, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.sine import FAST, sin_pi
 from lidar_emu.kernels import njit
 
@@ -24,6 +26,9 @@ _SHIFT_16 = np.uint64(16)
 _SHIFT_5 = np.uint64(5)
 _SHIFT_6 = np.uint64(6)
 
+_ROOT_HALF_BITS = int(np.float64(sqrt(0.5)).view(np.int64))
+_LN_2 = log(2.0)
+
 _Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 
 
@@ -35,18 +40,39 @@ def philox4x32(
 
     All words are below 2**32, held in uint64 since the products need that width.
     """
-    for _ in range(10):
-        left = _MULTIPLIER_0 * c0
-        right = _MULTIPLIER_1 * c2
-        c0, c1, c2, c3 = (
-            (right >> _WORD) ^ c1 ^ k0,
-            right & _LOW,
-            (left >> _WORD) ^ c3 ^ k1,
-            left & _LOW,
-        )
-        k0 = (k0 + _WEYL_0) & _LOW
-        k1 = (k1 + _WEYL_1) & _LOW
-    return c0, c1, c2, c3
+    # Written out: vector instructions are found for a loop over counters only if there is no loop within.
+    k = k0, k1
+    w = _round((c0, c1, c2, c3), k)
+    k = _next_key(k)
+    w = _round(w, k)
+    k = _next_key(k)
+    w = _round(w, k)
+    k = _next_key(k)
+    w = _round(w, k)
+    k = _next_key(k)
+    w = _round(w, k)
+    k = _next_key(k)
+    w = _round(w, k)
+    k = _next_key(k)
+    w = _round(w, k)
+    k = _next_key(k)
+    w = _round(w, k)
+    k = _next_key(k)
+    w = _round(w, k)
+    k = _next_key(k)
+    return _round(w, k)
+
+
+@njit(cache=True)
+def _round(w: _Words, k: tuple[np.uint64, np.uint64]) -> _Words:
+    left = _MULTIPLIER_0 * w[0]
+    right = _MULTIPLIER_1 * w[2]
+    return (right >> _WORD) ^ w[1] ^ k[0], right & _LOW, (left >> _WORD) ^ w[3] ^ k[1], left & _LOW
+
+
+@njit(cache=True)
+def _next_key(k: tuple[np.uint64, np.uint64]) -> tuple[np.uint64, np.uint64]:
+    return (k[0] + _WEYL_0) & _LOW, (k[1] + _WEYL_1) & _LOW
 
 
 @njit(cache=True)
@@ -76,12 +102,81 @@ def complex_normal(seed: np.uint64, shot: int, beam: int, purpose: int, index: i
     return radius * cosine, radius * sine
 
 
+@njit(cache=True)
+def fill_complex_normals(
+    seed: np.uint64,
+    shot: int,
+    beam: int,
+    purpose: int,
+    first_pair: int,
+    words: NDArray[np.uint64],
+    out: FloatArray,
+) -> None:
+    """Fill `out` (2, n), n even, with circular complex Gaussians of unit mean power (Box-Muller).
+
+    Numbers 2i and 2i + 1 are those of counter `first_pair` + i: 32 bits each for magnitude and phase, so that no
+    power exceeds 22.9, what one in 1e10 does. `words` (4, n/2 or more) is overwritten. In stages without branches, which
+    become vector instructions.
+    """
+    number = np.uint64(shot)
+    use = (np.uint64(purpose) << _SHIFT_16) | np.uint64(beam)
+    _fill_words(seed, number, use, np.uint64(first_pair), out.shape[1] // 2, words)
+    _fill_uniforms(words, out)
+    _box_muller(out)
+
+
+@njit(cache=True)
+def _fill_words(
+    seed: np.uint64, number: np.uint64, use: np.uint64, first: np.uint64, count: int, words: NDArray[np.uint64]
+) -> None:
+    k0, k1 = seed & _LOW, seed >> _WORD
+    low, high = number & _LOW, number >> _WORD
+    for i in range(count):
+        a, b, c, d = philox4x32(low, high, use, (first + np.uint64(i)) & _LOW, k0, k1)
+        words[0, i] = a
+        words[1, i] = b
+        words[2, i] = c
+        words[3, i] = d
+
+
+@njit(cache=True)
+def _fill_uniforms(words: NDArray[np.uint64], out: FloatArray) -> None:
+    for i in range(out.shape[1] // 2):
+        out[0, 2 * i] = (np.float64(np.int64(words[0, i])) + 0.5) * 2.0**-32
+        out[1, 2 * i] = (np.float64(np.int64(words[1, i])) + 0.5) * 2.0**-32
+        out[0, 2 * i + 1] = (np.float64(np.int64(words[2, i])) + 0.5) * 2.0**-32
+        out[1, 2 * i + 1] = (np.float64(np.int64(words[3, i])) + 0.5) * 2.0**-32
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _box_muller(out: FloatArray) -> None:
+    """Uniforms for magnitude and phase in, real and imaginary parts out."""
+    bits = out[0].view(np.int64)
+    for i in range(out.shape[1]):
+        # The exponent counts from sqrt(1/2), so that the mantissa lies around 1.
+        exponent = (bits[i] - _ROOT_HALF_BITS) >> 52
+        bits[i] -= exponent << 52
+        radius = sqrt(-(exponent * _LN_2 + _ln_near_one(out[0, i])))
+        cosine, sine = unit_phasor(out[1, i])
+        out[0, i] = radius * cosine
+        out[1, i] = radius * sine
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _ln_near_one(x: float) -> float:
+    """ln x from sqrt(1/2) to sqrt(2), to 2e-16 of itself: 2 artanh s with s = (x - 1)/(x + 1)."""
+    s = (x - 1.0) / (x + 1.0)
+    y = s * s
+    series = 1 / 13 + y * (1 / 15 + y * (1 / 17 + y * (1 / 19 + y / 21)))
+    series = 1.0 + y * (1 / 3 + y * (1 / 5 + y * (1 / 7 + y * (1 / 9 + y * (1 / 11 + y * series)))))
+    return 2.0 * s * series
+
+
 @njit(cache=True, fastmath=FAST)
 def unit_phasor(turn: float) -> tuple[float, float]:
     """Cosine and sine of 2 pi `turn` - pi, for `turn` from 0 to 1."""
     x = 2.0 * turn - 1.0
-    nearest = x if abs(x) <= 0.5 else (1.0 - x if x > 0.0 else -1.0 - x)
-    return sin_pi(0.5 - abs(x)), sin_pi(nearest)
+    return sin_pi(0.5 - abs(x)), sin_pi(copysign(min(abs(x), 1.0 - abs(x)), x))
 
 
 @njit(cache=True)

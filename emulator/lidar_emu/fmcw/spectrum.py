@@ -11,7 +11,8 @@ the second term being the image that a real-valued tone has at negative frequenc
 conj Y[k] and Y[N/2 + m] = -conj Y[N/2 - m]. A window is a three-tap filter over bins, with neighbours turned
 by exp(±jπ/N), on signal and noise alike.
 
-A spectrum is a float array (ROWS, capacity) of which the first bins are in use.
+A spectrum is laid out in two arrays of which the first columns are in use: a grid (ROWS, capacity) of what a
+bin is, and bins (2, capacity) with real and imaginary parts; several looks have a grid in common.
 """
 
 from __future__ import annotations
@@ -20,21 +21,25 @@ from math import copysign, sqrt
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.fmcw.philox import complex_normal
+from lidar_emu.fmcw.philox import fill_complex_normals
 from lidar_emu.fmcw.sine import FAST, sin_pi
 from lidar_emu.kernels import njit
 
-BIN, COS, SIN, RE, IM, POWER = range(6)
-"""Rows of a spectrum: index of the bin, cosine and sine of πk/N, rectangular bin, power under the window."""
-ROWS = 6
+BIN, COS, SIN, NOISE, POWER = range(5)
+"""Rows of a grid: index k of the bin, cosine and sine of πk/N, mean noise power of the rectangular bin, power
+under the window."""
+ROWS = 5
 
 TAPS = 2
 """Rectangular bins beyond the windowed ones: a tap of the window of a neighbour of the highest bin."""
 REACH = 6 + TAPS
 """Bins computed on each side of a tone. With fewer than six, noise beside a tone changes its groups."""
-BINS_PER_TONE = 2 * REACH + 1
+
+_ONE_INTERVAL = 48.0
+"""Tones no farther apart share one interval without being sorted."""
 
 
 class Window(NamedTuple):
@@ -71,44 +76,77 @@ def fold(signed_bin: float, length: float) -> tuple[float, float, float]:
     return abs(nearest), factor, (factor if nearest >= 0.0 else -factor)
 
 
-@njit(cache=True, fastmath=FAST)
-def lay_bins(tone_bin: FloatArray, length: float, scratch: FloatArray, spectrum: FloatArray) -> int:
+@njit(cache=True)
+def lay_bins(
+    tone_bin: FloatArray, reach: float, length: float, scratch: FloatArray, grid: FloatArray
+) -> int:
     """Choose the bins around tones, ascending and without gaps within each interval.
 
     Args:
         tone_bin: (tones,) whole bins nearest to the tones, in any order.
+        reach: bins on each side of a tone, at least TAPS.
         length: N.
         scratch: (tones,) overwritten.
-        spectrum: (ROWS, tones * BINS_PER_TONE) receives BIN, from -TAPS to N/2 + TAPS, COS and SIN.
+        grid: (ROWS, capacity) receives BIN, from -TAPS to N/2 + TAPS, COS and SIN; `grid_capacity` tells what
+            it must hold.
 
     Returns:
         The number of bins. Intervals that touch or overlap are one.
     """
-    for i in range(len(tone_bin)):
-        j = i
-        while j > 0 and scratch[j - 1] > tone_bin[i]:
-            scratch[j] = scratch[j - 1]
-            j -= 1
-        scratch[j] = tone_bin[i]
-    count = 0
-    free = -float(TAPS)
-    last = 0.5 * length + TAPS
-    for i in range(len(tone_bin)):
-        k = max(free, scratch[i] - REACH)
-        while k <= min(last, scratch[i] + REACH):
-            spectrum[BIN, count] = k
-            count += 1
-            k += 1.0
-        free = k
-    for j in range(count):
-        spectrum[COS, j] = sin_pi((0.5 * length - spectrum[BIN, j]) / length)
-        spectrum[SIN, j] = sin_pi(spectrum[BIN, j] / length)
+    lowest, highest = tone_bin[0], tone_bin[0]
+    for i in range(1, len(tone_bin)):
+        lowest, highest = min(lowest, tone_bin[i]), max(highest, tone_bin[i])
+    if highest - lowest <= _ONE_INTERVAL:
+        count = _lay_interval(lowest - reach, highest + reach, length, grid, 0)
+    else:
+        _sort(tone_bin, scratch)
+        count = 0
+        first = scratch[0]
+        for i in range(1, len(tone_bin)):
+            if scratch[i] - scratch[i - 1] > 2.0 * reach + 1.0:
+                count = _lay_interval(first - reach, scratch[i - 1] + reach, length, grid, count)
+                first = scratch[i]
+        count = _lay_interval(first - reach, highest + reach, length, grid, count)
+    _set_angles(length, grid, count)
     return count
 
 
+def grid_capacity(tones: int, reach: int) -> int:
+    """Columns that any spectrum of so many tones needs."""
+    return tones * (2 * reach + 2) + int(_ONE_INTERVAL)
+
+
+@njit(cache=True)
+def _lay_interval(first: float, last: float, length: float, grid: FloatArray, count: int) -> int:
+    k = max(first, -float(TAPS))
+    last = min(last, 0.5 * length + TAPS)
+    while k <= last:
+        grid[BIN, count] = k
+        count += 1
+        k += 1.0
+    return count
+
+
+@njit(cache=True)
+def _sort(values: FloatArray, ascending: FloatArray) -> None:
+    for i in range(len(values)):
+        j = i
+        while j > 0 and ascending[j - 1] > values[i]:
+            ascending[j] = ascending[j - 1]
+            j -= 1
+        ascending[j] = values[i]
+
+
+@njit(cache=True, fastmath=FAST)
+def _set_angles(length: float, grid: FloatArray, count: int) -> None:
+    for j in range(count):
+        grid[COS, j] = sin_pi((0.5 * length - grid[BIN, j]) / length)
+        grid[SIN, j] = sin_pi(grid[BIN, j] / length)
+
+
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def set_tones(tones: FloatArray, length: float, spectrum: FloatArray, count: int) -> None:
-    """Set RE and IM of the first `count` bins, from 0 to N/2, to the sum of tones.
+def set_tones(tones: FloatArray, length: float, grid: FloatArray, count: int, bins: FloatArray) -> None:
+    """Set the first `count` bins, from 0 to N/2, to the sum of tones, whatever their places.
 
     With a = π(n + δ)/N and b = πk/N the two terms of a tone (see the module) share their denominator:
 
@@ -121,13 +159,14 @@ def set_tones(tones: FloatArray, length: float, spectrum: FloatArray, count: int
     Args:
         tones: (4, tones) n, δ with |δ| <= 1/2, real and imaginary part of the weight.
         length: N.
-        spectrum: as `lay_bins` leaves it.
+        grid: as `lay_bins` leaves it.
         count: bins in use.
+        bins: (2, capacity) receives real and imaginary parts.
     """
     per_length = 1.0 / length
     half = 0.5 * length
-    bins, cosines, sines = spectrum[BIN, :count], spectrum[COS, :count], spectrum[SIN, :count]
-    re, im = spectrum[RE, :count], spectrum[IM, :count]
+    numbers, cosines, sines = grid[BIN, :count], grid[COS, :count], grid[SIN, :count]
+    re, im = bins[0, :count], bins[1, :count]
     re[:] = 0.0
     im[:] = 0.0
     for i in range(tones.shape[1]):
@@ -140,7 +179,7 @@ def set_tones(tones: FloatArray, length: float, spectrum: FloatArray, count: int
         share_re = scale * sine * tones[2, i]
         share_im = scale * cosine * tones[3, i]
         for j in range(count):
-            difference = sin_pi(((n - bins[j]) + rest) * per_length)
+            difference = sin_pi(((n - numbers[j]) + rest) * per_length)
             kernel = 1.0 / (difference * (sine * cosines[j] + cosine * sines[j]))
             re[j] += share_re * kernel
             im[j] += share_im * kernel
@@ -157,58 +196,104 @@ def add_noise(
     purpose: int,
     first_index: int,
     length: float,
-    spectrum: FloatArray,
+    grid: FloatArray,
     count: int,
+    bins: FloatArray,
+    words: NDArray[np.uint64],
+    scratch: FloatArray,
 ) -> None:
-    """Add white noise of unit mean power to RE and IM; a bin's noise depends on its own index alone."""
-    half = 0.5 * length
-    for j in range(count):
-        k = spectrum[BIN, j]
-        if 0.0 <= k <= half:
-            x, y = complex_normal(seed, shot, beam, purpose, first_index + int(k))
-            # The transform of a real record is real at 0 and N/2, with the same mean power.
-            spectrum[RE, j] += x if 0.0 < k < half else (sqrt(2.0) * x if k == 0.0 else 0.0)
-            spectrum[IM, j] += y if 0.0 < k < half else (sqrt(2.0) * y if k == half else 0.0)
+    """Add noise of mean power NOISE; a bin's noise depends on its own index alone.
+
+    Args:
+        first_index: even; index of bin 0.
+        words, scratch: (4, capacity / 2), (2, capacity) overwritten, two columns longer than any interval.
+    """
+    start = 0
+    while start < count:
+        stop = start + 1
+        while stop < count and grid[BIN, stop] - grid[BIN, stop - 1] == 1.0:
+            stop += 1
+        # Numbers come in pairs, and none for bins below 0.
+        skipped = max(0, -int(grid[BIN, start]))
+        first = int(grid[BIN, start]) + skipped
+        needed = stop - start - skipped + first % 2
+        normals = scratch[:, : needed + needed % 2]
+        fill_complex_normals(seed, shot, beam, purpose, (first_index + first) // 2, words, normals)
+        _add(normals, first % 2, start + skipped, stop, length, grid, bins)
+        start = stop
 
 
 @njit(cache=True)
-def mirror_ends(length: float, spectrum: FloatArray, count: int) -> None:
+def _add(
+    normals: FloatArray, column: int, start: int, stop: int, length: float, grid: FloatArray, bins: FloatArray
+) -> None:
+    half = 0.5 * length
+    for j in range(start, stop):
+        level = sqrt(grid[NOISE, j])
+        x, y = level * normals[0, column + j - start], level * normals[1, column + j - start]
+        k = grid[BIN, j]
+        if 0.0 < k < half:
+            bins[0, j] += x
+            bins[1, j] += y
+        elif k == 0.0:
+            # The transform of a real record is real at 0 and imaginary at N/2, with the same mean power.
+            bins[0, j] += sqrt(2.0) * x
+        elif k == half:
+            bins[1, j] += sqrt(2.0) * y
+
+
+@njit(cache=True)
+def mirror_ends(length: float, grid: FloatArray, count: int, bins: FloatArray) -> None:
     """Set the bins below 0 and above N/2 from those that they mirror."""
     for j in range(count):
-        k = spectrum[BIN, j]
+        k = grid[BIN, j]
         if k < 0.0:
             mirrored = j - 2 * int(k)
-            spectrum[RE, j] = spectrum[RE, mirrored]
-            spectrum[IM, j] = -spectrum[IM, mirrored]
+            bins[0, j] = bins[0, mirrored]
+            bins[1, j] = -bins[1, mirrored]
         elif k > 0.5 * length:
             mirrored = j - 2 * int(k - 0.5 * length)
-            spectrum[RE, j] = -spectrum[RE, mirrored]
-            spectrum[IM, j] = spectrum[IM, mirrored]
+            bins[0, j] = -bins[0, mirrored]
+            bins[1, j] = bins[1, mirrored]
 
 
 @njit(cache=True, fastmath=FAST)
 def windowed_bin(
-    spectrum: FloatArray, j: int, centre: float, side: float, cosine: float, sine: float
+    bins: FloatArray, j: int, centre: float, side: float, cosine: float, sine: float
 ) -> tuple[float, float]:
     """Column `j` under a window; `cosine` and `sine` are those of π/N."""
-    sum_re = spectrum[RE, j - 1] + spectrum[RE, j + 1]
-    sum_im = spectrum[IM, j - 1] + spectrum[IM, j + 1]
-    rise_re = spectrum[RE, j + 1] - spectrum[RE, j - 1]
-    rise_im = spectrum[IM, j + 1] - spectrum[IM, j - 1]
+    sum_re = bins[0, j - 1] + bins[0, j + 1]
+    sum_im = bins[1, j - 1] + bins[1, j + 1]
+    rise_re = bins[0, j + 1] - bins[0, j - 1]
+    rise_im = bins[1, j + 1] - bins[1, j - 1]
     return (
-        centre * spectrum[RE, j] + side * (cosine * sum_re - sine * rise_im),
-        centre * spectrum[IM, j] + side * (cosine * sum_im + sine * rise_re),
+        centre * bins[0, j] + side * (cosine * sum_re - sine * rise_im),
+        centre * bins[1, j] + side * (cosine * sum_im + sine * rise_re),
     )
 
 
 @njit(cache=True, fastmath=FAST)
 def set_power(
-    centre: float, side: float, cosine: float, sine: float, length: float, spectrum: FloatArray, count: int
+    centre: float,
+    side: float,
+    cosine: float,
+    sine: float,
+    length: float,
+    grid: FloatArray,
+    count: int,
+    bins: FloatArray,
 ) -> None:
-    """Set POWER where a target can be; it is 0 at 0 and N/2, and in the outer TAPS bins of an interval."""
-    spectrum[POWER, :count] = 0.0
+    """Set POWER, the mean over looks, where a target can be.
+
+    It is 0 at 0 and N/2, and in the outer TAPS bins of an interval. `bins` is (looks, 2, capacity).
+    """
+    grid[POWER, :count] = 0.0
+    share = 1.0 / bins.shape[0]
+    for look in range(bins.shape[0]):
+        for j in range(TAPS, count - TAPS):
+            x, y = windowed_bin(bins[look], j, centre, side, cosine, sine)
+            grid[POWER, j] += share * (x * x + y * y)
     for j in range(TAPS, count - TAPS):
-        contiguous = spectrum[BIN, j + TAPS] - spectrum[BIN, j - TAPS] == 2.0 * TAPS
-        if contiguous and 0.0 < spectrum[BIN, j] < 0.5 * length:
-            x, y = windowed_bin(spectrum, j, centre, side, cosine, sine)
-            spectrum[POWER, j] = x * x + y * y
+        contiguous = grid[BIN, j + TAPS] - grid[BIN, j - TAPS] == 2.0 * TAPS
+        if not (contiguous and 0.0 < grid[BIN, j] < 0.5 * length):
+            grid[POWER, j] = 0.0

@@ -38,6 +38,12 @@ class Footprint:
     doppler_site: FloatArray
     """Unit vectors: the gradient of the beam's phase where it meets the ground, which a velocity is seen
     along. In the far field this is `ray_site`'s direction; near the waist the wavefront is flatter."""
+    across_site: tuple[FloatArray, FloatArray]
+    """Two unit vectors (..., 3) at right angles to the axis and to each other, which offsets count along."""
+    doppler_start_m: tuple[FloatArray, FloatArray]
+    """(..., beamlets) each: where a straight line along `doppler_site` left the plane of the aperture, as offsets
+    along `across_site`. When the sensor turns, the phase sees the velocity of this point: of a footprint point at
+    the offset x it is x (1 - R/Rc), x in the near field and 0 in the far."""
 
 
 def sample_footprint(
@@ -59,24 +65,32 @@ def sample_footprint(
         wavelength_m: of the light.
 
     A ray joins the points of the aperture and of the footprint with the same share of the beam's power
-    inside. Its slope (w - w0)/R and that of the phase w/Rc, per radius, are written in z/R: neither cancels
-    nor divides by zero, from a range of 0 to infinity.
+    inside. Its slope (w - w0)/R and that of the phase w/Rc, per radius, are written in z/R, as is w (1 - R/Rc) =
+    w0²/w: none cancels nor divides by zero, from a range of 0 to infinity.
     """
     offset_w, weight = beamlet_pattern(count)
-    rayleigh_m = _rayleigh_range_m(waist_radius_m, wavelength_m)
+    rayleigh_m = rayleigh_range_m(waist_radius_m, wavelength_m)
+    farness = np.where(np.isnan(range_m), np.inf, range_m / rayleigh_m)
     with np.errstate(divide="ignore"):
-        nearness = np.where(np.isnan(range_m), 0.0, rayleigh_m / range_m)
+        nearness = 1 / farness
     root = np.sqrt(1 + nearness * nearness)
     divergence = waist_radius_m / rayleigh_m
     ray_slope = divergence / (root + nearness)
     doppler_slope = divergence / root
-    across = _across(axis_site, offset_w)
+    doppler_start_m = waist_radius_m / np.hypot(1, farness)
+    first, second = _perpendicular(axis_site)
+    across = offset_w[:, :1] * first[..., None, :] + offset_w[:, 1:] * second[..., None, :]
     axis = axis_site[..., None, :]
     return Footprint(
         weight=weight,
         start_site_m=sensor_site_m[..., None, :] + waist_radius_m * across,
         ray_site=normalised(axis + ray_slope[..., None, None] * across),
         doppler_site=normalised(axis + doppler_slope[..., None, None] * across),
+        across_site=(first, second),
+        doppler_start_m=(
+            doppler_start_m[..., None] * offset_w[:, 0],
+            doppler_start_m[..., None] * offset_w[:, 1],
+        ),
     )
 
 
@@ -101,29 +115,24 @@ def beamlet_pattern(count: int) -> tuple[FloatArray, FloatArray]:
     return offset_w, weight
 
 
+def rayleigh_range_m(waist_radius_m: float, wavelength_m: float) -> float:
+    """Range z at which the beam's area has doubled."""
+    return float(np.pi * waist_radius_m**2 / wavelength_m)
+
+
 def beam_radius_m(range_m: FloatArray, waist_radius_m: float, wavelength_m: float) -> FloatArray:
     """1/e² intensity radius w of a Gaussian beam at ranges (...)."""
-    ratio = range_m / _rayleigh_range_m(waist_radius_m, wavelength_m)
+    ratio = range_m / rayleigh_range_m(waist_radius_m, wavelength_m)
     radius_m: FloatArray = waist_radius_m * np.sqrt(1 + ratio * ratio)
     return radius_m
 
 
 def wavefront_radius_m(range_m: FloatArray, waist_radius_m: float, wavelength_m: float) -> FloatArray:
     """Radius of curvature Rc of a Gaussian beam's wavefront at ranges (...); infinite at the waist."""
-    rayleigh_m = _rayleigh_range_m(waist_radius_m, wavelength_m)
+    rayleigh_m = rayleigh_range_m(waist_radius_m, wavelength_m)
     with np.errstate(divide="ignore", over="ignore"):
         radius_m: FloatArray = range_m + rayleigh_m * (rayleigh_m / range_m)
     return radius_m
-
-
-def _rayleigh_range_m(waist_radius_m: float, wavelength_m: float) -> float:
-    return float(np.pi * waist_radius_m**2 / wavelength_m)
-
-
-def _across(axis_site: FloatArray, offset_w: FloatArray) -> FloatArray:
-    """Offsets (beamlets, 2) as vectors (..., beamlets, 3) perpendicular to axes (..., 3)."""
-    first, second = _perpendicular(axis_site)
-    return offset_w[:, :1] * first[..., None, :] + offset_w[:, 1:] * second[..., None, :]
 
 
 def _perpendicular(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -139,8 +148,9 @@ def _perpendicular(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
     # 1 - z cancels near straight up.
     from_up = np.where(z > 0, (x * x + y * y) / (1 + np.abs(z)), 1 - z)
     mixed = -x * y / from_up
-    first = np.stack([1 - x * x / from_up, mixed, x], axis=-1)
-    second = np.stack([mixed, 1 - y * y / from_up, y], axis=-1)
+    first, second = np.empty_like(axis), np.empty_like(axis)
+    first[..., 0], first[..., 1], first[..., 2] = 1 - x * x / from_up, mixed, x
+    second[..., 0], second[..., 1], second[..., 2] = mixed, 1 - y * y / from_up, y
     return first, second
 
 

@@ -99,8 +99,8 @@ class FlightScenario(Scenario):
 
     @property
     def cycle_time_s(self) -> float:
-        """From the start of a shot to the end of its last segment."""
-        return self.instrument.waveform.cycle_time_s * self._cycles
+        """From the start of a shot to the end of its last segment: each beam in turn takes all of its looks."""
+        return self.instrument.waveform.cycle_time_s * self.instrument.detection.looks * self._cycles
 
     @property
     def _cycles(self) -> int:
@@ -116,7 +116,7 @@ class FlightScenario(Scenario):
                 "timing.rate_hz",
                 self.timing.rate_hz,
                 f"at most {limit_hz:.6g}, what the waveform reaches with beams fired "
-                f"{self.scanner.firing.replace('_', ' ')}",
+                f"{self.scanner.firing.replace('_', ' ')} and detection.looks {self.instrument.detection.looks}",
             )
         return self
 

@@ -1,0 +1,171 @@
+"""`lidar-emu detection`: what an instrument will detect over a site, before anything is flown."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from lidar_emu.cli.options import load_scenario, scenario_argument, settings_option
+from lidar_emu.errors import Finding, InputError
+
+if TYPE_CHECKING:
+    from lidar_emu.detection_forecast import DetectionForecast
+    from lidar_emu.scenario.schema import FlightScenario
+
+_TABLE_ALTITUDES, _PLOT_ALTITUDES = 16, 200
+_LOWEST_M, _HIGHEST_M = 1e-3, 1e9
+_COLUMNS = (
+    "segment_steady",
+    "segment_speckle",
+    "measurement_steady",
+    "measurement_independent",
+    "measurement_shared",
+    "false_lock_steady",
+    "false_lock_speckle",
+)
+
+
+@click.command(short_help="Detection and false-alarm probabilities by altitude, before a flight.")
+@scenario_argument
+@settings_option
+@click.option(
+    "--altitudes", metavar="LOW:HIGH", default="10:12000", show_default=True, help="Metres above the ground."
+)
+@click.option("--plot", metavar="FILE.png", help="Picture: signal-to-noise ratio and probabilities.")
+@click.option("--json", "as_json", is_flag=True, help="For machines.")
+def detection(
+    scenario: str, settings: tuple[str, ...], altitudes: str, plot: str | None, as_json: bool
+) -> None:
+    """Foretell what SCENARIO's instrument detects over a level plane of its site's surface.
+
+    Per altitude and beam angle of all patterns: slant range, mean signal-to-noise ratio of the highest bin, and the
+    probabilities that one segment is detected, that the measurement is (as many segments as the instrument's rule
+    asks for), and that a bin of noise is the strongest. Steady, and in speckle: "own" fades of each segment (fast
+    flight) and one "shared" by all three (hover) are its bounds.
+
+    \b
+    lidar-emu detection descent.yaml
+    lidar-emu detection descent.yaml --altitudes 100:5000 --plot detection.png
+    lidar-emu detection descent.yaml --set site=mars --set instrument.optics.laser_power_w=0.1
+    lidar-emu detection my.yaml --json
+    """
+    low_m, high_m = _altitudes(altitudes)
+    if plot is not None:
+        from lidar_emu.report.detection_plot import check_plot_path
+
+        check_plot_path(Path(plot))
+    flown = load_scenario(scenario, None, None, settings)
+    from lidar_emu.scenario.schema import FlightScenario
+
+    if not isinstance(flown, FlightScenario):
+        raise InputError(
+            scenario, None, Finding("a bench pattern"), "allowed: a flight, with an instrument and a site"
+        )
+    import numpy as np
+
+    from lidar_emu.detection_forecast import forecast_detection
+
+    def forecast(count: int) -> DetectionForecast:
+        return forecast_detection(flown, np.geomspace(low_m, high_m, count))
+
+    if plot is not None:
+        from lidar_emu.report.detection_plot import plot_detection
+
+        plot_detection(forecast(_PLOT_ALTITUDES), flown.name, Path(plot))
+        click.echo(f"{plot}: {flown.name}", err=as_json)
+    if as_json:
+        click.echo(json.dumps(_document(flown, forecast(_TABLE_ALTITUDES)), indent=2))
+    elif plot is None:
+        _print(flown, forecast(_TABLE_ALTITUDES))
+
+
+def _altitudes(text: str) -> tuple[float, float]:
+    low, _, high = text.partition(":")
+    try:
+        low_m, high_m = float(low), float(high)
+    except ValueError:
+        low_m = high_m = math.nan
+    if not _LOWEST_M <= low_m < high_m <= _HIGHEST_M:
+        allowed = (
+            f"allowed: LOW:HIGH in metres, ascending, from {_LOWEST_M:g} to {_HIGHEST_M:g}, e.g. 10:12000"
+        )
+        raise InputError("--altitudes", None, text, allowed)
+    return low_m, high_m
+
+
+def _document(flown: FlightScenario, forecast: DetectionForecast) -> dict[str, object]:
+    detection = flown.instrument.detection
+    return {
+        "scenario": flown.name,
+        "instrument": flown.instrument.name,
+        "site": flown.site.name,
+        "speckle": forecast.speckle,
+        "looks": detection.looks,
+        "rule": detection.rule,
+        "window_loss_db": forecast.window_loss_db,
+        "minus_log_pfa_bin": forecast.minus_log_pfa,
+        "false_alarm_per_fft": forecast.false_alarm,
+        "rows": list(_rows(forecast)),
+    }
+
+
+def _rows(forecast: DetectionForecast) -> Iterator[dict[str, float | None]]:
+    """A row per angle and altitude; null where there is no value."""
+    for i, angle_deg in enumerate(forecast.angle_deg):
+        for j, altitude_m in enumerate(forecast.altitude_m):
+            row: dict[str, float | None] = {"angle_deg": float(angle_deg), "altitude_m": float(altitude_m)}
+            for name in ("range_m", "snr_db", *_COLUMNS):
+                value = float(getattr(forecast, name)[i, j])
+                row[name] = value if math.isfinite(value) else None
+            yield row
+
+
+def _print(flown: FlightScenario, forecast: DetectionForecast) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    detection = flown.instrument.detection
+    fades = "echoes fade" if forecast.speckle else "echoes are steady"
+    title = f"{flown.instrument.name} over {flown.site.name}, {fades}; probabilities in %"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
+    for heading in (
+        "beam\n\n°", "alti-\ntude\nm", "range\n\nm", "SNR\n\ndB", "one\nsegment\nsteady", "\n\nspeckle",
+        "meas-\nured\nsteady", "speckle\nown\nfades", "\nshared\nfade", "false\nlock\nsteady", "\n\nspeckle",
+    ):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for row in _rows(forecast):
+        table.add_row(
+            *(_number(row[name], ".5g") for name in ("angle_deg", "altitude_m", "range_m")),
+            _number(row["snr_db"], ".1f"),
+            *(_percent(row[name]) for name in _COLUMNS),
+            end_section=row["altitude_m"] == forecast.altitude_m[-1],
+        )
+    console = Console()
+    console.print(table)
+    rule = "all three segments" if detection.rule == "all_three" else "any two segments"
+    console.print(
+        f"Measured: {rule}, {detection.looks} look(s). Window and straddling cost {forecast.window_loss_db:.2f} dB. "
+        f"False alarm per FFT {forecast.false_alarm:.3g}, -ln P_fa of a bin {forecast.minus_log_pfa:.2f}. "
+        f"Beyond {detection.maximum_range_m:g} m nothing is valid.",
+        highlight=False,
+    )
+
+
+def _number(value: float | None, style: str) -> str:
+    return "-" if value is None else format(value, style)
+
+
+def _percent(probability: float | None) -> str:
+    """With the digits that matter close to 0; close to 100 two decimals do."""
+    if probability is None:
+        return "-"
+    percent = 100.0 * probability
+    if percent < 1e-8:
+        return "0"
+    return f"{percent:.2f}" if percent >= 0.01 else f"{percent:.0e}"

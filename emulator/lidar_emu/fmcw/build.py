@@ -1,0 +1,185 @@
+"""From the description of an instrument, and of the site's light and air, to the receiver's numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import chndtr
+
+from lidar_emu.errors import InputError
+from lidar_emu.fmcw.constants import BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C, PLANCK_J_S
+from lidar_emu.fmcw.echo import haze_w_per_m, sunlight_over_shot
+from lidar_emu.fmcw.false_alarms import log_exceedance
+from lidar_emu.fmcw.limits import LEAST_FALSE_ALARM, LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
+from lidar_emu.fmcw.model import Haze, ReceiverModel
+from lidar_emu.fmcw.peaks import METHODS
+from lidar_emu.fmcw.response import Response
+from lidar_emu.fmcw.spectrum import WINDOWS, Window
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Receiver, Waveform
+from lidar_emu.scenario.site import Site
+
+
+def build_receiver(
+    instrument: Instrument, site: Site | None = None, exact: bool = False, statistical: bool = False
+) -> ReceiverModel:
+    """The receiver's numbers.
+
+    Bin SNR is the number of photons detected coherently in a record, η_h η_q P T_rec / hν, over one plus the ratios
+    of all other noise to the local oscillator's shot noise (`noise_over_shot`). The threshold is where the mean of
+    the looks' noise powers is exceeded with probability P_fa / (N/2).
+
+    Args:
+        instrument: its description.
+        site: for sunlight and air; None is night in vacuum.
+        exact: leave nothing out.
+        statistical: draw from the closed-form error model instead of computing spectra.
+
+    Raises:
+        InputError: the responsivity exceeds one electron per photon.
+    """
+    waveform, detection, receiver = instrument.waveform, instrument.detection, instrument.receiver
+    _refuse_gain(instrument)
+    slope = waveform.chirp_slope_hz_per_s * (1.0 + waveform.slope_error)
+    carrier_hz = SPEED_OF_LIGHT_MPS / waveform.wavelength_m
+    bin_hz, record_s = waveform.bin_width_hz, waveform.record_time_s
+    amplifier, digitiser = noise_over_shot(instrument, site)
+    snr_per_w = instrument.optics.heterodyne_efficiency * receiver.responsivity_a_per_w * record_s
+    snr_per_w /= ELEMENTARY_CHARGE_C * (amplifier + digitiser)
+    window = WINDOWS[detection.window]
+    threshold = _threshold(waveform, detection.false_alarm_probability, detection.looks)
+    return ReceiverModel(
+        statistical=statistical,
+        fft_length=float(waveform.fft_length),
+        looks=detection.looks,
+        range_bin_m=SPEED_OF_LIGHT_MPS * bin_hz / (2.0 * waveform.chirp_slope_hz_per_s),
+        speed_bin_mps=waveform.wavelength_m * bin_hz / 2.0,
+        bin_width_hz=bin_hz,
+        beat_bin_per_m=2.0 * slope / (SPEED_OF_LIGHT_MPS * bin_hz),
+        delay_per_m=2.0 / (SPEED_OF_LIGHT_MPS * record_s),
+        slope_over_carrier_per_m=2.0 * slope / (SPEED_OF_LIGHT_MPS * carrier_hz),
+        carrier_ratio=(
+            1.0 - slope * record_s / 2.0 / carrier_hz,
+            1.0,
+            1.0 - slope * (waveform.segment_time_s - record_s / 2.0) / carrier_hz,
+        ),
+        segment_records=waveform.segment_time_s / record_s,
+        cycle_records=waveform.cycle_time_s / record_s,
+        record_time_s=record_s,
+        snr_per_w=snr_per_w,
+        signal_shot_per_w=1.0 / (receiver.local_oscillator_power_w * amplifier),
+        response=_response(instrument, amplifier, digitiser),
+        haze=_haze(instrument, site, snr_per_w),
+        linewidth_bins=waveform.linewidth_hz / bin_hz,
+        homodyne_line=waveform.linewidth_model == "homodyne",
+        speckle=instrument.optics.speckle,
+        window_centre=window.centre,
+        window_side=window.side,
+        noise_power=window.noise_power,
+        independent_share=1.0 - _followed(window, threshold),
+        threshold=threshold,
+        group_power_share=detection.group_fraction**2,
+        peak_method=METHODS[detection.peak],
+        joint_estimate=detection.combine == "least_squares",
+        least_segments=2 if detection.rule == "any_two" else 3,
+        maximum_range_m=detection.maximum_range_m,
+        record_edge_range_m=waveform.record_edge_range_m,
+        least_smear_bins=0.0 if exact else LEAST_SMEAR_BINS,
+        least_line_drift=0.0 if exact else LEAST_LINE_DRIFT,
+        least_false_alarm=0.0 if exact else LEAST_FALSE_ALARM,
+    )
+
+
+def noise_over_shot(instrument: Instrument, site: Site | None) -> tuple[float, float]:
+    """Noise before and after the poles of the amplifier, over the local oscillator's shot noise.
+
+    Current noise of shot 2 q R P_LO, dark 2 q I_d, thermal 4kT/R_f, intensity RIN (R P_LO)² after common-mode
+    rejection, sunlight in the receiver's own mode, and the digitiser's (full scale / 2^bits)² / 12 spread from 0 to
+    half the sample rate.
+    """
+    receiver, waveform = instrument.receiver, instrument.waveform
+    current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
+    shot_a2_per_hz = 2.0 * ELEMENTARY_CHARGE_C * current_a
+    others = 4.0 * BOLTZMANN_J_PER_K * receiver.temperature_k / receiver.transimpedance_ohm
+    others += 2.0 * ELEMENTARY_CHARGE_C * receiver.dark_current_a
+    if receiver.relative_intensity_noise_db_per_hz is not None:
+        rejected_db = receiver.relative_intensity_noise_db_per_hz - receiver.common_mode_rejection_db
+        others += 10.0 ** (rejected_db / 10.0) * current_a**2
+    digitiser = 0.0
+    if receiver.adc is not None:
+        step_v = receiver.adc.full_scale_v / 2.0**receiver.adc.effective_bits
+        digitiser = step_v**2 / 12.0 / receiver.transimpedance_ohm**2 / (0.5 * waveform.sample_rate_hz)
+    sunlight = 0.0 if site is None else sunlight_over_shot(instrument, site)
+    return 1.0 + sunlight + others / shot_a2_per_hz, digitiser / shot_a2_per_hz
+
+
+def _response(instrument: Instrument, amplifier: float, digitiser: float) -> Response:
+    receiver, waveform = instrument.receiver, instrument.waveform
+    bin_hz, length = waveform.bin_width_hz, waveform.fft_length
+    lowpass_bin = np.inf if receiver.bandwidth_hz is None else receiver.bandwidth_hz / bin_hz
+    full_scale = np.inf
+    if receiver.adc is not None:
+        shot_a2_per_hz = 2.0 * ELEMENTARY_CHARGE_C * receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
+        noise_a2 = (amplifier + digitiser) * shot_a2_per_hz * 0.5 * waveform.sample_rate_hz
+        # White noise of unit power per bin has the variance N/4 where a tone of unit weight has the amplitude 1.
+        noise_v = receiver.transimpedance_ohm * np.sqrt(noise_a2)
+        full_scale = 0.5 * receiver.adc.full_scale_v / noise_v * np.sqrt(length / 4.0)
+    turns = lowpass_bin / length
+    return Response(
+        lowpass_bin=float(lowpass_bin),
+        highpass_bin=receiver.ac_coupling_hz / bin_hz,
+        fold_scale=float(np.pi * turns * -np.expm1(-4.0 * np.pi * turns)),
+        fold_decay=float(np.exp(-2.0 * np.pi * turns)),
+        amplifier_noise=amplifier / (amplifier + digitiser),
+        digitiser_noise=digitiser / (amplifier + digitiser),
+        full_scale=float(full_scale),
+    )
+
+
+def _haze(instrument: Instrument, site: Site | None, snr_per_w: float) -> Haze:
+    waist_m, wavelength_m = instrument.optics.waist_radius_m, instrument.waveform.wavelength_m
+    air = None if site is None else site.atmosphere
+    return Haze(
+        snr_per_m=0.0 if air is None else haze_w_per_m(instrument, air) * snr_per_w,
+        extinction_per_m=0.0 if air is None else air.extinction_per_m,
+        rayleigh_range_m=np.pi * waist_m**2 / wavelength_m,
+    )
+
+
+def _threshold(waveform: Waveform, false_alarm_probability: float, looks: int) -> float:
+    """Least mean power of a detected bin over that of the noise."""
+    wanted = np.log(false_alarm_probability) - np.log(waveform.fft_length / 2)
+    low, high = 0.0, 2.0 + 2.0 * looks - wanted
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        if log_exceedance(looks, middle) > wanted:
+            low = middle
+        else:
+            high = middle
+    return -float(wanted) if looks == 1 else low
+
+
+def _followed(window: Window, threshold: float) -> float:
+    """Probability that a bin of noise above the threshold is followed by another: windows correlate neighbours.
+
+    Of two circular Gaussians with squared correlation ρ² the one's power, given the other's p, is noncentral
+    chi-squared; p beyond the threshold is exponential.
+    """
+    correlation = (2.0 * window.centre * window.side / window.noise_power) ** 2
+    if correlation == 0.0:
+        return 0.0
+    node, weight = np.polynomial.laguerre.laggauss(40)
+    scale = 2.0 / (1.0 - correlation)
+    below = chndtr(scale * threshold, 2.0, scale * correlation * (threshold + node))
+    return float(np.sum(weight * (1.0 - below)))
+
+
+def _refuse_gain(instrument: Instrument) -> None:
+    wavelength_m = instrument.waveform.wavelength_m
+    limit_a_per_w = ELEMENTARY_CHARGE_C * wavelength_m / (PLANCK_J_S * SPEED_OF_LIGHT_MPS)
+    given_a_per_w = instrument.receiver.responsivity_a_per_w
+    if given_a_per_w > limit_a_per_w:
+        raise InputError(
+            f"instrument {instrument.name}",
+            "receiver.responsivity_a_per_w",
+            given_a_per_w,
+            f"allowed: at most {limit_a_per_w:.4f} A/W, one electron per photon at {wavelength_m * 1e9:g} nm",
+        )

@@ -1,0 +1,142 @@
+"""Rectangular bins of tones that lie close together and far from 0 and N/2: the common case, at a third of the cost.
+
+The kernel of `spectrum` is split into its pole and a remainder that is a polynomial over the few bins in question,
+
+    csc(πx/N)/N = 1/(πx) + πx/6N² + 7π³x³/360N⁴ + ...,
+
+and the image, a pole far away, is its own Taylor series. Remainder and image then follow from five moments of the
+tones, and only the poles are summed tone by tone: four of them to a division.
+"""
+
+from __future__ import annotations
+
+from math import copysign, pi
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.fmcw.sine import FAST, sin_pi
+from lidar_emu.fmcw.spectrum import BIN
+from lidar_emu.kernels import njit
+
+TONES_PER_DIVISION = 4
+"""Tones come in multiples of it; fill up with tones of no weight."""
+
+_TRUNCATION = 3e-13
+"""Largest U⁵/D⁶ for tones and bins within U of their middle, the image D away: π times the first term left out."""
+
+
+@njit(cache=True)
+def are_close(tones: FloatArray, length: float, grid: FloatArray, count: int) -> bool:
+    """Whether `set_close_tones` is exact to 1e-13 of the tones' weight."""
+    reach = 0.5 * (grid[BIN, count - 1] - grid[BIN, 0]) + 1.0
+    middle = _middle(grid, count)
+    image = 2.0 * min(middle, 0.5 * length - middle)
+    return image > 0.0 and (2.0 * reach) ** 5 <= _TRUNCATION * image**6
+
+
+@njit(cache=True)
+def _middle(grid: FloatArray, count: int) -> float:
+    return 0.5 * (grid[BIN, 0] + grid[BIN, count - 1])
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def set_close_tones(
+    tones: FloatArray, length: float, grid: FloatArray, count: int, bins: FloatArray, scratch: FloatArray
+) -> None:
+    """Set the first `count` bins to the sum of tones that `are_close`.
+
+    Args:
+        tones: (4, tones) n, δ with |δ| <= 1/2, real and imaginary part of the weight; a multiple of
+            TONES_PER_DIVISION.
+        length: N.
+        grid: as `lay_bins` leaves it.
+        count: bins in use.
+        bins: (2, capacity) receives real and imaginary parts.
+        scratch: (2, tones) overwritten.
+    """
+    middle = _middle(grid, count)
+    residues = scratch[:, : tones.shape[1]]
+    for i in range(tones.shape[1]):
+        rest = copysign(max(abs(tones[1, i]), 1e-18), tones[1, i])
+        share = (1.0 - 2.0 * (int(tones[0, i]) & 1)) * sin_pi(rest) / pi
+        residues[0, i] = share * tones[2, i]
+        residues[1, i] = share * tones[3, i]
+    _sum_poles(tones, residues, grid, count, bins)
+    _add_remainder(tones, residues, length, middle, grid, count, bins)
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _sum_poles(
+    tones: FloatArray, residues: FloatArray, grid: FloatArray, count: int, bins: FloatArray
+) -> None:
+    numbers, re, im = grid[BIN, :count], bins[0, :count], bins[1, :count]
+    re[:] = 0.0
+    im[:] = 0.0
+    for i in range(0, tones.shape[1], TONES_PER_DIVISION):
+        n1, n2, n3, n4 = tones[0, i], tones[0, i + 1], tones[0, i + 2], tones[0, i + 3]
+        d1, d2 = _off(tones[1, i]), _off(tones[1, i + 1])
+        d3, d4 = _off(tones[1, i + 2]), _off(tones[1, i + 3])
+        a1, a2, a3, a4 = residues[0, i], residues[0, i + 1], residues[0, i + 2], residues[0, i + 3]
+        b1, b2, b3, b4 = residues[1, i], residues[1, i + 1], residues[1, i + 2], residues[1, i + 3]
+        for j in range(count):
+            x1, x2 = (n1 - numbers[j]) + d1, (n2 - numbers[j]) + d2
+            x3, x4 = (n3 - numbers[j]) + d3, (n4 - numbers[j]) + d4
+            left, right = x1 * x2, x3 * x4
+            inverse = 1.0 / (left * right)
+            re[j] += ((a1 * x2 + a2 * x1) * right + (a3 * x4 + a4 * x3) * left) * inverse
+            im[j] += ((b1 * x2 + b2 * x1) * right + (b3 * x4 + b4 * x3) * left) * inverse
+
+
+@njit(cache=True, fastmath=FAST)
+def _off(rest: float) -> float:
+    """δ kept off zero, so that a tone on its bin has a pole beside it."""
+    return copysign(max(abs(rest), 1e-18), rest)
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _add_remainder(
+    tones: FloatArray,
+    residues: FloatArray,
+    length: float,
+    middle: float,
+    grid: FloatArray,
+    count: int,
+    bins: FloatArray,
+) -> None:
+    for part in range(2):
+        m0 = m1 = m2 = m3 = m4 = 0.0
+        for i in range(tones.shape[1]):
+            e = (tones[0, i] - middle) + tones[1, i]
+            g = residues[part, i]
+            m0 += g
+            m1 += g * e
+            m2 += g * e * e
+            m3 += g * e * e * e
+            m4 += g * e * e * e * e
+        f0, f1, f2, f3, f4 = _image_series(2.0 * middle, length, 1.0 if part == 0 else -1.0)
+        first = pi * pi / (6.0 * length * length)
+        third = 7.0 * pi**4 / (360.0 * length**4)
+        c0 = f0 * m0 + f1 * m1 + f2 * m2 + f3 * m3 + f4 * m4 + first * m1 + third * m3
+        c1 = f1 * m0 + 2 * f2 * m1 + 3 * f3 * m2 + 4 * f4 * m3 - first * m0 - 3 * third * m2
+        c2 = f2 * m0 + 3 * f3 * m1 + 6 * f4 * m2 + 3 * third * m1
+        c3 = f3 * m0 + 4 * f4 * m1 - third * m0
+        c4 = f4 * m0
+        for j in range(count):
+            k = grid[BIN, j] - middle
+            bins[part, j] += c0 + k * (c1 + k * (c2 + k * (c3 + k * c4)))
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _image_series(place: float, length: float, sign: float) -> tuple[float, float, float, float, float]:
+    """Taylor coefficients of ±(π/N) csc(πs/N) about s = `place`."""
+    step = pi / length
+    csc = 1.0 / sin_pi(place / length if place <= 0.5 * length else 1.0 - place / length)
+    cot = csc * sin_pi(0.5 - place / length)
+    square = cot * cot
+    scale = sign * step * csc
+    return (
+        scale,
+        -scale * step * cot,
+        scale * step**2 * (1.0 + 2.0 * square) / 2.0,
+        -scale * step**3 * cot * (5.0 + 6.0 * square) / 6.0,
+        scale * step**4 * (5.0 + square * (28.0 + 24.0 * square)) / 24.0,
+    )

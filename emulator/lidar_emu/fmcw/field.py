@@ -1,0 +1,126 @@
+"""The field of the echo: amplitude and phase of each beamlet in each record, as every level of the receiver has it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.fmcw.model import ReceiverModel
+from lidar_emu.fmcw.philox import uniform_pair, unit_phasor
+from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.fmcw.sine import FAST
+from lidar_emu.fmcw.speckle import SLOTS, forget, set_weights
+from lidar_emu.kernels import njit
+
+
+@njit(cache=True, fastmath=FAST)
+def relative_turn(
+    model: ReceiverModel, segment: int, time_records: float, ahead_m: float, faster_mps: float
+) -> float:
+    """Phase of one beamlet's echo beside that of another, in turns, from what it is at the time of validity.
+
+    With k of the segment the phase is that of exp(-2jkL): it turns with the beamlets' own Doppler shifts, and from segment
+    to segment as the optical frequency changes, over a beamlet's range beside the other's.
+
+    Args:
+        time_records: from the time of validity, in records.
+        ahead_m, faster_mps: range and closing speed less those of the other, at the time of validity.
+    """
+    off_carrier = (model.carrier_ratio[segment] - 1.0) / model.speed_bin_mps / model.record_time_s
+    return faster_mps / model.speed_bin_mps * time_records - off_carrier * ahead_m
+
+
+def echo_field(
+    model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed: int
+) -> NDArray[np.complex128]:
+    """Complex amplitude of each beamlet at the centre of each record, (shots, beams, 3, beamlets).
+
+    Its square is the bin SNR ahead of the receiver's poles, of an echo that fills the record, with one look. With speckle
+    the amplitude is a circular complex Gaussian number, that of the record's own time; without, the beamlets add in
+    phase, beamlet i with P_i / sqrt(P). A phase common to the beam is uniform in each record. The tone is
+    Re{field exp(j2πgt)} with the signed beat g of a segment; in the up-chirp, where it rises with the delay, the echo's
+    own field enters as its conjugate. A beamlet that returns no light has 0.
+
+    Args:
+        model: from `build_receiver`.
+        echoes: shaped (shots, beams, beamlets).
+        shot: (shots,) numbers of the shots.
+        seed: 64 bits, of everything drawn.
+    """
+    # What these numbers are for is stated beside the spectra, whose tones may in turn use `relative_turn`.
+    from lidar_emu.fmcw.records import PHASE, SPECKLE
+
+    lit = (echoes.range_m > 0.0) & (echoes.power_w > 0.0)
+    lit &= np.isfinite(echoes.power_w) & np.isfinite(echoes.closing_speed_mps)
+    snr = np.where(lit, echoes.power_w, 0.0) * model.snr_per_w
+    amplitude = np.sqrt(snr)
+    if not model.speckle:
+        amplitude = snr / np.sqrt(np.maximum(snr.sum(axis=-1, keepdims=True), np.finfo(float).tiny))
+    shots, beams, beamlets = echoes.range_m.shape
+    field = np.zeros((shots, beams, 3, beamlets), dtype=complex)
+    _set_field(
+        model,
+        lit,
+        amplitude,
+        np.ascontiguousarray(echoes.range_m, dtype=float),
+        np.ascontiguousarray(echoes.closing_speed_mps, dtype=float),
+        np.ascontiguousarray(echoes.speckle_place, dtype=float),
+        np.ascontiguousarray(echoes.speckle_drift_per_s, dtype=float),
+        np.ascontiguousarray(shot, dtype=np.int64),
+        np.uint64(seed),
+        (PHASE, SPECKLE),
+        field,
+    )
+    return field
+
+
+@njit(cache=True)
+def _set_field(
+    model: ReceiverModel,
+    lit: BoolArray,
+    amplitude: FloatArray,
+    range_m: FloatArray,
+    closing_speed_mps: FloatArray,
+    place: FloatArray,
+    drift_per_s: FloatArray,
+    shot: NDArray[np.int64],
+    seed: np.uint64,
+    purposes: tuple[int, int],
+    field: NDArray[np.complex128],
+) -> None:
+    beamlets = range_m.shape[2]
+    pairs = beamlets // 2 + 1
+    held = np.empty((SLOTS, 2), dtype=np.int64)
+    corners = np.empty((SLOTS, 2, 2 * pairs))
+    words = np.empty((4, pairs), dtype=np.uint64)
+    weights = np.empty((2, 2 * pairs))
+    for s in range(range_m.shape[0]):
+        for b in range(range_m.shape[1]):
+            forget(held)
+            for segment in range(3):
+                time_records = (segment - 1) * model.segment_records
+                time_s = time_records * model.record_time_s
+                common_turn, _ = uniform_pair(seed, shot[s], b, purposes[0], segment)
+                if model.speckle:
+                    east = place[s, b, 0] + drift_per_s[s, b, 0] * time_s
+                    north = place[s, b, 1] + drift_per_s[s, b, 1] * time_s
+                    set_weights(seed, b, purposes[1], east, north, held, corners, words, weights)
+                sense = -1.0 if segment == 0 else 1.0
+                first = -1
+                count = 0
+                for i in range(beamlets):
+                    if not lit[s, b, i]:
+                        continue
+                    if first < 0:
+                        first = i
+                    value = complex(amplitude[s, b, i], 0.0)
+                    turn = common_turn
+                    if model.speckle:
+                        value *= complex(weights[0, count], sense * weights[1, count])
+                        ahead_m = range_m[s, b, i] - range_m[s, b, first]
+                        faster_mps = closing_speed_mps[s, b, i] - closing_speed_mps[s, b, first]
+                        turn += sense * relative_turn(model, segment, time_records, ahead_m, faster_mps)
+                    cosine, sine = unit_phasor(turn + 0.5 - np.floor(turn + 0.5))
+                    field[s, b, segment, i] = value * complex(cosine, sine)
+                    count += 1

@@ -1,0 +1,160 @@
+"""What the receiver's kernels know of an instrument, and where they work."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.fmcw.cauchy import TONES_PER_DIVISION
+from lidar_emu.fmcw.detect import MAX_GROUPS
+from lidar_emu.fmcw.modulation import LEAST_TAPS
+from lidar_emu.fmcw.response import Response
+from lidar_emu.fmcw.speckle import SLOTS
+from lidar_emu.fmcw.spectrum import REACH, ROWS, grid_capacity
+from lidar_emu.kernels import njit, unowned
+
+
+class Haze(NamedTuple):
+    """Light that the air itself returns, in units of the noise power of a bin."""
+
+    snr_per_m: float
+    """From each metre just before the sensor; 0 for clear air."""
+    extinction_per_m: float
+    rayleigh_range_m: float
+    """Range at which the beam's area has doubled."""
+
+
+class ReceiverModel(NamedTuple):
+    """An instrument in the numbers that the receiver's kernels use."""
+
+    statistical: bool
+    """Draw targets from the closed-form error model instead of computing spectra."""
+    fft_length: float
+    looks: int
+    range_bin_m: float
+    """Range whose beat is one bin, c df / 2S, by the slope that the instrument believes in."""
+    speed_bin_mps: float
+    """Closing speed whose Doppler shift is one bin, λ df / 2."""
+    bin_width_hz: float
+    beat_bin_per_m: float
+    """2S / (c df) with the slope that the laser has."""
+    delay_per_m: float
+    """2 / (c T_rec): the echo's delay in records."""
+    slope_over_carrier_per_m: float
+    """2S / (c f): by how much the frequency of the light that returns differs, per metre of range."""
+    carrier_ratio: tuple[float, float, float]
+    """Optical frequency at the centre of each record over the nominal one."""
+    segment_records: float
+    cycle_records: float
+    """Length of a segment and of a cycle in records."""
+    record_time_s: float
+    snr_per_w: float
+    """Power of a tone on its rectangular bin over the mean noise power there, per watt of echo."""
+    signal_shot_per_w: float
+    """Shot noise of the echo itself over the amplifier's noise without it."""
+    response: Response
+    haze: Haze
+    linewidth_bins: float
+    homodyne_line: bool
+    speckle: bool
+    window_centre: float
+    window_side: float
+    noise_power: float
+    """Mean noise power of a windowed bin over that of a rectangular one."""
+    independent_share: float
+    """Peaks in windowed noise above the threshold, per bin, over those of a rectangular window."""
+    threshold: float
+    """Least power of a detected bin over its mean noise power."""
+    group_power_share: float
+    peak_method: int
+    joint_estimate: bool
+    least_segments: int
+    maximum_range_m: float
+    record_edge_range_m: float
+    least_smear_bins: float
+    """Smaller changes of a beat during a record are left out."""
+    least_line_drift: float
+    """Smaller phase variances of the laser over the delay are left out."""
+    least_false_alarm: float
+    """Smaller probabilities that noise elsewhere matters are left out."""
+
+
+class Workspace(NamedTuple):
+    """Arrays that the kernels write to; their size bounds beamlets, looks and the widest filter.
+
+    A kernel that hands them on uses `without_owners`.
+    """
+
+    beamlets: FloatArray
+    """(5, beamlets) see `echo_state`."""
+    tones: FloatArray
+    """(looks, 4, tones) see `set_tones`; also the places of all, one after another, to lay bins."""
+    places: FloatArray
+    residues: FloatArray
+    weights: FloatArray
+    held: NDArray[np.int64]
+    corners: FloatArray
+    grid: FloatArray
+    bins: FloatArray
+    filtered: FloatArray
+    noise: FloatArray
+    words: NDArray[np.uint64]
+    taps: FloatArray
+    """(3, 2, taps) of smear, of the line, and of both."""
+    peaks: NDArray[np.int64]
+    targets: FloatArray
+    """(3, MAX_GROUPS, 4) frequency, its variance, power over noise, and power of each segment's targets."""
+    alarms: FloatArray
+    """(MAX_GROUPS, 3) power, bin, and power over noise of peaks in noise."""
+
+
+def build_workspace(beamlets: int, looks: int, half: int) -> Workspace:
+    """Room for beams of so many beamlets, and filters of `half` taps on each side."""
+    # One tone more for the haze.
+    tones = -(-(beamlets + 1) // TONES_PER_DIVISION) * TONES_PER_DIVISION
+    reach = REACH + max(0, half - LEAST_TAPS)
+    capacity = grid_capacity(looks * (beamlets + 1), reach)
+    return Workspace(
+        beamlets=np.empty((5, beamlets)),
+        tones=np.zeros((looks, 4, tones)),
+        places=np.empty((2, looks * (beamlets + 1))),
+        residues=np.empty((2, tones)),
+        weights=np.empty((2, beamlets + beamlets % 2)),
+        held=np.empty((SLOTS, 2), dtype=np.int64),
+        corners=np.empty((SLOTS, 2, beamlets + beamlets % 2)),
+        grid=np.empty((ROWS, capacity)),
+        bins=np.empty((looks, 2, capacity)),
+        filtered=np.empty((2, capacity)),
+        noise=np.empty((2, capacity + 4)),
+        words=np.empty((4, capacity // 2 + beamlets + 4), dtype=np.uint64),
+        taps=np.empty((3, 2, 2 * half + 1)),
+        peaks=np.empty(MAX_GROUPS, dtype=np.int64),
+        targets=np.empty((3, MAX_GROUPS, 4)),
+        alarms=np.empty((MAX_GROUPS, 3)),
+    )
+
+
+@njit(cache=True)
+def without_owners(work: Workspace) -> Workspace:
+    """The same arrays, for as long as the caller holds them; see `unowned`."""
+    return Workspace(
+        unowned(work.beamlets),
+        unowned(work.tones),
+        unowned(work.places),
+        unowned(work.residues),
+        unowned(work.weights),
+        unowned(work.held),
+        unowned(work.corners),
+        unowned(work.grid),
+        unowned(work.bins),
+        unowned(work.filtered),
+        unowned(work.noise),
+        unowned(work.words),
+        unowned(work.taps),
+        unowned(work.peaks),
+        unowned(work.targets),
+        unowned(work.alarms),
+    )

@@ -1,0 +1,96 @@
+"""What amplifier and digitiser do to tones and noise: poles, folded noise, clipping."""
+
+from __future__ import annotations
+
+from math import erf, erfc, exp, pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.fmcw.sine import FAST
+from lidar_emu.fmcw.spectrum import BIN, NOISE, SIN
+from lidar_emu.kernels import njit
+
+
+class Response(NamedTuple):
+    """The analogue chain; noise powers are shares of the white noise of an ideal receiver's rectangular bin."""
+
+    lowpass_bin: float
+    """Half-power frequency of the amplifier in bins; infinite where it is flat."""
+    highpass_bin: float
+    """Half-power frequency of the AC coupling in bins; 0 where there is none."""
+    fold_scale: float
+    fold_decay: float
+    """(πc/N) (1 - q²) and q, with q = exp(-2πc/N), c the amplifier's half-power frequency."""
+    amplifier_noise: float
+    """Share that the poles shape; with `digitiser_noise` it is 1."""
+    digitiser_noise: float
+    """Share that arises after them."""
+    full_scale: float
+    """Largest amplitude that is not clipped, that of a tone on its bin being its bin's magnitude; infinite for an
+    ideal digitiser."""
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def tone_gain(response: Response, signed_bin: float) -> tuple[float, float]:
+    """Complex gain at a signed frequency, not folded: that of -f is the conjugate."""
+    gain_re, gain_im = 1.0, 0.0
+    if response.highpass_bin > 0.0:
+        below = response.highpass_bin * response.highpass_bin + signed_bin * signed_bin
+        gain_re = signed_bin * signed_bin / below
+        gain_im = signed_bin * response.highpass_bin / below
+    x = signed_bin / response.lowpass_bin
+    scale = 1.0 / (1.0 + x * x)
+    return scale * (gain_re + x * gain_im), scale * (gain_im - x * gain_re)
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def set_noise(response: Response, factor: float, added: float, grid: FloatArray, count: int) -> None:
+    """Set NOISE of the first `count` bins to their mean noise power; see `noise_level`."""
+    if response.highpass_bin == 0.0 and response.lowpass_bin == np.inf:
+        grid[NOISE, :count] = factor * response.amplifier_noise + response.digitiser_noise + added
+        return
+    for j in range(count):
+        grid[NOISE, j] = noise_level(response, factor, added, grid[BIN, j], grid[SIN, j])
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def noise_level(response: Response, factor: float, added: float, k: float, sine: float) -> float:
+    """Mean noise power of a rectangular bin.
+
+    Noise from beyond N/2 folds in as tones do. Of a single pole at c its sum over all zones is closed, (πc/N)
+    sinh(2πc/N) / (cosh(2πc/N) - cos(2πk/N)), here in powers of exp(-2πc/N); the AC coupling matters in the zone at 0
+    only.
+
+    Args:
+        response: the chain.
+        factor: the amplifier's noise over what it is without an echo.
+        added: white noise on top, by clipping.
+        k: the bin.
+        sine: of πk/N.
+    """
+    level, zone = 1.0, 1.0
+    if response.lowpass_bin < np.inf:
+        apart = 1.0 - response.fold_decay
+        level = response.fold_scale / (apart * apart + 4.0 * response.fold_decay * sine * sine)
+        zone = 1.0 / (1.0 + (k / response.lowpass_bin) ** 2)
+    if response.highpass_bin > 0.0:
+        corner = response.highpass_bin * response.highpass_bin
+        level -= zone * corner / (corner + k * k)
+    return factor * response.amplifier_noise * max(level, 0.0) + response.digitiser_noise + added
+
+
+@njit(cache=True, error_model="numpy")
+def clipping(response: Response, variance: float, length: float) -> tuple[float, float]:
+    """What a clipping digitiser makes of an input of that variance, taken as Gaussian (Bussgang's theorem).
+
+    Returns:
+        The gain of everything in the input, and the power per rectangular bin of the distortion, taken as white.
+    """
+    if not response.full_scale < 7.0 * sqrt(variance):
+        return 1.0, 0.0
+    limit = response.full_scale / sqrt(variance)
+    gain = erf(limit / sqrt(2.0))
+    kept = gain - sqrt(2.0 / pi) * limit * exp(-0.5 * limit * limit) + limit * limit * erfc(limit / sqrt(2.0))
+    return gain, max(0.0, kept - gain * gain) * variance * 4.0 / length

@@ -1,0 +1,166 @@
+"""One segment from the closed-form error model: the statistical level.
+
+The beam's tones are added up at one frequency, where their sum is strongest to first order, instead of in every bin.
+Speckle, spread, smear and the laser's line take from that sum what they take from the spectrum's peak; one complex
+Gaussian number stands for the noise of the highest bin and decides on detection; the estimator's own error is drawn
+from its variance.
+"""
+
+from __future__ import annotations
+
+from math import exp, pi, sqrt
+
+import numpy as np
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.fmcw.model import ReceiverModel, Workspace
+from lidar_emu.fmcw.peaks import ABOUTANIOS_MULGREW, BIN_CENTRE, BIN_VARIANCE, JACOBSEN
+from lidar_emu.fmcw.philox import complex_normal
+from lidar_emu.fmcw.records import NOISE_BINS, SEGMENT_INDICES, set_look_tones, smear_bins
+from lidar_emu.fmcw.response import clipping, noise_level
+from lidar_emu.fmcw.sine import sin_pi
+from lidar_emu.fmcw.targets import draw_alarms, insert_alarms
+from lidar_emu.fmcw.tones import AMPLITUDE, RANGE_M, SPEED_MPS
+from lidar_emu.kernels import njit
+
+_EFFICIENT = 0.3898**2
+"""Least variance of a tone's frequency in bins² times its SNR (Cramér and Rao)."""
+
+
+@njit(cache=True)
+def draw_targets(
+    model: ReceiverModel,
+    work: Workspace,
+    count: int,
+    segment: int,
+    acceleration_mps2: float,
+    smear_acceleration_mps2: float,
+    place: FloatArray,
+    drift_per_s: FloatArray,
+    power_w: float,
+    shot: int,
+    beam: int,
+    seed: np.uint64,
+) -> int:
+    """Fill `work.targets[segment]` as `set_spectrum` and `find_targets` do, with one target of the ground at most."""
+    targets = work.targets[segment]
+    if count == 0:
+        alarms = draw_alarms(model, 0.0, 1.0, 0.0, segment, shot, beam, seed, work.alarms)
+        return insert_alarms(model, work.alarms[:alarms], 0.0, targets, 0)
+    variance = model.fft_length / 4.0
+    for i in range(count):
+        variance += 0.5 * work.beamlets[AMPLITUDE, i] ** 2
+    gain, distortion = clipping(model.response, variance, model.fft_length)
+    factor = gain * gain * (1.0 + model.signal_shot_per_w * power_w)
+    loss = gain * _filter_loss(model, work, segment, smear_acceleration_mps2)
+
+    power, frequency, weight = 0.0, 0.0, 0.0
+    for look in range(model.looks):
+        set_look_tones(
+            model, work, count, segment, look, acceleration_mps2, place, drift_per_s, shot, beam, seed
+        )
+        centre, re, im = _sum_at_peak(work.tones[look, :, :count])
+        k = min(max(np.rint(centre), 1.0), 0.5 * model.fft_length - 1.0)
+        level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
+        straddled = loss * _window_gain(model, centre - k)
+        index = (segment + 3 * look) * SEGMENT_INDICES
+        x, y = complex_normal(seed, shot, beam, NOISE_BINS, index)
+        scale = sqrt(level * model.noise_power)
+        power += ((straddled * re + scale * x) ** 2 + (straddled * im + scale * y) ** 2) / model.looks
+        strength = loss * loss * (re * re + im * im)
+        frequency += strength * centre
+        weight += strength
+    if weight <= 0.0:
+        return 0
+    centre, snr = frequency / weight, weight / level
+    alarms = draw_alarms(model, power, level, 2.0, segment, shot, beam, seed, work.alarms)
+    highest = max(power, work.alarms[0, 0]) if alarms > 0 else power
+    groups = 0
+    noise = level * model.noise_power
+    if power > model.threshold * noise and power > model.group_power_share * highest:
+        _set_target(model, work, centre, snr, segment, shot, beam, seed, targets[0])
+        targets[0, 2], targets[0, 3] = power / noise, power
+        groups = 1
+    return insert_alarms(model, work.alarms[:alarms], highest, targets, groups)
+
+
+@njit(cache=True)
+def _sum_at_peak(tones: FloatArray) -> tuple[float, float, float]:
+    """Frequency of the strongest sum of tones, to first order of their spread, and the sum there."""
+    re, im, power, moment = 0.0, 0.0, 0.0, 0.0
+    first = tones[0, 0]
+    moment_re, moment_im = 0.0, 0.0
+    for i in range(tones.shape[1]):
+        place = (tones[0, i] - first) + tones[1, i]
+        re += tones[2, i]
+        im += tones[3, i]
+        moment_re += tones[2, i] * place
+        moment_im += tones[3, i] * place
+        strength = tones[2, i] ** 2 + tones[3, i] ** 2
+        power += strength
+        moment += strength * place
+    if power <= 0.0:
+        return first, 0.0, 0.0
+    # Where the sum fades, the first order overshoots: a bin around the middle of the power is as far as it holds.
+    middle = moment / power
+    whole = re * re + im * im
+    shift = (re * moment_re + im * moment_im) / whole - middle if whole > 0.0 else 0.0
+    centre = middle + min(max(shift, -0.5), 0.5)
+    re = im = 0.0
+    for i in range(tones.shape[1]):
+        kernel = _sinc((tones[0, i] - first) + tones[1, i] - centre)
+        re += tones[2, i] * kernel
+        im += tones[3, i] * kernel
+    return first + centre, re, im
+
+
+@njit(cache=True, error_model="numpy")
+def _sinc(x: float) -> float:
+    return 1.0 if abs(x) < 1e-9 else np.sin(pi * x) / (pi * x)
+
+
+@njit(cache=True)
+def _window_gain(model: ReceiverModel, offset: float) -> float:
+    """Magnitude of a windowed bin beside a tone of unit weight."""
+    sides = _sinc(offset - 1.0) + _sinc(offset + 1.0)
+    return model.window_centre * _sinc(offset) - model.window_side * sides
+
+
+@njit(cache=True)
+def _filter_loss(
+    model: ReceiverModel, work: Workspace, segment: int, smear_acceleration_mps2: float
+) -> float:
+    """What smear and the laser's line leave of the central tap."""
+    smear = smear_bins(model, segment, work.beamlets[SPEED_MPS, 0], smear_acceleration_mps2)
+    drift = 2.0 * pi * model.linewidth_bins * model.delay_per_m * work.beamlets[RANGE_M, 0]
+    # Of a chirp of β bins the peak falls as 1 - (πβ)²/360, and as β^-1/2 for many.
+    kept = 1.0 / (1.0 + (pi * smear) ** 2 / 90.0) ** 0.25
+    return kept * exp(-0.5 * drift)
+
+
+@njit(cache=True)
+def _set_target(
+    model: ReceiverModel,
+    work: Workspace,
+    centre: float,
+    snr: float,
+    segment: int,
+    shot: int,
+    beam: int,
+    seed: np.uint64,
+    target: FloatArray,
+) -> None:
+    """Frequency and variance: the estimator's error, and the laser's drift over the delay."""
+    method = model.peak_method
+    efficiency = 1.1 if method == ABOUTANIOS_MULGREW else (2.4 if method == JACOBSEN else 3.24)
+    if method == BIN_CENTRE:
+        efficiency = 1.0
+    delay = model.delay_per_m * work.beamlets[RANGE_M, 0]
+    line = 6.0 * model.linewidth_bins / pi * delay * delay * efficiency / model.looks
+    error, _ = complex_normal(seed, shot, beam, NOISE_BINS, (segment + 1) * SEGMENT_INDICES - 1)
+    variance = efficiency * _EFFICIENT / snr + line
+    target[0] = centre + min(max(sqrt(2.0 * variance) * error, -1.0), 1.0)
+    target[1] = max(efficiency * _EFFICIENT / snr, 1e-12)
+    if method == BIN_CENTRE:
+        target[0] = min(max(np.rint(target[0]), 1.0), 0.5 * model.fft_length - 1.0)
+        target[1] = BIN_VARIANCE

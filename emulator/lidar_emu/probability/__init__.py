@@ -1,0 +1,1 @@
+"""Probabilities of detection, of false alarms and of false locks: closed forms for planning, nothing drawn."""

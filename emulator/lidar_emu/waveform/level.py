@@ -1,0 +1,141 @@
+"""The level `waveform`: every beam of every shot from its samples."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.fmcw.field import echo_field
+from lidar_emu.fmcw.model import ReceiverModel
+from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.scenario.instrument import Instrument
+from lidar_emu.waveform.conclude import Conclusion
+from lidar_emu.waveform.measure import Footprint, measure_waveform
+from lidar_emu.waveform.receive import Digitiser, Response, noise_level
+from lidar_emu.waveform.samples import ComplexArray
+
+_DARK = Footprint(np.ones(1), np.zeros(1), np.zeros(1, dtype=complex))
+"""No light: noise alone is measured."""
+
+
+def measure_echoes(
+    instrument: Instrument, model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed: int
+) -> Returns:
+    """Measure every beam of every shot from samples.
+
+    The field of the echo, its speckle and its phase, is that of the other levels (`echo_field`); noise and the laser's
+    line are drawn by other means, from seed, shot and beam. The threshold follows the noise that an unclipped receiver
+    has in each bin. Left out: light that the air itself returns, and the extra noise of a digitiser that clips, which is
+    there but does not raise the threshold.
+
+    Args:
+        instrument: one look, all three segments, `bin` or `hann` peaks and a homodyne line.
+        model: of the same instrument, from `build_receiver`: light to SNR, and what noise arises where.
+        echoes: shaped (shots, beams, beamlets).
+        shot: (shots,) numbers of the shots.
+        seed: 64 bits, of everything drawn.
+
+    Raises:
+        ValueError: the instrument is another one.
+    """
+    field = echo_field(model, echoes, shot, seed)
+    lines = [
+        [
+            _measure_beam(instrument, model, echoes, field[s, b], s, b, np.random.default_rng((seed, number, b)))
+            for b in range(echoes.fired.shape[1])
+        ]
+        for s, number in enumerate(shot.tolist())
+    ]
+    return _returns(lines)
+
+
+def _measure_beam(
+    instrument: Instrument,
+    model: ReceiverModel,
+    echoes: Echoes,
+    field: ComplexArray,
+    s: int,
+    b: int,
+    rng: np.random.Generator,
+) -> Conclusion | Reason:
+    """One beam of one shot, or why it is not measured at all."""
+    if not echoes.fired[s, b]:
+        return Reason.NOT_FIRED
+    range_m, power_w = echoes.range_m[s, b], echoes.power_w[s, b]
+    if echoes.inside[s, b] or (range_m <= 0.0).any():
+        return Reason.INSIDE_GROUND
+    waveform, receiver = instrument.waveform, instrument.receiver
+    lit = np.abs(field).max(axis=0) > 0.0
+    footprint = _DARK
+    if lit.any():
+        rate_mps = echoes.range_rate_mps[s, b, lit]
+        footprint = Footprint(
+            range_m[lit],
+            echoes.closing_speed_mps[s, b, lit],
+            field[None, :, lit],
+            np.where(np.isfinite(rate_mps), rate_mps, 0.0),
+            float(echoes.closing_acceleration_mps2[s, b]),
+            float(echoes.smear_acceleration_mps2[s, b]),
+        )
+    response = Response(receiver.bandwidth_hz, receiver.ac_coupling_hz)
+    # The echo makes shot noise of its own; the digitiser's noise arises behind the poles, by rounding.
+    share = model.response.amplifier_noise * (1.0 + model.signal_shot_per_w * float(power_w[lit].sum()))
+    level = share * noise_level(waveform, response) + model.response.digitiser_noise
+    digitiser = None
+    if receiver.adc is not None:
+        digitiser = Digitiser(2.0 * model.response.full_scale, receiver.adc.effective_bits)
+    measured = measure_waveform(
+        waveform,
+        instrument.detection,
+        footprint,
+        response=response,
+        rng=rng,
+        noise_share=share,
+        digitiser=digitiser,
+        noise_level=level,
+        edges=bool((range_m > model.record_edge_range_m).any()),
+    )
+    if measured.reason[0] == Reason.BELOW_THRESHOLD:
+        measured.reason[0] = _unseen(range_m, model.record_edge_range_m)
+    return measured
+
+
+def _unseen(range_m: FloatArray, edge_m: float) -> Reason:
+    """Why nothing was detected."""
+    if np.isnan(range_m).all():
+        return Reason.NO_SURFACE
+    return Reason.BELOW_THRESHOLD if np.nanmin(range_m) <= edge_m else Reason.BEYOND_RANGE
+
+
+def _returns(lines: list[list[Conclusion | Reason]]) -> Returns:
+    """Of (shots, beams)."""
+    shape = len(lines), len(lines[0]) if lines else 0
+    unknown = lambda *more: np.full((*shape, *more), np.nan)  # noqa: E731
+    returns = Returns(
+        range_m=unknown(),
+        closing_speed_mps=unknown(),
+        range_valid=np.zeros(shape, dtype=bool),
+        speed_valid=np.zeros(shape, dtype=bool),
+        sign_resolved=np.zeros(shape, dtype=bool),
+        reason=np.zeros(shape, dtype=np.int8),
+        segments=np.zeros(shape, dtype=np.uint8),
+        snr_db=unknown(),
+        residual_mps=unknown(),
+        sigma_range_m=unknown(),
+        sigma_speed_mps=unknown(),
+        returns=np.zeros(shape, dtype=np.uint8),
+        second_range_m=unknown(),
+        segment_peak_hz=unknown(3),
+    )
+    for s, line in enumerate(lines):
+        for b, beam in enumerate(line):
+            if isinstance(beam, Reason):
+                returns.reason[s, b] = beam
+                continue
+            for name in Conclusion.__dataclass_fields__:
+                getattr(returns, name)[s, b] = getattr(beam, name)[0]
+            valid = beam.reason[0] == Reason.VALID
+            returns.range_valid[s, b] = returns.speed_valid[s, b] = valid
+    return returns

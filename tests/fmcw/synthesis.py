@@ -1,0 +1,30 @@
+"""Records as samples, and their bins by numpy's FFT: the slow way."""
+
+from __future__ import annotations
+
+import numpy as np
+
+COSINES = {"rect": (1.0, 0.0), "hann": (0.5, 0.5), "hamming": (0.54, 0.46)}
+"""Windows a - b cos(2πn/N)."""
+
+
+def tones_in_time(signed_bin: np.ndarray, weight: np.ndarray, length: int, smear: float = 0.0) -> np.ndarray:
+    """Real samples of tones that have the phase of `weight` at the record's centre.
+
+    With `smear` their frequency rises by so many bins during the record.
+    """
+    n = np.arange(length, dtype=np.longdouble) - np.longdouble(length - 1) / 2
+    samples = np.zeros(length)
+    for place, w in zip(signed_bin, weight, strict=True):
+        turns = np.longdouble(place) / length * n + 0.5 * smear * (n / length) ** 2
+        phase = 2 * np.pi * (turns - np.rint(turns)).astype(float)
+        samples += w.real * np.cos(phase) - w.imag * np.sin(phase)
+    return samples
+
+
+def fft_bins(samples: np.ndarray, window: str) -> np.ndarray:
+    """Bins 0 to N/2, scaled so that a tone of unit amplitude on its bin gives the window's mean."""
+    length = samples.shape[-1]
+    a, b = COSINES[window]
+    weights = a - b * np.cos(2 * np.pi * np.arange(length) / length)
+    return np.fft.rfft(samples * weights) / (length / 2)

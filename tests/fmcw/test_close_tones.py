@@ -1,0 +1,94 @@
+"""The quick way to the bins of tones that lie close together, against numpy's FFT and against the general way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from synthesis import fft_bins, tones_in_time
+
+from lidar_emu.fmcw.cauchy import TONES_PER_DIVISION, are_close, set_close_tones
+from lidar_emu.fmcw.spectrum import BIN, REACH, ROWS, grid_capacity, lay_bins, set_tones
+
+
+def _tones(place: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(4, tones), filled up with tones of no weight."""
+    missing = -len(place) % TONES_PER_DIVISION
+    place, weight = np.append(place, np.full(missing, place[0])), np.append(weight, np.zeros(missing))
+    return np.array([np.rint(place), place - np.rint(place), weight.real, weight.imag])
+
+
+def _grid(tones: np.ndarray, length: int) -> np.ndarray:
+    grid = np.zeros((ROWS, grid_capacity(tones.shape[1], REACH)))
+    count = lay_bins(tones[0], float(REACH), float(length), np.empty(tones.shape[1]), grid)
+    return grid[:, :count].copy()
+
+
+def _both(place: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Bin numbers, and complex bins by the quick way and by the general one."""
+    tones = _tones(place, weight)
+    grid = _grid(tones, length)
+    columns = grid.shape[1]
+    assert are_close(tones, float(length), grid, columns)
+    quick, general = np.empty((2, columns)), np.empty((2, columns))
+    set_close_tones(tones, float(length), grid, columns, quick, np.empty((2, tones.shape[1])))
+    set_tones(tones, float(length), grid, columns, general)
+    return grid[BIN].astype(int), quick[0] + 1j * quick[1], general[0] + 1j * general[1]
+
+
+@pytest.mark.parametrize(
+    ("places", "length"),
+    [
+        pytest.param([26042.37], 2**17, id="one tone"),
+        pytest.param([26042.0], 2**17, id="on a bin"),
+        pytest.param([26042.5, 26043.5, 26044.0], 2**17, id="between bins and on one"),
+        pytest.param([26042.3] * 4 + [26042.0] * 5, 2**17, id="coincident"),
+        pytest.param([26042.0 + 1e-13, 26042.0 - 1e-15, 26043.0], 2**17, id="nearly coincident"),
+        pytest.param([1000.25, 1001.5, 999.0], 2**12, id="short record"),
+        pytest.param([2000.0 + 0.7 * i for i in range(40)], 2**13, id="spread over 28 bins"),
+        pytest.param([2500.1, 2540.9], 2**17, id="near DC"),
+        pytest.param([65536 - 2500.1, 65536 - 2540.9], 2**17, id="near Nyquist"),
+    ],
+)
+def test_bins_are_those_of_the_fft(places: list[float], length: int) -> None:
+    weight = np.exp(1j * (0.7 + np.arange(len(places)))) * (1 + np.arange(len(places)))
+    k, quick, general = _both(np.array(places), weight, length)
+    expected = fft_bins(tones_in_time(np.array(places), weight, length), "rect")[k] * np.exp(-1j * np.pi * k / length)
+    peak = abs(expected).max()
+    assert abs(quick - expected).max() < 1e-11 * peak
+    assert abs(quick - general).max() < 1e-11 * peak
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    count=st.integers(1, 128),
+    centre=st.floats(3000, 62_000),
+    spread=st.sampled_from([0.0, 1e-12, 0.01, 1.0, 6.0]),
+    whole=st.booleans(),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_quick_and_general_way_agree(count: int, centre: float, spread: float, whole: bool, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    place = centre + spread * rng.uniform(-1, 1, count)
+    weight = rng.standard_normal(count) + 1j * rng.standard_normal(count)
+    _, quick, general = _both(np.rint(place) if whole else place, weight, 2**17)
+    # Tones may cancel: rounding is that of their own sizes.
+    assert abs(quick - general).max() < 1e-11 * max(abs(general).max(), 0.1 * np.sqrt(count))
+
+
+@pytest.mark.parametrize(
+    ("places", "length"),
+    [
+        pytest.param([100.0], 2**17, id="near DC"),
+        pytest.param([65536 - 100.0], 2**17, id="near Nyquist"),
+        pytest.param([0.0], 2**17, id="on DC"),
+        pytest.param([65536.0], 2**17, id="on Nyquist"),
+        pytest.param([64.0], 256, id="small N"),
+        pytest.param([20_000.0, 30_000.0], 2**17, id="far apart"),
+    ],
+)
+def test_what_is_not_close(places: list[float], length: int) -> None:
+    tones = _tones(np.array(places), np.ones(len(places)))
+    grid = _grid(tones, length)
+    assert not are_close(tones, float(length), grid, grid.shape[1])

@@ -1,0 +1,128 @@
+"""Amplifier and digitiser against their poles, noise in time, and clipped samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from instruments import PLAIN
+from scipy.signal import lfilter
+
+from lidar_emu.fmcw.build import build_receiver
+from lidar_emu.fmcw.response import Response, clipping, noise_level, tone_gain
+from lidar_emu.scenario.instrument import Instrument, Receiver, Waveform
+
+
+def _response(length: int, lowpass: float | None = None, highpass: float = 0.0) -> Response:
+    """Of an instrument whose poles lie at so many bins."""
+    waveform = Waveform(fft_length=length)
+    receiver = PLAIN.receiver.model_copy(
+        update={
+            "bandwidth_hz": None if lowpass is None else lowpass * waveform.bin_width_hz,
+            "ac_coupling_hz": highpass * waveform.bin_width_hz,
+        }
+    )
+    return build_receiver(Instrument(waveform=waveform, receiver=receiver)).response
+
+
+def _level(response: Response, k: float, length: int, factor: float = 1.0, added: float = 0.0) -> float:
+    return noise_level(response, factor, added, float(k), float(np.sin(np.pi * k / length)))
+
+
+@pytest.mark.parametrize("highpass", [0.0, 11.0, 400.0])
+@pytest.mark.parametrize("lowpass", [None, 200.0, 5e4])
+def test_gain_is_that_of_the_poles(lowpass: float | None, highpass: float) -> None:
+    response = _response(2**17, lowpass, highpass)
+    for f in (1e-3, 1.0, 11.0, 250.0, 4e4, 3e6):
+        expected = 1.0 if lowpass is None else 1 / (1 + 1j * f / lowpass)
+        if highpass > 0:
+            expected *= (1j * f / highpass) / (1 + 1j * f / highpass)
+        assert complex(*tone_gain(response, f)) == pytest.approx(expected, rel=1e-12)
+        assert complex(*tone_gain(response, -f)) == pytest.approx(np.conj(expected), rel=1e-12)
+    assert complex(*tone_gain(response, 0.0)) == (0 if highpass > 0 else 1)
+
+
+@pytest.mark.parametrize("lowpass", [30.0, 500.0, 3000.0])
+@pytest.mark.parametrize("k", [1, 37, 256, 511])
+def test_noise_of_every_zone_folds_in(lowpass: float, k: int) -> None:
+    length, zones = 1024, np.arange(-20_000, 20_001)
+    expected = np.sum(1 / (1 + ((k + zones * length) / lowpass) ** 2))
+    # Zones beyond: an integral.
+    expected += 2 * (lowpass / length) ** 2 / 20_000.5
+    assert _level(_response(length, lowpass), k, length) == pytest.approx(expected, rel=1e-9)
+
+
+def test_ac_coupling_takes_noise_off_the_lowest_bins() -> None:
+    length, zones = 1024, np.arange(-20_000, 20_001)
+    response = _response(length, 500.0, 5.0)
+    for k in (1, 2, 5, 20, 300):
+        f = k + zones * length
+        expected = np.sum(f**2 / (f**2 + 25.0) / (1 + (f / 500.0) ** 2)) + 2 * (500 / length) ** 2 / 20_000.5
+        # It is left out of the zones above, where it takes (5/N)² of each.
+        assert _level(response, k, length) == pytest.approx(expected, rel=1e-4)
+
+
+def test_parts_of_the_noise_add_up() -> None:
+    response = build_receiver(Instrument()).response
+    length = Instrument().waveform.fft_length
+    amplifier, digitiser = response.amplifier_noise, response.digitiser_noise
+    assert amplifier + digitiser == pytest.approx(1)
+    assert 0 < digitiser < 1
+    once, flat = _level(response, 20_000, length), _response(2**17)
+    shaped = (once - digitiser) / amplifier
+    assert _level(response, 20_000, length, 1.5, 0.25) == pytest.approx(1.5 * amplifier * shaped + digitiser + 0.25)
+    assert _level(flat, 20_000, length, 1.5, 0.25) == pytest.approx(1.75)
+
+
+def test_spectrum_of_noise_filtered_in_time() -> None:
+    """White noise at 64 times the sample rate through one pole, then every 64th sample."""
+    length, lowpass, oversampling, records = 512, 150.0, 64, 300
+    rng = np.random.default_rng(12)
+    pole = np.exp(-2 * np.pi * lowpass / length / oversampling)
+    # The discrete pole's noise bandwidth, π/2 times its corner in cycles per record, is that of the analogue one.
+    scale = np.sqrt(np.pi * lowpass / length * (1 - pole**2))
+    noise = rng.standard_normal((records, (length + 64) * oversampling))
+    sampled = lfilter([scale], [1.0, -pole], noise)[:, 64 * oversampling :: oversampling]
+    # White noise of unit variance has mean |bin|² of N.
+    power = np.mean(abs(np.fft.rfft(sampled)) ** 2, axis=0) / length
+    response = _response(length, lowpass)
+    expected = np.array([_level(response, k, length) for k in range(length // 2 + 1)])
+    bands = slice(1, 1 + 15 * 17)
+    measured_bands = power[bands].reshape(15, 17).mean(axis=1)
+    expected_bands = expected[bands].reshape(15, 17).mean(axis=1)
+    # A record of a sloping spectrum leaks a little from band to band: 1 % beside four standard errors.
+    np.testing.assert_allclose(measured_bands, expected_bands, rtol=0.01 + 4 / np.sqrt(17 * records))
+
+
+@pytest.mark.parametrize("limit", [0.3, 1.0, 2.0, 3.5])
+def test_clipping_is_that_of_gaussian_samples(limit: float) -> None:
+    length, variance = 1024.0, 700.0
+    full_scale = limit * np.sqrt(variance)
+    response = _response(1024)._replace(full_scale=full_scale)
+    x = np.sqrt(variance) * np.random.default_rng(9).standard_normal(4_000_000)
+    clipped = np.clip(x, -full_scale, full_scale)
+    gain = np.mean(x * clipped) / np.mean(x * x)
+    distortion = np.mean((clipped - gain * x) ** 2)
+    ours, per_bin = clipping(response, variance, length)
+    assert ours == pytest.approx(gain, abs=2e-3)
+    # A rectangular bin of white noise holds 4/N of its variance where a tone of unit amplitude holds 1.
+    assert per_bin * length / 4 == pytest.approx(distortion, rel=0.02)
+
+
+def test_nothing_is_clipped_far_below_full_scale() -> None:
+    assert clipping(_response(1024)._replace(full_scale=7.0), 1.0, 1024.0) == (1.0, 0.0)
+    assert clipping(_response(1024), 1e30, 1024.0) == (1.0, 0.0)
+
+
+def test_full_scale_is_the_digitisers_in_units_of_the_noise() -> None:
+    """Noise of variance N/4 in these units has the voltage that its currents make across the amplifier."""
+    instrument = Instrument(receiver=Receiver(bandwidth_hz=None, ac_coupling_hz=0.0))
+    receiver, waveform = instrument.receiver, instrument.waveform
+    assert receiver.adc is not None
+    q, k = 1.602176634e-19, 1.380649e-23
+    current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
+    density = 2 * q * (current_a + receiver.dark_current_a) + 4 * k * receiver.temperature_k / receiver.transimpedance_ohm
+    density += 10 ** (-15.0 - 3.0) * current_a**2
+    noise_v2 = density * waveform.sample_rate_hz / 2 * receiver.transimpedance_ohm**2
+    noise_v2 += (receiver.adc.full_scale_v / 2**receiver.adc.effective_bits) ** 2 / 12
+    expected = receiver.adc.full_scale_v / 2 / np.sqrt(noise_v2) * np.sqrt(waveform.fft_length / 4)
+    assert build_receiver(instrument).response.full_scale == pytest.approx(expected, rel=1e-9)

@@ -1,0 +1,210 @@
+"""What arrives, against differences of the path that light takes and the decorrelation of a Gaussian beam's speckle."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from lidar_emu.echoes import SPECKLE_PITCH_W, receive_light
+from lidar_emu.flight import Flight
+from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.rotations import dot
+from lidar_emu.scanner.footprint import beam_radius_m, sample_footprint
+
+WAIST_M, WAVELENGTH_M = 0.017, 1550e-9
+RAYLEIGH_M = np.pi * WAIST_M**2 / WAVELENGTH_M
+NADIR = {"pattern": {"kind": "ring", "count": 1, "angle_deg": 0}}
+
+
+def tumbling(altitude_m: float) -> dict:
+    """A fast slanted descent on a turning body, with the sensor away from the centre, over a slope."""
+    return {
+        "trajectory": {
+            "kind": "profile",
+            "path_angle_deg": 30,
+            "heading_deg": 20,
+            "waypoints": [
+                {"altitude_m": altitude_m, "speed_mps": 80},
+                {"altitude_m": altitude_m / 2, "speed_mps": 40},
+            ],
+            "attitude": {"roll_deg": 3, "pitch_deg": 2, "yaw_deg": 30, "body_rate_radps": [0.1, 0.5, -0.2]},
+        },
+        "mounting": {"lever_arm_m": [2.0, 0.3, -0.5], "pitch_deg": 5},
+        "site": {"ground": {"kind": "plane", "slope_deg": 15, "downhill_azimuth_deg": 70}},
+        "scanner": {"pattern": {"kind": "ring", "count": 3, "angle_deg": 22.5}},
+        "instrument": {"optics": {"waist_radius_m": WAIST_M}},
+    }
+
+
+def look(scenario, shots, period_ns=None, beamlets=19):
+    """Pointing, hits of the axes and echoes at shots as close together as wanted."""
+    flight = Flight(scenario)
+    if period_ns is not None:
+        flight.period_ns = period_ns
+    pointing, _ = flight.point(np.asarray(shots, dtype=np.int64), flight.scanner.initial)
+    hits = flight.cast(pointing.sensor_site_m, pointing.true_site)
+    return pointing, hits, receive_light(scenario.instrument, scenario.site, flight, beamlets, pointing, hits)
+
+
+def path_m(pointing, point_site_m):
+    """L = s + x²/(2 Rc) from the sensor to fixed points (beams, points, 3), at each shot."""
+    away = point_site_m - pointing.sensor_site_m[:, :, None]
+    axis = pointing.true_site[:, :, None]
+    along_m = dot(away, axis)
+    across = away - along_m[..., None] * axis
+    return along_m + 0.5 * dot(across, across) * along_m / (along_m**2 + RAYLEIGH_M**2)
+
+
+@pytest.mark.parametrize("altitude_m", [30, 300, 4000])
+def test_closing_speed_of_a_beamlet_is_that_of_its_path(make_flight, altitude_m) -> None:
+    pointing, hits, echoes = look(make_flight(**tumbling(altitude_m)), [0, 1, 2], period_ns=20_000)
+    footprint = sample_footprint(
+        pointing.sensor_site_m, pointing.true_site, hits.range_m, 19, WAIST_M, WAVELENGTH_M
+    )
+    points = footprint.start_site_m + echoes.range_m[..., None] * footprint.ray_site
+    path = path_m(pointing, points[1])
+    closing_mps = -(path[2] - path[0]) / 40e-6
+    np.testing.assert_allclose(echoes.closing_speed_mps[1], closing_mps, atol=3e-6)
+    turning_mps = closing_mps - dot(pointing.sensor_velocity_site_mps[1, :, None], footprint.doppler_site[1])
+    assert np.max(np.abs(turning_mps)) > 3e-4
+
+
+@pytest.mark.parametrize("altitude_m", [30, 300, 4000])
+def test_range_rate_is_that_of_the_moving_beam_on_the_ground(make_flight, altitude_m) -> None:
+    _, _, echoes = look(make_flight(**tumbling(altitude_m)), [0, 1, 2], period_ns=20_000)
+    rate_mps = (echoes.range_m[2] - echoes.range_m[0]) / 40e-6
+    np.testing.assert_allclose(echoes.range_rate_mps[1][:, 0], rate_mps[:, 0], rtol=1e-7, atol=1e-6)
+    # The beamlets' directions turn with their own rates, which differ by the width of the footprint.
+    radius_m = beam_radius_m(echoes.range_m[1], WAIST_M, WAVELENGTH_M)
+    assert np.all(np.abs(echoes.range_rate_mps[1] - rate_mps) < radius_m)
+    assert np.max(np.abs(rate_mps + echoes.closing_speed_mps[1])) > 10
+
+
+def test_a_level_descent_along_the_beam_is_seen_the_same_by_range_and_doppler(make_flight) -> None:
+    _, _, echoes = look(make_flight(scanner=NADIR), [0, 5], beamlets=1)
+    np.testing.assert_allclose(echoes.range_rate_mps, -echoes.closing_speed_mps, rtol=1e-14)
+
+
+def test_range_rate_stays_finite_at_grazing_incidence(make_flight) -> None:
+    scanner = {"pattern": {"kind": "ring", "count": 1, "angle_deg": 89.9999}}
+    _, _, echoes = look(make_flight(scanner=scanner), [0])
+    slides = echoes.range_rate_mps[~np.isnan(echoes.range_m)]
+    assert slides.size
+    assert np.all(np.abs(slides) < 60.001 / 1e-3)
+
+
+@pytest.mark.parametrize("altitude_m", [30, 300, 4000])
+def test_closing_acceleration_follows_the_beam_from_segment_to_segment(make_flight, altitude_m) -> None:
+    pointing, _, echoes = look(make_flight(**tumbling(altitude_m)), [0, 1, 2], period_ns=300_000)
+    closing_mps = dot(pointing.sensor_velocity_site_mps, pointing.true_site)
+    by_difference = (closing_mps[2] - closing_mps[0]) / 600e-6
+    np.testing.assert_allclose(echoes.closing_acceleration_mps2[1], by_difference, atol=1e-5)
+
+
+@pytest.mark.parametrize("altitude_m", [30, 300, 4000])
+def test_smear_is_of_a_point_that_stays_on_the_ground(make_flight, altitude_m) -> None:
+    pointing, hits, echoes = look(make_flight(**tumbling(altitude_m)), [0, 1, 2], period_ns=1_000_000)
+    point = pointing.sensor_site_m + hits.range_m[..., None] * pointing.true_site
+    path = path_m(pointing, point[1][:, None])[..., 0]
+    by_difference = -(path[2] - 2 * path[1] + path[0]) / 1e-6
+    np.testing.assert_allclose(echoes.smear_acceleration_mps2[1], by_difference, atol=2e-3)
+    assert np.max(np.abs(echoes.smear_acceleration_mps2[1] - echoes.closing_acceleration_mps2[1])) > 0.1
+
+
+def test_far_away_smear_is_the_centripetal_term(make_flight) -> None:
+    """Level at 40 m/s over a point 50 km below: v²/R less; right above it the wavefront is flat."""
+    for altitude_m, expected in ((50_000, 1600 / 50_000), (1, 1600 / (1 + RAYLEIGH_M**2))):
+        level = {
+            "kind": "profile",
+            "path_angle_deg": 0.1,
+            "waypoints": [
+                {"altitude_m": altitude_m, "speed_mps": 40},
+                {"altitude_m": altitude_m - 0.01, "speed_mps": 40},
+            ],
+        }
+        _, _, echoes = look(make_flight(scanner=NADIR, trajectory=level), [0], beamlets=1)
+        assert -echoes.smear_acceleration_mps2[0, 0] == pytest.approx(expected, rel=2e-4)
+        assert abs(echoes.closing_acceleration_mps2[0, 0]) < 1e-12
+
+
+@pytest.mark.parametrize("range_m", [50, 200, 585, 2000, 10_000])
+@pytest.mark.parametrize(
+    ("speed_mps", "rate_radps"),
+    [(40, [0, 0, 0]), (1e-6, [0.02, 0.03, 0]), (20, [0.02, 0, 0]), (20, [0.02, 0.03, 0]), (20, [-0.01, -0.04, 1])],
+)  # fmt: skip
+def test_speckle_decorrelates_as_that_of_a_gaussian_beam(make_flight, range_m, speed_mps, rate_radps) -> None:
+    """exp(-d²/w0²) for a shift, exp(-(π w0 θ/λ)²) for a turn, the product for both: at any range.
+
+    The pattern of beamlets has the second moment of the beam exactly, its fourth a little low.
+    """
+    flight = {
+        "kind": "profile",
+        "path_angle_deg": 0.1,
+        "waypoints": [
+            {"altitude_m": range_m, "speed_mps": speed_mps},
+            {"altitude_m": range_m - 1e-3, "speed_mps": speed_mps},
+        ],
+        "attitude": {"body_rate_radps": rate_radps},
+    }
+    _, _, echoes = look(make_flight(scanner=NADIR, trajectory=flight), [0], beamlets=127)
+    time_s = np.array([100e-6, 300e-6, 600e-6])
+    share = echoes.power_w[0, 0] / echoes.power_w[0, 0].sum()
+    turns = 2 / WAVELENGTH_M * (echoes.closing_speed_mps[0, 0] - echoes.closing_speed_mps[0, 0, 0])
+    by_phase = np.abs((share * np.exp(2j * np.pi * turns * time_s[:, None])).sum(axis=1))
+    slid_w = SPECKLE_PITCH_W * np.hypot(*echoes.speckle_drift_per_s[0, 0]) * time_s
+    shift_w0, turn = speed_mps * time_s / WAIST_M, np.hypot(*rate_radps[:2]) * time_s
+    exponent = shift_w0**2 + (np.pi * WAIST_M * turn / WAVELENGTH_M) ** 2
+    error = by_phase * np.exp(-(slid_w**2)) / np.exp(-exponent) - 1
+    assert np.all(np.abs(error) < 0.03 * exponent**2 + 1e-5)
+    assert np.max(exponent) > 0.1
+
+
+def test_a_single_beamlet_and_the_place_decorrelate_over_the_waist(make_flight) -> None:
+    """What the beamlets' own Doppler shifts do not tell, the drift of a single one and the place of the shot do."""
+    slanted = {
+        "kind": "profile",
+        "path_angle_deg": 60,
+        "waypoints": [{"altitude_m": 2000, "speed_mps": 50}, {"altitude_m": 500, "speed_mps": 50}],
+    }
+    scenario = make_flight(scanner=NADIR, trajectory=slanted)
+    pointing, _, echoes = look(scenario, np.arange(0, 600), beamlets=1)
+    moved_m = np.diff(pointing.sensor_site_m[:, 0, :2], axis=0)
+    moved = np.diff(echoes.speckle_place[:, 0], axis=0)
+    pitch_m = np.pi / np.sqrt(8) * WAIST_M
+    np.testing.assert_allclose(np.hypot(*moved.T), np.hypot(*moved_m.T) / pitch_m, rtol=1e-6)
+    np.testing.assert_allclose(np.hypot(*echoes.speckle_drift_per_s[:, 0].T) * pitch_m, 25.0, rtol=1e-9)
+
+
+def test_beams_that_meet_nothing_or_do_not_fire_have_a_place(make_flight) -> None:
+    scanner = {
+        "pattern": {"kind": "square", "angle_deg": 22.5},
+        "switches": [{"kind": "time", "at_s": 0, "pattern": {"kind": "ring", "count": 2, "angle_deg": 85}}],
+    }
+    attitude = {"roll_deg": 12, "pitch_deg": 12}
+    waypoints = [{"altitude_m": 1000, "speed_mps": 60}, {"altitude_m": 100, "speed_mps": 20}]
+    scenario = make_flight(
+        scanner=scanner, trajectory={"kind": "profile", "waypoints": waypoints, "attitude": attitude}
+    )
+    pointing, hits, echoes = look(scenario, [0])
+    nothing = np.isnan(hits.range_m)
+    assert nothing[pointing.fired].any()
+    assert not pointing.fired.all()
+    np.testing.assert_array_equal(echoes.speckle_drift_per_s[nothing], 0)
+    assert np.isfinite(echoes.speckle_place).all()
+    assert np.isfinite(echoes.smear_acceleration_mps2[pointing.fired]).all()
+    assert np.isfinite(echoes.closing_acceleration_mps2[pointing.fired]).all()
+    np.testing.assert_array_equal(np.isnan(echoes.range_rate_mps), np.isnan(echoes.range_m))
+    np.testing.assert_array_equal(echoes.power_w[np.isnan(echoes.range_m)], 0)
+
+
+def test_bits_of_a_shot_do_not_depend_on_the_block(make_flight) -> None:
+    scenario = make_flight(**tumbling(500))
+    _, _, whole = look(scenario, np.arange(37))
+    for first, count in ((0, 1), (5, 1), (7, 6), (20, 17)):
+        _, _, part = look(scenario, np.arange(first, first + count))
+        for field in fields(Echoes):
+            np.testing.assert_array_equal(
+                getattr(part, field.name), getattr(whole, field.name)[first : first + count], field.name
+            )
