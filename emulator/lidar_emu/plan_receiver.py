@@ -16,6 +16,13 @@ from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Wavefo
 from lidar_emu.scenario.schema import FlightScenario
 
 
+SMEAR_BOUND = LEAST_SMEAR_BINS / (2 * np.pi)
+"""Amplitude that the smear left out has beside a line, over the line's."""
+
+LINE_BOUND_POWER, LINE_BOUND_BINS = 0.03, 0.03
+"""What the laser's line left out changes in an echo's power and in the frequency of its line: four sigma."""
+
+
 @dataclass(frozen=True)
 class Decision:
     """One stage of the model, computed or left out."""
@@ -82,7 +89,7 @@ def _smear(scenario: FlightScenario, echoes: Echoes) -> Decision:
     reason = f"beats change by up to {smear_bins:.2g} bin in a record"
     if scenario.exact:
         return Decision("smear and migration", True, "filter over bins", reason, "exact")
-    bound = f"{100 * LEAST_SMEAR_BINS / (2 * np.pi):.1g} % of a line's amplitude beside it"
+    bound = f"{100 * SMEAR_BOUND:.1g} % of a line's amplitude beside it"
     if smear_bins <= LEAST_SMEAR_BINS:
         return Decision("smear and migration", False, "-", reason, bound)
     return Decision("smear and migration", True, f"beams beyond {LEAST_SMEAR_BINS:g} bin", reason, bound)
@@ -110,7 +117,7 @@ def _line(scenario: FlightScenario, echoes: Echoes) -> Decision:
     reason = f"phase variance up to {drift:.2g} over {farthest_m:.0f} m"
     if scenario.exact:
         return Decision("laser line", True, "filter over bins", reason, "exact")
-    bound = f"{100 * LEAST_LINE_DRIFT:g} % of an echo's power"
+    bound = f"{100 * LINE_BOUND_POWER:g} % of an echo's power, {LINE_BOUND_BINS:g} bin"
     if drift <= LEAST_LINE_DRIFT:
         return Decision("laser line", False, "-", reason, bound)
     return Decision("laser line", True, f"beams beyond {LEAST_LINE_DRIFT:g}", reason, bound)

@@ -54,7 +54,9 @@ def _both(place: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.ndarra
 def test_bins_are_those_of_the_fft(places: list[float], length: int) -> None:
     weight = np.exp(1j * (0.7 + np.arange(len(places)))) * (1 + np.arange(len(places)))
     k, quick, general = _both(np.array(places), weight, length)
-    expected = fft_bins(tones_in_time(np.array(places), weight, length), "rect")[k] * np.exp(-1j * np.pi * k / length)
+    expected = fft_bins(tones_in_time(np.array(places), weight, length), "rect")[k] * np.exp(
+        -1j * np.pi * k / length
+    )
     peak = abs(expected).max()
     assert abs(quick - expected).max() < 1e-11 * peak
     assert abs(quick - general).max() < 1e-11 * peak
@@ -68,7 +70,9 @@ def test_bins_are_those_of_the_fft(places: list[float], length: int) -> None:
     whole=st.booleans(),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_quick_and_general_way_agree(count: int, centre: float, spread: float, whole: bool, seed: int) -> None:
+def test_quick_and_general_way_agree(
+    count: int, centre: float, spread: float, whole: bool, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     place = centre + spread * rng.uniform(-1, 1, count)
     weight = rng.standard_normal(count) + 1j * rng.standard_normal(count)

@@ -61,7 +61,9 @@ def test_joint_estimate_follows_every_fold(range_m: float, speed_mps: float) -> 
     beats = beats_hz(PLAIN.waveform, np.array(range_m), np.array(speed_mps))
     expected_m, expected_mps = estimates(PLAIN.waveform, beats, "least_squares")
     assert returns.range_m[0, 0] == pytest.approx(expected_m, abs=6 * returns.sigma_range_m[0, 0])
-    assert returns.closing_speed_mps[0, 0] == pytest.approx(expected_mps, abs=6 * returns.sigma_speed_mps[0, 0])
+    assert returns.closing_speed_mps[0, 0] == pytest.approx(
+        expected_mps, abs=6 * returns.sigma_speed_mps[0, 0]
+    )
     assert expected_mps == pytest.approx(speed_mps, rel=2e-6)
     assert expected_m == pytest.approx(range_m, abs=0.01)
 

@@ -69,7 +69,9 @@ def test_parts_of_the_noise_add_up() -> None:
     assert 0 < digitiser < 1
     once, flat = _level(response, 20_000, length), _response(2**17)
     shaped = (once - digitiser) / amplifier
-    assert _level(response, 20_000, length, 1.5, 0.25) == pytest.approx(1.5 * amplifier * shaped + digitiser + 0.25)
+    assert _level(response, 20_000, length, 1.5, 0.25) == pytest.approx(
+        1.5 * amplifier * shaped + digitiser + 0.25
+    )
     assert _level(flat, 20_000, length, 1.5, 0.25) == pytest.approx(1.75)
 
 
@@ -120,7 +122,10 @@ def test_full_scale_is_the_digitisers_in_units_of_the_noise() -> None:
     assert receiver.adc is not None
     q, k = 1.602176634e-19, 1.380649e-23
     current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
-    density = 2 * q * (current_a + receiver.dark_current_a) + 4 * k * receiver.temperature_k / receiver.transimpedance_ohm
+    density = (
+        2 * q * (current_a + receiver.dark_current_a)
+        + 4 * k * receiver.temperature_k / receiver.transimpedance_ohm
+    )
     density += 10 ** (-15.0 - 3.0) * current_a**2
     noise_v2 = density * waveform.sample_rate_hz / 2 * receiver.transimpedance_ohm**2
     noise_v2 += (receiver.adc.full_scale_v / 2**receiver.adc.effective_bits) ** 2 / 12

@@ -32,6 +32,7 @@ from lidar_emu.fmcw.spectrum import (
     windowed_bin,
 )
 
+
 def _lay(signed_bin: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarray]:
     """The product's grid and rectangular bins of these tones, the columns in use."""
     tones = np.empty((4, len(signed_bin)))

@@ -43,8 +43,8 @@ def build_published_spectrum(
 ) -> PublishedSpectrum:
     """Sample the transform of a window of `length` samples, referred to the record's centre, on a ring of points.
 
-    A tone x bins above a bin leaves sin(πx) / (N sin(πx/N)) there, and the window adds its neighbours, which alternate in
-    sign.
+    A bin x bins above a tone holds sin(πx) / (N sin(πx/N)) of it, and the window adds its neighbours, which alternate in
+    sign and are turned by exp(±jπ/N).
     """
     offset = np.fft.fftfreq(points, 1.0 / points) / oversample
     sides = _dirichlet(offset - 1.0, length) + _dirichlet(offset + 1.0, length)
@@ -71,7 +71,6 @@ def published_bins(spectrum: PublishedSpectrum, tones: FloatArray, first_bin: Fl
     """
     grid = np.zeros((len(tones), spectrum.points), dtype=complex)
     _deposit(tones, first_bin, float(spectrum.oversample), spectrum.deposit == "cubic", grid)
-    # A bin that is a tone's distance x below it reads the kernel at +x: the correlation, hence the conjugates.
     turned = fft(grid, axis=1, overwrite_x=True)
     turned *= spectrum.kernel
     folded = turned.reshape(len(tones), spectrum.oversample, spectrum.bins).mean(axis=1)

@@ -20,8 +20,8 @@ def relative_turn(
 ) -> float:
     """Phase of one beamlet's echo beside that of another, in turns, from what it is at the time of validity.
 
-    With k of the segment the phase is that of exp(-2jkL): it turns with the beamlets' own Doppler shifts, and from segment
-    to segment as the optical frequency changes, over a beamlet's range beside the other's.
+    With k of the segment the phase is that of exp(-2jkL): it turns with the beamlets' own Doppler shifts, and from
+    segment to segment as the optical frequency changes, over a beamlet's range beside the other's.
 
     Args:
         time_records: from the time of validity, in records.
@@ -36,11 +36,11 @@ def echo_field(
 ) -> NDArray[np.complex128]:
     """Complex amplitude of each beamlet at the centre of each record, (shots, beams, 3, beamlets).
 
-    Its square is the bin SNR ahead of the receiver's poles, of an echo that fills the record, with one look. With speckle
-    the amplitude is a circular complex Gaussian number, that of the record's own time; without, the beamlets add in
-    phase, beamlet i with P_i / sqrt(P). A phase common to the beam is uniform in each record. The tone is
-    Re{field exp(j2πgt)} with the signed beat g of a segment; in the up-chirp, where it rises with the delay, the echo's
-    own field enters as its conjugate. A beamlet that returns no light has 0.
+    Its square is the bin SNR ahead of the receiver's poles, of an echo that fills the record, with one look. With
+    speckle each amplitude has the factor of a circular complex Gaussian number, that of the record's own time; without,
+    the beamlets add in phase, beamlet i with P_i / sqrt(P). A phase common to the beam is uniform in each record. The
+    tone is Re{field exp(j2πgt)} with the segment's signed beat g; in the up-chirp, where g rises with the delay, the
+    echo's own field enters as its conjugate. A beamlet that returns no light has 0.
 
     Args:
         model: from `build_receiver`.

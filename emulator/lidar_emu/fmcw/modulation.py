@@ -199,9 +199,11 @@ def filter_bins(
         while stop < count and grid[BIN, stop] - grid[BIN, stop - 1] == 1.0:
             stop += 1
         for m in range(-half, half + 1):
-            # A folded tone has the complex conjugate factor, whose taps are conjugate and in reverse order.
-            re = taps[0, half - m] if mirrored else taps[0, half + m]
-            im = sign * (taps[1, half - m] if mirrored else taps[1, half + m])
+            # A folded tone has the complex conjugate factor, whose taps are conjugate and in reverse order. Bins as
+            # `spectrum` refers them to the centre change sign from one to the next, and so do the taps.
+            turn = -1.0 if m % 2 else 1.0
+            re = turn * (taps[0, half - m] if mirrored else taps[0, half + m])
+            im = turn * sign * (taps[1, half - m] if mirrored else taps[1, half + m])
             for j in range(max(start, start + m), min(stop, stop + m)):
                 bins[0, j] += re * scratch[0, j - m] - im * scratch[1, j - m]
                 bins[1, j] += re * scratch[1, j - m] + im * scratch[0, j - m]

@@ -129,6 +129,20 @@ class FlightScenario(Scenario):
             raise unusable("scanner.misalignment_mrad", found, f"{needed} entries, one per beam, or none")
         return self
 
+    @model_validator(mode="after")
+    def _waveform_can_measure(self) -> Self:
+        detection, model = self.instrument.detection, self.instrument.waveform.linewidth_model
+        for key, value, allowed in (
+            ("detection.looks", detection.looks, (1,)),
+            ("detection.rule", detection.rule, ("all_three",)),
+            ("detection.peak", detection.peak, ("bin", "hann")),
+            ("waveform.linewidth_model", model, ("homodyne",)),
+        ):
+            if self.level == "waveform" and value not in allowed:
+                given = " or ".join(map(str, allowed))
+                raise unusable(f"instrument.{key}", value, f"{given} at level waveform, anything at spectral")
+        return self
+
 
 class BenchScenario(Scenario):
     """Constants and ramps instead of physics, to check a driver."""

@@ -104,5 +104,11 @@ def least_squares(observed: FloatArray, variance: FloatArray, length: int, farth
     apart |= np.square(doppler - doppler[row, best][:, None]) > _APART * doppler_variance[:, None]
     limit = least + _REFUTED * np.maximum(1.0, np.square(residual[row, best]) / spread)
     rivalled = (apart & np.isfinite(cost) & (cost <= limit[:, None])).any(axis=1)
-    chosen = (beat[row, best], doppler[row, best], range_variance, doppler_variance, residual[row, best])
-    return Combined(*(np.where(found, value, np.nan) for value in chosen), found & ~rivalled)
+    return Combined(
+        np.where(found, beat[row, best], np.nan),
+        np.where(found, doppler[row, best], np.nan),
+        range_variance,
+        doppler_variance,
+        np.where(found, residual[row, best], np.nan),
+        found & ~rivalled,
+    )

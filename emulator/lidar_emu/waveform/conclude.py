@@ -90,9 +90,12 @@ def _combine(
         edge_hz = waveform.chirp_slope_hz_per_s * 2.0 * waveform.record_edge_range_m / SPEED_OF_LIGHT_MPS
         farthest_bin = edge_hz / waveform.bin_width_hz
         some = least_squares(observed[there], variance[there], waveform.fft_length, farthest_bin)
-    everything = np.full((len(some), len(observed)), np.nan)
-    everything[:, there] = some
-    return Combined(*everything[:-1], sign_resolved=everything[-1] == 1.0)
+
+    columns = np.full((5, len(observed)), np.nan)
+    columns[:, there] = some[:5]
+    resolved = np.zeros(len(observed), dtype=bool)
+    resolved[there] = some.sign_resolved
+    return Combined(columns[0], columns[1], columns[2], columns[3], columns[4], resolved)
 
 
 def _snr_db(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,10 +27,9 @@ def measure_echoes(
 ) -> Returns:
     """Measure every beam of every shot from samples.
 
-    The field of the echo, its speckle and its phase, is that of the other levels (`echo_field`); noise and the laser's
-    line are drawn by other means, from seed, shot and beam. The threshold follows the noise that an unclipped receiver
-    has in each bin. Left out: light that the air itself returns, and the extra noise of a digitiser that clips, which is
-    there but does not raise the threshold.
+    The field of the echo, its speckle and its phase, is that of the other levels (`echo_field`); noise and the
+    laser's line are drawn by other means, from seed, shot and beam. The threshold follows the noise that each bin has
+    in a receiver that does not clip. Light that the air itself returns is left out.
 
     Args:
         instrument: one look, all three segments, `bin` or `hann` peaks and a homodyne line.
@@ -41,14 +42,16 @@ def measure_echoes(
         ValueError: the instrument is another one.
     """
     field = echo_field(model, echoes, shot, seed)
-    lines = [
-        [
-            _measure_beam(instrument, model, echoes, field[s, b], s, b, np.random.default_rng((seed, number, b)))
-            for b in range(echoes.fired.shape[1])
-        ]
-        for s, number in enumerate(shot.tolist())
+    beams = [
+        _measure_beam(
+            instrument, model, echoes, field[s, b], s, b, np.random.default_rng((seed, int(shot[s]), b))
+        )
+        for s, b in np.ndindex(echoes.fired.shape)
     ]
-    return _returns(lines)
+    columns = {f.name: np.concatenate([getattr(beam, f.name) for beam in beams]) for f in fields(Conclusion)}
+    shaped = {name: np.reshape(a, (*echoes.fired.shape, *a.shape[1:])) for name, a in columns.items()}
+    valid = shaped["reason"] == Reason.VALID
+    return Returns(**shaped, range_valid=valid, speed_valid=valid.copy())
 
 
 def _measure_beam(
@@ -59,13 +62,13 @@ def _measure_beam(
     s: int,
     b: int,
     rng: np.random.Generator,
-) -> Conclusion | Reason:
-    """One beam of one shot, or why it is not measured at all."""
+) -> Conclusion:
+    """One beam of one shot."""
     if not echoes.fired[s, b]:
-        return Reason.NOT_FIRED
+        return _nothing(Reason.NOT_FIRED)
     range_m, power_w = echoes.range_m[s, b], echoes.power_w[s, b]
     if echoes.inside[s, b] or (range_m <= 0.0).any():
-        return Reason.INSIDE_GROUND
+        return _nothing(Reason.INSIDE_GROUND)
     waveform, receiver = instrument.waveform, instrument.receiver
     lit = np.abs(field).max(axis=0) > 0.0
     footprint = _DARK
@@ -98,7 +101,7 @@ def _measure_beam(
         edges=bool((range_m > model.record_edge_range_m).any()),
     )
     if measured.reason[0] == Reason.BELOW_THRESHOLD:
-        measured.reason[0] = _unseen(range_m, model.record_edge_range_m)
+        return replace(measured, reason=np.array([_unseen(range_m, model.record_edge_range_m)], np.int8))
     return measured
 
 
@@ -109,33 +112,20 @@ def _unseen(range_m: FloatArray, edge_m: float) -> Reason:
     return Reason.BELOW_THRESHOLD if np.nanmin(range_m) <= edge_m else Reason.BEYOND_RANGE
 
 
-def _returns(lines: list[list[Conclusion | Reason]]) -> Returns:
-    """Of (shots, beams)."""
-    shape = len(lines), len(lines[0]) if lines else 0
-    unknown = lambda *more: np.full((*shape, *more), np.nan)  # noqa: E731
-    returns = Returns(
-        range_m=unknown(),
-        closing_speed_mps=unknown(),
-        range_valid=np.zeros(shape, dtype=bool),
-        speed_valid=np.zeros(shape, dtype=bool),
-        sign_resolved=np.zeros(shape, dtype=bool),
-        reason=np.zeros(shape, dtype=np.int8),
-        segments=np.zeros(shape, dtype=np.uint8),
-        snr_db=unknown(),
-        residual_mps=unknown(),
-        sigma_range_m=unknown(),
-        sigma_speed_mps=unknown(),
-        returns=np.zeros(shape, dtype=np.uint8),
-        second_range_m=unknown(),
-        segment_peak_hz=unknown(3),
+def _nothing(reason: Reason) -> Conclusion:
+    """Of a beam that is not measured at all."""
+    unknown = np.full(1, np.nan)
+    return Conclusion(
+        range_m=unknown,
+        closing_speed_mps=unknown,
+        reason=np.array([reason], dtype=np.int8),
+        sign_resolved=np.zeros(1, dtype=bool),
+        segments=np.zeros(1, dtype=np.uint8),
+        snr_db=unknown,
+        residual_mps=unknown,
+        sigma_range_m=unknown,
+        sigma_speed_mps=unknown,
+        returns=np.zeros(1, dtype=np.uint8),
+        second_range_m=unknown,
+        segment_peak_hz=np.full((1, 3), np.nan),
     )
-    for s, line in enumerate(lines):
-        for b, beam in enumerate(line):
-            if isinstance(beam, Reason):
-                returns.reason[s, b] = beam
-                continue
-            for name in Conclusion.__dataclass_fields__:
-                getattr(returns, name)[s, b] = getattr(beam, name)[0]
-            valid = beam.reason[0] == Reason.VALID
-            returns.range_valid[s, b] = returns.speed_valid[s, b] = valid
-    return returns

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -86,7 +87,8 @@ def measure_waveform(
         rng: draws the noise and the laser's line; None leaves both out.
         noise_share: power of the noise ahead of the poles, in the unit of the weights' squares.
         digitiser: None is ideal.
-        noise_level: mean power of the noise in a rectangular bin as the detector knows it, one for all bins or (N/2 + 1,).
+        noise_level: mean power of the noise in a rectangular bin as the detector knows it, one for all bins or
+            (N/2 + 1,).
         edges: echoes of the segment before are seen as such; see `phase_cycles`.
         keep_bins: return the bins.
 
@@ -94,7 +96,7 @@ def measure_waveform(
         ValueError: the detection averages spectra, accepts fewer than three segments or has another estimator of
             peaks, or the line is not that of a homodyne receiver.
     """
-    _refuse(waveform, detection)
+    estimator = _estimator(waveform, detection)
     count = waveform.fft_length
     weight = np.asarray(footprint.weight, dtype=complex)
     records = weight.shape[0] if weight.ndim == 3 else 1
@@ -124,18 +126,22 @@ def measure_waveform(
             if digitiser is not None:
                 samples = digitiser.digitise(samples)
             bins = transform(samples, detection.window)
-            parts.append(find_targets(samples, bins, threshold, detection.group_fraction, detection.peak, level))
+            parts.append(find_targets(samples, bins, threshold, detection.group_fraction, estimator, level))
             if kept is not None:
                 kept[rows, s] = bins
         found.append(Targets(*(np.concatenate(column) for column in zip(*parts, strict=True))))
     targets = found[0], found[1], found[2]
-    return Measurement(**vars(conclude(waveform, detection, targets, windowed_level)), targets=targets, bins=kept)
+    return Measurement(
+        **vars(conclude(waveform, detection, targets, windowed_level)), targets=targets, bins=kept
+    )
 
 
-def _refuse(waveform: Waveform, detection: Detection) -> None:
+def _estimator(waveform: Waveform, detection: Detection) -> Literal["bin", "hann"]:
+    """Of peaks, for an instrument that can be measured here."""
     if detection.looks != 1 or detection.rule != "all_three":
         raise ValueError("records are not averaged here, and all three segments are needed")
-    if detection.peak not in ("bin", "hann"):
-        raise ValueError(f"no estimator {detection.peak} here")
     if waveform.linewidth_model != "homodyne" and waveform.linewidth_hz > 0.0:
         raise ValueError(f"no line {waveform.linewidth_model} here")
+    if detection.peak not in ("bin", "hann"):
+        raise ValueError(f"no estimator {detection.peak} here")
+    return detection.peak

@@ -89,38 +89,40 @@ def receive_record(
 ) -> ComplexArray:
     """The record of one segment behind the receiver's poles, without noise: (..., N), whose real part is sampled.
 
-    The poles act on the phasor of each beamlet as a product in the frequency domain, at a multiple of the sample
-    rate at which its true frequencies, folded later or not, lie within the band; every so many samples are
-    then kept. A run-in ahead of the record, within which the waveform goes on as in `phase_cycles`, lets
-    the transients die: the bins of a steady tone come out to some 1e-9 of the peak.
+    The poles act as a product in the frequency domain, at a multiple of the sample rate at which the true
+    frequencies of all beamlets, folded later or not, lie within the band; every so many samples are then kept. A
+    run-in ahead of the record, within which the waveform goes on as in `phase_cycles`, lets the transients die: the
+    bins of a steady tone come out to some 1e-9 of the peak.
     """
     if response.flat:
         return analytic_record(waveform, segment, beamlets, edges)
-    return add_beamlets(
-        beamlets,
-        lambda i: _filtered_phasor(waveform, segment, beamlets, i, response, edges),
-        waveform.fft_length,
-    )
-
-
-def _filtered_phasor(
-    waveform: Waveform, segment: Segment, beamlets: Beamlets, index: int, response: Response, edges: bool
-) -> ComplexArray:
     from scipy import fft
 
     rate_hz, count = waveform.sample_rate_hz, waveform.fft_length
     ahead = response.run_in(rate_hz)
-    highest_hz = _highest_frequency(waveform, segment, beamlets, index, ahead / rate_hz, edges)
+    every = range(beamlets.range_m.size)
+    highest_hz = max(
+        _highest_frequency(waveform, segment, beamlets, i, ahead / rate_hz, edges) for i in every
+    )
     factor = 2 ** max(0, ceil(log2(highest_hz / (_USED_BAND * 0.5 * rate_hz)))) if highest_hz > 0 else 1
     whole = fft.next_fast_len(ahead + count + _MARGIN)
     ahead = whole - count - _MARGIN
     step_s = 1.0 / (factor * rate_hz)
     time_s = (np.arange(whole * factor) - factor * (ahead + (count - 1) / 2)) * step_s
-    z = phasor(segment, beamlets, index, time_s, edges)
     frequency_hz = fft.fftfreq(whole * factor, step_s)
     gain = response.gain(frequency_hz) * _taper(np.abs(frequency_hz) * 2.0 * step_s)
-    filtered: ComplexArray = fft.ifft(gain * fft.fft(z))
-    return filtered[factor * ahead : factor * (ahead + count) : factor]
+    kept = slice(factor * ahead, factor * (ahead + count), factor)
+
+    def light(i: int) -> ComplexArray:
+        return phasor(segment, beamlets, i, time_s, edges)
+
+    def filtered(z: ComplexArray) -> ComplexArray:
+        return np.asarray(fft.ifft(gain * fft.fft(z))[..., kept])
+
+    if beamlets.weight.size == beamlets.range_m.size:
+        # Of a single record all light passes the poles at once.
+        return filtered(add_beamlets(beamlets, light, time_s.size))
+    return add_beamlets(beamlets, lambda i: filtered(light(i)), count)
 
 
 def _taper(band_share: FloatArray) -> FloatArray:
@@ -171,10 +173,11 @@ def draw_noise(
 def noise_level(waveform: Waveform, response: Response) -> FloatArray:
     """Mean power of `draw_noise` in rectangular bins 0 to N/2, without what leaks over the record's ends: (N/2 + 1,).
 
-    With a low-pass the spectrum of the sampled process from its autocovariance Σ A_i exp(-p_i |k| / fs), in the terms of
-    `_sampled_process`: each has a geometric series.
+    With a low-pass the spectrum of the sampled process from its autocovariance Σ A_i exp(-p_i |k| / fs), in the
+    terms of `_sampled_process`: each has a geometric series.
     """
-    frequency_hz = np.arange(waveform.fft_length // 2 + 1) * waveform.bin_width_hz
+    bins = np.arange(waveform.fft_length // 2 + 1, dtype=float)
+    frequency_hz = bins * waveform.bin_width_hz
     if response.bandwidth_hz is None:
         return np.square(np.abs(response.gain(frequency_hz)))
     poles, residues = _partial_fractions(response.bandwidth_hz, response.ac_coupling_hz)

@@ -1,0 +1,171 @@
+"""Error and time of every setting of a scenario, beside the waveform level at its finest.
+
+The reference is the level `waveform` with the most beamlets, which takes seconds for a beam: its spread of errors
+would need hours. So its fast twin, the level `spectral` with the same echoes and the same draws of speckle and phase,
+stands for it in the comparison of spreads, and what the twin is apart from it is measured measurement by measurement,
+with noise out of the way, and added to the error of every setting but the reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from math import hypot
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.bench.errors_against_truth import Difference, ErrorSpread, difference
+from lidar_emu.bench.settings import (
+    BEAMLETS,
+    FAST,
+    REFERENCE,
+    SLOW,
+    TWIN,
+    Setting,
+    light,
+    measure,
+    one_beam,
+    quiet,
+    rms_apart,
+)
+from lidar_emu.bench.spectra import SpectrumMethod, compare_spectra
+from lidar_emu.bench.stopwatch import median_times_s
+from lidar_emu.bench.work_precision import pareto_front
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.flight import Flight
+from lidar_emu.levels import Level, build_level
+from lidar_emu.scenario.schema import FlightScenario
+
+_TIMED_SHOTS = 16
+_FAST_ROUNDS, _SLOW_ROUNDS = 9, 2
+_SHOTS_PER_PAIR = 250
+_LEAST_PAIRS = 4
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class SettingResult:
+    """What a setting costs and how far it is from the reference."""
+
+    setting: Setting
+    front_s: float
+    """Per beam measurement: beams, ground and echoes."""
+    receiver_s: float
+    """Per beam measurement: from echoes to range and speed."""
+    waveform_ratio: float
+    """Time of a beam measurement at level waveform with as many beamlets over the time of this one."""
+    spread: ErrorSpread | None
+    """Against the truth; None for level waveform, too slow to have one."""
+    error: Difference
+    """Against the reference."""
+
+    @property
+    def time_s(self) -> float:
+        """Per beam measurement, all of it."""
+        return self.front_s + self.receiver_s
+
+
+@dataclass(frozen=True)
+class AccuracyReport:
+    """The whole comparison."""
+
+    scenario: str
+    shots: int
+    pairs: int
+    twin: tuple[float, float]
+    """Root mean square difference of range (m) and speed (m/s) between reference and twin, noise out of the way."""
+    floor: Difference
+    """Between two runs of the twin with different seeds: smaller errors cannot be told from chance."""
+    results: list[SettingResult]
+    front: list[int]
+    """Indices of the Pareto front of time and range error, fastest first."""
+    spectra: list[SpectrumMethod]
+
+
+def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -> AccuracyReport:
+    """Compare all settings over `shots` shots spread over the flight.
+
+    Raises:
+        InputError: the instrument is one that the level waveform does not have, or no first beam meets the ground.
+    """
+    flight = Flight(scenario)
+    shots = min(shots, flight.shot_count)
+    shot = _spaced(flight.shot_count, shots)
+    pairs = _seen(scenario, flight, _spaced(flight.shot_count, max(_LEAST_PAIRS, shots // _SHOTS_PER_PAIR)))
+    progress("spreads of errors")
+    spreads = {setting: measure(setting, scenario, flight, shot) for setting in FAST}
+    again = scenario.model_copy(update={"seed": (scenario.seed + 1) % 2**63})
+    floor = difference(measure(TWIN, again, flight, shot), spreads[TWIN])
+    progress(f"{len(pairs)} beams at level waveform, {REFERENCE.beamlets} beamlets, beside level spectral")
+    twin = _apart(quiet(scenario), flight, pairs)
+    progress("spectra three ways")
+    spectra = compare_spectra(scenario, flight)
+    progress("times of the fast levels")
+    fronts, receivers = _fast_times_s(scenario, flight, _seen(scenario, flight, shot))
+    progress("times of level waveform")
+    receivers |= dict(zip(SLOW, _slow_times_s(scenario, flight, pairs), strict=True))
+
+    results = []
+    for setting in (*FAST, *SLOW):
+        alike = Setting("waveform", setting.beamlets)
+        spread = spreads.get(setting)
+        error = difference(spread or spreads[Setting("spectral", setting.beamlets)], spreads[TWIN])
+        if setting.level != "waveform":
+            error = Difference(hypot(error.range_m, twin[0]), hypot(error.speed_mps, twin[1]), error.dropout)
+        front_s = fronts[setting.beamlets]
+        ratio = (fronts[setting.beamlets] + receivers[alike]) / (front_s + receivers[setting])
+        results.append(SettingResult(setting, front_s, receivers[setting], ratio, spread, error))
+    front = pareto_front([(result.time_s, result.error.range_m) for result in results])
+    return AccuracyReport(scenario.name, shots, len(pairs), twin, floor, results, front, spectra)
+
+
+def _spaced(available: int, count: int) -> NDArray[np.int64]:
+    return np.unique(np.linspace(0, available - 1, min(count, available)).astype(np.int64))
+
+
+def _seen(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Those shots whose first beam meets the ground."""
+    echoes = light(scenario, flight, 1, shot)
+    seen = echoes.fired[:, 0] & np.isfinite(echoes.range_m[:, 0, 0])
+    if not seen.any():
+        found = Finding("the first beam never meets the ground")
+        raise InputError(scenario.name, None, found, "allowed: a flight whose beams do")
+    return shot[seen]
+
+
+def _apart(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> tuple[float, float]:
+    """What reference and twin make of the same echoes."""
+    echoes = one_beam(light(scenario, flight, REFERENCE.beamlets, shot), slice(None))
+    reference, twin = (build_level(setting.of(scenario))(echoes, shot) for setting in (REFERENCE, TWIN))
+    return rms_apart(reference, twin)
+
+
+def _fast_times_s(
+    scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]
+) -> tuple[dict[int, float], dict[Setting, float]]:
+    """Per beam measurement: of the way to the echoes by number of beamlets, and of the receiver by setting."""
+    shot = shot[_spaced(len(shot), _TIMED_SHOTS)]
+    echoes = {count: light(scenario, flight, count, shot) for count in BEAMLETS}
+    levels: dict[Setting, Level] = {setting: build_level(setting.of(scenario)) for setting in FAST}
+    jobs = [partial(light, scenario, flight, count, shot) for count in BEAMLETS]
+    receivers = [partial(levels[setting], echoes[setting.beamlets], shot) for setting in FAST]
+    times_s = np.array(median_times_s([*jobs, *receivers], _FAST_ROUNDS))
+    times_s /= echoes[1].fired.sum()
+    return (
+        dict(zip(BEAMLETS, times_s[: len(jobs)].tolist(), strict=True)),
+        dict(zip(FAST, times_s[len(jobs) :].tolist(), strict=True)),
+    )
+
+
+def _slow_times_s(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> list[float]:
+    """Per beam measurement of the receiver, by setting of SLOW."""
+    middle = len(shot) // 2
+    one = slice(middle, middle + 1)
+    jobs = []
+    for setting in SLOW:
+        echoes = one_beam(light(scenario, flight, setting.beamlets, shot), one)
+        jobs.append(partial(build_level(setting.of(scenario)), echoes, shot[one]))
+    return median_times_s(jobs, _SLOW_ROUNDS)

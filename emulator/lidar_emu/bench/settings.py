@@ -1,0 +1,108 @@
+"""The settings that the benchmark compares, and a scenario turned to each of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.echoes import receive_light
+from lidar_emu.flight import Flight
+from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.levels import build_level
+from lidar_emu.rotations import dot
+from lidar_emu.scenario.schema import FlightScenario
+
+from lidar_emu.bench.errors_against_truth import ErrorSpread, spread
+
+BEAMLETS = (1, 7, 19, 37, 61, 127)
+FINEST = BEAMLETS[-1]
+
+LevelName = Literal["geometric", "statistical", "spectral", "waveform"]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A level and its dials."""
+
+    level: LevelName
+    beamlets: int
+    exact: bool = True
+    """Nothing is left out by the skip rules; other levels than `spectral` have none that matter."""
+
+    @property
+    def name(self) -> str:
+        """For tables and pictures."""
+        if self.level == "geometric":
+            return self.level
+        skips = ", skips" if not self.exact else ""
+        return f"{self.level} {self.beamlets}{skips}"
+
+    def of(self, scenario: FlightScenario) -> FlightScenario:
+        """The scenario at this setting."""
+        return scenario.model_copy(update={"level": self.level, "exact": self.exact})
+
+
+FAST = (
+    Setting("geometric", 1),
+    *(Setting("statistical", count) for count in BEAMLETS),
+    *(Setting("spectral", count, exact=False) for count in BEAMLETS),
+    *(Setting("spectral", count) for count in BEAMLETS),
+)
+SLOW = tuple(Setting("waveform", count) for count in BEAMLETS)
+REFERENCE = Setting("waveform", FINEST)
+TWIN = Setting("spectral", FINEST)
+"""The fast setting with the reference's echoes and draws of speckle."""
+
+
+def light(scenario: FlightScenario, flight: Flight, beamlets: int, shot: NDArray[np.int64]) -> Echoes:
+    """Echoes of shots anywhere in the flight, in ascending order."""
+    pointing, _ = flight.point(shot, flight.scanner.initial)
+    hits = flight.cast(pointing.sensor_site_m, pointing.true_site)
+    return receive_light(scenario.instrument, scenario.site, flight, beamlets, pointing, hits)
+
+
+def measure(setting: Setting, scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> ErrorSpread:
+    """Errors of shots at a setting, against the truth along the beams' axes."""
+    pointing, _ = flight.point(shot, flight.scanner.initial)
+    hits = flight.cast(pointing.sensor_site_m, pointing.true_site)
+    echoes = receive_light(scenario.instrument, scenario.site, flight, setting.beamlets, pointing, hits)
+    returns = build_level(setting.of(scenario))(echoes, shot)
+    true_mps = dot(pointing.sensor_velocity_site_mps, pointing.true_site)
+    expected = pointing.fired & np.isfinite(hits.range_m)
+    return spread(returns.range_m - hits.range_m, returns.closing_speed_mps - true_mps, expected)
+
+
+def quiet(scenario: FlightScenario) -> FlightScenario:
+    """The same flight with sixty decibels more light, an ideal digitiser, a line without width and sub-bin peaks.
+
+    What is left of a difference between two levels is then theirs, not the noise's.
+    """
+    instrument = scenario.instrument
+    optics = instrument.optics.model_copy(update={"laser_power_w": 1e6 * instrument.optics.laser_power_w})
+    changed = instrument.model_copy(
+        update={
+            "optics": optics,
+            "waveform": instrument.waveform.model_copy(update={"linewidth_hz": 0.0}),
+            "receiver": instrument.receiver.model_copy(update={"adc": None}),
+            "detection": instrument.detection.model_copy(update={"peak": "hann"}),
+        }
+    )
+    return scenario.model_copy(update={"instrument": changed})
+
+
+def one_beam(echoes: Echoes, rows: slice) -> Echoes:
+    """The first beam of some shots."""
+    return Echoes(*(getattr(echoes, name)[rows, :1] for name in Echoes.__dataclass_fields__))
+
+
+def rms_apart(one: Returns, other: Returns) -> tuple[float, float]:
+    """Root mean square differences of range and speed where both are valid; NaN where none is."""
+    both = one.range_valid & other.range_valid
+    if not both.any():
+        return np.nan, np.nan
+    range_m = (one.range_m - other.range_m)[both]
+    speed_mps = (one.closing_speed_mps - other.closing_speed_mps)[both]
+    return float(np.sqrt(np.mean(range_m**2))), float(np.sqrt(np.mean(speed_mps**2)))

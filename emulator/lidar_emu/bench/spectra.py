@@ -1,0 +1,189 @@
+"""Three ways to the spectrum of one segment: sample by sample, the published one, and bin by bin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import rfft
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.bench.published_spectrum import Deposit, build_published_spectrum, published_bins
+from lidar_emu.bench.settings import light
+from lidar_emu.bench.stopwatch import median_times_s
+from lidar_emu.flight import Flight
+from lidar_emu.fmcw.build import build_receiver
+from lidar_emu.fmcw.cauchy import TONES_PER_DIVISION, are_close, set_close_tones
+from lidar_emu.fmcw.field import echo_field
+from lidar_emu.fmcw.spectrum import (
+    BIN,
+    REACH,
+    ROWS,
+    TAPS,
+    WINDOWS,
+    Window,
+    fold,
+    grid_capacity,
+    lay_bins,
+    set_tones,
+    windowed_bin,
+)
+from lidar_emu.fmcw.tones import signed_bin
+from lidar_emu.kernels import njit
+from lidar_emu.scenario.schema import FlightScenario
+
+BEAMLETS = 61
+_DOWN = 2
+_SEGMENTS = 64
+_CHECKED = 2
+_PUBLISHED: tuple[tuple[Deposit, int], ...] = (
+    ("nearest", 2048),
+    ("nearest", 4096),
+    ("cubic", 2048),
+    ("cubic", 4096),
+)
+_OVERSAMPLE = 8
+_MARGIN_BINS = 16.0
+
+_ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class SpectrumMethod:
+    """One way to a segment's windowed bins."""
+
+    name: str
+    time_s: float
+    """Per segment."""
+    error: float
+    """Largest complex error near the tones, over the spectrum's peak; of the FFT itself 0: it is the reference."""
+
+
+def compare_spectra(scenario: FlightScenario, flight: Flight, rounds: int = 7) -> list[SpectrumMethod]:
+    """Down-chirp spectra of the first beam, 61 beamlets each, all along the flight.
+
+    The FFT's time holds the synthesis of the record's samples, one beamlet after another; the published way and the bins
+    are timed over blocks of segments, so that Python's own overhead is in neither.
+    """
+    model_window = WINDOWS[scenario.instrument.detection.window]
+    length = scenario.instrument.waveform.fft_length
+    tones = _tones(scenario, flight)
+    lowest = tones[:, 0].min(axis=1)
+    first = np.floor(lowest - _MARGIN_BINS)
+    exact = [_record_bins(one, length, model_window) for one in tones[:_CHECKED]]
+
+    names, jobs, errors = ["samples and FFT"], [partial(_record_bins, tones[0], length, model_window)], [0.0]
+    widest = float((tones[:, 0].max(axis=1) - lowest).max()) + 2 * _MARGIN_BINS
+    for deposit, points in _PUBLISHED:
+        # Both halves of the ring must hold all that is read.
+        if widest > points / _OVERSAMPLE / 2:
+            continue
+        published = build_published_spectrum(model_window, length, points, _OVERSAMPLE, deposit)
+        names.append(f"published, {deposit}, {points} points")
+        jobs.append(partial(published_bins, published, tones, first))
+        got = published_bins(published, tones[:_CHECKED], first)
+        errors.append(_error(got, first, exact, tones))
+    product = _Product(tones, float(length), model_window)
+    names.append("bin by bin")
+    jobs.append(product.run)
+    product.run()
+    errors.append(_error(product.out, product.first, exact, tones))
+    times_s = median_times_s(jobs, rounds)
+    per_segment = [times_s[0], *(time_s / len(tones) for time_s in times_s[1:])]
+    return [SpectrumMethod(*row) for row in zip(names, per_segment, errors, strict=True)]
+
+
+def _tones(scenario: FlightScenario, flight: Flight) -> FloatArray:
+    """(segments, 4, tones) n, δ and weights of the first beam's down-chirps; tones come in fours."""
+    shot = np.unique(np.linspace(0, flight.shot_count - 1, _SEGMENTS).astype(np.int64))
+    model = build_receiver(scenario.instrument, scenario.site)
+    echoes = light(scenario, flight, BEAMLETS, shot)
+    field = echo_field(model, echoes, shot, scenario.seed)[:, 0, _DOWN]
+    tones = np.zeros((len(shot), 4, -(-BEAMLETS // TONES_PER_DIVISION) * TONES_PER_DIVISION))
+    for s in range(len(shot)):
+        for i in range(BEAMLETS):
+            range_m, speed_mps = echoes.range_m[s, 0, i], echoes.closing_speed_mps[s, 0, i]
+            place, real, imaginary = fold(signed_bin(model, _DOWN, range_m, speed_mps), model.fft_length)
+            weight = field[s, i]
+            tones[s, :, i] = np.rint(place), place - np.rint(place), real * weight.real, imaginary * weight.imag
+        tones[s, :2, BEAMLETS:] = tones[s, :2, :1]
+    lit = np.isfinite(tones).all(axis=(1, 2)) & tones[:, 2:].any(axis=(1, 2))
+    return tones[lit]
+
+
+def _record_bins(tones: FloatArray, length: int, window: Window) -> _ComplexArray:
+    """All bins of one record, from its samples; phases are reduced in whole numbers, so that none loses digits."""
+    samples = np.zeros(length)
+    _synthesise(tones, length, samples)
+    ripple = np.cos(2 * np.pi * np.arange(length) / length)
+    spectrum = rfft(samples * (window.centre + 2 * window.side * ripple)) * (2 / length)
+    return np.asarray(spectrum * np.exp(-1j * np.pi * np.arange(length // 2 + 1) / length))
+
+
+@njit(cache=True)
+def _synthesise(tones: FloatArray, length: int, samples: FloatArray) -> None:
+    for i in range(tones.shape[1]):
+        n = int(tones[0, i])
+        for m in range(length):
+            halves = 2 * m - (length - 1)
+            turns = float((n * halves) % (2 * length)) + tones[1, i] * halves
+            phase = np.pi * turns / length
+            samples[m] += tones[2, i] * np.cos(phase) - tones[3, i] * np.sin(phase)
+
+
+class _Product:
+    """Arrays for the bins of `fmcw.spectrum`, laid out once as a run does."""
+
+    def __init__(self, tones: FloatArray, length: float, window: Window) -> None:
+        self.tones, self.length, self.window = tones, length, window
+        capacity = grid_capacity(tones.shape[2], REACH)
+        self.grid, self.bins = np.empty((ROWS, capacity)), np.empty((2, capacity))
+        self.scratch = np.empty((3, tones.shape[2]))
+        self.out = np.zeros((len(tones), capacity), dtype=complex)
+        self.first = np.empty(len(tones))
+
+    def run(self) -> None:
+        """All segments."""
+        _bin_by_bin(self.tones, self.length, *self.window, self.grid, self.bins, self.scratch, self.out, self.first)
+
+
+@njit(cache=True)
+def _bin_by_bin(
+    tones: FloatArray,
+    length: float,
+    centre: float,
+    side: float,
+    grid: FloatArray,
+    bins: FloatArray,
+    scratch: FloatArray,
+    out: Any,
+    first: FloatArray,
+) -> None:
+    cosine, sine = np.cos(np.pi / length), np.sin(np.pi / length)
+    for s in range(len(tones)):
+        count = lay_bins(tones[s, 0], float(REACH), length, scratch[0], grid)
+        if are_close(tones[s], length, grid, count):
+            set_close_tones(tones[s], length, grid, count, bins, scratch[1:])
+        else:
+            set_tones(tones[s], length, grid, count, bins)
+        first[s] = grid[BIN, 0]
+        for j in range(TAPS, count - TAPS):
+            re, im = windowed_bin(bins, j, centre, side, cosine, sine)
+            out[s, j] = complex(re, im)
+
+
+def _error(got: _ComplexArray, first: FloatArray, exact: list[_ComplexArray], tones: FloatArray) -> float:
+    """Largest complex error, over the peak, in the bins up to three away from tones."""
+    worst = 0.0
+    for s, whole in enumerate(exact):
+        near = (tones[s, 0][:, None] + np.arange(-3.0, 4.0)).ravel()
+        k = np.unique(near).astype(np.int64)
+        k = k[(k > 0) & (k < len(whole) - 1)]
+        apart = np.abs(got[s, k - int(first[s])] - whole[k])
+        worst = max(worst, float(apart.max() / np.abs(whole).max()))
+    return worst
+
+

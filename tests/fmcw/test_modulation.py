@@ -1,0 +1,211 @@
+"""Smear by motion and the laser's line, against quadrature, chirped samples and a laser's phase walking at random."""
+
+from __future__ import annotations
+
+from math import erf, log, sqrt
+
+import numpy as np
+import pytest
+from synthesis import fft_bins, tones_in_time
+
+from lidar_emu.fmcw.modulation import (
+    LEAST_TAPS,
+    convolve_taps,
+    filter_bins,
+    gaussian_line_taps,
+    line_taps,
+    smear_taps,
+)
+from lidar_emu.fmcw.spectrum import (
+    BIN,
+    REACH,
+    ROWS,
+    WINDOWS,
+    fold,
+    grid_capacity,
+    lay_bins,
+    mirror_ends,
+    set_tones,
+    windowed_bin,
+)
+
+RECORD_S = 2**17 / 600e6
+
+
+def _smear(beta: float, half: int) -> np.ndarray:
+    taps = np.empty((2, 2 * half + 1))
+    smear_taps(beta, half, taps)
+    return taps
+
+
+@pytest.mark.parametrize("size", [0.01, 0.1, 0.5, 1.0, 1.999, 2.0, 2.001, 6.0, 62.0, 300.0])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("extra", [0, 30])
+def test_smear_taps_are_fourier_coefficients(size: float, sign: float, extra: int) -> None:
+    half = LEAST_TAPS + int(size / 2) + extra
+    node, weight = np.polynomial.legendre.leggauss(20)
+    edges = np.linspace(-0.5, 0.5, 401)
+    x = (edges[:-1, None] + (node + 1) / 800).ravel()
+    share = np.tile(weight / 800, 400)
+    m = np.arange(-half, half + 1)
+    factor = share * np.exp(1j * np.pi * sign * size * x * x)
+    expected = np.exp(-2j * np.pi * m[:, None] * x) @ factor
+    taps = _smear(sign * size, half)
+    assert abs(taps[0] + 1j * taps[1] - expected).max() < 1e-9
+
+
+def _smeared_bins(
+    place: float, weight: complex, beta: float, length: int, window: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bins filtered, and those of chirped samples; without the bins that the grid's ends affect."""
+    half = LEAST_TAPS + int(abs(beta) / 2)
+    observed, factor_re, factor_im = fold(place, float(length))
+    n = np.rint(observed)
+    tones = np.array([[n], [observed - n], [factor_re * weight.real], [factor_im * weight.imag]])
+    reach = REACH + half - LEAST_TAPS
+    grid = np.zeros((ROWS, grid_capacity(1, reach)))
+    count = lay_bins(tones[0], float(reach), float(length), np.empty(1), grid)
+    bins = np.zeros((2, grid.shape[1]))
+    set_tones(tones, float(length), grid, count, bins)
+    mirror_ends(float(length), grid, count, bins)
+    mirrored = place - length * np.rint(place / length) < 0
+    filter_bins(_smear(beta, half), half, bool(mirrored), grid, count, bins, np.empty_like(bins))
+    mirror_ends(float(length), grid, count, bins)
+    taps = (*WINDOWS[window], np.cos(np.pi / length), np.sin(np.pi / length))
+    columns = range(3, count - 3)
+    ours = np.array([complex(*windowed_bin(bins, j, *taps)) for j in columns])
+    k = grid[BIN, 3 : count - 3].astype(int)
+    expected = fft_bins(tones_in_time(np.array([place]), np.array([weight]), length, beta), window)
+    return ours, expected[k] * np.exp(-1j * np.pi * k / length)
+
+
+def _worst(beta: float, place: float, window: str) -> float:
+    ours, expected = _smeared_bins(place, 2.0 * np.exp(0.8j), beta, 8192, window)
+    return float(abs(ours - expected).max() / abs(expected).max())
+
+
+# The grid cuts off the tails of tones and taps; a window leaves little of that.
+@pytest.mark.parametrize("window", ["hann", "hamming"])
+@pytest.mark.parametrize(
+    ("beta", "bound"),
+    [(0.05, 5e-5), (0.3, 1e-4), (-0.3, 1e-4), (1.0, 3e-4), (-2.0, 5e-4), (6.0, 3e-3), (-25.0, 0.012)],
+)
+def test_filtered_bins_are_those_of_chirped_samples(beta: float, bound: float, window: str) -> None:
+    """On bins and between them, and folded at 0, at N/2 and at both."""
+    for place in (3000.0, 3000.5, 3000.27, -3000.3, 8192 + 3000.3, -8192 - 3000.3, 8192 - 3000.3):
+        assert _worst(beta, place, window) < bound
+
+
+@pytest.mark.parametrize("place", [3000.3, -3000.3])
+def test_the_sign_of_a_smear_shows(place: float) -> None:
+    """A filter of the opposite smear would be far off the bounds above."""
+    _, rising = _smeared_bins(place, 1.0 + 0j, 1.0, 8192, "hamming")
+    falling, _ = _smeared_bins(place, 1.0 + 0j, -1.0, 8192, "hamming")
+    assert abs(rising - falling).max() > 0.1 * abs(rising).max()
+
+
+def test_taps_of_a_product() -> None:
+    rng = np.random.default_rng(2)
+    half = 9
+    first, second = (rng.standard_normal((2, 2 * half + 1)) for _ in range(2))
+    result = np.empty((2, 2 * half + 1))
+    convolve_taps(first, second, half, result)
+    expected = np.convolve(first[0] + 1j * first[1], second[0] + 1j * second[1])[half : 3 * half + 1]
+    np.testing.assert_allclose(result[0] + 1j * result[1], expected, rtol=1e-12)
+
+
+def _drawn(linewidth: float, delay: float, half: int, shots: int) -> np.ndarray:
+    """(shots, 2 half + 1) taps of the laser's line."""
+    taps = np.empty((shots, 2, 2 * half + 1))
+    for shot in range(shots):
+        line_taps(linewidth, delay, np.uint64(8), shot, 1, 4, 0, half, taps[shot])
+    return taps[:, 0] + 1j * taps[:, 1]
+
+
+def _walked(linewidth: float, delay: float, half: int, records: int) -> np.ndarray:
+    """The same of a laser whose phase walks at random: the transform of exp(jΔφ), referred to the record's centre."""
+    rng = np.random.default_rng(21)
+    # Steps of a whole fraction of the delay.
+    samples = 4096
+    lag = max(1, round(delay * samples))
+    per_step = delay / lag
+    length = round(1 / per_step)
+    stride = max(1, length // samples)
+    m = np.arange(-half, half + 1)
+    taps = np.empty((records, 2 * half + 1), dtype=complex)
+    for record in range(records):
+        if stride == 1:
+            walk = np.cumsum(rng.standard_normal(length + lag) * sqrt(2 * np.pi * linewidth * per_step))
+            drift = walk[lag:] - walk[:-lag]
+        else:
+            drift = rng.standard_normal(length // stride) * sqrt(2 * np.pi * linewidth * delay)
+        spectrum = np.fft.fft(np.exp(1j * drift)) / len(drift)
+        taps[record] = spectrum[m] * np.exp(1j * np.pi * m)
+    return taps
+
+
+# 3, 30 and 300 kHz at delays up to 80 µs: ranges to 12 km.
+@pytest.mark.parametrize("delay_us", [0.1, 2.0, 14.0, 80.0])
+@pytest.mark.parametrize("linewidth_khz", [3.0, 30.0, 300.0])
+def test_line_is_that_of_a_laser_walking_at_random(linewidth_khz: float, delay_us: float) -> None:
+    linewidth, delay = linewidth_khz * 1e3 * RECORD_S, delay_us * 1e-6 / RECORD_S
+    half = LEAST_TAPS + (int(2 * linewidth) if 2 * np.pi * linewidth * delay > 0.5 else 0)
+    ours, walked = _drawn(linewidth, delay, half, 3000), _walked(linewidth, delay, half, 1500)
+    drift = 2 * np.pi * linewidth * delay
+    error = 5 * sqrt(1 / len(ours) + 1 / len(walked))
+    # Correlations are those of an endless record: delays that are a part of it shift up to a third of that part
+    # from the lowest taps to those where an endless record's spectrum is empty.
+    coarse = error + delay / 3
+    powers, pseudo = [], []
+    for taps in (ours, walked):
+        centre_error = 5 * sqrt(np.mean(abs(taps[:, half]) ** 2) / len(taps))
+        assert abs(taps[:, half].mean() - np.exp(-drift / 2)) < centre_error
+        drawn = taps - np.exp(-drift / 2) * (np.arange(2 * half + 1) == half)
+        powers.append(np.mean(abs(drawn) ** 2, axis=0))
+        pseudo.append(np.mean(drawn * drawn[:, ::-1], axis=0))
+    assert powers[0].sum() == pytest.approx(powers[1].sum(), rel=coarse / 2)
+    assert abs(powers[0] - powers[1]).max() < coarse * powers[1].max()
+    assert abs(pseudo[0] - pseudo[1]).max() < coarse * powers[1].max()
+    if drift < 0.3:  # phase noise alone: c₋ₘ = -conj cₘ
+        assert (pseudo[0].real < -0.7 * powers[0]).all()
+        assert (pseudo[1].real < -0.7 * powers[1]).all()
+
+
+@pytest.mark.parametrize("delay", [1e-3, 0.01, 0.064, 0.36])
+@pytest.mark.parametrize("linewidth", [0.5, 6.5])
+def test_line_keeps_the_power(linewidth: float, delay: float) -> None:
+    """What the coherent tap loses is in the others: Σ P = 1 - exp(-x), short of a third of the delay at most."""
+    half = 500 if delay >= 0.01 else 4000
+    power = np.mean(abs(_drawn(linewidth, delay, half, 400)) ** 2, axis=0)
+    drift = 2 * np.pi * linewidth * delay
+    coherent = np.exp(-drift)
+    pedestal = power.sum() - coherent
+    wanted = 1 - coherent
+    assert pedestal / wanted < 1.1
+    assert pedestal / wanted > 0.9 * (1 - delay / 3)
+
+
+def test_published_line_is_a_gaussian_over_bins() -> None:
+    half, linewidth = 12, 6.55
+    taps = np.empty((4000, 2, 2 * half + 1))
+    for shot in range(len(taps)):
+        gaussian_line_taps(linewidth, np.uint64(8), shot, 1, 4, 0, half, taps[shot])
+    power = np.mean((taps**2).sum(axis=1), axis=0)
+    scale = linewidth / sqrt(8 * log(2)) * sqrt(2)
+    expected = np.array(
+        [0.5 * (erf((m + 0.5) / scale) - erf((m - 0.5) / scale)) for m in range(-half, half + 1)]
+    )
+    assert expected.sum() == pytest.approx(1, abs=1e-5)
+    np.testing.assert_allclose(power, expected, rtol=5 / sqrt(len(taps)))
+    # Half of the power per bin at half of the full width.
+    assert power[half + 3] / power[half] == pytest.approx(0.5 ** ((3 / (linewidth / 2)) ** 2), rel=0.1)
+    # Only the central bin stays coherent.
+    centre = taps[:, :, half]
+    assert np.ptp(centre, axis=0).max() == 0
+    z = taps[:, 0] + 1j * taps[:, 1]
+    others = np.delete(z, half, axis=1)
+    assert abs(np.mean(others**2, axis=0) / np.mean(abs(others) ** 2, axis=0)).max() < 5 / sqrt(len(taps))
+    assert (
+        abs(np.mean(others * np.conj(np.roll(others, 1, axis=1)), axis=0)).max()
+        < 5 / sqrt(len(taps)) * expected.max()
+    )

@@ -1,0 +1,168 @@
+"""The field of speckle against its statistics and a plain reading of its definition, and the receiver's fading by it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from instruments import PLAIN_RECEIVER, echoes
+from scipy import stats
+
+from lidar_emu.fmcw.build import build_receiver
+from lidar_emu.fmcw.receiver import receive
+from lidar_emu.fmcw.speckle import SLOTS, forget, set_weights
+from lidar_emu.scenario.instrument import Detection, Instrument, Optics, Waveform
+
+BEAMLETS = 128
+
+
+class _Field:
+    """The field at one place after another, as a beam asks for it."""
+
+    def __init__(self, beam: int = 0, keep: bool = True, beamlets: int = BEAMLETS) -> None:
+        self._beam, self._keep, self._beamlets = beam, keep, beamlets
+        self._held = np.empty((SLOTS, 2), dtype=np.int64)
+        self._corners = np.empty((SLOTS, 2, beamlets))
+        forget(self._held)
+
+    def __call__(self, east: float, north: float) -> np.ndarray:
+        if not self._keep:
+            forget(self._held)
+        words, weights = np.empty((4, self._beamlets), dtype=np.uint64), np.empty((2, self._beamlets))
+        set_weights(np.uint64(6), self._beam, 3, east, north, self._held, self._corners, words, weights)
+        return weights[0] + 1j * weights[1]
+
+
+def _places(count: int, seed: int = 4) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1e6, 1e6, (count, 2))
+
+
+def test_weights_are_circular_gaussian_numbers() -> None:
+    z = np.array([_Field()(*place) for place in _places(1000)])
+    assert stats.kstest(abs(z.ravel()) ** 2, "expon").pvalue > 1e-3
+    assert stats.kstest(np.angle(z.ravel()) / (2 * np.pi) + 0.5, "uniform").pvalue > 1e-3
+    bound = 5 / np.sqrt(z.size)
+    assert abs(np.mean(abs(z) ** 2) - 1) < bound
+    assert abs(np.mean(z**2)) < bound * np.sqrt(2)
+    assert abs(np.mean(z[:, 1:] * np.conj(z[:, :-1]))) < bound
+    other = np.array([_Field(beam=1)(*place) for place in _places(1000)])
+    assert abs(np.mean(z * np.conj(other))) < bound
+
+
+def _correlation(x: float) -> float:
+    x = abs(x)
+    return (1 - x / 2) * np.cos(np.pi * x / 2) + np.sin(np.pi * x / 2) / np.pi if x < 2 else 0.0
+
+
+@pytest.mark.parametrize(
+    ("east", "north"),
+    [(0.1, 0), (0.5, 0), (0, -0.8), (1.0, 0), (-1.5, 0), (0, 2.0), (3.0, 0), (0.4, 0.7), (-1, 1)],
+)
+def test_correlation_over_a_distance(east: float, north: float) -> None:
+    field, products = _Field(), []
+    for place in _places(600):
+        products.append(np.conj(field(*place)) * field(place[0] + east, place[1] + north))
+    mean = np.mean(products)
+    expected = _correlation(east) * _correlation(north)
+    assert abs(mean - expected) < 5 / np.sqrt(np.size(products))
+    # Within 0.033 of a Gaussian of the distance, as far as one axis goes: pitch π/√8 w.
+    if east * north == 0:
+        assert abs(expected - np.exp(-(np.pi**2) / 8 * (east**2 + north**2))) < 0.034
+
+
+def test_field_is_continuous() -> None:
+    field = _Field()
+    for x in (0.0, 3.0, -2.0, 1e6, 0.37):
+        step = 1e-7
+        assert abs(field(x + step, -5.2) - field(x - step, -5.2)).max() < 20 * step + 1e-8
+
+
+@pytest.mark.parametrize("centre", [(0.0, 0.0), (-3.4, 7.7), (-1e9, 1e9), (2.0**31, -(2.0**31))])
+def test_any_place_alone(centre: tuple[float, float]) -> None:
+    """Corners kept from other places change nothing, whatever the order."""
+    rng = np.random.default_rng(1)
+    keeping, fresh = _Field(), _Field(keep=False)
+    for offset in rng.uniform(-4, 4, (60, 2)):
+        place = np.add(centre, offset)
+        np.testing.assert_array_equal(keeping(*place), fresh(*place))
+        assert np.isfinite(fresh(*place)).all()
+
+
+def test_places_far_apart_differ() -> None:
+    """Coordinates of either sign, and east and north, are told apart."""
+    z = [_Field()(x, y) for x, y in [(1.5, 2.5), (2.5, 1.5), (-1.5, 2.5), (1.5, -2.5), (-1.5, -2.5)]]
+    for i, a in enumerate(z):
+        for b in z[:i]:
+            assert abs(np.mean(a * np.conj(b))) < 5 / np.sqrt(BEAMLETS)
+
+
+def _instrument(beamlets: int = 1, looks: int = 1) -> Instrument:
+    return Instrument(
+        waveform=Waveform(linewidth_hz=0.0),
+        optics=Optics(speckle=True),
+        receiver=PLAIN_RECEIVER,
+        detection=Detection(looks=looks, window="hann"),
+    )
+
+
+def _fading(drift_per_s: float, looks: int = 1, shots: int = 6000) -> np.ndarray:
+    """Mean power of the three records of each shot, over its mean over shots; tones close to their bins."""
+    model = build_receiver(_instrument(looks=looks))
+    shape = (shots, 1, 1)
+    place = _places(shots)[:, None, :]
+    beams = echoes(
+        np.full(shape, 3000 * model.range_bin_m),
+        np.full(shape, 5000 * model.speed_bin_mps),
+        1e8 / model.snr_per_w,
+        place=place,
+        drift_per_s=(drift_per_s, 0.0),
+    )
+    returns = receive(model, beams, np.arange(shots), 2)
+    assert (returns.segments == 7).mean() > 0.999
+    power = 10 ** (returns.snr_db[:, 0] / 10)
+    assert np.mean(power) == pytest.approx(1e8, rel=5 / np.sqrt(shots) + 0.01)
+    return power / power.mean()
+
+
+def _expected_variance(step: float) -> float:
+    """Of the mean of three exponential powers whose field moves by `step` pitches from one to the next."""
+    offset = np.random.default_rng(7).uniform(0, 1, 200_000)
+    corners = np.zeros((3, len(offset), 12))
+    rows = np.arange(len(offset))
+    for segment in range(3):
+        x = offset + segment * step
+        cell = np.floor(x).astype(int)
+        corners[segment, rows, cell] = np.cos(np.pi / 2 * (x - cell))
+        corners[segment, rows, cell + 1] = np.sin(np.pi / 2 * (x - cell))
+    squares = [np.mean(np.sum(corners[a] * corners[b], axis=1) ** 2) for a in range(3) for b in range(3)]
+    return float(np.sum(squares) / 9)
+
+
+@pytest.mark.parametrize("step", [0.0, 0.4, 0.9, 4.0])
+def test_segments_fade_together_as_far_as_the_footprint_stays(step: float) -> None:
+    variance = np.var(_fading(step / 300e-6))
+    # A sample variance of exponential powers has a standard error of sqrt(8/n).
+    assert variance == pytest.approx(_expected_variance(step), abs=4 * np.sqrt(8 / 6000))
+
+
+def test_looks_shrink_fading() -> None:
+    """Nine independent powers of three looks of three records."""
+    assert np.var(_fading(1e4, looks=3)) == pytest.approx(1 / 9, abs=0.02)
+    still = np.var(_fading(0.0, looks=3))
+    assert still == pytest.approx(1, abs=4 * np.sqrt(8 / 6000))
+
+
+def test_beamlets_add_their_powers() -> None:
+    """Of 19 beamlets within a hundredth of a bin: the mean is the sum of the powers, and one exponential fade."""
+    model = build_receiver(_instrument())
+    shots = 4000
+    rng = np.random.default_rng(5)
+    share = rng.dirichlet(np.ones(19))
+    beams = echoes(
+        np.full((shots, 1, 19), 3000 * model.range_bin_m),
+        np.full((shots, 1, 19), 5000 * model.speed_bin_mps),
+        share * 1e8 / model.snr_per_w,
+        place=_places(shots)[:, None, :],
+    )
+    power = 10 ** (receive(model, beams, np.arange(shots), 2).snr_db[:, 0] / 10) / 1e8
+    assert power.mean() == pytest.approx(1, abs=5 / np.sqrt(shots) + 0.01)
+    assert stats.kstest(power, "expon").pvalue > 1e-3

@@ -1,0 +1,141 @@
+"""What is left out of a beam's measurement changes it by less than the plan says, and not at all beyond the limit."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lidar_emu.fmcw.build import build_receiver
+from lidar_emu.fmcw.limits import LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
+from lidar_emu.fmcw.modulation import smear_taps
+from lidar_emu.fmcw.receiver import receive
+from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.plan_receiver import LINE_BOUND_BINS, LINE_BOUND_POWER, SMEAR_BOUND, largest_smear_bins
+from lidar_emu.scenario.instrument import Detection, Instrument, Waveform
+
+SHOTS = 64
+FINE = Detection(peak="hann", combine="least_squares")
+
+
+def _echoes(
+    range_m: float, speed_mps: float, acceleration_mps2: float, slope: float, beamlets: int, seed: int
+) -> Echoes:
+    """One beam on a slope, shot after shot on new ground, 50 dB above the noise."""
+    rng = np.random.default_rng(seed)
+    across_m = 0.02 * rng.normal(size=(SHOTS, 1, beamlets)) if beamlets > 1 else np.zeros((SHOTS, 1, 1))
+    one = np.ones((SHOTS, 1))
+    model = build_receiver(Instrument())
+    return Echoes(
+        range_m=range_m + slope * across_m,
+        closing_speed_mps=speed_mps + 0.02 * across_m,
+        power_w=np.full_like(across_m, 1e5 / model.snr_per_w / beamlets),
+        range_rate_mps=np.full_like(across_m, -speed_mps),
+        closing_acceleration_mps2=acceleration_mps2 * one,
+        smear_acceleration_mps2=acceleration_mps2 * one,
+        speckle_place=rng.uniform(-1e6, 1e6, (SHOTS, 1, 2)),
+        speckle_drift_per_s=np.full((SHOTS, 1, 2), 200.0),
+        fired=one == 1,
+        inside=one == 0,
+    )
+
+
+def _with_and_without(instrument: Instrument, echoes: Echoes) -> tuple[Returns, Returns]:
+    shot = np.arange(SHOTS)
+    return tuple(receive(build_receiver(instrument, exact=exact), echoes, shot, 7) for exact in (False, True))  # type: ignore[return-value]
+
+
+def _power_differs_by(some: Returns, whole: Returns) -> float:
+    """Largest relative difference of the peaks' power, where both saw the echo in all segments."""
+    both = (some.segments == 7) & (whole.segments == 7)
+    return float(np.max(np.abs(10 ** ((some.snr_db - whole.snr_db)[both] / 10) - 1), initial=0.0))
+
+
+def _same(some: Returns, whole: Returns) -> bool:
+    return all(
+        np.array_equal(getattr(some, f.name), getattr(whole, f.name), equal_nan=f.name != "reason")
+        for f in fields(Returns)
+    )
+
+
+SKIPPED = {"smear": 0, "line": 0, "all": 0}
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    range_m=st.floats(5, 3000),
+    speed_mps=st.floats(-60, 60),
+    acceleration_mps2=st.floats(-2, 2),
+    slope=st.floats(0, 1),
+    beamlets=st.sampled_from([1, 7]),
+    linewidth_hz=st.sampled_from([0.0, 30.0, 300.0, 3e3]),
+    seed=st.integers(0, 2**32 - 1),
+)
+def _compare(range_m, speed_mps, acceleration_mps2, slope, beamlets, linewidth_hz, seed) -> None:
+    instrument = Instrument(waveform=Waveform(linewidth_hz=linewidth_hz), detection=FINE)
+    echoes = _echoes(range_m, speed_mps, acceleration_mps2, slope, beamlets, seed)
+    some, whole = _with_and_without(instrument, echoes)
+    record_s = instrument.waveform.record_time_s
+    by_motion = 2 * acceleration_mps2 / 1550e-9 * record_s**2
+    by_migration = 4 * 2e12 * speed_mps / 299792458 * record_s**2
+    smear_bins = np.abs([by_migration + by_motion, by_motion, by_migration - by_motion])
+    assert largest_smear_bins(instrument.waveform, echoes) == pytest.approx(smear_bins.max(), abs=1e-4)
+    smeared = smear_bins.min() <= LEAST_SMEAR_BINS
+    drift = 4 * np.pi * linewidth_hz * range_m / 299792458
+    lined = 0 < drift <= LEAST_LINE_DRIFT
+    SKIPPED["all"] += 1
+    SKIPPED["smear"] += smeared
+    SKIPPED["line"] += lined
+    bound = 1.0 - (1.0 - SMEAR_BOUND * smeared) ** 2 + LINE_BOUND_POWER * lined
+    assert _power_differs_by(some, whole) <= bound
+    if beamlets == 1:
+        moved = np.abs(some.segment_peak_hz - whole.segment_peak_hz) / instrument.waveform.bin_width_hz
+        assert np.nanmax(moved) <= SMEAR_BOUND * smeared + LINE_BOUND_BINS * lined
+
+
+def test_random_scenes_stay_below_the_bounds_and_many_leave_something_out() -> None:
+    SKIPPED.update(smear=0, line=0, all=0)
+    _compare()
+    assert SKIPPED["smear"] + SKIPPED["line"] >= 0.3 * SKIPPED["all"]
+
+
+def test_smear_bound_is_what_the_filter_left_out_has_beside_its_centre() -> None:
+    taps = np.empty((2, 17))
+    smear_taps(LEAST_SMEAR_BINS, 8, taps)
+    beside = np.abs(taps[0] + 1j * taps[1])[[7, 9]]
+    assert np.max(beside) <= SMEAR_BOUND <= 1.1 * np.max(beside)
+
+
+@pytest.mark.parametrize("side", [0.98, 1.02])
+def test_smear_has_two_sides(side: float) -> None:
+    instrument = Instrument(waveform=Waveform(linewidth_hz=0), detection=FINE)
+    waveform = instrument.waveform
+    acceleration_mps2 = side * LEAST_SMEAR_BINS * waveform.wavelength_m / 2 / waveform.record_time_s**2
+    echoes = _echoes(800.0, 0.0, acceleration_mps2, 0.0, 1, 3)
+    assert _same(*_with_and_without(instrument, echoes)) is (side > 1)
+
+
+@pytest.mark.parametrize("side", [0.98, 1.02])
+def test_the_line_has_two_sides(side: float) -> None:
+    range_m = side * LEAST_LINE_DRIFT * 299792458 / (4 * np.pi * 3e3)
+    echoes = replace(_echoes(range_m, 0.0, 0.0, 0.0, 1, 3), closing_speed_mps=np.full((SHOTS, 1, 1), 50.0))
+    # Migration at this speed is beyond its own limit.
+    some, whole = _with_and_without(Instrument(detection=FINE), echoes)
+    assert _same(some, whole) is (side > 1)
+
+
+def test_bounds_are_no_looser_than_ten_times_what_is_seen() -> None:
+    """Just within the limits, where the difference is largest."""
+    worst_power = worst_bins = 0.0
+    for seed in range(8):
+        range_m = 0.99 * LEAST_LINE_DRIFT * 299792458 / (4 * np.pi * 3e3)
+        echoes = _echoes(range_m, 50.0, 0.0, 0.0, 1, seed)
+        some, whole = _with_and_without(Instrument(detection=FINE), echoes)
+        worst_power = max(worst_power, _power_differs_by(some, whole))
+        moved = np.abs(some.segment_peak_hz - whole.segment_peak_hz) / Waveform().bin_width_hz
+        worst_bins = max(worst_bins, float(np.nanmax(moved)))
+    assert worst_power <= LINE_BOUND_POWER <= 10 * worst_power
+    assert worst_bins <= LINE_BOUND_BINS <= 10 * worst_bins
