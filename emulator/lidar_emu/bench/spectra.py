@@ -84,7 +84,7 @@ def compare_spectra(scenario: FlightScenario, flight: Flight, rounds: int = 7) -
         published = build_published_spectrum(model_window, length, points, _OVERSAMPLE, deposit)
         names.append(f"published, {deposit}, {points} points")
         jobs.append(partial(published_bins, published, tones, first))
-        got = published_bins(published, tones[:_CHECKED], first)
+        got = published_bins(published, tones[:_CHECKED], first[:_CHECKED])
         errors.append(_error(got, first, exact, tones))
     product = _Product(tones, float(length), model_window)
     names.append("bin by bin")
