@@ -353,6 +353,7 @@ SPEEDS_MPS = st.one_of(
     st.floats(-465, 465),
     st.sampled_from([0.0, -0.0, 1e-12, 0.0035, 232.5, 465.0, 1e18, 1e300, np.inf, np.nan]),
 )
+RANGE_RATES_MPS = st.one_of(st.floats(-465, 465), st.sampled_from([0.0, 3e8, -3e8, np.inf, np.nan]))
 POWERS_W = st.one_of(
     st.floats(1e-16, 1e-8), st.sampled_from([0.0, 1e-300, 1.0, 1e30, 1e300, 1.7e308, np.inf, np.nan])
 )
@@ -360,7 +361,7 @@ POWERS_W = st.one_of(
 
 @settings(max_examples=300, deadline=None)
 @given(
-    beamlets=st.lists(st.tuples(RANGES_M, SPEEDS_MPS, POWERS_W, SPEEDS_MPS), min_size=1, max_size=7),
+    beamlets=st.lists(st.tuples(RANGES_M, SPEEDS_MPS, POWERS_W, RANGE_RATES_MPS), min_size=1, max_size=7),
     window=st.sampled_from(["rect", "hann", "hamming"]),
     peak=st.sampled_from(["bin", "parabola", "jacobsen", "hann", "aboutanios_mulgrew"]),
     estimator=st.sampled_from(

@@ -93,7 +93,9 @@ def joined(outcomes: list[Outcome]) -> Outcome:
     return Outcome(frozenset().union(*columns[0]), all(columns[1]), *worst)
 
 
-def compare(report: Returns | Measurement, truth: BeatTruth, rows: np.ndarray, tones: np.ndarray, cycle_mps: float) -> Outcome:
+def compare(
+    report: Returns | Measurement, truth: BeatTruth, rows: np.ndarray, tones: np.ndarray, cycle_mps: float
+) -> Outcome:
     """Outcome of a report whose flat `rows` are compared with the truth of just these.
 
     Args:

@@ -8,7 +8,8 @@ from scipy.signal import cont2discrete, lfilter
 
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
 from lidar_emu.waveform.detect import transform, window_noise_power
-from lidar_emu.waveform.receive import FLAT, Digitiser, Response, draw_noise, receive_record
+from lidar_emu.waveform.line import draw_drift
+from lidar_emu.waveform.receive import FLAT, Digitiser, Response, draw_noise, noise_level, receive_record
 from lidar_emu.waveform.samples import Beamlets, frequency_plan, phasor, sample_record
 
 RATE_HZ = 20e6
@@ -70,6 +71,14 @@ def test_noise_bins_have_the_folded_gain(response: Response) -> None:
         np.testing.assert_allclose(mean[inner], expected[inner], rtol=5 / np.sqrt(records) + 0.01)
 
 
+@pytest.mark.parametrize("response", [FLAT, Response(5e6), Response(10e6, 50e3), Response(None, 1e6)])
+def test_noise_level_is_the_folded_gain(response: Response) -> None:
+    waveform = Waveform(fft_length=256, sample_rate_hz=RATE_HZ)
+    folds = 20_000 if response.bandwidth_hz else 0
+    expected = _folded_gain(response, np.arange(129) * RATE_HZ / 256, folds)
+    np.testing.assert_allclose(noise_level(waveform, response), expected, rtol=1e-4, atol=1e-4)
+
+
 def test_coupled_noise_at_dc_is_what_folds_there() -> None:
     waveform, response = Waveform(fft_length=4096, sample_rate_hz=RATE_HZ), Response(5e6, 50e3)
     noise = draw_noise(np.random.default_rng(4), 1000, waveform, response)
@@ -118,3 +127,14 @@ def test_swept_echo_rings_through_the_poles_as_a_state_equation_says() -> None:
     slow = lfilter(numerator.ravel(), denominator, signal)[ahead * fine :: fine]
     assert abs(ours - slow).max() < 2e-3
     assert abs(ours - sample_record(waveform, segment, beamlets, edges=True)).max() > 0.1
+
+
+@pytest.mark.parametrize("samples", [0.3, 7.0, 40.6])
+def test_laser_drifts_as_a_random_walk(samples: float) -> None:
+    """Variance 2πΔντ at each time, and what two times have in common falls off as a triangle over the delay."""
+    waveform = Waveform(fft_length=256, sample_rate_hz=1e6, linewidth_hz=300.0, segment_time_s=300e-6)
+    drift = np.angle(draw_drift(np.random.default_rng(3), 20_000, waveform, samples / 1e6))
+    expected = 2 * np.pi * 300.0 * samples / 1e6
+    for apart in (0, 1, 20, 60):
+        common = np.mean(drift[:, : 256 - apart] * drift[:, apart:])
+        assert common == pytest.approx(expected * max(0.0, 1 - apart / samples), abs=0.02 * expected)

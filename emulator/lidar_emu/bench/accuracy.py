@@ -28,11 +28,12 @@ from lidar_emu.bench.settings import (
     measure,
     one_beam,
     quiet,
+    reseeded,
     rms_apart,
 )
 from lidar_emu.bench.spectra import SpectrumMethod, compare_spectra
 from lidar_emu.bench.stopwatch import median_times_s
-from lidar_emu.bench.work_precision import pareto_front
+from lidar_emu.bench.work_precision import cheapest, pareto_front
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.flight import Flight
 from lidar_emu.levels import Level, build_level
@@ -80,9 +81,29 @@ class AccuracyReport:
     floor: Difference
     """Between two runs of the twin with different seeds: smaller errors cannot be told from chance."""
     results: list[SettingResult]
-    front: list[int]
-    """Indices of the Pareto front of time and range error, fastest first."""
     spectra: list[SpectrumMethod]
+
+    def told(self, result: SettingResult) -> Difference:
+        """A setting's error as far as it can be told from chance: at least the floor."""
+        if result.setting.shares_draws:
+            return result.error
+        error, floor = result.error, self.floor
+        return Difference(
+            max(error.range_m, floor.range_m),
+            max(error.speed_mps, floor.speed_mps),
+            max(error.dropout, floor.dropout),
+        )
+
+    @property
+    def front(self) -> list[int]:
+        """Indices of the Pareto front of time and range error, fastest first."""
+        return pareto_front([(result.time_s, self.told(result).range_m) for result in self.results])
+
+    def cheapest(self, range_m: float, speed_mps: float) -> SettingResult | None:
+        """The fastest setting whose errors are at most these; None where there is none."""
+        errors = [(self.told(r).range_m, self.told(r).speed_mps) for r in self.results]
+        chosen = cheapest([r.time_s for r in self.results], errors, (range_m, speed_mps))
+        return None if chosen is None else self.results[chosen]
 
 
 def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -> AccuracyReport:
@@ -92,13 +113,13 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
         InputError: the instrument is one that the level waveform does not have, or no first beam meets the ground.
     """
     flight = Flight(scenario)
-    shots = min(shots, flight.shot_count)
     shot = _spaced(flight.shot_count, shots)
-    pairs = _seen(scenario, flight, _spaced(flight.shot_count, max(_LEAST_PAIRS, shots // _SHOTS_PER_PAIR)))
+    runs = max(1, shots // flight.shot_count)
+    pairs = _seen(scenario, flight, _spaced(flight.shot_count, _pairs(shots)))
     progress("spreads of errors")
-    spreads = {setting: measure(setting, scenario, flight, shot) for setting in FAST}
-    again = scenario.model_copy(update={"seed": (scenario.seed + 1) % 2**63})
-    floor = difference(measure(TWIN, again, flight, shot), spreads[TWIN])
+    spreads = {setting: measure(setting, scenario, flight, shot, runs) for setting in FAST}
+    again = measure(TWIN, reseeded(scenario, runs), flight, shot, runs)
+    floor = _floor(again, spreads[TWIN])
     progress(f"{len(pairs)} beams at level waveform, {REFERENCE.beamlets} beamlets, beside level spectral")
     twin = _apart(quiet(scenario), flight, pairs)
     progress("spectra three ways")
@@ -118,8 +139,19 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
         front_s = fronts[setting.beamlets]
         ratio = (fronts[setting.beamlets] + receivers[alike]) / (front_s + receivers[setting])
         results.append(SettingResult(setting, front_s, receivers[setting], ratio, spread, error))
-    front = pareto_front([(result.time_s, result.error.range_m) for result in results])
-    return AccuracyReport(scenario.name, shots, len(pairs), twin, floor, results, front, spectra)
+    return AccuracyReport(scenario.name, len(shot) * runs, len(pairs), twin, floor, results, spectra)
+
+
+def _floor(one: ErrorSpread, other: ErrorSpread) -> Difference:
+    """What chance makes of two spreads of the same; of dropouts, which may be none, by their binomial variance."""
+    between = difference(one, other)
+    share = 0.5 * (one.dropout + other.dropout)
+    chance = (2.0 * share * (1.0 - share) / max(one.count, 1)) ** 0.5
+    return Difference(between.range_m, between.speed_mps, max(between.dropout, chance))
+
+
+def _pairs(shots: int) -> int:
+    return max(_LEAST_PAIRS, shots // _SHOTS_PER_PAIR)
 
 
 def _spaced(available: int, count: int) -> NDArray[np.int64]:

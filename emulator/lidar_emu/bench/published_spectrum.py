@@ -43,13 +43,15 @@ def build_published_spectrum(
 ) -> PublishedSpectrum:
     """Sample the transform of a window of `length` samples, referred to the record's centre, on a ring of points.
 
-    A bin x bins above a tone holds sin(πx) / (N sin(πx/N)) of it, and the window adds its neighbours, which alternate in
-    sign and are turned by exp(±jπ/N).
+    A bin x bins above a tone holds sin(πx) / (N sin(πx/N)) of it, and the window adds its neighbours, which alternate
+    in sign and are turned by exp(±jπ/N).
     """
     offset = np.fft.fftfreq(points, 1.0 / points) / oversample
     sides = _dirichlet(offset - 1.0, length) + _dirichlet(offset + 1.0, length)
     tilt = np.sin(np.pi / length) * (_dirichlet(offset + 1.0, length) - _dirichlet(offset - 1.0, length))
-    kernel = window.centre * _dirichlet(offset, length) - window.side * (np.cos(np.pi / length) * sides + 1j * tilt)
+    kernel = window.centre * _dirichlet(offset, length) - window.side * (
+        np.cos(np.pi / length) * sides + 1j * tilt
+    )
     return PublishedSpectrum(points, oversample, deposit, np.asarray(fft(kernel)))
 
 

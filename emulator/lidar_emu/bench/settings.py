@@ -8,14 +8,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.bench.errors_against_truth import ErrorSpread, spread
 from lidar_emu.echoes import receive_light
 from lidar_emu.flight import Flight
 from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.levels import build_level
 from lidar_emu.rotations import dot
 from lidar_emu.scenario.schema import FlightScenario
-
-from lidar_emu.bench.errors_against_truth import ErrorSpread, spread
 
 BEAMLETS = (1, 7, 19, 37, 61, 127)
 FINEST = BEAMLETS[-1]
@@ -39,6 +38,11 @@ class Setting:
             return self.level
         skips = ", skips" if not self.exact else ""
         return f"{self.level} {self.beamlets}{skips}"
+
+    @property
+    def shares_draws(self) -> bool:
+        """With the reference: its errors beside it are exact, where others' are told from chance down to a floor."""
+        return self.beamlets == FINEST and self.level in ("spectral", "waveform")
 
     def of(self, scenario: FlightScenario) -> FlightScenario:
         """The scenario at this setting."""
@@ -64,15 +68,30 @@ def light(scenario: FlightScenario, flight: Flight, beamlets: int, shot: NDArray
     return receive_light(scenario.instrument, scenario.site, flight, beamlets, pointing, hits)
 
 
-def measure(setting: Setting, scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> ErrorSpread:
-    """Errors of shots at a setting, against the truth along the beams' axes."""
+def measure(
+    setting: Setting, scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64], runs: int = 1
+) -> ErrorSpread:
+    """Errors of shots at a setting, against the truth along the beams' axes.
+
+    Args:
+        runs: so many times, each with the next seed.
+    """
     pointing, _ = flight.point(shot, flight.scanner.initial)
     hits = flight.cast(pointing.sensor_site_m, pointing.true_site)
     echoes = receive_light(scenario.instrument, scenario.site, flight, setting.beamlets, pointing, hits)
-    returns = build_level(setting.of(scenario))(echoes, shot)
     true_mps = dot(pointing.sensor_velocity_site_mps, pointing.true_site)
-    expected = pointing.fired & np.isfinite(hits.range_m)
-    return spread(returns.range_m - hits.range_m, returns.closing_speed_mps - true_mps, expected)
+    range_error_m, speed_error_mps = [], []
+    for run in range(runs):
+        returns = build_level(reseeded(setting.of(scenario), run))(echoes, shot)
+        range_error_m.append(returns.range_m - hits.range_m)
+        speed_error_mps.append(returns.closing_speed_mps - true_mps)
+    expected = np.tile(pointing.fired & np.isfinite(hits.range_m), (runs, 1))
+    return spread(np.concatenate(range_error_m), np.concatenate(speed_error_mps), expected)
+
+
+def reseeded(scenario: FlightScenario, by: int) -> FlightScenario:
+    """The same scenario with a later seed."""
+    return scenario.model_copy(update={"seed": (scenario.seed + by) % 2**63})
 
 
 def quiet(scenario: FlightScenario) -> FlightScenario:

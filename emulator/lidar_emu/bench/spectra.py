@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -65,28 +66,29 @@ class SpectrumMethod:
 def compare_spectra(scenario: FlightScenario, flight: Flight, rounds: int = 7) -> list[SpectrumMethod]:
     """Down-chirp spectra of the first beam, 61 beamlets each, all along the flight.
 
-    The FFT's time holds the synthesis of the record's samples, one beamlet after another; the published way and the bins
-    are timed over blocks of segments, so that Python's own overhead is in neither.
+    The FFT's time holds the synthesis of the record's samples, one beamlet after another; the published way and the
+    bins are timed over blocks of segments, so that Python's own overhead is in neither.
     """
-    model_window = WINDOWS[scenario.instrument.detection.window]
+    window = WINDOWS[scenario.instrument.detection.window]
     length = scenario.instrument.waveform.fft_length
     tones = _tones(scenario, flight)
     lowest = tones[:, 0].min(axis=1)
     first = np.floor(lowest - _MARGIN_BINS)
-    exact = [_record_bins(one, length, model_window) for one in tones[:_CHECKED]]
+    exact = [_record_bins(one, length, window) for one in tones[:_CHECKED]]
 
-    names, jobs, errors = ["samples and FFT"], [partial(_record_bins, tones[0], length, model_window)], [0.0]
+    names, errors = ["samples and FFT"], [0.0]
+    jobs: list[Callable[[], object]] = [partial(_record_bins, tones[0], length, window)]
     widest = float((tones[:, 0].max(axis=1) - lowest).max()) + 2 * _MARGIN_BINS
     for deposit, points in _PUBLISHED:
-        # Both halves of the ring must hold all that is read.
+        # The kernel goes round the ring: what is read must lie within half of it.
         if widest > points / _OVERSAMPLE / 2:
             continue
-        published = build_published_spectrum(model_window, length, points, _OVERSAMPLE, deposit)
+        published = build_published_spectrum(window, length, points, _OVERSAMPLE, deposit)
         names.append(f"published, {deposit}, {points} points")
         jobs.append(partial(published_bins, published, tones, first))
         got = published_bins(published, tones[:_CHECKED], first[:_CHECKED])
         errors.append(_error(got, first, exact, tones))
-    product = _Product(tones, float(length), model_window)
+    product = _Product(tones, float(length), window)
     names.append("bin by bin")
     jobs.append(product.run)
     product.run()
@@ -108,7 +110,12 @@ def _tones(scenario: FlightScenario, flight: Flight) -> FloatArray:
             range_m, speed_mps = echoes.range_m[s, 0, i], echoes.closing_speed_mps[s, 0, i]
             place, real, imaginary = fold(signed_bin(model, _DOWN, range_m, speed_mps), model.fft_length)
             weight = field[s, i]
-            tones[s, :, i] = np.rint(place), place - np.rint(place), real * weight.real, imaginary * weight.imag
+            tones[s, :, i] = (
+                np.rint(place),
+                place - np.rint(place),
+                real * weight.real,
+                imaginary * weight.imag,
+            )
         tones[s, :2, BEAMLETS:] = tones[s, :2, :1]
     lit = np.isfinite(tones).all(axis=(1, 2)) & tones[:, 2:].any(axis=(1, 2))
     return tones[lit]
@@ -147,7 +154,9 @@ class _Product:
 
     def run(self) -> None:
         """All segments."""
-        _bin_by_bin(self.tones, self.length, *self.window, self.grid, self.bins, self.scratch, self.out, self.first)
+        _bin_by_bin(
+            self.tones, self.length, *self.window, self.grid, self.bins, self.scratch, self.out, self.first
+        )
 
 
 @njit(cache=True)
@@ -185,5 +194,3 @@ def _error(got: _ComplexArray, first: FloatArray, exact: list[_ComplexArray], to
         apart = np.abs(got[s, k - int(first[s])] - whole[k])
         worst = max(worst, float(apart.max() / np.abs(whole).max()))
     return worst
-
-

@@ -21,7 +21,9 @@ def pareto_front(points: Sequence[Point]) -> list[int]:
     return front
 
 
-def cheapest(times: Sequence[float], errors: Sequence[Sequence[float]], targets: Sequence[float]) -> int | None:
+def cheapest(
+    times: Sequence[float], errors: Sequence[Sequence[float]], targets: Sequence[float]
+) -> int | None:
     """Index of the fastest whose errors are all at most their targets; None where none is."""
     able = [
         i

@@ -8,6 +8,7 @@ import sys
 import click
 
 from lidar_emu import __version__
+from lidar_emu.cli.bench import bench
 from lidar_emu.cli.detection import detection
 from lidar_emu.cli.documents import icd, scenarios, schema
 from lidar_emu.cli.listen import listen
@@ -37,12 +38,13 @@ def cli(context: click.Context) -> None:
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
     lidar-emu detection descent.yaml                  what the instrument will detect, by altitude
     lidar-emu plan descent.yaml                       what the run computes and what it leaves out
+    lidar-emu bench accuracy descent.yaml             error and time of every level
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help())
 
 
-for command in (run, listen, simulate, detection, plan, scenarios, schema, icd):
+for command in (run, listen, simulate, detection, plan, bench, scenarios, schema, icd):
     cli.add_command(command)
 
 

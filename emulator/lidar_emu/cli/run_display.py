@@ -82,8 +82,12 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
         steal = "" if told["steal_ticks"] is None else f"; host steal {told['steal_ticks']} ticks"
         lines.append(f"lateness   {figures}{steal}")
     lines += [f"beam {beam:<6}{_reasons(counts)}" for beam, counts in enumerate(told["beams"])]
-    lines.append(f"range      error {_error(told['range_error_m'], 1, 'm')}")
-    lines.append(f"speed      error {_error(told['speed_error_mps'], 1000, 'mm/s')}")
+    for name, key, factor, unit in (
+        ("range", "range_error_m", 1, "m"),
+        ("speed", "speed_error_mps", 1000, "mm/s"),
+    ):
+        lines.append(f"{name:<10} error {_error(told[key], factor, unit)}")
+        lines += _expected(told[f"expected_{key}"], factor, unit)
     if told["wire"]["sent_bytes"] is not None:
         load = f", {100 * told['wire']['load']:.1f} % of the link" if told["wire"]["load"] else ""
         lines.append(f"wire       {told['wire']['sent_bytes']} bytes{load}")
@@ -106,6 +110,14 @@ def _time(nanoseconds: int) -> str:
 def _reasons(counts: dict[str, int]) -> str:
     total = sum(counts.values())
     return ", ".join(f"{name.replace('_', ' ')} {100 * n / total:.1f} %" for name, n in counts.items())
+
+
+def _expected(statistics: dict[str, Any] | None, factor: float, unit: str) -> list[str]:
+    """A line, where there is an expectation."""
+    if statistics is None or statistics["rms"] is None:
+        return []
+    rms, mean = factor * statistics["rms"], factor * statistics["mean"]
+    return [f"{'':10} expected {rms:.4g} {unit} rms, {mean:+.3g} {unit} mean, false locks aside"]
 
 
 def _error(statistics: dict[str, Any], factor: float, unit: str) -> str:

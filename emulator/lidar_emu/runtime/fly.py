@@ -17,7 +17,7 @@ from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.pacing import Pace
 from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.runtime.run import PortRunner
-from lidar_emu.runtime.summary import Tally
+from lidar_emu.runtime.summary import Tally, expectation
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block, Session
 from lidar_emu.shots import Model
@@ -114,6 +114,7 @@ class Run:
         self._interrupted = False
         self._start_utc: datetime | None = None
         self.tally = Tally(options.pace)
+        self._expected = expectation(scenario, model)
 
     def fly(self) -> Outcome:
         """Run to the end, or until SIGINT (Ctrl-C), SIGTERM or SIGHUP, which end the run as cleanly.
@@ -218,6 +219,7 @@ class Run:
             },
             "link_event_count": port.event_count,
             "link_events": [{"time_s": event.time_ns * 1e-9, "what": event.text} for event in port.events],
+            **self._expected,
             "left_out": [row for row in self._model.plan.rows() if not row["computed"]],
         }
 

@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
+from lidar_emu.expected_error import expected_error
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.runtime.lateness import LatenessHistogram
 from lidar_emu.runtime.pacing import Pace
 from lidar_emu.runtime.packets import Fate, Report
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+from lidar_emu.shots import FlightModel, Model
 
 _DROPS = {Fate.DROPPED_FULL: "full", Fate.DROPPED_NOBODY: "nobody_connected", Fate.DROPPED_BROKEN: "broken"}
 
@@ -122,3 +125,17 @@ class Tally:
             "range_error_m": self.range_error_m.to_json(),
             "speed_error_mps": self.speed_error_mps.to_json(),
         }
+
+
+def expectation(scenario: FlightScenario | BenchScenario, model: Model) -> dict[str, Any]:
+    """What the closed forms expect of the run, under the names of the summary file; null for a bench pattern."""
+    names = ("expected_range_error_m", "expected_speed_error_mps", "expected_dropout")
+    if not (isinstance(scenario, FlightScenario) and isinstance(model, FlightModel)):
+        return dict.fromkeys(names)
+    told = expected_error(scenario, model.flight, model.plan.beamlets).to_json()
+    values = (
+        {"mean": told["range_bias_m"], "rms": told["range_rms_m"]},
+        {"mean": told["speed_bias_mps"], "rms": told["speed_rms_mps"]},
+        told["dropout"],
+    )
+    return dict(zip(names, values, strict=True))

@@ -22,10 +22,8 @@ TARGETS = 4
 
 _BIN_VARIANCE = 1.0 / 12.0
 
-_HANN_VARIANCE_TIMES_SNR = 0.49
-"""In bins², mean over where in its bin the tone lies: 0.070 bin at 20 dB."""
-
-_LEAST_VARIANCE = 1e-12
+_LEAST_VARIANCE, _MOST_VARIANCE = 1e-12, 1.0 / 3.0
+"""That of a tone of which nothing is known but that it lies within a bin of this one."""
 
 
 class Targets(NamedTuple):
@@ -141,14 +139,16 @@ def _hann_offset(
     """Offset from bin `place`, and variance in noise of that level there.
 
     For a tone δ off the middle bin q = Re[(H₋ - H₊)/(2 H₀ + H₋ + H₊)] is 3δ / (2 (1 - δ²)); the root in the form
-    without 0/0. Next to bin 0 and N/2 a tone's own image biases it by up to half a bin.
+    without 0/0. With θ = 2πn/N the two sums are under the windows j (1 - cos θ) sin θ, of mean square 5/8, and
+    sin²θ, 3/8, and not correlated, so that var q = (5 + 3q²)/16 over the signal to noise of the latter sum. Next to
+    bin 0 and N/2 a tone's own image biases it by up to half a bin.
     """
     before, here, after = bins[row, place - 1], bins[row, place], bins[row, place + 1]
-    q = ((before - after) / (2.0 * here + before + after)).real
+    total = 2.0 * here + before + after
+    q = ((before - after) / total).real
     offset = 4.0 * q / (3.0 + np.sqrt(9.0 + 16.0 * q * q))
-    near = np.minimum(np.abs(offset), 0.5)
-    gain = 0.5 * np.sinc(near) / (1.0 - near * near)
-    snr = np.square(np.abs(here) / gain) / level
-    variance = np.maximum(_HANN_VARIANCE_TIMES_SNR / snr, _LEAST_VARIANCE)
+    slope = 1.5 * (1.0 + offset**2) / (1.0 - offset**2) ** 2
+    variance = (5.0 + 3.0 * q * q) / 16.0 * level / np.square(np.abs(total) * slope)
+    variance = np.clip(variance, _LEAST_VARIANCE, _MOST_VARIANCE)
     image = (place <= 2) | (place >= bins.shape[1] - 3)
     return offset, np.where(image, np.maximum(variance, _BIN_VARIANCE), variance)

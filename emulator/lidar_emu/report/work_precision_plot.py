@@ -1,0 +1,97 @@
+"""One picture of what accuracy costs: error over time, a point per setting, the Pareto front joined."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from lidar_emu.report.descent_plot import check_plot_path
+from lidar_emu.report.whole_file import whole_file
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Mark", "check_plot_path", "plot_work_precision"]
+
+_SIZE_INCH = (16.0, 11.0)
+_DOTS_PER_INCH = 100
+_MARKERS = "osD^vP"
+
+
+class Mark(NamedTuple):
+    """One setting."""
+
+    family: str
+    """Settings of a family share colour and marker."""
+    label: str
+    """Stands beside the point if it is on the front."""
+    time_s: float
+    error: float
+    on_front: bool
+
+
+def plot_work_precision(
+    panels: Sequence[tuple[str, Sequence[Mark], float | None]], title: str, path: Path
+) -> None:
+    """Draw panels side by side as a PNG of 1600 by 1100 pixels.
+
+    Args:
+        panels: the error's name with its unit, the settings, and the error below which nothing can be told from chance.
+            An error of 0, the reference's own, is drawn on the lower edge.
+        title: stands above the panels.
+        path: a `.png`.
+
+    Raises:
+        InputError: as `check_plot_path`.
+        RunError: writing failed on the way.
+    """
+    check_plot_path(path)
+    figure = _draw(panels, title)
+    with whole_file(path) as file:
+        figure.savefig(file, format="png")
+
+
+def _draw(panels: Sequence[tuple[str, Sequence[Mark], float | None]], title: str) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=_SIZE_INCH, dpi=_DOTS_PER_INCH, layout="constrained")
+    figure.suptitle(title, fontsize=17)
+    for axes, (name, marks, floor) in zip(
+        figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
+    ):
+        _add_panel(axes, marks, floor)
+        axes.set(xscale="log", yscale="log", xlabel="time per beam measurement (s)", ylabel=name)
+        axes.grid(color="0.92")
+        axes.legend(frameon=False)
+    return figure
+
+
+def _add_panel(axes: Axes, marks: Sequence[Mark], floor: float | None) -> None:
+    lowest = 0.3 * min((mark.error for mark in marks if mark.error > 0.0), default=1.0)
+    front = sorted((mark.time_s, max(mark.error, lowest)) for mark in marks if mark.on_front)
+    axes.plot(*zip(*front, strict=True), color="0.6", linewidth=1.2, zorder=1, label="Pareto front")
+    if floor is not None and floor > 0.0:
+        axes.axhline(floor, color="0.6", linestyle=":", zorder=1, label="told from chance down to here")
+    for number, family in enumerate(dict.fromkeys(mark.family for mark in marks)):
+        label: str | None = family
+        for size, edge, wanted in ((7.0, "none", False), (11.0, "black", True)):
+            shown = [mark for mark in marks if (mark.family, mark.on_front) == (family, wanted)]
+            if not shown:
+                continue
+            axes.plot(
+                [mark.time_s for mark in shown],
+                [max(mark.error, lowest) for mark in shown],
+                _MARKERS[number % len(_MARKERS)],
+                color=f"C{number % 10}",
+                markersize=size,
+                markeredgecolor=edge,
+                label=label,
+                zorder=2,
+            )
+            label = None
+    for mark in marks:
+        if mark.on_front:
+            place = (mark.time_s, max(mark.error, lowest))
+            axes.annotate(mark.label, place, textcoords="offset points", xytext=(8, 5), fontsize=9)

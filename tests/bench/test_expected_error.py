@@ -1,0 +1,57 @@
+"""Errors expected from closed forms against those of simulated flights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lidar_emu.expected_error import expected_error
+from lidar_emu.runtime.summary import expectation
+from lidar_emu.scenario.load import load
+from lidar_emu.shots import build_model, measure_whole
+
+FLIGHTS = {
+    "published": ("descent.yaml", {}),
+    "fine": ("descent.yaml", {"instrument": "ndl_fine"}),
+    "steady echoes": (
+        "descent.yaml",
+        {"instrument.optics.speckle": "off", "instrument.detection.peak": "hann"},
+    ),
+    "little light": ("descent.yaml", {"instrument": "ndl_fine", "instrument.optics.laser_power_w": "0.03"}),
+    "wrong slope": ("descent.yaml", {"instrument.waveform.slope_error": "2e-4"}),
+    "oblique": ("paper_fig5.yaml", {"timing.rate_hz": "20", "instrument": "ndl_fine"}),
+    "one beamlet": ("descent.yaml", {"instrument": "ndl_fine", "instrument.optics.beamlets": "1"}),
+}
+
+
+@pytest.mark.parametrize("name", FLIGHTS)
+def test_expectation_beside_a_flight(name):
+    scenario = load(*FLIGHTS[name])
+    model = build_model(scenario)
+    expected = expected_error(scenario, model.flight, model.plan.beamlets)
+    run = measure_whole(model)
+    range_m, speed_mps = run.range_m - run.true_range_m, run.closing_speed_mps - run.true_closing_speed_mps
+    # A false lock is kilometres off.
+    good = np.abs(range_m) < 5.0
+    assert expected.range_rms_m == pytest.approx(np.sqrt(np.mean(range_m[good] ** 2)), rel=0.2)
+    assert expected.speed_rms_mps == pytest.approx(np.sqrt(np.mean(speed_mps[good] ** 2)), rel=0.2)
+    assert expected.range_bias_m == pytest.approx(np.mean(range_m[good]), rel=0.1, abs=0.005)
+    assert expected.speed_bias_mps == pytest.approx(np.mean(speed_mps[good]), rel=0.2, abs=5e-5)
+    assert expected.dropout == pytest.approx(1.0 - run.range_valid[run.fired].mean(), rel=0.2, abs=0.025)
+
+
+def test_level_geometric_has_no_errors():
+    scenario = load("descent.yaml", {"level": "geometric"})
+    model = build_model(scenario)
+    assert set(expected_error(scenario, model.flight, 1).to_json().values()) == {0.0}
+
+
+def test_the_dark_expects_nothing_but_dropouts():
+    scenario = load("descent.yaml", {"instrument.optics.laser_power_w": "1e-12"})
+    model = build_model(scenario)
+    assert expected_error(scenario, model.flight, model.plan.beamlets).dropout == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_bench_pattern_has_no_expectation():
+    scenario = load("bench.yaml", {})
+    assert set(expectation(scenario, build_model(scenario)).values()) == {None}

@@ -1,0 +1,142 @@
+"""`lidar-emu bench accuracy`: complete for people, machines and the eye, on an instrument with short records."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+from click.testing import CliRunner
+
+from lidar_emu.bench.accuracy import AccuracyReport, measure_accuracy
+from lidar_emu.cli import cli
+from lidar_emu.errors import InputError, RunError
+from lidar_emu.scenario.load import load
+
+SHORT = {
+    "duration_s": "1.5",
+    "instrument.waveform.fft_length": "4096",
+    "instrument.optics.laser_power_w": "40",
+}
+BEAMLETS = [1, 7, 19, 37, 61, 127]
+
+
+@pytest.fixture(scope="module")
+def report():
+    return measure_accuracy(load("descent.yaml", SHORT), 30, lambda _: None)
+
+
+@pytest.fixture
+def run(monkeypatch, report):
+    def invoke(*arguments: str, told: AccuracyReport = report):
+        monkeypatch.setattr("lidar_emu.bench.accuracy.measure_accuracy", lambda *_: told)
+        return CliRunner().invoke(cli, ["bench", "accuracy", *arguments], standalone_mode=False)
+
+    return invoke
+
+
+@pytest.fixture
+def told(run):
+    done = run("--json", "--target-range-error", "1e3")
+    assert done.exception is None, done.exception
+    return json.loads(done.stdout)
+
+
+def test_every_level_and_dial_is_there(told):
+    found = {(row["level"], row["exact"], row["beamlets"]) for row in told["settings"]}
+    expected = {("geometric", True, 1)}
+    for level, exact in (("statistical", True), ("spectral", False), ("spectral", True), ("waveform", True)):
+        expected |= {(level, exact, beamlets) for beamlets in BEAMLETS}
+    assert found == expected
+    assert len(told["settings"]) == len(expected)
+
+
+def test_figures_are_complete(told):
+    for row in told["settings"]:
+        assert row["time_s"] == pytest.approx(row["front_s"] + row["receiver_s"])
+        assert row["time_s"] > 0
+        names = ["faster_than_waveform", "range_error_m", "speed_error_mps", "dropout_error"]
+        if row["level"] != "waveform":
+            names += ["range_bias_m", "range_rms_m", "speed_bias_mps", "speed_rms_mps", "dropout"]
+        assert all(math.isfinite(row[name]) for name in names), row
+    assert told["cheapest"] == "geometric"
+    assert [method["name"].split(",")[0] for method in told["spectra"]] == [
+        "samples and FFT",
+        *["published"] * 4,
+        "bin by bin",
+    ]
+
+
+def test_the_reference_is_exact_and_geometric_is_what_it_leaves_out(told):
+    rows = {row["name"]: row for row in told["settings"]}
+    reference = rows[told["reference"]]
+    assert (reference["range_error_m"], reference["speed_error_mps"], reference["dropout_error"]) == (0, 0, 0)
+    assert reference["pareto"]
+    assert rows["geometric"]["range_rms_m"] == 0
+    spectral = rows["spectral 127"]
+    assert rows["geometric"]["range_error_m"] == pytest.approx(spectral["range_rms_m"], rel=1e-3)
+    # Range bins of 11 m: levels agree to a small part of one.
+    assert spectral["range_error_m"] < 0.01 < 0.5 < spectral["range_rms_m"]
+    errors = {method["name"]: method["error"] for method in told["spectra"]}
+    assert errors["bin by bin"] < 1e-9
+    assert errors["published, nearest, 2048 points"] > 1e-3 > errors["published, cubic, 2048 points"]
+
+
+def test_table_names_every_setting(run):
+    done = run()
+    assert done.exception is None, done.exception
+    for name in (
+        "geometric",
+        *(f"{level} {n}" for level in ("statistical", "spectral", "waveform") for n in BEAMLETS),
+    ):
+        assert name in done.stdout
+    assert "bin by bin" in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
+
+
+def test_picture(run, tmp_path):
+    assert run("--plot", str(tmp_path / "accuracy.png")).exception is None
+    assert (tmp_path / "accuracy.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_cheapest_for_a_target(run, report):
+    rows = {result.setting.name: result for result in report.results}
+    bound = 1.01 * report.told(rows["spectral 127"]).range_m
+    able = [r for r in report.results if report.told(r).range_m <= bound]
+    wanted = min(able, key=lambda r: r.time_s).setting
+    lines = run("--target-range-error", repr(bound)).stdout.splitlines()
+    assert lines[-1].startswith(f"cheapest: {wanted.name},")
+    assert f"--set level={wanted.level} --set instrument.optics.beamlets={wanted.beamlets}" in lines[-1]
+
+
+def test_a_target_that_nothing_meets_fails(run, report):
+    without_reference = replace(report, results=report.results[:3])
+    error = run("--target-range-error", "1e-9", told=without_reference).exception
+    assert isinstance(error, RunError)
+    assert "no setting" in str(error)
+
+
+def test_settings_of_a_common_draw_are_told_below_the_floor(report):
+    for result in report.results:
+        if result.setting.shares_draws:
+            assert report.told(result) == result.error
+        else:
+            assert report.told(result).range_m >= report.floor.range_m
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("--shots", "few"), "--shots"),
+        (("--shots", "3"), "--shots"),
+        (("--target-range-error", "-1"), "--target-range-error"),
+        (("--target-speed-error", "nan"), "--target-speed-error"),
+        (("--plot", "/nowhere/at/all.png"), "/nowhere/at/all.png"),
+        (("bench.yaml",), "bench pattern"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(run, arguments, named):
+    error = run(*arguments).exception
+    assert isinstance(error, InputError)
+    assert named in str(error)
