@@ -15,7 +15,6 @@ from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Waveform
 from lidar_emu.scenario.schema import FlightScenario
 
-
 SMEAR_BOUND = LEAST_SMEAR_BINS / (2 * np.pi)
 """Amplitude that the smear left out has beside a line, over the line's."""
 
@@ -126,7 +125,7 @@ def _line(scenario: FlightScenario, echoes: Echoes) -> Decision:
 def _speckle(scenario: FlightScenario) -> Decision:
     if not scenario.instrument.optics.speckle:
         return Decision("speckle", False, "-", "the instrument has none", "exact")
-    return Decision("speckle", True, "a Gaussian weight per beamlet", "echoes fade", "correlation to 0.033")
+    return Decision("speckle", True, "a Gaussian weight per beamlet", "echoes fade", "correlation to 0.035")
 
 
 def _response(instrument: Instrument) -> Decision:

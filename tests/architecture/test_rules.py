@@ -53,7 +53,9 @@ def test_files_are_short():
     assert long == {}
 
 
-@pytest.mark.parametrize("command", [[], ["run"], ["listen"], ["simulate"], ["plan"], ["detection"], ["schema"], ["icd"]])
+@pytest.mark.parametrize(
+    "command", [[], ["run"], ["listen"], ["simulate"], ["plan"], ["detection"], ["bench"], ["schema"], ["icd"]]
+)
 def test_help_loads_nothing_heavy(command):
     code = (
         "import sys; sys.argv = ['lidar-emu', *%r, '--help']\n"

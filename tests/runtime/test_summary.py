@@ -12,7 +12,10 @@ from lidar_emu.shots import build_model, measure_in_blocks, simulate
 
 
 def test_blocks_count_once_their_packets_have_met_their_fate():
-    scenario = load("descent.yaml", {"instrument": "ndl_as_published", "duration_s": "5", "scanner.pattern.angle_deg": "22.5"})
+    scenario = load(
+        "descent.yaml",
+        {"instrument": "ndl_as_published", "duration_s": "5", "scanner.pattern.angle_deg": "22.5"},
+    )
     tally = Tally(Pace.WALL)
     for block in measure_in_blocks(build_model(scenario), 32):
         tally.measured(block)

@@ -9,12 +9,17 @@ from lidar_emu.errors import InputError
 from lidar_emu.fmcw.constants import BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C, PLANCK_J_S
 from lidar_emu.fmcw.echo import haze_w_per_m, sunlight_over_shot
 from lidar_emu.fmcw.false_alarms import log_exceedance
-from lidar_emu.fmcw.limits import LEAST_FALSE_ALARM, LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
+from lidar_emu.fmcw.limits import (
+    LEAST_FALSE_ALARM,
+    LEAST_LINE_DRIFT,
+    LEAST_LINE_SCATTER_BINS,
+    LEAST_SMEAR_BINS,
+)
 from lidar_emu.fmcw.model import Haze, ReceiverModel
 from lidar_emu.fmcw.peaks import METHODS
 from lidar_emu.fmcw.response import Response
 from lidar_emu.fmcw.spectrum import WINDOWS, Window
-from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Receiver, Waveform
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Waveform
 from lidar_emu.scenario.site import Site
 
 
@@ -74,7 +79,8 @@ def build_receiver(
         window_centre=window.centre,
         window_side=window.side,
         noise_power=window.noise_power,
-        independent_share=1.0 - _followed(window, threshold),
+        # Averaging looks makes a peak's neighbours no likelier than chance, nearly.
+        independent_share=1.0 - _followed(window, threshold) if detection.looks == 1 else 1.0,
         threshold=threshold,
         group_power_share=detection.group_fraction**2,
         peak_method=METHODS[detection.peak],
@@ -84,6 +90,7 @@ def build_receiver(
         record_edge_range_m=waveform.record_edge_range_m,
         least_smear_bins=0.0 if exact else LEAST_SMEAR_BINS,
         least_line_drift=0.0 if exact else LEAST_LINE_DRIFT,
+        least_line_scatter_bins=0.0 if exact else LEAST_LINE_SCATTER_BINS,
         least_false_alarm=0.0 if exact else LEAST_FALSE_ALARM,
     )
 
@@ -117,7 +124,9 @@ def _response(instrument: Instrument, amplifier: float, digitiser: float) -> Res
     lowpass_bin = np.inf if receiver.bandwidth_hz is None else receiver.bandwidth_hz / bin_hz
     full_scale = np.inf
     if receiver.adc is not None:
-        shot_a2_per_hz = 2.0 * ELEMENTARY_CHARGE_C * receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
+        shot_a2_per_hz = (
+            2.0 * ELEMENTARY_CHARGE_C * receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
+        )
         noise_a2 = (amplifier + digitiser) * shot_a2_per_hz * 0.5 * waveform.sample_rate_hz
         # White noise of unit power per bin has the variance N/4 where a tone of unit weight has the amplitude 1.
         noise_v = receiver.transimpedance_ohm * np.sqrt(noise_a2)

@@ -11,6 +11,7 @@ from lidar_emu.kernels import njit
 MAX_GROUPS = 4
 """Groups kept of one spectrum, the strongest."""
 
+
 @njit(cache=True)
 def find_groups(
     power: FloatArray, noise: FloatArray, threshold: float, floor: float, peaks: NDArray[np.int64]

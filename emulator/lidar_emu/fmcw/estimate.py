@@ -69,7 +69,9 @@ def chirp_minus_doppler(
     excess = longer - 2.0 * constant
     residual = excess - shorter if abs(excess - shorter) <= abs(excess + shorter) else excess + shorter
     apart = (down - up) ** 2 > _RESOLVED_COST * (up_var + down_var)
-    consistent = residual**2 <= _RESOLVED_COST * (up_var + 4.0 * constant_var + down_var)
+    scatter = np.sqrt(_RESOLVED_COST * (up_var + 4.0 * constant_var + down_var))
+    # Motion and the chirps' optical frequencies set the segments apart by a part of a bin.
+    consistent = abs(residual) <= scatter + 1.0
     return Estimate(
         True,
         longer - constant,

@@ -8,27 +8,11 @@ from numpy.typing import NDArray
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.fmcw.model import ReceiverModel
 from lidar_emu.fmcw.philox import uniform_pair, unit_phasor
+from lidar_emu.fmcw.records import PHASE, SPECKLE
 from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.sine import FAST
 from lidar_emu.fmcw.speckle import SLOTS, forget, set_weights
+from lidar_emu.fmcw.tones import relative_turn
 from lidar_emu.kernels import njit
-
-
-@njit(cache=True, fastmath=FAST)
-def relative_turn(
-    model: ReceiverModel, segment: int, time_records: float, ahead_m: float, faster_mps: float
-) -> float:
-    """Phase of one beamlet's echo beside that of another, in turns, from what it is at the time of validity.
-
-    With k of the segment the phase is that of exp(-2jkL): it turns with the beamlets' own Doppler shifts, and from
-    segment to segment as the optical frequency changes, over a beamlet's range beside the other's.
-
-    Args:
-        time_records: from the time of validity, in records.
-        ahead_m, faster_mps: range and closing speed less those of the other, at the time of validity.
-    """
-    off_carrier = (model.carrier_ratio[segment] - 1.0) / model.speed_bin_mps / model.record_time_s
-    return faster_mps / model.speed_bin_mps * time_records - off_carrier * ahead_m
 
 
 def echo_field(
@@ -48,9 +32,6 @@ def echo_field(
         shot: (shots,) numbers of the shots.
         seed: 64 bits, of everything drawn.
     """
-    # What these numbers are for is stated beside the spectra, whose tones may in turn use `relative_turn`.
-    from lidar_emu.fmcw.records import PHASE, SPECKLE
-
     lit = (echoes.range_m > 0.0) & (echoes.power_w > 0.0)
     lit &= np.isfinite(echoes.power_w) & np.isfinite(echoes.closing_speed_mps)
     snr = np.where(lit, echoes.power_w, 0.0) * model.snr_per_w
@@ -108,7 +89,6 @@ def _set_field(
                     set_weights(seed, b, purposes[1], east, north, held, corners, words, weights)
                 sense = -1.0 if segment == 0 else 1.0
                 first = -1
-                count = 0
                 for i in range(beamlets):
                     if not lit[s, b, i]:
                         continue
@@ -117,10 +97,11 @@ def _set_field(
                     value = complex(amplitude[s, b, i], 0.0)
                     turn = common_turn
                     if model.speckle:
-                        value *= complex(weights[0, count], sense * weights[1, count])
+                        value *= complex(weights[0, i], sense * weights[1, i])
                         ahead_m = range_m[s, b, i] - range_m[s, b, first]
                         faster_mps = closing_speed_mps[s, b, i] - closing_speed_mps[s, b, first]
-                        turn += sense * relative_turn(model, segment, time_records, ahead_m, faster_mps)
+                        turn += sense * relative_turn(
+                            model, segment, time_records, range_m[s, b, first], ahead_m, faster_mps
+                        )
                     cosine, sine = unit_phasor(turn + 0.5 - np.floor(turn + 0.5))
                     field[s, b, segment, i] = value * complex(cosine, sine)
-                    count += 1

@@ -6,7 +6,13 @@ LEAST_SMEAR_BINS = 0.05
 """A beat that changes by less during its record is left unsmeared: 0.8 % of the line's amplitude beside it."""
 
 LEAST_LINE_DRIFT = 0.01
-"""A smaller phase variance of the laser over the delay is left out: 1 % of the echo's power."""
+LEAST_LINE_SCATTER_BINS = 0.005
+"""The laser's line is left out where both its phase variance over the delay and the frequency scatter that it causes,
+σ = τ sqrt(6Δν/π) in bins and records, are smaller: 1 % of the echo's power."""
+
+GROSS_RESIDUAL_BINS = 256.0
+"""Three frequencies that disagree by more are not those of one target: even a footprint at grazing incidence is
+narrower."""
 
 LEAST_FALSE_ALARM = 1e-9
 """Peaks of noise that matter with a smaller probability are not drawn."""

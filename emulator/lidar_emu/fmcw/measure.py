@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import FloatArray
+from lidar_emu.fmcw.beam_filter import widest_filter
 from lidar_emu.fmcw.estimate import Estimate, chirp_minus_doppler, least_squares
+from lidar_emu.fmcw.limits import GROSS_RESIDUAL_BINS
 from lidar_emu.fmcw.model import ReceiverModel, Workspace, build_workspace, without_owners
 from lidar_emu.fmcw.reasons import Reason
-from lidar_emu.fmcw.records import set_spectrum, widest_filter
+from lidar_emu.fmcw.records import set_spectrum
 from lidar_emu.fmcw.speckle import forget
 from lidar_emu.fmcw.statistical import draw_targets
 from lidar_emu.fmcw.targets import find_targets
@@ -43,6 +45,9 @@ BEAM_RETURN = np.dtype(
 )
 """One row of `Returns`."""
 
+_FASTEST = 1e12
+"""Largest acceleration, place or drift."""
+
 _VALID = int(Reason.VALID)
 _NOT_FIRED = int(Reason.NOT_FIRED)
 _BEYOND_RANGE = int(Reason.BEYOND_RANGE)
@@ -54,22 +59,25 @@ def measure_beams(
     model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed: int, rows: NDArray[Any]
 ) -> None:
     """Fill `rows` (shots, beams) from beamlets; see `receive`."""
-    arrays = tuple(
-        np.ascontiguousarray(getattr(echoes, name), dtype=float)
-        for name in (
-            "range_m",
-            "closing_speed_mps",
-            "power_w",
-            "range_rate_mps",
-            "closing_acceleration_mps2",
-            "smear_acceleration_mps2",
-            "speckle_place",
-            "speckle_drift_per_s",
-        )
+    beamlets = ("range_m", "closing_speed_mps", "power_w", "range_rate_mps")
+    beams = (
+        "closing_acceleration_mps2",
+        "smear_acceleration_mps2",
+        "speckle_place",
+        "speckle_drift_per_s",
+    )
+    arrays = (
+        *(np.ascontiguousarray(getattr(echoes, name), dtype=float) for name in beamlets),
+        *(_bounded(getattr(echoes, name)) for name in beams),
     )
     flags = np.ascontiguousarray(echoes.fired), np.ascontiguousarray(echoes.inside)
     work = build_workspace(echoes.range_m.shape[2], model.looks, _widest(model, *arrays[:2], arrays[5]))
     _measure(model, work, *arrays, *flags, np.ascontiguousarray(shot, dtype=np.int64), np.uint64(seed), rows)
+
+
+def _bounded(values: FloatArray) -> FloatArray:
+    """Within what the kernels' arithmetic bears, far beyond any motion; 0 where nothing is known."""
+    return np.ascontiguousarray(np.clip(np.where(np.isnan(values), 0.0, values), -_FASTEST, _FASTEST))
 
 
 @njit(cache=True)
@@ -121,14 +129,22 @@ def _measure(
                 row.reason = _INSIDE_GROUND
                 continue
             row.reason, count, total_w = gather_beamlets(
-                model, range_m[s, b], closing_speed_mps[s, b], power_w[s, b], range_rate_mps[s, b], work.beamlets
+                model,
+                range_m[s, b],
+                closing_speed_mps[s, b],
+                power_w[s, b],
+                range_rate_mps[s, b],
+                work.beamlets,
             )
             if row.reason == _INSIDE_GROUND:
                 continue
             half = 0
             if count > 0:
                 half = widest_filter(
-                    model, work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0], smear_acceleration_mps2[s, b]
+                    model,
+                    work.beamlets[RANGE_M, 0],
+                    work.beamlets[SPEED_MPS, 0],
+                    smear_acceleration_mps2[s, b],
                 )
             forget(work.held)
             for segment in range(3):
@@ -172,10 +188,33 @@ def _find(
     """Targets of one segment, by the closed-form error model or from its spectrum."""
     if model.statistical:
         return draw_targets(
-            model, work, count, segment, acceleration_mps2, smear_mps2, place, drift_per_s, power_w, shot, beam, seed
+            model,
+            work,
+            count,
+            segment,
+            acceleration_mps2,
+            smear_mps2,
+            place,
+            drift_per_s,
+            power_w,
+            shot,
+            beam,
+            seed,
         )
     bins = set_spectrum(
-        model, work, count, half, segment, acceleration_mps2, smear_mps2, place, drift_per_s, power_w, shot, beam, seed
+        model,
+        work,
+        count,
+        half,
+        segment,
+        acceleration_mps2,
+        smear_mps2,
+        place,
+        drift_per_s,
+        power_w,
+        shot,
+        beam,
+        seed,
     )
     return find_targets(model, work, bins, segment, shot, beam, seed)
 
@@ -232,8 +271,8 @@ def _report(model: ReceiverModel, estimate: Estimate, row: Any) -> None:
     """An estimate in SI, if it may be reported, else the reason why not."""
     distance_m = estimate.range_bin * model.range_bin_m
     row.residual_mps = 0.5 * estimate.residual_bin * model.speed_bin_mps
-    row.sign_resolved = estimate.sign_resolved
-    if not (estimate.found and distance_m >= 0.0):
+    gross = model.joint_estimate and abs(estimate.residual_bin) > GROSS_RESIDUAL_BINS
+    if gross or not (estimate.found and distance_m >= 0.0):
         row.reason = _AMBIGUOUS
     elif distance_m > model.maximum_range_m:
         row.reason = _BEYOND_RANGE
@@ -241,6 +280,7 @@ def _report(model: ReceiverModel, estimate: Estimate, row: Any) -> None:
         row.reason = _VALID
         row.range_valid = True
         row.speed_valid = True
+        row.sign_resolved = estimate.sign_resolved
         row.range_m = distance_m
         row.closing_speed_mps = estimate.doppler_bin * model.speed_bin_mps
         row.sigma_range_m = sqrt(estimate.range_variance) * model.range_bin_m

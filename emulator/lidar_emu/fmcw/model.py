@@ -77,7 +77,8 @@ class ReceiverModel(NamedTuple):
     least_smear_bins: float
     """Smaller changes of a beat during a record are left out."""
     least_line_drift: float
-    """Smaller phase variances of the laser over the delay are left out."""
+    least_line_scatter_bins: float
+    """Where both are smaller the laser's line is left out."""
     least_false_alarm: float
     """Smaller probabilities that noise elsewhere matters are left out."""
 
@@ -89,7 +90,7 @@ class Workspace(NamedTuple):
     """
 
     beamlets: FloatArray
-    """(5, beamlets) see `echo_state`."""
+    """(6, beamlets) see `gather_beamlets`."""
     tones: FloatArray
     """(looks, 4, tones) see `set_tones`; also the places of all, one after another, to lay bins."""
     places: FloatArray
@@ -118,7 +119,7 @@ def build_workspace(beamlets: int, looks: int, half: int) -> Workspace:
     reach = REACH + max(0, half - LEAST_TAPS)
     capacity = grid_capacity(looks * (beamlets + 1), reach)
     return Workspace(
-        beamlets=np.empty((5, beamlets)),
+        beamlets=np.empty((6, beamlets)),
         tones=np.zeros((looks, 4, tones)),
         places=np.empty((2, looks * (beamlets + 1))),
         residues=np.empty((2, tones)),

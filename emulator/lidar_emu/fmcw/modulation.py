@@ -28,7 +28,9 @@ def _moments() -> FloatArray:
     node, weight = np.polynomial.legendre.leggauss(64)
     x, weight = 0.5 * node, 0.5 * weight
     taps = np.cos(2 * np.pi * np.arange(LEAST_TAPS + 1)[:, None] * x)
-    return np.array([(taps * x ** (2 * p) * weight).sum(axis=1) * np.pi**p / factorial(p) for p in range(_TERMS)])
+    return np.array(
+        [(taps * x ** (2 * p) * weight).sum(axis=1) * np.pi**p / factorial(p) for p in range(_TERMS)]
+    )
 
 
 _MOMENTS = _moments()
@@ -127,9 +129,7 @@ def line_taps(
 
 
 @njit(cache=True, error_model="numpy")
-def _line_powers(
-    rate: float, drift: float, loss: float, omega: float, delay: float
-) -> tuple[float, float]:
+def _line_powers(rate: float, drift: float, loss: float, omega: float, delay: float) -> tuple[float, float]:
     """P and Q of `line_taps` at one angular frequency."""
     if drift < 1e-3:
         # The triangle's own transform; the two forms below cancel to it.
@@ -183,7 +183,13 @@ def convolve_taps(first: FloatArray, second: FloatArray, half: int, result: Floa
 
 @njit(cache=True, fastmath=FAST)
 def filter_bins(
-    taps: FloatArray, half: int, mirrored: bool, grid: FloatArray, count: int, bins: FloatArray, scratch: FloatArray
+    taps: FloatArray,
+    half: int,
+    mirrored: bool,
+    grid: FloatArray,
+    count: int,
+    bins: FloatArray,
+    scratch: FloatArray,
 ) -> None:
     """Apply a common factor's taps to the first `count` bins; `mirrored` for tones folded at 0 or N/2.
 

@@ -93,7 +93,7 @@ def peak(
         variance = _MOST_VARIANCE
     # Three quarters of a bin away the neighbour would be the highest: it is noise that says so.
     if abs(offset) > 0.75 or grid[BIN, j] <= 2.0 or grid[BIN, j] >= 0.5 * length - 2.0:
-        variance = max(variance, BIN_VARIANCE)
+        variance = _MOST_VARIANCE if abs(offset) <= 0.75 else max(variance, BIN_VARIANCE)
     return offset, max(variance, _LEAST_VARIANCE)
 
 

@@ -127,7 +127,12 @@ def fill_complex_normals(
 
 @njit(cache=True)
 def _fill_words(
-    seed: np.uint64, number: np.uint64, use: np.uint64, first: np.uint64, count: int, words: NDArray[np.uint64]
+    seed: np.uint64,
+    number: np.uint64,
+    use: np.uint64,
+    first: np.uint64,
+    count: int,
+    words: NDArray[np.uint64],
 ) -> None:
     k0, k1 = seed & _LOW, seed >> _WORD
     low, high = number & _LOW, number >> _WORD

@@ -6,7 +6,7 @@ each axis, whose squares sum to 1. Averaged over the cell its correlation over a
 
     (1 - |x|/2) cos(πx/2) + sin(π|x|/2)/π  for |x| < 2,
 
-within 0.033 of the Gaussian exp(-D²/w²) where the pitch is (π/√8) w.
+within 0.035 of the Gaussian exp(-D²/w²) where the pitch is (π/√8) w.
 """
 
 from __future__ import annotations

@@ -77,9 +77,7 @@ def fold(signed_bin: float, length: float) -> tuple[float, float, float]:
 
 
 @njit(cache=True)
-def lay_bins(
-    tone_bin: FloatArray, reach: float, length: float, scratch: FloatArray, grid: FloatArray
-) -> int:
+def lay_bins(tone_bin: FloatArray, reach: float, length: float, scratch: FloatArray, grid: FloatArray) -> int:
     """Choose the bins around tones, ascending and without gaps within each interval.
 
     Args:

@@ -13,10 +13,11 @@ from math import exp, pi, sqrt
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
+from lidar_emu.fmcw.beam_filter import line_variance, smear_bins
 from lidar_emu.fmcw.model import ReceiverModel, Workspace
 from lidar_emu.fmcw.peaks import ABOUTANIOS_MULGREW, BIN_CENTRE, BIN_VARIANCE, JACOBSEN
 from lidar_emu.fmcw.philox import complex_normal
-from lidar_emu.fmcw.records import NOISE_BINS, SEGMENT_INDICES, set_look_tones, smear_bins
+from lidar_emu.fmcw.records import NOISE_BINS, SEGMENT_INDICES, set_look_tones
 from lidar_emu.fmcw.response import clipping, noise_level
 from lidar_emu.fmcw.sine import sin_pi
 from lidar_emu.fmcw.targets import draw_alarms, insert_alarms
@@ -155,12 +156,11 @@ def _set_target(
     efficiency = 1.1 if method == ABOUTANIOS_MULGREW else (2.4 if method == JACOBSEN else 3.24)
     if method == BIN_CENTRE:
         efficiency = 1.0
-    delay = model.delay_per_m * work.beamlets[RANGE_M, 0]
-    line = 6.0 * model.linewidth_bins / pi * delay * delay * efficiency / model.looks
+    line = line_variance(model, work.beamlets[RANGE_M, 0]) * efficiency / model.looks
     error, _ = complex_normal(seed, shot, beam, NOISE_BINS, (segment + 1) * SEGMENT_INDICES - 1)
     variance = efficiency * _EFFICIENT / snr + line
     target[0] = centre + min(max(sqrt(2.0 * variance) * error, -1.0), 1.0)
-    target[1] = max(efficiency * _EFFICIENT / snr, 1e-12)
+    target[1] = max(variance, 1e-12)
     if method == BIN_CENTRE:
         target[0] = min(max(np.rint(target[0]), 1.0), 0.5 * model.fft_length - 1.0)
         target[1] = BIN_VARIANCE

@@ -7,6 +7,7 @@ from math import pi, sin
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
+from lidar_emu.fmcw.beam_filter import line_variance
 from lidar_emu.fmcw.detect import MAX_GROUPS, find_groups
 from lidar_emu.fmcw.false_alarms import exceeding_bins, noise_peak
 from lidar_emu.fmcw.model import ReceiverModel, Workspace
@@ -14,6 +15,7 @@ from lidar_emu.fmcw.peaks import BIN_CENTRE, BIN_VARIANCE, peak
 from lidar_emu.fmcw.records import FALSE_ALARM
 from lidar_emu.fmcw.response import noise_level
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, TAPS
+from lidar_emu.fmcw.tones import RANGE_M
 from lidar_emu.kernels import njit
 
 _PEAK_VARIANCE_TIMES_SNR = 0.5
@@ -53,6 +55,9 @@ def find_targets(
     )
     for g in range(groups):
         _set_target(model, work, work.peaks[g], targets[g])
+        if model.peak_method != BIN_CENTRE:
+            # The estimators know of noise only.
+            targets[g, 1] += line_variance(model, work.beamlets[RANGE_M, 0]) / model.looks
     return insert_alarms(model, work.alarms[:alarms], highest, targets, groups)
 
 

@@ -1,0 +1,67 @@
+"""Light that the air returns: a line of its own in the constant segment, noise along the chirps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lidar_emu.fmcw.model import ReceiverModel, Workspace
+from lidar_emu.fmcw.philox import complex_normal
+from lidar_emu.fmcw.response import tone_gain
+from lidar_emu.fmcw.spectrum import BIN, NOISE, fold
+from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS, signed_bin
+from lidar_emu.kernels import njit
+
+_PANELS = 16
+
+
+@njit(cache=True, error_model="numpy")
+def set_haze_tone(
+    model: ReceiverModel,
+    work: Workspace,
+    tone: int,
+    look: int,
+    purpose: int,
+    shot: int,
+    beam: int,
+    seed: np.uint64,
+) -> None:
+    """The air's own line in the constant segment: all of it closes with the sensor's speed."""
+    beat = signed_bin(model, 1, work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0])
+    gain_re, gain_im = tone_gain(model.response, beat)
+    observed_bin, factor_re, factor_im = fold(beat, model.fft_length)
+    snr = haze_snr(model, work.beamlets[RANGE_M, 0])
+    x, y = complex_normal(seed, shot, beam, purpose, look)
+    scale = np.sqrt(snr)
+    work.tones[look, 0, tone] = np.rint(observed_bin)
+    work.tones[look, 1, tone] = observed_bin - work.tones[look, 0, tone]
+    work.tones[look, 2, tone] = factor_re * scale * (x * gain_re - y * gain_im)
+    work.tones[look, 3, tone] = factor_im * scale * (x * gain_im + y * gain_re)
+
+
+@njit(cache=True, error_model="numpy")
+def haze_snr(model: ReceiverModel, range_m: float) -> float:
+    """SNR of the air's light from the sensor to a range: ∫ exp(-2αr) / (1 + (r/z)²) dr, by panels of Simpson's rule."""
+    z = model.haze.rayleigh_range_m
+    # In the variable atan(r/z) the beam's spreading is gone.
+    end = np.arctan(range_m / z)
+    total = 0.0
+    for i in range(2 * _PANELS + 1):
+        share = 1.0 if i in (0, 2 * _PANELS) else (4.0 if i % 2 == 1 else 2.0)
+        r = min(z * np.tan(end * i / (2 * _PANELS)), range_m)
+        total += share * np.exp(-2.0 * model.haze.extinction_per_m * r)
+    return model.haze.snr_per_m * z * total * end / (6.0 * _PANELS)
+
+
+@njit(cache=True, error_model="numpy")
+def add_haze(model: ReceiverModel, work: Workspace, segment: int, gain: float, count: int) -> None:
+    """The air's light in a chirp: each range has its own beat, so that it adds to the noise of each bin."""
+    farthest_m, speed_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
+    zero = signed_bin(model, segment, 0.0, speed_mps)
+    scale = gain * gain * model.haze.snr_per_m / model.beat_bin_per_m
+    for j in range(count):
+        k = work.grid[BIN, j]
+        for sign in (-1.0, 1.0):
+            r = (sign * k - zero) / model.beat_bin_per_m
+            if 0.0 < r < farthest_m:
+                spread = 1.0 + (r / model.haze.rayleigh_range_m) ** 2
+                work.grid[NOISE, j] += scale * np.exp(-2.0 * model.haze.extinction_per_m * r) / spread
