@@ -54,7 +54,8 @@ def test_files_are_short():
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["run"], ["listen"], ["simulate"], ["plan"], ["detection"], ["bench"], ["schema"], ["icd"]]
+    "command",
+    [[], ["run"], ["listen"], ["simulate"], ["plan"], ["detection"], ["bench"], ["schema"], ["icd"]],
 )
 def test_help_loads_nothing_heavy(command):
     code = (

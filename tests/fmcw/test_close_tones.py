@@ -30,7 +30,7 @@ def _both(place: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.ndarra
     tones = _tones(place, weight)
     grid = _grid(tones, length)
     columns = grid.shape[1]
-    assert are_close(tones, float(length), grid, columns)
+    assert are_close(float(length), grid, columns)
     quick, general = np.empty((2, columns)), np.empty((2, columns))
     set_close_tones(tones, float(length), grid, columns, quick, np.empty((2, tones.shape[1])))
     set_tones(tones, float(length), grid, columns, general)
@@ -95,4 +95,4 @@ def test_quick_and_general_way_agree(
 def test_what_is_not_close(places: list[float], length: int) -> None:
     tones = _tones(np.array(places), np.ones(len(places)))
     grid = _grid(tones, length)
-    assert not are_close(tones, float(length), grid, grid.shape[1])
+    assert not are_close(float(length), grid, grid.shape[1])

@@ -288,7 +288,7 @@ EXTREMES = [
     ),
     _case(
         "SNR 10 to 17 dB",
-        _FAINT,
+        _FAINT | {Reason.AMBIGUOUS},
         lambda: [_point(JOINT, 1000.0, 50.0, s, 200) for s in (10.0, 13.0, 15.0, 17.0)],
         resolved=False,
     ),

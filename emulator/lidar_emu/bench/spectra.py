@@ -174,7 +174,7 @@ def _bin_by_bin(
     cosine, sine = np.cos(np.pi / length), np.sin(np.pi / length)
     for s in range(len(tones)):
         count = lay_bins(tones[s, 0], float(REACH), length, scratch[0], grid)
-        if are_close(tones[s], length, grid, count):
+        if are_close(length, grid, count):
             set_close_tones(tones[s], length, grid, count, bins, scratch[1:])
         else:
             set_tones(tones[s], length, grid, count, bins)

@@ -25,8 +25,8 @@ _TRUNCATION = 3e-13
 
 
 @njit(cache=True)
-def are_close(tones: FloatArray, length: float, grid: FloatArray, count: int) -> bool:
-    """Whether `set_close_tones` is exact to 1e-13 of the tones' weight."""
+def are_close(length: float, grid: FloatArray, count: int) -> bool:
+    """Whether `set_close_tones` is exact to 1e-13 of the tones' weight, for tones among these bins."""
     reach = 0.5 * (grid[BIN, count - 1] - grid[BIN, 0]) + 1.0
     middle = _middle(grid, count)
     image = 2.0 * min(middle, 0.5 * length - middle)

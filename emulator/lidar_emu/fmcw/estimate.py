@@ -143,6 +143,8 @@ def _from_three(
     farthest_bin: float,
 ) -> Estimate:
     spread = up_var + 4.0 * constant_var + down_var
+    if not spread < np.inf:
+        return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, False)
     range_var = 0.25 * (up_var + down_var - (up_var - down_var) ** 2 / spread)
     doppler_var = constant_var - 4.0 * constant_var**2 / spread
     slack = 3.0 * np.sqrt(range_var)

@@ -10,9 +10,9 @@ LEAST_LINE_SCATTER_BINS = 0.005
 """The laser's line is left out where both its phase variance over the delay and the frequency scatter that it causes,
 σ = τ sqrt(6Δν/π) in bins and records, are smaller: 1 % of the echo's power."""
 
-GROSS_RESIDUAL_BINS = 256.0
+GROSS_RESIDUAL_BINS = 2048.0
 """Three frequencies that disagree by more are not those of one target: even a footprint at grazing incidence is
-narrower."""
+narrower, and false locks and surfaces beyond the record disagree by tens of thousands."""
 
 LEAST_FALSE_ALARM = 1e-9
 """Peaks of noise that matter with a smaller probability are not drawn."""

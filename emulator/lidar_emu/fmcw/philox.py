@@ -115,8 +115,8 @@ def fill_complex_normals(
     """Fill `out` (2, n), n even, with circular complex Gaussians of unit mean power (Box-Muller).
 
     Numbers 2i and 2i + 1 are those of counter `first_pair` + i: 32 bits each for magnitude and phase, so that no
-    power exceeds 22.9, what one in 1e10 does. `words` (4, n/2 or more) is overwritten. In stages without branches, which
-    become vector instructions.
+    power exceeds 22.9, what one in 1e10 does. `words` (4, n/2 or more) is overwritten. In stages without branches,
+    which become vector instructions.
     """
     number = np.uint64(shot)
     use = (np.uint64(purpose) << _SHIFT_16) | np.uint64(beam)

@@ -151,7 +151,7 @@ def _set_look(
         for i in range(tones):
             lines[2, i] *= gain
             lines[3, i] *= gain
-    if are_close(lines, length, work.grid, count):
+    if are_close(length, work.grid, count):
         set_close_tones(lines, length, work.grid, count, bins, work.residues)
     else:
         set_tones(lines, length, work.grid, count, bins)
