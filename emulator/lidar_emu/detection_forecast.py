@@ -1,20 +1,24 @@
 """What an instrument will detect over a site, before anything is flown.
 
 The vehicle hangs upright over a level plane of the site's surface. Of the receiver the mean signal-to-noise ratio
-counts (`coherent_power_w`, `build_receiver`), less what window and straddling cost; motion, slopes and lines wider
-than a bin cost more.
+counts (`coherent_power_w`, `build_receiver`), less what window, straddling, poles and the laser's line cost; motion and
+slopes cost more.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
+from lidar_emu.fmcw.beam_filter import line_share
 from lidar_emu.fmcw.build import build_receiver
 from lidar_emu.fmcw.echo import coherent_power_w
-from lidar_emu.fmcw.spectrum import WINDOWS, Window
+from lidar_emu.fmcw.model import ReceiverModel
+from lidar_emu.fmcw.response import noise_level, tone_gain
+from lidar_emu.fmcw.spectrum import WINDOWS, Window, fold
 from lidar_emu.probability.fading import detection_probability, shared_fade_probability
 from lidar_emu.probability.false_lock import false_lock_probability
 from lidar_emu.probability.noise import log_false_alarm
@@ -77,7 +81,9 @@ def forecast_detection(scenario: FlightScenario, altitude_m: FloatArray) -> Dete
     range_m[range_m > detection.maximum_range_m] = np.nan
     gain = mean_straddling_gain(WINDOWS[detection.window])
     power_w = coherent_power_w(instrument, site.surface, site.atmosphere, range_m, cosine)
-    snr = power_w * build_receiver(instrument, site).snr_per_w * gain
+    model = build_receiver(instrument, site)
+    kept = np.vectorize(partial(_kept_share, model), otypes=[float])(range_m)
+    snr = power_w * model.snr_per_w * gain * kept
     bins = instrument.waveform.fft_length / 2
     minus_log_pfa = float(np.log(bins) - np.log(detection.false_alarm_probability))
     looks = detection.looks
@@ -106,6 +112,21 @@ def forecast_detection(scenario: FlightScenario, altitude_m: FloatArray) -> Dete
         window_loss_db=float(-10.0 * np.log10(gain)),
         speckle=instrument.optics.speckle,
     )
+
+
+def _kept_share(model: ReceiverModel, range_m: float) -> float:
+    """What the laser's line and the poles leave of the SNR, at the beat of the range alone."""
+    beat = model.beat_bin_per_m * range_m
+    if not np.isfinite(beat):
+        return np.nan
+    observed_bin, _, _ = fold.py_func(beat, model.fft_length)
+    # Speeds put the three beats anywhere: below the AC coupling a landing lidar's are by chance only.
+    response = model.response._replace(highpass_bin=0.0)
+    gain_re, gain_im = tone_gain.py_func(response, beat)
+    level = noise_level.py_func(
+        response, 1.0, 0.0, observed_bin, np.sin(np.pi * observed_bin / model.fft_length)
+    )
+    return float(line_share.py_func(model, range_m) * (gain_re**2 + gain_im**2) / level)
 
 
 def measured(detection: Detection, segment: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ relief within a footprint.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import NamedTuple
+from functools import partial
 
 import numpy as np
 from scipy.special import exp1, gammaincc
@@ -18,7 +18,8 @@ from scipy.special import exp1, gammaincc
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.detection_forecast import mean_straddling_gain, measured
 from lidar_emu.echoes import SPECKLE_PITCH_W, receive_light
-from lidar_emu.flight import Flight, Pointing
+from lidar_emu.flight import Flight
+from lidar_emu.fmcw.beam_filter import line_share
 from lidar_emu.fmcw.build import build_receiver
 from lidar_emu.fmcw.model import ReceiverModel
 from lidar_emu.fmcw.response import noise_level, tone_gain
@@ -26,11 +27,10 @@ from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.spectrum import WINDOWS, fold
 from lidar_emu.fmcw.tones import signed_bin
 from lidar_emu.probability.fading import detection_probability, shared_fade_probability
-from lidar_emu.rotations import cross, dot
-from lidar_emu.scanner.footprint import beam_radius_m, wavefront_radius_m
-from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Instrument
+from lidar_emu.scenario.instrument import Detection, Instrument
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.hits import Hits
+from lidar_emu.spread import Spread, no_spread, spread_bins
 
 _LOOKS_ALONG = 128
 _NODES = 33
@@ -69,7 +69,7 @@ def expected_error(scenario: FlightScenario, flight: Flight, beamlets: int) -> E
     hits = flight.cast(pointing.sensor_site_m, pointing.true_site)
     echoes = receive_light(instrument, site, flight, 1, pointing, hits)
     model = build_receiver(instrument, site, scenario.exact)
-    spread = _spread_bins(instrument, pointing, hits) if beamlets > 1 else _no_spread(hits)
+    spread = spread_bins(instrument, pointing, hits) if beamlets > 1 else no_spread(hits)
 
     beats = _beats_bin(instrument, model, echoes)
     snr = _snr(model, hits, echoes, beats)
@@ -115,43 +115,9 @@ def _snr(model: ReceiverModel, hits: Hits, echoes: Echoes, beats: FloatArray) ->
         k, _, _ = fold.py_func(beats[place], model.fft_length)
         level = noise_level.py_func(model.response, 1.0, 0.0, k, np.sin(np.pi * k / model.fft_length))
         log_gain[place] = np.log(max(re * re + im * im, 1e-30) / max(level, 1e-30))
-    drift = 2.0 * np.pi * model.linewidth_bins * model.delay_per_m * hits.range_m
-    snr: FloatArray = echoes.power_w[..., 0] * model.snr_per_w * np.exp(log_gain.mean(axis=0) - drift)
+    kept = np.vectorize(partial(line_share.py_func, model), otypes=[float])(hits.range_m)
+    snr: FloatArray = echoes.power_w[..., 0] * model.snr_per_w * np.exp(log_gain.mean(axis=0)) * kept
     return snr
-
-
-class _Spread(NamedTuple):
-    """Gradients across the beam in bins per rms radius of the footprint, (shots, beams, 3)."""
-
-    beat: FloatArray
-    doppler: FloatArray
-
-    def variance(self, beat: float, doppler: float) -> FloatArray:
-        """Of a frequency that is so much of the range's beat and so much of the Doppler shift: bins²."""
-        gradient = beat * self.beat + doppler * self.doppler
-        return np.asarray(dot(gradient, gradient))
-
-
-def _no_spread(hits: Hits) -> _Spread:
-    return _Spread(np.zeros_like(hits.normal_site), np.zeros_like(hits.normal_site))
-
-
-def _spread_bins(instrument: Instrument, pointing: Pointing, hits: Hits) -> _Spread:
-    """The footprint's weight exp(-4 r²/w²) has the rms radius w/√8 along any axis.
-
-    Range grows by -n/(n·u) across the beam, the closing speed by v/Rc - (1 - R/Rc) u'.
-    """
-    waveform, waist_m = instrument.waveform, instrument.optics.waist_radius_m
-    axis = pointing.true_site
-    rms_m = beam_radius_m(hits.range_m, waist_m, waveform.wavelength_m)[..., None] / np.sqrt(8.0)
-    curvature_m = wavefront_radius_m(hits.range_m, waist_m, waveform.wavelength_m)[..., None]
-    normal, velocity = hits.normal_site, pointing.sensor_velocity_site_mps
-    across = normal - dot(normal, axis)[..., None] * axis
-    beat_bin_per_m = 2.0 * waveform.chirp_slope_hz_per_s / (SPEED_OF_LIGHT_MPS * waveform.bin_width_hz)
-    beat = -across / dot(normal, axis)[..., None] * rms_m * beat_bin_per_m
-    faster = (velocity - dot(velocity, axis)[..., None] * axis) / curvature_m
-    faster -= (1.0 - hits.range_m[..., None] / curvature_m) * cross(pointing.turning_site_radps, axis)
-    return _Spread(beat, faster * rms_m * 2.0 / waveform.wavelength_m / waveform.bin_width_hz)
 
 
 def _same_fade(instrument: Instrument, echoes: Echoes) -> FloatArray:
@@ -161,7 +127,7 @@ def _same_fade(instrument: Instrument, echoes: Echoes) -> FloatArray:
 
 
 def _chance(
-    instrument: Instrument, model: ReceiverModel, echoes: Echoes, snr: FloatArray, spread: _Spread
+    instrument: Instrument, model: ReceiverModel, echoes: Echoes, snr: FloatArray, spread: Spread
 ) -> FloatArray:
     """Probability of a valid measurement.
 
@@ -208,7 +174,7 @@ def _minus_log_pfa(instrument: Instrument) -> float:
 
 
 def _variances_bin2(
-    instrument: Instrument, model: ReceiverModel, hits: Hits, echoes: Echoes, snr: FloatArray, spread: _Spread
+    instrument: Instrument, model: ReceiverModel, hits: Hits, echoes: Echoes, snr: FloatArray, spread: Spread
 ) -> tuple[FloatArray, FloatArray]:
     """Of range and speed."""
     detection, looks = instrument.detection, instrument.detection.looks

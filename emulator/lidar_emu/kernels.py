@@ -38,8 +38,8 @@ if not config.CACHE_DIR:  # type: ignore[attr-defined]
     config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def unowned(_typing_context: Any, array: Any) -> Any:
+@intrinsic
+def _unowned(_typing_context: Any, array: Any) -> Any:
     """The same array without an owner, for kernels that hand arrays on while their caller holds them.
 
     numba counts references to an array's owner wherever the array is handed on, and does so atomically: in code made of
@@ -53,3 +53,7 @@ def unowned(_typing_context: Any, array: Any) -> Any:
         return view._getvalue()
 
     return array(array), generate
+
+
+# To the type checker an intrinsic still has the compiler's own first argument.
+unowned: Any = _unowned

@@ -6,16 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.echoes import receive_light
 from lidar_emu.flight import Flight, Pointing
 from lidar_emu.plan_receiver import Decision, plan_receiver
-from lidar_emu.rotations import dot
-from lidar_emu.scanner.footprint import beam_radius_m, wavefront_radius_m
-from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.site import Grid
 from lidar_emu.scene.hits import Hits
+from lidar_emu.spread import spread_bins
 
 ONE_BEAMLET_BELOW_BINS = 0.1
 _LOOK_EVERY_S = 0.1
@@ -124,29 +121,9 @@ def _footprint(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> tupl
         return Decision("footprint", False, "1 beamlet", "the instrument asks for one", "as asked"), 1
     if isinstance(scenario.site.ground, Grid):
         return Decision("footprint", True, f"{asked} beamlets", "slopes of a grid vary", "sampled"), asked
-    spread = float(np.nanmax(spectral_spread_bins(scenario, pointing, hits), initial=0.0))
+    spread = float(np.nanmax(spread_bins(scenario.instrument, pointing, hits).widest(), initial=0.0))
     reason = f"rms spread at most {spread:.3f} bin"
     if spread < ONE_BEAMLET_BELOW_BINS and not scenario.exact:
         bound = f"{100 * np.pi**2 / 3 * spread**2:.2g} % of the peak's power"
         return Decision("footprint", False, "1 beamlet", reason, bound), 1
     return Decision("footprint", True, f"{asked} beamlets", reason, "sampled"), asked
-
-
-def spectral_spread_bins(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> FloatArray:
-    """Rms width of each beam's chirp spectrum in bins, (shots, beams), on the facet that its axis hits.
-
-    The echo weighs the footprint by exp(-4 r²/w²): rms w / sqrt(8) along one axis. Range varies by tan(incidence)
-    times that; closing speed by the transverse speed over the radius of the wavefront.
-    """
-    waveform, optics = scenario.instrument.waveform, scenario.instrument.optics
-    radius_m = beam_radius_m(hits.range_m, optics.waist_radius_m, waveform.wavelength_m)
-    curvature_m = wavefront_radius_m(hits.range_m, optics.waist_radius_m, waveform.wavelength_m)
-    cosine = -dot(hits.normal_site, pointing.true_site)
-    tangent = np.sqrt(np.maximum(0.0, 1 - cosine**2)) / cosine
-    velocity_mps = pointing.sensor_velocity_site_mps
-    along_mps = dot(velocity_mps, pointing.true_site)
-    across_mps = np.sqrt(np.maximum(0.0, dot(velocity_mps, velocity_mps) - along_mps**2))
-    by_range_hz = waveform.chirp_slope_hz_per_s * 2 * tangent / SPEED_OF_LIGHT_MPS
-    by_speed_hz = 2 * across_mps / curvature_m / waveform.wavelength_m
-    spread: FloatArray = radius_m / np.sqrt(8) * (by_range_hz + by_speed_hz) / waveform.bin_width_hz
-    return spread

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.limits import LEAST_FALSE_ALARM, LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Waveform
@@ -76,7 +77,8 @@ def _motion(scenario: FlightScenario, echoes: Echoes) -> Decision:
     bias_m = SPEED_OF_LIGHT_MPS * waveform.segment_time_s * fastest_mps2
     bias_m /= waveform.wavelength_m * waveform.chirp_slope_hz_per_s
     reason = f"{fastest_mps2:.3g} m/s² makes {bias_m:.2g} m of range"
-    curving_m = 0.5 * fastest_mps2 * waveform.segment_time_s**2
+    half_s = waveform.segment_time_s * (1.5 * scenario.instrument.detection.looks - 0.5)
+    curving_m = 0.5 * fastest_mps2 * half_s**2
     return Decision(
         "motion in a shot", True, "each segment's own time", reason, f"{curving_m:.1g} m of range"
     )
@@ -142,7 +144,8 @@ def _clipping(instrument: Instrument) -> Decision:
     if instrument.receiver.adc is None:
         return Decision("digitiser", False, "-", "the instrument's is ideal", "exact")
     bits = f"{instrument.receiver.adc.effective_bits:g} effective bits"
-    return Decision("digitiser", True, "noise; clips beyond 7 sigma", bits, "1e-11 of an echo's power")
+    bound = "harmonics of a clipped tone come as noise, its gain to 12 %"
+    return Decision("digitiser", True, "noise, clipping", bits, bound)
 
 
 def _light(scenario: FlightScenario) -> list[Decision]:
@@ -157,6 +160,9 @@ def _light(scenario: FlightScenario) -> list[Decision]:
     air = site.atmosphere
     if air is None or air.backscatter_per_m_sr == 0:
         return [sun, Decision("backscatter", False, "-", f"{site.name} has no haze", "exact")]
+    if scenario.level != "spectral":
+        missing = "the air's own line is missing"
+        return [sun, Decision("backscatter", False, "-", f"not at level {scenario.level}", missing)]
     return [
         sun,
         Decision(
@@ -172,5 +178,5 @@ def _false_alarms(scenario: FlightScenario) -> Decision:
     return Decision("false alarms", True, "unless the echo is too strong", "noise is everywhere", bound)
 
 
-def _largest(values: np.ndarray) -> float:  # type: ignore[type-arg]
+def _largest(values: FloatArray) -> float:
     return float(np.nanmax(np.abs(values), initial=0.0))

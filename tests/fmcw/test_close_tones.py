@@ -20,7 +20,7 @@ def _tones(place: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _grid(tones: np.ndarray, length: int) -> np.ndarray:
-    grid = np.zeros((ROWS, grid_capacity(tones.shape[1], REACH)))
+    grid = np.zeros((ROWS, grid_capacity(tones.shape[1], REACH, length)))
     count = lay_bins(tones[0], float(REACH), float(length), np.empty(tones.shape[1]), grid)
     return grid[:, :count].copy()
 

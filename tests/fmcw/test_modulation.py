@@ -63,7 +63,7 @@ def _smeared_bins(
     n = np.rint(observed)
     tones = np.array([[n], [observed - n], [factor_re * weight.real], [factor_im * weight.imag]])
     reach = REACH + half - LEAST_TAPS
-    grid = np.zeros((ROWS, grid_capacity(1, reach)))
+    grid = np.zeros((ROWS, grid_capacity(1, reach, length)))
     count = lay_bins(tones[0], float(reach), float(length), np.empty(1), grid)
     bins = np.zeros((2, grid.shape[1]))
     set_tones(tones, float(length), grid, count, bins)

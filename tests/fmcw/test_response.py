@@ -97,22 +97,35 @@ def test_spectrum_of_noise_filtered_in_time() -> None:
 
 @pytest.mark.parametrize("limit", [0.3, 1.0, 2.0, 3.5])
 def test_clipping_is_that_of_gaussian_samples(limit: float) -> None:
-    length, variance = 1024.0, 700.0
+    # A tone of amplitude 30 and noise of variance N/4.
+    length, variance = 1024.0, 0.5 * 30.0**2 + 256.0
+    tone = np.array([[100.0], [0.2], [18.0], [24.0]])
     full_scale = limit * np.sqrt(variance)
     response = _response(1024)._replace(full_scale=full_scale)
     x = np.sqrt(variance) * np.random.default_rng(9).standard_normal(4_000_000)
     clipped = np.clip(x, -full_scale, full_scale)
     gain = np.mean(x * clipped) / np.mean(x * x)
     distortion = np.mean((clipped - gain * x) ** 2)
-    ours, per_bin = clipping(response, variance, length)
+    ours, per_bin = clipping(response, tone, length)
     assert ours == pytest.approx(gain, abs=2e-3)
     # A rectangular bin of white noise holds 4/N of its variance where a tone of unit amplitude holds 1.
     assert per_bin * length / 4 == pytest.approx(distortion, rel=0.02)
 
 
 def test_nothing_is_clipped_far_below_full_scale() -> None:
-    assert clipping(_response(1024)._replace(full_scale=7.0), 1.0, 1024.0) == (1.0, 0.0)
-    assert clipping(_response(1024), 1e30, 1024.0) == (1.0, 0.0)
+    nothing, much = np.zeros((4, 1)), np.full((4, 1), 1e15)
+    # Noise of unit power in each bin has the standard deviation sqrt(N)/2, 16.
+    assert clipping(_response(1024)._replace(full_scale=7.0 * 16.0), nothing, 1024.0) == (1.0, 0.0)
+    assert clipping(_response(1024)._replace(full_scale=6.0 * 16.0), nothing, 1024.0)[0] < 1.0
+    assert clipping(_response(1024), much, 1024.0) == (1.0, 0.0)
+
+
+def test_noise_ahead_of_the_digitiser_is_what_the_pole_lets_through() -> None:
+    """Mean over all bins of the folded noise, summed."""
+    for lowpass in (20.0, 300.0, 2000.0):
+        response = _response(1024, lowpass)
+        levels = [_level(response, k + 0.5, 1024) for k in range(512)]
+        assert response.mean_noise == pytest.approx(np.mean(levels), rel=1e-3)
 
 
 def test_full_scale_is_the_digitisers_in_units_of_the_noise() -> None:

@@ -48,7 +48,7 @@ def _lay(signed_bin: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.nd
 
 def _grid(tone_bin: np.ndarray, length: int) -> np.ndarray:
     """Bins laid around tones, the columns in use, with unit noise."""
-    grid = np.zeros((ROWS, grid_capacity(len(tone_bin), REACH)))
+    grid = np.zeros((ROWS, grid_capacity(len(tone_bin), REACH, length)))
     count = lay_bins(tone_bin, float(REACH), float(length), np.empty(len(tone_bin)), grid)
     grid[NOISE] = 1.0
     return grid[:, :count].copy()

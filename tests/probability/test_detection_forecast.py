@@ -14,6 +14,7 @@ ALTITUDE_M = np.geomspace(30.0, 10_000.0, 7)
 
 
 def flight(**settings):
+    settings = {"instrument": "ndl_as_published", "instrument__optics__speckle": "true"} | settings
     return load("descent", {key.replace("__", "."): value for key, value in settings.items()})
 
 
@@ -105,3 +106,18 @@ def test_a_tilted_sensor_has_an_angle_per_beam():
     level = forecast_detection(flight(mounting="{pitch_deg: 80}", scanner__switches="[]"), ALTITUDE_M)
     assert np.isnan(level.snr_db[-1]).all()
     assert np.isfinite(level.snr_db[0][:3]).all()
+
+
+def test_line_and_poles_cost_what_they_leave_out():
+    """A line of 3 kHz loses exp(-2πΔντ); beyond its pole the amplifier loses more of the echo than of folded noise."""
+    altitude_m = np.array([500.0, 4000.0])
+    plain = forecast_detection(flight(), altitude_m)
+    lined = forecast_detection(flight(instrument__waveform__linewidth_hz="3e3"), altitude_m)
+    drift = 2 * np.pi * 3e3 * 2 * plain.range_m / 299792458
+    np.testing.assert_allclose(lined.snr_db - plain.snr_db, -10 * np.log10(np.e) * drift, atol=1e-9)
+    poled = forecast_detection(flight(instrument__receiver__bandwidth_hz="300e6"), altitude_m)
+    beat_hz = 2e12 * 2 * plain.range_m / 299792458
+    zones = np.arange(-20_000, 20_001)[:, None, None] * 600e6
+    folded = (1 / (1 + ((beat_hz + zones) / 300e6) ** 2)).sum(axis=0)
+    passed = 1 / (1 + (beat_hz / 300e6) ** 2)
+    np.testing.assert_allclose(poled.snr_db - plain.snr_db, 10 * np.log10(passed / folded), atol=1e-3)

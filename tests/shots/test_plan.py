@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from lidar_emu.flight import Flight
-from lidar_emu.plan import ONE_BEAMLET_BELOW_BINS, spectral_spread_bins
+from lidar_emu.plan import ONE_BEAMLET_BELOW_BINS
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots import build_model, simulate
+from lidar_emu.spread import spread_bins
 
 LOW = {
     "kind": "profile",
@@ -27,11 +28,8 @@ def stages(model, computed):
 def widest(scenario: FlightScenario) -> float:
     flight = Flight(scenario)
     pointing, _ = flight.point(np.arange(flight.shot_count), flight.scanner.initial)
-    return float(
-        spectral_spread_bins(
-            scenario, pointing, flight.cast(pointing.sensor_site_m, pointing.true_site)
-        ).max()
-    )
+    hits = flight.cast(pointing.sensor_site_m, pointing.true_site)
+    return float(spread_bins(scenario.instrument, pointing, hits).widest().max())
 
 
 def test_a_slow_low_flight_over_a_plane_needs_one_beamlet(make_flight):

@@ -35,7 +35,7 @@ def _spectral(signed_bin: np.ndarray, weight: np.ndarray, length: int) -> tuple[
     for i, (place, w) in enumerate(zip(signed_bin, weight, strict=True)):
         observed, factor_re, factor_im = fold(place, float(length))
         tones[:, i] = np.rint(observed), observed - np.rint(observed), factor_re * w.real, factor_im * w.imag
-    capacity = grid_capacity(len(signed_bin), REACH)
+    capacity = grid_capacity(len(signed_bin), REACH, length)
     grid, bins = np.zeros((ROWS, capacity)), np.zeros((2, capacity))
     count = lay_bins(tones[0], float(REACH), float(length), np.empty(len(signed_bin)), grid)
     set_tones(tones, float(length), grid, count, bins)

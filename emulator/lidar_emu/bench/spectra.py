@@ -146,7 +146,7 @@ class _Product:
 
     def __init__(self, tones: FloatArray, length: float, window: Window) -> None:
         self.tones, self.length, self.window = tones, length, window
-        capacity = grid_capacity(tones.shape[2], REACH)
+        capacity = grid_capacity(tones.shape[2], REACH, length)
         self.grid, self.bins = np.empty((ROWS, capacity)), np.empty((2, capacity))
         self.scratch = np.empty((3, tones.shape[2]))
         self.out = np.zeros((len(tones), capacity), dtype=complex)

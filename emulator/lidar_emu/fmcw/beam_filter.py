@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, floor, pi, sqrt
+from math import ceil, erf, exp, floor, log, pi, sqrt
 
 import numpy as np
 
@@ -44,6 +44,14 @@ def line_variance(model: ReceiverModel, range_m: float) -> float:
     """Variance in bins² of a beat's frequency by the laser's white frequency noise over the delay, 6Δν τ²/π."""
     delay = model.delay_per_m * range_m
     return 6.0 * model.linewidth_bins / pi * delay * delay if model.homodyne_line else 0.0
+
+
+@njit(cache=True)
+def line_share(model: ReceiverModel, range_m: float) -> float:
+    """Share of the echo's power that the laser's line leaves in its central bin."""
+    if model.homodyne_line or model.linewidth_bins == 0.0:
+        return exp(-_drift(model, range_m))
+    return erf(0.5 * sqrt(4.0 * log(2.0)) / model.linewidth_bins)
 
 
 @njit(cache=True)

@@ -137,10 +137,16 @@ def _response(instrument: Instrument, amplifier: float, digitiser: float) -> Res
         highpass_bin=receiver.ac_coupling_hz / bin_hz,
         fold_scale=float(np.pi * turns * -np.expm1(-4.0 * np.pi * turns)),
         fold_decay=float(np.exp(-2.0 * np.pi * turns)),
+        mean_noise=float((amplifier * _passed(turns) + digitiser) / (amplifier + digitiser)),
         amplifier_noise=amplifier / (amplifier + digitiser),
         digitiser_noise=digitiser / (amplifier + digitiser),
         full_scale=float(full_scale),
     )
+
+
+def _passed(turns: float) -> float:
+    """White noise behind a single pole, at so many sample rates, all zones together, over that from 0 to N/2."""
+    return float(np.pi * turns) if np.isfinite(turns) else 1.0
 
 
 def _haze(instrument: Instrument, site: Site | None, snr_per_w: float) -> Haze:

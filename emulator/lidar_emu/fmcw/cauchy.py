@@ -35,7 +35,8 @@ def are_close(length: float, grid: FloatArray, count: int) -> bool:
 
 @njit(cache=True)
 def _middle(grid: FloatArray, count: int) -> float:
-    return 0.5 * (grid[BIN, 0] + grid[BIN, count - 1])
+    middle: float = 0.5 * (grid[BIN, 0] + grid[BIN, count - 1])
+    return middle
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -49,7 +49,8 @@ def haze_snr(model: ReceiverModel, range_m: float) -> float:
         share = 1.0 if i in (0, 2 * _PANELS) else (4.0 if i % 2 == 1 else 2.0)
         r = min(z * np.tan(end * i / (2 * _PANELS)), range_m)
         total += share * np.exp(-2.0 * model.haze.extinction_per_m * r)
-    return model.haze.snr_per_m * z * total * end / (6.0 * _PANELS)
+    snr: float = model.haze.snr_per_m * z * total * end / (6.0 * _PANELS)
+    return snr
 
 
 @njit(cache=True, error_model="numpy")
@@ -60,8 +61,11 @@ def add_haze(model: ReceiverModel, work: Workspace, segment: int, gain: float, c
     scale = gain * gain * model.haze.snr_per_m / model.beat_bin_per_m
     for j in range(count):
         k = work.grid[BIN, j]
-        for sign in (-1.0, 1.0):
-            r = (sign * k - zero) / model.beat_bin_per_m
+        # The signed beats that are seen at bin k: itself, its mirror, and those beyond N/2.
+        for beat in (k, -k, model.fft_length - k, k - model.fft_length):
+            r = (beat - zero) / model.beat_bin_per_m
             if 0.0 < r < farthest_m:
+                gain_re, gain_im = tone_gain(model.response, beat)
+                passed = scale * (gain_re * gain_re + gain_im * gain_im)
                 spread = 1.0 + (r / model.haze.rayleigh_range_m) ** 2
-                work.grid[NOISE, j] += scale * np.exp(-2.0 * model.haze.extinction_per_m * r) / spread
+                work.grid[NOISE, j] += passed * np.exp(-2.0 * model.haze.extinction_per_m * r) / spread

@@ -71,7 +71,9 @@ def measure_beams(
         *(_bounded(getattr(echoes, name)) for name in beams),
     )
     flags = np.ascontiguousarray(echoes.fired), np.ascontiguousarray(echoes.inside)
-    work = build_workspace(echoes.range_m.shape[2], model.looks, _widest(model, *arrays[:2], arrays[5]))
+    work = build_workspace(
+        echoes.range_m.shape[2], model.looks, _widest(model, *arrays[:2], arrays[5]), model.fft_length
+    )
     _measure(model, work, *arrays, *flags, np.ascontiguousarray(shot, dtype=np.int64), np.uint64(seed), rows)
 
 

@@ -112,12 +112,12 @@ class Workspace(NamedTuple):
     """(MAX_GROUPS, 3) power, bin, and power over noise of peaks in noise."""
 
 
-def build_workspace(beamlets: int, looks: int, half: int) -> Workspace:
+def build_workspace(beamlets: int, looks: int, half: int, length: float) -> Workspace:
     """Room for beams of so many beamlets, and filters of `half` taps on each side."""
     # One tone more for the haze.
     tones = -(-(beamlets + 1) // TONES_PER_DIVISION) * TONES_PER_DIVISION
     reach = REACH + max(0, half - LEAST_TAPS)
-    capacity = grid_capacity(looks * (beamlets + 1), reach)
+    capacity = grid_capacity(looks * (beamlets + 1), reach, length)
     return Workspace(
         beamlets=np.empty((6, beamlets)),
         tones=np.zeros((looks, 4, tones)),

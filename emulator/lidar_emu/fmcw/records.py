@@ -16,7 +16,7 @@ from lidar_emu.fmcw.philox import uniform_pair
 from lidar_emu.fmcw.response import clipping, set_noise
 from lidar_emu.fmcw.speckle import set_weights
 from lidar_emu.fmcw.spectrum import REACH, add_noise, lay_bins, mirror_ends, set_power, set_tones
-from lidar_emu.fmcw.tones import AMPLITUDE, ORDER, set_segment_tones
+from lidar_emu.fmcw.tones import ORDER, set_segment_tones
 from lidar_emu.kernels import njit
 
 PHASE, NOISE_BINS, SPECKLE, LINE, HAZE, FALSE_ALARM = range(1, 7)
@@ -71,10 +71,7 @@ def set_spectrum(
     reach = REACH + max(0, half - LEAST_TAPS)
     every = model.looks * tones
     bins = lay_bins(work.places[0, :every], float(reach), model.fft_length, work.places[1], work.grid)
-    variance = model.fft_length / 4.0
-    for i in range(count):
-        variance += 0.5 * work.beamlets[AMPLITUDE, i] ** 2
-    gain, distortion = clipping(model.response, variance, model.fft_length)
+    gain, distortion = clipping(model.response, work.tones[0, :, :count], model.fft_length)
     factor = gain * gain * (1.0 + model.signal_shot_per_w * power_w)
     set_noise(model.response, factor, distortion, work.grid, bins)
     if model.haze.snr_per_m > 0.0 and segment != 1:

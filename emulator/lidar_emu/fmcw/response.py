@@ -27,6 +27,8 @@ class Response(NamedTuple):
     """Share that the poles shape; with `digitiser_noise` it is 1."""
     digitiser_noise: float
     """Share that arises after them."""
+    mean_noise: float
+    """Mean over all bins of what the poles and the digitiser make of the noise."""
     full_scale: float
     """Largest amplitude that is not clipped, that of a tone on its bin being its bin's magnitude; infinite for an
     ideal digitiser."""
@@ -82,12 +84,15 @@ def noise_level(response: Response, factor: float, added: float, k: float, sine:
 
 
 @njit(cache=True, error_model="numpy")
-def clipping(response: Response, variance: float, length: float) -> tuple[float, float]:
-    """What a clipping digitiser makes of an input of that variance, taken as Gaussian (Bussgang's theorem).
+def clipping(response: Response, tones: FloatArray, length: float) -> tuple[float, float]:
+    """What a clipping digitiser makes of tones (4, tones) and noise, taken together as Gaussian (Bussgang's theorem).
 
     Returns:
         The gain of everything in the input, and the power per rectangular bin of the distortion, taken as white.
     """
+    variance = response.mean_noise * length / 4.0
+    for i in range(tones.shape[1]):
+        variance += 0.5 * (tones[2, i] ** 2 + tones[3, i] ** 2)
     if not response.full_scale < 7.0 * sqrt(variance):
         return 1.0, 0.0
     limit = response.full_scale / sqrt(variance)

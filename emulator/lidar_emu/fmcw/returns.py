@@ -54,8 +54,8 @@ class Returns:
     segments: NDArray[np.uint8]
     """Segments with a detection: bit 0 up-chirp, bit 1 constant, bit 2 down-chirp."""
     snr_db: FloatArray
-    """Power of the highest bin over the noise, referred to a rectangular bin (the photons detected, for a
-    tone on its bin): mean of the segments with a detection."""
+    """Power of the highest bin over the noise that the poles leave there, referred to a rectangular bin: with a flat
+    receiver the photons detected, for a tone on its bin. Mean of the segments with a detection."""
     residual_mps: FloatArray
     """Speed from the two chirps less speed from the constant segment, λ (g₋ - g₊ - 2 g₀) / 4."""
     sigma_range_m: FloatArray

@@ -84,6 +84,6 @@ def _hold(
     slot = 3 * (x % 3) + y % 3
     if held[slot, 0] != x or held[slot, 1] != y:
         held[slot, 0], held[slot, 1] = x, y
-        place = ((x & _LOW_WORD) << 32) | (y & _LOW_WORD)
+        place = int(((x & _LOW_WORD) << 32) | (y & _LOW_WORD))
         fill_complex_normals(seed, place, beam, purpose, 0, words, corners[slot])
     return slot

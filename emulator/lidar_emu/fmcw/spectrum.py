@@ -109,9 +109,9 @@ def lay_bins(tone_bin: FloatArray, reach: float, length: float, scratch: FloatAr
     return count
 
 
-def grid_capacity(tones: int, reach: int) -> int:
-    """Columns that any spectrum of so many tones needs."""
-    return tones * (2 * reach + 2) + int(_ONE_INTERVAL)
+def grid_capacity(tones: int, reach: int, length: float) -> int:
+    """Columns that any spectrum of so many tones needs, all bins at most."""
+    return min(tones * (2 * reach + 2) + int(_ONE_INTERVAL), int(length) // 2 + 2 * TAPS + 2)
 
 
 @njit(cache=True)

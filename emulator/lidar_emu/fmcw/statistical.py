@@ -8,12 +8,12 @@ from its variance.
 
 from __future__ import annotations
 
-from math import exp, pi, sqrt
+from math import pi, sqrt
 
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.fmcw.beam_filter import line_variance, smear_bins
+from lidar_emu.fmcw.beam_filter import line_share, line_variance, smear_bins
 from lidar_emu.fmcw.model import ReceiverModel, Workspace
 from lidar_emu.fmcw.peaks import ABOUTANIOS_MULGREW, BIN_CENTRE, BIN_VARIANCE, JACOBSEN
 from lidar_emu.fmcw.philox import complex_normal
@@ -21,7 +21,7 @@ from lidar_emu.fmcw.records import NOISE_BINS, SEGMENT_INDICES, set_look_tones
 from lidar_emu.fmcw.response import clipping, noise_level
 from lidar_emu.fmcw.sine import sin_pi
 from lidar_emu.fmcw.targets import draw_alarms, insert_alarms
-from lidar_emu.fmcw.tones import AMPLITUDE, RANGE_M, SPEED_MPS
+from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS
 from lidar_emu.kernels import njit
 
 _EFFICIENT = 0.3898**2
@@ -48,18 +48,14 @@ def draw_targets(
     if count == 0:
         alarms = draw_alarms(model, 0.0, 1.0, 0.0, segment, shot, beam, seed, work.alarms)
         return insert_alarms(model, work.alarms[:alarms], 0.0, targets, 0)
-    variance = model.fft_length / 4.0
-    for i in range(count):
-        variance += 0.5 * work.beamlets[AMPLITUDE, i] ** 2
-    gain, distortion = clipping(model.response, variance, model.fft_length)
-    factor = gain * gain * (1.0 + model.signal_shot_per_w * power_w)
-    loss = gain * _filter_loss(model, work, segment, smear_acceleration_mps2)
-
+    kept = _filter_loss(model, work, segment, smear_acceleration_mps2)
     power, frequency, weight = 0.0, 0.0, 0.0
     for look in range(model.looks):
         set_look_tones(
             model, work, count, segment, look, acceleration_mps2, place, drift_per_s, shot, beam, seed
         )
+        gain, distortion = clipping(model.response, work.tones[look, :, :count], model.fft_length)
+        factor, loss = gain * gain * (1.0 + model.signal_shot_per_w * power_w), gain * kept
         centre, re, im = _sum_at_peak(work.tones[look, :, :count])
         k = min(max(np.rint(centre), 1.0), 0.5 * model.fft_length - 1.0)
         level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
@@ -117,7 +113,8 @@ def _sum_at_peak(tones: FloatArray) -> tuple[float, float, float]:
 
 @njit(cache=True, error_model="numpy")
 def _sinc(x: float) -> float:
-    return 1.0 if abs(x) < 1e-9 else np.sin(pi * x) / (pi * x)
+    value: float = 1.0 if abs(x) < 1e-9 else np.sin(pi * x) / (pi * x)
+    return value
 
 
 @njit(cache=True)
@@ -133,10 +130,9 @@ def _filter_loss(
 ) -> float:
     """What smear and the laser's line leave of the central tap."""
     smear = smear_bins(model, segment, work.beamlets[SPEED_MPS, 0], smear_acceleration_mps2)
-    drift = 2.0 * pi * model.linewidth_bins * model.delay_per_m * work.beamlets[RANGE_M, 0]
     # Of a chirp of β bins the peak falls as 1 - (πβ)²/360, and as β^-1/2 for many.
     kept = 1.0 / (1.0 + (pi * smear) ** 2 / 90.0) ** 0.25
-    return kept * exp(-0.5 * drift)
+    return kept * sqrt(line_share(model, work.beamlets[RANGE_M, 0]))
 
 
 @njit(cache=True)

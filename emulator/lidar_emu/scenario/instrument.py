@@ -44,6 +44,10 @@ class Waveform(Part):
                 f"a record, fft_length / sample_rate_hz = {self.record_time_s:.6g} s, "
                 f"within segment_time_s, {self.segment_time_s:.6g} s",
             )
+        steepest = 0.01 * SPEED_OF_LIGHT_MPS / self.wavelength_m / self.segment_time_s
+        if self.chirp_slope_hz_per_s > steepest:
+            allowed = f"at most {steepest:.6g}, a hundredth of the optical frequency in a segment"
+            raise unusable("chirp_slope_hz_per_s", self.chirp_slope_hz_per_s, allowed)
         return self
 
     @property
@@ -97,7 +101,8 @@ class Adc(Part):
     """The digitiser after the amplifier."""
 
     effective_bits: Annotated[float, Field(ge=1, le=24)] = 8.0
-    """Effective number of bits: quantisation and all other noise of the digitiser."""
+    """Effective number of bits: quantisation and all other noise of the digitiser, taken as white: true where a step is
+    no more than about twice the analogue noise."""
     full_scale_v: Positive = 0.05
     """From the lowest to the highest voltage at the amplifier's output; beyond, the signal is clipped."""
 
@@ -173,6 +178,10 @@ class Instrument(Part):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        highest_hz = self.waveform.sample_rate_hz / 20
+        if self.receiver.ac_coupling_hz > highest_hz:
+            allowed = f"at most {highest_hz:.6g}, a twentieth of the sample rate"
+            raise unusable("receiver.ac_coupling_hz", self.receiver.ac_coupling_hz, allowed)
         edge = self.waveform.record_edge_range_m
         if self.detection.maximum_range_m > edge * (1 + 1e-9):
             raise unusable(
