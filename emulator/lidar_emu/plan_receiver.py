@@ -76,7 +76,7 @@ def _motion(scenario: FlightScenario, echoes: Echoes) -> Decision:
     # Between up- and down-chirp the speed changes by 2 T a, which reads as range.
     bias_m = SPEED_OF_LIGHT_MPS * waveform.segment_time_s * fastest_mps2
     bias_m /= waveform.wavelength_m * waveform.chirp_slope_hz_per_s
-    reason = f"{fastest_mps2:.3g} m/s² makes {bias_m:.2g} m of range"
+    reason = f"{fastest_mps2:.3g} m/s² makes {bias_m:.2g} m of range, near when slowing down"
     half_s = waveform.segment_time_s * (1.5 * scenario.instrument.detection.looks - 0.5)
     curving_m = 0.5 * fastest_mps2 * half_s**2
     return Decision(

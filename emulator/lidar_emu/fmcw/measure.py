@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.beam_filter import widest_filter
-from lidar_emu.fmcw.estimate import Estimate, chirp_minus_doppler, least_squares
+from lidar_emu.fmcw.estimate import DOWN, UP, Estimate, chirp_minus_doppler, least_squares
 from lidar_emu.fmcw.limits import GROSS_RESIDUAL_BINS
 from lidar_emu.fmcw.model import ReceiverModel, Workspace, build_workspace, without_owners
 from lidar_emu.fmcw.reasons import Reason
@@ -66,15 +66,18 @@ def measure_beams(
         "speckle_place",
         "speckle_drift_per_s",
     )
-    arrays = (
+    arrays: list[Any] = [
         *(np.ascontiguousarray(getattr(echoes, name), dtype=float) for name in beamlets),
         *(_bounded(getattr(echoes, name)) for name in beams),
-    )
+    ]
     flags = np.ascontiguousarray(echoes.fired), np.ascontiguousarray(echoes.inside)
-    work = build_workspace(
-        echoes.range_m.shape[2], model.looks, _widest(model, *arrays[:2], arrays[5]), model.fft_length
-    )
-    _measure(model, work, *arrays, *flags, np.ascontiguousarray(shot, dtype=np.int64), np.uint64(seed), rows)
+    # The type checker cannot follow arrays into compiled functions.
+    widest: Any = _widest
+    measure: Any = _measure
+    half = widest(model, arrays[0], arrays[1], arrays[5])
+    work = build_workspace(echoes.range_m.shape[2], model.looks, half, model.fft_length)
+    numbers = np.ascontiguousarray(shot, dtype=np.int64)
+    measure(model, work, *arrays, *flags, numbers, np.uint64(seed), rows)
 
 
 def _bounded(values: FloatArray) -> FloatArray:
@@ -274,7 +277,9 @@ def _report(model: ReceiverModel, estimate: Estimate, row: Any) -> None:
     distance_m = estimate.range_bin * model.range_bin_m
     row.residual_mps = 0.5 * estimate.residual_bin * model.speed_bin_mps
     gross = model.joint_estimate and abs(estimate.residual_bin) > GROSS_RESIDUAL_BINS
-    if gross or not (estimate.found and distance_m >= 0.0):
+    # Two chirps alone fit range and Doppler shift either way round.
+    swapped = row.segments == UP | DOWN and not estimate.sign_resolved
+    if gross or swapped or not (estimate.found and distance_m >= 0.0):
         row.reason = _AMBIGUOUS
     elif distance_m > model.maximum_range_m:
         row.reason = _BEYOND_RANGE

@@ -59,7 +59,8 @@ class Returns:
     residual_mps: FloatArray
     """Speed from the two chirps less speed from the constant segment, λ (g₋ - g₊ - 2 g₀) / 4."""
     sigma_range_m: FloatArray
-    """Standard deviation that the estimator's own variances give; of invalid measurements none."""
+    """Standard deviation that the segments' own noise and the laser's line give; what speckle moves within a footprint
+    spread over part of a bin, smear and motion come on top. Of invalid measurements none."""
     sigma_speed_mps: FloatArray
     returns: NDArray[np.uint8]
     """Targets seen in all three segments, at most 4."""

@@ -121,7 +121,8 @@ def _sinc(x: float) -> float:
 def _window_gain(model: ReceiverModel, offset: float) -> float:
     """Magnitude of a windowed bin beside a tone of unit weight."""
     sides = _sinc(offset - 1.0) + _sinc(offset + 1.0)
-    return model.window_centre * _sinc(offset) - model.window_side * sides
+    gain: float = model.window_centre * _sinc(offset) - model.window_side * sides
+    return gain
 
 
 @njit(cache=True)
@@ -131,8 +132,10 @@ def _filter_loss(
     """What smear and the laser's line leave of the central tap."""
     smear = smear_bins(model, segment, work.beamlets[SPEED_MPS, 0], smear_acceleration_mps2)
     # Of a chirp of β bins the peak falls as 1 - (πβ)²/360, and as β^-1/2 for many.
-    kept = 1.0 / (1.0 + (pi * smear) ** 2 / 90.0) ** 0.25
-    return kept * sqrt(line_share(model, work.beamlets[RANGE_M, 0]))
+    chirped = 1.0 / (1.0 + (pi * smear) ** 2 / 90.0) ** 0.25
+    share: float = line_share(model, work.beamlets[RANGE_M, 0])
+    loss: float = chirped * sqrt(share)
+    return loss
 
 
 @njit(cache=True)

@@ -103,29 +103,30 @@ class Adc(Part):
     effective_bits: Annotated[float, Field(ge=1, le=24)] = 8.0
     """Effective number of bits: quantisation and all other noise of the digitiser, taken as white: true where a step is
     no more than about twice the analogue noise."""
-    full_scale_v: Positive = 0.05
+    full_scale_v: Annotated[float, Field(ge=1e-9, le=1e3)] = 0.05
     """From the lowest to the highest voltage at the amplifier's output; beyond, the signal is clipped."""
 
 
 class Receiver(Part):
     """A balanced pair of detectors; the local oscillator's shot noise is the reference."""
 
-    local_oscillator_power_w: Positive = 1e-3
+    local_oscillator_power_w: Annotated[float, Field(ge=1e-12, le=1e3)] = 1e-3
     """Local oscillator power on the detectors."""
     responsivity_a_per_w: Positive = 1.0
     """Photocurrent per optical power. It may not exceed one electron per photon."""
-    transimpedance_ohm: Positive = 2000.0
+    transimpedance_ohm: Annotated[float, Field(ge=1e-3, le=1e12)] = 2000.0
     """Feedback resistance of the amplifier; its thermal noise adds to the shot noise."""
-    temperature_k: Positive = 300.0
+    temperature_k: Annotated[float, Field(gt=0, le=1e5)] = 300.0
     """Noise temperature of the amplifier's feedback resistance."""
-    dark_current_a: NonNegative = 1e-8
+    dark_current_a: Annotated[float, Field(ge=0, le=1)] = 1e-8
     """Of the pair of detectors."""
     relative_intensity_noise_db_per_hz: Annotated[float, Field(ge=-300, le=0)] | None = -150.0
     """Of the laser; null leaves it out."""
     common_mode_rejection_db: NonNegative = 30.0
     """By which the balanced pair suppresses intensity noise."""
     bandwidth_hz: Positive | None = 300e6
-    """Half-power frequency of the amplifier's single pole; null is flat."""
+    """Half-power frequency of the amplifier's single pole. Noise from beyond half the sample rate folds in: a wide
+    amplifier is a noisy one. null is flat within the band and lets nothing else in."""
     ac_coupling_hz: NonNegative = 50e3
     """Half-power frequency of the single-pole high-pass before the digitiser; 0 couples directly."""
     adc: Adc | None = Adc()
@@ -182,6 +183,13 @@ class Instrument(Part):
         if self.receiver.ac_coupling_hz > highest_hz:
             allowed = f"at most {highest_hz:.6g}, a twentieth of the sample rate"
             raise unusable("receiver.ac_coupling_hz", self.receiver.ac_coupling_hz, allowed)
+        steps_hz = (
+            2 * self.waveform.chirp_slope_hz_per_s * self.detection.maximum_range_m / SPEED_OF_LIGHT_MPS
+        )
+        if steps_hz < self.waveform.bin_width_hz:
+            flattest = self.waveform.chirp_slope_hz_per_s * self.waveform.bin_width_hz / steps_hz
+            allowed = f"at least {flattest:.6g}: a bin of beat within detection.maximum_range_m"
+            raise unusable("waveform.chirp_slope_hz_per_s", self.waveform.chirp_slope_hz_per_s, allowed)
         edge = self.waveform.record_edge_range_m
         if self.detection.maximum_range_m > edge * (1 + 1e-9):
             raise unusable(

@@ -126,6 +126,6 @@ class Site(Part):
     """Reflection."""
     atmosphere: Atmosphere | None = None
     """Left out: vacuum."""
-    sunlight_w_per_m2_um: NonNegative = 0.0
+    sunlight_w_per_m2_um: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """Spectral irradiance of the ground by the sun at the laser's wavelength; about 270 on the Moon and 117 on Mars
     at 1550 nm; 0 at night."""
