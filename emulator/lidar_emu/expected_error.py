@@ -218,10 +218,10 @@ def _faded(at_mean: FloatArray, most: FloatArray, faintest: FloatArray, looks: i
     of the variance for each.
     """
     if looks > 1:
-        inverse = (
+        inverse: FloatArray = (
             looks / (looks - 1) * gammaincc(looks - 1, looks * faintest) / gammaincc(looks, looks * faintest)
         )
-        return np.minimum(at_mean / looks * inverse, most)
+        return np.asarray(np.minimum(at_mean / looks * inverse, most))
     with np.errstate(invalid="ignore", divide="ignore"):
         knee = np.maximum(faintest, np.nan_to_num(at_mean / most, posinf=50.0))
         below = most * -np.expm1(faintest - knee)

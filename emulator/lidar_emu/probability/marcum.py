@@ -102,7 +102,8 @@ def _series(a: FloatArray, b: FloatArray, is_p: BoolArray) -> FloatArray:
     with np.errstate(divide="ignore"):
         # The logarithm of b itself: its square may underflow.
         log_terms = np.where(is_p, 2.0 * np.log(b) + np.log(total / first), np.log1p(step / first * total))
-    return -0.5 * np.square(b - a) + np.log(i0e(a * b)) + log_terms
+    log_probability: FloatArray = -0.5 * np.square(b - a) + np.log(i0e(a * b)) + log_terms
+    return log_probability
 
 
 def _denominators(z: FloatArray, last: int) -> Iterator[tuple[int, FloatArray]]:

@@ -30,7 +30,8 @@ def minus_log_exceedance(power: ArrayLike, looks: int = 1) -> FloatArray:
     total = np.ones_like(power)
     for k in range(looks - 1, 0, -1):
         total = 1.0 + power / k * total
-    return np.where(below < 0.5, -np.log1p(-np.minimum(below, 0.5)), power - np.log(total))
+    exceedance: FloatArray = np.where(below < 0.5, -np.log1p(-np.minimum(below, 0.5)), power - np.log(total))
+    return exceedance
 
 
 def threshold_power(minus_log_pfa: ArrayLike, looks: int = 1) -> FloatArray:
