@@ -19,6 +19,7 @@ from lidar_emu.fmcw.echo import coherent_power_w
 from lidar_emu.fmcw.model import ReceiverModel
 from lidar_emu.fmcw.response import noise_level, tone_gain
 from lidar_emu.fmcw.spectrum import WINDOWS, Window, fold
+from lidar_emu.kernels import interpreted
 from lidar_emu.probability.fading import detection_probability, shared_fade_probability
 from lidar_emu.probability.false_lock import false_lock_probability
 from lidar_emu.probability.noise import log_false_alarm
@@ -119,14 +120,14 @@ def _kept_share(model: ReceiverModel, range_m: float) -> float:
     beat = model.beat_bin_per_m * range_m
     if not np.isfinite(beat):
         return np.nan
-    observed_bin, _, _ = fold.py_func(beat, model.fft_length)
+    observed_bin, _, _ = interpreted(fold)(beat, model.fft_length)
     # Speeds put the three beats anywhere: below the AC coupling a landing lidar's are by chance only.
     response = model.response._replace(highpass_bin=0.0)
-    gain_re, gain_im = tone_gain.py_func(response, beat)
-    level = noise_level.py_func(
+    gain_re, gain_im = interpreted(tone_gain)(response, beat)
+    level = interpreted(noise_level)(
         response, 1.0, 0.0, observed_bin, np.sin(np.pi * observed_bin / model.fft_length)
     )
-    return float(line_share.py_func(model, range_m) * (gain_re**2 + gain_im**2) / level)
+    return float(interpreted(line_share)(model, range_m) * (gain_re**2 + gain_im**2) / level)
 
 
 def measured(detection: Detection, segment: FloatArray) -> FloatArray:

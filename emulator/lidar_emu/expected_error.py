@@ -26,6 +26,7 @@ from lidar_emu.fmcw.response import noise_level, tone_gain
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.spectrum import WINDOWS, fold
 from lidar_emu.fmcw.tones import signed_bin
+from lidar_emu.kernels import interpreted
 from lidar_emu.probability.fading import detection_probability, shared_fade_probability
 from lidar_emu.scenario.instrument import Detection, Instrument
 from lidar_emu.scenario.schema import FlightScenario
@@ -100,8 +101,7 @@ def _beats_bin(instrument: Instrument, model: ReceiverModel, echoes: Echoes) -> 
         then_m = echoes.range_m[..., 0] + echoes.range_rate_mps[..., 0] * time_s
         then_mps = echoes.closing_speed_mps[..., 0] + echoes.closing_acceleration_mps2 * time_s
         for place in np.ndindex(then_m.shape):
-            # Compiled, a call would spend far longer on unpacking the model.
-            beats[segment][place] = signed_bin.py_func(
+            beats[segment][place] = interpreted(signed_bin)(
                 model, segment, float(then_m[place]), float(then_mps[place])
             )
     return beats
@@ -111,11 +111,11 @@ def _snr(model: ReceiverModel, hits: Hits, echoes: Echoes, beats: FloatArray) ->
     """Mean power of a tone on its bin over the noise there: geometric mean of the segments."""
     log_gain = np.full(beats.shape, np.nan)
     for place in zip(*np.nonzero(np.isfinite(beats)), strict=True):
-        re, im = tone_gain.py_func(model.response, beats[place])
-        k, _, _ = fold.py_func(beats[place], model.fft_length)
-        level = noise_level.py_func(model.response, 1.0, 0.0, k, np.sin(np.pi * k / model.fft_length))
+        re, im = interpreted(tone_gain)(model.response, beats[place])
+        k, _, _ = interpreted(fold)(beats[place], model.fft_length)
+        level = interpreted(noise_level)(model.response, 1.0, 0.0, k, np.sin(np.pi * k / model.fft_length))
         log_gain[place] = np.log(max(re * re + im * im, 1e-30) / max(level, 1e-30))
-    kept = np.vectorize(partial(line_share.py_func, model), otypes=[float])(hits.range_m)
+    kept = np.vectorize(partial(interpreted(line_share), model), otypes=[float])(hits.range_m)
     snr: FloatArray = echoes.power_w[..., 0] * model.snr_per_w * np.exp(log_gain.mean(axis=0)) * kept
     return snr
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar, overload
 
 from numba import njit
 from numba.core import config
-from numba.extending import intrinsic
 
-__all__ = ["njit", "unowned"]
+__all__ = ["interpreted", "kernel", "njit"]
 
 _ROOMS = ("fmcw", "scene")
 
@@ -38,22 +38,33 @@ if not config.CACHE_DIR:  # type: ignore[attr-defined]
     config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
 
 
-@intrinsic
-def _unowned(_typing_context: Any, array: Any) -> Any:
-    """The same array without an owner, for kernels that hand arrays on while their caller holds them.
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
-    numba counts references to an array's owner wherever the array is handed on, and does so atomically: in code made of
-    short kernels that is half of the time.
+
+class _Decorator(Protocol):
+    def __call__(self, function: _Function) -> _Function: ...
+
+
+@overload
+def kernel(function: _Function) -> _Function: ...
+
+
+@overload
+def kernel(*, fastmath: Any = False, inline: str = "never", forceinline: bool = False) -> _Decorator: ...
+
+
+def kernel(function: Any = None, **options: Any) -> Any:
+    """`njit` for kernels that work in their caller's arrays and allocate none; divisions follow IEEE 754.
+
+    numba counts references to an array's owner wherever the array is handed on, and does so atomically. In code made of
+    short kernels that is half of the time, of running and of compiling alike; here nothing is counted.
     """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        view = context.make_array(signature.return_type)(context, builder, value=arguments[0])
-        view.meminfo = view.meminfo.type(None)
-        view.parent = view.parent.type(None)
-        return view._getvalue()
-
-    return array(array), generate
+    compiled: Any = njit  # whose types do not know of `_nrt`
+    decorate = compiled(cache=True, error_model="numpy", _nrt=False, **options)
+    return decorate if function is None else decorate(function)
 
 
-# To the type checker an intrinsic still has the compiler's own first argument.
-unowned: Any = _unowned
+def interpreted(compiled: _Function) -> _Function:
+    """The Python function behind a kernel: for a few values, on which a call would spend longer unpacking the model."""
+    function: _Function = compiled.py_func  # type: ignore[attr-defined]
+    return function

@@ -16,7 +16,7 @@ from lidar_emu.fmcw.modulation import (
     smear_taps,
 )
 from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS, signed_bin
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 _MOST_TAPS = 512
 _INDICES = 4 * _MOST_TAPS
@@ -25,7 +25,7 @@ _MOST_SMEAR_BINS = 128.0
 """Beats that change by more are spread over so many bins, and are as weak there as they would be."""
 
 
-@njit(cache=True)
+@kernel
 def smear_bins(model: ReceiverModel, segment: int, speed_mps: float, acceleration_mps2: float) -> float:
     """By how many bins a beat changes during its record: acceleration, and in the chirps migration.
 
@@ -39,14 +39,14 @@ def smear_bins(model: ReceiverModel, segment: int, speed_mps: float, acceleratio
     return by_migration - by_motion if segment == 0 else by_migration + by_motion
 
 
-@njit(cache=True)
+@kernel
 def line_variance(model: ReceiverModel, range_m: float) -> float:
     """Variance in bins² of a beat's frequency by the laser's white frequency noise over the delay, 6Δν τ²/π."""
     delay = model.delay_per_m * range_m
     return 6.0 * model.linewidth_bins / pi * delay * delay if model.homodyne_line else 0.0
 
 
-@njit(cache=True)
+@kernel
 def line_share(model: ReceiverModel, range_m: float) -> float:
     """Share of the echo's power that the laser's line leaves in its central bin."""
     if model.homodyne_line or model.linewidth_bins == 0.0:
@@ -54,7 +54,7 @@ def line_share(model: ReceiverModel, range_m: float) -> float:
     return erf(0.5 * sqrt(4.0 * log(2.0)) / model.linewidth_bins)
 
 
-@njit(cache=True)
+@kernel
 def widest_filter(model: ReceiverModel, range_m: float, speed_mps: float, acceleration_mps2: float) -> int:
     """Taps on each side that the segments of a beam need; 0 where none does."""
     smear = 0.0
@@ -70,7 +70,7 @@ def widest_filter(model: ReceiverModel, range_m: float, speed_mps: float, accele
     return int(min(needed, float(_MOST_TAPS)))
 
 
-@njit(cache=True)
+@kernel(inline="always")
 def filter_beam(
     model: ReceiverModel,
     work: Workspace,
@@ -100,7 +100,9 @@ def filter_beam(
         computed = min(max(smear, -_MOST_SMEAR_BINS), _MOST_SMEAR_BINS)
         smear_taps(computed, half, by_smear)
         if computed != smear:
-            by_smear *= sqrt(computed / smear)
+            for part in range(2):
+                for m in range(width):
+                    by_smear[part, m] *= sqrt(computed / smear)
     if smeared and lined:
         convolve_taps(by_smear, by_line, half, both)
     taps = both if smeared and lined else (by_smear if smeared else by_line)
@@ -110,13 +112,13 @@ def filter_beam(
         filter_bins(taps, half, nearest < 0.0, work.grid, count, work.bins[look], work.filtered)
 
 
-@njit(cache=True)
+@kernel
 def _drift(model: ReceiverModel, range_m: float) -> float:
     """Variance of the phase that the laser drifts within the echo's delay."""
     return 2.0 * pi * model.linewidth_bins * model.delay_per_m * range_m
 
 
-@njit(cache=True)
+@kernel
 def _line_matters(model: ReceiverModel, range_m: float) -> bool:
     if model.linewidth_bins == 0.0 or not model.homodyne_line:
         return model.linewidth_bins > 0.0

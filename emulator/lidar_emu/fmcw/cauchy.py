@@ -15,7 +15,7 @@ from math import copysign, pi
 from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.sine import FAST, sin_pi
 from lidar_emu.fmcw.spectrum import BIN
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 TONES_PER_DIVISION = 4
 """Tones come in multiples of it; fill up with tones of no weight."""
@@ -24,7 +24,7 @@ _TRUNCATION = 3e-13
 """Largest U⁵/D⁶ for tones and bins within U of their middle, the image D away: π times the first term left out."""
 
 
-@njit(cache=True)
+@kernel
 def are_close(length: float, grid: FloatArray, count: int) -> bool:
     """Whether `set_close_tones` is exact to 1e-13 of the tones' weight, for tones among these bins."""
     reach = 0.5 * (grid[BIN, count - 1] - grid[BIN, 0]) + 1.0
@@ -33,13 +33,13 @@ def are_close(length: float, grid: FloatArray, count: int) -> bool:
     return image > 0.0 and (2.0 * reach) ** 5 <= _TRUNCATION * image**6
 
 
-@njit(cache=True)
+@kernel
 def _middle(grid: FloatArray, count: int) -> float:
     middle: float = 0.5 * (grid[BIN, 0] + grid[BIN, count - 1])
     return middle
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def set_close_tones(
     tones: FloatArray, length: float, grid: FloatArray, count: int, bins: FloatArray, scratch: FloatArray
 ) -> None:
@@ -56,16 +56,16 @@ def set_close_tones(
     """
     middle = _middle(grid, count)
     residues = scratch[:, : tones.shape[1]]
-    for i in range(tones.shape[1]):
-        rest = copysign(max(abs(tones[1, i]), 1e-18), tones[1, i])
-        share = (1.0 - 2.0 * (int(tones[0, i]) & 1)) * sin_pi(rest) / pi
-        residues[0, i] = share * tones[2, i]
-        residues[1, i] = share * tones[3, i]
+    whole, rests, weight_re, weight_im = tones[0], tones[1], tones[2], tones[3]
+    residue_re, residue_im = residues[0], residues[1]
+    for i in range(len(whole)):
+        share = (1.0 - 2.0 * (int(whole[i]) & 1)) * sin_pi(_off(rests[i])) / pi
+        residue_re[i], residue_im[i] = share * weight_re[i], share * weight_im[i]
     _sum_poles(tones, residues, grid, count, bins)
     _add_remainder(tones, residues, length, middle, grid, count, bins)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def _sum_poles(
     tones: FloatArray, residues: FloatArray, grid: FloatArray, count: int, bins: FloatArray
 ) -> None:
@@ -87,13 +87,13 @@ def _sum_poles(
             im[j] += ((b1 * x2 + b2 * x1) * right + (b3 * x4 + b4 * x3) * left) * inverse
 
 
-@njit(cache=True, fastmath=FAST)
+@kernel(fastmath=FAST, forceinline=True)
 def _off(rest: float) -> float:
     """δ kept off zero, so that a tone on its bin has a pole beside it."""
     return copysign(max(abs(rest), 1e-18), rest)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def _add_remainder(
     tones: FloatArray,
     residues: FloatArray,
@@ -126,7 +126,7 @@ def _add_remainder(
             bins[part, j] += c0 + k * (c1 + k * (c2 + k * (c3 + k * c4)))
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def _image_series(place: float, length: float, sign: float) -> tuple[float, float, float, float, float]:
     """Taylor coefficients of ±(π/N) csc(πs/N) about s = `place`."""
     step = pi / length

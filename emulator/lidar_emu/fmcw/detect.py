@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 MAX_GROUPS = 4
 """Groups kept of one spectrum, the strongest."""
 
 
-@njit(cache=True)
+@kernel
 def find_groups(
     power: FloatArray, noise: FloatArray, threshold: float, floor: float, peaks: NDArray[np.int64]
 ) -> int:
@@ -41,7 +41,7 @@ def find_groups(
     return count
 
 
-@njit(cache=True)
+@kernel
 def _keep(power: FloatArray, peak: int, peaks: NDArray[np.int64], count: int) -> int:
     """Put a peak in its place among the `count` strongest; of equals the first stays before."""
     place = count

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 UP, CONSTANT, DOWN = 1, 2, 4
 """Bits of a mask of segments."""
@@ -49,7 +49,7 @@ class Estimate(NamedTuple):
     """No rival explanation comes near."""
 
 
-@njit(cache=True)
+@kernel
 def chirp_minus_doppler(
     up: float, constant: float, down: float, up_var: float, constant_var: float, down_var: float
 ) -> Estimate:
@@ -83,7 +83,7 @@ def chirp_minus_doppler(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def least_squares(
     mask: int,
     up: float,
@@ -131,7 +131,7 @@ def least_squares(
     return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, False)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _from_three(
     up: float,
     constant: float,
@@ -185,7 +185,7 @@ def _from_three(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _from_two(
     mask: int,
     chirp: float,
@@ -245,7 +245,7 @@ def _from_two(
     return Estimate(found, best_range, best_doppler, range_var, doppler_var, np.nan, found and not rivalled)
 
 
-@njit(cache=True)
+@kernel
 def _signed(observed: float, choice: int, length: float) -> float:
     """The signed beat behind an observed frequency: F, -F, N - F, F - N."""
     unfolded = observed if choice < 2 else length - observed

@@ -7,16 +7,16 @@ from math import exp, expm1, log, log1p
 import numpy as np
 
 from lidar_emu.fmcw.philox import uniform_pair
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 
-@njit(cache=True)
+@kernel
 def exceeding_bins(looks: int, power: float, bins: float) -> float:
     """Expected number of bins whose noise, averaged over looks, exceeds `power` times its mean."""
     return bins * exp(log_exceedance(looks, power))
 
 
-@njit(cache=True)
+@kernel
 def log_exceedance(looks: int, power: float) -> float:
     """Logarithm of the probability that the mean of so many exponential powers of unit mean exceeds `power`.
 
@@ -30,7 +30,7 @@ def log_exceedance(looks: int, power: float) -> float:
     return log(total) - x
 
 
-@njit(cache=True)
+@kernel
 def noise_peak(
     looks: int,
     below: float,
@@ -51,7 +51,7 @@ def noise_peak(
     return (-log(exceedance) if looks == 1 else _quantile(looks, log(exceedance))), place
 
 
-@njit(cache=True)
+@kernel
 def _quantile(looks: int, log_probability: float) -> float:
     """The power whose `log_exceedance` is that, by bisection."""
     low, high = 0.0, 2.0 + 2.0 * looks - log_probability

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
-from lidar_emu.fmcw.model import ReceiverModel
+from lidar_emu.fmcw.model import ReceiverModel, as_record
 from lidar_emu.fmcw.philox import uniform_pair, unit_phasor
 from lidar_emu.fmcw.records import PHASE, SPECKLE
 from lidar_emu.fmcw.returns import Echoes
@@ -41,7 +41,7 @@ def echo_field(
     shots, beams, beamlets = echoes.range_m.shape
     field = np.zeros((shots, beams, 3, beamlets), dtype=complex)
     _set_field(
-        model,
+        as_record(model),
         lit,
         amplitude,
         np.ascontiguousarray(echoes.range_m, dtype=float),

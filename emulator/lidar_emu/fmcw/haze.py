@@ -9,12 +9,12 @@ from lidar_emu.fmcw.philox import complex_normal
 from lidar_emu.fmcw.response import tone_gain
 from lidar_emu.fmcw.spectrum import BIN, NOISE, fold
 from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS, signed_bin
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 _PANELS = 16
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(inline="always")
 def set_haze_tone(
     model: ReceiverModel,
     work: Workspace,
@@ -38,7 +38,7 @@ def set_haze_tone(
     work.tones[look, 3, tone] = factor_im * scale * (x * gain_im + y * gain_re)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def haze_snr(model: ReceiverModel, range_m: float) -> float:
     """SNR of the air's light from the sensor to a range: ∫ exp(-2αr) / (1 + (r/z)²) dr, by panels of Simpson's rule."""
     z = model.haze.rayleigh_range_m
@@ -53,7 +53,7 @@ def haze_snr(model: ReceiverModel, range_m: float) -> float:
     return snr
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(inline="always")
 def add_haze(model: ReceiverModel, work: Workspace, segment: int, gain: float, count: int) -> None:
     """The air's light in a chirp: each range has its own beat, so that it adds to the noise of each bin."""
     farthest_m, speed_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]

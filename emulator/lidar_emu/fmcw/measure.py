@@ -12,14 +12,14 @@ from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.beam_filter import widest_filter
 from lidar_emu.fmcw.estimate import DOWN, UP, Estimate, chirp_minus_doppler, least_squares
 from lidar_emu.fmcw.limits import GROSS_RESIDUAL_BINS
-from lidar_emu.fmcw.model import ReceiverModel, Workspace, build_workspace, without_owners
+from lidar_emu.fmcw.model import ReceiverModel, Workspace, build_workspace
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.records import set_spectrum
 from lidar_emu.fmcw.speckle import forget
 from lidar_emu.fmcw.statistical import draw_targets
 from lidar_emu.fmcw.targets import find_targets
 from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS, gather_beamlets
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 if TYPE_CHECKING:
     from lidar_emu.fmcw.returns import Echoes
@@ -85,7 +85,7 @@ def _bounded(values: FloatArray) -> FloatArray:
     return np.ascontiguousarray(np.clip(np.where(np.isnan(values), 0.0, values), -_FASTEST, _FASTEST))
 
 
-@njit(cache=True)
+@kernel
 def _widest(
     model: ReceiverModel,
     range_m: FloatArray,
@@ -104,7 +104,7 @@ def _widest(
     return widest
 
 
-@njit(cache=True)
+@kernel
 def _measure(
     model: ReceiverModel,
     work: Workspace,
@@ -122,7 +122,6 @@ def _measure(
     seed: np.uint64,
     rows: NDArray[Any],
 ) -> None:
-    work = without_owners(work)
     for s in range(range_m.shape[0]):
         for b in range(range_m.shape[1]):
             row = rows[s, b]
@@ -174,7 +173,7 @@ def _measure(
             _conclude(model, work.targets, row)
 
 
-@njit(cache=True)
+@kernel(inline="always")
 def _find(
     model: ReceiverModel,
     work: Workspace,
@@ -224,7 +223,7 @@ def _find(
     return find_targets(model, work, bins, segment, shot, beam, seed)
 
 
-@njit(cache=True)
+@kernel
 def _blank(row: Any) -> None:
     row.range_m = np.nan
     row.closing_speed_mps = np.nan
@@ -236,7 +235,7 @@ def _blank(row: Any) -> None:
     row.segment_peak_hz[:] = np.nan
 
 
-@njit(cache=True)
+@kernel(inline="always")
 def _conclude(model: ReceiverModel, targets: FloatArray, row: Any) -> None:
     """What the targets of three segments, (3, MAX_GROUPS, 3), say together."""
     power = 0.0
@@ -250,7 +249,8 @@ def _conclude(model: ReceiverModel, targets: FloatArray, row: Any) -> None:
         scale = model.noise_power / model.window_centre**2
         row.snr_db = 10.0 * log10(scale * power / detections)
     if detections >= model.least_segments:
-        _report(model, _estimate(model, row.segments, targets[:, 0]), row)
+        segments: Any = np.int64(row.segments)
+        _report(model, _estimate(model, segments, targets[:, 0]), row)
     if row.returns > 1:
         second = _estimate(model, 7, targets[:, 1])
         distance_m = second.range_bin * model.range_bin_m
@@ -258,7 +258,7 @@ def _conclude(model: ReceiverModel, targets: FloatArray, row: Any) -> None:
             row.second_range_m = distance_m
 
 
-@njit(cache=True)
+@kernel
 def _estimate(model: ReceiverModel, segments: int, targets: FloatArray) -> Estimate:
     """One target of each segment, (3, 3), combined."""
     up, constant, down = targets[0, 0], targets[1, 0], targets[2, 0]
@@ -271,7 +271,7 @@ def _estimate(model: ReceiverModel, segments: int, targets: FloatArray) -> Estim
     return chirp_minus_doppler(up, constant, down, up_var, constant_var, down_var)
 
 
-@njit(cache=True)
+@kernel
 def _report(model: ReceiverModel, estimate: Estimate, row: Any) -> None:
     """An estimate in SI, if it may be reported, else the reason why not."""
     distance_m = estimate.range_bin * model.range_bin_m

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from lidar_emu.fmcw.modulation import LEAST_TAPS
 from lidar_emu.fmcw.response import Response
 from lidar_emu.fmcw.speckle import SLOTS
 from lidar_emu.fmcw.spectrum import REACH, ROWS, grid_capacity
-from lidar_emu.kernels import njit, unowned
 
 
 class Haze(NamedTuple):
@@ -83,11 +82,24 @@ class ReceiverModel(NamedTuple):
     """Smaller probabilities that noise elsewhere matters are left out."""
 
 
-class Workspace(NamedTuple):
-    """Arrays that the kernels write to; their size bounds beamlets, looks and the widest filter.
+def as_record(fields: Any) -> Any:
+    """A named tuple as one structured scalar: numba hands on its address, instead of fifty numbers to each kernel."""
+    return np.array(fields, dtype=_record_type(fields))[()]
 
-    A kernel that hands them on uses `without_owners`.
-    """
+
+def _record_type(fields: Any) -> np.dtype[Any]:
+    kinds = [(name, _field_type(value)) for name, value in zip(fields._fields, fields, strict=True)]
+    return np.dtype(kinds, align=True)
+
+
+def _field_type(value: Any) -> np.dtype[Any]:
+    if not isinstance(value, tuple):
+        return np.dtype(type(value))
+    return _record_type(value) if hasattr(value, "_fields") else np.dtype((float, len(value)))
+
+
+class Workspace(NamedTuple):
+    """Arrays that the kernels write to; their size bounds beamlets, looks and the widest filter."""
 
     beamlets: FloatArray
     """(6, beamlets) see `gather_beamlets`."""
@@ -135,27 +147,4 @@ def build_workspace(beamlets: int, looks: int, half: int, length: float) -> Work
         peaks=np.empty(MAX_GROUPS, dtype=np.int64),
         targets=np.empty((3, MAX_GROUPS, 4)),
         alarms=np.empty((MAX_GROUPS, 3)),
-    )
-
-
-@njit(cache=True)
-def without_owners(work: Workspace) -> Workspace:
-    """The same arrays, for as long as the caller holds them; see `unowned`."""
-    return Workspace(
-        unowned(work.beamlets),
-        unowned(work.tones),
-        unowned(work.places),
-        unowned(work.residues),
-        unowned(work.weights),
-        unowned(work.held),
-        unowned(work.corners),
-        unowned(work.grid),
-        unowned(work.bins),
-        unowned(work.filtered),
-        unowned(work.noise),
-        unowned(work.words),
-        unowned(work.taps),
-        unowned(work.peaks),
-        unowned(work.targets),
-        unowned(work.alarms),
     )

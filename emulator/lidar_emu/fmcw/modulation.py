@@ -14,7 +14,7 @@ from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.philox import complex_normal
 from lidar_emu.fmcw.sine import FAST
 from lidar_emu.fmcw.spectrum import BIN
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 LEAST_TAPS = 8
 """Taps on each side of the central one, before a wide smear or line asks for more."""
@@ -37,7 +37,7 @@ _MOMENTS = _moments()
 _NODES, _WEIGHTS = (np.ascontiguousarray(a) for a in np.polynomial.legendre.leggauss(16))
 
 
-@njit(cache=True)
+@kernel
 def smear_taps(smear: float, half: int, taps: FloatArray) -> None:
     """Taps of exp(jπβx²), x from -1/2 to 1/2 over the record: a beat that changes by β bins during it.
 
@@ -75,7 +75,7 @@ def smear_taps(smear: float, half: int, taps: FloatArray) -> None:
         taps[1, half + m] = taps[1, half - m] = im
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def line_taps(
     linewidth: float,
     delay: float,
@@ -128,7 +128,7 @@ def line_taps(
             taps[1, half - m] = -in_phase * u_im + quadrature * v_im
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _line_powers(rate: float, drift: float, loss: float, omega: float, delay: float) -> tuple[float, float]:
     """P and Q of `line_taps` at one angular frequency."""
     if drift < 1e-3:
@@ -144,7 +144,7 @@ def _line_powers(rate: float, drift: float, loss: float, omega: float, delay: fl
     return 2.0 * up, 2.0 * down
 
 
-@njit(cache=True)
+@kernel
 def gaussian_line_taps(
     linewidth: float,
     seed: np.uint64,
@@ -171,7 +171,7 @@ def gaussian_line_taps(
         taps[0, half + m], taps[1, half + m] = share * x, share * y
 
 
-@njit(cache=True)
+@kernel
 def convolve_taps(first: FloatArray, second: FloatArray, half: int, result: FloatArray) -> None:
     """The taps of a product of two factors, cut off at `half` on each side; arrays (2, 2 half + 1)."""
     result[:, : 2 * half + 1] = 0.0
@@ -181,7 +181,7 @@ def convolve_taps(first: FloatArray, second: FloatArray, half: int, result: Floa
             result[1, a + b - half] += first[0, a] * second[1, b] + first[1, a] * second[0, b]
 
 
-@njit(cache=True, fastmath=FAST)
+@kernel(fastmath=FAST)
 def filter_bins(
     taps: FloatArray,
     half: int,
@@ -196,8 +196,9 @@ def filter_bins(
     Bins outside the intervals laid count as empty, and the images of tones within `half` bins of 0 and N/2 are
     filtered like the tones themselves.
     """
-    scratch[:, :count] = bins[:, :count]
-    bins[:, :count] = 0.0
+    for part in range(2):
+        for j in range(count):
+            scratch[part, j], bins[part, j] = bins[part, j], 0.0
     sign = -1.0 if mirrored else 1.0
     start = 0
     while start < count:
@@ -210,7 +211,10 @@ def filter_bins(
             turn = -1.0 if m % 2 else 1.0
             re = turn * (taps[0, half - m] if mirrored else taps[0, half + m])
             im = turn * sign * (taps[1, half - m] if mirrored else taps[1, half + m])
-            for j in range(max(start, start + m), min(stop, stop + m)):
-                bins[0, j] += re * scratch[0, j - m] - im * scratch[1, j - m]
-                bins[1, j] += re * scratch[1, j - m] + im * scratch[0, j - m]
+            first, last = max(start, start + m), min(stop, stop + m)
+            bins_re, bins_im = bins[0, first:last], bins[1, first:last]
+            from_re, from_im = scratch[0, first - m :], scratch[1, first - m :]
+            for j in range(last - first):
+                bins_re[j] += re * from_re[j] - im * from_im[j]
+                bins_im[j] += re * from_im[j] + im * from_re[j]
         start = stop

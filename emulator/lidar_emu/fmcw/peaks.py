@@ -25,8 +25,8 @@ import numpy as np
 
 from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.sine import FAST, sin_pi
-from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, TAPS
-from lidar_emu.kernels import njit
+from lidar_emu.fmcw.spectrum import BIN, LOW, NOISE, POWER, TAPS, TOP
+from lidar_emu.kernels import kernel
 
 BIN_CENTRE, PARABOLA, JACOBSEN, HANN, ABOUTANIOS_MULGREW = range(5)
 METHODS = {
@@ -57,7 +57,7 @@ _BISECTIONS = 10
 """Steps to the place in the half bin whose tone gives a parabola's vertex."""
 
 
-@njit(cache=True)
+@kernel
 def peak(
     method: int, grid: FloatArray, bins: FloatArray, j: int, centre: float, side: float, length: float
 ) -> tuple[float, float]:
@@ -68,7 +68,8 @@ def peak(
 
     Args:
         method: one of METHODS.
-        grid: (ROWS, capacity) with BIN, NOISE and POWER, the mean over looks; see `spectrum`.
+        grid: (ROWS, capacity) with BIN, NOISE and POWER, the mean over looks; see `spectrum`. The filters' taps are
+            written to TOP and LOW.
         bins: (looks, 2, capacity) real and imaginary part of the rectangular bins, referred to the record's centre.
         j: column of the peak. Columns to j ± TAPS are its neighbours, and so for each column that has a power.
         centre, side: taps of the window under which the powers are.
@@ -97,38 +98,37 @@ def peak(
     return offset, max(variance, _LEAST_VARIANCE)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def _jacobsen(grid: FloatArray, bins: FloatArray, j: int, length: float) -> tuple[float, float]:
     """Three rectangular bins, after Jacobsen; exact at any N in the manner of Candan (2011).
 
     The ratio of Y₋ - Y₊ to 2 cos(π/N) Y₀ - Y₋ - Y₊ is sin(2πδ/N) / sin(2π/N), for long records δ itself.
     """
-    taps = np.zeros((2, 3))
-    taps[0, 0], taps[0, 2] = 1.0, -1.0
-    taps[1, 0], taps[1, 1], taps[1, 2] = -1.0, 2.0 * sin_pi(0.5 - 1.0 / length), -1.0
-    q, variance = _ratio(taps, grid, bins, j)
+    grid[TOP, j - 1], grid[TOP, j], grid[TOP, j + 1] = 1.0, 0.0, -1.0
+    grid[LOW, j - 1], grid[LOW, j], grid[LOW, j + 1] = -1.0, 2.0 * sin_pi(0.5 - 1.0 / length), -1.0
+    q, variance = _ratio(grid, bins, j, 1)
     angle = 2.0 * pi / length
     return asin(min(max(q, -1.0), 1.0) * sin(angle)) / angle, variance
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def _hann(grid: FloatArray, bins: FloatArray, j: int) -> tuple[float, float]:
     """Three Hann-weighted bins H, which are five rectangular ones.
 
     The tone lies where q = (H₋ - H₊)/(2 H₀ + H₋ + H₊) = 3δ / (2 (1 - δ²)); the quadratic is solved in the form
     that has no 0/0 at δ = 0.
     """
-    taps = np.zeros((2, 5))
-    taps[0, 0], taps[0, 1], taps[0, 3], taps[0, 4] = -1.0, 2.0, -2.0, 1.0
-    taps[1, 0], taps[1, 2], taps[1, 4] = -1.0, 2.0, -1.0
-    q, variance = _ratio(taps, grid, bins, j)
+    top, low = (-1.0, 2.0, 0.0, -2.0, 1.0), (-1.0, 0.0, 2.0, 0.0, -1.0)
+    for m in range(5):
+        grid[TOP, j + m - 2], grid[LOW, j + m - 2] = top[m], low[m]
+    q, variance = _ratio(grid, bins, j, 2)
     offset = 2.0 * q / (1.5 + sqrt(2.25 + 4.0 * q * q))
     square = offset * offset
     slope = 1.5 * (1.0 + square) / (1.0 - square) ** 2
     return offset, variance / (slope * slope)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def _aboutanios_mulgrew(grid: FloatArray, bins: FloatArray, j: int, length: float) -> tuple[float, float]:
     """Aboutanios and Mulgrew (2005): iterate on the transform half a bin to either side of the estimate.
 
@@ -141,63 +141,59 @@ def _aboutanios_mulgrew(grid: FloatArray, bins: FloatArray, j: int, length: floa
     # A column that has a power has its neighbours to ±TAPS.
     while span < _SPAN and min(grid[POWER, j - span + TAPS - 1], grid[POWER, j + span - TAPS + 1]) > 0.0:
         span += 1
-    taps = np.empty((2, 2 * span + 1))
     offset, _ = _jacobsen(grid, bins, j, length)
     q = variance = slope = 0.0
     for _ in range(_ITERATIONS):
         for m in range(-span, span + 1):
             above, below = _kernel(offset + 0.5, m, length), _kernel(offset - 0.5, m, length)
-            taps[0, m + span] = above - below
-            taps[1, m + span] = above + below
-        q, variance = _ratio(taps, grid, bins, j)
-        expected, slope = _ratio_of_tone(taps, offset, length)
+            grid[TOP, j + m], grid[LOW, j + m] = above - below, above + below
+        q, variance = _ratio(grid, bins, j, span)
+        expected, slope = _ratio_of_tone(grid, j, span, offset, length)
         offset = min(max(offset + (q - expected) / slope, -1.0), 1.0)
     return offset, variance / (slope * slope)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _ratio(taps: FloatArray, grid: FloatArray, bins: FloatArray, j: int) -> tuple[float, float]:
-    """The ratio q of two filters (2, odd number of taps) centred on column `j`, and its variance."""
-    first = j - taps.shape[1] // 2
+@kernel(fastmath=FAST)
+def _ratio(grid: FloatArray, bins: FloatArray, j: int, span: int) -> tuple[float, float]:
+    """The ratio q of the two filters in TOP and LOW, `span` taps on each side of column `j`, and its variance."""
     product = power = 0.0
     for look in range(bins.shape[0]):
         top_re = top_im = low_re = low_im = 0.0
-        for i in range(taps.shape[1]):
-            re, im = bins[look, 0, first + i], bins[look, 1, first + i]
-            top_re += taps[0, i] * re
-            top_im += taps[0, i] * im
-            low_re += taps[1, i] * re
-            low_im += taps[1, i] * im
+        for i in range(j - span, j + span + 1):
+            re, im = bins[look, 0, i], bins[look, 1, i]
+            top_re += grid[TOP, i] * re
+            top_im += grid[TOP, i] * im
+            low_re += grid[LOW, i] * re
+            low_im += grid[LOW, i] * im
         product += top_re * low_re + top_im * low_im
         power += low_re * low_re + low_im * low_im
     low_noise = 0.0
-    for i in range(taps.shape[1]):
-        low_noise += taps[1, i] * taps[1, i]
+    for i in range(j - span, j + span + 1):
+        low_noise += grid[LOW, i] * grid[LOW, i]
     looks = bins.shape[0]
     signal = max(power - (looks - 1) * low_noise * grid[NOISE, j], power / looks)
     q = product / signal
     noise = 0.0
-    for i in range(taps.shape[1]):
-        noise += (taps[0, i] - q * taps[1, i]) ** 2
+    for i in range(j - span, j + span + 1):
+        noise += (grid[TOP, i] - q * grid[LOW, i]) ** 2
     return q, 0.5 * grid[NOISE, j] * noise / signal * (power / signal)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _ratio_of_tone(taps: FloatArray, offset: float, length: float) -> tuple[float, float]:
+@kernel(fastmath=FAST)
+def _ratio_of_tone(grid: FloatArray, j: int, span: int, offset: float, length: float) -> tuple[float, float]:
     """The ratio of the filters' outputs for a pure tone at `offset`, and its derivative with the tone's place."""
-    span = taps.shape[1] // 2
     top = low = top_slope = low_slope = 0.0
     for m in range(-span, span + 1):
         here = _kernel(offset, m, length)
         slope = _kernel_slope(offset, m, here)
-        top += taps[0, m + span] * here
-        low += taps[1, m + span] * here
-        top_slope += taps[0, m + span] * slope
-        low_slope += taps[1, m + span] * slope
+        top += grid[TOP, j + m] * here
+        low += grid[LOW, j + m] * here
+        top_slope += grid[TOP, j + m] * slope
+        low_slope += grid[LOW, j + m] * slope
     return top / low, (top_slope - top / low * low_slope) / low
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def _kernel(place: float, m: int, length: float) -> float:
     """Bin m of a tone of unit weight at `place`, and likewise what bin m has in the transform at `place`."""
     whole = np.rint(place)
@@ -207,7 +203,7 @@ def _kernel(place: float, m: int, length: float) -> float:
     return value
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def _kernel_slope(place: float, m: int, kernel: float) -> float:
     """Derivative of the kernel with the tone's place, but for terms in 1/N²."""
     x = place - m
@@ -216,7 +212,7 @@ def _kernel_slope(place: float, m: int, kernel: float) -> float:
     return (cosine - kernel) / x if abs(x) > 1e-6 else 0.0
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def _parabola(grid: FloatArray, looks: int, j: int, centre: float, side: float) -> tuple[float, float]:
     """Vertex of the parabola through the log powers of three bins under the window.
 
@@ -237,21 +233,20 @@ def _parabola(grid: FloatArray, looks: int, j: int, centre: float, side: float) 
     correlation = (centre * centre + 2.0 * side * side, 2.0 * centre * side, 1.0 * side * side)
     noise = grid[NOISE, j] / here
     floor = noise * correlation[0]
-    amplitudes, powers = np.empty(3), np.empty(3)
     place, step, curvature = 0.25, 0.125, 0.0
+    amplitudes = powers = (0.0, 0.0, 0.0)
     for _ in range(_BISECTIONS):
-        _set_lobe(place, centre, side, amplitudes)
-        gain = sqrt(max(1.0 - floor, 0.0)) / amplitudes[1]
-        for m in range(3):
-            amplitudes[m] *= gain
-            powers[m] = amplitudes[m] ** 2 + floor
+        lobe = _lobe(place, centre, side)
+        gain = sqrt(max(1.0 - floor, 0.0)) / lobe[1]
+        amplitudes = (gain * lobe[0], gain * lobe[1], gain * lobe[2])
+        powers = (amplitudes[0] ** 2 + floor, amplitudes[1] ** 2 + floor, amplitudes[2] ** 2 + floor)
         expected, curvature = _vertex(log(powers[0]), log(powers[1]), log(powers[2]))
         place += step if expected < abs(vertex) else -step
         step *= 0.5
     bias = abs(vertex) - place
     if vertex < 0.0:
-        amplitudes[0], amplitudes[2] = amplitudes[2], amplitudes[0]
-        powers[0], powers[2] = powers[2], powers[0]
+        amplitudes = (amplitudes[2], amplitudes[1], amplitudes[0])
+        powers = (powers[2], powers[1], powers[0])
     slopes = ((0.5 - vertex) / curvature, 2.0 * vertex / curvature, (-0.5 - vertex) / curvature)
     variance = 0.0
     for a in range(3):
@@ -262,18 +257,21 @@ def _parabola(grid: FloatArray, looks: int, j: int, centre: float, side: float) 
     return vertex, bias * bias + variance / looks
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def _vertex(before: float, here: float, after: float) -> tuple[float, float]:
     """Place of the extremum of the parabola through values at -1, 0 and 1, and its second difference."""
     curvature = before - 2.0 * here + after
     return 0.5 * (before - after) / curvature, curvature
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _set_lobe(place: float, centre: float, side: float, amplitudes: FloatArray) -> None:
+@kernel(fastmath=FAST)
+def _lobe(place: float, centre: float, side: float) -> tuple[float, float, float]:
     """Bins -1, 0 and 1 under the window, without alternating sign, of a tone at 0 < `place` <= 1/2."""
-    sine = sin_pi(place) / pi
-    for m in range(3):
-        sign = -1.0 if m != 1 else 1.0
-        sides = 1.0 / (place - m) + 1.0 / (place + (2 - m))
-        amplitudes[m] = sign * sine * (centre / (place + (1 - m)) - side * sides)
+    scale = sin_pi(place) / pi
+    outer, before, here = 1.0 / (place + 2.0), 1.0 / (place + 1.0), 1.0 / place
+    after, beyond = 1.0 / (place - 1.0), 1.0 / (place - 2.0)
+    return (
+        -scale * (centre * before - side * (here + outer)),
+        scale * (centre * here - side * (after + before)),
+        -scale * (centre * after - side * (beyond + here)),
+    )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.sine import FAST, sin_pi
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 _MULTIPLIER_0 = np.uint64(0xD2511F53)
 _MULTIPLIER_1 = np.uint64(0xCD9E8D57)
@@ -32,7 +32,7 @@ _LN_2 = log(2.0)
 _Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 
 
-@njit(cache=True)
+@kernel(forceinline=True)
 def philox4x32(
     c0: np.uint64, c1: np.uint64, c2: np.uint64, c3: np.uint64, k0: np.uint64, k1: np.uint64
 ) -> _Words:
@@ -63,19 +63,19 @@ def philox4x32(
     return _round(w, k)
 
 
-@njit(cache=True)
+@kernel(forceinline=True)
 def _round(w: _Words, k: tuple[np.uint64, np.uint64]) -> _Words:
     left = _MULTIPLIER_0 * w[0]
     right = _MULTIPLIER_1 * w[2]
     return (right >> _WORD) ^ w[1] ^ k[0], right & _LOW, (left >> _WORD) ^ w[3] ^ k[1], left & _LOW
 
 
-@njit(cache=True)
+@kernel(forceinline=True)
 def _next_key(k: tuple[np.uint64, np.uint64]) -> tuple[np.uint64, np.uint64]:
     return (k[0] + _WEYL_0) & _LOW, (k[1] + _WEYL_1) & _LOW
 
 
-@njit(cache=True)
+@kernel
 def uniform_pair(seed: np.uint64, shot: int, beam: int, purpose: int, index: int) -> tuple[float, float]:
     """Two independent uniforms, strictly between 0 and 1, of 53 bits each.
 
@@ -93,7 +93,7 @@ def uniform_pair(seed: np.uint64, shot: int, beam: int, purpose: int, index: int
     return _unit_interval(a, b), _unit_interval(c, d)
 
 
-@njit(cache=True)
+@kernel
 def complex_normal(seed: np.uint64, shot: int, beam: int, purpose: int, index: int) -> tuple[float, float]:
     """Real and imaginary part of a circular complex Gaussian of unit mean power (Box-Muller)."""
     u, turn = uniform_pair(seed, shot, beam, purpose, index)
@@ -102,7 +102,7 @@ def complex_normal(seed: np.uint64, shot: int, beam: int, purpose: int, index: i
     return radius * cosine, radius * sine
 
 
-@njit(cache=True)
+@kernel
 def fill_complex_normals(
     seed: np.uint64,
     shot: int,
@@ -125,7 +125,7 @@ def fill_complex_normals(
     _box_muller(out)
 
 
-@njit(cache=True)
+@kernel
 def _fill_words(
     seed: np.uint64,
     number: np.uint64,
@@ -136,38 +136,37 @@ def _fill_words(
 ) -> None:
     k0, k1 = seed & _LOW, seed >> _WORD
     low, high = number & _LOW, number >> _WORD
+    # Rows are taken ahead of loops: found within, they keep a loop from becoming vector instructions.
+    words_0, words_1, words_2, words_3 = words[0], words[1], words[2], words[3]
     for i in range(count):
         a, b, c, d = philox4x32(low, high, use, (first + np.uint64(i)) & _LOW, k0, k1)
-        words[0, i] = a
-        words[1, i] = b
-        words[2, i] = c
-        words[3, i] = d
+        words_0[i], words_1[i], words_2[i], words_3[i] = a, b, c, d
 
 
-@njit(cache=True)
+@kernel
 def _fill_uniforms(words: NDArray[np.uint64], out: FloatArray) -> None:
-    for i in range(out.shape[1] // 2):
-        out[0, 2 * i] = (np.float64(np.int64(words[0, i])) + 0.5) * 2.0**-32
-        out[1, 2 * i] = (np.float64(np.int64(words[1, i])) + 0.5) * 2.0**-32
-        out[0, 2 * i + 1] = (np.float64(np.int64(words[2, i])) + 0.5) * 2.0**-32
-        out[1, 2 * i + 1] = (np.float64(np.int64(words[3, i])) + 0.5) * 2.0**-32
+    for part in range(2):
+        row, even, odd = out[part], words[part], words[part + 2]
+        for i in range(out.shape[1] // 2):
+            row[2 * i] = (np.float64(np.int64(even[i])) + 0.5) * 2.0**-32
+            row[2 * i + 1] = (np.float64(np.int64(odd[i])) + 0.5) * 2.0**-32
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def _box_muller(out: FloatArray) -> None:
     """Uniforms for magnitude and phase in, real and imaginary parts out."""
-    bits = out[0].view(np.int64)
-    for i in range(out.shape[1]):
+    re, im = out[0], out[1]
+    bits = re.view(np.int64)
+    for i in range(len(re)):
         # The exponent counts from sqrt(1/2), so that the mantissa lies around 1.
         exponent = (bits[i] - _ROOT_HALF_BITS) >> 52
         bits[i] -= exponent << 52
-        radius = sqrt(-(exponent * _LN_2 + _ln_near_one(out[0, i])))
-        cosine, sine = unit_phasor(out[1, i])
-        out[0, i] = radius * cosine
-        out[1, i] = radius * sine
+        radius = sqrt(-(exponent * _LN_2 + _ln_near_one(re[i])))
+        cosine, sine = unit_phasor(im[i])
+        re[i], im[i] = radius * cosine, radius * sine
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, forceinline=True)
 def _ln_near_one(x: float) -> float:
     """ln x from sqrt(1/2) to sqrt(2), to 2e-16 of itself: 2 artanh s with s = (x - 1)/(x + 1)."""
     s = (x - 1.0) / (x + 1.0)
@@ -177,14 +176,14 @@ def _ln_near_one(x: float) -> float:
     return 2.0 * s * series
 
 
-@njit(cache=True, fastmath=FAST)
+@kernel(fastmath=FAST, forceinline=True)
 def unit_phasor(turn: float) -> tuple[float, float]:
     """Cosine and sine of 2 pi `turn` - pi, for `turn` from 0 to 1."""
     x = 2.0 * turn - 1.0
     return sin_pi(0.5 - abs(x)), sin_pi(copysign(min(abs(x), 1.0 - abs(x)), x))
 
 
-@njit(cache=True)
+@kernel(forceinline=True)
 def _unit_interval(high: np.uint64, low: np.uint64) -> float:
     bits = ((high >> _SHIFT_5) << _SHIFT_26) | (low >> _SHIFT_6)
     return (np.float64(bits) + 0.5) * 2.0**-53

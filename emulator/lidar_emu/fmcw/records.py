@@ -17,7 +17,7 @@ from lidar_emu.fmcw.response import clipping, set_noise
 from lidar_emu.fmcw.speckle import set_weights
 from lidar_emu.fmcw.spectrum import REACH, add_noise, lay_bins, mirror_ends, set_power, set_tones
 from lidar_emu.fmcw.tones import ORDER, set_segment_tones
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 PHASE, NOISE_BINS, SPECKLE, LINE, HAZE, FALSE_ALARM = range(1, 7)
 """What a random number is for; part of its counter."""
@@ -26,7 +26,7 @@ SEGMENT_INDICES = 2**24
 """Indices kept for the bins of each record; N is at most 2**24."""
 
 
-@njit(cache=True)
+@kernel
 def set_spectrum(
     model: ReceiverModel,
     work: Workspace,
@@ -64,10 +64,11 @@ def set_spectrum(
         )
         if haze:
             set_haze_tone(model, work, count, look, HAZE, shot, beam, seed)
+        lines = work.tones[look]
         for i in range(tones, padded):
-            work.tones[look, :, i] = work.tones[look, :, 0]
-            work.tones[look, 2:, i] = 0.0
-        work.places[0, look * tones : (look + 1) * tones] = work.tones[look, 0, :tones]
+            lines[0, i], lines[1, i], lines[2, i], lines[3, i] = lines[0, 0], lines[1, 0], 0.0, 0.0
+        for i in range(tones):
+            work.places[0, look * tones + i] = lines[0, i]
     reach = REACH + max(0, half - LEAST_TAPS)
     every = model.looks * tones
     bins = lay_bins(work.places[0, :every], float(reach), model.fft_length, work.places[1], work.grid)
@@ -87,7 +88,7 @@ def set_spectrum(
     return bins
 
 
-@njit(cache=True)
+@kernel
 def set_look_tones(
     model: ReceiverModel,
     work: Workspace,
@@ -112,7 +113,8 @@ def set_look_tones(
         set_weights(seed, beam, SPECKLE, east, north, work.held, work.corners, work.words, weights)
         # Of the beamlets that return light, in ascending order.
         for i in range(count):
-            weights[:, i] = weights[:, int(work.beamlets[ORDER, i])]
+            order = int(work.beamlets[ORDER, i])
+            weights[0, i], weights[1, i] = weights[0, order], weights[1, order]
     turn, _ = uniform_pair(seed, shot, beam, PHASE, segment + 3 * look)
     set_segment_tones(
         model,
@@ -126,7 +128,7 @@ def set_look_tones(
     )
 
 
-@njit(cache=True)
+@kernel(inline="always")
 def _set_look(
     model: ReceiverModel,
     work: Workspace,

@@ -10,7 +10,7 @@ import numpy as np
 from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.sine import FAST
 from lidar_emu.fmcw.spectrum import BIN, NOISE, SIN
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 
 class Response(NamedTuple):
@@ -34,7 +34,13 @@ class Response(NamedTuple):
     ideal digitiser."""
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel
+def is_flat(response: Response) -> bool:
+    """Whether there is neither of the poles."""
+    return response.highpass_bin == 0.0 and response.lowpass_bin == np.inf
+
+
+@kernel(fastmath=FAST, forceinline=True)
 def tone_gain(response: Response, signed_bin: float) -> tuple[float, float]:
     """Complex gain at a signed frequency, not folded: that of -f is the conjugate."""
     gain_re, gain_im = 1.0, 0.0
@@ -47,17 +53,17 @@ def tone_gain(response: Response, signed_bin: float) -> tuple[float, float]:
     return scale * (gain_re + x * gain_im), scale * (gain_im - x * gain_re)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def set_noise(response: Response, factor: float, added: float, grid: FloatArray, count: int) -> None:
     """Set NOISE of the first `count` bins to their mean noise power; see `noise_level`."""
-    if response.highpass_bin == 0.0 and response.lowpass_bin == np.inf:
+    if is_flat(response):
         grid[NOISE, :count] = factor * response.amplifier_noise + response.digitiser_noise + added
         return
     for j in range(count):
         grid[NOISE, j] = noise_level(response, factor, added, grid[BIN, j], grid[SIN, j])
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def noise_level(response: Response, factor: float, added: float, k: float, sine: float) -> float:
     """Mean noise power of a rectangular bin.
 
@@ -83,7 +89,7 @@ def noise_level(response: Response, factor: float, added: float, k: float, sine:
     return factor * response.amplifier_noise * max(level, 0.0) + response.digitiser_noise + added
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def clipping(response: Response, tones: FloatArray, length: float) -> tuple[float, float]:
     """What a clipping digitiser makes of tones (4, tones) and noise, taken together as Gaussian (Bussgang's theorem).
 

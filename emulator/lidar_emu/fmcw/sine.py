@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import factorial, pi
 
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 FAST = {"contract", "arcp", "nsz"}
 """The liberties that kernels may take: none that changes the order of a sum or the meaning of NaN."""
@@ -14,7 +14,7 @@ _A1, _A3, _A5, _A7, _A9, _A11, _A13, _A15, _A17, _A19, _A21 = (
 )
 
 
-@njit(cache=True, fastmath=FAST)
+@kernel(fastmath=FAST, forceinline=True)
 def sin_pi(x: float) -> float:
     """sin(pi x) for |x| up to a little over 1/2, relative error 3e-16.
 

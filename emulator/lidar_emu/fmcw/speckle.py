@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.philox import fill_complex_normals, unit_phasor
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 SLOTS = 9
 """Corners kept, by their coordinates modulo 3: a measurement seldom moves by more than a cell."""
@@ -26,7 +26,7 @@ SLOTS = 9
 _LOW_WORD = np.int64(0xFFFFFFFF)
 
 
-@njit(cache=True)
+@kernel
 def set_weights(
     seed: np.uint64,
     beam: int,
@@ -52,24 +52,25 @@ def set_weights(
         share = _share(east - cell_east, x) * _share(north - cell_north, y)
         slot = _hold(seed, beam, purpose, int(cell_east) + x, int(cell_north) + y, held, corners, words)
         for part in range(2):
-            for i in range(weights.shape[1]):
-                weights[part, i] += share * corners[slot, part, i]
+            weight, normal = weights[part], corners[slot, part]
+            for i in range(len(weight)):
+                weight[i] += share * normal[i]
 
 
-@njit(cache=True)
+@kernel
 def forget(held: NDArray[np.int64]) -> None:
     """No corner is known."""
     held[:] = np.iinfo(np.int64).max
 
 
-@njit(cache=True)
+@kernel
 def _share(offset: float, side: int) -> float:
     # A quarter turn leads from one corner to the other.
     cosine, sine = unit_phasor(0.5 + 0.25 * offset)
     return sine if side else cosine
 
 
-@njit(cache=True)
+@kernel
 def _hold(
     seed: np.uint64,
     beam: int,

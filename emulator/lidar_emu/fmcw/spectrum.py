@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.philox import fill_complex_normals
 from lidar_emu.fmcw.sine import FAST, sin_pi
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
-BIN, COS, SIN, NOISE, POWER = range(5)
+BIN, COS, SIN, NOISE, POWER, TOP, LOW = range(7)
 """Rows of a grid: index k of the bin, cosine and sine of πk/N, mean noise power of the rectangular bin, power
-under the window."""
-ROWS = 5
+under the window, and taps of a peak's two filters (`peaks`)."""
+ROWS = 7
 
 TAPS = 2
 """Rectangular bins beyond the windowed ones: a tap of the window of a neighbour of the highest bin."""
@@ -61,7 +61,7 @@ WINDOWS = {
 }
 
 
-@njit(cache=True)
+@kernel(forceinline=True)
 def fold(signed_bin: float, length: float) -> tuple[float, float, float]:
     """Where a real-valued receiver sees a tone of signed frequency, and what becomes of its weight.
 
@@ -76,7 +76,7 @@ def fold(signed_bin: float, length: float) -> tuple[float, float, float]:
     return abs(nearest), factor, (factor if nearest >= 0.0 else -factor)
 
 
-@njit(cache=True)
+@kernel
 def lay_bins(tone_bin: FloatArray, reach: float, length: float, scratch: FloatArray, grid: FloatArray) -> int:
     """Choose the bins around tones, ascending and without gaps within each interval.
 
@@ -114,7 +114,7 @@ def grid_capacity(tones: int, reach: int, length: float) -> int:
     return min(tones * (2 * reach + 2) + int(_ONE_INTERVAL), int(length) // 2 + 2 * TAPS + 2)
 
 
-@njit(cache=True)
+@kernel
 def _lay_interval(first: float, last: float, length: float, grid: FloatArray, count: int) -> int:
     k = max(first, -float(TAPS))
     last = min(last, 0.5 * length + TAPS)
@@ -125,7 +125,7 @@ def _lay_interval(first: float, last: float, length: float, grid: FloatArray, co
     return count
 
 
-@njit(cache=True)
+@kernel
 def _sort(values: FloatArray, ascending: FloatArray) -> None:
     for i in range(len(values)):
         j = i
@@ -135,14 +135,14 @@ def _sort(values: FloatArray, ascending: FloatArray) -> None:
         ascending[j] = values[i]
 
 
-@njit(cache=True, fastmath=FAST)
+@kernel(fastmath=FAST)
 def _set_angles(length: float, grid: FloatArray, count: int) -> None:
     for j in range(count):
         grid[COS, j] = sin_pi((0.5 * length - grid[BIN, j]) / length)
         grid[SIN, j] = sin_pi(grid[BIN, j] / length)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def set_tones(tones: FloatArray, length: float, grid: FloatArray, count: int, bins: FloatArray) -> None:
     """Set the first `count` bins, from 0 to N/2, to the sum of tones, whatever their places.
 
@@ -186,7 +186,7 @@ def set_tones(tones: FloatArray, length: float, grid: FloatArray, count: int, bi
         im[j] *= sines[j]
 
 
-@njit(cache=True)
+@kernel
 def add_noise(
     seed: np.uint64,
     shot: int,
@@ -221,7 +221,7 @@ def add_noise(
         start = stop
 
 
-@njit(cache=True)
+@kernel
 def _add(
     normals: FloatArray, column: int, start: int, stop: int, length: float, grid: FloatArray, bins: FloatArray
 ) -> None:
@@ -240,7 +240,7 @@ def _add(
             bins[1, j] += sqrt(2.0) * y
 
 
-@njit(cache=True)
+@kernel
 def mirror_ends(length: float, grid: FloatArray, count: int, bins: FloatArray) -> None:
     """Set the bins below 0 and above N/2 from those that they mirror."""
     for j in range(count):
@@ -255,7 +255,7 @@ def mirror_ends(length: float, grid: FloatArray, count: int, bins: FloatArray) -
             bins[1, j] = bins[1, mirrored]
 
 
-@njit(cache=True, fastmath=FAST)
+@kernel(fastmath=FAST, forceinline=True)
 def windowed_bin(
     bins: FloatArray, j: int, centre: float, side: float, cosine: float, sine: float
 ) -> tuple[float, float]:
@@ -270,7 +270,7 @@ def windowed_bin(
     )
 
 
-@njit(cache=True, fastmath=FAST)
+@kernel(fastmath=FAST)
 def set_power(
     centre: float,
     side: float,

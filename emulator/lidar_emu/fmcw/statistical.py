@@ -22,13 +22,13 @@ from lidar_emu.fmcw.response import clipping, noise_level
 from lidar_emu.fmcw.sine import sin_pi
 from lidar_emu.fmcw.targets import draw_alarms, insert_alarms
 from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 _EFFICIENT = 0.3898**2
 """Least variance of a tone's frequency in bins² times its SNR (Cramér and Rao)."""
 
 
-@njit(cache=True)
+@kernel
 def draw_targets(
     model: ReceiverModel,
     work: Workspace,
@@ -81,7 +81,7 @@ def draw_targets(
     return insert_alarms(model, work.alarms[:alarms], highest, targets, groups)
 
 
-@njit(cache=True)
+@kernel
 def _sum_at_peak(tones: FloatArray) -> tuple[float, float, float]:
     """Frequency of the strongest sum of tones, to first order of their spread, and the sum there."""
     re, im, power, moment = 0.0, 0.0, 0.0, 0.0
@@ -111,13 +111,13 @@ def _sum_at_peak(tones: FloatArray) -> tuple[float, float, float]:
     return first + centre, re, im
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sinc(x: float) -> float:
     value: float = 1.0 if abs(x) < 1e-9 else np.sin(pi * x) / (pi * x)
     return value
 
 
-@njit(cache=True)
+@kernel
 def _window_gain(model: ReceiverModel, offset: float) -> float:
     """Magnitude of a windowed bin beside a tone of unit weight."""
     sides = _sinc(offset - 1.0) + _sinc(offset + 1.0)
@@ -125,7 +125,7 @@ def _window_gain(model: ReceiverModel, offset: float) -> float:
     return gain
 
 
-@njit(cache=True)
+@kernel(inline="always")
 def _filter_loss(
     model: ReceiverModel, work: Workspace, segment: int, smear_acceleration_mps2: float
 ) -> float:
@@ -138,7 +138,7 @@ def _filter_loss(
     return loss
 
 
-@njit(cache=True)
+@kernel(inline="always")
 def _set_target(
     model: ReceiverModel,
     work: Workspace,

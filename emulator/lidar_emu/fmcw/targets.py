@@ -16,13 +16,13 @@ from lidar_emu.fmcw.records import FALSE_ALARM
 from lidar_emu.fmcw.response import noise_level
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, TAPS
 from lidar_emu.fmcw.tones import RANGE_M
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 _PEAK_VARIANCE_TIMES_SNR = 0.5
 """Of the estimators that resolve part of a bin, for peaks in noise, whose bins are not computed."""
 
 
-@njit(cache=True)
+@kernel
 def find_targets(
     model: ReceiverModel, work: Workspace, count: int, segment: int, shot: int, beam: int, seed: np.uint64
 ) -> int:
@@ -61,7 +61,7 @@ def find_targets(
     return insert_alarms(model, work.alarms[:alarms], highest, targets, groups)
 
 
-@njit(cache=True)
+@kernel(inline="always")
 def _set_target(model: ReceiverModel, work: Workspace, j: int, target: FloatArray) -> None:
     offset, variance = peak(
         model.peak_method,
@@ -78,7 +78,7 @@ def _set_target(model: ReceiverModel, work: Workspace, j: int, target: FloatArra
     target[3] = work.grid[POWER, j]
 
 
-@njit(cache=True)
+@kernel
 def draw_alarms(
     model: ReceiverModel,
     highest: float,
@@ -123,7 +123,7 @@ def draw_alarms(
     return MAX_GROUPS
 
 
-@njit(cache=True)
+@kernel
 def insert_alarms(
     model: ReceiverModel, alarms: FloatArray, highest: float, targets: FloatArray, count: int
 ) -> int:
@@ -134,13 +134,14 @@ def insert_alarms(
     return count
 
 
-@njit(cache=True)
+@kernel
 def _insert(model: ReceiverModel, alarm: FloatArray, targets: FloatArray, count: int) -> int:
     """Put a peak of noise in its place among the `count` strongest targets."""
     place = count
     while place > 0 and targets[place - 1, 3] < alarm[0]:
         if place < MAX_GROUPS:
-            targets[place] = targets[place - 1]
+            for i in range(targets.shape[1]):
+                targets[place, i] = targets[place - 1, i]
         place -= 1
     if place < MAX_GROUPS:
         exact = model.peak_method != BIN_CENTRE

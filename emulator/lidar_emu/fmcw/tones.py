@@ -19,10 +19,10 @@ from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.model import ReceiverModel
 from lidar_emu.fmcw.philox import unit_phasor
 from lidar_emu.fmcw.reasons import Reason
-from lidar_emu.fmcw.response import tone_gain
+from lidar_emu.fmcw.response import is_flat, tone_gain
 from lidar_emu.fmcw.sine import FAST
 from lidar_emu.fmcw.spectrum import fold
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 
 RANGE_M, RANGE_RATE_MPS, SPEED_MPS, AMPLITUDE, SHARE, ORDER = range(6)
 """Rows of a beam's beamlets: what returns light, square root of its SNR, SNR over the root of the beam's, and its place
@@ -40,7 +40,7 @@ _BEYOND_RANGE = int(Reason.BEYOND_RANGE)
 _INSIDE_GROUND = int(Reason.INSIDE_GROUND)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def gather_beamlets(
     model: ReceiverModel,
     range_m: FloatArray,
@@ -87,7 +87,7 @@ def gather_beamlets(
     return reason, count, total_w
 
 
-@njit(cache=True)
+@kernel
 def _heard_share(model: ReceiverModel, lost: float) -> float:
     """Amplitude of a windowed bin, of a line that misses the first part of its record, over that of a whole one.
 
@@ -98,23 +98,24 @@ def _heard_share(model: ReceiverModel, lost: float) -> float:
     return 1.0 - lost - model.window_side / model.window_centre * sin(2.0 * pi * lost) / pi
 
 
-@njit(cache=True, fastmath=FAST)
+@kernel(fastmath=FAST, forceinline=True)
 def signed_bin(model: ReceiverModel, segment: int, range_m: float, speed_mps: float) -> float:
     """The beat in bins, g₊, g₀ or g₋."""
-    carrier = model.carrier_ratio[segment]
-    doppler_bin = speed_mps / model.speed_bin_mps
+    per_m, per_mps, per_m_mps = _beat_terms(model, segment)
+    return per_m * range_m + (per_mps + per_m_mps * range_m) * speed_mps
+
+
+@kernel(fastmath=FAST)
+def _beat_terms(model: ReceiverModel, segment: int) -> tuple[float, float, float]:
+    """The beat in bins per range, per closing speed, and per product of the two."""
+    per_mps = model.carrier_ratio[segment] / model.speed_bin_mps
     if segment == 1:
-        return carrier * doppler_bin
-    shift = model.slope_over_carrier_per_m * range_m
-    beat_bin = model.beat_bin_per_m * range_m
-    return (
-        beat_bin - (carrier - shift) * doppler_bin
-        if segment == 0
-        else beat_bin + (carrier + shift) * doppler_bin
-    )
+        return 0.0, per_mps, 0.0
+    per_m_mps = model.slope_over_carrier_per_m / model.speed_bin_mps
+    return model.beat_bin_per_m, (-per_mps if segment == 0 else per_mps), per_m_mps
 
 
-@njit(cache=True, fastmath=FAST)
+@kernel(fastmath=FAST, forceinline=True)
 def relative_turn(
     model: ReceiverModel, segment: int, time_records: float, range_m: float, ahead_m: float, faster_mps: float
 ) -> float:
@@ -136,7 +137,7 @@ def relative_turn(
     return faster_mps / model.speed_bin_mps * time_records - off_carrier * ahead_m
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def set_segment_tones(
     model: ReceiverModel,
     segment: int,
@@ -158,31 +159,79 @@ def set_segment_tones(
         weights: (2, n or more).
         tones: (4, n) receives n, δ and the complex weight.
     """
-    time_s = time_records * model.record_time_s
+    _set_places(model, segment, time_records * model.record_time_s, acceleration_mps2, beamlets, tones)
+    if model.speckle:
+        _set_speckled(model, segment, time_records, common_turn, beamlets, weights, tones)
+    else:
+        cosine, sine = unit_phasor(common_turn + 0.5 - np.floor(common_turn + 0.5))
+        for i in range(tones.shape[1]):
+            tones[2, i], tones[3, i] = beamlets[SHARE, i] * cosine, beamlets[SHARE, i] * sine
+    if not is_flat(model.response):
+        for i in range(tones.shape[1]):
+            gain_re, gain_im = tone_gain(model.response, tones[0, i])
+            re, im = tones[2, i], tones[3, i]
+            tones[2, i], tones[3, i] = re * gain_re - im * gain_im, re * gain_im + im * gain_re
+    _fold(model.fft_length, tones)
+
+
+# Each stage is a loop of its own, and reads the model ahead of it: so they become vector instructions.
+
+
+@kernel(fastmath=FAST)
+def _set_places(
+    model: ReceiverModel,
+    segment: int,
+    time_s: float,
+    acceleration_mps2: float,
+    beamlets: FloatArray,
+    tones: FloatArray,
+) -> None:
+    """The signed beats at a record's own time, for now in the first row."""
+    per_m, per_mps, per_m_mps = _beat_terms(model, segment)
+    range_m, rate_mps, speed_mps = beamlets[RANGE_M], beamlets[RANGE_RATE_MPS], beamlets[SPEED_MPS]
+    beat = tones[0]
+    for i in range(len(beat)):
+        distance_m, closing_mps = range_m[i] + rate_mps[i] * time_s, speed_mps[i] + acceleration_mps2 * time_s
+        beat[i] = per_m * distance_m + (per_mps + per_m_mps * distance_m) * closing_mps
+
+
+@kernel(fastmath=FAST)
+def _set_speckled(
+    model: ReceiverModel,
+    segment: int,
+    time_records: float,
+    common_turn: float,
+    beamlets: FloatArray,
+    weights: FloatArray,
+    tones: FloatArray,
+) -> None:
+    """The echo's field of each beamlet."""
     # In the up-chirp the beat rises with the delay: the echo's field enters as its conjugate.
     sense = -1.0 if segment == 0 else 1.0
-    first_range_m, first_speed_mps = beamlets[RANGE_M, 0], beamlets[SPEED_MPS, 0]
-    for i in range(tones.shape[1]):
-        range_m = beamlets[RANGE_M, i] + beamlets[RANGE_RATE_MPS, i] * time_s
-        speed_mps = beamlets[SPEED_MPS, i] + acceleration_mps2 * time_s
-        beat = signed_bin(model, segment, range_m, speed_mps)
-        if model.speckle:
-            ahead_m, faster_mps = (
-                beamlets[RANGE_M, i] - first_range_m,
-                beamlets[SPEED_MPS, i] - first_speed_mps,
-            )
-            turn = relative_turn(model, segment, time_records, first_range_m, ahead_m, faster_mps)
-            scale = beamlets[AMPLITUDE, i]
-            re, im = scale * weights[0, i], sense * scale * weights[1, i]
-            turn = sense * turn + common_turn
-        else:
-            turn = common_turn
-            re, im = beamlets[SHARE, i], 0.0
-        cosine, sine = unit_phasor(turn + 0.5 - np.floor(turn + 0.5))
-        gain_re, gain_im = tone_gain(model.response, beat)
-        cosine, sine = cosine * gain_re - sine * gain_im, cosine * gain_im + sine * gain_re
-        observed_bin, factor_re, factor_im = fold(beat, model.fft_length)
-        tones[0, i] = np.rint(observed_bin)
-        tones[1, i] = observed_bin - tones[0, i]
-        tones[2, i] = factor_re * (re * cosine - im * sine)
-        tones[3, i] = factor_im * (re * sine + im * cosine)
+    range_m, speed_mps, amplitude = beamlets[RANGE_M], beamlets[SPEED_MPS], beamlets[AMPLITUDE]
+    # The turn is linear in what sets a beamlet apart from the first.
+    per_m = sense * relative_turn(model, segment, time_records, range_m[0], 1.0, 0.0)
+    per_mps = sense * relative_turn(model, segment, time_records, range_m[0], 0.0, 1.0)
+    first_m, first_mps = range_m[0], speed_mps[0]
+    field_re, field_im = weights[0], weights[1]
+    tone_re, tone_im = tones[2], tones[3]
+    for i in range(len(tone_re)):
+        turn = common_turn + per_m * (range_m[i] - first_m) + per_mps * (speed_mps[i] - first_mps) + 0.5
+        tone_re[i] = turn - np.floor(turn)
+    for i in range(len(tone_re)):
+        tone_re[i], tone_im[i] = unit_phasor(tone_re[i])
+    for i in range(len(tone_re)):
+        re, im = amplitude[i] * field_re[i], sense * amplitude[i] * field_im[i]
+        cosine, sine = tone_re[i], tone_im[i]
+        tone_re[i], tone_im[i] = re * cosine - im * sine, re * sine + im * cosine
+
+
+@kernel(fastmath=FAST)
+def _fold(length: float, tones: FloatArray) -> None:
+    """Signed beats in the first row to n and δ, and what becomes of the weights; see `fold`."""
+    whole, rest, tone_re, tone_im = tones[0], tones[1], tones[2], tones[3]
+    for i in range(len(whole)):
+        observed_bin, factor_re, factor_im = fold(whole[i], length)
+        nearest = np.rint(observed_bin)
+        whole[i], rest[i] = nearest, observed_bin - nearest
+        tone_re[i], tone_im[i] = factor_re * tone_re[i], factor_im * tone_im[i]

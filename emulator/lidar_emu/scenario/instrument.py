@@ -110,7 +110,7 @@ class Adc(Part):
 class Receiver(Part):
     """A balanced pair of detectors; the local oscillator's shot noise is the reference."""
 
-    local_oscillator_power_w: Annotated[float, Field(ge=1e-12, le=1e3)] = 1e-3
+    local_oscillator_power_w: Annotated[float, Field(ge=1e-12, le=1e9)] = 1e-3
     """Local oscillator power on the detectors."""
     responsivity_a_per_w: Positive = 1.0
     """Photocurrent per optical power. It may not exceed one electron per photon."""
