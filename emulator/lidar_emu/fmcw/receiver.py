@@ -30,6 +30,6 @@ def receive(model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed:
         shot: (shots,) numbers of the shots.
         seed: 64 bits, of everything drawn.
     """
-    rows = np.zeros(echoes.fired.shape, dtype=BEAM_RETURN)
+    rows = np.zeros(echoes.fired.shape, dtype=BEAM_RETURN).view(np.recarray)
     measure_beams(model, echoes, shot, seed, rows)
     return Returns(*(np.ascontiguousarray(rows[field.name]) for field in fields(Returns)))

@@ -23,7 +23,8 @@ from lidar_emu.kernels import kernel
 SLOTS = 9
 """Corners kept, by their coordinates modulo 3: a measurement seldom moves by more than a cell."""
 
-_LOW_WORD = np.int64(0xFFFFFFFF)
+_LOW_WORD = np.int64(0x7FFFFFFF)
+"""Of a coordinate: two of them are a number that has a sign bit left."""
 
 
 @kernel
