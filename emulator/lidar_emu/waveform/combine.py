@@ -42,7 +42,7 @@ def chirp_minus_doppler(observed: FloatArray, variance: FloatArray) -> Combined:
     """The published detector (Budge et al.): the higher chirp less the Doppler line; it knows no folds at N/2.
 
     The lower chirp may have passed zero: for the residual its sign is the one that fits better. Direction counts as
-    resolved where the chirps differ, and the residual does not, by three standard deviations.
+    resolved where the chirps differ, and the residual does not, by three standard deviations (and a bin).
 
     Args:
         observed: (records, 3) frequencies of up-chirp, constant segment, down-chirp.
@@ -56,7 +56,9 @@ def chirp_minus_doppler(observed: FloatArray, variance: FloatArray) -> Combined:
     either = lower_down * down - lower_up * up - 2.0 * doppler
     residual = np.where(abs(either[0]) <= abs(either[1]), either[0], either[1])
     differ = np.square(up - down) > _REFUTED * (up_variance + down_variance)
-    consistent = np.square(residual) <= _REFUTED * (variance @ np.square(_CONSTRAINT))
+    scatter = np.sqrt(_REFUTED * (variance @ np.square(_CONSTRAINT)))
+    # Motion and the chirps' optical frequencies set the segments apart by a part of a bin.
+    consistent = np.abs(residual) <= scatter + 1.0
     return Combined(
         np.where(receding, up, down) - constant,
         doppler,
