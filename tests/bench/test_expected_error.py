@@ -37,7 +37,7 @@ def test_expectation_beside_a_flight(name):
     assert expected.speed_rms_mps == pytest.approx(np.sqrt(np.mean(speed_mps[good] ** 2)), rel=0.2)
     assert expected.range_bias_m == pytest.approx(np.mean(range_m[good]), rel=0.1, abs=0.005)
     assert expected.speed_bias_mps == pytest.approx(np.mean(speed_mps[good]), rel=0.2, abs=5e-5)
-    assert expected.dropout == pytest.approx(1.0 - run.range_valid[run.fired].mean(), rel=0.2, abs=0.025)
+    assert expected.dropout == pytest.approx(1.0 - run.range_valid[run.fired].mean(), rel=0.2, abs=0.035)
 
 
 def test_level_geometric_has_no_errors():
