@@ -86,7 +86,7 @@ def forecast_detection(scenario: FlightScenario, altitude_m: FloatArray) -> Dete
     kept = np.vectorize(partial(_kept_share, model), otypes=[float])(range_m)
     snr = power_w * model.snr_per_w * gain * kept
     bins = instrument.waveform.fft_length / 2
-    minus_log_pfa = float(np.log(bins) - np.log(detection.false_alarm_probability))
+    minus_log_pfa = -instrument.log_false_alarm_per_bin
     looks = detection.looks
 
     def rule(segment: FloatArray) -> FloatArray:

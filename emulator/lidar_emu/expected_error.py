@@ -22,6 +22,7 @@ from lidar_emu.flight import Flight
 from lidar_emu.fmcw.beam_filter import line_share
 from lidar_emu.fmcw.build import build_receiver
 from lidar_emu.fmcw.model import ReceiverModel
+from lidar_emu.fmcw.peaks import BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY, METHODS
 from lidar_emu.fmcw.response import noise_level, tone_gain
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.spectrum import WINDOWS, fold
@@ -35,12 +36,6 @@ from lidar_emu.spread import Spread, no_spread, spread_bins
 
 _LOOKS_ALONG = 128
 _NODES = 33
-_CRAMER_RAO_BIN2 = 0.3898**2
-"""Least variance of a tone's frequency times its SNR."""
-_EFFICIENCY = {"bin": 1.0, "parabola": 3.24, "jacobsen": 2.4, "hann": 3.24, "aboutanios_mulgrew": 1.1}
-"""Variance of an estimator over the least one."""
-_BIN_VARIANCE = 1.0 / 12.0
-"""Of a place anywhere within a bin: of a bin's centre, and of a narrow line's peak in the deepest fade."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +147,7 @@ def _chances(
 
     Read off a table: they cost a millisecond a value.
     """
-    detection, minus_log_pfa = instrument.detection, _minus_log_pfa(instrument)
+    detection, minus_log_pfa = instrument.detection, -instrument.log_false_alarm_per_bin
     nodes = np.linspace(log_snr.min(), log_snr.max() + 1e-9, _NODES)
     snr = np.exp(nodes)
 
@@ -168,31 +163,26 @@ def _chances(
     return one, apart, together
 
 
-def _minus_log_pfa(instrument: Instrument) -> float:
-    bins = instrument.waveform.fft_length / 2
-    return float(np.log(bins) - np.log(instrument.detection.false_alarm_probability))
-
-
 def _variances_bin2(
     instrument: Instrument, model: ReceiverModel, hits: Hits, echoes: Echoes, snr: FloatArray, spread: Spread
 ) -> tuple[FloatArray, FloatArray]:
     """Of range and speed."""
     detection, looks = instrument.detection, instrument.detection.looks
-    efficiency = _EFFICIENCY[detection.peak]
+    efficiency = EFFICIENCY[METHODS[detection.peak]]
     with np.errstate(divide="ignore", over="ignore"):
-        faintest = np.minimum(_minus_log_pfa(instrument) / looks / snr, 50.0)
-        noise = efficiency * _CRAMER_RAO_BIN2 / snr
+        faintest = np.minimum(-instrument.log_false_alarm_per_bin / looks / snr, 50.0)
+        noise = efficiency * CRAMER_RAO_BIN2 / snr
     # A fade in which the noise would hide the line is not detected, and moves a peak by a bin at most.
     noise = _faded(noise, np.ones_like(noise), faintest, looks) if model.speckle else noise / looks
     delay = hits.range_m * model.delay_per_m
     drift = 6.0 * model.linewidth_bins / np.pi * delay**2 * efficiency / looks if model.homodyne_line else 0.0
-    alike = noise + drift + (_BIN_VARIANCE if detection.peak == "bin" else 0.0)
+    alike = noise + drift + (BIN_VARIANCE if detection.peak == "bin" else 0.0)
 
     def wander(beat: float, doppler: float) -> FloatArray:
         if not model.speckle:
             return np.zeros_like(snr)
         variance = spread.variance(beat, doppler)
-        return _faded(0.5 * variance, np.maximum(variance, _BIN_VARIANCE), faintest, looks)
+        return _faded(0.5 * variance, np.maximum(variance, BIN_VARIANCE), faintest, looks)
 
     closing = np.where(echoes.closing_speed_mps[..., 0] >= 0.0, 1.0, -1.0)
     adjacent = _same_fade(instrument, echoes)

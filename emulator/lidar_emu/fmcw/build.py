@@ -8,7 +8,7 @@ from scipy.special import chndtr
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.constants import BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C, PLANCK_J_S
 from lidar_emu.fmcw.echo import haze_w_per_m, sunlight_over_shot
-from lidar_emu.fmcw.false_alarms import log_exceedance
+from lidar_emu.fmcw.false_alarms import quantile
 from lidar_emu.fmcw.limits import (
     LEAST_FALSE_ALARM,
     LEAST_LINE_DRIFT,
@@ -19,7 +19,7 @@ from lidar_emu.fmcw.model import Haze, ReceiverModel
 from lidar_emu.fmcw.peaks import METHODS
 from lidar_emu.fmcw.response import Response
 from lidar_emu.fmcw.spectrum import WINDOWS, Window
-from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Waveform
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Receiver
 from lidar_emu.scenario.site import Site
 
 
@@ -50,7 +50,7 @@ def build_receiver(
     snr_per_w = instrument.optics.heterodyne_efficiency * receiver.responsivity_a_per_w * record_s
     snr_per_w /= ELEMENTARY_CHARGE_C * (amplifier + digitiser)
     window = WINDOWS[detection.window]
-    threshold = _threshold(waveform, detection.false_alarm_probability, detection.looks)
+    threshold = float(quantile(detection.looks, instrument.log_false_alarm_per_bin))
     return ReceiverModel(
         statistical=statistical,
         fft_length=float(waveform.fft_length),
@@ -104,7 +104,7 @@ def noise_over_shot(instrument: Instrument, site: Site | None) -> tuple[float, f
     """
     receiver, waveform = instrument.receiver, instrument.waveform
     current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
-    shot_a2_per_hz = 2.0 * ELEMENTARY_CHARGE_C * current_a
+    shot_a2_per_hz = _shot_a2_per_hz(receiver)
     others = 4.0 * BOLTZMANN_J_PER_K * receiver.temperature_k / receiver.transimpedance_ohm
     others += 2.0 * ELEMENTARY_CHARGE_C * receiver.dark_current_a
     if receiver.relative_intensity_noise_db_per_hz is not None:
@@ -118,16 +118,19 @@ def noise_over_shot(instrument: Instrument, site: Site | None) -> tuple[float, f
     return 1.0 + sunlight + others / shot_a2_per_hz, digitiser / shot_a2_per_hz
 
 
+def _shot_a2_per_hz(receiver: Receiver) -> float:
+    """Of the local oscillator's current."""
+    current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
+    return 2.0 * ELEMENTARY_CHARGE_C * current_a
+
+
 def _response(instrument: Instrument, amplifier: float, digitiser: float) -> Response:
     receiver, waveform = instrument.receiver, instrument.waveform
     bin_hz, length = waveform.bin_width_hz, waveform.fft_length
     lowpass_bin = np.inf if receiver.bandwidth_hz is None else receiver.bandwidth_hz / bin_hz
     full_scale = np.inf
     if receiver.adc is not None:
-        shot_a2_per_hz = (
-            2.0 * ELEMENTARY_CHARGE_C * receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
-        )
-        noise_a2 = (amplifier + digitiser) * shot_a2_per_hz * 0.5 * waveform.sample_rate_hz
+        noise_a2 = (amplifier + digitiser) * _shot_a2_per_hz(receiver) * 0.5 * waveform.sample_rate_hz
         # White noise of unit power per bin has the variance N/4 where a tone of unit weight has the amplitude 1.
         noise_v = receiver.transimpedance_ohm * np.sqrt(noise_a2)
         full_scale = 0.5 * receiver.adc.full_scale_v / noise_v * np.sqrt(length / 4.0)
@@ -157,19 +160,6 @@ def _haze(instrument: Instrument, site: Site | None, snr_per_w: float) -> Haze:
         extinction_per_m=0.0 if air is None else air.extinction_per_m,
         rayleigh_range_m=np.pi * waist_m**2 / wavelength_m,
     )
-
-
-def _threshold(waveform: Waveform, false_alarm_probability: float, looks: int) -> float:
-    """Least mean power of a detected bin over that of the noise."""
-    wanted = np.log(false_alarm_probability) - np.log(waveform.fft_length / 2)
-    low, high = 0.0, 2.0 + 2.0 * looks - wanted
-    for _ in range(80):
-        middle = 0.5 * (low + high)
-        if log_exceedance(looks, middle) > wanted:
-            low = middle
-        else:
-            high = middle
-    return -float(wanted) if looks == 1 else low
 
 
 def _followed(window: Window, threshold: float) -> float:

@@ -48,12 +48,14 @@ def noise_peak(
     u, place = uniform_pair(seed, shot, beam, purpose, index)
     ceiling = log1p(-exp(log_exceedance(looks, below))) if below < np.inf else 0.0
     exceedance = -expm1(ceiling + log(u) / bins)
-    return (-log(exceedance) if looks == 1 else _quantile(looks, log(exceedance))), place
+    return quantile(looks, log(exceedance)), place
 
 
 @kernel
-def _quantile(looks: int, log_probability: float) -> float:
-    """The power whose `log_exceedance` is that, by bisection."""
+def quantile(looks: int, log_probability: float) -> float:
+    """The power whose `log_exceedance` is that; of several looks by bisection."""
+    if looks == 1:
+        return -log_probability
     low, high = 0.0, 2.0 + 2.0 * looks - log_probability
     for _ in range(60):
         middle = 0.5 * (low + high)

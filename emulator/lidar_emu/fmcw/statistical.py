@@ -15,7 +15,7 @@ import numpy as np
 from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.beam_filter import line_share, line_variance, smear_bins
 from lidar_emu.fmcw.model import ReceiverModel, Workspace
-from lidar_emu.fmcw.peaks import ABOUTANIOS_MULGREW, BIN_CENTRE, BIN_VARIANCE, JACOBSEN
+from lidar_emu.fmcw.peaks import BIN_CENTRE, BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY
 from lidar_emu.fmcw.philox import complex_normal
 from lidar_emu.fmcw.records import NOISE_BINS, SEGMENT_INDICES, set_look_tones
 from lidar_emu.fmcw.response import clipping, noise_level
@@ -23,9 +23,6 @@ from lidar_emu.fmcw.sine import sin_pi
 from lidar_emu.fmcw.targets import draw_alarms, insert_alarms
 from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS
 from lidar_emu.kernels import kernel
-
-_EFFICIENT = 0.3898**2
-"""Least variance of a tone's frequency in bins² times its SNR (Cramér and Rao)."""
 
 
 @kernel
@@ -152,12 +149,10 @@ def _set_target(
 ) -> None:
     """Frequency and variance: the estimator's error, and the laser's drift over the delay."""
     method = model.peak_method
-    efficiency = 1.1 if method == ABOUTANIOS_MULGREW else (2.4 if method == JACOBSEN else 3.24)
-    if method == BIN_CENTRE:
-        efficiency = 1.0
+    efficiency = EFFICIENCY[method]
     line = line_variance(model, work.beamlets[RANGE_M, 0]) * efficiency / model.looks
     error, _ = complex_normal(seed, shot, beam, NOISE_BINS, (segment + 1) * SEGMENT_INDICES - 1)
-    variance = efficiency * _EFFICIENT / snr + line
+    variance = efficiency * CRAMER_RAO_BIN2 / snr + line
     target[0] = centre + min(max(sqrt(2.0 * variance) * error, -1.0), 1.0)
     target[1] = max(variance, 1e-12)
     if method == BIN_CENTRE:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import log
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -176,6 +177,11 @@ class Instrument(Part):
     """Detector and amplifier."""
     detection: Detection = Detection()
     """Signal processing."""
+
+    @property
+    def log_false_alarm_per_bin(self) -> float:
+        """Logarithm of the probability that noise crosses the threshold in one of the N/2 bins of an FFT."""
+        return log(self.detection.false_alarm_probability) - log(self.waveform.fft_length / 2)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
