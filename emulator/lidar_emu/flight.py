@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,15 @@ from lidar_emu.rotations import cross, rotate
 from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
 from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.trajectory import Live
 from lidar_emu.scene.build import build_scene
 from lidar_emu.scene.hits import Hits
 from lidar_emu.trajectory.build import build_trajectory
 from lidar_emu.trajectory.state import VehicleState
 
 _CHECKED_SHOTS = 4096
+
+_Shot = TypeVar("_Shot", int, NDArray[np.int64])
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,8 @@ class Flight:
     def __init__(self, scenario: FlightScenario) -> None:
         self.scenario = scenario
         self.trajectory = build_trajectory(scenario.trajectory)
+        self.is_live = isinstance(scenario.trajectory, Live)
+        """Whether the vehicle's motion becomes known only as it is flown."""
         self.scanner = build_scanner(scenario.scanner)
         self.scene = build_scene(scenario.site)
         timing, instrument = scenario.timing, scenario.instrument
@@ -85,9 +90,13 @@ class Flight:
         self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
         self._refuse_to_leave_the_ground()
 
-    def due_ns(self, shot: NDArray[np.int64]) -> NDArray[np.int64]:
+    def due_ns(self, shot: _Shot) -> _Shot:
         """When the packets of shots are due, from the start."""
         return shot * self.period_ns + self._latency_ns
+
+    def seen_ns(self, shot: int) -> int:
+        """Scenario time up to which a shot depends on the vehicle's motion: its last beam's validity."""
+        return shot * self.period_ns + int(self._validity_ns[-1])
 
     def point(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
         """Beams of consecutive shots, each taken at its own time of validity."""
@@ -158,7 +167,7 @@ class Flight:
 
     def _refuse_to_leave_the_ground(self) -> None:
         ground = self.scenario.site.ground
-        if not isinstance(ground, Grid) or ground.beyond != "none":
+        if not isinstance(ground, Grid) or ground.beyond != "none" or self.is_live:
             return
         for first in range(0, self.shot_count, _CHECKED_SHOTS):
             shot = np.arange(first, min(first + _CHECKED_SHOTS, self.shot_count), dtype=np.int64)

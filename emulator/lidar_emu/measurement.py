@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.fmcw.reasons import Reason
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,19 @@ class Measurement:
     def one(self, row: int) -> Measurement:
         """A single shot."""
         return self._rows(slice(row, row + 1))
+
+    def unfired(self) -> Measurement:
+        """The same shots as if no beam had fired; the truth stays."""
+        nothing = np.zeros_like(self.fired)
+        unknown = np.full(self.fired.shape, np.nan)
+        measured = (name for name in _TABLE_FIELDS if not name.startswith("true_"))
+        floats = (name for name in measured if getattr(self, name).dtype == np.float64)
+        blank: dict[str, Any] = dict.fromkeys(floats, unknown)
+        blank |= dict.fromkeys(("fired", "range_valid", "speed_valid", "sign_resolved"), nothing)
+        blank |= dict.fromkeys(("segments", "returns"), nothing.astype(np.uint8))
+        blank["reason"] = np.full(self.fired.shape, Reason.NOT_FIRED, dtype=np.int8)
+        blank["point_site_m"] = np.full_like(self.point_site_m, np.nan)
+        return replace(self, **blank)
 
     def _rows(self, rows: slice) -> Measurement:
         return Measurement(*(getattr(self, f.name)[rows] for f in fields(self)))

@@ -43,6 +43,8 @@ def plan_bench(scenario: BenchScenario) -> Plan:
 
 def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     """Decide each stage for the whole run, from a look at the flight every tenth of a second."""
+    if flight.is_live:
+        return _plan_unknown(scenario, flight)
     pointing, hits = _look(flight)
     echoes = receive_light(scenario.instrument, scenario.site, flight, 1, pointing, hits)
     footprint, beamlets = _footprint(scenario, pointing, hits)
@@ -55,6 +57,23 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
         *plan_receiver(scenario, echoes),
     )
     return Plan(decisions, beamlets)
+
+
+def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
+    """Of a flight that is yet to be flown nothing is ruled out that depends on it."""
+    beamlets = 1 if scenario.level == "geometric" else scenario.instrument.optics.beamlets
+    kept = "the flight becomes known as it is flown"
+    return Plan(
+        (
+            Decision("trajectory", True, "live truth", kept, "as interpolated"),
+            Decision("ground", True, flight.scene.description, kept, "exact"),
+            _air(scenario),
+            Decision("footprint", beamlets > 1, f"{beamlets} beamlets", kept, "sampled"),
+            *_switching(flight),
+            Decision("receiver", True, scenario.level, f"the scenario asks for level {scenario.level}", kept),
+        ),
+        beamlets,
+    )
 
 
 def _look(flight: Flight) -> tuple[Pointing, Hits]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.bench_model import BenchModel
 from lidar_emu.echoes import receive_light
+from lidar_emu.errors import InputError
 from lidar_emu.flight import Flight, Pointing
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.levels import build_level
@@ -22,6 +23,7 @@ from lidar_emu.plan import Plan, plan_flight
 from lidar_emu.rotations import dot
 from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+from lidar_emu.scenario.trajectory import Live
 from lidar_emu.scene.hits import Hits
 
 BLOCK_SHOTS = 128
@@ -103,6 +105,17 @@ def build_model(scenario: FlightScenario | BenchScenario) -> Model:
     return BenchModel(scenario) if isinstance(scenario, BenchScenario) else FlightModel(scenario)
 
 
+def require_known_flight(scenario: FlightScenario | BenchScenario) -> None:
+    """For what cannot wait for a simulator.
+
+    Raises:
+        InputError: the trajectory is live.
+    """
+    if isinstance(scenario, FlightScenario) and isinstance(scenario.trajectory, Live):
+        allowed = "allowed here: profile or table; live truth is flown by lidar-emu run"
+        raise InputError(scenario.name, "trajectory.kind", "live", allowed)
+
+
 def measure_in_blocks(model: Model, block_shots: int = BLOCK_SHOTS) -> Iterator[Measurement]:
     """All shots of the run, a block at a time."""
     state = model.initial_state
@@ -132,4 +145,5 @@ def simulate(scenario: FlightScenario | BenchScenario, seed: int | None = None) 
     """
     if seed is not None:
         scenario = type(scenario).model_validate({**dict(scenario), "seed": seed})
+    require_known_flight(scenario)
     return measure_whole(build_model(scenario))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from lidar_emu.bench_model import BenchModel
 from lidar_emu.cli.far_end import Decoder
-from lidar_emu.runtime.fly import payload_of
+from lidar_emu.runtime.outbox import payload_of
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import BenchScenario, Wire
 from lidar_emu.transports.frames import Frame, unpack_frames

@@ -27,9 +27,9 @@ Start = Callable[..., Program]
 def in_blocks(block_shots: int, **overrides: str) -> list[Any]:
     """The packets of a descent, computed in blocks of so many shots, in this process."""
     scenario = lidar_emu.load("descent.yaml", {k.replace("__", "."): v for k, v in overrides.items()})
-    session = Session(build_model(scenario), Encoder(scenario.wire, False, False, 4), block_shots)
+    session = Session(build_model(scenario), Encoder(scenario.wire, False, False, 4))
     packets: list[Any] = []
-    while (block := session.next_block()) is not None:
+    while (block := session.shoot(block_shots)) is not None:
         packets += block.packets
     return packets
 
@@ -115,7 +115,7 @@ def test_two_units_on_can_differ_in_their_identifiers_alone(fd: bool, can_messag
     def frames(unit: int) -> list[tuple[int, bytes, bool]]:
         overrides = {"wire.unit": str(unit), "wire.can_messages": can_messages, "duration_s": "1"}
         scenario = lidar_emu.load("descent.yaml", overrides)
-        block = Session(build_model(scenario), Encoder(scenario.wire, True, fd, 4), 128).next_block()
+        block = Session(build_model(scenario), Encoder(scenario.wire, True, fd, 4)).shoot(128)
         assert block is not None
         packets: list[Any] = block.packets
         return [(frame.can_id, frame.data, frame.is_fd) for packet in packets for frame in packet]

@@ -29,7 +29,7 @@ with PortRunner(slots=16) as runner:
             if runner.push(Outgoing(shot, shot * 10**7, b"packet")):
                 shot += 1
             else:
-                runner.wait(0.01)
+                runner.wait(Clock().now_ns() + 10**7)
             runner.far_end()
             if reported == 0 and (reported := len(runner.reports())):
                 print(runner.pid, flush=True)

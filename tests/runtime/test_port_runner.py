@@ -40,7 +40,7 @@ def fly(runner: PortRunner, sent: list[Outgoing], pace: Pace, late_after_ns: int
     runner.begin(Clock().now_ns(), late_after_ns, pace)
     for packet in sent:
         while not runner.push(packet):
-            runner.wait(0.005)
+            runner.wait(Clock().now_ns() + 5_000_000)
     runner.finish()
     return runner.reports()
 

@@ -19,7 +19,9 @@ from lidar_emu.report.whole_file import check_destination
 from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
-    from lidar_emu.runtime.fly import Observer, Outcome
+    from lidar_emu.runtime.fly import Outcome
+    from lidar_emu.runtime.observer import Observer
+    from lidar_emu.scenario.schema import BenchScenario, FlightScenario
     from lidar_emu.transports.spec import PortSpec
 
 _FAILURES = ("late", "dropped")
@@ -28,10 +30,10 @@ _FAILURES = ("late", "dropped")
 @click.command(short_help="Fly a scenario in real time over a serial line, a CAN bus or a loopback.")
 @scenario_options
 @port_options
-@click.option("--pace", type=click.Choice(["wall", "max"]), default="wall", show_default=True,
-              help="With the clock, or as fast as the link takes it.")  # fmt: skip
-@click.option("--start", default="now", show_default=True, metavar="now|UTC",
-              help="When to begin, e.g. 2030-01-01T12:00:00Z; packets tell scenario time all the same.")  # fmt: skip
+@click.option("--pace", type=click.Choice(["wall", "max", "lockstep"]), default="wall", show_default=True,
+              help="With the clock, as fast as the link takes it, or step by step with a simulator.")  # fmt: skip
+@click.option("--start", default=None, metavar="now|on-truth|UTC",
+              help="When scenario time 0 is, e.g. 2030-01-01T12:00:00Z, or as the first live truth says.")  # fmt: skip
 @click.option("--record", metavar="FILE", help="Keep truth, measurements and packets (MCAP).")
 @click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
 @click.option("--fail-on", metavar="LIST", default="",
@@ -45,7 +47,7 @@ def run(
     exact: bool,
     port: PortSpec,
     pace: str,
-    start: str,
+    start: str | None,
     record: str | None,
     summary_file: str | None,
     fail_on: str,
@@ -60,6 +62,8 @@ def run(
     lidar-emu run descent.yaml --port pty
     lidar-emu run descent.yaml --port /dev/ttyUSB0 --baud 921600 --record flight.mcap
     lidar-emu run descent.yaml -i slcan -c /dev/ttyACM0 --bitrate 1000000
+    lidar-emu run live.yaml --port /dev/ttyUSB0 --start on-truth
+    lidar-emu run live.yaml --pace lockstep
     lidar-emu run my.yaml --pace max --fail-on late,dropped --summary out.json --set timing.rate_hz=100
     """
     failures = _failures(fail_on)
@@ -75,6 +79,7 @@ def run(
     from lidar_emu.transports.spec import Kind
 
     flown = load_scenario(scenario, duration, seed, settings, exact)
+    _check_start(start, flown)
     from lidar_emu.shots import build_model
 
     view = LoopbackView(quiet=as_json)
@@ -100,8 +105,9 @@ def run(
     say(text if as_json else "\n".join(summary_lines(told)))
     if summary_file is not None:
         _write(Path(summary_file), text + "\n")
-    if recording_error is not None:
-        raise RunError(recording_error)
+    for error in (recording_error, outcome.error):
+        if error is not None:
+            raise RunError(error)
     return 1 if _failed(outcome, failures) else 0
 
 
@@ -125,15 +131,25 @@ def _failures(text: str) -> set[str]:
     return names
 
 
-def _start(text: str) -> datetime | None:
+def _check_start(text: str | None, flown: FlightScenario | BenchScenario) -> None:
+    from lidar_emu.runtime.fly import is_live
+
+    live = is_live(flown)
+    if text == ("now" if live else "on-truth"):
+        allowed = "on-truth (as if left out) or an instant" if live else "now (as if left out) or an instant"
+        kind = "live" if live else "not live"
+        raise InputError("--start", None, text, f"allowed as trajectory.kind is {kind}: {allowed}")
+
+
+def _start(text: str | None) -> datetime | None:
     from lidar_emu.runtime.clock import Clock
 
-    if text == "now":
+    if text in (None, "now", "on-truth"):
         return None
     try:
         instant = datetime.fromisoformat(text)
     except ValueError:
-        allowed = "allowed: now, or an instant as 2030-01-01T12:00:00Z"
+        allowed = "allowed: now, on-truth, or an instant as 2030-01-01T12:00:00Z"
         raise InputError("--start", None, text, allowed) from None
     instant = instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant
     # Seen again when the run begins, but then the kernels have been compiled.

@@ -9,7 +9,7 @@ import click
 
 from lidar_emu.cli.far_end import Decoder, Screen, counter_line
 from lidar_emu.cli.output import say
-from lidar_emu.runtime.fly import Observer
+from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.runtime.summary import Tally
 
@@ -22,6 +22,10 @@ class Announcer(Observer):
     def __init__(self, name: str, pace: str) -> None:
         self._name = name
         self._pace = pace
+
+    def awaiting(self, port: str, what: str) -> None:
+        """The port is open; the run begins with something that is waited for."""
+        say(f"{self._name} on {port}, pace {self._pace}, waits for {what}; Ctrl-C ends it")
 
     def opened(self, port: str, start: datetime) -> None:
         """The port is open under this name."""
@@ -70,17 +74,14 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
     )
     lines = [
         "",
-        f"shots      {shots['due']} due of {told['planned_shots']} planned: {shots['sent']} sent, "
+        f"shots      {shots['due']} due{_planned(told)}: {shots['sent']} sent, "
         f"{shots['late']} late, {sum(shots['dropped'].values())} dropped"
         + (f" ({dropped})" if dropped else ""),
     ]
     if lateness["count"]:
-        figures = ", ".join(
-            f"{label} {_time(lateness[key])}"
-            for label, key in (("p50", "p50_ns"), ("p99", "p99_ns"), ("p99.9", "p99_9_ns"), ("max", "max_ns"))
-        )
         steal = "" if told["steal_ticks"] is None else f"; host steal {told['steal_ticks']} ticks"
-        lines.append(f"lateness   {figures}{steal}")
+        lines.append(f"lateness   {_figures(lateness)}{steal}")
+    lines += _truth(told["truth"])
     lines += [f"beam {beam:<6}{_reasons(counts)}" for beam, counts in enumerate(told["beams"])]
     for name, key, factor, unit in (
         ("range", "range_error_m", 1, "m"),
@@ -101,6 +102,35 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
     if told["interrupted"]:
         lines.append("the run was interrupted")
     return lines
+
+
+def _planned(told: dict[str, Any]) -> str:
+    return "" if told["planned_shots"] is None else f" of {told['planned_shots']} planned"
+
+
+def _truth(told: dict[str, Any] | None) -> list[str]:
+    """What became of a simulator's truth, where there is one."""
+    if told is None:
+        return []
+    refused = [
+        f"{name.replace('_', ' ')} {count}"
+        for name, count in (told["datagrams"] | {"lost": told["lost"], "jumped": told["jumped"]}).items()
+        if count and name != "accepted"
+    ]
+    lines = [
+        f"truth      {told['datagrams']['accepted']} accepted" + "".join(f", {text}" for text in refused)
+    ]
+    if told["age"]["count"]:
+        age, stale = _figures(told["age"]), told["stale_shots"]
+        lines.append(f"age        {age}" + (f"; stale in {stale} shots" if stale else ""))
+    if told["response"]["count"]:
+        lines.append(f"response   {_figures(told['response'])} from truth in to last byte written")
+    return lines
+
+
+def _figures(told: dict[str, Any]) -> str:
+    labels = (("p50", "p50_ns"), ("p99", "p99_ns"), ("p99.9", "p99_9_ns"), ("max", "max_ns"))
+    return ", ".join(f"{label} {_time(told[key])}" for label, key in labels)
 
 
 def _time(nanoseconds: int) -> str:

@@ -44,8 +44,9 @@ def simulate(
 
         check_plot_path(Path(plot))
     flown = load_scenario(scenario, duration, seed, settings, exact)
-    from lidar_emu.shots import FlightModel, build_model, measure_whole
+    from lidar_emu.shots import FlightModel, build_model, measure_whole, require_known_flight
 
+    require_known_flight(flown)
     with busy(COMPILING):
         model = build_model(flown)
         measurement = measure_whole(model)

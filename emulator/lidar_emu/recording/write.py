@@ -5,6 +5,7 @@ every reader gets all that was written before a cut):
 
     /truth         JSON  vehicle position and velocity, true range and closing speed of each beam
     /measurement   JSON  the columns of `simulate --out`, one list per column
+    /live_truth    bytes a simulator's datagrams as they came, good or not; log time when they came
     /packet        bytes what went onto the wire; on CAN, frame records
     /fate          JSON  due and sent times from the start, and what became of the packet
 """
@@ -25,7 +26,7 @@ from mcap.writer import CompressionType, Writer
 from lidar_emu import __version__
 from lidar_emu.errors import InputError
 from lidar_emu.measurement import Measurement
-from lidar_emu.runtime.fly import Observer
+from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block
@@ -95,9 +96,13 @@ class Recorder(Observer):
         writer.add_metadata("run", metadata)
         schema = writer.register_schema("any", "jsonschema", _ANY_OBJECT)
         self._channels = {
-            "/packet": writer.register_channel("/packet", "application/octet-stream", 0),
+            **{topic: writer.register_channel(topic, "application/octet-stream", 0) for topic in _RAW_TOPICS},
             **{topic: writer.register_channel(topic, "json", schema) for topic in _JSON_TOPICS},
         }
+
+    def truth(self, datagram: bytes, time_ns: int) -> None:
+        """Keep what a simulator sent."""
+        self._write("/live_truth", 0, time_ns, datagram)
 
     def computed(self, block: Block) -> None:
         """Keep truth and measurements, shot by shot."""
@@ -139,6 +144,7 @@ class Recorder(Observer):
             self.error = self.error or f"{self._path}: the recording is not whole: {error.strerror}"
 
 
+_RAW_TOPICS = ("/packet", "/live_truth")
 _JSON_TOPICS = ("/truth", "/measurement", "/fate")
 
 

@@ -1,52 +1,44 @@
-"""A run: packets computed ahead into the ring, reports counted, the far end shown, all in one loop."""
+"""A run: a scenario flown over a port, from its first shot to its summary."""
 
 from __future__ import annotations
 
 import signal
-from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from threading import current_thread, main_thread
 from typing import Any
 
 from lidar_emu.errors import InputError
+from lidar_emu.flight import Flight
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.feed import Desk, Feed
+from lidar_emu.runtime.feed_ahead import AheadFeed
+from lidar_emu.runtime.feed_live import LiveFeed
+from lidar_emu.runtime.feed_lockstep import LockstepFeed
 from lidar_emu.runtime.lateness import steal_ticks
+from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.outbox import Outbox, payload_of
 from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.runtime.rehearsal import rehearse
 from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.summary import Tally, expectation
+from lidar_emu.runtime.truth_socket import TruthSocket
+from lidar_emu.runtime.truth_source import TruthSource
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+from lidar_emu.scenario.trajectory import Live
 from lidar_emu.session import Block, Session
-from lidar_emu.shots import Model
-from lidar_emu.transports.frames import Frame, pack_frames
+from lidar_emu.shots import FlightModel, Model
+from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_emu.transports.wire_load import check_wire_load, wire_load
-from lidar_emu.wire import Encoder, Packet
+from lidar_emu.wire import Encoder
 
 LOOK_AHEAD_S = 2.0
 _BLOCK_S = 0.25
 _LEAD_NS = 100_000_000
-_WAIT_S = 0.02
 _PACKET_ROOM_BYTES = 8192
-
-
-class Observer:
-    """Whoever looks on, displays and recorders: each overrides what concerns it."""
-
-    def opened(self, port: str, start: datetime) -> None:
-        """The port is open under this name; scenario time 0 will be at `start`, in UTC."""
-
-    def computed(self, block: Block) -> None:
-        """Shots are on their way to the port."""
-
-    def report(self, packet: Outgoing, report: Report) -> None:
-        """A packet met its fate."""
-
-    def arrived(self, data: bytes) -> None:
-        """Bytes at the far end of the in-memory loopback."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +48,8 @@ class RunOptions:
     port: PortSpec
     pace: Pace = Pace.WALL
     start: datetime | None = None
-    """UTC instant of scenario time 0; None as soon as the first shots are computed."""
+    """UTC instant of scenario time 0; None as soon as the first shots are computed, or, where truth is live, as its
+    first datagram says."""
 
 
 @dataclass
@@ -65,6 +58,8 @@ class Outcome:
 
     tally: Tally
     details: dict[str, Any]
+    error: str | None
+    """Why the run ended early, if that is an error."""
 
     def to_json(self) -> dict[str, Any]:
         """The summary file."""
@@ -81,7 +76,8 @@ class Run:
         observers: told of everything, in the loop: they must be quick.
 
     Raises:
-        InputError: the wire is too slow for the rate, or the interface too small for the beams.
+        InputError: the wire is too slow for the rate, the interface too small for the beams, or the pace is none for
+            this scenario.
     """
 
     def __init__(
@@ -97,21 +93,21 @@ class Run:
         self._options = options
         self._observers = observers
         self._clock = clock or Clock()
+        self._live = _live_part(scenario, options)
         rate_hz = scenario.timing.rate_hz
-        block_shots = max(1, min(128, round(rate_hz * _BLOCK_S)))
+        self._block_shots = max(1, min(128, round(rate_hz * _BLOCK_S)))
         port = options.port
         encoder = Encoder(scenario.wire, port.kind is Kind.CAN, port.fd, model.beam_count)
-        self._session = Session(model, encoder, block_shots)
+        self._session = Session(model, encoder)
         # The first block is computed before the run: kernels are compiled, and the packets' length is known.
-        self._first = self._session.next_block()
-        assert self._first is not None
+        self._first = self._first_block(encoder)
         longest = max((payload_of(packet) for packet in self._first.packets), key=len)
         self.warning = check_wire_load(port, longest, rate_hz)
         self._wire_load = wire_load(port, longest, rate_hz)
-        self._slots = max(2 * block_shots, round(rate_hz * LOOK_AHEAD_S))
-        self._in_flight: deque[Outgoing] = deque()
+        self._slots = max(2 * self._block_shots, round(rate_hz * LOOK_AHEAD_S))
         self._opening = True
         self._interrupted = False
+        self._description = ""
         self._start_utc: datetime | None = None
         self.tally = Tally(options.pace)
         self._expected = expectation(scenario, model)
@@ -120,18 +116,63 @@ class Run:
         """Run to the end, or until SIGINT (Ctrl-C), SIGTERM or SIGHUP, which end the run as cleanly.
 
         Raises:
-            InputError: the port cannot be opened, or the start lies in the past.
+            InputError: the port or the truth's address cannot be opened, or the start lies in the past.
             RunError: the port's process died.
         """
         stolen = steal_ticks()
-        with _on_signals(self._interrupt), PortRunner(self._slots, _PACKET_ROOM_BYTES) as port:
+        error = None
+        truth_address = TruthSocket(self._live.listen, self._clock) if self._live else nullcontext()
+        with (
+            truth_address as socket,
+            _on_signals(self._interrupt),
+            PortRunner(self._slots, _PACKET_ROOM_BYTES) as port,
+        ):
+            outbox = Outbox(port, self._observers, self.tally)
+            source = self._source(socket)
             with suppress(KeyboardInterrupt):
-                self._open(port)
-            self._feed(port)
+                self._description = port.start(self._options.port)
+                self._opening = False
+                error = self._feed(port, outbox, source).fly()
             port.close()
-            self._take(port)
+            outbox.settle()
         self.tally.close()
-        return Outcome(self.tally, self._details(port, stolen))
+        return Outcome(self.tally, self._details(port, source, stolen, error), error)
+
+    def _first_block(self, encoder: Encoder) -> Block:
+        if self._live is not None:
+            return rehearse(self._model, encoder)
+        block = self._session.shoot(self._block_shots)
+        assert block is not None
+        return block
+
+    def _source(self, socket: TruthSocket | None) -> TruthSource | None:
+        if socket is None or self._live is None:
+            return None
+        stale_after_ns = round(self._live.stale_after_s * 1e9)
+        return TruthSource(socket, _live_trajectory(self._flight), stale_after_ns, self._observers)
+
+    def _feed(self, port: PortRunner, outbox: Outbox, source: TruthSource | None) -> Feed:
+        desk = Desk(
+            self._session,
+            outbox,
+            self._clock,
+            lambda: self._interrupted,
+            lambda start_ns: self._begin(port, start_ns),
+        )
+        if source is None or self._live is None:
+            return AheadFeed(desk, self._first, self._block_shots, self._start_ns(self._options.start))
+        for observer in self._observers:
+            observer.awaiting(self._description, f"truth on {self._live.listen}")
+        if self._options.pace is Pace.LOCKSTEP:
+            return LockstepFeed(desk, source, self._flight)
+        start = self._options.start
+        start_ns = None if start is None else self._start_ns(start)
+        return LiveFeed(desk, source, self._flight, self._live, start_ns, self._scenario.timing.late_after_ns)
+
+    @property
+    def _flight(self) -> Flight:
+        assert isinstance(self._model, FlightModel)
+        return self._model.flight
 
     def _interrupt(self, *_: object) -> None:
         """Noted, and acted on between packets: an exception anywhere could lose reports that were just fetched.
@@ -140,74 +181,35 @@ class Run:
         if self._opening:
             raise KeyboardInterrupt
 
-    def _open(self, port: PortRunner) -> None:
-        description = port.start(self._options.port)
-        self._opening = False
-        start_ns, self._start_utc = self._start()
+    def _begin(self, port: PortRunner, start_ns: int) -> None:
+        now_ns, now = self._clock.now_ns(), self._clock.utc_now()
+        self._start_utc = now + timedelta(microseconds=(start_ns - now_ns) / 1000)
         for observer in self._observers:
-            observer.opened(description, self._start_utc)
+            observer.opened(self._description, self._start_utc)
         port.begin(start_ns, self._scenario.timing.late_after_ns, self._options.pace)
 
-    def _feed(self, port: PortRunner) -> None:
-        block = self._first
-        while block is not None and not self._interrupted:
-            for observer in self._observers:
-                observer.computed(block)
-            self.tally.measured(block.measurement)
-            for packet in self._outgoing(block):
-                self._in_flight.append(packet)
-                while not port.push(packet):
-                    self._wait(port)
-                    if self._interrupted:
-                        return
-            self._take(port)
-            block = self._session.next_block()
-        if not self._interrupted:
-            port.last_packet_pushed()
-        while not (port.finished or self._interrupted):
-            self._wait(port)
-
-    def _wait(self, port: PortRunner) -> None:
-        port.wait(_WAIT_S)
-        self._take(port)
-
-    @staticmethod
-    def _outgoing(block: Block) -> Iterator[Outgoing]:
-        shots, dues = block.measurement.shot.tolist(), block.measurement.due_ns.tolist()
-        for shot, due_ns, packet in zip(shots, dues, block.packets, strict=True):
-            yield Outgoing(shot, due_ns, payload_of(packet))
-
-    def _take(self, port: PortRunner) -> None:
-        """Count what became of packets and pass on what arrived."""
-        for report in port.reports():
-            packet = self._in_flight.popleft()
-            self.tally.report(report)
-            for observer in self._observers:
-                observer.report(packet, report)
-        if data := port.far_end():
-            for observer in self._observers:
-                observer.arrived(data)
-
-    def _start(self) -> tuple[int, datetime]:
-        """The start of the run, on the monotonic clock and in UTC."""
+    def _start_ns(self, start: datetime | None) -> int:
+        """The start of the run on the monotonic clock."""
         now_ns, now = self._clock.now_ns(), self._clock.utc_now()
-        start = self._options.start
         if start is None:
-            return now_ns + _LEAD_NS, now + timedelta(microseconds=_LEAD_NS / 1000)
+            return now_ns + _LEAD_NS
         if start < now:
             raise InputError("--start", None, start.isoformat(), "allowed: now, or an instant to come")
-        return now_ns + (start - now) // timedelta(microseconds=1) * 1000, start
+        return now_ns + (start - now) // timedelta(microseconds=1) * 1000
 
-    def _details(self, port: PortRunner, stolen: int | None) -> dict[str, Any]:
+    def _details(
+        self, port: PortRunner, source: TruthSource | None, stolen: int | None, error: str | None
+    ) -> dict[str, Any]:
         stolen_now = steal_ticks()
         return {
             "scenario": self._scenario.name,
             "seed": self._scenario.seed,
             "epoch": self._scenario.timing.epoch.isoformat(),
             "rate_hz": self._scenario.timing.rate_hz,
-            "planned_shots": self._model.shot_count,
+            "planned_shots": self._planned_shots,
             "started_utc": None if self._start_utc is None else self._start_utc.isoformat(),
             "interrupted": self._interrupted,
+            "error": error,
             "port": port.description or str(self._options.port),
             "pace": str(self._options.pace),
             "granted": port.granted,
@@ -219,16 +221,42 @@ class Run:
             },
             "link_event_count": port.event_count,
             "link_events": [{"time_s": event.time_ns * 1e-9, "what": event.text} for event in port.events],
+            "truth": None if source is None else source.to_json(),
             **self._expected,
             "left_out": [row for row in self._model.plan.rows() if not row["computed"]],
         }
 
+    @property
+    def _planned_shots(self) -> int | None:
+        """None where the simulator decides."""
+        return None if self._live and self._scenario.duration_s is None else self._model.shot_count
 
-def payload_of(packet: Packet) -> bytes:
-    """A packet as the port process takes it."""
-    if isinstance(packet, bytes):
-        return packet
-    return pack_frames([Frame(f.can_id, f.data, f.is_fd, f.bitrate_switch) for f in packet])
+
+def is_live(scenario: FlightScenario | BenchScenario) -> bool:
+    """Whether a simulator says how the scenario is flown."""
+    return isinstance(scenario, FlightScenario) and isinstance(scenario.trajectory, Live)
+
+
+def _live_part(scenario: FlightScenario | BenchScenario, options: RunOptions) -> Live | None:
+    """The live trajectory of a scenario; None if it has another.
+
+    Raises:
+        InputError: the pace does not fit it.
+    """
+    part = scenario.trajectory if isinstance(scenario, FlightScenario) else None
+    live = part if isinstance(part, Live) else None
+    if live is None and options.pace is Pace.LOCKSTEP:
+        raise InputError(
+            "--pace", None, "lockstep", "allowed with trajectory.kind live: wall, lockstep; else wall, max"
+        )
+    if live is not None and options.pace is Pace.MAX:
+        raise InputError("--pace", None, "max", "allowed with trajectory.kind live: wall, lockstep")
+    return live
+
+
+def _live_trajectory(flight: Flight) -> LiveTrajectory:
+    assert isinstance(flight.trajectory, LiveTrajectory)
+    return flight.trajectory
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 from collections import deque
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -21,6 +22,7 @@ from lidar_emu.transports.spec import Kind, PortSpec
 _START_LIMIT_NS = 30_000_000_000
 _STOP_LIMIT_NS = 2_000_000_000  # the process itself takes half a second for what is still unread
 _POLL_NS = 2_000_000
+_OPENING_POLL_NS = 100_000_000
 _READ_BYTES = 65536
 
 
@@ -96,7 +98,7 @@ class PortRunner:
         while not self.description:
             if self._clock.now_ns() > deadline_ns:
                 raise RunError(f"opening {spec} took more than {_START_LIMIT_NS // 10**9} s")
-            self.wait(0.1)
+            self.wait(self._clock.now_ns() + _OPENING_POLL_NS)
         return self.description
 
     def begin(self, start_ns: int, late_after_ns: int, pace: Pace) -> None:
@@ -159,16 +161,17 @@ class PortRunner:
         """How many events there were, with those that `events` leaves out."""
         return self._events.count
 
-    def wait(self, timeout_s: float) -> None:
-        """Sleep until the process says something or the loopback delivers, at most `timeout_s`.
+    def wait(self, until_ns: int, readable: Sequence[int] = ()) -> None:
+        """Sleep until an instant of the monotonic clock, or until the process says something, the loopback delivers
+        or one of the descriptors is ready.
 
         Raises:
             RunError: the process died.
         """
-        descriptors = [self._running().descriptor]
+        descriptors = [self._running().descriptor, *readable]
         if self._far_end is not None:
             descriptors.append(self._far_end.fileno())
-        self._clock.wait(self._clock.now_ns() + round(timeout_s * 1e9), descriptors)
+        self._clock.wait(until_ns, descriptors)
         self._collect()
 
     def last_packet_pushed(self) -> None:
@@ -196,7 +199,7 @@ class PortRunner:
         """
         self.last_packet_pushed()
         while not self._finished:
-            self.wait(_POLL_NS / 1e9)
+            self.wait(self._clock.now_ns() + _POLL_NS)
 
     def close(self) -> None:
         """End the process and give everything back; may be called again.

@@ -74,7 +74,7 @@ class Sender:
 
     def _patience_ends_ns(self, fate: Fate, now_ns: int) -> int | None:
         """Until when the packet is kept; None: it met its fate."""
-        return self._patience.wait_until(fate, now_ns) if self._pacing.pace is Pace.MAX else None
+        return self._patience.wait_until(fate, now_ns) if self._pacing.pace is not Pace.WALL else None
 
     def _take(self) -> Outgoing | None:
         if self._next is None:

@@ -17,6 +17,7 @@ from lidar_emu.runtime.pacing import Pace
 from lidar_emu.runtime.packets import Fate, Report
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.shots import FlightModel, Model
+from lidar_emu.trajectory.live import LiveTrajectory
 
 _DROPS = {Fate.DROPPED_FULL: "full", Fate.DROPPED_NOBODY: "nobody_connected", Fate.DROPPED_BROKEN: "broken"}
 
@@ -74,6 +75,10 @@ class Tally:
             self._unmatched -= len(self._pending[0])
             self._absorb(self._pending.popleft())
 
+    def missed(self) -> None:
+        """A shot was late before it was computed."""
+        self.fates[Fate.LATE] += 1
+
     def close(self) -> None:
         """Count the shots of a block that was cut off."""
         if self._pending and self._unmatched:
@@ -128,9 +133,11 @@ class Tally:
 
 
 def expectation(scenario: FlightScenario | BenchScenario, model: Model) -> dict[str, Any]:
-    """What the closed forms expect of the run, under the names of the summary file; null for a bench pattern."""
+    """What the closed forms expect of the run, under the names of the summary file; null for a bench pattern and
+    for a flight that is not known yet."""
     names = ("expected_range_error_m", "expected_speed_error_mps", "expected_dropout")
-    if not (isinstance(scenario, FlightScenario) and isinstance(model, FlightModel)):
+    known = isinstance(model, FlightModel) and not isinstance(model.flight.trajectory, LiveTrajectory)
+    if not (isinstance(scenario, FlightScenario) and isinstance(model, FlightModel) and known):
         return dict.fromkeys(names)
     told = expected_error(scenario, model.flight, model.plan.beamlets).to_json()
     values = (

@@ -170,4 +170,22 @@ class Table(Part):
         return self
 
 
-Trajectory = Annotated[Profile | Table, Field(discriminator="kind")]
+class Live(Part):
+    """Truth from a dynamics simulator, datagram by datagram; see docs/live-truth.md."""
+
+    kind: Literal["live"]
+    """Chooses this kind of trajectory."""
+    listen: Annotated[str, Field(pattern=r"^(udp:.+:\d{1,5}|unix:.+)$")] = "udp:127.0.0.1:5600"
+    """Where truth arrives: `udp:HOST:PORT` or `unix:PATH`, a datagram socket."""
+    lead_s: Annotated[float, Field(ge=0, le=10)] = 1e-3
+    """How long before its packet is due a shot is computed at the latest, from the truth that is there."""
+    stale_after_s: Annotated[float, Field(gt=0, le=3600)] = 0.1
+    """Truth is stale when the newest is this much older than the shot that it is used for."""
+    when_stale: Literal["coast", "invalid", "abort"] = "coast"
+    """`coast` continues the motion, `invalid` sends beams that did not fire, `abort` ends the run with an error.
+    Each is counted."""
+    jump_m: Positive = 10.0
+    """Truth further than this from where the last one was heading is a jump: counted, and not interpolated across."""
+
+
+Trajectory = Annotated[Profile | Table | Live, Field(discriminator="kind")]

@@ -1,0 +1,53 @@
+"""What every way of feeding the port shares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.outbox import Outbox
+from lidar_emu.runtime.packets import Outgoing
+from lidar_emu.session import Session
+
+POLL_NS = 20_000_000
+"""How long an interruption may go unseen."""
+
+
+class Desk(NamedTuple):
+    """What a feed works with."""
+
+    session: Session
+    outbox: Outbox
+    clock: Clock
+    interrupted: Callable[[], bool]
+    begin: Callable[[int], None]
+    """Tell the port that scenario time 0 is at this instant of the monotonic clock."""
+
+    def push(self, packet: Outgoing) -> bool:
+        """Hand a packet over, waiting for room; False if the run was interrupted meanwhile."""
+        while not self.outbox.push(packet):
+            self.rest()
+            if self.interrupted():
+                return False
+        return True
+
+    def rest(self) -> None:
+        """Wait a little for the port, and hear it."""
+        self.outbox.wait(self.clock.now_ns() + POLL_NS)
+        self.outbox.settle()
+
+    def finish(self) -> None:
+        """Say that no more packets will come, and wait until the port is through with them."""
+        if not self.interrupted():
+            self.outbox.last_packet_pushed()
+        while not (self.outbox.through or self.interrupted()):
+            self.rest()
+
+
+class Feed(Protocol):
+    """Where the shots of a run come from."""
+
+    def fly(self) -> str | None:
+        """Until the end, or until the run is interrupted; why it ended early, if that is an error."""
+        ...

@@ -1,0 +1,126 @@
+"""Live truth at the pace of the clock: each shot is computed when truth covers it, or when it can wait no longer."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from lidar_emu.flight import Flight
+from lidar_emu.runtime.feed import POLL_NS, Desk
+from lidar_emu.runtime.packets import Fate
+from lidar_emu.runtime.truth_source import TruthSource
+from lidar_emu.scenario.trajectory import Live
+from lidar_emu.trajectory.live_datagram import Truth, Verdict
+
+
+class LiveFeed:
+    """Shots one by one.
+
+    Args:
+        start_ns: instant of the monotonic clock at scenario time 0; None: the first truth says, by its own time, as it
+            arrives.
+        late_after_ns: a shot that is later than this before it is computed is not computed.
+    """
+
+    def __init__(
+        self,
+        desk: Desk,
+        source: TruthSource,
+        flight: Flight,
+        part: Live,
+        start_ns: int | None,
+        late_after_ns: int,
+    ) -> None:
+        self._desk = desk
+        self._source = source
+        self._flight = flight
+        self._part = part
+        self._start_ns = start_ns
+        self._late_after_ns = late_after_ns
+        self._asked: deque[tuple[int, int]] = deque()
+        self._ended = False
+
+    def fly(self) -> str | None:
+        """See `Feed`."""
+        desk = self._desk
+        first = self._await_first()
+        if first is None:
+            return None
+        truth, arrived_ns = first
+        self._begin(truth, arrived_ns)
+        while desk.session.next_shot < self._flight.shot_count:
+            shot = desk.session.next_shot
+            self._await(shot)
+            if desk.interrupted() or (self._ended and not self._source.covers(self._flight.seen_ns(shot))):
+                break
+            if error := self._fire(shot):
+                return error
+        desk.finish()
+        self._hear()
+        return None
+
+    def _await_first(self) -> tuple[Truth, int] | None:
+        while not self._desk.interrupted():
+            self._desk.outbox.wait(self._desk.clock.now_ns() + POLL_NS, [self._source.fileno()])
+            for arrival in self._source.receive():
+                if arrival.verdict is Verdict.ACCEPTED and arrival.truth is not None:
+                    return arrival.truth, arrival.arrived_ns
+        return None
+
+    def _begin(self, truth: Truth, arrived_ns: int) -> None:
+        """The first shot is the one that begins with the first truth, or after it."""
+        if self._start_ns is None:
+            self._start_ns = arrived_ns - truth.time_ns
+        self._source.start_ns = self._start_ns
+        self._ended = truth.last
+        self._desk.begin(self._start_ns)
+        begun_ns = max(truth.time_ns, arrived_ns - self._start_ns, 0)
+        self._desk.session.pass_over(-(-begun_ns // self._flight.period_ns))
+
+    def _await(self, shot: int) -> None:
+        """Until truth covers the shot, the flight has ended, or the packet cannot wait."""
+        desk, source = self._desk, self._source
+        seen_ns = self._flight.seen_ns(shot)
+        latest_ns = self._due_ns(shot) - round(self._part.lead_s * 1e9)
+        while not (source.covers(seen_ns) or self._ended or desk.interrupted()):
+            now_ns = desk.clock.now_ns()
+            if now_ns >= latest_ns:
+                break
+            desk.outbox.wait(min(latest_ns, now_ns + POLL_NS), [source.fileno()])
+            self._ended |= any(
+                arrival.truth is not None and arrival.truth.last and arrival.verdict is Verdict.ACCEPTED
+                for arrival in source.receive()
+            )
+            self._hear()
+
+    def _fire(self, shot: int) -> str | None:
+        desk, source = self._desk, self._source
+        if desk.clock.now_ns() > self._due_ns(shot) + self._late_after_ns:
+            desk.session.pass_over(shot + 1)
+            desk.outbox.missed()
+            return None
+        fresh = source.used_at(self._flight.seen_ns(shot))
+        if not fresh and self._part.when_stale == "abort":
+            return f"shot {shot}: truth is stale, and trajectory.when_stale is abort"
+        block = desk.session.shoot(1, fired=fresh or self._part.when_stale == "coast")
+        assert block is not None
+        for packet in desk.outbox.announce(block):
+            waited_for_ns = max(source.newest_arrived_ns, self._due_ns(shot))
+            self._asked.append((shot, waited_for_ns))
+            desk.push(packet)
+        return None
+
+    def _hear(self) -> None:
+        """What became of packets, and how long the truth that they waited for took to get out."""
+        for packet, report in self._desk.outbox.settle():
+            while self._asked and self._asked[0][0] <= packet.shot:
+                shot, waited_for_ns = self._asked.popleft()
+                if shot == packet.shot and report.fate is Fate.SENT:
+                    sent_ns = self._start_ns_known() + report.sent_ns
+                    self._source.response.add(max(0, sent_ns - waited_for_ns))
+
+    def _due_ns(self, shot: int) -> int:
+        return self._start_ns_known() + self._flight.due_ns(shot)
+
+    def _start_ns_known(self) -> int:
+        assert self._start_ns is not None
+        return self._start_ns

@@ -1,0 +1,83 @@
+"""Live truth in lockstep: the simulator sends truth and waits; it is answered with the packets due up to then."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from lidar_emu.flight import Flight
+from lidar_emu.runtime.feed import POLL_NS, Desk
+from lidar_emu.runtime.packets import Outgoing
+from lidar_emu.runtime.truth_source import Arrival, TruthSource
+from lidar_emu.trajectory.live_datagram import Answer, AnsweredPacket, Truth, Verdict, answers
+
+
+class LockstepFeed:
+    """As fast as both can. What is sent depends on the truth alone: every shot lies between two truths.
+
+    A truth that comes again gets its answer again, so that a simulator whose answer was lost can go on.
+    """
+
+    def __init__(self, desk: Desk, source: TruthSource, flight: Flight) -> None:
+        self._desk = desk
+        self._source = source
+        self._flight = flight
+        self._computed: deque[Outgoing] = deque()
+        self._last_answer: list[Answer] = []
+        self._begun = False
+        self._ended = False
+
+    def fly(self) -> str | None:
+        """See `Feed`."""
+        desk = self._desk
+        while not (self._ended or desk.interrupted()):
+            desk.outbox.wait(desk.clock.now_ns() + POLL_NS, [self._source.fileno()])
+            for arrival in self._source.receive():
+                self._answer(arrival)
+            desk.outbox.settle()
+        if self._begun:
+            desk.finish()
+        return None
+
+    def _answer(self, arrival: Arrival) -> None:
+        truth = arrival.truth
+        if arrival.verdict is Verdict.ACCEPTED and truth is not None:
+            self._last_answer = self._step(truth)
+            self._source.answer(self._last_answer)
+        elif self._last_answer and arrival.verdict is Verdict.DUPLICATE:
+            self._source.answer(self._last_answer)
+        else:
+            time_ns = 0 if truth is None else truth.time_ns
+            self._source.answer(answers(arrival.verdict, arrival.sequence, time_ns, ()))
+
+    def _step(self, truth: Truth) -> list[Answer]:
+        if not self._begun:
+            self._begun = True
+            self._desk.begin(self._desk.clock.now_ns())
+            self._desk.session.pass_over(-(-truth.time_ns // self._flight.period_ns))
+        self._compute(truth.time_ns)
+        self._ended = truth.last or self._desk.session.next_shot >= self._flight.shot_count
+        sent = self._send(None if self._ended else truth.time_ns)
+        packets = (AnsweredPacket(packet.shot, packet.due_ns, packet.payload) for packet in sent)
+        return answers(Verdict.ACCEPTED, truth.sequence, truth.time_ns, packets)
+
+    def _compute(self, time_ns: int) -> None:
+        """Every shot that truth covers by now; one that could also be covered sooner never depends on it."""
+        session = self._desk.session
+        while (
+            session.next_shot < self._flight.shot_count and self._flight.seen_ns(session.next_shot) <= time_ns
+        ):
+            self._source.used_at(self._flight.seen_ns(session.next_shot))
+            block = session.shoot(1)
+            assert block is not None
+            self._computed.extend(self._desk.outbox.announce(block))
+
+    def _send(self, up_to_ns: int | None) -> list[Outgoing]:
+        """What is due by then, or everything; returns it once each packet has met its fate."""
+        sent: list[Outgoing] = []
+        while self._computed and (up_to_ns is None or self._computed[0].due_ns <= up_to_ns):
+            sent.append(self._computed.popleft())
+            if not self._desk.push(sent[-1]):
+                return sent
+        while not (self._desk.outbox.empty or self._desk.interrupted()):
+            self._desk.rest()
+        return sent

@@ -1,0 +1,30 @@
+"""Whoever looks on while a scenario is flown."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.session import Block
+
+
+class Observer:
+    """Displays and recorders: each overrides what concerns it."""
+
+    def awaiting(self, port: str, what: str) -> None:
+        """The port is open under this name, and the run begins with something that is waited for."""
+
+    def opened(self, port: str, start: datetime) -> None:
+        """The port is open under this name; scenario time 0 will be, or was, at `start`, in UTC."""
+
+    def truth(self, datagram: bytes, time_ns: int) -> None:
+        """A simulator's datagram arrived, at this scenario time; good or not."""
+
+    def computed(self, block: Block) -> None:
+        """Shots are on their way to the port."""
+
+    def report(self, packet: Outgoing, report: Report) -> None:
+        """A packet met its fate."""
+
+    def arrived(self, data: bytes) -> None:
+        """Bytes at the far end of the in-memory loopback."""

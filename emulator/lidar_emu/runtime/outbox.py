@@ -1,0 +1,92 @@
+"""Shots on their way through the port: handed over in order, counted and shown once their fate is known."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+
+from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.runtime.run import PortRunner
+from lidar_emu.runtime.summary import Tally
+from lidar_emu.session import Block
+from lidar_emu.transports.frames import Frame, pack_frames
+from lidar_emu.wire import Packet
+
+
+class Outbox:
+    """Between whoever computes shots and the port's process.
+
+    Args:
+        observers: told of everything: they must be quick.
+    """
+
+    def __init__(self, port: PortRunner, observers: Sequence[Observer], tally: Tally) -> None:
+        self._port = port
+        self._observers = observers
+        self._tally = tally
+        self._in_flight: deque[Outgoing] = deque()
+
+    def announce(self, block: Block) -> list[Outgoing]:
+        """Tell of shots just computed; returns their packets, which are to be pushed in this order."""
+        for observer in self._observers:
+            observer.computed(block)
+        self._tally.measured(block.measurement)
+        return list(outgoing(block))
+
+    def push(self, packet: Outgoing) -> bool:
+        """Hand a packet over; False where there is no room before the port has sent some."""
+        if not self._port.push(packet):
+            return False
+        self._in_flight.append(packet)
+        return True
+
+    def settle(self) -> list[tuple[Outgoing, Report]]:
+        """Count what became of packets and pass on what arrived; returns packets with their fate."""
+        settled = []
+        for report in self._port.reports():
+            packet = self._in_flight.popleft()
+            settled.append((packet, report))
+            self._tally.report(report)
+            for observer in self._observers:
+                observer.report(packet, report)
+        if data := self._port.far_end():
+            for observer in self._observers:
+                observer.arrived(data)
+        return settled
+
+    def missed(self) -> None:
+        """Count a shot that was too late to be computed."""
+        self._tally.missed()
+
+    @property
+    def empty(self) -> bool:
+        """Whether every packet has met its fate."""
+        return not self._in_flight
+
+    @property
+    def through(self) -> bool:
+        """Whether the port is through with the last packet, see `PortRunner.finished`."""
+        return self._port.finished
+
+    def wait(self, until_ns: int, readable: Sequence[int] = ()) -> None:
+        """Sleep until an instant of the monotonic clock, or until the port or one of the descriptors has news."""
+        self._port.wait(until_ns, readable)
+
+    def last_packet_pushed(self) -> None:
+        """No more will come."""
+        self._port.last_packet_pushed()
+
+
+def outgoing(block: Block) -> Iterator[Outgoing]:
+    """The packets of shots, as the port's process takes them."""
+    shots, dues = block.measurement.shot.tolist(), block.measurement.due_ns.tolist()
+    for shot, due_ns, packet in zip(shots, dues, block.packets, strict=True):
+        yield Outgoing(shot, due_ns, payload_of(packet))
+
+
+def payload_of(packet: Packet) -> bytes:
+    """A packet as the port process takes it."""
+    if isinstance(packet, bytes):
+        return packet
+    return pack_frames([Frame(f.can_id, f.data, f.is_fd, f.bitrate_switch) for f in packet])

@@ -1,0 +1,109 @@
+"""Truth from a simulator as a run uses it: received, judged, shown to observers, counted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from lidar_emu.runtime.lateness import LatenessHistogram
+from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.truth_socket import TruthSocket
+from lidar_emu.trajectory.live import LiveTrajectory
+from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict, sequence_of
+
+
+class Arrival(NamedTuple):
+    """A datagram that came in."""
+
+    truth: Truth | None
+    """None if it was none."""
+    verdict: Verdict
+    sequence: int
+    """Its number, as far as it has one."""
+    arrived_ns: int
+    """Instant of the monotonic clock."""
+
+
+class TruthSource:
+    """Feeds a live trajectory from a socket.
+
+    Args:
+        stale_after_ns: age above which truth is stale.
+    """
+
+    def __init__(
+        self,
+        socket: TruthSocket,
+        trajectory: LiveTrajectory,
+        stale_after_ns: int,
+        observers: Sequence[Observer],
+    ) -> None:
+        self._socket = socket
+        self._trajectory = trajectory
+        self._stale_after_ns = stale_after_ns
+        self._observers = observers
+        self._age = LatenessHistogram()
+        self._stale = 0
+        self._undelivered = 0
+        self.response = LatenessHistogram()
+        """From the arrival of the truth that a shot waited for, or from when its packet was due if that was later,
+        to the last byte written."""
+        self.start_ns: int | None = None
+        """Instant of the monotonic clock at scenario time 0; None before the run has begun and in lockstep."""
+        self.newest_arrived_ns = 0
+        """When the newest truth came."""
+
+    def fileno(self) -> int:
+        """Ready when something arrived."""
+        return self._socket.fileno()
+
+    def receive(self) -> list[Arrival]:
+        """Take what arrived into account."""
+        return [self._judged(data, arrived_ns) for data, arrived_ns in self._socket.receive()]
+
+    def answer(self, parts: Sequence[Answer]) -> None:
+        """To whom the last datagram came from; an answer that cannot be delivered is counted."""
+        for part in parts:
+            self._undelivered += not self._socket.answer(part.to_bytes())
+
+    @property
+    def newest(self) -> Truth | None:
+        """The truth that counts; None before the first."""
+        return self._trajectory.newest
+
+    def covers(self, time_ns: int) -> bool:
+        """Whether truth reaches up to a scenario time."""
+        newest = self.newest
+        return newest is not None and newest.time_ns >= time_ns
+
+    def used_at(self, time_ns: int) -> bool:
+        """Count the age of the truth used for a shot valid at this scenario time; False if it is stale."""
+        newest = self.newest
+        age_ns = 0 if newest is None else max(0, time_ns - newest.time_ns)
+        self._age.add(age_ns)
+        stale = age_ns > self._stale_after_ns
+        self._stale += stale
+        return not stale
+
+    def to_json(self) -> dict[str, Any]:
+        """The counts under the names of the summary file."""
+        verdicts = self._trajectory.verdicts
+        return {
+            "datagrams": {verdict.name.lower(): verdicts[verdict] for verdict in Verdict},
+            "lost": self._trajectory.lost,
+            "jumped": self._trajectory.jumped,
+            "stale_shots": self._stale,
+            "undelivered_answers": self._undelivered,
+            "age": self._age.summary(),
+            "response": self.response.summary(),
+        }
+
+    def _judged(self, data: bytes, arrived_ns: int) -> Arrival:
+        now_ns = None if self.start_ns is None else arrived_ns - self.start_ns
+        truth = Truth.from_bytes(data)
+        verdict = self._trajectory.accept(truth, now_ns)
+        if verdict is Verdict.ACCEPTED:
+            self.newest_arrived_ns = arrived_ns
+        for observer in self._observers:
+            observer.truth(data, 0 if now_ns is None else max(0, now_ns))
+        return Arrival(truth, verdict, sequence_of(data), arrived_ns)

@@ -1,0 +1,67 @@
+"""A dynamics simulator in its simplest form: it flies a descent and tells an emulated lidar where it is.
+
+Run it beside `lidar-emu run live.yaml`; with the argument `lockstep` beside `lidar-emu run live.yaml --pace lockstep`.
+Everything that a client needs is in `truth` and `packets_of`, with the standard library alone.
+"""
+
+import socket
+import struct
+import sys
+import time
+
+TRUTH = struct.Struct("<4sHHI4xq3d3d3d4d3d")  # 152 bytes; see docs/live-truth.md
+ANSWER, PACKET = struct.Struct("<4sHBBIIq"), struct.Struct("<IIq")
+ACCELERATION_KNOWN, LAST = 1, 2
+FACING_DOWN = (0.0, 0.5**0.5, 0.5**0.5, 0.0)  # body z down, x north: site_from_body, scalar first
+
+
+def truth(sequence: int, time_s: float, last: bool) -> bytes:
+    """1000 m up, sinking at 40 m/s, slowing down by 0.8 m/s²."""
+    up_m, climb_mps, acceleration_mps2 = 1000 - 40 * time_s + 0.4 * time_s**2, -40 + 0.8 * time_s, 0.8
+    return TRUTH.pack(
+        b"LETR", 1, ACCELERATION_KNOWN | LAST * last, sequence, round(time_s * 1e9),
+        0, 0, up_m, 0, 0, climb_mps, 0, 0, acceleration_mps2, *FACING_DOWN, 0, 0, 0,
+    )  # fmt: skip
+
+
+def packets_of(link: socket.socket) -> list[bytes]:
+    """The answer in lockstep: the packets that the lidar has sent since the last truth."""
+    packets, more = [], True
+    while more:
+        data = link.recv(65536)
+        _, _, status, more, _, count, _ = ANSWER.unpack_from(data)
+        assert status == 0, f"refused: {status}"
+        start = ANSWER.size
+        for _ in range(count):
+            length, _shot, _due_ns = PACKET.unpack_from(data, start)
+            packets.append(data[start + PACKET.size : start + PACKET.size + length])
+            start += PACKET.size + length
+    return packets
+
+
+def sent(link: socket.socket, datagram: bytes) -> bool:
+    """Send it; False while nobody listens (UDP says so one datagram later, which comes again)."""
+    try:
+        return link.send(datagram) > 0
+    except ConnectionRefusedError:
+        return False
+
+
+def main(lockstep: bool, rate_hz: int = 100, duration_s: int = 48) -> None:
+    """Send truth at a steady rate, or as fast as the answers come."""
+    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    link.connect(("127.0.0.1", 5600))
+    steps = duration_s * rate_hz
+    start_s, received = time.monotonic(), 0
+    for step in range(steps + 1):
+        while not sent(link, truth(step, step / rate_hz, last=step == steps)):
+            time.sleep(0.1)  # the lidar is not there yet
+        if lockstep:
+            received += len(packets_of(link))
+        else:
+            time.sleep(max(0.0, start_s + (step + 1) / rate_hz - time.monotonic()))
+    print(f"{steps + 1} truths in {time.monotonic() - start_s:.1f} s, {received} packets in the answers")
+
+
+if __name__ == "__main__":
+    main("lockstep" in sys.argv[1:])
