@@ -1,9 +1,10 @@
 """A dynamics simulator in its simplest form: it flies a descent and tells an emulated lidar where it is.
 
 Run it beside `lidar-emu run live.yaml`; with the argument `lockstep` beside `lidar-emu run live.yaml --pace lockstep`.
-Everything that a client needs is in `truth` and `packets_of`, with the standard library alone.
+What a client needs is in `truth`, `tell` and, in lockstep, `packets_of`; the standard library is enough.
 """
 
+import contextlib
 import socket
 import struct
 import sys
@@ -24,13 +25,25 @@ def truth(sequence: int, time_s: float, last: bool) -> bytes:
     )  # fmt: skip
 
 
-def packets_of(link: socket.socket) -> list[bytes]:
-    """The answer in lockstep: the packets that the lidar has sent since the last truth."""
+def tell(link: socket.socket, datagram: bytes) -> None:
+    """Send truth; nobody may be listening yet."""
+    with contextlib.suppress(ConnectionRefusedError):
+        link.send(datagram)
+
+
+def packets_of(link: socket.socket, sequence: int) -> list[bytes] | None:
+    """The answer to a truth in lockstep: the packets that went out since the one before; None if none came."""
     packets, more = [], True
     while more:
-        data = link.recv(65536)
-        _, _, status, more, _, count, _ = ANSWER.unpack_from(data)
-        assert status == 0, f"refused: {status}"
+        try:
+            data = link.recv(65536)
+        except (TimeoutError, ConnectionRefusedError):
+            return None
+        _, _, status, more, answered, count, _ = ANSWER.unpack_from(data)
+        if answered != sequence:  # to a truth that was sent twice
+            more = True
+            continue
+        assert status == 0, f"truth {sequence} refused: {status}"
         start = ANSWER.size
         for _ in range(count):
             length, _shot, _due_ns = PACKET.unpack_from(data, start)
@@ -39,25 +52,21 @@ def packets_of(link: socket.socket) -> list[bytes]:
     return packets
 
 
-def sent(link: socket.socket, datagram: bytes) -> bool:
-    """Send it; False while nobody listens (UDP says so one datagram later, which comes again)."""
-    try:
-        return link.send(datagram) > 0
-    except ConnectionRefusedError:
-        return False
-
-
 def main(lockstep: bool, rate_hz: int = 100, duration_s: int = 48) -> None:
     """Send truth at a steady rate, or as fast as the answers come."""
     link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     link.connect(("127.0.0.1", 5600))
+    link.settimeout(1)
     steps = duration_s * rate_hz
     start_s, received = time.monotonic(), 0
     for step in range(steps + 1):
-        while not sent(link, truth(step, step / rate_hz, last=step == steps)):
-            time.sleep(0.1)  # the lidar is not there yet
+        datagram = truth(step, step / rate_hz, last=step == steps)
+        tell(link, datagram)
         if lockstep:
-            received += len(packets_of(link))
+            while (packets := packets_of(link, step)) is None:
+                time.sleep(0.1)
+                tell(link, datagram)  # a truth that comes twice is answered twice
+            received += len(packets)
         else:
             time.sleep(max(0.0, start_s + (step + 1) / rate_hz - time.monotonic()))
     print(f"{steps + 1} truths in {time.monotonic() - start_s:.1f} s, {received} packets in the answers")

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
-
 from lidar_emu.flight import Flight
 from lidar_emu.runtime.feed import POLL_NS, Desk
-from lidar_emu.runtime.packets import Fate
 from lidar_emu.runtime.truth_source import TruthSource
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.trajectory.live_datagram import Truth, Verdict
@@ -36,7 +33,6 @@ class LiveFeed:
         self._part = part
         self._start_ns = start_ns
         self._late_after_ns = late_after_ns
-        self._asked: deque[tuple[int, int]] = deque()
         self._ended = False
 
     def fly(self) -> str | None:
@@ -55,7 +51,6 @@ class LiveFeed:
             if error := self._fire(shot):
                 return error
         desk.finish()
-        self._hear()
         return None
 
     def _await_first(self) -> tuple[Truth, int] | None:
@@ -90,7 +85,7 @@ class LiveFeed:
                 arrival.truth is not None and arrival.truth.last and arrival.verdict is Verdict.ACCEPTED
                 for arrival in source.receive()
             )
-            self._hear()
+            desk.outbox.settle()
 
     def _fire(self, shot: int) -> str | None:
         desk, source = self._desk, self._source
@@ -104,19 +99,9 @@ class LiveFeed:
         block = desk.session.shoot(1, fired=fresh or self._part.when_stale == "coast")
         assert block is not None
         for packet in desk.outbox.announce(block):
-            waited_for_ns = max(source.newest_arrived_ns, self._due_ns(shot))
-            self._asked.append((shot, waited_for_ns))
+            source.awaited_by(packet)
             desk.push(packet)
         return None
-
-    def _hear(self) -> None:
-        """What became of packets, and how long the truth that they waited for took to get out."""
-        for packet, report in self._desk.outbox.settle():
-            while self._asked and self._asked[0][0] <= packet.shot:
-                shot, waited_for_ns = self._asked.popleft()
-                if shot == packet.shot and report.fate is Fate.SENT:
-                    sent_ns = self._start_ns_known() + report.sent_ns
-                    self._source.response.add(max(0, sent_ns - waited_for_ns))
 
     def _due_ns(self, shot: int) -> int:
         return self._start_ns_known() + self._flight.due_ns(shot)

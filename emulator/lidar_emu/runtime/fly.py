@@ -127,8 +127,8 @@ class Run:
             _on_signals(self._interrupt),
             PortRunner(self._slots, _PACKET_ROOM_BYTES) as port,
         ):
-            outbox = Outbox(port, self._observers, self.tally)
             source = self._source(socket)
+            outbox = Outbox(port, [*self._observers, *([source] if source else [])], self.tally)
             with suppress(KeyboardInterrupt):
                 self._description = port.start(self._options.port)
                 self._opening = False

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.runtime.packets import Outgoing
 from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block
@@ -41,19 +41,16 @@ class Outbox:
         self._in_flight.append(packet)
         return True
 
-    def settle(self) -> list[tuple[Outgoing, Report]]:
-        """Count what became of packets and pass on what arrived; returns packets with their fate."""
-        settled = []
+    def settle(self) -> None:
+        """Count what became of packets and pass on what arrived."""
         for report in self._port.reports():
             packet = self._in_flight.popleft()
-            settled.append((packet, report))
             self._tally.report(report)
             for observer in self._observers:
                 observer.report(packet, report)
         if data := self._port.far_end():
             for observer in self._observers:
                 observer.arrived(data)
-        return settled
 
     def missed(self) -> None:
         """Count a shot that was too late to be computed."""

@@ -40,6 +40,8 @@ class TruthSocket:
 
     def _udp(self, place: str) -> socket.socket:
         host, _, port = place.rpartition(":")
+        if not 0 < int(port) < 1 << 16:  # the system would take it modulo 65536
+            raise ValueError("ports are 1 to 65535")
         (family, _, _, _, where), *_ = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_DGRAM)
         return _bound(family, where)
 

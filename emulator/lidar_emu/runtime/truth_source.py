@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from lidar_emu.runtime.lateness import LatenessHistogram
 from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.packets import Fate, Outgoing, Report
 from lidar_emu.runtime.truth_socket import TruthSocket
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict, sequence_of
@@ -24,8 +26,8 @@ class Arrival(NamedTuple):
     """Instant of the monotonic clock."""
 
 
-class TruthSource:
-    """Feeds a live trajectory from a socket.
+class TruthSource(Observer):
+    """Feeds a live trajectory from a socket, and looks how soon what comes of it is sent.
 
     Args:
         stale_after_ns: age above which truth is stale.
@@ -45,13 +47,11 @@ class TruthSource:
         self._age = LatenessHistogram()
         self._stale = 0
         self._undelivered = 0
-        self.response = LatenessHistogram()
-        """From the arrival of the truth that a shot waited for, or from when its packet was due if that was later,
-        to the last byte written."""
+        self._response = LatenessHistogram()
+        self._awaited: deque[tuple[int, int]] = deque()
         self.start_ns: int | None = None
         """Instant of the monotonic clock at scenario time 0; None before the run has begun and in lockstep."""
-        self.newest_arrived_ns = 0
-        """When the newest truth came."""
+        self._newest_arrived_ns = 0
 
     def fileno(self) -> int:
         """Ready when something arrived."""
@@ -85,6 +85,20 @@ class TruthSource:
         self._stale += stale
         return not stale
 
+    def awaited_by(self, packet: Outgoing) -> None:
+        """A packet made from the newest truth goes on its way, with the clock."""
+        assert self.start_ns is not None
+        since_ns = max(self._newest_arrived_ns - self.start_ns, packet.due_ns)
+        self._awaited.append((packet.shot, since_ns))
+
+    def report(self, packet: Outgoing, report: Report) -> None:
+        """Count how long it took from truth in, or from when the packet was due if that was later, to its last byte
+        written."""
+        while self._awaited and self._awaited[0][0] <= packet.shot:
+            shot, since_ns = self._awaited.popleft()
+            if shot == packet.shot and report.fate is Fate.SENT:
+                self._response.add(max(0, report.sent_ns - since_ns))
+
     def to_json(self) -> dict[str, Any]:
         """The counts under the names of the summary file."""
         verdicts = self._trajectory.verdicts
@@ -95,7 +109,7 @@ class TruthSource:
             "stale_shots": self._stale,
             "undelivered_answers": self._undelivered,
             "age": self._age.summary(),
-            "response": self.response.summary(),
+            "response": self._response.summary(),
         }
 
     def _judged(self, data: bytes, arrived_ns: int) -> Arrival:
@@ -103,7 +117,7 @@ class TruthSource:
         truth = Truth.from_bytes(data)
         verdict = self._trajectory.accept(truth, now_ns)
         if verdict is Verdict.ACCEPTED:
-            self.newest_arrived_ns = arrived_ns
+            self._newest_arrived_ns = arrived_ns
         for observer in self._observers:
             observer.truth(data, 0 if now_ns is None else max(0, now_ns))
         return Arrival(truth, verdict, sequence_of(data), arrived_ns)

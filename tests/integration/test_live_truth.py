@@ -1,0 +1,234 @@
+"""A simulator beside the program: in lockstep, with the clock, and as simulators go wrong."""
+
+from __future__ import annotations
+
+import math
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import handwritten
+import pytest
+from programs import Program, eventually, read_summary
+
+import lidar_emu
+from lidar_emu.shots import build_model
+from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict
+
+Start = Callable[..., Program]
+LISTEN = "trajectory.listen=unix:truth.sock"
+FAST = ["live.yaml", "--set", LISTEN, "--set", "timing.rate_hz=100", "--summary", "s.json"]
+DOWN = (0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0)
+STEP_NS = 20_000_000
+
+
+def truth(step: int, last: bool = False, speed_mps: float = 30.0) -> Truth:
+    """Straight down from 900 m."""
+    time_ns = step * STEP_NS
+    up_m = 900 - speed_mps * time_ns * 1e-9
+    return Truth(step, time_ns, (0, 0, up_m), (0, 0, -speed_mps), (0, 0, 0), DOWN, (0, 0, 0), last)
+
+
+class Simulator:
+    """The other end of the program's socket."""
+
+    def __init__(self, folder: Path) -> None:
+        self._there = folder / "truth.sock"
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind(str(folder / "simulator.sock"))
+        self.socket.settimeout(60)
+
+    def send(self, datagram: bytes) -> None:
+        """Once the program listens."""
+
+        def taken() -> bool:
+            with suppress(FileNotFoundError, ConnectionRefusedError):
+                self.socket.sendto(datagram, str(self._there))
+                return True
+            return False
+
+        eventually(taken)
+
+    def ask(self, datagram: bytes) -> Answer:
+        """Send, and wait for the (single) datagram of the answer."""
+        self.send(datagram)
+        return Answer.from_bytes(self.socket.recv(65536))
+
+
+@pytest.fixture
+def simulator(tmp_path: Path) -> Iterator[Simulator]:
+    made = Simulator(tmp_path)
+    yield made
+    made.socket.close()
+
+
+def fly_in_lockstep(
+    simulator: Simulator, steps: int, nuisance: Callable[[int], list[bytes]] | None = None
+) -> bytes:
+    """The packets of the answers; nuisances before each truth must be answered, too."""
+    sent = b""
+    for step in range(steps + 1):
+        for bad in nuisance(step) if nuisance else []:
+            assert simulator.ask(bad).verdict is not Verdict.ACCEPTED
+        answer = simulator.ask(truth(step, last=step == steps).to_bytes())
+        assert (answer.verdict, answer.sequence, answer.time_ns) == (Verdict.ACCEPTED, step, step * STEP_NS)
+        assert all(step == steps or packet.due_ns <= answer.time_ns for packet in answer.packets)
+        sent += b"".join(packet.payload for packet in answer.packets)
+    return sent
+
+
+def test_lockstep_reports_what_truth_says(start: Start, simulator: Simulator, tmp_path: Path) -> None:
+    """Every shot between the first truth and the last, once; ranges against the cosine of a plane."""
+    run = start("run", *FAST, "--pace", "lockstep", "--set", "level=geometric", "--set", "site=flat")
+    packets = [
+        handwritten.decoded(packet) for packet in handwritten.unstuffed(fly_in_lockstep(simulator, 50))
+    ]
+    run.succeed()
+    assert [header["shot"] for header, _ in packets] == list(range(100))
+    for header, row in ((header, row) for header, beams in packets for row in beams):
+        up_m = 900 - 30 * header["time_ns"] * 1e-9
+        cosine = math.cos(math.radians(row["beam_angle_deg"]))
+        assert row["range_m"] == pytest.approx(up_m / cosine, abs=0.51e-3)
+        assert row["closing_speed_mps"] == pytest.approx(30 * cosine, abs=0.51e-4)
+    told = read_summary(tmp_path / "s.json")
+    assert told["shots"]["sent"] == 100
+    assert told["truth"]["age"]["max_ns"] == 0
+
+
+def nuisances(step: int) -> list[bytes]:
+    """What lossy links and broken simulators send between two good truths."""
+    spoilt = truth(step)._replace(velocity_site_mps=(math.nan, 0.0, 0.0))
+    late = [truth(step - 2).to_bytes()] if step >= 2 else []
+    return [b"", b"LETR", bytes(152), spoilt.to_bytes(), *late]
+
+
+def test_same_truth_same_packets_whatever_comes_between(
+    start: Start, simulator: Simulator, tmp_path: Path
+) -> None:
+    options = [*FAST, "--pace", "lockstep", "--set", "level=spectral"]
+    flown = []
+    for nuisance in (None, nuisances):
+        run = start("run", *options)
+        flown.append(fly_in_lockstep(simulator, 15, nuisance))
+        run.succeed()
+    assert flown[0] == flown[1]
+    assert len(handwritten.rows(flown[0])) == 4 * 30
+    told = read_summary(tmp_path / "s.json")["truth"]["datagrams"]
+    assert (told["malformed"], told["not_finite"], told["out_of_order"]) == (48, 16, 14)
+
+
+def test_a_truth_that_comes_twice_is_answered_twice(start: Start, simulator: Simulator) -> None:
+    start("run", *FAST, "--pace", "lockstep")
+    assert simulator.ask(truth(0).to_bytes()).packets == ()
+    first = simulator.ask(truth(3).to_bytes())
+    again = simulator.ask(truth(3).to_bytes())
+    assert first == again
+    assert len(first.packets) == 6
+
+
+def test_lockstep_starts_where_truth_starts(start: Start, simulator: Simulator) -> None:
+    start("run", *FAST, "--pace", "lockstep")
+    simulator.ask(truth(100).to_bytes())
+    assert [packet.shot for packet in simulator.ask(truth(102).to_bytes()).packets] == [200, 201, 202, 203]
+
+
+def test_the_clock_waits_for_no_truth(start: Start, simulator: Simulator, tmp_path: Path) -> None:
+    """Two truths, then silence: the motion goes on, and that is told."""
+    run = start("run", *FAST, "--duration", "0.5", "--set", "level=geometric")
+    simulator.send(truth(0).to_bytes())
+    simulator.send(truth(1).to_bytes())
+    run.succeed()
+    told = read_summary(tmp_path / "s.json")
+    shots, age = told["shots"], told["truth"]["age"]
+    assert shots["sent"] + shots["late"] == shots["due"] == told["planned_shots"] == 50
+    assert told["truth"]["stale_shots"] >= 30
+    assert age["max_ns"] == pytest.approx(0.47e9, rel=0.02)
+    # Coasting along a straight line is exact: the error is the wire's, and that of the digits of a time.
+    assert told["range_error_m"]["max"] == 0
+    assert told["truth"]["response"]["count"] == shots["sent"]
+
+
+def test_stale_truth_can_end_a_run(start: Start, simulator: Simulator, tmp_path: Path) -> None:
+    run = start("run", *FAST, "--set", "trajectory.when_stale=abort")
+    simulator.send(truth(0).to_bytes())
+    assert run.wait() == 1
+    assert "truth is stale" in run.err
+    assert len(run.err.splitlines()) == 1
+    told = read_summary(tmp_path / "s.json")
+    assert "truth is stale" in told["error"]
+    assert 5 <= told["shots"]["due"] <= 10
+
+
+def test_stale_truth_can_blind_the_beams(start: Start, simulator: Simulator, tmp_path: Path) -> None:
+    run = start(
+        "run",
+        *FAST,
+        "--duration",
+        "0.4",
+        "--set",
+        "trajectory.when_stale=invalid",
+        "--set",
+        "level=geometric",
+    )
+    simulator.send(truth(0).to_bytes())
+    run.succeed()
+    told = read_summary(tmp_path / "s.json")
+    for beam in told["beams"]:
+        assert beam["not_fired"] == told["truth"]["stale_shots"] >= 20
+        assert beam["valid"] >= 5
+
+
+def test_ctrl_c_while_truth_is_awaited(start: Start, tmp_path: Path) -> None:
+    run = start("run", *FAST)
+    run.word_after("waits for ")
+    assert (tmp_path / "truth.sock").exists()
+    run.signal(signal.SIGINT)
+    run.succeed()
+    assert not (tmp_path / "truth.sock").exists()
+    assert read_summary(tmp_path / "s.json")["shots"]["due"] == 0
+
+
+def test_the_address_of_a_dead_program_is_taken_over_and_that_of_a_living_one_is_not(
+    start: Start, tmp_path: Path
+) -> None:
+    killed = start("run", *FAST)
+    killed.word_after("waits for ")
+    killed.signal(signal.SIGKILL)
+    killed.wait()
+    assert (tmp_path / "truth.sock").exists()
+    second = start("run", *FAST)
+    second.word_after("waits for ")
+    third = start("run", *FAST)
+    assert third.wait() == 2
+    assert "trajectory: listen: 'unix:truth.sock'" in third.err
+    assert len(third.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["run", "live.yaml", "--pace", "max"], "--pace"),
+        (["run", "descent.yaml", "--pace", "lockstep"], "--pace"),
+        (["run", "live.yaml", "--start", "now"], "--start"),
+        (["run", "descent.yaml", "--start", "on-truth"], "--start"),
+        (["run", "live.yaml", "--set", "trajectory.listen=udp:127.0.0.1:99999"], "listen"),
+        (["run", "live.yaml", "--set", "trajectory.listen=udp:nowhere.invalid:5600"], "listen"),
+        (["run", "live.yaml", "--set", "trajectory.listen=unix:/no/such/folder/s"], "listen"),
+        (["run", "live.yaml", "--set", "trajectory.listen=tcp:1"], "listen"),
+        (["simulate", "live.yaml", "--out", "x.csv"], "trajectory.kind"),
+    ],
+)
+def test_refusals(start: Start, arguments: list[str], word: str) -> None:
+    program = start(*arguments)
+    assert program.wait() == 2
+    assert word in program.err
+    assert len(program.err.splitlines()) == 1
+
+
+def test_a_plan_of_a_flight_to_come_leaves_out_only_what_it_cannot_need() -> None:
+    rows: list[dict[str, Any]] = build_model(lidar_emu.load("live.yaml")).plan.rows()
+    left_out = {row["stage"] for row in rows if not row["computed"]}
+    assert left_out == {"extinction", "ground altitude"}

@@ -1,0 +1,149 @@
+"""Live truth against the closed forms that it was sampled from, and what it makes of bad truth."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lidar_emu.rotations import from_rotation_vector
+from lidar_emu.trajectory.live import LiveTrajectory
+from lidar_emu.trajectory.live_datagram import Truth, Verdict
+
+STILL = (0.0, 0.0, 0.0)
+UPRIGHT = (1.0, 0.0, 0.0, 0.0)
+MS = 1_000_000
+
+
+def truth(time_ns: int = 0, sequence: int = 0, **changes: object) -> Truth:
+    return Truth(sequence, time_ns, STILL, STILL, STILL, UPRIGHT, STILL)._replace(**changes)  # type: ignore[arg-type]
+
+
+def falling(time_s: float, known: bool = True) -> Truth:
+    """From rest at a height of 500 m, with a steady drift; as a simulator would tell."""
+    return Truth(
+        round(time_s * 1e3), round(time_s * 1e9), (3 * time_s, 0.0, 500 - 0.8 * time_s**2), (3.0, 0.0, -1.6 * time_s),
+        (0.0, 0.0, -1.6) if known else None, UPRIGHT, STILL,
+    )  # fmt: skip
+
+
+def flown(*truths: Truth, jump_m: float = 10.0) -> LiveTrajectory:
+    trajectory = LiveTrajectory(jump_m)
+    for one in truths:
+        assert trajectory.accept(one, None) is Verdict.ACCEPTED
+    return trajectory
+
+
+@pytest.mark.parametrize("known", [True, False])
+@given(instant_s=st.floats(0.0, 1.5))
+def test_constant_acceleration_is_met_exactly_between_and_beyond(instant_s: float, known: bool) -> None:
+    trajectory = flown(*(falling(t, known) for t in (0.0, 0.4, 1.0)))
+    state = trajectory.state(np.array([instant_s]))
+    assert state.position_site_m[0] == pytest.approx([3 * instant_s, 0, 500 - 0.8 * instant_s**2], abs=1e-12)
+    assert state.velocity_site_mps[0] == pytest.approx([3, 0, -1.6 * instant_s], abs=1e-12)
+    assert state.acceleration_site_mps2[0] == pytest.approx([0, 0, -1.6], abs=1e-10)
+
+
+def test_a_known_acceleration_makes_the_curve_of_the_fifth_degree() -> None:
+    """t⁵ has every derivative that a quintic must meet; a cubic would be off by centimetres."""
+
+    def fifth(t: float) -> Truth:
+        return truth(
+            round(t * 1e9),
+            position_site_m=(t**5, 0.0, 0.0),
+            velocity_site_mps=(5 * t**4, 0.0, 0.0),
+            acceleration_site_mps2=(20 * t**3, 0.0, 0.0),
+        )
+
+    state = flown(fifth(0.5), fifth(1.5)).state(np.linspace(0.5, 1.5, 11))
+    t = np.linspace(0.5, 1.5, 11)
+    assert state.position_site_m[:, 0] == pytest.approx(t**5, abs=1e-12)
+    assert state.velocity_site_mps[:, 0] == pytest.approx(5 * t**4, abs=1e-11)
+    assert state.acceleration_site_mps2[:, 0] == pytest.approx(20 * t**3, abs=1e-10)
+
+
+def turned(vector_rad: np.ndarray, flip: bool) -> tuple[float, float, float, float]:
+    """The quaternion of a rotation vector, of either sign."""
+    angle = float(np.linalg.norm(vector_rad))
+    w, *xyz = (
+        math.cos(angle / 2),
+        *(math.sin(angle / 2) / angle * vector_rad if angle else vector_rad).tolist(),
+    )
+    sign = -1.0 if flip else 1.0
+    return sign * w, sign * xyz[0], sign * xyz[1], sign * xyz[2]
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_a_steady_turn_between_truths_and_beyond(flip: bool) -> None:
+    """Against Rodrigues' formula; between truths 50 ms apart the cubic is off by (0.05 rate)⁴/384."""
+    rate = np.array([0.5, -1.0, 2.0])
+    step_s = 0.05
+    truths = [
+        truth(
+            round(k * step_s * 1e9),
+            site_from_body=turned(k * step_s * rate, flip and k % 2 == 1),
+            body_rate_radps=tuple(rate.tolist()),
+        )
+        for k in range(4)
+    ]
+    instants_s = np.linspace(0, 0.3, 25)
+    state = flown(*truths).state(instants_s)
+    error = np.abs(state.site_from_body - from_rotation_vector(instants_s[:, None] * rate))
+    assert error[instants_s <= 0.15].max() < 3e-7
+    assert error.max() < 1e-6
+    assert np.abs(state.body_rate_radps - rate).max() < 1e-3
+
+
+def test_bits_do_not_depend_on_the_other_instants() -> None:
+    trajectory = flown(*(falling(t) for t in (0.0, 0.4, 1.0)))
+    instants_s = np.array([0.7, 0.1, 1.2, 0.1])
+    together = trajectory.state(instants_s)
+    for k, instant_s in enumerate(instants_s):
+        alone = trajectory.state(np.array([instant_s]))
+        assert np.array_equal(alone.position_site_m[0], together.position_site_m[k])
+        assert np.array_equal(alone.site_from_body[0], together.site_from_body[k])
+
+
+@pytest.mark.parametrize(
+    ("bad", "now_ns", "verdict"),
+    [
+        (None, None, Verdict.MALFORMED),
+        (truth(2 * MS, position_site_m=(math.nan, 0.0, 0.0)), None, Verdict.NOT_FINITE),
+        (truth(2 * MS, body_rate_radps=(0.0, math.inf, 0.0)), None, Verdict.NOT_FINITE),
+        (truth(2 * MS, acceleration_site_mps2=(0.0, 0.0, math.nan)), None, Verdict.NOT_FINITE),
+        (truth(2 * MS, site_from_body=(0.0, 0.0, 0.0, 0.0)), None, Verdict.BAD_ATTITUDE),
+        (truth(2 * MS, site_from_body=(1.0, 0.1, 0.0, 0.0)), None, Verdict.BAD_ATTITUDE),
+        (truth(MS), None, Verdict.DUPLICATE),
+        (truth(MS - 1), None, Verdict.OUT_OF_ORDER),
+        (truth(MS + 10_000 * MS + 1), None, Verdict.IMPLAUSIBLE_TIME),
+        (truth(2 * MS), 20_000 * MS, Verdict.IMPLAUSIBLE_TIME),
+        (truth(2**62), 2 * MS, Verdict.IMPLAUSIBLE_TIME),
+    ],
+)
+def test_bad_truth_is_counted_and_changes_nothing(
+    bad: Truth | None, now_ns: int | None, verdict: Verdict
+) -> None:
+    trajectory = flown(truth(MS))
+    before = trajectory.state(np.array([0.5]))
+    assert trajectory.accept(bad, now_ns) is verdict
+    assert trajectory.verdicts == {Verdict.ACCEPTED: 1, verdict: 1}
+    assert np.array_equal(trajectory.state(np.array([0.5])).position_site_m, before.position_site_m)
+
+
+def test_a_jump_is_not_interpolated_across() -> None:
+    trajectory = flown(truth(0), truth(100 * MS, position_site_m=(11.0, 0.0, 0.0)))
+    assert trajectory.jumped == 1
+    assert trajectory.state(np.array([0.05])).position_site_m[0, 0] == 11.0
+    assert flown(truth(0), truth(100 * MS, position_site_m=(9.0, 0.0, 0.0))).jumped == 0
+
+
+def test_missing_numbers_are_counted() -> None:
+    assert flown(truth(0, 5), truth(MS, 6), truth(2 * MS, 10), truth(3 * MS, 11)).lost == 3
+
+
+def test_before_the_first_truth_there_is_no_state() -> None:
+    with pytest.raises(ValueError, match="no truth yet"):
+        LiveTrajectory(10.0).state(np.array([0.0]))
