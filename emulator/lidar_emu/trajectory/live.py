@@ -75,11 +75,10 @@ class LiveTrajectory:
         Raises:
             ValueError: there is no truth yet.
         """
-        distinct_s, place = np.unique(time_s, return_inverse=True)
-        read = [self._at(instant_s) for instant_s in distinct_s.tolist()]
-        position, velocity, acceleration, attitude, rate = (
-            np.array(values)[place] for values in zip(*read, strict=True)
-        )
+        instants_s = time_s.tolist()
+        known = {instant_s: self._at(instant_s) for instant_s in set(instants_s)}
+        columns = zip(*(known[instant_s] for instant_s in instants_s), strict=True)
+        position, velocity, acceleration, attitude, rate = (np.array(column) for column in columns)
         return VehicleState(time_s, position, velocity, acceleration, attitude.reshape(-1, 3, 3), rate)
 
     def _judge(self, truth: Truth | None, now_ns: int | None) -> Verdict:
