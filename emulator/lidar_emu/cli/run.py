@@ -102,7 +102,16 @@ def run(
         _write(Path(summary_file), text + "\n")
     if recording_error is not None:
         raise RunError(recording_error)
+    if told["aborted_by"] is not None:
+        raise RunError(_aborted(told["aborted_by"]))
     return 1 if _failed(outcome, failures) else 0
+
+
+def _aborted(late: dict[str, int]) -> str:
+    return (
+        f"shot {late['shot']} was {late['late_ns'] / 1e6:.3f} ms late, and timing.when_late is abort: "
+        "nothing was sent after it"
+    )
 
 
 def _failed(outcome: Outcome, failures: set[str]) -> bool:

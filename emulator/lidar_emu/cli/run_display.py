@@ -81,6 +81,12 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
         )
         steal = "" if told["steal_ticks"] is None else f"; host steal {told['steal_ticks']} ticks"
         lines.append(f"lateness   {figures}{steal}")
+        windows = lateness["windows"]
+        lines.append(
+            f"{'':10} p99 of single seconds: median {_time(windows['p99_median_ns'])}, "
+            f"worst {_time(windows['p99_worst_ns'])} at {windows['worst_at_s']} s"
+        )
+    lines += [f"{'':10} without {name.replace('_', ' ')}: {how}" for name, how in told["missing"].items()]
     lines += [f"beam {beam:<6}{_reasons(counts)}" for beam, counts in enumerate(told["beams"])]
     for name, key, factor, unit in (
         ("range", "range_error_m", 1, "m"),

@@ -14,8 +14,8 @@ from typing import Any
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.lateness import steal_ticks
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.runtime.pacing import Pace, WhenLate
+from lidar_emu.runtime.packets import Fate, Outgoing, Report
 from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.summary import Tally, expectation
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
@@ -113,6 +113,10 @@ class Run:
         self._opening = True
         self._interrupted = False
         self._start_utc: datetime | None = None
+        self.start_ns: int | None = None
+        """Instant of the monotonic clock from which due times count; known once observers hear `opened`."""
+        self._when_late = WhenLate(scenario.timing.when_late)
+        self._aborted_by: Report | None = None
         self.tally = Tally(options.pace)
         self._expected = expectation(scenario, model)
 
@@ -143,14 +147,19 @@ class Run:
     def _open(self, port: PortRunner) -> None:
         description = port.start(self._options.port)
         self._opening = False
-        start_ns, self._start_utc = self._start()
+        self.start_ns, self._start_utc = self._start()
         for observer in self._observers:
             observer.opened(description, self._start_utc)
-        port.begin(start_ns, self._scenario.timing.late_after_ns, self._options.pace)
+        late_after_ns = self._scenario.timing.late_after_ns
+        port.begin(self.start_ns, late_after_ns, self._options.pace, self._when_late)
+
+    @property
+    def _cut_short(self) -> bool:
+        return self._interrupted or self._aborted_by is not None
 
     def _feed(self, port: PortRunner) -> None:
         block = self._first
-        while block is not None and not self._interrupted:
+        while block is not None and not self._cut_short:
             for observer in self._observers:
                 observer.computed(block)
             self.tally.measured(block.measurement)
@@ -158,13 +167,13 @@ class Run:
                 self._in_flight.append(packet)
                 while not port.push(packet):
                     self._wait(port)
-                    if self._interrupted:
+                    if self._cut_short:
                         return
             self._take(port)
             block = self._session.next_block()
-        if not self._interrupted:
+        if not self._cut_short:
             port.last_packet_pushed()
-        while not (port.finished or self._interrupted):
+        while not (port.finished or self._cut_short):
             self._wait(port)
 
     def _wait(self, port: PortRunner) -> None:
@@ -182,6 +191,8 @@ class Run:
         for report in port.reports():
             packet = self._in_flight.popleft()
             self.tally.report(report)
+            if report.fate is Fate.LATE and self._when_late is WhenLate.ABORT:
+                self._aborted_by = report
             for observer in self._observers:
                 observer.report(packet, report)
         if data := port.far_end():
@@ -200,6 +211,7 @@ class Run:
 
     def _details(self, port: PortRunner, stolen: int | None) -> dict[str, Any]:
         stolen_now = steal_ticks()
+        late = self._aborted_by
         return {
             "scenario": self._scenario.name,
             "seed": self._scenario.seed,
@@ -210,7 +222,10 @@ class Run:
             "interrupted": self._interrupted,
             "port": port.description or str(self._options.port),
             "pace": str(self._options.pace),
+            "when_late": str(self._when_late),
+            "aborted_by": None if late is None else {"shot": late.shot, "late_ns": late.woke_ns - late.due_ns},
             "granted": port.granted,
+            "missing": port.missing,
             "steal_ticks": None if stolen is None or stolen_now is None else stolen_now - stolen,
             "wire": {
                 "load": self._wire_load,
