@@ -55,7 +55,15 @@ def cyclictest_command(period_ns: int, count: int) -> list[str]:
     """The call: priority of the port's process, no influence on the cores' idle states, a histogram by us."""
     options = {"--priority": _PRIORITY, "--interval": max(1, period_ns // 1000), "--loops": count}
     given = [f"{option}={value}" for option, value in options.items()]
-    return ["cyclictest", "--quiet", "--mlockall", "--laptop", "--threads=1", *given, f"--histogram={_LONGEST_US}"]
+    return [
+        "cyclictest",
+        "--quiet",
+        "--mlockall",
+        "--laptop",
+        "--threads=1",
+        *given,
+        f"--histogram={_LONGEST_US}",
+    ]
 
 
 def histogram_figures(text: str) -> dict[str, int] | None:

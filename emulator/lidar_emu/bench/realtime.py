@@ -104,7 +104,9 @@ def measure_realtime(options: RealtimeOptions, progress: Progress) -> RealtimeRe
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lidar-emu-"))
             witness.others.append(stack.enter_context(Recorder(Path(folder) / "flight.mcap", scenario)))
         cyclictest = stack.enter_context(Cyclictest(scenario.timing.period_ns, model.shot_count))
-        beside = _Beside(stack, run, scenario.timing.late_after_ns, scenario.timing.period_ns, model.shot_count)
+        beside = _Beside(
+            stack, run, scenario.timing.late_after_ns, scenario.timing.period_ns, model.shot_count
+        )
         witness.others.append(beside)
         summary = run.fly().to_json()
         progress("collecting")

@@ -44,13 +44,18 @@ class Side:
 
     def _after_due(self, instant_ns: IntArray) -> IntArray:
         happened = instant_ns != NEVER
-        return np.maximum(0, instant_ns[happened] - self.due_ns[happened])
+        lateness_ns: IntArray = np.maximum(0, instant_ns[happened] - self.due_ns[happened])
+        return lateness_ns
 
-    def first(self, count: int) -> Side:
-        """The first `count` shots."""
-        return Side(*(values[:count] for values in (
-            self.due_ns, self.woke_ns, self.written_ns, self.received_ns, self.late,
-        )))  # fmt: skip
+    def where(self, chosen: BoolArray) -> Side:
+        """Some of the shots."""
+        return Side(
+            self.due_ns[chosen],
+            self.woke_ns[chosen],
+            self.written_ns[chosen],
+            self.received_ns[chosen],
+            self.late[chosen],
+        )
 
 
 @dataclass(frozen=True)
@@ -81,8 +86,8 @@ def figures(values_ns: IntArray) -> dict[str, int | None]:
 
 
 def windows(emulator: Side, control: Side) -> list[Window]:
-    """Both sides, second by second, where both had shots due."""
-    parts, control_parts = _seconds(emulator), _seconds(control)
+    """Both sides, second by second; the last is left out where it holds less than half of a second's shots."""
+    parts, control_parts = _full_seconds(emulator), _full_seconds(control)
     return [
         Window(
             second,
@@ -96,14 +101,11 @@ def windows(emulator: Side, control: Side) -> list[Window]:
     ]
 
 
-def _seconds(side: Side) -> dict[int, Side]:
+def _full_seconds(side: Side) -> dict[int, Side]:
     seconds = side.due_ns // WINDOW_NS
-    return {
-        int(second): Side(*(values[seconds == second] for values in (
-            side.due_ns, side.woke_ns, side.written_ns, side.received_ns, side.late,
-        )))  # fmt: skip
-        for second in np.unique(seconds)
-    }
+    names, counts = np.unique(seconds, return_counts=True)
+    full = names[2 * counts >= counts.max(initial=0)]
+    return {int(second): side.where(seconds == second) for second in full}
 
 
 def median_excess_ns(of: list[Window]) -> float | None:
@@ -132,7 +134,9 @@ def histogram_edges_ns(*sides: IntArray) -> IntArray:
         return steps[:2]
     least = max(0, int(np.searchsorted(steps, values.min(), "right")) - 1)
     greatest = int(np.searchsorted(steps, values.max(), "right"))
-    return np.concatenate(([0] if values.min() < steps[0] else [], steps[least : greatest + 1])).astype(np.int64)
+    return np.concatenate(([0] if values.min() < steps[0] else [], steps[least : greatest + 1])).astype(
+        np.int64
+    )
 
 
 def counts_between(values_ns: IntArray, edges_ns: IntArray) -> IntArray:

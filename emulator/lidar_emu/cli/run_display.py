@@ -86,7 +86,7 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
             f"{'':10} p99 of single seconds: median {_time(windows['p99_median_ns'])}, "
             f"worst {_time(windows['p99_worst_ns'])} at {windows['worst_at_s']} s"
         )
-    lines += [f"{'':10} without {name.replace('_', ' ')}: {how}" for name, how in told["missing"].items()]
+    lines += _system(told["granted"], told["missing"])
     lines += [f"beam {beam:<6}{_reasons(counts)}" for beam, counts in enumerate(told["beams"])]
     for name, key, factor, unit in (
         ("range", "range_error_m", 1, "m"),
@@ -107,6 +107,15 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
     if told["interrupted"]:
         lines.append("the run was interrupted")
     return lines
+
+
+def _system(granted: list[str], missing: dict[str, str]) -> list[str]:
+    """What the port's process was given, and how to have the rest."""
+    if not (granted or missing):
+        return []
+    had = ", ".join(granted).replace("_", " ") or "nothing"
+    refused = ", ".join(f"{name.replace('_', ' ')} ({how})" for name, how in missing.items())
+    return [f"granted    {had}" + (f"; not: {refused}" if refused else "")]
 
 
 def _time(nanoseconds: int) -> str:

@@ -223,7 +223,9 @@ class Run:
             "port": port.description or str(self._options.port),
             "pace": str(self._options.pace),
             "when_late": str(self._when_late),
-            "aborted_by": None if late is None else {"shot": late.shot, "late_ns": late.woke_ns - late.due_ns},
+            "aborted_by": None
+            if late is None
+            else {"shot": late.shot, "late_ns": late.woke_ns - late.due_ns},
             "granted": port.granted,
             "missing": port.missing,
             "steal_ticks": None if stolen is None or stolen_now is None else stolen_now - stolen,

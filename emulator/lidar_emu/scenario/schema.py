@@ -39,7 +39,7 @@ class Timing(Part):
     late_after_s: Annotated[float, Field(ge=1e-6, le=3600)] | None = None
     """A packet later than this is late: not sent, but counted. Left out: one period."""
     when_late: Literal["skip", "abort"] = "skip"
-    """After a late packet: `skip` goes on with the next one when that is due; `abort` ends the run, with exit code 1."""
+    """After a late packet: `skip` goes on with the next one when that is due; `abort` ends the run (exit code 1)."""
 
     @property
     def period_ns(self) -> int:
