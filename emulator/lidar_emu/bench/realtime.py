@@ -30,6 +30,7 @@ from lidar_emu.transports.spec import Kind, PortSpec
 _BAUD = 3_000_000
 _TOP_M, _BOTTOM_M, _SPEED_MPS = 2000.0, 100.0, 100.0
 _NS_PER_S = 1_000_000_000
+_NOTHING = np.empty(0, dtype=np.int64)
 
 Progress = Callable[[str], None]
 
@@ -233,15 +234,14 @@ class _Beside(Observer):
 
     def received_ns(self) -> IntArray:
         """Instants of the emulator's delimiters at the far end, on the monotonic clock."""
-        return self._reader.finish()[0]
+        return self._reader.finish()[0] if self._first_due_ns is not None else _NOTHING
 
     def control_side(self) -> Side:
         """What the control and its reader noted."""
         if self._first_due_ns is None or self._run.start_ns is None:
-            nothing = np.empty(0, dtype=np.int64)
-            return Side(nothing, nothing, nothing, nothing, nothing.astype(bool))
-        woke, written = self._control.finish()
+            return Side(_NOTHING, _NOTHING, _NOTHING, _NOTHING, _NOTHING.astype(bool))
         received = self._control_reader.finish()[0] - self._run.start_ns
+        woke, written = self._control.finish()
         due = self._first_due_ns + self._period_ns * np.arange(len(woke), dtype=np.int64)
         late = woke > due + self._late_after_ns
         return Side(due, woke, written, in_order_of(written, received), late)

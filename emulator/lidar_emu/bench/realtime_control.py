@@ -31,7 +31,10 @@ def main() -> None:
         return
     os.close(slave)  # by now the reader has it open
     payload = b"U" * (order.pop("packet_bytes") - 1) + b"\0"
-    answer_arrays(*write_on_time(Clock(), master, payload, **order))
+    clock = Clock()
+    instants = write_on_time(clock, master, payload, **order)
+    clock.wait(None, [LIFELINE])  # closing the pty would throw away what its reader has not fetched
+    answer_arrays(*instants)
 
 
 def write_on_time(
