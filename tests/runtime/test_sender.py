@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.pacing import Action, Pace, Pacing
+from lidar_emu.runtime.pacing import Action, Pace, Pacing, WhenLate
 from lidar_emu.runtime.packets import Fate, Outgoing, Report
 from lidar_emu.runtime.ring import Ring
 from lidar_emu.runtime.sender import Sender, Wait
@@ -48,25 +48,39 @@ class Line:
         self.fate = Fate.SENT
         self.unread = 0
         self.notes: list[tuple[int, str]] = []
+        self.busy: tuple[VirtualClock, int] | None = None
 
     def note(self, text: str, now_ns: int) -> None:
         self.notes.append((now_ns, text))
 
+    def send_takes(self, clock: VirtualClock, duration_ns: int) -> None:
+        self.busy = (clock, duration_ns)
+
     def send(self, payload: bytes, now_ns: int) -> Fate:
         if self.fate is Fate.SENT:
             self.taken.append((now_ns, payload))
+        if self.busy is not None:
+            clock, duration_ns = self.busy
+            clock.time_ns += duration_ns
         return self.fate
 
 
 class Rig:
     """A sender between two rings, a line and a virtual clock."""
 
-    def __init__(self, pace: Pace, late_after_ns: int, slots: int = 4096) -> None:
-        self.descriptors = [Ring.create(slots, 32), Ring.create(slots, 32)]
+    def __init__(
+        self, pace: Pace, late_after_ns: int, slots: int = 4096, when_late: WhenLate = WhenLate.SKIP
+    ) -> None:
+        self.descriptors = [Ring.create(slots, 32), Ring.create(slots, Report.SIZE_BYTES)]
         self.packets, self.reports = (Ring(descriptor) for descriptor in self.descriptors)
         self.line, self.clock = Line(), VirtualClock()
         self.sender = Sender(
-            self.packets, self.reports, self.line, self.clock, START_NS, Pacing(pace, late_after_ns)
+            self.packets,
+            self.reports,
+            self.line,
+            self.clock,
+            START_NS,
+            Pacing(pace, late_after_ns, when_late),
         )
         self.seen: list[Report] = []
 
@@ -76,8 +90,15 @@ class Rig:
     def run_until_empty(self) -> None:
         while not (wait := self.sender.step()).for_packets:
             self.clock.wait(wait.until_ns)
-        while (entry := self.reports.pop()) is not None:
-            self.seen.append(Report.from_bytes(entry))
+        self.seen += self.fetch()
+
+    def fetch(self) -> list[Report]:
+        entries = iter(self.reports.pop, None)
+        return [Report.from_bytes(entry) for entry in entries]
+
+    def run_until(self, time_ns: int) -> None:
+        while (until_ns := self.sender.step().until_ns) is not None and until_ns <= time_ns:
+            self.clock.wait(until_ns)
 
     def close(self) -> None:
         self.packets.close()
@@ -131,6 +152,27 @@ def test_a_stall_of_ten_seconds_is_skipped_without_a_burst(wall: Rig) -> None:
     assert all(report.sent_ns == -1 for report in wall.seen if report.fate is Fate.LATE)
     assert len(wall.line.taken) == shots - len(late)
     assert max(Counter(time_ns for time_ns, _ in wall.line.taken).values()) <= 2
+
+
+def test_where_a_late_packet_ends_the_run_it_was_the_last_one() -> None:
+    rig = Rig(Pace.WALL, late_after_ns=1000, when_late=WhenLate.ABORT)
+    for shot in range(5):
+        rig.push(shot, shot * SECOND_NS)
+    rig.run_until(START_NS + SECOND_NS // 2)
+    assert [report.fate for report in rig.fetch()] == [Fate.SENT]
+    rig.clock.time_ns = START_NS + SECOND_NS + 1001
+    rig.run_until_empty()
+    assert rig.seen == [Report(1, SECOND_NS, -1, Fate.LATE, SECOND_NS + 1001)]
+    assert [payload for _, payload in rig.line.taken] == [b"\0\0\0\0"]
+    rig.close()
+
+
+def test_reports_tell_when_the_process_had_woken_up(wall: Rig) -> None:
+    wall.push(0, SECOND_NS)
+    wall.clock.time_ns = START_NS + SECOND_NS + 700
+    wall.line.send_takes(wall.clock, 30)
+    wall.run_until_empty()
+    assert wall.seen == [Report(0, SECOND_NS, SECOND_NS + 730, Fate.SENT, SECOND_NS + 700)]
 
 
 def test_a_full_line_drops_the_new_packet_at_its_time(wall: Rig) -> None:
@@ -248,11 +290,12 @@ def test_the_rule_of_pace(now_ns: int, due_ns: int, late_after_ns: int) -> None:
     st.integers(-1, 2**63 - 1),
     st.sampled_from(Fate),
     st.binary(),
+    st.integers(-1, 2**63 - 1),
 )
 def test_packets_and_reports_survive_the_ring(
-    shot: int, due_ns: int, sent_ns: int, fate: Fate, payload: bytes
+    shot: int, due_ns: int, sent_ns: int, fate: Fate, payload: bytes, woke_ns: int
 ) -> None:
-    packet, report = Outgoing(shot, due_ns, payload), Report(shot, due_ns, sent_ns, fate)
+    packet, report = Outgoing(shot, due_ns, payload), Report(shot, due_ns, sent_ns, fate, woke_ns)
     assert Outgoing.from_bytes(packet.to_bytes()) == packet
     assert Report.from_bytes(report.to_bytes()) == report
     assert len(report.to_bytes()) == Report.SIZE_BYTES

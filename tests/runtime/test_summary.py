@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from lidar_emu.runtime.pacing import Pace
 from lidar_emu.runtime.packets import Fate, Report
@@ -37,6 +38,13 @@ def test_blocks_count_once_their_packets_have_met_their_fate():
     }
     assert told["lateness"]["count"] == 63
     assert told["lateness"]["max_ns"] == 69_000
+    # At 20 Hz seconds of 20 shots and one of 10, lateness growing by 1 us a shot: the greatest of each second.
+    assert told["lateness"]["windows"] == {
+        "count": 4,
+        "p99_median_ns": pytest.approx(39_000, rel=1 / 128),
+        "p99_worst_ns": 69_000,
+        "worst_at_s": 3,
+    }
     assert told["beams"] == [{"valid": 70}] * 4
     run = simulate(scenario)
     error = (run.range_m - run.true_range_m)[:70]

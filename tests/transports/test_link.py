@@ -112,7 +112,9 @@ def test_a_break_seen_while_reading_counts_as_well() -> None:
 def test_nobody_connected_is_reported_when_it_changes() -> None:
     cable = Cable()
     link = Link(cable.open)
+    assert link.send(b"w", 0) is Fate.SENT
     cable.somebody = False
+    link.service(0)
     fates = [link.send(b"x", now_ms * MS) for now_ms in range(3)]
     assert fates == [Fate.DROPPED_NOBODY] * 3
     assert (link.readable, link.unread) == ([], 0)

@@ -1,1 +1,1 @@
-"""How exact and how fast the emulator is, measured by itself."""
+"""How exact, how fast and how punctual the emulator is, measured by itself."""

@@ -39,6 +39,7 @@ def cli(context: click.Context) -> None:
     lidar-emu detection descent.yaml                  what the instrument will detect, by altitude
     lidar-emu plan descent.yaml                       what the run computes and what it leaves out
     lidar-emu bench accuracy descent.yaml             error and time of every level
+    lidar-emu bench realtime                          how late packets are on this machine
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help())

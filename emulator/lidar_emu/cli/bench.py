@@ -1,4 +1,4 @@
-"""`lidar-emu bench`: what the emulator's accuracy costs, and how fast it is on this machine."""
+"""`lidar-emu bench`: what the emulator's accuracy costs, and how fast and punctual it is on this machine."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from lidar_emu.cli.bench_realtime import realtime
 from lidar_emu.cli.options import load_scenario, settings_option
 from lidar_emu.errors import Finding, InputError, RunError
 
@@ -17,9 +18,12 @@ if TYPE_CHECKING:
     from lidar_emu.bench.accuracy import AccuracyReport, SettingResult
 
 
-@click.group(short_help="How exact and how fast the emulator is, measured by itself.")
+@click.group(short_help="How exact, how fast and how punctual the emulator is, measured by itself.")
 def bench() -> None:
     """Measure the emulator itself, on this machine."""
+
+
+bench.add_command(realtime)
 
 
 @bench.command(short_help="Error and time of every level and dial, beside the waveform level.")

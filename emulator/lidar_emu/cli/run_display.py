@@ -81,7 +81,13 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
     if lateness["count"]:
         steal = "" if told["steal_ticks"] is None else f"; host steal {told['steal_ticks']} ticks"
         lines.append(f"lateness   {_figures(lateness)}{steal}")
+        windows = lateness["windows"]
+        lines.append(
+            f"{'':10} p99 of single seconds: median {_time(windows['p99_median_ns'])}, "
+            f"worst {_time(windows['p99_worst_ns'])} at {windows['worst_at_s']} s"
+        )
     lines += _truth(told["truth"])
+    lines += _system(told["granted"], told["missing"])
     lines += [f"beam {beam:<6}{_reasons(counts)}" for beam, counts in enumerate(told["beams"])]
     for name, key, factor, unit in (
         ("range", "range_error_m", 1, "m"),
@@ -131,6 +137,15 @@ def _truth(told: dict[str, Any] | None) -> list[str]:
 def _figures(told: dict[str, Any]) -> str:
     labels = (("p50", "p50_ns"), ("p99", "p99_ns"), ("p99.9", "p99_9_ns"), ("max", "max_ns"))
     return ", ".join(f"{label} {_time(told[key])}" for label, key in labels)
+
+
+def _system(granted: list[str], missing: dict[str, str]) -> list[str]:
+    """What the port's process was given, and how to have the rest."""
+    if not (granted or missing):
+        return []
+    had = ", ".join(granted).replace("_", " ") or "nothing"
+    refused = ", ".join(f"{name.replace('_', ' ')} ({how})" for name, how in missing.items())
+    return [f"granted    {had}" + (f"; not: {refused}" if refused else "")]
 
 
 def _time(nanoseconds: int) -> str:

@@ -121,7 +121,8 @@ class Recorder(Observer):
             "sent_ns": report.sent_ns if report.sent_ns >= 0 else None,
             "fate": report.fate.name.lower(),
         }
-        self._write("/packet", packet.shot, packet.due_ns, packet.payload)
+        if packet.payload:  # it has none where the shot was too late to be computed
+            self._write("/packet", packet.shot, packet.due_ns, packet.payload)
         self._write("/fate", packet.shot, packet.due_ns, _json(fate))
 
     def _write(self, topic: str, shot: int, time_ns: int, data: bytes) -> None:

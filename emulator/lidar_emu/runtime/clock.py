@@ -31,10 +31,12 @@ class Clock:
 
         Never returns early without a ready descriptor. None as instant waits for descriptors alone.
         """
+        left_ns = None if until_ns is None else max(0, until_ns - self.now_ns())
         while True:
-            left_ns = None if until_ns is None else max(0, until_ns - self.now_ns())
             ready, roomy, _ = select.select(readable, writable, (), _timeout_s(left_ns))
-            if ready or roomy or left_ns == 0:
+            if ready or roomy:
+                return ready, roomy
+            if until_ns is not None and (left_ns := until_ns - self.now_ns()) <= 0:
                 return ready, roomy
 
 

@@ -21,6 +21,8 @@ class Desk(NamedTuple):
     outbox: Outbox
     clock: Clock
     interrupted: Callable[[], bool]
+    fail: Callable[[str], None]
+    """End the run with an error."""
     begin: Callable[[int], None]
     """Tell the port that scenario time 0 is at this instant of the monotonic clock."""
 
@@ -48,6 +50,6 @@ class Desk(NamedTuple):
 class Feed(Protocol):
     """Where the shots of a run come from."""
 
-    def fly(self) -> str | None:
-        """Until the end, or until the run is interrupted; why it ended early, if that is an error."""
+    def fly(self) -> None:
+        """Until the end, or until the run is interrupted."""
         ...

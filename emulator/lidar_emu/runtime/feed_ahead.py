@@ -21,7 +21,7 @@ class AheadFeed:
         self._block_shots = block_shots
         self._start_ns = start_ns
 
-    def fly(self) -> str | None:
+    def fly(self) -> None:
         """See `Feed`."""
         desk = self._desk
         desk.begin(self._start_ns)
@@ -29,8 +29,7 @@ class AheadFeed:
         while block is not None and not desk.interrupted():
             for packet in desk.outbox.announce(block):
                 if not desk.push(packet):
-                    return None
+                    return
             desk.outbox.settle()
             block = desk.session.shoot(self._block_shots)
         desk.finish()
-        return None

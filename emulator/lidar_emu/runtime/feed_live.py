@@ -35,12 +35,12 @@ class LiveFeed:
         self._late_after_ns = late_after_ns
         self._ended = False
 
-    def fly(self) -> str | None:
+    def fly(self) -> None:
         """See `Feed`."""
         desk = self._desk
         first = self._await_first()
         if first is None:
-            return None
+            return
         truth, arrived_ns = first
         self._begin(truth, arrived_ns)
         while desk.session.next_shot < self._flight.shot_count:
@@ -48,10 +48,8 @@ class LiveFeed:
             self._await(shot)
             if desk.interrupted() or (self._ended and not self._source.covers(self._flight.seen_ns(shot))):
                 break
-            if error := self._fire(shot):
-                return error
+            self._fire(shot)
         desk.finish()
-        return None
 
     def _await_first(self) -> tuple[Truth, int] | None:
         while not self._desk.interrupted():
@@ -87,21 +85,22 @@ class LiveFeed:
             )
             desk.outbox.settle()
 
-    def _fire(self, shot: int) -> str | None:
+    def _fire(self, shot: int) -> None:
         desk, source = self._desk, self._source
-        if desk.clock.now_ns() > self._due_ns(shot) + self._late_after_ns:
+        now_ns = desk.clock.now_ns()
+        if now_ns > self._due_ns(shot) + self._late_after_ns:
             desk.session.pass_over(shot + 1)
-            desk.outbox.missed()
-            return None
+            desk.outbox.missed(shot, self._flight.due_ns(shot), now_ns - self._start_ns_known())
+            return
         fresh = source.used_at(self._flight.seen_ns(shot))
         if not fresh and self._part.when_stale == "abort":
-            return f"shot {shot}: truth is stale, and trajectory.when_stale is abort"
+            desk.fail(f"truth is stale at shot {shot}, and trajectory.when_stale is abort")
+            return
         block = desk.session.shoot(1, fired=fresh or self._part.when_stale == "coast")
         assert block is not None
         for packet in desk.outbox.announce(block):
             source.awaited_by(packet)
             desk.push(packet)
-        return None
 
     def _due_ns(self, shot: int) -> int:
         return self._start_ns_known() + self._flight.due_ns(shot)

@@ -26,7 +26,7 @@ class LockstepFeed:
         self._begun = False
         self._ended = False
 
-    def fly(self) -> str | None:
+    def fly(self) -> None:
         """See `Feed`."""
         desk = self._desk
         while not (self._ended or desk.interrupted()):
@@ -36,7 +36,6 @@ class LockstepFeed:
             desk.outbox.settle()
         if self._begun:
             desk.finish()
-        return None
 
     def _answer(self, arrival: Arrival) -> None:
         truth = arrival.truth

@@ -17,10 +17,11 @@ from lidar_emu.runtime.feed import Desk, Feed
 from lidar_emu.runtime.feed_ahead import AheadFeed
 from lidar_emu.runtime.feed_live import LiveFeed
 from lidar_emu.runtime.feed_lockstep import LockstepFeed
+from lidar_emu.runtime.late_ends import LateEnds
 from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.outbox import Outbox, payload_of
-from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.pacing import Pace, WhenLate
 from lidar_emu.runtime.rehearsal import rehearse
 from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.summary import Tally, expectation
@@ -109,6 +110,9 @@ class Run:
         self._interrupted = False
         self._description = ""
         self._start_utc: datetime | None = None
+        self.start_ns: int | None = None
+        """Instant of the monotonic clock from which due times count; known once observers hear `opened`."""
+        self._error: str | None = None
         self.tally = Tally(options.pace)
         self._expected = expectation(scenario, model)
 
@@ -120,7 +124,6 @@ class Run:
             RunError: the port's process died.
         """
         stolen = steal_ticks()
-        error = None
         truth_address = TruthSocket(self._live.listen, self._clock) if self._live else nullcontext()
         with (
             truth_address as socket,
@@ -128,15 +131,19 @@ class Run:
             PortRunner(self._slots, _PACKET_ROOM_BYTES) as port,
         ):
             source = self._source(socket)
-            outbox = Outbox(port, [*self._observers, *([source] if source else [])], self.tally)
+            ours = [observer for observer in (source, self._judge_of_lateness()) if observer is not None]
+            outbox = Outbox(port, [*self._observers, *ours], self.tally)
             with suppress(KeyboardInterrupt):
                 self._description = port.start(self._options.port)
                 self._opening = False
-                error = self._feed(port, outbox, source).fly()
+                self._feed(port, outbox, source).fly()
             port.close()
             outbox.settle()
         self.tally.close()
-        return Outcome(self.tally, self._details(port, source, stolen, error), error)
+        return Outcome(self.tally, self._details(port, source, stolen), self._error)
+
+    def _judge_of_lateness(self) -> Observer | None:
+        return LateEnds(self._fail) if self._scenario.timing.when_late == "abort" else None
 
     def _first_block(self, encoder: Encoder) -> Block:
         if self._live is not None:
@@ -156,7 +163,8 @@ class Run:
             self._session,
             outbox,
             self._clock,
-            lambda: self._interrupted,
+            self._cut_short,
+            self._fail,
             lambda start_ns: self._begin(port, start_ns),
         )
         if source is None or self._live is None:
@@ -181,12 +189,19 @@ class Run:
         if self._opening:
             raise KeyboardInterrupt
 
+    def _cut_short(self) -> bool:
+        return self._interrupted or self._error is not None
+
+    def _fail(self, error: str) -> None:
+        self._error = self._error or error
+
     def _begin(self, port: PortRunner, start_ns: int) -> None:
         now_ns, now = self._clock.now_ns(), self._clock.utc_now()
-        self._start_utc = now + timedelta(microseconds=(start_ns - now_ns) / 1000)
+        self.start_ns, self._start_utc = start_ns, now + timedelta(microseconds=(start_ns - now_ns) / 1000)
         for observer in self._observers:
             observer.opened(self._description, self._start_utc)
-        port.begin(start_ns, self._scenario.timing.late_after_ns, self._options.pace)
+        timing = self._scenario.timing
+        port.begin(start_ns, timing.late_after_ns, self._options.pace, WhenLate(timing.when_late))
 
     def _start_ns(self, start: datetime | None) -> int:
         """The start of the run on the monotonic clock."""
@@ -197,9 +212,7 @@ class Run:
             raise InputError("--start", None, start.isoformat(), "allowed: now, or an instant to come")
         return now_ns + (start - now) // timedelta(microseconds=1) * 1000
 
-    def _details(
-        self, port: PortRunner, source: TruthSource | None, stolen: int | None, error: str | None
-    ) -> dict[str, Any]:
+    def _details(self, port: PortRunner, source: TruthSource | None, stolen: int | None) -> dict[str, Any]:
         stolen_now = steal_ticks()
         return {
             "scenario": self._scenario.name,
@@ -209,10 +222,11 @@ class Run:
             "planned_shots": self._planned_shots,
             "started_utc": None if self._start_utc is None else self._start_utc.isoformat(),
             "interrupted": self._interrupted,
-            "error": error,
+            "error": self._error,
             "port": port.description or str(self._options.port),
             "pace": str(self._options.pace),
             "granted": port.granted,
+            "missing": port.missing,
             "steal_ticks": None if stolen is None or stolen_now is None else stolen_now - stolen,
             "wire": {
                 "load": self._wire_load,

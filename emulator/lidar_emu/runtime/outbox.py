@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.packets import Outgoing
+from lidar_emu.runtime.packets import Fate, Outgoing, Report
 from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block
@@ -52,9 +52,12 @@ class Outbox:
             for observer in self._observers:
                 observer.arrived(data)
 
-    def missed(self) -> None:
-        """Count a shot that was too late to be computed."""
+    def missed(self, shot: int, due_ns: int, now_ns: int) -> None:
+        """Count a shot that was too late to be computed; times from the start of the run."""
         self._tally.missed()
+        report = Report(shot, due_ns, -1, Fate.LATE, now_ns)
+        for observer in self._observers:
+            observer.report(Outgoing(shot, due_ns, b""), report)
 
     @property
     def empty(self) -> bool:

@@ -21,6 +21,15 @@ class Pace(StrEnum):
     """With live truth: a packet goes out, as with `MAX`, once truth has come that its shot precedes."""
 
 
+class WhenLate(StrEnum):
+    """What a late packet means for the run."""
+
+    SKIP = "skip"
+    """It is skipped, and the next one goes out when it is due."""
+    ABORT = "abort"
+    """It was the last one: nothing is sent any more."""
+
+
 class Action(Enum):
     """What to do with the next packet."""
 
@@ -36,6 +45,7 @@ class Pacing:
     pace: Pace
     late_after_ns: int
     """A packet that could not start within this time after it was due is late, and skipped."""
+    when_late: WhenLate = WhenLate.SKIP
 
     def action(self, now_ns: int, due_ns: int) -> Action:
         """What to do at `now_ns` with a packet due at `due_ns`, both from the start of the run."""

@@ -12,7 +12,7 @@ from lidar_emu.transports.link import Fate
 __all__ = ["Fate", "Frame", "Outgoing", "Report", "pack_frames", "unpack_frames"]
 
 _PACKET_HEAD = struct.Struct("<qq")
-_REPORT = struct.Struct("<qqqB")
+_REPORT = struct.Struct("<qqqBq")
 
 
 @dataclass(frozen=True)
@@ -48,15 +48,17 @@ class Report:
     sent_ns: int
     """When the link had taken it, from the start of the run; -1 if it did not."""
     fate: Fate
+    woke_ns: int = -1
+    """When the port's process had woken up for it, from the start of the run; -1 if that was before the start."""
 
     SIZE_BYTES = _REPORT.size
 
     def to_bytes(self) -> bytes:
         """As a ring entry."""
-        return _REPORT.pack(self.shot, self.due_ns, self.sent_ns, self.fate)
+        return _REPORT.pack(self.shot, self.due_ns, self.sent_ns, self.fate, self.woke_ns)
 
     @classmethod
     def from_bytes(cls, entry: bytes) -> Self:
         """The inverse of `to_bytes`."""
-        shot, due_ns, sent_ns, fate = _REPORT.unpack(entry)
-        return cls(shot, due_ns, sent_ns, Fate(fate))
+        shot, due_ns, sent_ns, fate, woke_ns = _REPORT.unpack(entry)
+        return cls(shot, due_ns, sent_ns, Fate(fate), woke_ns)

@@ -5,10 +5,10 @@ port and ends, however the parent ended; in mid-run the other end has half a sec
 Both pipes carry one JSON object per line:
 
     in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "loopback": fd or null}     once
-         {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ...}}    times of the monotonic clock
+         {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ..., "when_late": ...}}    monotonic clock
          {"finish": true}                            no more packets will come
     out  {"ready": description} or {"refused": [where, key, value, allowed]}
-         {"granted": [name]}                         what the system gave towards punctuality
+         {"granted": [name], "missing": {name: command}}     what the system gave towards punctuality
          {"event": [number, time_ns, text]}          counted from 1; lost while the parent does not listen
          {"finished": counts}                        every packet has its report
          {"stopped": counts}                         last line
@@ -25,7 +25,7 @@ from typing import Any
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.answers import Answers
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.pacing import Pace, Pacing
+from lidar_emu.runtime.pacing import Pace, Pacing, WhenLate
 from lidar_emu.runtime.realtime import become_punctual
 from lidar_emu.runtime.ring import Ring
 from lidar_emu.runtime.sender import Sender, Wait
@@ -100,8 +100,10 @@ class _Port:
         """Until the lifeline ends."""
         alive = True
         while alive:
-            self._link.service(self._clock.now_ns())
+            # First what the process woke up for. Whether somebody is at the other end was seen before it slept, and
+            # would have woken it if it had changed.
             wait = self._sender.step() if self._sender is not None else Wait()
+            self._link.service(self._clock.now_ns())
             self._tell_events()
             drain_ns = self._drained_or_look_again(wait)
             self._answers.flush()
@@ -132,9 +134,10 @@ class _Port:
     def _obey(self, order: dict[str, Any]) -> None:
         if "begin" in order:
             begin = order["begin"]
-            pacing = Pacing(Pace(begin["pace"]), begin["late_after_ns"])
+            pacing = Pacing(Pace(begin["pace"]), begin["late_after_ns"], WhenLate(begin["when_late"]))
             if pacing.pace is Pace.WALL:
-                self._answers.say(granted=become_punctual())
+                had = become_punctual()
+                self._answers.say(granted=had.granted, missing=had.missing)
             self._sender = Sender(
                 self._packets, self._reports, self._link, self._clock, begin["start_ns"], pacing
             )

@@ -1,24 +1,62 @@
-"""What the system grants a process that wants to wake up in time."""
+"""What the system grants a process that wants to wake up in time, and how to have what it refused."""
 
 from __future__ import annotations
 
 import ctypes
 import gc
 import os
+import resource
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
 
 _PR_SET_TIMERSLACK = 29
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
 _FIFO_PRIORITY = 10
+_ISOLATED = Path("/sys/devices/system/cpu/isolated")
 
 
-def become_punctual() -> list[str]:
-    """Ask for everything that helps this process to wake up in time; returns the names of what was granted.
+@dataclass(frozen=True)
+class Punctuality:
+    """What was asked for."""
+
+    granted: list[str]
+    """Names of what the system gave."""
+    missing: dict[str, str]
+    """What it refused, each with the command that would give it; docs/bench-machine.md has more."""
+
+
+class _Wish(NamedTuple):
+    name: str
+    ask: Callable[[], bool]
+    remedy: str
+
+
+def become_punctual(place: int = 0) -> Punctuality:
+    """Ask for everything that helps this process to wake up in time.
 
     Not for a process that never sleeps: it would keep a core from everybody else.
+
+    Args:
+        place: of the isolated cores, which one; two processes that must not disturb each other differ in it.
     """
     gc.collect()
     gc.freeze()
-    wishes = {"timer_slack": _reduce_timer_slack, "fifo": _enter_fifo}
-    return [name for name, wish in wishes.items() if wish()]
+    # Limits of the shell that starts the emulator are enough. A capability would have to be given to the Python
+    # interpreter, which in a virtual environment is a link to the whole system's.
+    wishes = (
+        _Wish("timer_slack", _reduce_timer_slack, "a Linux kernel"),
+        _Wish("fifo", _enter_fifo, f"sudo prlimit --pid $$ --rtprio={_FIFO_PRIORITY}"),
+        _Wish("locked_memory", _lock_memory, "sudo prlimit --pid $$ --memlock=unlimited"),
+        _Wish("isolated_core", lambda: _pin(place), f"kernel command line: {_isolation(place)}"),
+    )
+    asked = [(wish, wish.ask()) for wish in wishes]
+    return Punctuality(
+        [wish.name for wish, given in asked if given],
+        {wish.name: wish.remedy for wish, given in asked if not given},
+    )
 
 
 def _reduce_timer_slack() -> bool:
@@ -37,3 +75,54 @@ def _enter_fifo() -> bool:
     except (OSError, AttributeError):
         return False
     return True
+
+
+def _lock_memory() -> bool:
+    """Keep every page in memory, those of later allocations too.
+
+    Under a finite limit that lock would make a later allocation fail in mid-run. So it is asked for where there is no
+    limit, or by privilege: with a limit of 0 the kernel grants it to the privileged alone.
+    """
+    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    unlimited = limit[0] == resource.RLIM_INFINITY
+    try:
+        libc = ctypes.CDLL(None, use_errno=True)
+        if not unlimited:
+            resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, limit[1]))
+        return int(libc.mlockall(_MCL_CURRENT | _MCL_FUTURE)) == 0
+    except (OSError, ValueError, AttributeError):
+        return False
+    finally:
+        with suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_MEMLOCK, limit)
+
+
+def _pin(place: int) -> bool:
+    """Move to an isolated core, where nobody else runs.
+
+    Among others' processes a pinned one is not earlier: where its core is busy in the kernel, it cannot go elsewhere.
+    """
+    cores = isolated_cores()
+    try:
+        if place < len(cores):
+            os.sched_setaffinity(0, {cores[place]})
+            return True
+    except (OSError, AttributeError):
+        pass  # the core is outside of this process' cpuset
+    return False
+
+
+def isolated_cores(file: Path = _ISOLATED) -> list[int]:
+    """Numbers of the cores that the kernel keeps free of processes that do not ask for them."""
+    try:
+        text = file.read_text().strip()
+    except OSError:
+        return []
+    ranges = [part.split("-") for part in text.split(",") if part]
+    return [core for ends in ranges for core in range(int(ends[0]), int(ends[-1]) + 1)]
+
+
+def _isolation(place: int) -> str:
+    count = os.cpu_count() or 1
+    cores = ",".join(str(core) for core in range(max(1, count - 1 - place), count))
+    return f"isolcpus=managed_irq,domain,{cores} nohz_full={cores}" if cores else "none: there is one core"

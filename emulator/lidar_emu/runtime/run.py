@@ -13,7 +13,7 @@ from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.child import PortChild
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.events import EventLog, LinkEvent
-from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.pacing import Pace, WhenLate
 from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.runtime.ring import Ring
 from lidar_emu.transports.serial_port import loopback_pair
@@ -62,7 +62,9 @@ class PortRunner:
         self.received_bytes: int | None = None
         """What arrived on the port; known when `sent_bytes` is."""
         self.granted: list[str] = []
-        """What the system gave towards punctuality: `timer_slack`, `fifo`."""
+        """What the system gave towards punctuality; see `Punctuality`."""
+        self.missing: dict[str, str] = {}
+        """What it refused, each with the command that would give it."""
 
     def __enter__(self) -> Self:
         return self
@@ -101,16 +103,20 @@ class PortRunner:
             self.wait(self._clock.now_ns() + _OPENING_POLL_NS)
         return self.description
 
-    def begin(self, start_ns: int, late_after_ns: int, pace: Pace) -> None:
+    def begin(
+        self, start_ns: int, late_after_ns: int, pace: Pace, when_late: WhenLate = WhenLate.SKIP
+    ) -> None:
         """Say when the run starts.
 
         Args:
             start_ns: instant of `Clock.now_ns` from which `due_ns` counts.
             late_after_ns: packets later than this are skipped.
             pace: see `Pace`.
+            when_late: see `WhenLate`.
         """
         self._start_ns, self._begun = start_ns, True
-        self._running().tell(begin={"start_ns": start_ns, "late_after_ns": late_after_ns, "pace": str(pace)})
+        begin = {"start_ns": start_ns, "late_after_ns": late_after_ns, "pace": pace, "when_late": when_late}
+        self._running().tell(begin=begin)
 
     def push(self, packet: Outgoing) -> bool:
         """Hand over a packet, in the order of the due times; False if the ring is full (see `wait`).
@@ -267,8 +273,8 @@ class PortRunner:
                     raise InputError(*refusal)
                 case {"ready": description}:
                     self.description = description
-                case {"granted": granted}:
-                    self.granted = granted
+                case {"granted": granted, "missing": missing}:
+                    self.granted, self.missing = granted, missing
                 case {"event": [number, time_ns, text]}:
                     self._events.add(number, time_ns, text)
                 case {"finished": counts} | {"stopped": counts}:

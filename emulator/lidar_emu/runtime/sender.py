@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.pacing import Action, Pace, Pacing
+from lidar_emu.runtime.pacing import Action, Pace, Pacing, WhenLate
 from lidar_emu.runtime.packets import Fate, Outgoing, Report
 from lidar_emu.runtime.patience import Patience, Refuser
 from lidar_emu.runtime.ring import Ring
 
-_PACKETS_PER_STEP = 64
+_PACKETS_PER_STEP = 16
 
 
 class Sink(Refuser, Protocol):
@@ -50,11 +50,14 @@ class Sender:
         self._pacing = pacing
         self._patience = Patience(link)
         self._next: Outgoing | None = None
+        self._given_up = False
         self.sent_bytes = 0
 
     def step(self) -> Wait:
         """Do what is due now, a bounded part of it at a time."""
         for _ in range(_PACKETS_PER_STEP):
+            if self._given_up:
+                return Wait(for_packets=True)
             packet = self._take()
             if packet is None:
                 return Wait(for_packets=True)
@@ -63,13 +66,14 @@ class Sender:
                 case Action.WAIT:
                     return Wait(until_ns=self._start_ns + packet.due_ns)
                 case Action.SKIP:
-                    self._finish(packet, Fate.LATE)
+                    self._finish(packet, Fate.LATE, now_ns)
+                    self._given_up = self._pacing.when_late is WhenLate.ABORT
                 case Action.SEND:
                     fate = self._link.send(packet.payload, now_ns)
                     until_ns = self._patience_ends_ns(fate, now_ns)
                     if until_ns is not None:
                         return Wait(until_ns, for_room=fate is Fate.DROPPED_FULL)
-                    self._finish(packet, fate)
+                    self._finish(packet, fate, now_ns)
         return Wait(until_ns=self._clock.now_ns())
 
     def _patience_ends_ns(self, fate: Fate, now_ns: int) -> int | None:
@@ -82,12 +86,13 @@ class Sender:
             self._next = None if entry is None else Outgoing.from_bytes(entry)
         return self._next
 
-    def _finish(self, packet: Outgoing, fate: Fate) -> None:
+    def _finish(self, packet: Outgoing, fate: Fate, woke_ns: int) -> None:
         sent_ns = -1
         if fate is Fate.SENT:
             # As fast as the link takes it, a packet may go out before the start, even centuries before it.
             sent_ns = max(0, self._clock.now_ns() - self._start_ns)
             self.sent_bytes += len(packet.payload)
         self._next = None
-        if not self._reports.push(Report(packet.shot, packet.due_ns, sent_ns, fate).to_bytes()):
+        report = Report(packet.shot, packet.due_ns, sent_ns, fate, max(-1, woke_ns - self._start_ns))
+        if not self._reports.push(report.to_bytes()):
             raise RuntimeError("the ring of reports is too small")

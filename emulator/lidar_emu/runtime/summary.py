@@ -15,6 +15,7 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.runtime.lateness import LatenessHistogram
 from lidar_emu.runtime.pacing import Pace
 from lidar_emu.runtime.packets import Fate, Report
+from lidar_emu.runtime.windows import LatenessWindows
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.shots import FlightModel, Model
 from lidar_emu.trajectory.live import LiveTrajectory
@@ -55,6 +56,7 @@ class Tally:
     pace: Pace
     fates: Counter[Fate] = field(default_factory=Counter)
     lateness: LatenessHistogram = field(default_factory=LatenessHistogram)
+    windows: LatenessWindows = field(default_factory=LatenessWindows)
     range_error_m: ErrorStatistics = field(default_factory=ErrorStatistics)
     speed_error_mps: ErrorStatistics = field(default_factory=ErrorStatistics)
     reasons: list[Counter[int]] = field(default_factory=list)
@@ -69,7 +71,9 @@ class Tally:
         """One packet met its fate."""
         self.fates[report.fate] += 1
         if report.fate is Fate.SENT and self.pace is Pace.WALL:
-            self.lateness.add(max(0, report.sent_ns - report.due_ns))
+            lateness_ns = max(0, report.sent_ns - report.due_ns)
+            self.lateness.add(lateness_ns)
+            self.windows.add(report.due_ns, lateness_ns)
         self._unmatched += 1
         while self._pending and self._unmatched >= len(self._pending[0]):
             self._unmatched -= len(self._pending[0])
@@ -122,7 +126,7 @@ class Tally:
                 "late": self.late,
                 "dropped": {name: self.fates[fate] for fate, name in _DROPS.items()},
             },
-            "lateness": self.lateness.summary(),
+            "lateness": {**self.lateness.summary(), "windows": self.windows.summary()},
             "beams": [
                 {Reason(code).name.lower(): count for code, count in sorted(counts.items())}
                 for counts in self.reasons

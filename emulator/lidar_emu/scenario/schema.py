@@ -37,7 +37,9 @@ class Timing(Part):
     processing_latency_s: Annotated[float, Field(ge=0, le=3600)] = 2e-3
     """From the end of the cycle to the packet."""
     late_after_s: Annotated[float, Field(ge=1e-6, le=3600)] | None = None
-    """A packet later than this is late: skipped and counted. Left out: one period."""
+    """A packet later than this is late: not sent, but counted. Left out: one period."""
+    when_late: Literal["skip", "abort"] = "skip"
+    """After a late packet: `skip` goes on with the next one when that is due; `abort` ends the run (exit code 1)."""
 
     @property
     def period_ns(self) -> int:

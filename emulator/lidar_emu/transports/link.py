@@ -86,12 +86,12 @@ class Link:
         self._events: list[tuple[int, str]] = []
 
     def send(self, payload: bytes, now_ns: int) -> Fate:
-        """Send a packet or drop it."""
+        """Send a packet or drop it. Whether somebody is at the other end is as the last `service` saw it."""
         channel = self._channel
         if channel is None:
             return Fate.DROPPED_BROKEN
         try:
-            if not self._is_connected(channel, now_ns):
+            if not (self._somebody or self._is_connected(channel, now_ns)):
                 return Fate.DROPPED_NOBODY
             if not channel.send(payload):
                 return Fate.DROPPED_FULL

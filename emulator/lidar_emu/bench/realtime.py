@@ -1,0 +1,257 @@
+"""How late the emulator is on this machine: a whole flight beside a control that only sleeps and writes."""
+
+from __future__ import annotations
+
+import tempfile
+from array import array
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lidar_emu.arrays import IntArray
+from lidar_emu.bench.cyclictest import Cyclictest
+from lidar_emu.bench.realtime_helper import Helper
+from lidar_emu.bench.realtime_statistics import NEVER, Side, Window, windows
+from lidar_emu.recording.write import Recorder
+from lidar_emu.runtime.fly import Run, RunOptions
+from lidar_emu.runtime.lateness import steal_ticks
+from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.outbox import payload_of
+from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.scenario.load import load
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.session import Block
+from lidar_emu.shots import build_model
+from lidar_emu.transports.spec import Kind, PortSpec
+
+_BAUD = 3_000_000
+_TOP_M, _BOTTOM_M, _SPEED_MPS = 2000.0, 100.0, 100.0
+_NS_PER_S = 1_000_000_000
+_NOTHING = np.empty(0, dtype=np.int64)
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class RealtimeOptions:
+    """What is flown."""
+
+    rate_hz: float = 1111.0
+    """Shots per second."""
+    duration_s: float = 10.0
+    beamlets: int = 61
+    """Per beam; the four beams are fired together."""
+    recording: bool = False
+    """Whether the flight is recorded as well, into a file that is thrown away."""
+
+
+@dataclass(frozen=True)
+class RealtimeReport:
+    """What both sides measured."""
+
+    options: RealtimeOptions
+    emulator: Side
+    control: Side
+    windows: list[Window]
+    steal_by_second: dict[int, int]
+    """Ticks that the host took in each second of the run; empty where the system does not count them."""
+    packet_bytes: int
+    summary: dict[str, Any]
+    """The flight's own, as `lidar-emu run --summary` writes it."""
+    control_granted: list[str]
+    cyclictest: dict[str, int] | None
+    """None where it is not installed, or could not run."""
+
+
+def scenario_of(options: RealtimeOptions) -> FlightScenario:
+    """The shipped descent's instrument and ground, on a straight way down that takes the whole duration.
+
+    Raises:
+        InputError: a rate, duration or number of beamlets that no instrument has.
+    """
+    speed_mps = min(_SPEED_MPS, (_TOP_M - _BOTTOM_M) / (1.01 * options.duration_s))
+    legs = ", ".join(f"{{altitude_m: {m}, speed_mps: {speed_mps!r}}}" for m in (_TOP_M, _BOTTOM_M))
+    scenario = load(
+        "descent.yaml",
+        {
+            "name": "bench realtime",
+            "timing.rate_hz": repr(options.rate_hz),
+            "duration_s": repr(options.duration_s),
+            "instrument.optics.beamlets": repr(options.beamlets),
+            "trajectory.waypoints": f"[{legs}]",
+        },
+    )
+    assert isinstance(scenario, FlightScenario)
+    return scenario
+
+
+def measure_realtime(options: RealtimeOptions, progress: Progress) -> RealtimeReport:
+    """Fly, with the control and the readers beside; Ctrl-C ends the flight early and keeps what was measured.
+
+    Raises:
+        InputError: as `scenario_of`.
+        RunError: a process died.
+    """
+    progress("preparing")
+    scenario = scenario_of(options)
+    model = build_model(scenario)
+    witness = _Witness(progress)
+    run = Run(scenario, model, RunOptions(PortSpec(Kind.PTY, baud=_BAUD)), [witness])
+    with ExitStack() as stack:
+        if options.recording:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lidar-emu-"))
+            witness.others.append(stack.enter_context(Recorder(Path(folder) / "flight.mcap", scenario)))
+        cyclictest = stack.enter_context(Cyclictest(scenario.timing.period_ns, model.shot_count))
+        beside = _Beside(
+            stack, run, scenario.timing.late_after_ns, scenario.timing.period_ns, model.shot_count
+        )
+        witness.others.append(beside)
+        summary = run.fly().to_json()
+        progress("collecting")
+        emulator = witness.side(run.start_ns or 0, beside.received_ns(), beside.delimiters)
+        control = beside.control_side()
+        cyclic = cyclictest.result()
+    return RealtimeReport(
+        options,
+        emulator,
+        control,
+        windows(emulator, control),
+        witness.steal_by_second(),
+        beside.packet_bytes,
+        summary,
+        beside.granted,
+        cyclic,
+    )
+
+
+class _Witness(Observer):
+    """Notes every report of the flight, in the loop of the model's process."""
+
+    def __init__(self, progress: Progress) -> None:
+        self.others: list[Observer] = []
+        self._progress = progress
+        self._due, self._woke, self._sent = array("q"), array("q"), array("q")
+        self._late = array("b")
+        self._second = -1
+        self._steal: list[tuple[int, int]] = []
+
+    def opened(self, port: str, start: datetime) -> None:
+        """Pass it on."""
+        for other in self.others:
+            other.opened(port, start)
+
+    def computed(self, block: Block) -> None:
+        """Pass it on."""
+        for other in self.others:
+            other.computed(block)
+
+    def report(self, packet: Outgoing, report: Report) -> None:
+        """Note it, and the steal ticks once a second."""
+        self._due.append(report.due_ns)
+        self._woke.append(report.woke_ns)
+        self._sent.append(report.sent_ns)
+        self._late.append(report.fate is Fate.LATE)
+        if report.due_ns // _NS_PER_S != self._second:
+            self._second = report.due_ns // _NS_PER_S
+            self._progress(f"{self._second} s, {sum(self._late)} late")
+            ticks = steal_ticks()
+            if ticks is not None:
+                self._steal.append((self._second, ticks))
+        for other in self.others:
+            other.report(packet, report)
+
+    def side(self, start_ns: int, received_ns: IntArray, delimiters: int) -> Side:
+        """What was noted, with the instants of the reader (monotonic clock, one per delimiter)."""
+        sent = np.array(self._sent, dtype=np.int64)
+        return Side(
+            np.array(self._due, dtype=np.int64),
+            np.array(self._woke, dtype=np.int64),
+            sent,
+            in_order_of(sent, received_ns[delimiters - 1 :: delimiters] - start_ns),
+            np.array(self._late, dtype=bool),
+        )
+
+    def steal_by_second(self) -> dict[int, int]:
+        """Ticks taken from one second's first report to the next one's."""
+        return {
+            second: after - before
+            for (second, before), (_, after) in zip(self._steal, self._steal[1:], strict=False)
+        }
+
+
+class _Beside(Observer):
+    """The control and the two readers, started by what happens in the flight.
+
+    Args:
+        stack: ends the processes.
+        run: of which the start is asked.
+    """
+
+    def __init__(
+        self, stack: ExitStack, run: Run, late_after_ns: int, period_ns: int, shot_count: int
+    ) -> None:
+        self._run = run
+        self._late_after_ns = late_after_ns
+        self._period_ns = period_ns
+        self._shot_count = shot_count
+        self._control, self._control_reader, self._reader = (
+            stack.enter_context(Helper(f"lidar_emu.bench.realtime_{name}"))
+            for name in ("control", "far_end", "far_end")
+        )
+        told = self._control.hear()
+        self.granted: list[str] = told["granted"]
+        for reader in (self._reader, self._control_reader):
+            reader.hear()
+        self._control_reader.tell(path=told["path"])
+        self._control_reader.hear()
+        self._first_due_ns: int | None = None
+        self.packet_bytes = 0
+        self.delimiters = 1
+
+    def opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
+        """Open the far end of the emulator's pty."""
+        self._reader.tell(path=port)
+        self._reader.hear()
+
+    def computed(self, block: Block) -> None:
+        """With the first shots it is known what the control has to write, and when."""
+        if self._first_due_ns is not None:
+            return
+        payload = payload_of(block.packets[0])
+        self.packet_bytes, self.delimiters = len(payload), payload.count(0)
+        self._first_due_ns = int(block.measurement.due_ns[0])
+        self._control.tell(
+            packet_bytes=self.packet_bytes,
+            start_ns=self._run.start_ns,
+            first_due_ns=self._first_due_ns,
+            period_ns=self._period_ns,
+            count=self._shot_count,
+            late_after_ns=self._late_after_ns,
+        )
+
+    def received_ns(self) -> IntArray:
+        """Instants of the emulator's delimiters at the far end, on the monotonic clock."""
+        return self._reader.finish()[0] if self._first_due_ns is not None else _NOTHING
+
+    def control_side(self) -> Side:
+        """What the control and its reader noted."""
+        if self._first_due_ns is None or self._run.start_ns is None:
+            return Side(_NOTHING, _NOTHING, _NOTHING, _NOTHING, _NOTHING.astype(bool))
+        received = self._control_reader.finish()[0] - self._run.start_ns
+        woke, written = self._control.finish()
+        due = self._first_due_ns + self._period_ns * np.arange(len(woke), dtype=np.int64)
+        late = woke > due + self._late_after_ns
+        return Side(due, woke, written, in_order_of(written, received), late)
+
+
+def in_order_of(sent_ns: IntArray, received_ns: IntArray) -> IntArray:
+    """When each packet was received, shape as `sent_ns`: neither the pty nor the reader changes the order."""
+    result = np.full(len(sent_ns), NEVER, dtype=np.int64)
+    sent = np.flatnonzero(sent_ns != NEVER)[: len(received_ns)]
+    result[sent] = received_ns[: len(sent)]
+    return result

@@ -1,0 +1,144 @@
+"""What was late by how much, and how much of that is the machine's: pure figures of two sides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lidar_emu.arrays import BoolArray, IntArray
+
+WINDOW_NS = 1_000_000_000
+NEVER = -1
+QUANTILES = {"p50_ns": 0.5, "p99_ns": 0.99, "p99_9_ns": 0.999, "max_ns": 1.0}
+
+
+@dataclass(frozen=True)
+class Side:
+    """Instants of one side, the emulator's or the control's, in the order of its shots: arrays of shape (shots,).
+
+    All count in nanoseconds from the start of the run; `NEVER` where it did not happen.
+    """
+
+    due_ns: IntArray
+    woke_ns: IntArray
+    """When the process had woken up for the shot."""
+    written_ns: IntArray
+    """When the write had returned."""
+    received_ns: IntArray
+    """When the reader at the other end of the pty had it."""
+    late: BoolArray
+    """Shots that were skipped because it was too late for them."""
+
+    def wake_up_ns(self) -> IntArray:
+        """Lateness of waking up, of all shots, skipped ones too."""
+        return self._after_due(self.woke_ns)
+
+    def due_to_written_ns(self) -> IntArray:
+        """Of shots that were written."""
+        return self._after_due(self.written_ns)
+
+    def due_to_received_ns(self) -> IntArray:
+        """Of shots that were received."""
+        return self._after_due(self.received_ns)
+
+    def _after_due(self, instant_ns: IntArray) -> IntArray:
+        happened = instant_ns != NEVER
+        lateness_ns: IntArray = np.maximum(0, instant_ns[happened] - self.due_ns[happened])
+        return lateness_ns
+
+    def where(self, chosen: BoolArray) -> Side:
+        """Some of the shots."""
+        return Side(
+            self.due_ns[chosen],
+            self.woke_ns[chosen],
+            self.written_ns[chosen],
+            self.received_ns[chosen],
+            self.late[chosen],
+        )
+
+
+@dataclass(frozen=True)
+class Window:
+    """One second of due times, both sides beside each other."""
+
+    at_s: int
+    """Its beginning."""
+    p99_ns: int | None
+    """Of the emulator's due-to-written; None where nothing was written."""
+    control_p99_ns: int | None
+    late: int
+    control_late: int
+
+
+def quantile_ns(values_ns: IntArray, fraction: float) -> int | None:
+    """The smallest value that at least `fraction` of all do not exceed; None without values."""
+    if not values_ns.size:
+        return None
+    return int(np.quantile(values_ns, fraction, method="inverted_cdf"))
+
+
+def figures(values_ns: IntArray) -> dict[str, int | None]:
+    """Count, p50, p99, p99.9 and maximum."""
+    return {"count": values_ns.size} | {
+        name: quantile_ns(values_ns, fraction) for name, fraction in QUANTILES.items()
+    }
+
+
+def windows(emulator: Side, control: Side) -> list[Window]:
+    """Both sides, second by second; the last is left out where it holds less than half of a second's shots."""
+    parts, control_parts = _full_seconds(emulator), _full_seconds(control)
+    return [
+        Window(
+            second,
+            quantile_ns(part.due_to_written_ns(), 0.99),
+            quantile_ns(control_part.due_to_written_ns(), 0.99),
+            int(part.late.sum()),
+            int(control_part.late.sum()),
+        )
+        for second, part in parts.items()
+        if (control_part := control_parts.get(second)) is not None
+    ]
+
+
+def _full_seconds(side: Side) -> dict[int, Side]:
+    seconds = side.due_ns // WINDOW_NS
+    names, counts = np.unique(seconds, return_counts=True)
+    full = names[2 * counts >= counts.max(initial=0)]
+    return {int(second): side.where(seconds == second) for second in full}
+
+
+def median_excess_ns(of: list[Window]) -> float | None:
+    """Median over windows of the emulator's p99 less the control's: what the emulator itself costs.
+
+    A host that takes the machine away for a while hits both sides, or one of them in a window or two.
+    """
+    excess = [
+        window.p99_ns - window.control_p99_ns
+        for window in of
+        if window.p99_ns is not None and window.control_p99_ns is not None
+    ]
+    return float(np.median(excess)) if excess else None
+
+
+def late_of_its_own(of: list[Window]) -> int:
+    """Late shots in windows where the control had none."""
+    return sum(window.late for window in of if not window.control_late)
+
+
+def histogram_edges_ns(*sides: IntArray) -> IntArray:
+    """Edges in steps 1, 2, 5, from below the least to above the greatest of all values; at least two."""
+    values = np.concatenate(sides)
+    steps = np.array([digit * 10**power for power in range(3, 12) for digit in (1, 2, 5)], dtype=np.int64)
+    if not values.size:
+        return steps[:2]
+    least = max(0, int(np.searchsorted(steps, values.min(), "right")) - 1)
+    greatest = int(np.searchsorted(steps, values.max(), "right"))
+    return np.concatenate(([0] if values.min() < steps[0] else [], steps[least : greatest + 1])).astype(
+        np.int64
+    )
+
+
+def counts_between(values_ns: IntArray, edges_ns: IntArray) -> IntArray:
+    """How many values lie in [edge, next edge), shape (edges - 1,)."""
+    return np.diff(np.searchsorted(np.sort(values_ns), edges_ns, "left")).astype(np.int64)

@@ -1,0 +1,78 @@
+"""`lidar-emu bench realtime` with all its processes: what it counts, never how late anything was."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from lidar_emu.bench.realtime import RealtimeOptions, measure_realtime
+from lidar_emu.bench.realtime_document import realtime_document
+from lidar_emu.bench.realtime_statistics import NEVER
+from lidar_emu.cli.bench_realtime_table import print_realtime
+
+LIDAR_EMU = "from lidar_emu.cli import main; main()"
+STAGES = ("wake_up", "due_to_written", "due_to_received")
+
+
+def test_a_second_at_50_hz_is_measured_on_both_sides(capsys):
+    seen = []
+    report = measure_realtime(RealtimeOptions(50.0, 1.0, beamlets=7, recording=True), seen.append)
+    told = json.loads(json.dumps(realtime_document(report)))
+    assert seen[0] == "preparing"
+    assert report.emulator.due_ns.tolist() == report.control.due_ns.tolist()
+    for side, measured in ((told["emulator"], report.emulator), (told["control"], report.control)):
+        written = side["due_to_written"]["count"]
+        assert side["due"] == side["wake_up"]["count"] == 50
+        assert written == side["due_to_received"]["count"] == 50 - side["late"]
+        assert written > 0
+        sent = measured.written_ns != NEVER
+        # One after the other, and each reader has a packet only after it was handed over.
+        assert (measured.due_ns[sent] <= measured.woke_ns[sent]).all()
+        assert (measured.woke_ns[sent] <= measured.written_ns[sent]).all()
+        assert (measured.woke_ns[sent] < measured.received_ns[sent]).all()
+        for stage in STAGES:
+            quantiles = [side[stage][name] for name in ("p50_ns", "p99_ns", "p99_9_ns", "max_ns")]
+            assert quantiles == sorted(quantiles)
+    assert told["emulator"]["dropped"] == 0
+    assert told["windows"]["count"] == len(told["windows"]["each"]) == 1
+    assert sum(told["histogram"]["emulator"]) == told["emulator"]["due_to_written"]["count"]
+    assert told["interrupted"] is False
+    assert told["granted"] == told["control_granted"]
+    print_realtime(told)
+    shown = capsys.readouterr().out
+    assert "emulator, written" in shown
+    assert "p99 due to written is" in shown
+
+
+def test_interrupted_it_tells_what_it_has(tmp_path):
+    log = tmp_path / "told.json"
+    with log.open("w") as out:
+        bench = subprocess.Popen(
+            [sys.executable, "-c", LIDAR_EMU, "bench", "realtime", "--rate", "50", "--duration", "600",
+             "--beamlets", "7", "--json"],
+            stdout=out, stderr=subprocess.PIPE, start_new_session=True, text=True,
+        )  # fmt: skip
+        pid = bench.pid
+        while not (port_is_open(pid) or bench.poll() is not None):
+            time.sleep(0.01)
+        bench.send_signal(signal.SIGINT)
+        _, errors = bench.communicate(timeout=60)
+    assert (bench.returncode, errors) == (0, "")
+    told = json.loads(log.read_text())
+    assert told["interrupted"] is True
+    assert told["emulator"]["due"] < 50 * 600
+
+
+def port_is_open(pid: int) -> bool:
+    """Whether the bench's port process runs: from then on Ctrl-C ends the flight, not the program."""
+    for process in Path("/proc").iterdir():
+        with suppress(OSError):
+            is_child = process.name.isdecimal() and f"\nPPid:\t{pid}\n" in (process / "status").read_text()
+            if is_child and "lidar_emu.runtime.port_process" in (process / "cmdline").read_text():
+                return True
+    return False

@@ -1,0 +1,53 @@
+"""`timing.when_late`: what a late packet means for a run, by its command."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from lidar_emu.cli import cli
+from lidar_emu.errors import RunError
+
+# Nobody wakes up, decides and writes within a microsecond: every packet is late.
+ALWAYS_LATE = ["--duration", "1", "--set", "level=geometric", "--set", "timing.late_after_s=1e-6"]
+
+
+@pytest.fixture
+def run(tmp_path):
+    def invoke(*arguments: str):
+        summary = tmp_path / "summary.json"
+        done = CliRunner().invoke(
+            cli,
+            ["run", "descent.yaml", *ALWAYS_LATE, "--summary", str(summary), *arguments],
+            standalone_mode=False,
+        )
+        return done, json.loads(summary.read_text())
+
+    return invoke
+
+
+def test_a_late_packet_ends_a_run_that_wants_it_so(run):
+    done, told = run("--set", "timing.when_late=abort")
+    assert isinstance(done.exception, RunError)  # exit code 1
+    assert str(done.exception).startswith("shot 0 was ")
+    assert "timing.when_late is abort" in str(done.exception)
+    assert told["error"] == str(done.exception)
+    assert (told["shots"]["due"], told["shots"]["late"], told["shots"]["sent"]) == (1, 1, 0)
+    assert told["wire"]["sent_bytes"] == 0
+    assert told["interrupted"] is False
+
+
+def test_by_default_the_run_goes_on(run):
+    done, told = run()
+    assert done.exception is None
+    assert told["error"] is None
+    assert told["shots"]["late"] == told["shots"]["due"] == 20
+
+
+def test_on_time_nothing_is_aborted(run):
+    done, told = run("--set", "timing.when_late=abort", "--set", "timing.late_after_s=3600")
+    assert done.exception is None
+    assert told["error"] is None
+    assert told["shots"]["sent"] == 20
