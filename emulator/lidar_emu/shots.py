@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.bench_model import BenchModel
-from lidar_emu.echoes import receive_light
+from lidar_emu.echoes import Light
 from lidar_emu.flight import Flight, Pointing
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.levels import build_level
@@ -47,6 +47,7 @@ class FlightModel:
         self.scenario = scenario
         self.flight = Flight(scenario)
         self.plan = plan_flight(scenario, self.flight)
+        self.light = Light(scenario.instrument, scenario.site, self.flight, self.plan.beamlets)
         self.level = build_level(scenario)
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count = self.flight.shot_count
@@ -57,9 +58,7 @@ class FlightModel:
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.flight.point(shot, state)
         axis_hits = self.flight.cast(pointing.sensor_site_m, pointing.true_site)
-        instrument, site = self.scenario.instrument, self.scenario.site
-        echoes = receive_light(instrument, site, self.flight, self.plan.beamlets, pointing, axis_hits)
-        returns = self.level(echoes, shot)
+        returns = self.level(self.light.echoes(pointing, axis_hits), shot)
         return self._measurement(shot, pointing, axis_hits, returns), state
 
     def _measurement(

@@ -8,13 +8,15 @@ exp(-4 r²/w²).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
+from math import hypot, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.rotations import normalised
+from lidar_emu.kernels import kernel
+from lidar_emu.rotations import dot_3
 
 _OUTERMOST_W = {7: np.sqrt(0.5)}
 _OUTERMOST_OTHERWISE_W = 1.1445706
@@ -26,8 +28,7 @@ _LEAST_SIDE = 1e-140
 """Smallest component whose square still has all its digits."""
 
 
-@dataclass(frozen=True)
-class Footprint:
+class Footprint(NamedTuple):
     """Straight rays from the aperture through the footprint; arrays are (..., beamlets, 3), site frame."""
 
     weight: FloatArray
@@ -69,29 +70,68 @@ def sample_footprint(
     w0²/w: none cancels nor divides by zero, from a range of 0 to infinity.
     """
     offset_w, weight = beamlet_pattern(count)
-    rayleigh_m = rayleigh_range_m(waist_radius_m, wavelength_m)
-    farness = np.where(np.isnan(range_m), np.inf, range_m / rayleigh_m)
-    with np.errstate(divide="ignore"):
-        nearness = 1 / farness
-    root = np.sqrt(1 + nearness * nearness)
-    divergence = waist_radius_m / rayleigh_m
-    ray_slope = divergence / (root + nearness)
-    doppler_slope = divergence / root
-    doppler_start_m = waist_radius_m / np.hypot(1, farness)
-    first, second = _perpendicular(axis_site)
-    across = offset_w[:, :1] * first[..., None, :] + offset_w[:, 1:] * second[..., None, :]
-    axis = axis_site[..., None, :]
-    return Footprint(
-        weight=weight,
-        start_site_m=sensor_site_m[..., None, :] + waist_radius_m * across,
-        ray_site=normalised(axis + ray_slope[..., None, None] * across),
-        doppler_site=normalised(axis + doppler_slope[..., None, None] * across),
-        across_site=(first, second),
-        doppler_start_m=(
-            doppler_start_m[..., None] * offset_w[:, 0],
-            doppler_start_m[..., None] * offset_w[:, 1],
-        ),
+    axis, sensor_m, away_m = (
+        np.ascontiguousarray(values, dtype=np.float64) for values in (axis_site, sensor_site_m, range_m)
     )
+    rays = np.empty((3, *axis.shape[:-1], count, 3))
+    across = np.empty((2, *axis.shape))
+    doppler_start_m = np.empty((2, *axis.shape[:-1], count))
+    _sample(
+        offset_w,
+        waist_radius_m,
+        rayleigh_range_m(waist_radius_m, wavelength_m),
+        sensor_m.reshape(-1, 3),
+        axis.reshape(-1, 3),
+        away_m.reshape(-1),
+        rays.reshape(3, -1, count, 3),
+        across.reshape(2, -1, 3),
+        doppler_start_m.reshape(2, -1, count),
+    )
+    return Footprint(weight, rays[0], rays[1], rays[2], (across[0], across[1]), (doppler_start_m[0], doppler_start_m[1]))
+
+
+@kernel
+def _sample(
+    offset_w: FloatArray,
+    waist_radius_m: float,
+    rayleigh_m: float,
+    sensor_m: FloatArray,
+    axes: FloatArray,
+    range_m: FloatArray,
+    rays: FloatArray,
+    across: FloatArray,
+    doppler_start_m: FloatArray,
+) -> None:
+    """Fill `rays` (3, beams, beamlets, 3) with starts, rays and Doppler directions, and what stands beside them."""
+    divergence = waist_radius_m / rayleigh_m
+    for b in range(len(axes)):
+        axis, first, second = axes[b], across[0, b], across[1, b]
+        _set_perpendicular(axis, first, second)
+        farness = range_m[b] / rayleigh_m
+        if farness != farness:
+            farness = np.inf
+        nearness = 1 / farness
+        root = sqrt(1 + nearness * nearness)
+        ray_slope, doppler_slope = divergence / (root + nearness), divergence / root
+        back_m = waist_radius_m / hypot(1.0, farness)
+        for i in range(len(offset_w)):
+            along_first, along_second = offset_w[i, 0], offset_w[i, 1]
+            for side in range(3):
+                sideways = along_first * first[side] + along_second * second[side]
+                rays[0, b, i, side] = sensor_m[b, side] + waist_radius_m * sideways
+                rays[1, b, i, side] = axis[side] + ray_slope * sideways
+                rays[2, b, i, side] = axis[side] + doppler_slope * sideways
+            _normalise(rays[1, b, i])
+            _normalise(rays[2, b, i])
+            doppler_start_m[0, b, i] = back_m * along_first
+            doppler_start_m[1, b, i] = back_m * along_second
+
+
+@kernel
+def _normalise(vector: FloatArray) -> None:
+    length = sqrt(dot_3(vector, vector))
+    for side in range(3):
+        vector[side] /= length
 
 
 @cache
@@ -135,23 +175,22 @@ def wavefront_radius_m(range_m: FloatArray, waist_radius_m: float, wavelength_m:
     return radius_m
 
 
-def _perpendicular(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two unit vectors (..., 3) at right angles to unit vectors (..., 3) and to each other: x and y carried
-    from straight down to the axis by the shortest turn.
+@kernel
+def _set_perpendicular(axis: FloatArray, first: FloatArray, second: FloatArray) -> None:
+    """Set two unit vectors (3,) at right angles to a unit vector (3,) and to each other: x and y carried from
+    straight down to the axis by the shortest turn.
 
     Smooth but for straight up, where that turn is undetermined (no field of directions covers a sphere
     without such a point): a landing lidar looks the other way. There the turn is taken in the x-z plane.
     """
-    x, y, z = axis[..., 0], axis[..., 1], axis[..., 2]
-    straight_up = (z > 0) & (x * x + y * y < _LEAST_SIDE**2)
-    x, y = np.where(straight_up, _LEAST_SIDE, x), np.where(straight_up, 0.0, y)
+    x, y, z = axis[0], axis[1], axis[2]
+    if z > 0 and x * x + y * y < _LEAST_SIDE**2:
+        x, y = _LEAST_SIDE, 0.0
     # 1 - z cancels near straight up.
-    from_up = np.where(z > 0, (x * x + y * y) / (1 + np.abs(z)), 1 - z)
+    from_up = (x * x + y * y) / (1 + z) if z > 0 else 1 - z
     mixed = -x * y / from_up
-    first, second = np.empty_like(axis), np.empty_like(axis)
-    first[..., 0], first[..., 1], first[..., 2] = 1 - x * x / from_up, mixed, x
-    second[..., 0], second[..., 1], second[..., 2] = mixed, 1 - y * y / from_up, y
-    return first, second
+    first[0], first[1], first[2] = 1 - x * x / from_up, mixed, x
+    second[0], second[1], second[2] = mixed, 1 - y * y / from_up, y
 
 
 def _hexagons(count: int) -> FloatArray:

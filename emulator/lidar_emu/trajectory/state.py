@@ -19,7 +19,7 @@ class Gap(NamedTuple):
 
 @dataclass(frozen=True)
 class VehicleState:
-    """True motion of the vehicle's reference point at n instants.
+    """True motion of the vehicle's reference point at n instants; all arrays in C order, as kernels take them.
 
     Site frame: east, north, up. Body frame: x forward, y right, z down.
     """
