@@ -56,19 +56,28 @@ class Light:
 
     def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
         """Echoes of beams (shots, beams) whose axes met the ground at `axis_hits`."""
+        shape = axis_hits.range_m.shape
         footprint = sample_footprint(
-            pointing.sensor_site_m,
-            pointing.true_site,
-            axis_hits.range_m,
+            pointing.sensor_site_m.reshape(-1, 3),
+            pointing.true_site.reshape(-1, 3),
+            axis_hits.range_m.reshape(-1),
             self._beamlets,
             self._waist_m,
             self._wavelength_m,
         )
-        hits = self._cast_beamlets(footprint, axis_hits)
-        beams = axis_hits.range_m.shape
-        speed_mps, power_w, range_rate_mps = np.empty((3, *beams, self._beamlets))
-        acceleration_mps2, smear_mps2 = np.empty((2, *beams))
-        place, drift_per_s = np.empty((2, *beams, 2))
+        range_m, normal_site = self._cast_beamlets(footprint, axis_hits)
+        echoes = Echoes(
+            range_m=range_m.reshape(*shape, self._beamlets),
+            closing_speed_mps=np.empty((*shape, self._beamlets)),
+            power_w=np.empty((*shape, self._beamlets)),
+            range_rate_mps=np.empty((*shape, self._beamlets)),
+            closing_acceleration_mps2=np.empty(shape),
+            smear_acceleration_mps2=np.empty(shape),
+            speckle_place=np.empty((*shape, 2)),
+            speckle_drift_per_s=np.empty((*shape, 2)),
+            fired=pointing.fired,
+            inside=axis_hits.inside,
+        )
         _receive(
             *self._numbers,
             pointing.sensor_site_m,
@@ -78,40 +87,29 @@ class Light:
             pointing.true_site,
             axis_hits.range_m,
             footprint.weight,
-            np.empty(3),
-            *footprint.across_site,
             footprint.ray_site,
             footprint.doppler_site,
-            *footprint.doppler_start_m,
-            hits.range_m,
-            hits.normal_site,
-            speed_mps,
-            power_w,
-            range_rate_mps,
-            acceleration_mps2,
-            smear_mps2,
-            place,
-            drift_per_s,
+            footprint.across_site,
+            footprint.doppler_start_m,
+            normal_site,
+            np.empty(3),
+            echoes.range_m,
+            echoes.closing_speed_mps,
+            echoes.power_w,
+            echoes.range_rate_mps,
+            echoes.closing_acceleration_mps2,
+            echoes.smear_acceleration_mps2,
+            echoes.speckle_place,
+            echoes.speckle_drift_per_s,
         )
-        return Echoes(
-            range_m=hits.range_m,
-            closing_speed_mps=speed_mps,
-            power_w=power_w,
-            range_rate_mps=range_rate_mps,
-            closing_acceleration_mps2=acceleration_mps2,
-            smear_acceleration_mps2=smear_mps2,
-            speckle_place=place,
-            speckle_drift_per_s=drift_per_s,
-            fired=pointing.fired,
-            inside=axis_hits.inside,
-        )
+        return echoes
 
-    def _cast_beamlets(self, footprint: Footprint, axis_hits: Hits) -> Hits:
-        if self._beamlets > 1:
-            return self._flight.cast(footprint.start_site_m, footprint.ray_site)
-        return Hits(
-            axis_hits.range_m[..., None], axis_hits.normal_site[..., None, :], axis_hits.inside[..., None]
-        )
+    def _cast_beamlets(self, footprint: Footprint, axis_hits: Hits) -> tuple[FloatArray, FloatArray]:
+        """Ranges (rays,) and normals (rays, 3) of all beamlets, one beam after another."""
+        if self._beamlets == 1:
+            return axis_hits.range_m.reshape(-1), axis_hits.normal_site.reshape(-1, 3)
+        hits = self._flight.scene.cast(footprint.start_site_m.reshape(-1, 3), footprint.ray_site.reshape(-1, 3))
+        return hits.range_m, hits.normal_site
 
 
 def receive_light(
@@ -149,15 +147,13 @@ def _receive(
     axes: FloatArray,
     axis_range_m: FloatArray,
     weight: FloatArray,
-    swing_radps: FloatArray,
-    across_first: FloatArray,
-    across_second: FloatArray,
     ray: FloatArray,
     doppler: FloatArray,
-    doppler_start_first_m: FloatArray,
-    doppler_start_second_m: FloatArray,
+    across: FloatArray,
+    doppler_start_m: FloatArray,
+    normals: FloatArray,
+    swing_radps: FloatArray,
     range_m: FloatArray,
-    normal: FloatArray,
     speed_mps: FloatArray,
     power_w: FloatArray,
     range_rate_mps: FloatArray,
@@ -171,7 +167,8 @@ def _receive(
     shots, beams, beamlets = range_m.shape
     for s in range(shots):
         for b in range(beams):
-            axis, first, second = axes[s, b], across_first[s, b], across_second[s, b]
+            beam = s * beams + b
+            axis, first, second = axes[s, b], across[0, beam], across[1, beam]
             sensor, velocity, away_m = sensor_m[s, b], velocity_mps[s, b], axis_range_m[s, b]
             set_cross(turning_radps[s, b], axis, swing_radps)
             first_mps, second_mps = dot_3(velocity, first), dot_3(velocity, second)
@@ -191,13 +188,13 @@ def _receive(
             drift_per_s[s, b, 0] = _known((first_mps + arm_m * first_radps) / pitch_m)
             drift_per_s[s, b, 1] = _known((second_mps + arm_m * second_radps) / pitch_m)
             for i in range(beamlets):
-                facet = normal[s, b, i]
+                facet = normals[beam * beamlets + i]
                 speed_mps[s, b, i] = (
-                    dot_3(velocity, doppler[s, b, i])
-                    - doppler_start_first_m[s, b, i] * first_radps
-                    - doppler_start_second_m[s, b, i] * second_radps
+                    dot_3(velocity, doppler[beam, i])
+                    - doppler_start_m[0, beam, i] * first_radps
+                    - doppler_start_m[1, beam, i] * second_radps
                 )
-                cos_incidence = -dot_3(facet, ray[s, b, i])
+                cos_incidence = -dot_3(facet, ray[beam, i])
                 # Of the axis: the turn of a beamlet, and that of its start, differ by the footprint's radius times
                 # the rate.
                 sinking_mps = dot_3(facet, velocity) + range_m[s, b, i] * dot_3(facet, swing_radps)

@@ -72,6 +72,7 @@ class Flight:
         body_from_sensor = mounting_rotation(scenario.mounting)
         self._true_body = rotate(body_from_sensor, self.scanner.true_sensor)
         self._published_body = rotate(body_from_sensor, self.scanner.published_sensor)
+        self._needs_ground_altitude = self.scanner.needs_ground_altitude
         self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
         self._refuse_to_leave_the_ground()
 
@@ -128,14 +129,12 @@ class Flight:
             vehicle.position_site_m, vehicle.site_from_body, self._lever_arm_body_m, instant_s.shape[1], sensor_m
         )
         above_origin_m = sensor_m[:, 2]
-        above_ground_m = (
-            above_origin_m - self.scene.height_m(sensor_m[:, 0], sensor_m[:, 1])
-            if self.scanner.needs_ground_altitude
-            else np.full(len(sensor_m), np.nan)
-        )
+        above_ground_m = above_origin_m
+        if self._needs_ground_altitude:
+            above_ground_m = above_origin_m - self.scene.height_m(sensor_m[:, 0], sensor_m[:, 1])
         starts = zip(instant_s[:, 0].tolist(), above_origin_m.tolist(), above_ground_m.tolist(), strict=True)
-        for k, (start_s, origin_m, ground_m) in enumerate(starts):
-            state, chosen[k] = self.scanner.select(state, start_s, origin_m, ground_m)
+        for k, start in enumerate(starts):
+            state, chosen[k] = self.scanner.select(state, *start)
         return chosen, state
 
     def _refuse_to_leave_the_ground(self) -> None:

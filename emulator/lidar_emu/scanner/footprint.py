@@ -29,7 +29,7 @@ _LEAST_SIDE = 1e-140
 
 
 class Footprint(NamedTuple):
-    """Straight rays from the aperture through the footprint; arrays are (..., beamlets, 3), site frame."""
+    """Straight rays from the aperture through the footprint; arrays are (beams, beamlets, 3), site frame."""
 
     weight: FloatArray
     """(beamlets,) Share of the beam's power; sums to 1."""
@@ -39,10 +39,10 @@ class Footprint(NamedTuple):
     doppler_site: FloatArray
     """Unit vectors: the gradient of the beam's phase where it meets the ground, which a velocity is seen
     along. In the far field this is `ray_site`'s direction; near the waist the wavefront is flatter."""
-    across_site: tuple[FloatArray, FloatArray]
-    """Two unit vectors (..., 3) at right angles to the axis and to each other, which offsets count along."""
-    doppler_start_m: tuple[FloatArray, FloatArray]
-    """(..., beamlets) each: where a straight line along `doppler_site` left the plane of the aperture, as offsets
+    across_site: FloatArray
+    """(2, beams, 3) Two unit vectors at right angles to the axis and to each other, which offsets count along."""
+    doppler_start_m: FloatArray
+    """(2, beams, beamlets) Where a straight line along `doppler_site` left the plane of the aperture, as offsets
     along `across_site`. When the sensor turns, the phase sees the velocity of this point: of a footprint point at
     the offset x it is x (1 - R/Rc), x in the near field and 0 in the far."""
 
@@ -58,9 +58,9 @@ def sample_footprint(
     """Beamlets of beams.
 
     Args:
-        sensor_site_m: (..., 3) centre of the aperture, in the site frame.
-        axis_site: (..., 3) unit vectors of the beams' axes; NaN for a beam that does not fire.
-        range_m: (...) along the axis to the ground; NaN where it meets none: the beam's far field is taken.
+        sensor_site_m: (beams, 3) centre of the aperture, in the site frame.
+        axis_site: (beams, 3) unit vectors of the beams' axes; NaN for a beam that does not fire.
+        range_m: (beams,) along the axis to the ground; NaN where it meets none: the beam's far field is taken.
         count: of beamlets, as in `beamlet_pattern`.
         waist_radius_m: 1/e² radius at the sensor.
         wavelength_m: of the light.
@@ -70,24 +70,18 @@ def sample_footprint(
     w0²/w: none cancels nor divides by zero, from a range of 0 to infinity.
     """
     offset_w, weight = beamlet_pattern(count)
-    axis, sensor_m, away_m = (
-        np.ascontiguousarray(values, dtype=np.float64) for values in (axis_site, sensor_site_m, range_m)
+    shape = (len(range_m), count, 3)
+    footprint = Footprint(
+        weight=weight,
+        start_site_m=np.empty(shape),
+        ray_site=np.empty(shape),
+        doppler_site=np.empty(shape),
+        across_site=np.empty((2, len(range_m), 3)),
+        doppler_start_m=np.empty((2, len(range_m), count)),
     )
-    rays = np.empty((3, *axis.shape[:-1], count, 3))
-    across = np.empty((2, *axis.shape))
-    doppler_start_m = np.empty((2, *axis.shape[:-1], count))
-    _sample(
-        offset_w,
-        waist_radius_m,
-        rayleigh_range_m(waist_radius_m, wavelength_m),
-        sensor_m.reshape(-1, 3),
-        axis.reshape(-1, 3),
-        away_m.reshape(-1),
-        rays.reshape(3, -1, count, 3),
-        across.reshape(2, -1, 3),
-        doppler_start_m.reshape(2, -1, count),
-    )
-    return Footprint(weight, rays[0], rays[1], rays[2], (across[0], across[1]), (doppler_start_m[0], doppler_start_m[1]))
+    rayleigh_m = rayleigh_range_m(waist_radius_m, wavelength_m)
+    _sample(offset_w, waist_radius_m, rayleigh_m, sensor_site_m, axis_site, range_m, *footprint[1:])
+    return footprint
 
 
 @kernel
@@ -98,11 +92,13 @@ def _sample(
     sensor_m: FloatArray,
     axes: FloatArray,
     range_m: FloatArray,
-    rays: FloatArray,
+    start_m: FloatArray,
+    ray: FloatArray,
+    doppler: FloatArray,
     across: FloatArray,
     doppler_start_m: FloatArray,
 ) -> None:
-    """Fill `rays` (3, beams, beamlets, 3) with starts, rays and Doppler directions, and what stands beside them."""
+    """Fill the arrays of a `Footprint`."""
     divergence = waist_radius_m / rayleigh_m
     for b in range(len(axes)):
         axis, first, second = axes[b], across[0, b], across[1, b]
@@ -118,20 +114,20 @@ def _sample(
             along_first, along_second = offset_w[i, 0], offset_w[i, 1]
             for side in range(3):
                 sideways = along_first * first[side] + along_second * second[side]
-                rays[0, b, i, side] = sensor_m[b, side] + waist_radius_m * sideways
-                rays[1, b, i, side] = axis[side] + ray_slope * sideways
-                rays[2, b, i, side] = axis[side] + doppler_slope * sideways
-            _normalise(rays[1, b, i])
-            _normalise(rays[2, b, i])
+                start_m[b, i, side] = sensor_m[b, side] + waist_radius_m * sideways
+                ray[b, i, side] = axis[side] + ray_slope * sideways
+                doppler[b, i, side] = axis[side] + doppler_slope * sideways
+            _normalise(ray[b, i])
+            _normalise(doppler[b, i])
             doppler_start_m[0, b, i] = back_m * along_first
             doppler_start_m[1, b, i] = back_m * along_second
 
 
 @kernel
 def _normalise(vector: FloatArray) -> None:
-    length = sqrt(dot_3(vector, vector))
+    shrink = 1.0 / sqrt(dot_3(vector, vector))
     for side in range(3):
-        vector[side] /= length
+        vector[side] *= shrink
 
 
 @cache

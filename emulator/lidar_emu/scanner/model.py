@@ -62,15 +62,16 @@ class ScannerModel:
             altitude_ground_m: of the sensor above the ground straight below; NaN where there is none, which
                 leaves a switch as it is.
         """
-        altitude_m = {"origin": altitude_origin_m, "ground": altitude_ground_m}
-        active = tuple(
-            bool(time_s >= switch.at_s)
-            if isinstance(switch, TimeSwitch)
-            else _below(switch, was_active, altitude_m[switch.datum])
-            for switch, was_active in zip(self.switches, state.active, strict=True)
-        )
-        chosen = max((k + 1 for k, is_active in enumerate(active) if is_active), default=0)
-        return ScannerState(active), chosen
+        active, chosen = [], 0
+        for k, (switch, was_active) in enumerate(zip(self.switches, state.active, strict=True)):
+            if isinstance(switch, TimeSwitch):
+                active.append(bool(time_s >= switch.at_s))
+            else:
+                altitude_m = altitude_origin_m if switch.datum == "origin" else altitude_ground_m
+                active.append(_below(switch, was_active, altitude_m))
+            if active[k]:
+                chosen = k + 1
+        return ScannerState(tuple(active)), chosen
 
 
 def _below(switch: AltitudeSwitch, was_active: bool, altitude_m: float) -> bool:
