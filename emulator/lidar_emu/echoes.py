@@ -23,6 +23,7 @@ from lidar_emu.flight import Flight, Pointing
 from lidar_emu.fmcw.echo import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.kernels import kernel
+from lidar_emu.pointing import ACCELERATION, SENSOR, TRUE, TURNING, VELOCITY
 from lidar_emu.rotations import dot_3, set_cross
 from lidar_emu.scanner.footprint import Footprint, rayleigh_range_m, sample_footprint
 from lidar_emu.scenario.instrument import Instrument
@@ -80,11 +81,7 @@ class Light:
         )
         _receive(
             *self._numbers,
-            pointing.sensor_site_m,
-            pointing.sensor_velocity_site_mps,
-            pointing.sensor_acceleration_site_mps2,
-            pointing.turning_site_radps,
-            pointing.true_site,
+            pointing.beams,
             axis_hits.range_m,
             footprint.weight,
             footprint.ray_site,
@@ -140,11 +137,7 @@ def _receive(
     extinction_per_m: float,
     waist_m: float,
     rayleigh_m: float,
-    sensor_m: FloatArray,
-    velocity_mps: FloatArray,
-    acceleration_mps2: FloatArray,
-    turning_radps: FloatArray,
-    axes: FloatArray,
+    vectors: FloatArray,
     axis_range_m: FloatArray,
     weight: FloatArray,
     ray: FloatArray,
@@ -168,12 +161,12 @@ def _receive(
     for s in range(shots):
         for b in range(beams):
             beam = s * beams + b
-            axis, first, second = axes[s, b], across[0, beam], across[1, beam]
-            sensor, velocity, away_m = sensor_m[s, b], velocity_mps[s, b], axis_range_m[s, b]
-            set_cross(turning_radps[s, b], axis, swing_radps)
+            axis, first, second = vectors[TRUE, s, b], across[0, beam], across[1, beam]
+            sensor, velocity, away_m = vectors[SENSOR, s, b], vectors[VELOCITY, s, b], axis_range_m[s, b]
+            set_cross(vectors[TURNING, s, b], axis, swing_radps)
             first_mps, second_mps = dot_3(velocity, first), dot_3(velocity, second)
             first_radps, second_radps = dot_3(swing_radps, first), dot_3(swing_radps, second)
-            along_mps2 = dot_3(acceleration_mps2[s, b], axis)
+            along_mps2 = dot_3(vectors[ACCELERATION, s, b], axis)
             coriolis_mps2 = first_mps * first_radps + second_mps * second_radps
             passing_m2ps2 = first_mps * first_mps + second_mps * second_mps
             squared_radps2 = first_radps * first_radps + second_radps * second_radps

@@ -10,7 +10,17 @@ from numpy.typing import NDArray
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.rotations import rotate
-from lidar_emu.pointing import place_starts, point_beams, set_times
+from lidar_emu.pointing import (
+    ACCELERATION,
+    PUBLISHED,
+    SENSOR,
+    TRUE,
+    TURNING,
+    VELOCITY,
+    place_starts,
+    point_beams,
+    set_times,
+)
 from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
 from lidar_emu.scenario.site import Grid
@@ -28,18 +38,50 @@ class Pointing(NamedTuple):
     time_ns: NDArray[np.int64]
     fired: BoolArray
     angle_deg: FloatArray
-    sensor_site_m: FloatArray
-    sensor_velocity_site_mps: FloatArray
-    sensor_acceleration_site_mps2: FloatArray
-    """The body's angular rate is taken as steady: its change, times the lever arm, is left out."""
-    turning_site_radps: FloatArray
-    """Angular rate of the body, and of the beams with it."""
-    true_site: FloatArray
-    published_site: FloatArray
-    position_site_m: FloatArray
-    """(shots, 3) Of the vehicle at the first beam's validity."""
-    velocity_site_mps: FloatArray
-    """(shots, 3)"""
+    beams: FloatArray
+    """(6, shots, beams, 3) The vectors named below, together for kernels: their places are in `pointing`."""
+    vehicle: FloatArray
+    """(2, shots, 3) Position and velocity."""
+
+    @property
+    def sensor_site_m(self) -> FloatArray:
+        """Centre of the aperture."""
+        return self.beams[SENSOR]
+
+    @property
+    def sensor_velocity_site_mps(self) -> FloatArray:
+        """Of the sensor, which the lever arm moves."""
+        return self.beams[VELOCITY]
+
+    @property
+    def sensor_acceleration_site_mps2(self) -> FloatArray:
+        """The body's angular rate is taken as steady: its change, times the lever arm, is left out."""
+        return self.beams[ACCELERATION]
+
+    @property
+    def turning_site_radps(self) -> FloatArray:
+        """Angular rate of the body, and of the beams with it."""
+        return self.beams[TURNING]
+
+    @property
+    def true_site(self) -> FloatArray:
+        """Where the light goes."""
+        return self.beams[TRUE]
+
+    @property
+    def published_site(self) -> FloatArray:
+        """Where the flight software believes that it goes."""
+        return self.beams[PUBLISHED]
+
+    @property
+    def position_site_m(self) -> FloatArray:
+        """(shots, 3) Of the vehicle at the first beam's validity."""
+        return self.vehicle[0]
+
+    @property
+    def velocity_site_mps(self) -> FloatArray:
+        """(shots, 3)"""
+        return self.vehicle[1]
 
 
 class Flight:
@@ -72,7 +114,6 @@ class Flight:
         body_from_sensor = mounting_rotation(scenario.mounting)
         self._true_body = rotate(body_from_sensor, self.scanner.true_sensor)
         self._published_body = rotate(body_from_sensor, self.scanner.published_sensor)
-        self._needs_ground_altitude = self.scanner.needs_ground_altitude
         self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
         self._refuse_to_leave_the_ground()
 
@@ -88,9 +129,13 @@ class Flight:
         set_times(shot, self.period_ns, self._validity_ns, time_ns, instant_s)
         vehicle = self.trajectory.state(instant_s.reshape(-1))
         chosen, state = self._choose_patterns(instant_s, vehicle, state)
-        fired, angle_deg = np.empty((len(shot), beams), dtype=np.bool_), np.empty((len(shot), beams))
-        vectors = np.empty((6, len(shot), beams, 3))
-        motion = np.empty((2, len(shot), 3))
+        pointing = Pointing(
+            time_ns=time_ns,
+            fired=np.empty(time_ns.shape, dtype=np.bool_),
+            angle_deg=np.empty(time_ns.shape),
+            beams=np.empty((6, *time_ns.shape, 3)),
+            vehicle=np.empty((2, len(shot), 3)),
+        )
         point_beams(
             vehicle.position_site_m,
             vehicle.velocity_site_mps,
@@ -102,12 +147,12 @@ class Flight:
             self.scanner.angle_deg,
             self._true_body,
             self._published_body,
-            fired,
-            angle_deg,
-            vectors,
-            motion,
+            pointing.fired,
+            pointing.angle_deg,
+            pointing.beams,
+            pointing.vehicle,
         )
-        return Pointing(time_ns, fired, angle_deg, *vectors, *motion), state
+        return pointing, state
 
     def cast(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
         """First contact with the ground of rays in any arrangement: arrays (..., 3), hits shaped (...)."""
@@ -121,21 +166,17 @@ class Flight:
         self, instant_s: FloatArray, vehicle: VehicleState, state: ScannerState
     ) -> tuple[NDArray[np.int64], ScannerState]:
         """The pattern of each shot, decided at the shot's start: the first of its instants."""
-        chosen = np.zeros(len(instant_s), dtype=np.int64)
         if not self.scanner.switches:
-            return chosen, state
-        sensor_m = np.empty((len(instant_s), 3))
+            return np.zeros(len(instant_s), dtype=np.int64), state
+        start_s, sensor_m = np.empty(len(instant_s)), np.empty((3, len(instant_s)))
         place_starts(
-            vehicle.position_site_m, vehicle.site_from_body, self._lever_arm_body_m, instant_s.shape[1], sensor_m
+            instant_s, vehicle.position_site_m, vehicle.site_from_body, self._lever_arm_body_m, start_s, sensor_m
         )
-        above_origin_m = sensor_m[:, 2]
-        above_ground_m = above_origin_m
-        if self._needs_ground_altitude:
-            above_ground_m = above_origin_m - self.scene.height_m(sensor_m[:, 0], sensor_m[:, 1])
-        starts = zip(instant_s[:, 0].tolist(), above_origin_m.tolist(), above_ground_m.tolist(), strict=True)
-        for k, start in enumerate(starts):
-            state, chosen[k] = self.scanner.select(state, *start)
-        return chosen, state
+        east_m, north_m, up_m = sensor_m
+        above_ground_m = up_m
+        if self.scanner.needs_ground_altitude:
+            above_ground_m = up_m - self.scene.height_m(east_m, north_m)
+        return self.scanner.choose(state, start_s, up_m, above_ground_m)
 
     def _refuse_to_leave_the_ground(self) -> None:
         ground = self.scenario.site.ground

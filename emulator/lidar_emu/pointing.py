@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.kernels import kernel
-from lidar_emu.rotations import set_cross, set_rotated
+from lidar_emu.rotations import dot_3, set_cross, set_rotated
 
 SENSOR, VELOCITY, ACCELERATION, TURNING, TRUE, PUBLISHED = range(6)
 """Places of the vectors of a beam, in the order of `Pointing`."""
@@ -32,18 +32,19 @@ def set_times(
 
 @kernel
 def place_starts(
+    instant_s: FloatArray,
     position_m: FloatArray,
     site_from_body: FloatArray,
     lever_arm_m: FloatArray,
-    instants: int,
+    start_s: FloatArray,
     sensor_m: FloatArray,
 ) -> None:
-    """Where the sensor is, (shots, 3), at the first of each shot's so many instants."""
-    for s in range(len(sensor_m)):
-        k = s * instants
-        set_rotated(site_from_body[k], lever_arm_m, sensor_m[s])
+    """Take from the first of each shot's instants its time (shots,) and where the sensor is then, (3, shots)."""
+    for s in range(len(start_s)):
+        start_s[s] = instant_s[s, 0]
+        k = s * instant_s.shape[1]
         for axis in range(3):
-            sensor_m[s, axis] += position_m[k, axis]
+            sensor_m[axis, s] = position_m[k, axis] + dot_3(site_from_body[k, axis], lever_arm_m)
 
 
 @kernel
@@ -61,7 +62,7 @@ def point_beams(
     fired: BoolArray,
     angle_deg: FloatArray,
     vectors: FloatArray,
-    motion: FloatArray,
+    vehicle: FloatArray,
 ) -> None:
     """Fill what `Pointing` consists of; the vehicle is given at 1 + beams instants of each shot, the first unused.
 
@@ -69,7 +70,7 @@ def point_beams(
 
     Args:
         vectors: (6, shots, beams, 3) in the order of `Pointing`.
-        motion: (2, shots, 3) the vehicle's position and velocity at the first beam's validity.
+        vehicle: (2, shots, 3) the vehicle's position and velocity at the first beam's validity.
     """
     shots, beams = fired.shape
     for s in range(shots):
@@ -92,5 +93,5 @@ def point_beams(
             angle_deg[s, b] = pattern_angle_deg[pattern, b]
             fired[s, b] = angle_deg[s, b] == angle_deg[s, b]
         for axis in range(3):
-            motion[0, s, axis] = position_m[s * (1 + beams) + 1, axis]
-            motion[1, s, axis] = velocity_mps[s * (1 + beams) + 1, axis]
+            vehicle[0, s, axis] = position_m[s * (1 + beams) + 1, axis]
+            vehicle[1, s, axis] = velocity_mps[s * (1 + beams) + 1, axis]

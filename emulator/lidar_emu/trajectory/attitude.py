@@ -1,4 +1,4 @@
-"""Attitude along a flight: a steady turn or Euler angles, with the rates of that same rotation."""
+"""Attitude along a flight through rows of Euler angles, with the rates of that same rotation."""
 
 from __future__ import annotations
 
@@ -9,14 +9,7 @@ import numpy as np
 
 from lidar_emu.arrays import FloatArray
 from lidar_emu.kernels import kernel
-from lidar_emu.rotations import (
-    chained,
-    from_yaw_pitch_roll,
-    lead_by,
-    set_rotation_vector,
-    set_yaw_pitch_roll,
-)
-from lidar_emu.scenario import trajectory as scenario
+from lidar_emu.rotations import lead_by, set_yaw_pitch_roll
 from lidar_emu.trajectory.curve import LEVEL, Curve, Curves
 
 SITE_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -31,21 +24,6 @@ class Attitude(Protocol):
         ...
 
 
-class SteadyTurn:
-    """R(t) = R(0) exp([rate]x t): constant rate about body axes."""
-
-    def __init__(self, part: scenario.Attitude) -> None:
-        yaw, pitch, roll = (np.radians(angle) for angle in (part.yaw_deg, part.pitch_deg, part.roll_deg))
-        self._site_from_start = chained(SITE_FROM_NED, from_yaw_pitch_roll(yaw, pitch, roll))
-        self._rate_radps = np.array(part.body_rate_radps)
-
-    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `Attitude`."""
-        site_from_body, rate_radps = np.empty((len(time_s), 3, 3)), np.empty((len(time_s), 3))
-        _turn(self._site_from_start, self._rate_radps, time_s, site_from_body, rate_radps)
-        return site_from_body, rate_radps
-
-
 class EulerAttitude:
     """Curves of yaw, pitch and roll in radians; an angle left out is 0."""
 
@@ -58,21 +36,6 @@ class EulerAttitude:
         site_from_body, body_rate = np.empty((len(time_s), 3, 3)), np.empty((len(time_s), 3))
         _from_euler(SITE_FROM_NED, angles, rates, site_from_body, body_rate)
         return site_from_body, body_rate
-
-
-@kernel
-def _turn(
-    site_from_start: FloatArray,
-    body_rate: FloatArray,
-    time_s: FloatArray,
-    site_from_body: FloatArray,
-    body_rates: FloatArray,
-) -> None:
-    x, y, z = body_rate[0], body_rate[1], body_rate[2]
-    for k in range(len(time_s)):
-        set_rotation_vector(time_s[k] * x, time_s[k] * y, time_s[k] * z, site_from_body[k])
-        lead_by(site_from_start, site_from_body[k])
-        body_rates[k, 0], body_rates[k, 1], body_rates[k, 2] = x, y, z
 
 
 @kernel
