@@ -13,7 +13,7 @@ beam and exp(-(π w0 θ/λ)²) for one that turned by θ, at any range, and the 
 
 from __future__ import annotations
 
-from math import pi, sqrt
+from math import exp, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -22,9 +22,11 @@ from lidar_emu.arrays import FloatArray
 from lidar_emu.flight import Flight, Pointing
 from lidar_emu.fmcw.echo import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.rotations import cross, dot
-from lidar_emu.scanner.footprint import Footprint, beam_radius_m, rayleigh_range_m, sample_footprint
-from lidar_emu.scenario.instrument import Instrument, Optics
+from lidar_emu.kernels import kernel
+from lidar_emu.pointing import ACCELERATION, SENSOR, TRUE, TURNING, VELOCITY
+from lidar_emu.rotations import dot_3, set_cross
+from lidar_emu.scanner.footprint import Footprint, rayleigh_range_m, sample_footprint
+from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene.hits import Hits
 
@@ -35,142 +37,206 @@ _LEAST_COSINE = 1e-3
 """A beamlet at 89.94 degrees of incidence or more slides no faster than there: it would leave its facet at once."""
 
 
+class Light:
+    """What echoes need of instrument, site and flight, in the numbers of the kernel."""
+
+    def __init__(self, instrument: Instrument, site: Site, flight: Flight, beamlets: int) -> None:
+        """Of beams of so many beamlets each."""
+        optics, air = instrument.optics, site.atmosphere
+        self._flight, self._beamlets = flight, beamlets
+        self._waist_m, self._wavelength_m = optics.waist_radius_m, instrument.waveform.wavelength_m
+        facing_w = coherent_power_w(instrument, site.surface, None, 0.0, 1.0)
+        self._numbers = _Numbers(
+            facing_w=float(facing_w),
+            lommel_seeliger_share=float(site.surface.lommel_seeliger_share),
+            parting_per_m=float(optics.alignment_error_rad / self._waist_m),
+            extinction_per_m=0.0 if air is None else float(air.extinction_per_m),
+            waist_m=float(self._waist_m),
+            rayleigh_m=rayleigh_range_m(self._waist_m, self._wavelength_m),
+        )
+
+    def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
+        """Echoes of beams (shots, beams) whose axes met the ground at `axis_hits`."""
+        shape = axis_hits.range_m.shape
+        footprint = sample_footprint(
+            pointing.sensor_site_m.reshape(-1, 3),
+            pointing.true_site.reshape(-1, 3),
+            axis_hits.range_m.reshape(-1),
+            self._beamlets,
+            self._waist_m,
+            self._wavelength_m,
+        )
+        range_m, normal_site = self._cast_beamlets(footprint, axis_hits)
+        echoes = Echoes(
+            range_m=range_m.reshape(*shape, self._beamlets),
+            closing_speed_mps=np.empty((*shape, self._beamlets)),
+            power_w=np.empty((*shape, self._beamlets)),
+            range_rate_mps=np.empty((*shape, self._beamlets)),
+            closing_acceleration_mps2=np.empty(shape),
+            smear_acceleration_mps2=np.empty(shape),
+            speckle_place=np.empty((*shape, 2)),
+            speckle_drift_per_s=np.empty((*shape, 2)),
+            fired=pointing.fired,
+            inside=axis_hits.inside,
+        )
+        _receive(
+            *self._numbers,
+            pointing.beams,
+            axis_hits.range_m,
+            footprint.weight,
+            footprint.ray_site,
+            footprint.doppler_site,
+            footprint.across_site,
+            footprint.doppler_start_m,
+            normal_site,
+            np.empty(3),
+            echoes.range_m,
+            echoes.closing_speed_mps,
+            echoes.power_w,
+            echoes.range_rate_mps,
+            echoes.closing_acceleration_mps2,
+            echoes.smear_acceleration_mps2,
+            echoes.speckle_place,
+            echoes.speckle_drift_per_s,
+        )
+        return echoes
+
+    def _cast_beamlets(self, footprint: Footprint, axis_hits: Hits) -> tuple[FloatArray, FloatArray]:
+        """Ranges (rays,) and normals (rays, 3) of all beamlets, one beam after another."""
+        if self._beamlets == 1:
+            return axis_hits.range_m.reshape(-1), axis_hits.normal_site.reshape(-1, 3)
+        hits = self._flight.scene.cast(
+            footprint.start_site_m.reshape(-1, 3), footprint.ray_site.reshape(-1, 3)
+        )
+        return hits.range_m, hits.normal_site
+
+
 def receive_light(
     instrument: Instrument, site: Site, flight: Flight, beamlets: int, pointing: Pointing, axis_hits: Hits
 ) -> Echoes:
     """Echoes of beams (shots, beams), each of so many beamlets, whose axes met the ground at `axis_hits`."""
-    optics, wavelength_m = instrument.optics, instrument.waveform.wavelength_m
-    sensor_site_m, range_m = pointing.sensor_site_m, axis_hits.range_m
-    footprint = sample_footprint(
-        sensor_site_m, pointing.true_site, range_m, beamlets, optics.waist_radius_m, wavelength_m
-    )
-    hits = _cast_beamlets(flight, footprint, axis_hits)
-    cos_incidence = -dot(hits.normal_site, footprint.ray_site)
-    power_w = coherent_power_w(instrument, site.surface, site.atmosphere, hits.range_m, cos_incidence)
-    motion = _motion(pointing, footprint)
-    rayleigh_m = rayleigh_range_m(optics.waist_radius_m, wavelength_m)
-    radius_m = beam_radius_m(range_m, optics.waist_radius_m, wavelength_m)
-    return Echoes(
-        range_m=hits.range_m,
-        closing_speed_mps=_closing_speed_mps(pointing, footprint, motion),
-        power_w=np.where(np.isnan(power_w), 0.0, power_w * footprint.weight),
-        range_rate_mps=_range_rate_mps(pointing, motion, hits, cos_incidence),
-        closing_acceleration_mps2=motion.acceleration_mps2 + motion.coriolis_mps2,
-        smear_acceleration_mps2=_smear_acceleration_mps2(motion, range_m, rayleigh_m),
-        speckle_place=_speckle_place(sensor_site_m, footprint, optics),
-        speckle_drift_per_s=_speckle_drift_per_s(
-            motion, *_speckle_scale(beamlets, range_m, radius_m, optics, rayleigh_m)
-        ),
-        fired=pointing.fired,
-        inside=axis_hits.inside,
-    )
+    return Light(instrument, site, flight, beamlets).echoes(pointing, axis_hits)
 
 
-class _Motion(NamedTuple):
-    """Of the beams, seen along their axes and across them: (shots, beams) unless the shape stands beside."""
+class _Numbers(NamedTuple):
+    """Of instrument and site, in the order in which `_receive` takes them."""
 
-    acceleration_mps2: FloatArray
-    """a·u"""
-    across_mps: tuple[FloatArray, FloatArray]
-    """Components of v along the footprint's `across_site`."""
-    swing_site_radps: FloatArray
-    """(shots, beams, 3) u'"""
-    swing_radps: tuple[FloatArray, FloatArray]
-    """Its components."""
-    coriolis_mps2: FloatArray
-    """v·u'"""
+    facing_w: float
+    """Power of the echo, in the mode of the local oscillator, of a surface before the sensor that faces it."""
+    lommel_seeliger_share: float
+    parting_per_m: float
+    """By how many of their radii at the waist the modes part, per metre of range."""
+    extinction_per_m: float
+    waist_m: float
+    rayleigh_m: float
 
 
-def _motion(pointing: Pointing, footprint: Footprint) -> _Motion:
-    swing_site_radps = cross(pointing.turning_site_radps, pointing.true_site)
-    both = np.stack([pointing.sensor_velocity_site_mps, swing_site_radps])
-    (first_mps, first_radps), (second_mps, second_radps) = (dot(both, a) for a in footprint.across_site)
-    return _Motion(
-        acceleration_mps2=dot(pointing.sensor_acceleration_site_mps2, pointing.true_site),
-        across_mps=(first_mps, second_mps),
-        swing_site_radps=swing_site_radps,
-        swing_radps=(first_radps, second_radps),
-        coriolis_mps2=first_mps * first_radps + second_mps * second_radps,
-    )
+@kernel
+def _receive(
+    facing_w: float,
+    lommel_seeliger_share: float,
+    parting_per_m: float,
+    extinction_per_m: float,
+    waist_m: float,
+    rayleigh_m: float,
+    vectors: FloatArray,
+    axis_range_m: FloatArray,
+    weight: FloatArray,
+    ray: FloatArray,
+    doppler: FloatArray,
+    across: FloatArray,
+    doppler_start_m: FloatArray,
+    normals: FloatArray,
+    swing_radps: FloatArray,
+    range_m: FloatArray,
+    speed_mps: FloatArray,
+    power_w: FloatArray,
+    range_rate_mps: FloatArray,
+    closing_mps2: FloatArray,
+    smear_mps2: FloatArray,
+    place: FloatArray,
+    drift_per_s: FloatArray,
+) -> None:
+    """Fill speed, power and range rate (shots, beams, beamlets) and what each beam has one of; `swing_radps` (3,) is
+    overwritten with u'."""
+    shots, beams, beamlets = range_m.shape
+    for s in range(shots):
+        for b in range(beams):
+            beam = s * beams + b
+            axis, first, second = vectors[TRUE, s, b], across[0, beam], across[1, beam]
+            sensor, velocity, away_m = vectors[SENSOR, s, b], vectors[VELOCITY, s, b], axis_range_m[s, b]
+            set_cross(vectors[TURNING, s, b], axis, swing_radps)
+            first_mps, second_mps = dot_3(velocity, first), dot_3(velocity, second)
+            first_radps, second_radps = dot_3(swing_radps, first), dot_3(swing_radps, second)
+            along_mps2 = dot_3(vectors[ACCELERATION, s, b], axis)
+            coriolis_mps2 = first_mps * first_radps + second_mps * second_radps
+            passing_m2ps2 = first_mps * first_mps + second_mps * second_mps
+            squared_radps2 = first_radps * first_radps + second_radps * second_radps
+            closing_mps2[s, b] = along_mps2 + coriolis_mps2
+            smear_mps2[s, b] = along_mps2 + _bending_mps2(
+                passing_m2ps2, coriolis_mps2, squared_radps2, away_m, rayleigh_m
+            )
+            waist_pitch_m = SPECKLE_PITCH_W * waist_m
+            place[s, b, 0] = _known(dot_3(sensor, first) / waist_pitch_m)
+            place[s, b, 1] = _known(dot_3(sensor, second) / waist_pitch_m)
+            arm_m, pitch_m = _speckle_scale(beamlets, away_m, waist_m, rayleigh_m)
+            drift_per_s[s, b, 0] = _known((first_mps + arm_m * first_radps) / pitch_m)
+            drift_per_s[s, b, 1] = _known((second_mps + arm_m * second_radps) / pitch_m)
+            for i in range(beamlets):
+                facet = normals[beam * beamlets + i]
+                speed_mps[s, b, i] = (
+                    dot_3(velocity, doppler[beam, i])
+                    - doppler_start_m[0, beam, i] * first_radps
+                    - doppler_start_m[1, beam, i] * second_radps
+                )
+                cos_incidence = -dot_3(facet, ray[beam, i])
+                # Of the axis: the turn of a beamlet, and that of its start, differ by the footprint's radius times
+                # the rate.
+                sinking_mps = dot_3(facet, velocity) + range_m[s, b, i] * dot_3(facet, swing_radps)
+                range_rate_mps[s, b, i] = sinking_mps / max(cos_incidence, _LEAST_COSINE)
+                dimmed = _dimming(range_m[s, b, i], parting_per_m, extinction_per_m, rayleigh_m)
+                limb = lommel_seeliger_share + (1.0 - lommel_seeliger_share) * cos_incidence
+                lit = cos_incidence > 0.0 and range_m[s, b, i] >= 0.0
+                power_w[s, b, i] = facing_w * limb * dimmed * weight[i] if lit else 0.0
 
 
-def _cast_beamlets(flight: Flight, footprint: Footprint, axis_hits: Hits) -> Hits:
-    if footprint.weight.size > 1:
-        return flight.cast(footprint.start_site_m, footprint.ray_site)
-    return Hits(
-        axis_hits.range_m[..., None], axis_hits.normal_site[..., None, :], axis_hits.inside[..., None]
-    )
+@kernel
+def _bending_mps2(
+    passing_m2ps2: float, coriolis_mps2: float, squared_radps2: float, range_m: float, rayleigh_m: float
+) -> float:
+    """-d²L/dt² of the point of the ground on the axis, less a·u; 0 where the axis meets nothing.
 
-
-def _closing_speed_mps(pointing: Pointing, footprint: Footprint, motion: _Motion) -> FloatArray:
-    """Of each beamlet (shots, beams, beamlets): the sensor's velocity along the gradient of the phase, and what the
-    turn of the beam adds to it."""
-    speed_mps = dot(pointing.sensor_velocity_site_mps[..., None, :], footprint.doppler_site)
-    for start_m, swing_radps in zip(footprint.doppler_start_m, motion.swing_radps, strict=True):
-        speed_mps -= start_m * swing_radps[..., None]
-    return speed_mps
-
-
-def _range_rate_mps(pointing: Pointing, motion: _Motion, hits: Hits, cos_incidence: FloatArray) -> FloatArray:
-    """-(n·(v + R u'))/(n·u) of each beamlet: of the distance along the moving beam to the plane of its facet.
-
-    u' is the axis'. That of a beamlet, and the turn of its start, differ by the footprint's radius times the rate.
+    (1 - R/Rc) (2 v·u' + R u'²) - v²/Rc, v across the beam. Far away this is -v²/R however the beam turns: the
+    distance to a fixed point does not know of beams.
     """
-    sinking_mps = dot(hits.normal_site, pointing.sensor_velocity_site_mps[..., None, :])
-    sinking_mps += hits.range_m * dot(hits.normal_site, motion.swing_site_radps[..., None, :])
-    return np.asarray(sinking_mps / np.maximum(cos_incidence, _LEAST_COSINE))
+    squared_m2 = range_m * range_m + rayleigh_m * rayleigh_m
+    flatness = rayleigh_m * rayleigh_m / squared_m2
+    turning_mps2 = 2 * coriolis_mps2 + range_m * squared_radps2
+    return _known(flatness * turning_mps2 - passing_m2ps2 * range_m / squared_m2)
 
 
-def _smear_acceleration_mps2(motion: _Motion, range_m: FloatArray, rayleigh_m: float) -> FloatArray:
-    """-d²L/dt² of the point of the ground on the axis.
-
-    a·u - v²/Rc + (1 - R/Rc) (2 v·u' + R u'²), v across the beam. Far away this is a·u - v²/R however the beam
-    turns: the distance to a fixed point does not know of beams. Where the axis meets nothing only a·u is left.
-    """
-    squared_m2 = range_m**2 + rayleigh_m**2
-    flatness = rayleigh_m**2 / squared_m2
-    first_mps, second_mps = motion.across_mps
-    first_radps, second_radps = motion.swing_radps
-    passing_mps2 = (first_mps**2 + second_mps**2) * range_m / squared_m2
-    turning_mps2 = 2 * motion.coriolis_mps2 + range_m * (first_radps**2 + second_radps**2)
-    bending_mps2 = flatness * turning_mps2 - passing_mps2
-    return motion.acceleration_mps2 + np.where(np.isnan(range_m), 0.0, bending_mps2)
-
-
-def _speckle_place(sensor_site_m: FloatArray, footprint: Footprint, optics: Optics) -> FloatArray:
-    """Where the sensor is across the beam, in pitches: from shot to shot the echo's field is that of the whole beam.
-
-    It changes with exp(-d²/w0²). A turn of the beam changes it too, by the sensor's distance from the origin times
-    the angle rather than by the Rayleigh range. Where the axis meets nothing it does not matter.
-    """
-    pitch_m = SPECKLE_PITCH_W * optics.waist_radius_m
-    return _known(*(dot(sensor_site_m, across) / pitch_m for across in footprint.across_site))
-
-
-def _speckle_scale(
-    beamlets: int, range_m: FloatArray, radius_m: FloatArray, optics: Optics, rayleigh_m: float
-) -> tuple[FloatArray | float, FloatArray | float]:
-    """How far a turn of the beam shifts its field, and the field's radius, within a measurement.
+@kernel
+def _speckle_scale(beamlets: int, range_m: float, waist_m: float, rayleigh_m: float) -> tuple[float, float]:
+    """How far a turn of the beam shifts its field, and the pitch of the field's lattice, within a measurement.
 
     Several beamlets have their own Doppler shifts, and only the exchange of scatterers is left to the field; one stands
     for both.
     """
-    return (rayleigh_m, optics.waist_radius_m) if beamlets == 1 else (range_m, radius_m)
+    if beamlets == 1:
+        return rayleigh_m, SPECKLE_PITCH_W * waist_m
+    farness = range_m / rayleigh_m
+    return range_m, SPECKLE_PITCH_W * waist_m * sqrt(1 + farness * farness)
 
 
-def _speckle_drift_per_s(
-    motion: _Motion, arm_m: FloatArray | float, radius_m: FloatArray | float
-) -> FloatArray:
-    """Pitches per second, v + R u' across the beam, within a measurement; 0 where the axis meets nothing."""
-    pitch_m = SPECKLE_PITCH_W * radius_m
-    first, second = (
-        (across_mps + arm_m * swing_radps) / pitch_m
-        for across_mps, swing_radps in zip(motion.across_mps, motion.swing_radps, strict=True)
-    )
-    return _known(first, second)
+@kernel
+def _dimming(range_m: float, parting_per_m: float, extinction_per_m: float, rayleigh_m: float) -> float:
+    """Power of an echo over that from just before the sensor; see `coherent_power_w`."""
+    farness, parting = range_m / rayleigh_m, parting_per_m * range_m
+    spread = 1.0 + farness * farness
+    return exp(-parting * parting / spread - 2.0 * extinction_per_m * range_m) / spread
 
 
-def _known(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Both on a last axis, 0 for NaN."""
-    pair = np.stack([first, second], axis=-1)
-    return np.where(np.isnan(pair), 0.0, pair)
+@kernel
+def _known(value: float) -> float:
+    """0 for NaN."""
+    return value if value == value else 0.0

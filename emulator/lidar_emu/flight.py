@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -10,7 +9,18 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.rotations import cross, rotate
+from lidar_emu.pointing import (
+    ACCELERATION,
+    PUBLISHED,
+    SENSOR,
+    TRUE,
+    TURNING,
+    VELOCITY,
+    place_starts,
+    point_beams,
+    set_times,
+)
+from lidar_emu.rotations import rotate
 from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
 from lidar_emu.scenario.site import Grid
@@ -25,34 +35,62 @@ _CHECKED_SHOTS = 4096
 _Shot = TypeVar("_Shot", int, NDArray[np.int64])
 
 
-@dataclass(frozen=True)
-class Pointing:
+class Pointing(NamedTuple):
     """Where the beams start and point; arrays are (shots, beams) and (shots, beams, 3), NaN for absent beams."""
 
     time_ns: NDArray[np.int64]
     fired: BoolArray
     angle_deg: FloatArray
-    sensor_site_m: FloatArray
-    sensor_velocity_site_mps: FloatArray
-    sensor_acceleration_site_mps2: FloatArray
-    """The body's angular rate is taken as steady: its change, times the lever arm, is left out."""
-    turning_site_radps: FloatArray
-    """Angular rate of the body, and of the beams with it."""
-    true_site: FloatArray
-    published_site: FloatArray
-    position_site_m: FloatArray
-    """(shots, 3) Of the vehicle at the first beam's validity."""
-    velocity_site_mps: FloatArray
-    """(shots, 3)"""
+    beams: FloatArray
+    """(6, shots, beams, 3) The vectors named below, together for kernels: their places are in `pointing`."""
+    vehicle: FloatArray
+    """(2, shots, 3) Position and velocity."""
 
+    @property
+    def sensor_site_m(self) -> FloatArray:
+        """Centre of the aperture."""
+        return self._vector(SENSOR)
 
-class _Sensor(NamedTuple):
-    """Motion of the sensor in the site frame at n instants: (n, 3) each."""
+    @property
+    def sensor_velocity_site_mps(self) -> FloatArray:
+        """Of the sensor, which the lever arm moves."""
+        return self._vector(VELOCITY)
 
-    position_m: FloatArray
-    velocity_mps: FloatArray
-    acceleration_mps2: FloatArray
-    turning_radps: FloatArray
+    @property
+    def sensor_acceleration_site_mps2(self) -> FloatArray:
+        """The body's angular rate is taken as steady: its change, times the lever arm, is left out."""
+        return self._vector(ACCELERATION)
+
+    @property
+    def turning_site_radps(self) -> FloatArray:
+        """Angular rate of the body, and of the beams with it."""
+        return self._vector(TURNING)
+
+    @property
+    def true_site(self) -> FloatArray:
+        """Where the light goes."""
+        return self._vector(TRUE)
+
+    @property
+    def published_site(self) -> FloatArray:
+        """Where the flight software believes that it goes."""
+        return self._vector(PUBLISHED)
+
+    @property
+    def position_site_m(self) -> FloatArray:
+        """(shots, 3) Of the vehicle at the first beam's validity."""
+        position_m: FloatArray = self.vehicle[0]
+        return position_m
+
+    @property
+    def velocity_site_mps(self) -> FloatArray:
+        """(shots, 3)"""
+        velocity_mps: FloatArray = self.vehicle[1]
+        return velocity_mps
+
+    def _vector(self, place: int) -> FloatArray:
+        vector: FloatArray = self.beams[place]
+        return vector
 
 
 class Flight:
@@ -100,28 +138,34 @@ class Flight:
 
     def point(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
         """Beams of consecutive shots, each taken at its own time of validity."""
-        chosen, state = self._choose_patterns(shot, state)
-        time_ns = shot[:, None] * self.period_ns + self._validity_ns[None, :]
-        vehicle = self.trajectory.state(_seconds(time_ns.ravel()))
-        sensor = self._sensor(vehicle)
-        shape = (*time_ns.shape, 3)
-        true_site, published_site = (
-            rotate(vehicle.site_from_body, direction_body[chosen].reshape(-1, 3))
-            for direction_body in (self._true_body, self._published_body)
-        )
-        angle_deg = self.scanner.angle_deg[chosen]
+        beams = self.scanner.beam_count
+        # The first instant of a shot is its start, when its pattern is chosen.
+        time_ns, instant_s = np.empty((len(shot), beams), dtype=np.int64), np.empty((len(shot), 1 + beams))
+        set_times(shot, self.period_ns, self._validity_ns, time_ns, instant_s)
+        vehicle = self.trajectory.state(instant_s.reshape(-1))
+        chosen, state = self._choose_patterns(instant_s, vehicle, state)
         pointing = Pointing(
             time_ns=time_ns,
-            fired=~np.isnan(angle_deg),
-            angle_deg=angle_deg,
-            sensor_site_m=sensor.position_m.reshape(shape),
-            sensor_velocity_site_mps=sensor.velocity_mps.reshape(shape),
-            sensor_acceleration_site_mps2=sensor.acceleration_mps2.reshape(shape),
-            turning_site_radps=sensor.turning_radps.reshape(shape),
-            true_site=true_site.reshape(shape),
-            published_site=published_site.reshape(shape),
-            position_site_m=vehicle.position_site_m.reshape(shape)[:, 0],
-            velocity_site_mps=vehicle.velocity_site_mps.reshape(shape)[:, 0],
+            fired=np.empty(time_ns.shape, dtype=np.bool_),
+            angle_deg=np.empty(time_ns.shape),
+            beams=np.empty((6, *time_ns.shape, 3)),
+            vehicle=np.empty((2, len(shot), 3)),
+        )
+        point_beams(
+            vehicle.position_site_m,
+            vehicle.velocity_site_mps,
+            vehicle.acceleration_site_mps2,
+            vehicle.site_from_body,
+            vehicle.body_rate_radps,
+            self._lever_arm_body_m,
+            chosen,
+            self.scanner.angle_deg,
+            self._true_body,
+            self._published_body,
+            pointing.fired,
+            pointing.angle_deg,
+            pointing.beams,
+            pointing.vehicle,
         )
         return pointing, state
 
@@ -133,37 +177,26 @@ class Flight:
             hits.range_m.reshape(shape[:-1]), hits.normal_site.reshape(shape), hits.inside.reshape(shape[:-1])
         )
 
-    def _sensor(self, vehicle: VehicleState) -> _Sensor:
-        """The lever arm turns with the body: r, ω x r and ω x (ω x r) are added."""
-        turning_radps = rotate(vehicle.site_from_body, vehicle.body_rate_radps)
-        lever_m = rotate(vehicle.site_from_body, self._lever_arm_body_m)
-        lever_mps = cross(turning_radps, lever_m)
-        return _Sensor(
-            vehicle.position_site_m + lever_m,
-            vehicle.velocity_site_mps + lever_mps,
-            vehicle.acceleration_site_mps2 + cross(turning_radps, lever_mps),
-            turning_radps,
-        )
-
     def _choose_patterns(
-        self, shot: NDArray[np.int64], state: ScannerState
-    ) -> tuple[NDArray[np.intp], ScannerState]:
-        """The pattern of each shot, decided at the shot's start."""
+        self, instant_s: FloatArray, vehicle: VehicleState, state: ScannerState
+    ) -> tuple[NDArray[np.int64], ScannerState]:
+        """The pattern of each shot, decided at the shot's start: the first of its instants."""
         if not self.scanner.switches:
-            return np.zeros(len(shot), dtype=np.intp), state
-        time_s = _seconds(shot * self.period_ns)
-        vehicle = self.trajectory.state(time_s)
-        sensor_m = vehicle.position_site_m + rotate(vehicle.site_from_body, self._lever_arm_body_m)
-        above_origin_m = sensor_m[:, 2]
-        above_ground_m = (
-            above_origin_m - self.scene.height_m(sensor_m[:, 0], sensor_m[:, 1])
-            if self.scanner.needs_ground_altitude
-            else np.full(len(shot), np.nan)
+            return np.zeros(len(instant_s), dtype=np.int64), state
+        start_s, sensor_m = np.empty(len(instant_s)), np.empty((3, len(instant_s)))
+        place_starts(
+            instant_s,
+            vehicle.position_site_m,
+            vehicle.site_from_body,
+            self._lever_arm_body_m,
+            start_s,
+            sensor_m,
         )
-        chosen = np.empty(len(shot), dtype=np.intp)
-        for k in range(len(shot)):
-            state, chosen[k] = self.scanner.select(state, time_s[k], above_origin_m[k], above_ground_m[k])
-        return chosen, state
+        east_m, north_m, up_m = sensor_m
+        above_ground_m = up_m
+        if self.scanner.needs_ground_altitude:
+            above_ground_m = up_m - self.scene.height_m(east_m, north_m)
+        return self.scanner.choose(state, start_s, up_m, above_ground_m)
 
     def _refuse_to_leave_the_ground(self) -> None:
         ground = self.scenario.site.ground

@@ -18,7 +18,7 @@ from numba.core import config
 
 __all__ = ["interpreted", "kernel", "njit"]
 
-_ROOMS = ("fmcw", "scene")
+_ROOMS = (".", "fmcw", "scanner", "scene", "trajectory")
 
 
 def _sources_digest() -> str:

@@ -12,15 +12,18 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.arrays import FloatArray
 from lidar_emu.bench_model import BenchModel
-from lidar_emu.echoes import receive_light
+from lidar_emu.echoes import Light
 from lidar_emu.errors import InputError
 from lidar_emu.flight import Flight, Pointing
 from lidar_emu.fmcw.returns import Returns
+from lidar_emu.kernels import kernel
 from lidar_emu.levels import build_level
 from lidar_emu.measurement import Measurement
 from lidar_emu.plan import Plan, plan_flight
-from lidar_emu.rotations import dot
+from lidar_emu.pointing import PUBLISHED, SENSOR, TRUE, VELOCITY
+from lidar_emu.rotations import dot_3
 from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.trajectory import Live
@@ -49,6 +52,7 @@ class FlightModel:
         self.scenario = scenario
         self.flight = Flight(scenario)
         self.plan = plan_flight(scenario, self.flight)
+        self.light = Light(scenario.instrument, scenario.site, self.flight, self.plan.beamlets)
         self.level = build_level(scenario)
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count = self.flight.shot_count
@@ -59,16 +63,15 @@ class FlightModel:
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.flight.point(shot, state)
         axis_hits = self.flight.cast(pointing.sensor_site_m, pointing.true_site)
-        instrument, site = self.scenario.instrument, self.scenario.site
-        echoes = receive_light(instrument, site, self.flight, self.plan.beamlets, pointing, axis_hits)
-        returns = self.level(echoes, shot)
+        returns = self.level(self.light.echoes(pointing, axis_hits), shot)
         return self._measurement(shot, pointing, axis_hits, returns), state
 
     def _measurement(
         self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits, returns: Returns
     ) -> Measurement:
-        true_closing_mps = dot(pointing.sensor_velocity_site_mps, pointing.true_site)
-        point_site_m = pointing.sensor_site_m + returns.range_m[..., None] * pointing.published_site
+        true_closing_mps = np.empty(pointing.fired.shape)
+        point_site_m = np.empty((*pointing.fired.shape, 3))
+        _locate(pointing.beams, returns.range_m, true_closing_mps, point_site_m)
         return Measurement(
             shot=shot,
             time_ns=pointing.time_ns,
@@ -94,6 +97,19 @@ class FlightModel:
             position_site_m=pointing.position_site_m,
             velocity_site_mps=pointing.velocity_site_mps,
         )
+
+
+@kernel
+def _locate(
+    beams: FloatArray, range_m: FloatArray, true_closing_mps: FloatArray, point_site_m: FloatArray
+) -> None:
+    """The sensor's speed along the true axis, and the measured range along the published one."""
+    for s in range(range_m.shape[0]):
+        for b in range(range_m.shape[1]):
+            true_closing_mps[s, b] = dot_3(beams[VELOCITY, s, b], beams[TRUE, s, b])
+            for axis in range(3):
+                along_m = range_m[s, b] * beams[PUBLISHED, s, b, axis]
+                point_site_m[s, b, axis] = beams[SENSOR, s, b, axis] + along_m
 
 
 def build_model(scenario: FlightScenario | BenchScenario) -> Model:

@@ -61,13 +61,13 @@ def path_m(pointing, point_site_m):
 def test_closing_speed_of_a_beamlet_is_that_of_its_path(make_flight, altitude_m) -> None:
     pointing, hits, echoes = look(make_flight(**tumbling(altitude_m)), [0, 1, 2], period_ns=20_000)
     footprint = sample_footprint(
-        pointing.sensor_site_m, pointing.true_site, hits.range_m, 19, WAIST_M, WAVELENGTH_M
+        pointing.sensor_site_m[1], pointing.true_site[1], hits.range_m[1], 19, WAIST_M, WAVELENGTH_M
     )
-    points = footprint.start_site_m + echoes.range_m[..., None] * footprint.ray_site
-    path = path_m(pointing, points[1])
+    points = footprint.start_site_m + echoes.range_m[1, ..., None] * footprint.ray_site
+    path = path_m(pointing, points)
     closing_mps = -(path[2] - path[0]) / 40e-6
     np.testing.assert_allclose(echoes.closing_speed_mps[1], closing_mps, atol=3e-6)
-    turning_mps = closing_mps - dot(pointing.sensor_velocity_site_mps[1, :, None], footprint.doppler_site[1])
+    turning_mps = closing_mps - dot(pointing.sensor_velocity_site_mps[1, :, None], footprint.doppler_site)
     assert np.max(np.abs(turning_mps)) > 3e-4
 
 

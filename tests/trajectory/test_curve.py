@@ -7,9 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from lidar_emu.trajectory.curve import hermite, knot_rates, through
+from lidar_emu.arrays import FloatArray
+from lidar_emu.trajectory.curve import Curve, Curves, hermite, knot_rates, through
 
 RNG = np.random.default_rng(11)
+
+
+def read(curve: Curve, time_s: FloatArray) -> FloatArray:
+    """Value, first and second derivative (3, n)."""
+    return Curves([curve]).at(time_s)[..., 0]
 
 
 def test_hermite_agrees_with_scipy_inside_and_outside() -> None:
@@ -17,7 +23,7 @@ def test_hermite_agrees_with_scipy_inside_and_outside() -> None:
     value, rate = RNG.normal(size=(2, 30))
     time_s = np.concatenate([RNG.uniform(knot_s[0] - 1, knot_s[-1] + 1, 500), knot_s])
     expected = CubicHermiteSpline(knot_s, value, rate)
-    for order, found in enumerate(hermite(knot_s, value, rate).at(time_s)):
+    for order, found in enumerate(read(hermite(knot_s, value, rate), time_s)):
         np.testing.assert_allclose(found, expected(time_s, order), rtol=1e-9, atol=1e-9)
 
 
@@ -40,7 +46,7 @@ def test_constant_acceleration_is_exact_at_any_spacing(
 ) -> None:
     knot_s = np.concatenate([[0.0], np.cumsum(steps)])
     time_s = np.array([share * knot_s[-1]])
-    value, rate, second = through(knot_s, (speed + acceleration * knot_s / 2) * knot_s).at(time_s)
+    value, rate, second = read(through(knot_s, (speed + acceleration * knot_s / 2) * knot_s), time_s)
     scale = 1 + np.abs(speed) * knot_s[-1] + np.abs(acceleration) * knot_s[-1] ** 2
     shortest = min(steps)
     np.testing.assert_allclose(value, (speed + acceleration * time_s / 2) * time_s, atol=1e-13 * scale)
@@ -52,14 +58,27 @@ def test_speed_through_rows_is_of_second_order_also_where_it_turns_back() -> Non
     def worst(count: int) -> float:
         knot_s = np.linspace(0, 10, count)
         time_s = np.linspace(0, 10, 4001)
-        return float(np.max(np.abs(through(knot_s, np.sin(knot_s)).at(time_s)[1] - np.cos(time_s))))
+        return float(np.max(np.abs(read(through(knot_s, np.sin(knot_s)), time_s)[1] - np.cos(time_s))))
 
     assert worst(101) < 0.01**2 * 40
     assert worst(101) / worst(201) > 3.8
 
 
 def test_two_rows_make_a_straight_line() -> None:
-    value, rate, second = through(np.array([1.0, 3.0]), np.array([5.0, 9.0])).at(np.array([0.0, 2.0, 4.0]))
+    line = through(np.array([1.0, 3.0]), np.array([5.0, 9.0]))
+    value, rate, second = read(line, np.array([0.0, 2.0, 4.0]))
     np.testing.assert_allclose(value, [3, 7, 11])
     np.testing.assert_allclose(rate, 2)
     np.testing.assert_allclose(second, 0, atol=1e-15)
+
+
+def test_curves_with_knots_of_their_own_are_read_together() -> None:
+    """Each like alone, before, at and after its knots."""
+    curves = []
+    for count in (2, 7, 30):
+        knot_s = np.cumsum(RNG.uniform(0.1, 3, count))
+        curves.append(hermite(knot_s, *RNG.normal(size=(2, count))))
+    time_s = np.concatenate([np.linspace(-5, 60, 200), *(curve.knot_s for curve in curves)])
+    together = Curves(curves).at(time_s)
+    for k, curve in enumerate(curves):
+        np.testing.assert_array_equal(together[..., k], read(curve, time_s))

@@ -147,7 +147,7 @@ def test_bits_do_not_depend_on_the_block(tmp_path: Path) -> None:
     whole = flight.state(time_s)
     for k in range(len(time_s)):
         single = flight.state(time_s[k : k + 1])
-        for name, values in vars(whole).items():
+        for name, values in whole._asdict().items():
             assert np.array_equal(values[k : k + 1], getattr(single, name)), name
 
 

@@ -8,13 +8,15 @@ exp(-4 r²/w²).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
+from math import hypot, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.rotations import normalised
+from lidar_emu.kernels import kernel
+from lidar_emu.rotations import dot_3
 
 _OUTERMOST_W = {7: np.sqrt(0.5)}
 _OUTERMOST_OTHERWISE_W = 1.1445706
@@ -26,9 +28,8 @@ _LEAST_SIDE = 1e-140
 """Smallest component whose square still has all its digits."""
 
 
-@dataclass(frozen=True)
-class Footprint:
-    """Straight rays from the aperture through the footprint; arrays are (..., beamlets, 3), site frame."""
+class Footprint(NamedTuple):
+    """Straight rays from the aperture through the footprint; arrays are (beams, beamlets, 3), site frame."""
 
     weight: FloatArray
     """(beamlets,) Share of the beam's power; sums to 1."""
@@ -38,10 +39,10 @@ class Footprint:
     doppler_site: FloatArray
     """Unit vectors: the gradient of the beam's phase where it meets the ground, which a velocity is seen
     along. In the far field this is `ray_site`'s direction; near the waist the wavefront is flatter."""
-    across_site: tuple[FloatArray, FloatArray]
-    """Two unit vectors (..., 3) at right angles to the axis and to each other, which offsets count along."""
-    doppler_start_m: tuple[FloatArray, FloatArray]
-    """(..., beamlets) each: where a straight line along `doppler_site` left the plane of the aperture, as offsets
+    across_site: FloatArray
+    """(2, beams, 3) Two unit vectors at right angles to the axis and to each other, which offsets count along."""
+    doppler_start_m: FloatArray
+    """(2, beams, beamlets) Where a straight line along `doppler_site` left the plane of the aperture, as offsets
     along `across_site`. When the sensor turns, the phase sees the velocity of this point: of a footprint point at
     the offset x it is x (1 - R/Rc), x in the near field and 0 in the far."""
 
@@ -57,9 +58,9 @@ def sample_footprint(
     """Beamlets of beams.
 
     Args:
-        sensor_site_m: (..., 3) centre of the aperture, in the site frame.
-        axis_site: (..., 3) unit vectors of the beams' axes; NaN for a beam that does not fire.
-        range_m: (...) along the axis to the ground; NaN where it meets none: the beam's far field is taken.
+        sensor_site_m: (beams, 3) centre of the aperture, in the site frame.
+        axis_site: (beams, 3) unit vectors of the beams' axes; NaN for a beam that does not fire.
+        range_m: (beams,) along the axis to the ground; NaN where it meets none: the beam's far field is taken.
         count: of beamlets, as in `beamlet_pattern`.
         waist_radius_m: 1/e² radius at the sensor.
         wavelength_m: of the light.
@@ -69,29 +70,64 @@ def sample_footprint(
     w0²/w: none cancels nor divides by zero, from a range of 0 to infinity.
     """
     offset_w, weight = beamlet_pattern(count)
-    rayleigh_m = rayleigh_range_m(waist_radius_m, wavelength_m)
-    farness = np.where(np.isnan(range_m), np.inf, range_m / rayleigh_m)
-    with np.errstate(divide="ignore"):
-        nearness = 1 / farness
-    root = np.sqrt(1 + nearness * nearness)
-    divergence = waist_radius_m / rayleigh_m
-    ray_slope = divergence / (root + nearness)
-    doppler_slope = divergence / root
-    doppler_start_m = waist_radius_m / np.hypot(1, farness)
-    first, second = _perpendicular(axis_site)
-    across = offset_w[:, :1] * first[..., None, :] + offset_w[:, 1:] * second[..., None, :]
-    axis = axis_site[..., None, :]
-    return Footprint(
+    shape = (len(range_m), count, 3)
+    footprint = Footprint(
         weight=weight,
-        start_site_m=sensor_site_m[..., None, :] + waist_radius_m * across,
-        ray_site=normalised(axis + ray_slope[..., None, None] * across),
-        doppler_site=normalised(axis + doppler_slope[..., None, None] * across),
-        across_site=(first, second),
-        doppler_start_m=(
-            doppler_start_m[..., None] * offset_w[:, 0],
-            doppler_start_m[..., None] * offset_w[:, 1],
-        ),
+        start_site_m=np.empty(shape),
+        ray_site=np.empty(shape),
+        doppler_site=np.empty(shape),
+        across_site=np.empty((2, len(range_m), 3)),
+        doppler_start_m=np.empty((2, len(range_m), count)),
     )
+    rayleigh_m = rayleigh_range_m(waist_radius_m, wavelength_m)
+    _sample(offset_w, waist_radius_m, rayleigh_m, sensor_site_m, axis_site, range_m, *footprint[1:])
+    return footprint
+
+
+@kernel
+def _sample(
+    offset_w: FloatArray,
+    waist_radius_m: float,
+    rayleigh_m: float,
+    sensor_m: FloatArray,
+    axes: FloatArray,
+    range_m: FloatArray,
+    start_m: FloatArray,
+    ray: FloatArray,
+    doppler: FloatArray,
+    across: FloatArray,
+    doppler_start_m: FloatArray,
+) -> None:
+    """Fill the arrays of a `Footprint`."""
+    divergence = waist_radius_m / rayleigh_m
+    for b in range(len(axes)):
+        axis, first, second = axes[b], across[0, b], across[1, b]
+        _set_perpendicular(axis, first, second)
+        farness = range_m[b] / rayleigh_m
+        if farness != farness:
+            farness = np.inf
+        nearness = 1 / farness
+        root = sqrt(1 + nearness * nearness)
+        ray_slope, doppler_slope = divergence / (root + nearness), divergence / root
+        back_m = waist_radius_m / hypot(1.0, farness)
+        for i in range(len(offset_w)):
+            along_first, along_second = offset_w[i, 0], offset_w[i, 1]
+            for side in range(3):
+                sideways = along_first * first[side] + along_second * second[side]
+                start_m[b, i, side] = sensor_m[b, side] + waist_radius_m * sideways
+                ray[b, i, side] = axis[side] + ray_slope * sideways
+                doppler[b, i, side] = axis[side] + doppler_slope * sideways
+            _normalise(ray[b, i])
+            _normalise(doppler[b, i])
+            doppler_start_m[0, b, i] = back_m * along_first
+            doppler_start_m[1, b, i] = back_m * along_second
+
+
+@kernel
+def _normalise(vector: FloatArray) -> None:
+    shrink = 1.0 / sqrt(dot_3(vector, vector))
+    for side in range(3):
+        vector[side] *= shrink
 
 
 @cache
@@ -135,23 +171,22 @@ def wavefront_radius_m(range_m: FloatArray, waist_radius_m: float, wavelength_m:
     return radius_m
 
 
-def _perpendicular(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two unit vectors (..., 3) at right angles to unit vectors (..., 3) and to each other: x and y carried
-    from straight down to the axis by the shortest turn.
+@kernel
+def _set_perpendicular(axis: FloatArray, first: FloatArray, second: FloatArray) -> None:
+    """Set two unit vectors (3,) at right angles to a unit vector (3,) and to each other: x and y carried from
+    straight down to the axis by the shortest turn.
 
     Smooth but for straight up, where that turn is undetermined (no field of directions covers a sphere
     without such a point): a landing lidar looks the other way. There the turn is taken in the x-z plane.
     """
-    x, y, z = axis[..., 0], axis[..., 1], axis[..., 2]
-    straight_up = (z > 0) & (x * x + y * y < _LEAST_SIDE**2)
-    x, y = np.where(straight_up, _LEAST_SIDE, x), np.where(straight_up, 0.0, y)
+    x, y, z = axis[0], axis[1], axis[2]
+    if z > 0 and x * x + y * y < _LEAST_SIDE**2:
+        x, y = _LEAST_SIDE, 0.0
     # 1 - z cancels near straight up.
-    from_up = np.where(z > 0, (x * x + y * y) / (1 + np.abs(z)), 1 - z)
+    from_up = (x * x + y * y) / (1 + z) if z > 0 else 1 - z
     mixed = -x * y / from_up
-    first, second = np.empty_like(axis), np.empty_like(axis)
-    first[..., 0], first[..., 1], first[..., 2] = 1 - x * x / from_up, mixed, x
-    second[..., 0], second[..., 1], second[..., 2] = mixed, 1 - y * y / from_up, y
-    return first, second
+    first[0], first[1], first[2] = 1 - x * x / from_up, mixed, x
+    second[0], second[1], second[2] = mixed, 1 - y * y / from_up, y
 
 
 def _hexagons(count: int) -> FloatArray:

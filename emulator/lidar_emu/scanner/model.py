@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.kernels import kernel
 from lidar_emu.rotations import from_rotation_vector, from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.scanner import AltitudeSwitch, Mounting, Pattern, Scanner, TimeSwitch
 
@@ -36,6 +39,8 @@ class ScannerModel:
     firing_cycle: NDArray[np.int64]
     """(beams,) Cycle of the shot in which a beam fires."""
     switches: tuple[AltitudeSwitch | TimeSwitch, ...]
+    thresholds: Thresholds
+    """The same as arrays."""
     initial: ScannerState
 
     @property
@@ -62,21 +67,80 @@ class ScannerModel:
             altitude_ground_m: of the sensor above the ground straight below; NaN where there is none, which
                 leaves a switch as it is.
         """
-        altitude_m = {"origin": altitude_origin_m, "ground": altitude_ground_m}
-        active = tuple(
-            bool(time_s >= switch.at_s)
-            if isinstance(switch, TimeSwitch)
-            else _below(switch, was_active, altitude_m[switch.datum])
-            for switch, was_active in zip(self.switches, state.active, strict=True)
+        chosen, state = self.choose(
+            state, np.array([time_s]), np.array([altitude_origin_m]), np.array([altitude_ground_m])
         )
-        chosen = max((k + 1 for k, is_active in enumerate(active) if is_active), default=0)
-        return ScannerState(active), chosen
+        return state, int(chosen[0])
+
+    def choose(
+        self,
+        state: ScannerState,
+        time_s: FloatArray,
+        altitude_origin_m: FloatArray,
+        altitude_ground_m: FloatArray,
+    ) -> tuple[IntArray, ScannerState]:
+        """The sets of consecutive shots (n,); see `select`."""
+        chosen, active = np.empty(len(time_s), dtype=np.int64), np.array(state.active, dtype=np.bool_)
+        _choose(*self.thresholds, time_s, altitude_origin_m, altitude_ground_m, active, chosen)
+        return chosen, ScannerState(tuple(active.tolist()))
 
 
-def _below(switch: AltitudeSwitch, was_active: bool, altitude_m: float) -> bool:
-    """NaN compares false: what was active stays, what was not stays off."""
-    left = switch.repeatedly and altitude_m > switch.below_m + switch.hysteresis_m
-    return bool(altitude_m < switch.below_m or (was_active and not left))
+@kernel
+def _choose(
+    by_time: BoolArray,
+    from_ground: BoolArray,
+    on: FloatArray,
+    off: FloatArray,
+    time_s: FloatArray,
+    altitude_origin_m: FloatArray,
+    altitude_ground_m: FloatArray,
+    active: BoolArray,
+    chosen: IntArray,
+) -> None:
+    """Carry `active` (switches,) from shot to shot, and fill `chosen` (shots,).
+
+    NaN compares false: what was active stays, what was not stays off.
+    """
+    for s in range(len(chosen)):
+        chosen[s] = 0
+        for k in range(len(active)):
+            altitude_m = altitude_ground_m[s] if from_ground[k] else altitude_origin_m[s]
+            if by_time[k]:
+                active[k] = time_s[s] >= on[k]
+            elif altitude_m < on[k]:
+                active[k] = True
+            elif altitude_m > off[k]:
+                active[k] = False
+            if active[k]:
+                chosen[s] = k + 1
+
+
+class Thresholds(NamedTuple):
+    """The switches in the arrays of the kernel, (switches,) each."""
+
+    by_time: BoolArray
+    from_ground: BoolArray
+    """Whether the altitude is counted from the ground, instead of from the origin."""
+    on: FloatArray
+    """Time from which, or altitude below which, it is active."""
+    off: FloatArray
+    """Altitude above which it no longer is."""
+
+
+def _thresholds(switches: Sequence[AltitudeSwitch | TimeSwitch]) -> Thresholds:
+    rows = [
+        (True, False, switch.at_s, np.inf)
+        if isinstance(switch, TimeSwitch)
+        else (
+            False,
+            switch.datum == "ground",
+            switch.below_m,
+            switch.below_m + switch.hysteresis_m if switch.repeatedly else np.inf,
+        )
+        for switch in switches
+    ]
+    by_time, from_ground, on, off = np.array(rows, dtype=np.float64).reshape(-1, 4).T.copy()
+    return Thresholds(by_time.astype(np.bool_), from_ground.astype(np.bool_), on, off)
 
 
 def build_scanner(part: Scanner) -> ScannerModel:
@@ -91,6 +155,7 @@ def build_scanner(part: Scanner) -> ScannerModel:
         angle_deg=angle_deg,
         firing_cycle=np.arange(beam_count) * (part.firing == "in_turn"),
         switches=tuple(part.switches),
+        thresholds=_thresholds(part.switches),
         initial=ScannerState((False,) * len(part.switches)),
     )
 

@@ -114,7 +114,8 @@ class GridGround:
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """(n,) z of the surface, or of the ground beyond."""
         east, north = contiguous(east_m, north_m)
-        height: FloatArray = grid_cast.surface_heights(self._grid, self.samples.height_m, east, north)
+        height = np.empty_like(east)
+        grid_cast.surface_heights(self._grid, self.samples.height_m, east, north, height)
         if self.beyond is None:
             return height
         return np.where(np.isnan(height), self.beyond.height_m(east, north), height)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 from lidar_emu.scene.cell import slopes, surface
 from lidar_emu.scene.plane import plane_stretch
 from lidar_emu.scene.sphere import sphere_stretch
@@ -22,7 +22,7 @@ MISS = (np.nan, np.nan, np.nan, np.nan, False)
 INSIDE = (np.nan, np.nan, np.nan, np.nan, True)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(forceinline=True)
 def _stretch_beyond(
     beyond: int, x: float, y: float, z: float, dx: float, dy: float, dz: float, radius: float
 ) -> tuple[float, float]:
@@ -34,7 +34,7 @@ def _stretch_beyond(
     return np.inf, -np.inf
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(forceinline=True)
 def _cast_one(
     x: float,
     y: float,
@@ -101,7 +101,7 @@ def _cast_one(
     return MISS
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def cast_rays(
     origin: FloatArray,
     direction: FloatArray,
@@ -131,13 +131,14 @@ def cast_rays(
         )
 
 
-@njit(cache=True, error_model="numpy")
-def surface_heights(grid: FloatArray, nodes: FloatArray, east: FloatArray, north: FloatArray) -> FloatArray:
-    """(n,) height of the grid's surface; NaN outside it and where samples are missing."""
-    height = np.full(east.shape[0], np.nan)
+@kernel
+def surface_heights(
+    grid: FloatArray, nodes: FloatArray, east: FloatArray, north: FloatArray, height: FloatArray
+) -> None:
+    """Fill height (n,) of the grid's surface; NaN outside it and where samples are missing."""
     for k in range(east.shape[0]):
+        height[k] = np.nan
         u = (east[k] - grid[WEST_M]) * grid[CELLS_PER_M_EAST]
         v = (north[k] - grid[SOUTH_M]) * grid[CELLS_PER_M_NORTH]
         if 0.0 <= u <= nodes.shape[1] - 1 and 0.0 <= v <= nodes.shape[0] - 1:
             height[k] = surface(nodes, u, v)
-    return height

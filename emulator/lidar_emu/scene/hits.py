@@ -6,8 +6,7 @@ ground, so one that starts on the surface hits it at range 0, and one that start
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -15,8 +14,7 @@ import numpy.typing as npt
 from lidar_emu.arrays import BoolArray, FloatArray
 
 
-@dataclass(frozen=True)
-class Hits:
+class Hits(NamedTuple):
     """Where n rays meet the ground."""
 
     range_m: FloatArray

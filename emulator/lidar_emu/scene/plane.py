@@ -8,11 +8,11 @@ from decimal import Decimal, localcontext
 import numpy as np
 
 from lidar_emu.arrays import BoolArray, FloatArray
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 from lidar_emu.scene.hits import Hits, contiguous
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(forceinline=True)
 def plane_stretch(height: float, climb: float) -> tuple[float, float]:
     """First and last t of the line on which ``height + t * climb <= 0``; (inf, -inf) if there is none."""
     if climb < 0.0:
@@ -26,7 +26,7 @@ def plane_stretch(height: float, climb: float) -> tuple[float, float]:
     return np.inf, -np.inf
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cast(
     origin: FloatArray,
     direction: FloatArray,

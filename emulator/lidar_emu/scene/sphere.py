@@ -11,11 +11,11 @@ from decimal import Decimal, localcontext
 import numpy as np
 
 from lidar_emu.arrays import BoolArray, FloatArray
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 from lidar_emu.scene.hits import Hits, contiguous
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(forceinline=True)
 def sphere_stretch(
     x: float, y: float, above: float, dx: float, dy: float, dz: float, radius: float
 ) -> tuple[float, float]:
@@ -37,7 +37,7 @@ def sphere_stretch(
     return near, power / near if near != 0.0 else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cast(
     origin: FloatArray,
     direction: FloatArray,

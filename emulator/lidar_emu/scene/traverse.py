@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lidar_emu.arrays import FloatArray, IntArray
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import kernel
 from lidar_emu.scene.cell import cell_of, first_descent, height_along
 
 CLEAR, SURFACE, BEYOND, FACE = 0, 1, 2, 3
@@ -16,7 +16,7 @@ FACE_DEPTH_M = 1e-6
 """Being this far below the ground on entering it makes a face; less is rounding at a continuous edge."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(forceinline=True)
 def meet_beyond(start: float, end: float, enter: float, leave: float) -> tuple[int, float]:
     """First t in [start, end] inside the ground beyond, which the ray's line crosses from enter to leave."""
     t = max(start, enter)
@@ -25,7 +25,7 @@ def meet_beyond(start: float, end: float, enter: float, leave: float) -> tuple[i
     return (FACE if start - enter > FACE_DEPTH_M else BEYOND), t
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(forceinline=True)
 def clip(position: float, rate: float, length: float) -> tuple[float, float]:
     """First and last t with ``0 <= position + rate * t <= length``; (inf, -inf) if there is none."""
     if rate == 0.0:
@@ -34,7 +34,7 @@ def clip(position: float, rate: float, length: float) -> tuple[float, float]:
     return min(t0, t1), max(t0, t1)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(forceinline=True)
 def _index(position: float, rate: float, index: int, first: int, last: int) -> int:
     """Cell at a coordinate, kept within its block and never behind ``index`` on the way."""
     if rate > 0.0:
@@ -48,7 +48,7 @@ def _index(position: float, rate: float, index: int, first: int, last: int) -> i
     return min(int(position), last)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(forceinline=True)
 def _crossing(position: float, rate: float, first: int, end: int) -> float:
     """t at which a coordinate leaves the cells first ... end-1."""
     if rate > 0.0:
@@ -58,7 +58,7 @@ def _crossing(position: float, rate: float, first: int, end: int) -> float:
     return np.inf
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(forceinline=True)
 def _starting_level(reach: float, top_level: int) -> int:
     """The level whose blocks are as large as the ray's way over the ground."""
     level = 0
@@ -67,7 +67,7 @@ def _starting_level(reach: float, top_level: int) -> int:
     return level
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(forceinline=True)
 def _meet_cell(
     nodes: FloatArray,
     i: int,
@@ -94,7 +94,7 @@ def _meet_cell(
     return (SURFACE, t + s) if s == s else (CLEAR, np.nan)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(forceinline=True)
 def traverse(
     nodes: FloatArray,
     maxima: FloatArray,

@@ -1,15 +1,16 @@
-"""Attitude along a flight: a steady turn or Euler angles, with the rates of that same rotation."""
+"""Attitude along a flight through rows of Euler angles, with the rates of that same rotation."""
 
 from __future__ import annotations
 
+from math import cos, sin
 from typing import Protocol
 
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.rotations import chained, from_rotation_vector, from_yaw_pitch_roll
-from lidar_emu.scenario import trajectory as scenario
-from lidar_emu.trajectory.curve import Curve
+from lidar_emu.kernels import kernel
+from lidar_emu.rotations import lead_by, set_yaw_pitch_roll
+from lidar_emu.trajectory.curve import LEVEL, Curve, Curves
 
 SITE_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """East-north-up from the north-east-down in which aerospace angles are counted."""
@@ -23,35 +24,34 @@ class Attitude(Protocol):
         ...
 
 
-class SteadyTurn:
-    """R(t) = R(0) exp([rate]x t): constant rate about body axes."""
-
-    def __init__(self, part: scenario.Attitude) -> None:
-        yaw, pitch, roll = (np.radians(angle) for angle in (part.yaw_deg, part.pitch_deg, part.roll_deg))
-        self._site_from_start = chained(SITE_FROM_NED, from_yaw_pitch_roll(yaw, pitch, roll))
-        self._rate_radps = np.array(part.body_rate_radps)
-
-    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `Attitude`."""
-        start_from_body = from_rotation_vector(time_s[:, None] * self._rate_radps)
-        return chained(self._site_from_start, start_from_body), np.tile(self._rate_radps, (len(time_s), 1))
-
-
 class EulerAttitude:
     """Curves of yaw, pitch and roll in radians; an angle left out is 0."""
 
     def __init__(self, yaw: Curve | None, pitch: Curve | None, roll: Curve | None) -> None:
-        self._curves = yaw, pitch, roll
+        self._curves = Curves([curve or LEVEL for curve in (yaw, pitch, roll)])
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See `Attitude`. This way round there is no singularity, not even at a pitch of 90 degrees."""
-        still = np.zeros_like(time_s)
-        read = [(still, still) if curve is None else curve.at(time_s)[:2] for curve in self._curves]
-        (yaw, yaw_rate), (pitch, pitch_rate), (roll, roll_rate) = read
-        pitch_cos, roll_sin, roll_cos = np.cos(pitch), np.sin(roll), np.cos(roll)
-        body_rate = [
-            roll_rate - yaw_rate * np.sin(pitch),
-            pitch_rate * roll_cos + yaw_rate * pitch_cos * roll_sin,
-            yaw_rate * pitch_cos * roll_cos - pitch_rate * roll_sin,
-        ]
-        return chained(SITE_FROM_NED, from_yaw_pitch_roll(yaw, pitch, roll)), np.stack(body_rate, axis=-1)
+        angles, rates, _ = self._curves.at(time_s)
+        site_from_body, body_rate = np.empty((len(time_s), 3, 3)), np.empty((len(time_s), 3))
+        _from_euler(SITE_FROM_NED, angles, rates, site_from_body, body_rate)
+        return site_from_body, body_rate
+
+
+@kernel
+def _from_euler(
+    site_from_ned: FloatArray,
+    angles: FloatArray,
+    rates: FloatArray,
+    site_from_body: FloatArray,
+    body_rate: FloatArray,
+) -> None:
+    """Of yaw, pitch and roll (n, 3) and their rates."""
+    for k in range(len(angles)):
+        yaw, pitch, roll = angles[k, 0], angles[k, 1], angles[k, 2]
+        yaw_rate, pitch_rate, roll_rate = rates[k, 0], rates[k, 1], rates[k, 2]
+        set_yaw_pitch_roll(yaw, pitch, roll, site_from_body[k])
+        lead_by(site_from_ned, site_from_body[k])
+        body_rate[k, 0] = roll_rate - yaw_rate * sin(pitch)
+        body_rate[k, 1] = pitch_rate * cos(roll) + yaw_rate * cos(pitch) * sin(roll)
+        body_rate[k, 2] = yaw_rate * cos(pitch) * cos(roll) - pitch_rate * sin(roll)

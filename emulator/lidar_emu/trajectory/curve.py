@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.arrays import FloatArray, IntArray
+from lidar_emu.kernels import kernel
 
 
-@dataclass(frozen=True)
-class Curve:
+class Curve(NamedTuple):
     """A cubic between each two of k knots; the end pieces continue outside."""
 
     knot_s: FloatArray
@@ -18,15 +19,53 @@ class Curve:
     coefficients: FloatArray
     """(4, k - 1) Of the powers 0 to 3 of the time since the piece's first knot."""
 
-    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Value, first and second derivative at times (n,): the derivatives are those of this very curve, so
-        that a speed always belongs to the positions around it."""
-        piece = np.clip(np.searchsorted(self.knot_s, time_s, side="right") - 1, 0, len(self.knot_s) - 2)
-        c0, c1, c2, c3 = self.coefficients[:, piece]
-        since_s = time_s - self.knot_s[piece]
-        value = ((c3 * since_s + c2) * since_s + c1) * since_s + c0
-        rate = (3 * c3 * since_s + 2 * c2) * since_s + c1
-        return value, rate, 6 * c3 * since_s + 2 * c2
+
+LEVEL = Curve(np.array([0.0, 1.0]), np.zeros((4, 1)))
+"""Nought at all times."""
+
+
+class Curves:
+    """Curves, each with its own knots, that are read together."""
+
+    def __init__(self, curves: Sequence[Curve]) -> None:
+        # A knot and the piece that begins there share a place; at the last knot of a curve begins none.
+        self._first = np.cumsum([0, *(len(curve.knot_s) for curve in curves)])
+        self._knot_s = np.concatenate([curve.knot_s for curve in curves])
+        self._pieces = np.concatenate([np.pad(curve.coefficients.T, ((0, 1), (0, 0))) for curve in curves])
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """Value, first and second derivative, (3, n, curves), at times (n,): the derivatives are those of these very
+        curves, so that a speed always belongs to the positions around it."""
+        orders = np.empty((3, len(time_s), len(self._first) - 1))
+        _read(self._first, self._knot_s, self._pieces, time_s, orders)
+        return orders
+
+
+@kernel
+def _read(
+    first: IntArray, knot_s: FloatArray, pieces: FloatArray, time_s: FloatArray, orders: FloatArray
+) -> None:
+    for c in range(len(first) - 1):
+        for k in range(len(time_s)):
+            piece = piece_at(knot_s[first[c] : first[c + 1] - 1], time_s[k])
+            since_s = time_s[k] - knot_s[first[c] + piece]
+            power = pieces[first[c] + piece]
+            orders[0, k, c] = ((power[3] * since_s + power[2]) * since_s + power[1]) * since_s + power[0]
+            orders[1, k, c] = (3 * power[3] * since_s + 2 * power[2]) * since_s + power[1]
+            orders[2, k, c] = 6 * power[3] * since_s + 2 * power[2]
+
+
+@kernel
+def piece_at(start_s: FloatArray, time_s: float) -> int:
+    """The last of the pieces with starts (pieces,) that has begun at a time; the first before all of them."""
+    low, high = 0, len(start_s)
+    while high - low > 1:
+        middle = (low + high) // 2
+        if time_s >= start_s[middle]:
+            low = middle
+        else:
+            high = middle
+    return low
 
 
 def hermite(knot_s: FloatArray, value: FloatArray, rate: FloatArray) -> Curve:

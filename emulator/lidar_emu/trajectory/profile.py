@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
+from lidar_emu.kernels import kernel
+from lidar_emu.rotations import chained, from_yaw_pitch_roll, lead_by, set_rotation_vector
 from lidar_emu.scenario.trajectory import Profile
-from lidar_emu.trajectory.attitude import SteadyTurn
+from lidar_emu.trajectory.attitude import SITE_FROM_NED
+from lidar_emu.trajectory.curve import piece_at
 from lidar_emu.trajectory.state import Gap, VehicleState
 
 
@@ -35,24 +38,59 @@ class ProfileTrajectory:
             ]
         )
         self._start_site_m = _on_path(part, altitude_m[:-1], self._direction_site)
-        self._attitude = SteadyTurn(part.attitude)
+        angles_deg = part.attitude.yaw_deg, part.attitude.pitch_deg, part.attitude.roll_deg
+        self._site_from_start = chained(SITE_FROM_NED, from_yaw_pitch_roll(*np.radians(angles_deg)))
+        self._body_rate_radps = np.array(part.attitude.body_rate_radps)
 
     def state(self, time_s: FloatArray) -> VehicleState:
         """The vehicle at scenario times (n,)."""
-        leg = np.maximum(np.searchsorted(self._leg_start_s, time_s, side="right") - 1, 0)
-        since_s = time_s - self._leg_start_s[leg]
-        acceleration_mps2 = self._acceleration_mps2[leg]
-        speed_mps = self._speed_mps[leg] + acceleration_mps2 * since_s
-        flown_m = (self._speed_mps[leg] + 0.5 * acceleration_mps2 * since_s) * since_s
-        site_from_body, body_rate_radps = self._attitude.at(time_s)
-        return VehicleState(
-            time_s=time_s,
-            position_site_m=self._start_site_m[leg] + flown_m[:, None] * self._direction_site,
-            velocity_site_mps=speed_mps[:, None] * self._direction_site,
-            acceleration_site_mps2=acceleration_mps2[:, None] * self._direction_site,
-            site_from_body=site_from_body,
-            body_rate_radps=body_rate_radps,
+        place, matrix = (len(time_s), 3), (len(time_s), 3, 3)
+        state = VehicleState(
+            time_s, np.empty(place), np.empty(place), np.empty(place), np.empty(matrix), np.empty(place)
         )
+        _fly(
+            self._leg_start_s,
+            self._start_site_m,
+            self._speed_mps,
+            self._acceleration_mps2,
+            self._direction_site,
+            self._site_from_start,
+            self._body_rate_radps,
+            *state,
+        )
+        return state
+
+
+@kernel
+def _fly(
+    leg_start_s: FloatArray,
+    start_site_m: FloatArray,
+    start_speed_mps: FloatArray,
+    leg_acceleration_mps2: FloatArray,
+    direction_site: FloatArray,
+    site_from_start: FloatArray,
+    turning_radps: FloatArray,
+    time_s: FloatArray,
+    position_m: FloatArray,
+    velocity_mps: FloatArray,
+    acceleration_mps2: FloatArray,
+    site_from_body: FloatArray,
+    body_rate_radps: FloatArray,
+) -> None:
+    """Fill the fields of a `VehicleState`. A steady turn about body axes: R(t) = R(0) exp([rate]x t)."""
+    x, y, z = turning_radps[0], turning_radps[1], turning_radps[2]
+    for k in range(len(time_s)):
+        leg = piece_at(leg_start_s, time_s[k])
+        since_s, growth_mps2 = time_s[k] - leg_start_s[leg], leg_acceleration_mps2[leg]
+        speed_mps = start_speed_mps[leg] + growth_mps2 * since_s
+        flown_m = (start_speed_mps[leg] + 0.5 * growth_mps2 * since_s) * since_s
+        for axis in range(3):
+            position_m[k, axis] = start_site_m[leg, axis] + flown_m * direction_site[axis]
+            velocity_mps[k, axis] = speed_mps * direction_site[axis]
+            acceleration_mps2[k, axis] = growth_mps2 * direction_site[axis]
+            body_rate_radps[k, axis] = turning_radps[axis]
+        set_rotation_vector(time_s[k] * x, time_s[k] * y, time_s[k] * z, site_from_body[k])
+        lead_by(site_from_start, site_from_body[k])
 
 
 def _on_path(part: Profile, altitude_m: FloatArray, direction_site: FloatArray) -> FloatArray:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
+from lidar_emu.kernels import kernel
 from lidar_emu.rotations import cross, dot
-from lidar_emu.trajectory.curve import hermite, knot_rates
+from lidar_emu.trajectory.curve import Curves, hermite, knot_rates
 
 
 class QuaternionAttitude:
@@ -19,18 +22,53 @@ class QuaternionAttitude:
         """`site_from_body`: unit quaternions (k, 4) of either sign at knots (k,), k at least 2."""
         quaternion = _of_one_sign(site_from_body)
         derivative = _derivatives(knot_s, quaternion)
-        self._curves = [hermite(knot_s, quaternion[:, i], derivative[:, i]) for i in range(4)]
+        self._curves = Curves([hermite(knot_s, quaternion[:, i], derivative[:, i]) for i in range(4)])
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rotations site_from_body (n, 3, 3) and body rates (n, 3) in rad/s at times (n,).
 
         The rate is the vector part of 2 q* dq/dt; the change of the curve's length is in the scalar part.
         """
-        read = [curve.at(time_s) for curve in self._curves]
-        quaternion, derivative = (np.stack([one[order] for one in read], axis=-1) for order in (0, 1))
-        squared, _ = _conjugate_times(quaternion, quaternion)
-        _, half_rate = _conjugate_times(quaternion, derivative)
-        return _matrix(quaternion / np.sqrt(squared)[:, None]), 2 * half_rate / squared[:, None]
+        quaternion, derivative, _ = self._curves.at(time_s)
+        site_from_body, body_rate = np.empty((len(time_s), 3, 3)), np.empty((len(time_s), 3))
+        _from_quaternions(quaternion, derivative, site_from_body, body_rate)
+        return site_from_body, body_rate
+
+
+@kernel
+def _from_quaternions(
+    quaternion: FloatArray, derivative: FloatArray, site_from_body: FloatArray, body_rate: FloatArray
+) -> None:
+    """Of quaternions (n, 4) of any length and their derivatives."""
+    for k in range(len(quaternion)):
+        w, x, y, z = quaternion[k, 0], quaternion[k, 1], quaternion[k, 2], quaternion[k, 3]
+        dw, dx, dy, dz = derivative[k, 0], derivative[k, 1], derivative[k, 2], derivative[k, 3]
+        squared = w * w + x * x + y * y + z * z
+        body_rate[k, 0] = 2 * (w * dx - dw * x - (y * dz - z * dy)) / squared
+        body_rate[k, 1] = 2 * (w * dy - dw * y - (z * dx - x * dz)) / squared
+        body_rate[k, 2] = 2 * (w * dz - dw * z - (x * dy - y * dx)) / squared
+        length = sqrt(squared)
+        _set_matrix(w / length, x / length, y / length, z / length, site_from_body[k])
+
+
+@kernel
+def _set_matrix(w: float, x: float, y: float, z: float, matrix: FloatArray) -> None:
+    """Set the rotation (3, 3) of a unit quaternion."""
+    matrix[0, 0], matrix[0, 1], matrix[0, 2] = (
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+    )
+    matrix[1, 0], matrix[1, 1], matrix[1, 2] = (
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+    )
+    matrix[2, 0], matrix[2, 1], matrix[2, 2] = (
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    )
 
 
 def _of_one_sign(quaternion: FloatArray) -> FloatArray:
@@ -58,14 +96,3 @@ def _conjugate_times(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArr
     scalar = a_scalar * b_scalar + dot(a_vector, b_vector)
     vector = a_scalar[:, None] * b_vector - b_scalar[:, None] * a_vector - cross(a_vector, b_vector)
     return scalar, vector
-
-
-def _matrix(unit: FloatArray) -> FloatArray:
-    """Rotation matrices (n, 3, 3) of unit quaternions (n, 4)."""
-    w, x, y, z = unit.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from lidar_emu.arrays import FloatArray
@@ -17,9 +16,8 @@ class Gap(NamedTuple):
     length_s: float
 
 
-@dataclass(frozen=True)
-class VehicleState:
-    """True motion of the vehicle's reference point at n instants.
+class VehicleState(NamedTuple):
+    """True motion of the vehicle's reference point at n instants; all arrays in C order, as kernels take them.
 
     Site frame: east, north, up. Body frame: x forward, y right, z down.
     """

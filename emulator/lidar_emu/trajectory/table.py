@@ -7,7 +7,7 @@ import numpy as np
 from lidar_emu.arrays import FloatArray
 from lidar_emu.scenario.trajectory import AngleColumn, LengthColumn, QuaternionColumns, RateColumns, Table
 from lidar_emu.trajectory.attitude import Attitude, EulerAttitude
-from lidar_emu.trajectory.curve import Curve, hermite, through
+from lidar_emu.trajectory.curve import LEVEL, Curve, Curves, hermite, through
 from lidar_emu.trajectory.flown import FlownRows, read_flown
 from lidar_emu.trajectory.quaternion import QuaternionAttitude
 from lidar_emu.trajectory.state import Gap, VehicleState
@@ -25,7 +25,9 @@ class TableTrajectory:
     def __init__(self, part: Table) -> None:
         """Raises InputError where the file, a column or a cell cannot be used."""
         rows = read_flown(part)
-        self._coordinates = [_coordinate(rows, column) for column in (part.east, part.north, part.up)]
+        self._coordinates = Curves(
+            [_coordinate(rows, column) or LEVEL for column in (part.east, part.north, part.up)]
+        )
         self._attitude = _attitude(rows, part)
         self._body_rates = None if part.body_rates is None else _body_rates(rows, part.body_rates)
         self.duration_s = rows.duration_s
@@ -33,14 +35,10 @@ class TableTrajectory:
 
     def state(self, time_s: FloatArray) -> VehicleState:
         """The vehicle at scenario times (n,)."""
-        still = np.zeros_like(time_s)
-        read = [(still,) * 3 if curve is None else curve.at(time_s) for curve in self._coordinates]
-        position_m, velocity_mps, acceleration_mps2 = (
-            np.stack([coordinate[order] for coordinate in read], axis=-1) for order in range(3)
-        )
+        position_m, velocity_mps, acceleration_mps2 = self._coordinates.at(time_s)
         site_from_body, body_rate_radps = self._attitude.at(time_s)
         if self._body_rates is not None:
-            body_rate_radps = np.stack([curve.at(time_s)[0] for curve in self._body_rates], axis=-1)
+            body_rate_radps = self._body_rates.at(time_s)[0]
         return VehicleState(
             time_s=time_s,
             position_site_m=position_m,
@@ -89,7 +87,7 @@ def _quaternions(rows: FlownRows, part: QuaternionColumns) -> QuaternionAttitude
     return QuaternionAttitude(knot_s, (components / length).T)
 
 
-def _body_rates(rows: FlownRows, part: RateColumns) -> list[Curve]:
+def _body_rates(rows: FlownRows, part: RateColumns) -> Curves:
     """Radians per second about body x, y and z, each column against its own rows."""
     filled = [rows.filled(name) for name in part.columns]
-    return [through(one.knot_s, RADPS_PER_UNIT[part.unit] * one.values[0]) for one in filled]
+    return Curves([through(one.knot_s, RADPS_PER_UNIT[part.unit] * one.values[0]) for one in filled])

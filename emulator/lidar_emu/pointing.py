@@ -1,0 +1,101 @@
+"""The kernels behind `Flight.point`: from the vehicle's motion to the sensor's, and to the beams' directions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.kernels import kernel
+from lidar_emu.rotations import dot_3, set_cross, set_rotated
+
+SENSOR, VELOCITY, ACCELERATION, TURNING, TRUE, PUBLISHED = range(6)
+"""Places of the vectors of a beam, in the order of `Pointing`."""
+
+
+@kernel
+def set_times(
+    shot: NDArray[np.int64],
+    period_ns: int,
+    validity_ns: IntArray,
+    time_ns: IntArray,
+    instant_s: FloatArray,
+) -> None:
+    """Set times of validity (shots, beams), and instants (shots, 1 + beams): the shot's start and then these."""
+    for s in range(len(shot)):
+        start_ns = shot[s] * period_ns
+        instant_s[s, 0] = start_ns * 1e-9
+        for b in range(len(validity_ns)):
+            time_ns[s, b] = start_ns + validity_ns[b]
+            instant_s[s, 1 + b] = time_ns[s, b] * 1e-9
+
+
+@kernel
+def place_starts(
+    instant_s: FloatArray,
+    position_m: FloatArray,
+    site_from_body: FloatArray,
+    lever_arm_m: FloatArray,
+    start_s: FloatArray,
+    sensor_m: FloatArray,
+) -> None:
+    """Take from the first of each shot's instants its time (shots,) and where the sensor is then, (3, shots)."""
+    for s in range(len(start_s)):
+        start_s[s] = instant_s[s, 0]
+        k = s * instant_s.shape[1]
+        for axis in range(3):
+            sensor_m[axis, s] = position_m[k, axis] + dot_3(site_from_body[k, axis], lever_arm_m)
+
+
+@kernel
+def point_beams(
+    position_m: FloatArray,
+    velocity_mps: FloatArray,
+    acceleration_mps2: FloatArray,
+    site_from_body: FloatArray,
+    body_rate_radps: FloatArray,
+    lever_arm_m: FloatArray,
+    chosen: NDArray[np.int64],
+    pattern_angle_deg: FloatArray,
+    true_body: FloatArray,
+    published_body: FloatArray,
+    fired: BoolArray,
+    angle_deg: FloatArray,
+    vectors: FloatArray,
+    vehicle: FloatArray,
+) -> None:
+    """Fill what `Pointing` consists of; the vehicle is given at 1 + beams instants of each shot, the first unused.
+
+    The lever arm turns with the body: r, ω x r and ω x (ω x r) are added.
+
+    Args:
+        vectors: (6, shots, beams, 3) in the order of `Pointing`.
+        vehicle: (2, shots, 3) the vehicle's position and velocity at the first beam's validity.
+    """
+    shots, beams = fired.shape
+    for s in range(shots):
+        for b in range(beams):
+            k = s * (1 + beams) + 1 + b
+            rotation = site_from_body[k]
+            sensor, velocity, acceleration = (
+                vectors[SENSOR, s, b],
+                vectors[VELOCITY, s, b],
+                vectors[ACCELERATION, s, b],
+            )
+            turning = vectors[TURNING, s, b]
+            set_rotated(rotation, body_rate_radps[k], turning)
+            set_rotated(rotation, lever_arm_m, sensor)
+            set_cross(turning, sensor, velocity)
+            set_cross(turning, velocity, acceleration)
+            for axis in range(3):
+                sensor[axis] += position_m[k, axis]
+                velocity[axis] += velocity_mps[k, axis]
+                acceleration[axis] += acceleration_mps2[k, axis]
+            pattern = chosen[s]
+            set_rotated(rotation, true_body[pattern, b], vectors[TRUE, s, b])
+            set_rotated(rotation, published_body[pattern, b], vectors[PUBLISHED, s, b])
+            angle_deg[s, b] = pattern_angle_deg[pattern, b]
+            fired[s, b] = angle_deg[s, b] == angle_deg[s, b]
+        for axis in range(3):
+            vehicle[0, s, axis] = position_m[s * (1 + beams) + 1, axis]
+            vehicle[1, s, axis] = velocity_mps[s * (1 + beams) + 1, axis]
