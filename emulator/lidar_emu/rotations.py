@@ -133,7 +133,7 @@ def set_rotation_vector(x_rad: float, y_rad: float, z_rad: float, matrix: FloatA
     sin(a)/a and (1 - cos a)/a² = (sin(a/2)/(a/2))²/2 are finite at a = 0, so that no rotation is a special case.
     """
     angle_rad = sqrt(x_rad * x_rad + y_rad * y_rad + z_rad * z_rad)
-    first, half, cosine = _sin_over(angle_rad), _sin_over(0.5 * angle_rad), cos(angle_rad)
+    first, half, cosine = sin_over(angle_rad), sin_over(0.5 * angle_rad), cos(angle_rad)
     second = 0.5 * half * half
     matrix[0, 0] = cosine + second * x_rad * x_rad
     matrix[1, 1] = cosine + second * y_rad * y_rad
@@ -147,5 +147,5 @@ def set_rotation_vector(x_rad: float, y_rad: float, z_rad: float, matrix: FloatA
 
 
 @kernel
-def _sin_over(angle_rad: float) -> float:
+def sin_over(angle_rad: float) -> float:
     return sin(angle_rad) / angle_rad if angle_rad > 0.0 else 1.0

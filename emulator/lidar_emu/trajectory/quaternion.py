@@ -48,11 +48,11 @@ def _from_quaternions(
         body_rate[k, 1] = 2 * (w * dy - dw * y - (z * dx - x * dz)) / squared
         body_rate[k, 2] = 2 * (w * dz - dw * z - (x * dy - y * dx)) / squared
         length = sqrt(squared)
-        _set_matrix(w / length, x / length, y / length, z / length, site_from_body[k])
+        set_matrix(w / length, x / length, y / length, z / length, site_from_body[k])
 
 
 @kernel
-def _set_matrix(w: float, x: float, y: float, z: float, matrix: FloatArray) -> None:
+def set_matrix(w: float, x: float, y: float, z: float, matrix: FloatArray) -> None:
     """Set the rotation (3, 3) of a unit quaternion."""
     matrix[0, 0], matrix[0, 1], matrix[0, 2] = (
         1 - 2 * (y * y + z * z),
