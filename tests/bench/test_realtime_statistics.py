@@ -118,7 +118,8 @@ def test_a_histogram_by_hand():
 def test_cyclictests_histogram():
     """Its format as documented in the manual page: bucket in microseconds and count, then comments."""
     text = "# Histogram\n000000 000000\n000004 000900\n000007 000090\n000012 000010\n000019 000000\n"
-    text += "# Total: 000001000\n# Min Latencies: 00004\n# Avg Latencies: 00004\n# Max Latencies: 00912\n# Histogram Overflows: 00001\n"
+    text += "# Total: 000001000\n"
+    text += "# Min Latencies: 00004\n# Avg Latencies: 00004\n# Max Latencies: 00912\n# Histogram Overflows: 00001\n"
     assert histogram_figures(text) == {
         "count": 1000,
         "p50_ns": 4_000,
