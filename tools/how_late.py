@@ -42,8 +42,8 @@ def page_text(told: list[dict[str, Any]]) -> str:
     machine = first["machine"]
     lines.append(
         f"Measured {datetime.now(UTC):%Y-%m-%d} on {machine['cores']} cores, Linux {machine['kernel']}, "
-        f"Python {machine['python']}, granted {', '.join(first['granted']).replace('_', ' ') or 'nothing'}; microseconds "
-        "(p50 / p99 / p99.9 / max):\n"
+        f"Python {machine['python']}, granted {', '.join(first['granted']).replace('_', ' ') or 'nothing'}; "
+        "microseconds (p50 / p99 / p99.9 / max):\n"
     )
     lines.append(
         "| shots/s, time | side | woken up | due to written | due to received | late | p99 above the control's "
@@ -79,7 +79,7 @@ def figures(of: dict[str, int | None]) -> str:
 
 def main() -> None:
     shorter = 0.1 if "--quick" in sys.argv[1:] else 1.0
-    told = []
+    told: list[dict[str, Any]] = []
     for case in CASES:
         shown = case._replace(duration_s=case.duration_s * shorter)
         print(f"{shown.rate_hz} shots/s, {shown.duration_s:g} s", file=sys.stderr)
