@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from array import array
+from contextlib import suppress
 from typing import Any
 
 _PIPE_BYTES = 65536
@@ -36,5 +37,6 @@ def answer_arrays(*arrays: array[int]) -> None:
 
 
 def _write(data: bytes) -> None:
-    while data:
-        data = data[os.write(PARENT, data) :]
+    with suppress(BrokenPipeError):  # the parent was killed: nobody wants to know
+        while data:
+            data = data[os.write(PARENT, data) :]

@@ -16,6 +16,13 @@ if TYPE_CHECKING:
     from lidar_emu.bench.realtime import RealtimeReport
 
 
+_OPTIONS: dict[str | None, str] = {
+    "timing.rate_hz": "--rate",
+    "duration_s": "--duration",
+    "instrument.optics.beamlets": "--beamlets",
+}
+
+
 @click.command(
     short_help="How late packets are on this machine, beside a control that only sleeps and writes."
 )
@@ -45,7 +52,10 @@ def realtime(rate: str, duration: str, beamlets: str, record: bool, plot: str | 
     count = _count(beamlets)
     from lidar_emu.bench.realtime import RealtimeOptions, measure_realtime
 
-    report = measure_realtime(RealtimeOptions(rate_hz, duration_s, count, record), _show)
+    try:
+        report = measure_realtime(RealtimeOptions(rate_hz, duration_s, count, record), _show)
+    except InputError as error:
+        raise InputError(_OPTIONS.get(error.key, error.where), None, error.value, error.allowed) from None
     _show("")
     if plot is not None:
         _plot(report, Path(plot))
@@ -103,4 +113,4 @@ def _count(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise InputError("--beamlets", None, text, "allowed: 1, 7, 19, 37, 61 or 127") from None
+        raise InputError("--beamlets", None, text, "allowed: a whole number") from None
