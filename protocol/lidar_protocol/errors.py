@@ -19,7 +19,7 @@ class EncodeError(ValueError):
 class Fault(StrEnum):
     """What is wrong with received bytes. The values are the names of the receivers' counters."""
 
-    BAD_COBS = "bad_cobs"
+    BAD_STUFFING = "bad_stuffing"
     BAD_LENGTH = "bad_length"
     BAD_CRC = "bad_crc"
     FOREIGN = "foreign"
