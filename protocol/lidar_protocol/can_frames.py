@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from lidar_protocol.definitions import CanBlock, CanDefinition, CanMessage, CanSet, CommandDefinition, Interface
+from lidar_protocol.definitions import (
+    CanBlock,
+    CanDefinition,
+    CanMessage,
+    CanSet,
+    CommandDefinition,
+    Interface,
+)
 from lidar_protocol.errors import EncodeError
 from lidar_protocol.fields import Value
 from lidar_protocol.packet import check_unit
@@ -105,8 +112,7 @@ def addresses(interface: Interface) -> dict[tuple[int, bool], Address]:
 def block_addresses(interface: Interface) -> dict[int, tuple[int, CanBlock]]:
     """Every identifier of acknowledgements and housekeeping: unit and message."""
     can = definition(interface)
-    blocks = (*([can.acknowledge] if can.acknowledge else []), *can.housekeeping)
-    return {can.can_id(unit, block): (unit, block) for unit in range(interface.units) for block in blocks}
+    return {can.can_id(unit, block): (unit, block) for unit in range(interface.units) for block in can.blocks}
 
 
 def command_addresses(interface: Interface, unit: int) -> dict[int, CommandDefinition]:

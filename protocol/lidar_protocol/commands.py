@@ -29,7 +29,9 @@ def encode(interface: Interface, unit: int, name: str, values: Mapping[str, Argu
     """
     packet.check_unit(interface, unit)
     command = _command(interface, name)
-    body = command.packet.pack(_checked(interface, command, command.packet, values), {"command": command.code})
+    body = command.packet.pack(
+        _checked(interface, command, command.packet, values), {"command": command.code}
+    )
     sequence = values["sequence"]
     assert isinstance(sequence, int)
     return interface.link.framing.encode_alone(packet.seal(interface.link, "command", unit, sequence, body))
@@ -79,9 +81,7 @@ def _checked(
     return numbers
 
 
-def as_numbers(
-    interface: Interface, layout: Layout, values: Mapping[str, Argument]
-) -> dict[str, Value]:
+def as_numbers(interface: Interface, layout: Layout, values: Mapping[str, Argument]) -> dict[str, Value]:
     """Values with the words of enumerations replaced by what they stand for.
 
     Raises:

@@ -72,7 +72,9 @@ class _Run:
     @property
     def is_own_number(self) -> bool:
         """Whether `struct` reads its one field as it is."""
-        return len(self.fields) == 1 and self.fields[0].field.codec.bits == 8 * self.length == 8 * self.parts[0]
+        return (
+            len(self.fields) == 1 and self.fields[0].field.codec.bits == 8 * self.length == 8 * self.parts[0]
+        )
 
     @property
     def parts(self) -> list[int]:
@@ -126,7 +128,9 @@ def compiled(
     source = ["def pack(values, own):", " return struct_pack("]
     source += [f"  {number}," for run in runs for number in _packed(run, own, names)]
     source += [" )", "def unpack(block, offset):"]
-    source += [f" {' '.join(f'{name},' for run in runs for name in run.names)} = struct_unpack(block, offset)"]
+    source += [
+        f" {' '.join(f'{name},' for run in runs for name in run.names)} = struct_unpack(block, offset)"
+    ]
     source += [f" {run.names[0]} = {_joined(run)}" for run in runs if len(run.parts) > 1]
     source += [" return {", *(f"  {entry}," for run in runs for entry in _unpacked(run, silent)), " }"]
     exec("\n".join(source), names)

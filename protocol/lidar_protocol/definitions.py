@@ -175,6 +175,11 @@ class CanDefinition:
         return self.id_base + unit * self.unit_stride + message.id + slot
 
     @cached_property
+    def blocks(self) -> tuple[CanBlock, ...]:
+        """The messages that stand alone."""
+        return (*([self.acknowledge] if self.acknowledge else []), *self.housekeeping)
+
+    @cached_property
     def counter_mask(self) -> int:
         return (1 << self.counter_bits) - 1
 

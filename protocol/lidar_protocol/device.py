@@ -56,15 +56,23 @@ class Device:
             EncodeError: a field is missing or cannot be sent, or the interface has no acknowledgements.
         """
         layout = self._layout("acknowledge", self.interface.acknowledge)
-        own: Mapping[str, Value] = {"command": self._code(command), "interface_version": self.interface.version}
-        return self._framed("acknowledge", number, layout.pack(as_numbers(self.interface, layout, values), own))
+        own: Mapping[str, Value] = {
+            "command": self._code(command),
+            "interface_version": self.interface.version,
+        }
+        return self._framed(
+            "acknowledge", number, layout.pack(as_numbers(self.interface, layout, values), own)
+        )
 
     def acknowledge_frame(self, command: int | str, **values: Argument) -> CanFrame:
         """The answer to a command as a CAN frame; arguments and errors as of `acknowledge`."""
         can = can_frames.definition(self.interface)
-        layout = self._layout("acknowledge", can.acknowledge and can.acknowledge.layout)
+        layout = self._layout("acknowledge", can.acknowledge.layout if can.acknowledge else None)
         assert can.acknowledge is not None
-        own: Mapping[str, Value] = {"command": self._code(command), "interface_version": self.interface.version}
+        own: Mapping[str, Value] = {
+            "command": self._code(command),
+            "interface_version": self.interface.version,
+        }
         data = layout.pack(as_numbers(self.interface, layout, values), own)
         return CanFrame(can.can_id(self.unit, can.acknowledge), data)
 
@@ -80,7 +88,9 @@ class Device:
         """
         layout = self._layout("housekeeping", self.interface.housekeeping)
         own: Mapping[str, Value] = {"interface_version": self.interface.version}
-        return self._framed("housekeeping", number, layout.pack(as_numbers(self.interface, layout, values), own))
+        return self._framed(
+            "housekeeping", number, layout.pack(as_numbers(self.interface, layout, values), own)
+        )
 
     def housekeeping_frames(self, values: Mapping[str, Argument]) -> list[CanFrame]:
         """The same as CAN frames, each of which stands alone; arguments and errors as of `housekeeping`."""

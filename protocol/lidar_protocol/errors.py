@@ -9,7 +9,9 @@ class DefinitionError(ValueError):
     """An interface definition cannot be used: one line with the place, the value and what is allowed."""
 
     def __init__(self, where: str, value: object, allowed: str) -> None:
-        super().__init__(f"{where}: {value!r} is not usable; allowed: {allowed}")
+        self.where, self.value, self.allowed = where, value, allowed
+        found = "missing" if value is None else f"{value!r} is not usable"
+        super().__init__(" ".join(f"{where}: {found}; allowed: {allowed}".split()))
 
 
 class EncodeError(ValueError):

@@ -49,7 +49,9 @@ def read_layout(
         if any(field.key == other.field.key for other in placed):
             raise table.refusal("name", field.name, "a name that the message does not have yet")
         if isinstance(field.codec, Real) and bit % 8:
-            raise table.refusal("type", f"f{field.codec.bits}", "a floating-point number at the start of a byte")
+            raise table.refusal(
+                "type", f"f{field.codec.bits}", "a floating-point number at the start of a byte"
+            )
         placed.append(Placed(field, bit))
         bit += field.codec.bits
     if not placed:

@@ -162,7 +162,9 @@ class Number:
             less = f" - {self.offset}" if self.offset else ""
             return f"v{less} if (v := {value}).__class__ is int and {low} <= v <= {high} else {bind(self.rounded)}(v)"
         steps = f"v * {self.steps_per_unit!r} + 0.5"  # a comparison with NaN is false
-        in_range = f"floor(s) if {self.lowest} <= (s := {steps}) < {self.highest + 1} else {bind(self.outside)}(v)"
+        in_range = (
+            f"floor(s) if {self.lowest} <= (s := {steps}) < {self.highest + 1} else {bind(self.outside)}(v)"
+        )
         missing = bind(self.outside) + "(v)" if self.none is None else str(self.none)
         return f"{missing} if (v := {value}) is None else {in_range}"
 
@@ -181,12 +183,12 @@ class Number:
         return self.none
 
     def value(self, raw: str) -> str:
-        if self._is_full:
+        if self.is_full:
             return self._scaled(f"({raw})")
         return f"{self._scaled('r')} if {self.lowest} <= (r := {raw}) <= {self.highest} else None"
 
     @property
-    def _is_full(self) -> bool:
+    def is_full(self) -> bool:
         """Whether every pattern of bits is a value."""
         return self.highest - self.lowest + 1 == 1 << self.bits
 

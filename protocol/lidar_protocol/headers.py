@@ -6,7 +6,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, Literal, get_args
+from typing import ClassVar, Final, Literal, get_args
 
 from lidar_protocol.errors import DecodeError, Fault
 from lidar_protocol.fields import Constant
@@ -38,8 +38,8 @@ class SpacePacketHeader:
     timed: frozenset[Kind]
     """Kinds whose body starts with a time code: the secondary header."""
 
-    length: Final = _CCSDS.size
-    sequence_cycle: Final = _SEQUENCE_CYCLE
+    length: ClassVar[int] = _CCSDS.size
+    sequence_cycle: ClassVar[int] = _SEQUENCE_CYCLE
 
     def identification(self, kind: Kind, unit: int) -> int:
         """The first sixteen bits."""
@@ -110,7 +110,7 @@ class PlainHeader:
     def pack(self, kind: Kind, unit: int, sequence: int, packet_length: int) -> bytes:
         """The header of a packet of `packet_length` bytes, CRC included."""
         values = {"unit": unit, "sequence": sequence, "length": packet_length, "message": self.messages[kind]}
-        return self.layout.pack(values | self._constants)
+        return self.layout.pack({**values, **self._constants})
 
     def check_length(self, packet: bytes) -> None:
         """Compare the length of a packet with what its header states, if it does.
@@ -136,7 +136,9 @@ class PlainHeader:
             or unit >= self.units
             or any(values[name] != code for name, code in self._constants.items())
         ):
-            raise DecodeError(Fault.FOREIGN, f"{packet[: self.length].hex()} starts no packet of this interface")
+            raise DecodeError(
+                Fault.FOREIGN, f"{packet[: self.length].hex()} starts no packet of this interface"
+            )
         sequence = values.get("sequence")
         return kind, unit, None if sequence is None else int(sequence)
 
@@ -148,7 +150,7 @@ class PlainHeader:
     @cached_property
     def _kinds(self) -> Mapping[object, Kind]:
         if "message" not in self.layout.names:
-            return {None: kind for kind in self.messages}
+            return {**dict.fromkeys([None], next(iter(self.messages)))}
         return {code: kind for kind, code in self.messages.items()}
 
 

@@ -118,7 +118,7 @@ def acknowledge(interface: Interface, unit: int, values: dict[str, Value]) -> Ac
     command = known.get(-1 if code is None else int(code))
     return Acknowledge(
         unit=unit,
-        command=command and command.name,
+        command=command.name if command else None,
         sequence=None if sequence is None else int(sequence),
         verdict=interface.word("verdict", int(verdict or 0)) or str(verdict),
         values=values,

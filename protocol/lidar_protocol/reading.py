@@ -88,7 +88,7 @@ def _interface(root: TomlTable) -> Interface:
         _check_acknowledge(acknowledge, f"{root.where} acknowledge", context)
     bodies: dict[Kind, Layout | None] = {
         "measurement": packet.header,
-        "command": commands and commands.header,
+        "command": commands.header if commands else None,
         "acknowledge": acknowledge,
         "housekeeping": housekeeping,
     }
@@ -155,7 +155,9 @@ def _check_acknowledge(layout: Layout, where: str, context: Context) -> None:
             raise DefinitionError(where, ", ".join(fields), f"a field {name} among them")
     words = context.enumerations.get(fields["verdict"].enumeration or "", {})
     if missing := [word for word in VERDICTS if word not in words]:
-        raise DefinitionError(f"{where}: verdict.values", ", ".join(missing), "an enumeration with these words")
+        raise DefinitionError(
+            f"{where}: verdict.values", ", ".join(missing), "an enumeration with these words"
+        )
 
 
 def _codes(table: TomlTable | None) -> dict[str, int]:

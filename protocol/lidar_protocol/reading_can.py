@@ -20,7 +20,9 @@ _COUNTER_BITS = range(2, 9)
 _OF_A_SHOT = frozenset({"shot_counter", "details", "interface_version", "beam_count"})
 
 
-def read_can(table: TomlTable, context: Context, commands: Commands | None) -> tuple[CanDefinition, Commands | None]:
+def read_can(
+    table: TomlTable, context: Context, commands: Commands | None
+) -> tuple[CanDefinition, Commands | None]:
     """The messages on CAN; and the commands, with their identifiers if they have any."""
     known = by_name([*context.blocks["header"], *context.blocks.get("beam", [])])
     shared = table.optional_table("fields")
@@ -71,8 +73,12 @@ def _message(table: TomlTable, context: Context, known: Mapping[object, Entry]) 
     counts = isinstance(first.codec, Counter) and first.codec.bits in _COUNTER_BITS
     if first.name != "shot_counter" or bit or not counts:
         raise table.refusal("fields", first.name, "shot_counter first, 2 to 8 bits that wrap")
-    if message.absent_unless is not None and (not message.each_beam or message.absent_unless in message.layout.names):
-        raise table.refusal("absent_unless", message.absent_unless, "a flag that this beam's message does not hold")
+    if message.absent_unless is not None and (
+        not message.each_beam or message.absent_unless in message.layout.names
+    ):
+        raise table.refusal(
+            "absent_unless", message.absent_unless, "a flag that this beam's message does not hold"
+        )
     return message
 
 
@@ -115,7 +121,9 @@ def _check_sets(can: CanDefinition, where: str) -> None:
     for name, messages in can.sets.items():
         first, *others = messages
         if not first.opens_set or first.each_beam or any(other.opens_set for other in others):
-            raise DefinitionError(f"{where}.messages: set {name}", first.name, "beam_count in the first message alone")
+            raise DefinitionError(
+                f"{where}.messages: set {name}", first.name, "beam_count in the first message alone"
+            )
         _check_header(first.layout, first.sets, f"{where}.messages: {first.name}", can.beam_slots)
 
 
@@ -127,9 +135,8 @@ def _check_header(layout: Layout, sets: frozenset[str], where: str, slots: int) 
 
 def _check_ids(can: CanDefinition, commands: Commands | None, units: int, where: str) -> None:
     taken: dict[int, str] = {}
-    blocks = (*([can.acknowledge] if can.acknowledge else []), *can.housekeeping)
     wanted = [(each.name, each.id, can.beam_slots if each.each_beam else 1) for each in can.messages]
-    wanted += [(block.name, block.id, 1) for block in blocks]
+    wanted += [(block.name, block.id, 1) for block in can.blocks]
     for command in commands.commands if commands else ():
         if command.can_id is not None:
             wanted.append((command.name, command.can_id, 1))

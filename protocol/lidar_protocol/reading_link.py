@@ -49,7 +49,11 @@ def read_link(root: TomlTable, context: Context, timed: Mapping[Kind, bool], lon
 def _framing(table: TomlTable, byte_order: ByteOrder) -> Framing:
     kind = table.choice("kind", ("cobs", "slip", "sync"))
     framing: Framing = (
-        Stuffed("cobs") if kind == "cobs" else Stuffed("slip") if kind == "slip" else _synced(table, byte_order)
+        Stuffed("cobs")
+        if kind == "cobs"
+        else Stuffed("slip")
+        if kind == "slip"
+        else _synced(table, byte_order)
     )
     table.finish()
     return framing
@@ -83,7 +87,9 @@ def _space_packet(table: TomlTable, context: Context, timed: Mapping[Kind, bool]
     for kind, apid in telemetry.items():
         for other, theirs in telemetry.items():
             if kind < other and abs(apid - theirs) < context.units:
-                allowed = f"{context.units} APIDs of its own, for as many units; {other} has {theirs} and following"
+                allowed = (
+                    f"{context.units} APIDs of its own, for as many units; {other} has {theirs} and following"
+                )
                 raise own.refusal(kind, apid, allowed)
     return SpacePacketHeader(apids, context.units, frozenset(kind for kind in timed if timed[kind]))
 

@@ -22,7 +22,9 @@ def decode(stuffed: bytes) -> bytes:
     escapes = stuffed.count(_ESCAPE)
     known = stuffed.count(_ESCAPED_END) + stuffed.count(_ESCAPED_ESCAPE)
     if not stuffed or DELIMITER in stuffed or escapes != known:
-        raise DecodeError(Fault.BAD_STUFFING, "a frame is at least one byte, with escapes of END and ESC alone")
+        raise DecodeError(
+            Fault.BAD_STUFFING, "a frame is at least one byte, with escapes of END and ESC alone"
+        )
     return stuffed.replace(_ESCAPED_END, DELIMITER).replace(_ESCAPED_ESCAPE, _ESCAPE)
 
 

@@ -8,7 +8,7 @@ from decimal import Decimal
 
 from lidar_protocol.errors import DefinitionError
 
-_NAME = re.compile(r"[a-z][a-z0-9_]{0,59}")
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 
 class TomlTable:
@@ -34,7 +34,9 @@ class TomlTable:
         """A name that languages and file formats take as it is; required."""
         value = self.text(key)
         if not _NAME.fullmatch(value):
-            raise self.refusal(key, value, "small letters, digits and underscores, a letter first, at most 60")
+            raise self.refusal(
+                key, value, "small letters, digits and underscores, a letter first, at most 32"
+            )
         return value
 
     def choice(self, key: str, allowed: Collection[str], default: str | None = None) -> str:
