@@ -108,7 +108,7 @@ def _crc(crc: Crc | None) -> str:
         step = f"({kind})(crc >> 8) ^ table[(crc ^ data[k]) & 0xFFu]"
     else:
         step = f"({kind})(crc << 8) ^ table[(crc >> {crc.bits - 8} ^ data[k]) & 0xFFu]"
-    return f"""/* {crc.name}; 0x{crc.check:0{digits}X} for "123456789". `crc`: of what went before, or LIDAR_CRC_START. */
+    return f"""/* {crc.name}; 0x{crc.check:0{digits}X} for "123456789". From LIDAR_CRC_START on, piece by piece. */
 #define LIDAR_CRC_START 0x{crc.start ^ crc.final_xor:X}u
 static inline {kind} lidar_crc({kind} crc, const uint8_t *data, size_t length) {{
     static const {kind} table[256] = {{

@@ -107,7 +107,8 @@ def _kind(interface: Interface, kind: Kind) -> str:
     layout = interface.acknowledge if kind == "acknowledge" else interface.housekeeping
     assert layout is not None
     version = _version_check(layout, "to->")
-    return f"""static inline bool lidar_read_{kind}(const uint8_t *packet, size_t length, unsigned *unit, lidar_{kind} *to) {{
+    return f"""static inline bool lidar_read_{kind}(
+    const uint8_t *packet, size_t length, unsigned *unit, lidar_{kind} *to) {{
     if (lidar_check(packet, length, unit) != LIDAR_{kind.upper()} ||
         length != LIDAR_HEADER_BYTES + LIDAR_{kind.upper()}_BYTES + LIDAR_CRC_BYTES)
         return false;
@@ -144,7 +145,8 @@ def _measurement(interface: Interface) -> str:
     size_t beam_count;
 {beams}}} lidar_measurement;
 
-static inline bool lidar_read_measurement(const uint8_t *packet, size_t length, unsigned *unit, lidar_measurement *to) {{
+static inline bool lidar_read_measurement(
+    const uint8_t *packet, size_t length, unsigned *unit, lidar_measurement *to) {{
     if (lidar_check(packet, length, unit) != LIDAR_MEASUREMENT || length < {head})
         return false;
     lidar_unpack_shot(packet + LIDAR_HEADER_BYTES, &to->shot);

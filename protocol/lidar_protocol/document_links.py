@@ -103,15 +103,17 @@ def _synced(framing: Synced, longest: int) -> str:
         counted = "the number of bytes that follow it"
     else:
         counted = "the number of bytes of the frame, sync word and length included"
-    return f"""Each packet follows the sync word `{framing.sync.hex(" ")}` and a {size} ({framing.byte_order}-endian): {counted}.
+    order = "" if framing.length_bytes == 1 else f" ({framing.byte_order}-endian)"
+    return f"""Each packet follows the sync word `{framing.sync.hex(" ")}` and a {size}{order}:
+{counted}.
 
-To decode, look for the sync word, read the length and that many bytes. If the length is impossible or the packet is not
-good, the sync word was chance or the frame is damaged: look on right behind that sync word, not behind the frame. No
-frame is longer than {longest} bytes."""
+To decode, look for the sync word, read the length and that many bytes. If the length is impossible or the packet is
+not good, the sync word was chance or the frame is damaged: look on right behind that sync word, not behind the frame.
+No frame from the device is longer than {longest} bytes."""
 
 
-_COBS = """Each packet is stuffed by COBS (consistent overhead byte stuffing), which takes all zeros out of it, and followed
-by one zero byte, the delimiter. Stuffing adds one byte, and one more for each further 254 bytes.
+_COBS = """Each packet is stuffed by COBS (consistent overhead byte stuffing), which takes all zeros out of it, and
+followed by one zero byte, the delimiter. Stuffing adds one byte, and one more for each further 254 bytes.
 
 To decode, collect bytes up to a zero. Then read a code byte c and copy the c - 1 bytes after it; if c is less than
 255 and the frame is not used up, append a zero; repeat until it is used up. Drop a frame that ends inside a run,
@@ -126,6 +128,7 @@ packet is not good; the next one starts after the next `c0`.
 
 
 def _delimited(framing: Stuffed, longest: int) -> str:
-    return f"""An empty frame means nothing: commands, acknowledgements and housekeeping have a delimiter (`{framing.delimiter.hex()}`)
-before them too, so that what came before cannot spoil them. No frame from the device is longer than {longest} bytes without its
-delimiter."""
+    delimiter = framing.delimiter.hex()
+    return f"""An empty frame means nothing: commands, acknowledgements and housekeeping have a delimiter
+(`{delimiter}`) before them too, so that what came before cannot spoil them. No frame from the device is longer than
+{longest} bytes without its delimiter."""

@@ -38,8 +38,8 @@ def _conventions(interface: Interface) -> str:
         """* Most significant byte first. In the tables `byte` counts from 0. `bits` counts from 7, the most significant
   bit of a byte, to 0: from that bit of the first byte to that of the last."""
         if interface.byte_order == "big"
-        else """* Least significant byte first. In the tables `byte` counts from 0. `bits` counts from 0, the least significant
-  bit of a byte, to 7: from that bit of the first byte, the lowest of the number, to that of the last, the highest."""
+        else """* Least significant byte first. In the tables `byte` counts from 0. `bits` counts from 0, the least
+  significant bit of a byte, to 7: from that bit of the first byte (the lowest of the number) to that of the last."""
     )
     return f"""{order} `uN` and `iN` are N-bit numbers without and with
   sign (two's complement), `f32` and `f64` IEEE 754. Bits that no table names are sent as 0; ignore them.
@@ -70,8 +70,8 @@ def _measurement(interface: Interface) -> str:
             "### Beam block",
             f"Block k (from 0) starts at byte {first} + {step} * k. Bytes are counted from the start of the block.",
             field_table(definition.beam),
-            f"A packet has {empty} bytes + {step} per beam, that is {empty + 4 * step} for four beams. At least one beam, at "
-            f"most {definition.maximum_beams}.",
+            f"A packet has {empty} bytes + {step} per beam, that is {empty + 4 * step} for four beams. At least one "
+            f"beam, at most {definition.maximum_beams}.",
         ]
     )
 
@@ -100,8 +100,8 @@ def _can(interface: Interface, can: CanDefinition) -> str:
     return "\n\n".join([text, *tables])
 
 
-_CAN = """Standard identifiers. Those of unit n are n * $stride higher than those of unit 0 (n = 0 to $last_unit). Beam k
-takes slot k of $slots. A shot is sent as one set ($sets), in classic frames, or as `fd` in CAN FD frames
+_CAN = """Standard identifiers. Those of unit n are n * $stride higher than those of unit 0 (n = 0 to $last_unit).
+Beam k takes slot k of $slots. A shot is sent as one set ($sets), in classic frames, or as `fd` in CAN FD frames
 with bit rate switch. Frames are sent in the order of the table, slot by slot. The DBC file holds the same for unit 0.
 
 Every message of a shot starts with the shot counter, the lowest $bits bits of the shot's number: frames with the same
@@ -187,8 +187,8 @@ def _example(interface: Interface) -> str:
     names = dict.fromkeys(name for beam in shot.beams for name in beam)
     columns = range(len(shot.beams))
     text = [
-        f"A shot of unit {example.UNIT} with {len(beams)} beams: a measurement; one of a receding surface with a second "
-        "return; an echo below the threshold; a beam that did not fire.",
+        f"A shot of unit {example.UNIT} with {len(beams)} beams: a measurement; one of a receding surface with a "
+        "second return; an echo below the threshold; a beam that did not fire.",
         "\n".join(
             [
                 "| header | value |",

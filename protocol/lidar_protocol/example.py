@@ -84,7 +84,10 @@ def shot(interface: Interface) -> tuple[Mapping[str, Value], Sequence[Mapping[st
     count = max(len(BEAMS), packet.beams_in_header)
     count = min(count, packet.maximum_beams, interface.can.beam_slots if interface.can else count)
     beams = [made_up | dict(BEAMS[k % len(BEAMS)]) for k in range(max(count, packet.beams_in_header))]
-    timed = {"time_s": 1.500490773, "due_s": 1.5029}
+    # The words of the example, in the numbers of the interface.
+    mode = next((p.field.enumeration for p in packet.header.placed if p.field.name == "mode"), None)
+    track = interface.enumerations.get(mode or "", {}).get("track", HEADER["mode"])
+    timed = {"mode": track, "time_s": 1.500490773, "due_s": 1.5029}
     return made_up | dict(HEADER) | timed, beams
 
 

@@ -150,7 +150,8 @@ class PlainHeader:
     @cached_property
     def _kinds(self) -> Mapping[object, Kind]:
         if "message" not in self.layout.names:
-            return {**dict.fromkeys([None], next(iter(self.messages)))}
+            (kind,) = self.messages
+            return {None: kind}
         return {code: kind for kind, code in self.messages.items()}
 
 

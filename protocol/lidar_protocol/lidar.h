@@ -648,7 +648,7 @@ static inline void lidar_unpack_can_versions(const uint8_t *block, lidar_can_ver
       to->software_patch = raw; }
 }
 
-/* crc16_ccitt_false; 0x29B1 for "123456789". `crc` is that of what went before, or LIDAR_CRC_START. */
+/* crc16_ccitt_false; 0x29B1 for "123456789". From LIDAR_CRC_START on, piece by piece. */
 #define LIDAR_CRC_START 0xFFFFu
 static inline uint16_t lidar_crc(uint16_t crc, const uint8_t *data, size_t length) {
     static const uint16_t table[256] = {
@@ -726,7 +726,8 @@ typedef struct {
     lidar_beam beams[LIDAR_MAXIMUM_BEAMS];
 } lidar_measurement;
 
-static inline bool lidar_read_measurement(const uint8_t *packet, size_t length, unsigned *unit, lidar_measurement *to) {
+static inline bool lidar_read_measurement(
+    const uint8_t *packet, size_t length, unsigned *unit, lidar_measurement *to) {
     if (lidar_check(packet, length, unit) != LIDAR_MEASUREMENT || length < LIDAR_HEADER_BYTES + LIDAR_SHOT_BYTES + LIDAR_CRC_BYTES)
         return false;
     lidar_unpack_shot(packet + LIDAR_HEADER_BYTES, &to->shot);
@@ -739,7 +740,8 @@ static inline bool lidar_read_measurement(const uint8_t *packet, size_t length, 
     return to->shot.interface_version == LIDAR_INTERFACE_VERSION;
 }
 
-static inline bool lidar_read_acknowledge(const uint8_t *packet, size_t length, unsigned *unit, lidar_acknowledge *to) {
+static inline bool lidar_read_acknowledge(
+    const uint8_t *packet, size_t length, unsigned *unit, lidar_acknowledge *to) {
     if (lidar_check(packet, length, unit) != LIDAR_ACKNOWLEDGE ||
         length != LIDAR_HEADER_BYTES + LIDAR_ACKNOWLEDGE_BYTES + LIDAR_CRC_BYTES)
         return false;
@@ -747,7 +749,8 @@ static inline bool lidar_read_acknowledge(const uint8_t *packet, size_t length, 
     return true;
 }
 
-static inline bool lidar_read_housekeeping(const uint8_t *packet, size_t length, unsigned *unit, lidar_housekeeping *to) {
+static inline bool lidar_read_housekeeping(
+    const uint8_t *packet, size_t length, unsigned *unit, lidar_housekeeping *to) {
     if (lidar_check(packet, length, unit) != LIDAR_HOUSEKEEPING ||
         length != LIDAR_HEADER_BYTES + LIDAR_HOUSEKEEPING_BYTES + LIDAR_CRC_BYTES)
         return false;

@@ -63,7 +63,7 @@ class TomlTable:
 
     def optional_integer(self, key: str) -> int | None:
         """A whole number, or None where it is left out."""
-        return self.integer(key, -(2**63), 2**63) if key in self else None
+        return self.integer(key, -(2**63), 2**64) if key in self else None
 
     def decimal(self, key: str) -> Decimal:
         """A number, exactly as it is written."""
