@@ -90,12 +90,12 @@ def as_numbers(interface: Interface, layout: Layout, values: Mapping[str, Argume
     words = {placed.field.name: placed.field.enumeration for placed in layout.placed}
     numbers: dict[str, Value] = {}
     for name, value in values.items():
-        if isinstance(value, str):
-            known = interface.enumerations.get(words.get(name) or "", {})
+        if isinstance(value, str) and name in words:
+            known = interface.enumerations.get(words[name] or "", {})
             if value not in known:
                 raise EncodeError(f"{name}: {value!r} is none of {', '.join(known) or 'its values'}")
             numbers[name] = known[value]
-        else:
+        elif not isinstance(value, str):
             numbers[name] = value
     return numbers
 
