@@ -92,11 +92,12 @@ class Encoder:
         self._can_set: CanSet | None = ("fd" if fd else wire.can_messages) if can else None
         if wire.unit >= interface.units:
             raise InputError("scenario", "wire.unit", wire.unit, f"allowed: 0 to {interface.units - 1}")
-        _check_beams(interface, can, beam_count)
-        layouts = _layouts(interface, self._can_set)
-        _check_fields(interface, layouts)
-        self._track = _code_of(interface, layouts, "mode", ("track",))[0]
-        self._reasons = _code_of(interface, layouts, "reason", _REASONS)
+        _check_beams(interface, wire.interface, can, beam_count)
+        layouts = _layouts(interface, wire.interface, self._can_set)
+        _check_fields(layouts, wire.interface)
+        codes = _Codes(interface, wire.interface, [layout for _, layout, _ in layouts])
+        (self._track,) = codes.of("mode", ("track",))
+        self._reasons = codes.of("reason", _REASONS)
 
     def packets(self, measurement: Measurement) -> Iterator[Packet]:
         """The packet of each shot; a function of the measurement alone."""
@@ -139,9 +140,13 @@ class Encoder:
             yield header, beams
 
 
-def _check_beams(interface: Interface, can: bool, beam_count: int) -> None:
+_Block = tuple[str, Layout, frozenset[str]]
+"""What is sent of a shot: place in the definition, fields, and what can fill them."""
+
+
+def _check_beams(interface: Interface, where: str, can: bool, beam_count: int) -> None:
     if can and interface.can is None:
-        raise InputError(interface.name, "can", Finding("missing"), "allowed: a byte link, which it defines")
+        raise InputError(where, "can", Finding("missing"), "allowed: a byte link, which it defines")
     if interface.can is not None and can:
         least, most, place = 1, interface.can.beam_slots, "a CAN bus"
     else:
@@ -150,58 +155,52 @@ def _check_beams(interface: Interface, can: bool, beam_count: int) -> None:
     if beam_count > most:
         raise InputError("scenario", "beams", beam_count, f"allowed: at most {most} on {place}")
     if beam_count < least:
-        raise InputError("scenario", "beams", beam_count, f"allowed: at least {least} with {interface.name}")
+        raise InputError("scenario", "beams", beam_count, f"allowed: at least {least} with interface {where}")
 
 
-def _layouts(interface: Interface, can_set: CanSet | None) -> list[tuple[str, Layout, frozenset[str]]]:
-    """What is sent of a shot: place in the definition, fields, and what can fill them."""
+def _layouts(interface: Interface, where: str, can_set: CanSet | None) -> list[_Block]:
     if can_set is None:
         packet = interface.packet
         header = ("packet.header", packet.header, _OF_A_SHOT)
         return [header] if packet.beam is None else [header, ("packet.beam", packet.beam, _OF_A_BEAM)]
     assert interface.can is not None
     if can_set not in interface.can.sets:
-        sets = ", ".join(interface.can.sets)
-        raise InputError(interface.name, "can.messages", Finding(f"no set {can_set}"), f"allowed: {sets}")
+        allowed = f"allowed: {', '.join(interface.can.sets)}"
+        raise InputError(where, "can.messages", Finding(f"no set {can_set}"), allowed)
     return [
         (f"can.messages {each.name}", each.layout, _OF_A_BEAM if each.each_beam else _OF_A_SHOT)
         for each in interface.can.sets[can_set]
     ]
 
 
-def _check_fields(interface: Interface, layouts: list[tuple[str, Layout, frozenset[str]]]) -> None:
+def _check_fields(blocks: list[_Block], where: str) -> None:
     """Refuse fields that no measurement fills."""
-    for place, layout, known in layouts:
+    for place, layout, known in blocks:
         for field in (placed.field for placed in layout.placed):
             fillable = known if field.beam is None else _OF_A_BEAM
             if field.name not in fillable | FILLED_IN and not isinstance(field.codec, Constant):
                 allowed = f"allowed: {', '.join(sorted(fillable))}, and fields with a constant"
-                raise InputError(interface.name, place, field.name, allowed)
+                raise InputError(where, place, field.name, allowed)
 
 
-def _code_of(
-    interface: Interface,
-    layouts: list[tuple[str, Layout, frozenset[str]]],
-    name: str,
-    words: Sequence[str],
-) -> list[int]:
-    """What the interface sends for each of these words in the field of a name."""
-    enumeration = next(
-        (
-            placed.field.enumeration
-            for _, layout, _ in layouts
-            for placed in layout.placed
-            if placed.field.name == name and placed.field.enumeration
-        ),
-        None,
-    )
-    if enumeration is None:
-        return list(range(len(words)))
-    codes = interface.enumerations[enumeration]
-    if missing := [word for word in words if word not in codes]:
-        found = Finding(f"no {', '.join(missing)}")
-        raise InputError(interface.name, f"enumerations.{enumeration}", found, f"needed: {', '.join(words)}")
-    return [codes[word] for word in words]
+class _Codes:
+    """What an interface sends for words: its enumerations may number them as they like."""
+
+    def __init__(self, interface: Interface, where: str, layouts: list[Layout]) -> None:
+        self._interface, self._where = interface, where
+        fields = (placed.field for layout in layouts for placed in layout.placed)
+        self._enumerations = {field.name: field.enumeration for field in fields if field.enumeration}
+
+    def of(self, name: str, words: Sequence[str]) -> list[int]:
+        """The codes of these words in the field of a name; without an enumeration, their places in the list."""
+        enumeration = self._enumerations.get(name)
+        if enumeration is None:
+            return list(range(len(words)))
+        codes = self._interface.enumerations[enumeration]
+        if missing := [word for word in words if word not in codes]:
+            found, needed = Finding(f"no {', '.join(missing)}"), f"needed: {', '.join(words)}"
+            raise InputError(self._where, f"enumerations.{enumeration}", found, needed)
+        return [codes[word] for word in words]
 
 
 def rows(message: Message) -> list[dict[str, Any]]:

@@ -55,6 +55,10 @@ class Context:
         if "type" in own:  # codes belong to a type
             base.pop("none", None)
             base.pop("absent", None)
+        if not own.keys() & {"type", "spare"} and "type" not in base:
+            raise table.refusal(
+                "name", own.get("name"), "the name of a field of the packet, or a type as well"
+            )
         return [base | own]
 
 

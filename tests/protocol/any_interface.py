@@ -62,7 +62,9 @@ def fields(draw, prefix, most=6):
     entries, bit = [], 0
     for k in range(draw(st.integers(1, most))):
         name = f"{prefix}{k}"
-        kind = draw(st.sampled_from(["number", "number", "bool", "f32", "f64", "cuc", "counter", "constant", "spare"]))
+        kind = draw(
+            st.sampled_from(["number", "number", "bool", "f32", "f64", "cuc", "counter", "constant", "spare"])
+        )
         if kind == "number":
             entry = draw(numbers(name))
         elif kind == "counter":
@@ -122,7 +124,10 @@ def trees(draw):
         },
         "command_header": [{"name": "command", "type": "u8"}, {"name": "sequence", "type": "u8"}],
         "commands": {"first": {"code": 1}, "second": {"code": 7, "fields": draw(fields("c"))}},
-        "acknowledge": [{"name": "sequence", "type": "u8"}, {"name": "verdict", "type": "u8", "values": "verdict"}],
+        "acknowledge": [
+            {"name": "sequence", "type": "u8"},
+            {"name": "verdict", "type": "u8", "values": "verdict"},
+        ],
         "housekeeping": draw(fields("k")),
     }
 
@@ -135,7 +140,12 @@ def framings(draw):
         return {"kind": kind}
     word = draw(st.sampled_from(["1ACFFC1D", "EB90", "A5", "AAAA", "00"]))
     counts = draw(st.sampled_from(["packet", "frame"]))
-    return {"kind": kind, "sync": word, "length": draw(st.sampled_from(["u16", "u32"])), "length_counts": counts}
+    return {
+        "kind": kind,
+        "sync": word,
+        "length": draw(st.sampled_from(["u16", "u32"])),
+        "length_counts": counts,
+    }
 
 
 @st.composite

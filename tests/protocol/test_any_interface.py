@@ -9,7 +9,16 @@ from any_interface import block, document, fields, same, trees, values
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from lidar_protocol import Acknowledge, Command, CommandReader, Device, Host, Housekeeping, SerialReceiver, load
+from lidar_protocol import (
+    Acknowledge,
+    Command,
+    CommandReader,
+    Device,
+    Host,
+    Housekeeping,
+    SerialReceiver,
+    load,
+)
 from lidar_protocol.crc import CRCS
 from lidar_protocol.layout import Layout
 
@@ -47,7 +56,7 @@ def test_every_combination_comes_back(tree, data):
     interface = drawn(tree)
     unit = data.draw(st.integers(0, interface.units - 1))
     header_entries = tree["packet"]["header"]
-    header, bits = data.draw(values(header_entries))
+    header, _ = data.draw(values(header_entries))
     beams = [{"range_m": data.draw(st.integers(0, 1000)) / 100} for _ in range(3)]
     for beam in beams if "beam" in tree["packet"] else ():
         beam |= data.draw(values(tree["packet"]["beam"]))[0]
@@ -55,7 +64,11 @@ def test_every_combination_comes_back(tree, data):
     (message,) = SerialReceiver(interface).receive(framed)
     assert message.unit == unit
     for entry in header_entries:
-        if entry["name" if "name" in entry else "spare"] not in ("beam_count",) and "name" in entry and "beam" not in entry:
+        if (
+            entry["name" if "name" in entry else "spare"] not in ("beam_count",)
+            and "name" in entry
+            and "beam" not in entry
+        ):
             assert same(message.header[entry["name"]], header[entry["name"]], entry), entry
     assert message.beams[1]["range_m"] == beams[1]["range_m"]
     for back, beam in zip(message.beams, beams, strict=False):
@@ -140,6 +153,6 @@ def test_crcs_against_the_standard_library(data):
 
 def test_a_modbus_frame_of_the_specification():
     """Read holding registers, address 17, of the MODBUS examples: 11 03 00 6B 00 03, CRC 76 87 (low byte first)."""
-    assert struct.pack("<H", CRCS["crc16_modbus"].function(bytes.fromhex("1103006B0003"))) == bytes.fromhex("7687")
-
-
+    assert struct.pack("<H", CRCS["crc16_modbus"].function(bytes.fromhex("1103006B0003"))) == bytes.fromhex(
+        "7687"
+    )

@@ -78,7 +78,9 @@ def built(folder, interface, program):
     (folder / "lidar.h").write_text(documents.c_header(interface))
     (folder / "main.c").write_text('#include "lidar.h"\n#include <stdio.h>\n' + program)
     subprocess.run([COMPILER, *FLAGS, "main.c", "-o", "main"], cwd=folder, check=True)
-    return lambda data: subprocess.run([folder / "main"], input=data, capture_output=True, check=True).stdout.decode()
+    return lambda data: subprocess.run(
+        [folder / "main"], input=data, capture_output=True, check=True
+    ).stdout.decode()
 
 
 def expected(shot):
@@ -93,7 +95,9 @@ def expected(shot):
     return lines, rows
 
 
-@pytest.mark.parametrize("framing", ['kind = "cobs"', 'kind = "slip"', 'kind = "sync"\nsync = "EB90"\nlength = "u16"'])
+@pytest.mark.parametrize(
+    "framing", ['kind = "cobs"', 'kind = "slip"', 'kind = "sync"\nsync = "EB90"\nlength = "u16"']
+)
 def test_golden_shots_answers_and_health_between_garbage(framing, tmp_path):
     interface = load(DEFAULT.replace('kind = "cobs"', framing, 1), "mine.toml")
     run = built(tmp_path, interface, BEAM_PRINTER)

@@ -77,7 +77,10 @@ def test_a_command_by_hand():
     """A telecommand packet without secondary header, as INTERFACE.md says, with `struct` alone."""
     head = struct.pack(">HHHBBI", 0x1000 | 0x2A1, 0xC000 | 9, 8 - 1, 3, 9, 12_500)
     plain = head + struct.pack(">H", binascii.crc_hqx(head, 0xFFFF))
-    assert Host(DEFAULT, 1).encode_command("set_rate_hz", sequence=9, rate_hz=12.5) == b"\0" + cobs.encode(plain) + b"\0"
+    assert (
+        Host(DEFAULT, 1).encode_command("set_rate_hz", sequence=9, rate_hz=12.5)
+        == b"\0" + cobs.encode(plain) + b"\0"
+    )
 
 
 def test_spacepackets_reads_a_command_and_an_answer():
@@ -216,7 +219,13 @@ def test_answers_and_health_arrive_between_shots(step):
     receiver = SerialReceiver(DEFAULT)
     found = [each for k in range(0, len(stream), step) for each in receiver.receive(stream[k : k + step])]
     yes, no, health = found[1:4]
-    assert (type(yes), yes.unit, yes.command, yes.sequence, yes.verdict) == (Acknowledge, 6, "reset", 8, "accepted")
+    assert (type(yes), yes.unit, yes.command, yes.sequence, yes.verdict) == (
+        Acknowledge,
+        6,
+        "reset",
+        8,
+        "accepted",
+    )
     assert (no.command, no.sequence, no.verdict, no.values["command"]) == (None, 9, "unknown", 200)
     check_health(health.values, HEALTH)
     assert health.values["interface_version"] == DEFAULT.version
@@ -228,7 +237,9 @@ def check_health(values, expected):
         if isinstance(value, str):
             assert values[name] == DEFAULT.enumerations["mode"][value]
         else:
-            assert values[name] == (value if value is None else pytest.approx(value, abs=1e-9 if name != "time_ns" else 30))
+            assert values[name] == (
+                value if value is None else pytest.approx(value, abs=1e-9 if name != "time_ns" else 30)
+            )
 
 
 def test_health_on_can_comes_in_parts():
@@ -265,12 +276,17 @@ def test_cantools_reads_commands_answers_and_health():
         assert message.encode(message.decode(frame.data)) == frame.data
         return message.decode(frame.data)
 
-    assert read(host.encode_command_frame("set_mode", sequence=3, mode="safe")) == {"sequence": 3, "mode": "safe"}
+    assert read(host.encode_command_frame("set_mode", sequence=3, mode="safe")) == {
+        "sequence": 3,
+        "mode": "safe",
+    }
     parameter = read(host.encode_command_frame("set_parameter", sequence=3, parameter=7, number=-0.25))
     assert parameter == {"sequence": 3, "parameter": 7, "number": -0.25}
     assert database.get_message_by_name("CommandReset").senders == ["HOST"]
     answer = read(device.acknowledge_frame("reset", sequence=3, verdict="bad_sequence"))
     assert answer == {"command": "reset", "sequence": 3, "verdict": "bad_sequence"}
-    health = {name: value for frame in device.housekeeping_frames(HEALTH) for name, value in read(frame).items()}
+    health = {
+        name: value for frame in device.housekeeping_frames(HEALTH) for name, value in read(frame).items()
+    }
     assert (health["mode"], health["laser_power_w"], health["uptime_s"]) == ("track", "none", 86_400)
     assert health["temperature_c"] == pytest.approx(-12.34)

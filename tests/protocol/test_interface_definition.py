@@ -55,7 +55,11 @@ def refusal(old, new):
             '{ name = "due_ns" }, { spare = 1 },',
             ["can.messages[1].fields", "65 bits", "64"],
         ),
-        ('{ name = "due_ns" },', '{ name = "do_ns" },', ["can.messages[1].fields[4].type", "required"]),
+        (
+            '{ name = "due_ns" },',
+            '{ name = "do_ns" },',
+            ["can.messages[1].fields[4].name", "do_ns", "a type as well"],
+        ),
         ("[interface]", "[interface", ["TOML"]),
     ],
 )

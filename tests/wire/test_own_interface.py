@@ -14,6 +14,7 @@ from click.testing import CliRunner
 import lidar_emu
 from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
+from lidar_emu.measurement import Measurement
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import Wire
 from lidar_emu.wire import Encoder, interface_named, rows
@@ -22,9 +23,9 @@ from lidar_protocol import SerialReceiver, shipped_interface
 DEFAULT = (files("lidar_protocol") / "default.toml").read_text()
 BENCH = """
 name: three beams
-duration_s: 0.5
 wire: {interface: INTERFACE}
 bench_pattern:
+  duration_s: 0.5
   beams:
     - {range_m: 1000.126, closing_speed_mps: 10}
     - {range_m: 1000, closing_speed_mps: -20.25}
@@ -38,7 +39,7 @@ def scenario(folder: Path, interface: str) -> Path:
     return path
 
 
-def packets(path: Path) -> tuple[list[bytes], lidar_emu.measurement.Measurement]:  # type: ignore[name-defined]
+def packets(path: Path) -> tuple[list[bytes], Measurement]:
     loaded = load(path)
     measured = lidar_emu.simulate(loaded)
     encoder = Encoder(loaded.wire, can=False, fd=False, beam_count=measured.beam_count)
@@ -54,7 +55,9 @@ def test_an_altimeter_sends_what_was_measured(tmp_path: Path) -> None:
         assert (sequence, time_s) == (k % 256, pytest.approx(measured.time_ns[k].min() * 1e-9))
         assert flags == 0b0010_1111, "valid, and in mode track, which is 2 there"
         assert int.from_bytes(frame[16:19], "little") == round(measured.range_m[k, 0] * 100)
-        np.testing.assert_array_equal(struct.unpack_from("<3f", frame, 19), measured.closing_speed_mps[k].astype("f4"))
+        np.testing.assert_array_equal(
+            struct.unpack_from("<3f", frame, 19), measured.closing_speed_mps[k].astype("f4")
+        )
     shot = SerialReceiver(shipped_interface("altimeter")).receive(frames[3])[0]
     speeds = [row["closing_speed_mps"] for row in rows(shot)]  # type: ignore[arg-type]
     assert speeds == [10, -20.25, 30.5]
@@ -67,7 +70,9 @@ def test_a_file_is_relative_to_the_scenario(tmp_path: Path) -> None:
 
 
 def test_the_words_of_an_interface_may_have_other_numbers(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text(DEFAULT.replace("track = 4", "track = 9").replace("valid = 0", "valid = 11"))
+    (tmp_path / "mine.toml").write_text(
+        DEFAULT.replace("track = 4", "track = 9").replace("valid = 0", "valid = 11")
+    )
     frames, _ = packets(scenario(tmp_path, "mine.toml"))
     (shot,) = SerialReceiver(interface_named(str(tmp_path / "mine.toml"), "test")).receive(frames[0])
     assert (shot.header["mode"], shot.beams[0]["reason"]) == (9, 11)  # type: ignore[union-attr]
@@ -76,8 +81,17 @@ def test_the_words_of_an_interface_may_have_other_numbers(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ('name = "snr_db"', 'name = "colour"', ["packet.beam", "'colour'", "closing_speed_mps", "range_m", "constant"]),
-        ('name = "laser_on"', 'name = "range_m"', ["packet.header", "'range_m'", "clock_locked"]),
+        (
+            'name = "snr_db"',
+            'name = "colour"',
+            ["packet.beam", "'colour'", "closing_speed_mps", "range_m", "constant"],
+        ),
+        ('name = "due_ns"\ntype', 'name = "range_m"\ntype', ["can.messages[1].fields[4].name", "'due_ns'"]),
+        (
+            "[[packet.header]]\nspare = 6",
+            '[[packet.header]]\nname = "range_m"\ntype = "u6"',
+            ["packet.header", "'range_m'", "clock_locked"],
+        ),
         ("track = 4", "tracks = 4", ["enumerations.mode", "no track"]),
         ("units = 16", "units = 0", ["mine.toml: interface.units", "from 1 to 256"]),
         ('over = "packet"', 'over = "frame"', ["mine.toml: crc.over", "packet or body"]),
@@ -85,7 +99,9 @@ def test_the_words_of_an_interface_may_have_other_numbers(tmp_path: Path) -> Non
         ('kind = "crc16_ccitt_false"', 'kind = "crc16"', ["mine.toml: crc.kind", "'crc16'", "crc16_modbus"]),
     ],
 )
-def test_what_cannot_be_sent_is_refused_before_the_run(tmp_path: Path, old: str, new: str, told: list[str]) -> None:
+def test_what_cannot_be_sent_is_refused_before_the_run(
+    tmp_path: Path, old: str, new: str, told: list[str]
+) -> None:
     assert old in DEFAULT
     (tmp_path / "mine.toml").write_text(DEFAULT.replace(old, new, 1))
     loaded = load(scenario(tmp_path, "mine.toml"))
