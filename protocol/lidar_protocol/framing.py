@@ -143,8 +143,12 @@ class _DelimiterReader(Generic[T]):
         *endings, rest = data.split(self._delimiter)
         found: list[T] = []
         for ending in endings:
-            self._append(ending)
-            self._end_of_frame(found)
+            if self._frame or self._too_long:
+                self._append(ending)
+                ending = bytes(self._frame)
+                self._frame.clear()
+            self._end_of_frame(ending, found)
+            self._too_long = False
         self._append(rest)
         return found
 
@@ -156,15 +160,12 @@ class _DelimiterReader(Generic[T]):
         else:
             self._frame += piece
 
-    def _end_of_frame(self, found: list[T]) -> None:
-        frame, too_long = bytes(self._frame), self._too_long
-        self._frame.clear()
-        self._too_long = False
-        if not frame and not too_long:
+    def _end_of_frame(self, frame: bytes, found: list[T]) -> None:
+        if not frame and not self._too_long:
             return
         self._counters.frames += 1
         try:
-            if too_long:
+            if self._too_long or len(frame) > self._longest:
                 raise DecodeError(Fault.BAD_LENGTH, "longer than the longest packet")
             found.append(self._read(self._decode(frame)))
         except DecodeError as error:

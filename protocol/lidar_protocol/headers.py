@@ -60,7 +60,7 @@ class SpacePacketHeader:
         Raises:
             DecodeError: they differ.
         """
-        stated = _CCSDS.size + 1 + int.from_bytes(packet[4:6], "big")
+        stated = (packet[4] << 8 | packet[5]) + _CCSDS.size + 1
         if len(packet) != stated:
             raise DecodeError(Fault.BAD_LENGTH, f"the header states {stated} bytes, there are {len(packet)}")
 
@@ -70,11 +70,12 @@ class SpacePacketHeader:
         Raises:
             DecodeError: the packet is none of this interface.
         """
-        identification, sequence, _ = _CCSDS.unpack_from(packet)
-        origin = self._known.get(identification)
+        origin = self._known.get(packet[0] << 8 | packet[1])
+        sequence = packet[2] << 8 | packet[3]
         if origin is None or sequence < _UNSEGMENTED:
-            raise DecodeError(Fault.FOREIGN, f"{identification:#06x} starts no packet of this interface")
-        return (*origin, sequence % _SEQUENCE_CYCLE)
+            raise DecodeError(Fault.FOREIGN, f"{packet[:4].hex()} starts no packet of this interface")
+        kind, unit = origin
+        return kind, unit, sequence % _SEQUENCE_CYCLE
 
     @cached_property
     def _identifications(self) -> Mapping[Kind, int]:

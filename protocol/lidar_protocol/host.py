@@ -15,7 +15,7 @@ from lidar_protocol.errors import DecodeError, Fault
 from lidar_protocol.fields import Counter, Value
 from lidar_protocol.framing import LinkCounters
 from lidar_protocol.headers import Kind
-from lidar_protocol.message import Acknowledge, Housekeeping, Message, Received
+from lidar_protocol.message import Acknowledge, Housekeeping, Received
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,16 +76,14 @@ class SerialReceiver:
         if kind != "measurement":
             return read_block(self._interface, kind, unit, body)
         message = packet.measurement(self._interface, unit, sequence, body)
-        if self._cycle:
-            self._count_missing(message)
+        number = message.header["shot"] if self._by_shot else sequence
+        if number is not None:
+            self._count_missing(unit, int(number))
         return message
 
-    def _count_missing(self, message: Message) -> None:
-        number = message.shot if self._by_shot else message.sequence
-        if number is None:
-            return
-        last = self._last.get(message.unit, number - 1)
-        self._last[message.unit] = number
+    def _count_missing(self, unit: int, number: int) -> None:
+        last = self._last.get(unit, number - 1)
+        self._last[unit] = number
         missing = (number - last - 1) % self._cycle
         if missing >= self._cycle // 2:
             self.counters.restarts += 1
