@@ -44,6 +44,10 @@ class CanCounters:
     """
 
 
+_NOTHING: dict[str, Value] = {}
+"""What is known of a beam before its first message; replaced, never filled."""
+
+
 class _Listened(NamedTuple):
     """What to do with an identifier."""
 
@@ -121,10 +125,11 @@ class CanReceiver:
                 self._give_up(unit)
                 return []
             shot = known
-            place = shot.beams[slot]
-            place |= unpack(data, 0)
+            values = unpack(data, 0)
             if flag is not None:
-                place[flag] = data not in absent
+                values[flag] = data not in absent
+            known_values = shot.beams[slot]
+            shot.beams[slot] = known_values | values if known_values else values
         shot.missing &= ~bit
         if shot.missing:
             return []
@@ -150,7 +155,7 @@ class CanReceiver:
         # A header without details is that of one set alone.
         can_set = min(message.sets) if details is None else "full" if details else "core"
         expected = self._places(can_set, beam_count)
-        shot = _Shot(counter, expected, expected, [header, *({} for _ in range(beam_count))])
+        shot = _Shot(counter, expected, expected, [header, *[_NOTHING] * beam_count])
         self._shots[unit] = shot
         return shot
 

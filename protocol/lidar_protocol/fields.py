@@ -185,12 +185,21 @@ class Number:
     def value(self, raw: str) -> str:
         if self.is_full:
             return self._scaled(f"({raw})")
-        return f"{self._scaled('r')} if {self.lowest} <= (r := {raw}) <= {self.highest} else None"
+        # Most codes lie at one end, so that one comparison finds them.
+        least, most = self._pattern_limits
+        below = "" if self.lowest == least else f"{self.lowest} <= "
+        above = "" if self.highest == most else f" <= {self.highest}"
+        return f"{self._scaled('r')} if {below}(r := {raw}){above} else None"
+
+    @property
+    def _pattern_limits(self) -> tuple[int, int]:
+        """The least and the greatest number that the bits can be."""
+        return (-(1 << self.bits - 1), (1 << self.bits - 1) - 1) if self.signed else (0, (1 << self.bits) - 1)
 
     @property
     def is_full(self) -> bool:
         """Whether every pattern of bits is a value."""
-        return self.highest - self.lowest + 1 == 1 << self.bits
+        return (self.lowest, self.highest) == self._pattern_limits
 
     def _scaled(self, raw: str) -> str:
         if not self.whole:

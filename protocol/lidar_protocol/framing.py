@@ -149,7 +149,8 @@ class _DelimiterReader(Generic[T]):
                 self._frame.clear()
             self._end_of_frame(ending, found)
             self._too_long = False
-        self._append(rest)
+        if rest:
+            self._append(rest)
         return found
 
     def _append(self, piece: bytes) -> None:
