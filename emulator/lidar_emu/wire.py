@@ -8,11 +8,24 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.scenario.schema import Wire
-from lidar_protocol import CanFrame, CanSet, Device, EncodeError, Message, default_interface
-from lidar_protocol.fields import Value
+from lidar_protocol import (
+    SHIPPED,
+    CanFrame,
+    CanSet,
+    DefinitionError,
+    Device,
+    EncodeError,
+    Interface,
+    Message,
+    load_file,
+    shipped_interface,
+)
+from lidar_protocol.fields import Constant, Value
+from lidar_protocol.layout import FILLED_IN, Layout
 
 Packet = bytes | list[CanFrame]
 """What one shot is on a link: framed bytes, or CAN frames in the order of sending."""
@@ -34,30 +47,57 @@ _SAME_ON_THE_WIRE = (
     "residual_mps",
     "beam_angle_deg",
 )
+_OF_A_BEAM = frozenset({*_SAME_ON_THE_WIRE, "time_offset_s"})
+_OF_A_SHOT = frozenset({"time_ns", "time_s", "due_ns", "due_s", "mode", "laser_on", "clock_locked", "shot"})
+_REASONS = tuple(reason.name.lower() for reason in Reason)
+
+
+def interface_named(name: str, where: str, key: str | None = None) -> Interface:
+    """The interface that comes under a name, or that a file (.toml) defines.
+
+    Args:
+        where: who named it, for the complaint; and under which key.
+
+    Raises:
+        InputError: there is no such interface, or its definition cannot be used.
+    """
+    if name in SHIPPED:
+        return shipped_interface(name)
+    if not name.endswith(".toml"):
+        raise InputError(where, key, name, f"allowed: {', '.join(SHIPPED)}, or the name of a file, FILE.toml")
+    try:
+        return load_file(name)
+    except DefinitionError as error:
+        found = Finding("missing") if error.value is None else error.value
+        raise InputError(error.where, None, found, f"allowed: {error.allowed}") from None
 
 
 class Encoder:
     """Packets of one unit for one kind of link.
 
     Args:
-        wire: the unit, and on classic CAN the set of messages.
+        wire: the interface, the unit, and on classic CAN the set of messages.
         can: whether the link is a CAN bus.
         fd: whether it carries CAN FD frames.
         beam_count: beams of a shot.
 
     Raises:
-        InputError: the interface has no place for so many beams.
+        InputError: the interface cannot be used, has no place for so many beams or no such unit, or has fields that a
+            measurement cannot fill.
     """
 
     def __init__(self, wire: Wire, can: bool, fd: bool, beam_count: int) -> None:
-        interface = default_interface()
+        interface = interface_named(wire.interface, "scenario", "wire.interface")
         self._device = Device(interface, wire.unit)
         self._can_set: CanSet | None = ("fd" if fd else wire.can_messages) if can else None
-        limit = interface.can.beam_slots if can else interface.packet.maximum_beams
-        if beam_count > limit:
-            place = "a CAN bus" if can else "a packet"
-            raise InputError("scenario", "beams", beam_count, f"allowed: at most {limit} on {place}")
-        self._track = interface.enumerations["mode"]["track"]
+        if wire.unit >= interface.units:
+            raise InputError("scenario", "wire.unit", wire.unit, f"allowed: 0 to {interface.units - 1}")
+        _check_beams(interface, wire.interface, can, beam_count)
+        layouts = _layouts(interface, wire.interface, self._can_set)
+        _check_fields(layouts, wire.interface)
+        codes = _Codes(interface, wire.interface, [layout for _, layout, _ in layouts])
+        (self._track,) = codes.of("mode", ("track",))
+        self._reasons = codes.of("reason", _REASONS)
 
     def packets(self, measurement: Measurement) -> Iterator[Packet]:
         """The packet of each shot; a function of the measurement alone."""
@@ -75,6 +115,8 @@ class Encoder:
     ) -> Iterator[tuple[Mapping[str, Value], Sequence[Mapping[str, Value]]]]:
         # Lists of Python numbers: the protocol knows no arrays, and float(array element) costs more.
         columns = [getattr(measurement, name).tolist() for name in _SAME_ON_THE_WIRE]
+        reasons = _SAME_ON_THE_WIRE.index("reason")
+        columns[reasons] = [[self._reasons[code] for code in row] for row in columns[reasons]]
         first_ns = measurement.time_ns.min(axis=1)
         offsets_s = ((measurement.time_ns - first_ns[:, None]) * 1e-9).tolist()
         times = zip(
@@ -83,7 +125,9 @@ class Encoder:
         for row, (shot, time_ns, due_ns, offset_s) in enumerate(times):
             header = {
                 "time_ns": time_ns,
+                "time_s": time_ns * 1e-9,
                 "due_ns": due_ns,
+                "due_s": due_ns * 1e-9,
                 "mode": self._track,
                 "laser_on": True,
                 "clock_locked": True,
@@ -94,6 +138,69 @@ class Encoder:
                 for *values, beam_offset_s in zip(*(column[row] for column in columns), offset_s, strict=True)
             ]
             yield header, beams
+
+
+_Block = tuple[str, Layout, frozenset[str]]
+"""What is sent of a shot: place in the definition, fields, and what can fill them."""
+
+
+def _check_beams(interface: Interface, where: str, can: bool, beam_count: int) -> None:
+    if can and interface.can is None:
+        raise InputError(where, "can", Finding("missing"), "allowed: a byte link, which it defines")
+    if interface.can is not None and can:
+        least, most, place = 1, interface.can.beam_slots, "a CAN bus"
+    else:
+        packet = interface.packet
+        least, most, place = max(1, packet.beams_in_header), packet.maximum_beams, "a packet"
+    if beam_count > most:
+        raise InputError("scenario", "beams", beam_count, f"allowed: at most {most} on {place}")
+    if beam_count < least:
+        raise InputError("scenario", "beams", beam_count, f"allowed: at least {least} with interface {where}")
+
+
+def _layouts(interface: Interface, where: str, can_set: CanSet | None) -> list[_Block]:
+    if can_set is None:
+        packet = interface.packet
+        header = ("packet.header", packet.header, _OF_A_SHOT)
+        return [header] if packet.beam is None else [header, ("packet.beam", packet.beam, _OF_A_BEAM)]
+    assert interface.can is not None
+    if can_set not in interface.can.sets:
+        allowed = f"allowed: {', '.join(interface.can.sets)}"
+        raise InputError(where, "can.messages", Finding(f"no set {can_set}"), allowed)
+    return [
+        (f"can.messages {each.name}", each.layout, _OF_A_BEAM if each.each_beam else _OF_A_SHOT)
+        for each in interface.can.sets[can_set]
+    ]
+
+
+def _check_fields(blocks: list[_Block], where: str) -> None:
+    """Refuse fields that no measurement fills."""
+    for place, layout, known in blocks:
+        for field in (placed.field for placed in layout.placed):
+            fillable = known if field.beam is None else _OF_A_BEAM
+            if field.name not in fillable | FILLED_IN and not isinstance(field.codec, Constant):
+                allowed = f"allowed: {', '.join(sorted(fillable))}, and fields with a constant"
+                raise InputError(where, place, field.name, allowed)
+
+
+class _Codes:
+    """What an interface sends for words: its enumerations may number them as they like."""
+
+    def __init__(self, interface: Interface, where: str, layouts: list[Layout]) -> None:
+        self._interface, self._where = interface, where
+        fields = (placed.field for layout in layouts for placed in layout.placed)
+        self._enumerations = {field.name: field.enumeration for field in fields if field.enumeration}
+
+    def of(self, name: str, words: Sequence[str]) -> list[int]:
+        """The codes of these words in the field of a name; without an enumeration, their places in the list."""
+        enumeration = self._enumerations.get(name)
+        if enumeration is None:
+            return list(range(len(words)))
+        codes = self._interface.enumerations[enumeration]
+        if missing := [word for word in words if word not in codes]:
+            found, needed = Finding(f"no {', '.join(missing)}"), f"needed: {', '.join(words)}"
+            raise InputError(self._where, f"enumerations.{enumeration}", found, needed)
+        return [codes[word] for word in words]
 
 
 def rows(message: Message) -> list[dict[str, Any]]:

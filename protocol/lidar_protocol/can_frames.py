@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from lidar_protocol.definitions import COUNTER_BITS, CanMessage, CanSet, Interface
+from lidar_protocol.definitions import (
+    CanBlock,
+    CanDefinition,
+    CanMessage,
+    CanSet,
+    CommandDefinition,
+    Interface,
+)
 from lidar_protocol.errors import EncodeError
 from lidar_protocol.fields import Value
+from lidar_protocol.packet import check_unit
 
 Values = Mapping[str, Value]
-
-_COUNTER_SHIFT = 8 - COUNTER_BITS
 
 
 class CanFrame(NamedTuple):
@@ -31,6 +37,17 @@ class Address(NamedTuple):
     slot: int
 
 
+def definition(interface: Interface) -> CanDefinition:
+    """What the interface says of CAN.
+
+    Raises:
+        EncodeError: it says nothing.
+    """
+    if interface.can is None:
+        raise EncodeError(f"the interface {interface.name} has no messages on CAN")
+    return interface.can
+
+
 def encode(
     interface: Interface, unit: int, can_set: CanSet, header: Values, beams: Sequence[Values]
 ) -> list[CanFrame]:
@@ -45,41 +62,45 @@ def encode(
     Raises:
         EncodeError: a field is missing or cannot be sent, or there are more beams than slots.
     """
-    can = interface.can
-    if not 0 <= unit < interface.units:
-        raise EncodeError(f"unit {unit}: allowed are 0 to {interface.units - 1}")
+    can = definition(interface)
+    check_unit(interface, unit)
     if not 1 <= len(beams) <= can.beam_slots:
         raise EncodeError(f"{len(beams)} beams: there are {can.beam_slots} slots on CAN")
+    if can_set not in can.sets:
+        raise EncodeError(f"set {can_set}: the interface has {', '.join(can.sets)}")
     shot = header.get("shot")
-    filled_in = {
+    if shot is None:
+        raise EncodeError("shot is missing: the shot counter follows from it")
+    own: Values = {
         "shot_counter": shot,
         "details": can_set == "full",
         "interface_version": interface.version,
         "beam_count": len(beams),
     }
-    whole = {**header, **filled_in}
-    slots = [{**beam, "shot_counter": shot} for beam in beams]
+    counter = int(shot) % (1 << can.counter_bits)
+    base, is_fd = can.id_base + unit * can.unit_stride, can_set == "fd"
     frames: list[CanFrame] = []
-    for message in can.messages:
-        if can_set in message.sets:
-            first_id, is_fd = can.can_id(unit, message), message.is_fd
-            for slot, values in enumerate(slots if message.each_beam else (whole,)):
-                frames.append(CanFrame(first_id + slot, _data(message, values), is_fd, is_fd))
+    new = tuple.__new__  # half the time of calling the class
+    try:
+        for message in can.sets[can_set]:
+            can_id, pack = base + message.id, message.layout.packing
+            if not message.each_beam:
+                frames.append(new(CanFrame, (can_id, pack(header, own), is_fd, is_fd)))
+                continue
+            flag = message.absent_unless
+            for beam in beams:
+                here = flag is None or beam.get(flag)
+                data = pack(beam, own) if here else message.absent_blocks[counter]
+                frames.append(new(CanFrame, (can_id, data, is_fd, is_fd)))
+                can_id += 1
+    except KeyError as missing:
+        raise EncodeError(f"{missing.args[0]} is missing") from None
     return frames
 
 
-def decode(message: CanMessage, data: bytes) -> dict[str, Value]:
-    """The values in a message of the right length, the flag that its reception implies included."""
-    values = message.layout.unpack(data)
-    if message.absent_unless is not None:
-        absent = message.layout.absent
-        values[message.absent_unless] = data[1:] != absent[1:] or _low(data) != _low(absent)
-    return values
-
-
 def addresses(interface: Interface) -> dict[tuple[int, bool], Address]:
-    """Every identifier of every unit, with whether its frame is CAN FD."""
-    can = interface.can
+    """Every identifier of every unit's shots, with whether its frame is CAN FD."""
+    can = definition(interface)
     return {
         (can.can_id(unit, message, slot), message.is_fd): Address(unit, message, slot)
         for unit in range(interface.units)
@@ -88,19 +109,15 @@ def addresses(interface: Interface) -> dict[tuple[int, bool], Address]:
     }
 
 
-def shot_counter(data: bytes) -> int:
-    """The counter with which every message starts."""
-    return data[0] >> _COUNTER_SHIFT
+def block_addresses(interface: Interface) -> dict[int, tuple[int, CanBlock]]:
+    """Every identifier of acknowledgements and housekeeping: unit and message."""
+    can = definition(interface)
+    return {can.can_id(unit, block): (unit, block) for unit in range(interface.units) for block in can.blocks}
 
 
-def _data(message: CanMessage, values: Values) -> bytes:
-    if message.absent_unless is None or values.get(message.absent_unless):
-        return message.layout.pack(values)
-    absent = message.layout.absent
-    counter = int(values["shot_counter"] or 0) % (1 << COUNTER_BITS)
-    return bytes((counter << _COUNTER_SHIFT | _low(absent),)) + absent[1:]
-
-
-def _low(data: bytes) -> int:
-    """What the first byte holds beside the counter."""
-    return data[0] % (1 << _COUNTER_SHIFT)
+def command_addresses(interface: Interface, unit: int) -> dict[int, CommandDefinition]:
+    """Every identifier of commands to a unit."""
+    can = definition(interface)
+    base = can.id_base + unit * can.unit_stride
+    commands = interface.commands.commands if interface.commands else ()
+    return {base + each.can_id: each for each in commands if each.can_id is not None}

@@ -6,28 +6,35 @@ is preceded by a code byte: the distance to the next zero that was taken out, or
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from lidar_protocol.errors import DecodeError, Fault
 
 DELIMITER = b"\0"
 _LONGEST_RUN = 254
-_FULL = b"\xff"
-_CODES = [bytes((length + 1,)) for length in range(_LONGEST_RUN + 1)]
 
 
 def encode(data: bytes) -> bytes:
     """`data` stuffed, without the delimiter."""
-    *inner, last = data.split(DELIMITER)
-    pieces: list[bytes] = []
+    runs = data.split(DELIMITER)
+    if len(data) >= _LONGEST_RUN and max(map(len, runs)) >= _LONGEST_RUN:
+        return b"".join([bytes((len(run) + 1,)) + run for run in _cut(runs)])
+    stuffed = bytearray(DELIMITER + data)  # one byte more, and every zero becomes a code
+    position = 0
+    for run in runs:
+        stuffed[position] = code = len(run) + 1
+        position += code
+    return bytes(stuffed)
+
+
+def _cut(runs: list[bytes]) -> Iterator[bytes]:
+    """Runs of at most 254 bytes. A full one implies no zero: a zero after it needs a code of its own."""
+    *inner, last = runs
     for run in inner:
-        while len(run) >= _LONGEST_RUN:  # a full run implies no zero: the zero needs a code of its own
-            pieces += (_FULL, run[:_LONGEST_RUN])
-            run = run[_LONGEST_RUN:]
-        pieces += (_CODES[len(run)], run)
-    while len(last) > _LONGEST_RUN:
-        pieces += (_FULL, last[:_LONGEST_RUN])
-        last = last[_LONGEST_RUN:]
-    pieces += (_CODES[len(last)], last)
-    return b"".join(pieces)
+        full = len(run) // _LONGEST_RUN * _LONGEST_RUN
+        yield from (run[start : start + _LONGEST_RUN] for start in range(0, full, _LONGEST_RUN))
+        yield run[full:]
+    yield from (last[start : start + _LONGEST_RUN] for start in range(0, max(1, len(last)), _LONGEST_RUN))
 
 
 def decode(stuffed: bytes) -> bytes:
@@ -37,21 +44,21 @@ def decode(stuffed: bytes) -> bytes:
         DecodeError: the frame is empty, holds a zero, or ends inside a run.
     """
     if not stuffed or DELIMITER in stuffed:
-        raise DecodeError(Fault.BAD_COBS, "a frame is at least one byte, none of them zero")
-    pieces: list[bytes] = []
+        raise DecodeError(Fault.BAD_STUFFING, "a frame is at least one byte, none of them zero")
+    data = bytearray(stuffed)
     position, end = 0, len(stuffed)
-    while True:
-        code = stuffed[position]
-        following = position + code
-        pieces.append(stuffed[position + 1 : following])
-        if following >= end:
-            break
-        if code <= _LONGEST_RUN:
-            pieces.append(DELIMITER)
-        position = following
-    if following > end:
-        raise DecodeError(Fault.BAD_COBS, "the frame ends inside a run")
-    return b"".join(pieces)
+    not_in_data: list[int] = []
+    while position < end:
+        code = data[position]
+        data[position] = 0
+        position += code
+        if code > _LONGEST_RUN:
+            not_in_data.append(position)
+    if position > end:
+        raise DecodeError(Fault.BAD_STUFFING, "the frame ends inside a run")
+    for place in reversed(not_in_data):
+        del data[place : place + 1]
+    return bytes(data[1:])
 
 
 def stuffed_length(length: int) -> int:

@@ -9,7 +9,8 @@ from lidar_protocol.errors import EncodeError
 
 BITS = 56
 FRACTION_BITS = 24
-_NS_PER_S = 1_000_000_000
+NS_PER_S = 1_000_000_000
+HALF_TICK = 1 << FRACTION_BITS - 1
 
 
 def ticks_from_ns(time_ns: int) -> int:
@@ -18,7 +19,7 @@ def ticks_from_ns(time_ns: int) -> int:
     Raises:
         EncodeError: before the epoch, or 2**32 s and more after it.
     """
-    ticks = ((time_ns << FRACTION_BITS) + _NS_PER_S // 2) // _NS_PER_S
+    ticks = ((time_ns << FRACTION_BITS) + NS_PER_S // 2) // NS_PER_S
     if 0 <= ticks < 1 << BITS:
         return ticks
     raise EncodeError(f"time {time_ns} ns lies outside the 2**32 s from the epoch that a time code counts")
@@ -26,4 +27,4 @@ def ticks_from_ns(time_ns: int) -> int:
 
 def ns_from_ticks(ticks: int) -> int:
     """The nanosecond nearest to a tick; `ticks_from_ns` gives the tick back."""
-    return (ticks * _NS_PER_S + (1 << FRACTION_BITS - 1)) >> FRACTION_BITS
+    return (ticks * NS_PER_S + HALF_TICK) >> FRACTION_BITS

@@ -2,64 +2,96 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from decimal import Decimal
+from typing import NamedTuple
 
 from lidar_protocol import cuc
-from lidar_protocol.definitions import CanMessage, Interface
-from lidar_protocol.fields import Field, Number, Time
-from lidar_protocol.layout import Placed
+from lidar_protocol.can_frames import definition
+from lidar_protocol.definitions import Interface
+from lidar_protocol.fields import Field, Number, Real, Time
+from lidar_protocol.layout import Layout, Placed
 
-_SENDER, _RECEIVER = "LIDAR", "HOST"
+_DEVICE, _HOST = "LIDAR", "HOST"
 _FRAME_FORMATS = ["StandardCAN", "ExtendedCAN", *["reserved"] * 12, "StandardCAN_FD", "ExtendedCAN_FD"]
 _CLASSIC, _FD = _FRAME_FORMATS.index("StandardCAN"), _FRAME_FORMATS.index("StandardCAN_FD")
 _SECONDS_BITS = cuc.BITS - cuc.FRACTION_BITS
 
 
+class _Entry(NamedTuple):
+    """A message of unit 0."""
+
+    can_id: int
+    name: str
+    layout: Layout
+    is_fd: bool = False
+    sender: str = _DEVICE
+
+    @property
+    def fields(self) -> list[Field]:
+        return [placed.field for placed in self.layout.placed]
+
+
 def dbc(interface: Interface) -> str:
-    """The messages of unit 0 as a DBC file; the identifiers of unit n are n times the stride higher."""
-    messages = _numbered_messages(interface)
-    fields = [(can_id, field) for can_id, _, message in messages for field, _ in message.layout.placed]
+    """The messages of unit 0 as a DBC file; the identifiers of unit n are n times the stride higher.
+
+    Raises:
+        EncodeError: the interface has no messages on CAN.
+    """
+    entries = list(_entries(interface))
     formats = ",".join(f'"{name}"' for name in _FRAME_FORMATS)
+    any_fd = any(entry.is_fd for entry in entries)
     lines = [
-        f'VERSION "{interface.version}"\n\nNS_ :\n\nBS_:\n\nBU_: {_SENDER} {_RECEIVER}\n',
-        *(_message(can_id, name, message) for can_id, name, message in messages),
+        f'VERSION "{interface.version}"\n\nNS_ :\n\nBS_:\n\nBU_: {_DEVICE} {_HOST}\n',
+        *(_message(entry, interface) for entry in entries),
         f"CM_ {_quoted(_comment(interface))};",
-        *(comment for can_id, field in fields for comment in _signal_comments(can_id, field)),
+        *(
+            comment
+            for entry in entries
+            for field in entry.fields
+            for comment in _signal_comments(entry, field)
+        ),
         f'\nBA_DEF_ BO_ "VFrameFormat" ENUM {formats};',
         'BA_DEF_ BO_ "CANFD_BRS" ENUM "0","1";',
         'BA_DEF_ "BusType" STRING ;',
         'BA_DEF_DEF_ "VFrameFormat" "StandardCAN";',
         'BA_DEF_DEF_ "CANFD_BRS" "0";',
         'BA_DEF_DEF_ "BusType" "CAN";',
-        'BA_ "BusType" "CAN FD";',
-        *(
-            f'BA_ "VFrameFormat" BO_ {can_id} {_FD if message.is_fd else _CLASSIC};'
-            for can_id, _, message in messages
-        ),
-        *(f'BA_ "CANFD_BRS" BO_ {can_id} 1;' for can_id, _, message in messages if message.is_fd),
+        f'BA_ "BusType" "{"CAN FD" if any_fd else "CAN"}";',
+        *(f'BA_ "VFrameFormat" BO_ {each.can_id} {_FD if each.is_fd else _CLASSIC};' for each in entries),
+        *(f'BA_ "CANFD_BRS" BO_ {each.can_id} 1;' for each in entries if each.is_fd),
         "",
-        *(table for can_id, field in fields for table in _value_tables(interface, can_id, field)),
+        *(
+            table
+            for each in entries
+            for field in each.fields
+            for table in _value_tables(interface, each, field)
+        ),
+        *(kind for each in entries for field in each.fields for kind in _value_type(each, field)),
     ]
     return "\n".join(lines) + "\n"
 
 
 def decimal_text(value: float) -> str:
     """The text of a number to twelve digits, without an exponent or trailing zeros."""
+    if isinstance(value, int):
+        return str(value)
     return f"{Decimal(f'{value:.12g}'):f}"
 
 
-def _numbered_messages(interface: Interface) -> list[tuple[int, str, CanMessage]]:
-    """Identifier and name of every message of unit 0, one for each slot."""
-    can = interface.can
-    return [
-        (
-            can.can_id(0, message, slot),
-            _camel_case(message.name) + (str(slot) if message.each_beam else ""),
-            message,
-        )
-        for message in can.messages
-        for slot in range(can.beam_slots if message.each_beam else 1)
-    ]
+def _entries(interface: Interface) -> Iterator[_Entry]:
+    """Every message of unit 0, one for each slot."""
+    can = definition(interface)
+    for message in can.messages:
+        for slot in range(can.beam_slots if message.each_beam else 1):
+            name = _camel_case(message.name) + (str(slot) if message.each_beam else "")
+            yield _Entry(can.can_id(0, message, slot), name, message.layout, message.is_fd)
+    for command in interface.commands.commands if interface.commands else ():
+        if command.can is not None and command.can_id is not None:
+            name = f"Command{_camel_case(command.name)}"
+            yield _Entry(can.id_base + command.can_id, name, command.can, sender=_HOST)
+    for block in can.blocks:
+        yield _Entry(can.can_id(0, block), _camel_case(block.name), block.layout)
 
 
 def _camel_case(name: str) -> str:
@@ -69,14 +101,21 @@ def _camel_case(name: str) -> str:
 def _comment(interface: Interface) -> str:
     return (
         f"Interface {interface.name}, version {interface.version}. Identifiers of unit 0; those of unit n "
-        f"are n * {interface.can.unit_stride:#x} higher, n up to {interface.units - 1}. "
+        f"are n * {definition(interface).unit_stride:#x} higher, n up to {interface.units - 1}. "
         f"Epoch: {interface.epoch}."
     )
 
 
-def _message(can_id: int, name: str, message: CanMessage) -> str:
-    lines = [f"BO_ {can_id} {name}: {message.layout.length} {_SENDER}"]
-    lines += [signal for placed in message.layout.placed for signal in _signals(placed)]
+def _message(entry: _Entry, interface: Interface) -> str:
+    receiver = _HOST if entry.sender == _DEVICE else _DEVICE
+    order = "1" if interface.byte_order == "little" else "0"
+    lines = [f"BO_ {entry.can_id} {entry.name}: {entry.layout.length} {entry.sender}"]
+    for placed in entry.layout.placed:
+        for name, bit, bits, scaling, limits, unit in _signals(placed, order == "1"):
+            # DBC numbers the bits of a byte from its least significant one.
+            start = bit if order == "1" else bit // 8 * 8 + 7 - bit % 8
+            sign, numbers = scaling[0], scaling[1:]
+            lines.append(f' SG_ {name} : {start}|{bits}@{order}{sign} {numbers} {limits} "{unit}" {receiver}')
     return "\n".join(lines) + "\n"
 
 
@@ -88,39 +127,47 @@ def _signal_names(field: Field) -> list[str]:
     return [f"{stem}_seconds", f"{stem}_fraction"]
 
 
-def _signals(placed: Placed) -> list[str]:
-    (field, bit), names = placed, _signal_names(placed.field)
-    codec = field.codec
+_Signal = tuple[str, int, int, str, str, str]
+"""Name, first bit, bits, sign and scaling, limits, unit."""
+
+
+def _signals(placed: Placed, little: bool) -> list[_Signal]:
+    (field, bit), names, codec = placed, _signal_names(placed.field), placed.field.codec
     if isinstance(codec, Time):
-        step = 2.0**-cuc.FRACTION_BITS
-        whole = _signal(names[0], bit, _SECONDS_BITS, "+ (1,0)", f"[0|{2**_SECONDS_BITS - 1}]", "s")
-        bit += _SECONDS_BITS
-        return [whole, _signal(names[1], bit, cuc.FRACTION_BITS, f"+ ({step!r},0)", f"[0|{1 - step!r}]", "s")]
+        step, parts = 2.0**-cuc.FRACTION_BITS, (_SECONDS_BITS, cuc.FRACTION_BITS)
+        whole_at, fraction_at = (bit + parts[1], bit) if little else (bit, bit + parts[0])
+        return [
+            (names[0], whole_at, parts[0], "+(1,0)", f"[0|{2 ** parts[0] - 1}]", "s"),
+            (names[1], fraction_at, parts[1], f"+({step!r},0)", f"[0|{1 - step!r}]", "s"),
+        ]
     if isinstance(codec, Number):
         low, high = (decimal_text(limit) for limit in codec.limits)
-        scaling = f"{'-' if codec.signed else '+'} ({decimal_text(1 / codec.steps_per_unit)},{codec.offset})"
-        return [_signal(names[0], bit, codec.bits, scaling, f"[{low}|{high}]", field.unit)]
-    return [_signal(names[0], bit, codec.bits, "+ (1,0)", f"[0|{2**codec.bits - 1}]", "")]
+        scaling = f"{'-' if codec.signed else '+'}({decimal_text(1 / codec.steps_per_unit)},{codec.offset})"
+        return [(names[0], bit, codec.bits, scaling, f"[{low}|{high}]", field.unit)]
+    if isinstance(codec, Real):
+        return [(names[0], bit, codec.bits, "-(1,0)", f"[{codec.lowest!r}|{codec.highest!r}]", field.unit)]
+    return [(names[0], bit, codec.bits, "+(1,0)", f"[0|{2**codec.bits - 1}]", "")]
 
 
-def _signal(name: str, bit: int, bits: int, scaling: str, limits: str, unit: str) -> str:
-    """A big-endian signal; DBC numbers the bits of a byte from its least significant one."""
-    start = bit // 8 * 8 + 7 - bit % 8
-    return f' SG_ {name} : {start}|{bits}@0{scaling} {limits} "{unit}" {_RECEIVER}'
+def _signal_comments(entry: _Entry, field: Field) -> list[str]:
+    return [f"CM_ SG_ {entry.can_id} {name} {_quoted(field.meaning)};" for name in _signal_names(field)]
 
 
-def _signal_comments(can_id: int, field: Field) -> list[str]:
-    return [f"CM_ SG_ {can_id} {name} {_quoted(field.meaning)};" for name in _signal_names(field)]
-
-
-def _value_tables(interface: Interface, can_id: int, field: Field) -> list[str]:
+def _value_tables(interface: Interface, entry: _Entry, field: Field) -> list[str]:
     """The names of a field's values and codes, where it has any."""
     words = interface.enumerations[field.enumeration] if field.enumeration else {}
     names: dict[int | None, str] = {value: word for word, value in words.items()}
     if isinstance(field.codec, Number):
         names |= {field.codec.none: "none", field.codec.absent: "absent"}
     pairs = " ".join(f'{value} "{name}"' for value, name in names.items() if value is not None)
-    return [f"VAL_ {can_id} {field.name} {pairs} ;"] if pairs else []
+    return [f"VAL_ {entry.can_id} {field.name} {pairs} ;"] if pairs else []
+
+
+def _value_type(entry: _Entry, field: Field) -> list[str]:
+    """That a signal is a floating-point number."""
+    if not isinstance(field.codec, Real):
+        return []
+    return [f"SIG_VALTYPE_ {entry.can_id} {field.name} : {1 if field.codec.bits == 32 else 2};"]
 
 
 def _quoted(text: str) -> str:

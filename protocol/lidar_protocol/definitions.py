@@ -1,40 +1,112 @@
-"""Interface definitions: TOML, read and checked once, into frozen data."""
+"""Interface definitions as frozen data: everything that sender and receiver must agree upon."""
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from decimal import Decimal
-from functools import cache, cached_property
-from importlib.resources import files
+from functools import cached_property
 from typing import Literal
 
-from lidar_protocol.ccsds import APID_LIMIT, OVERHEAD_BYTES
-from lidar_protocol.errors import DefinitionError
-from lidar_protocol.field_table import Entry, Enumerations, read_layout
-from lidar_protocol.fields import Counter
-from lidar_protocol.layout import Layout
-from lidar_protocol.toml_table import TomlTable
+from lidar_protocol.crc import Crc
+from lidar_protocol.field_table import Enumerations
+from lidar_protocol.framing import Framing
+from lidar_protocol.headers import PacketHeader
+from lidar_protocol.layout import ByteOrder, Layout
 
 CanSet = Literal["core", "full", "fd"]
 """The messages of one shot: what a classic bus can carry at speed, everything on a classic bus, or CAN FD."""
 
-COUNTER_BITS = 4
-_STANDARD_ID_LIMIT = 1 << 11
-_CLASSIC_LENGTHS = range(1, 9)
-_FD_LENGTHS = (*_CLASSIC_LENGTHS, 12, 16, 20, 24, 32, 48, 64)
+Covered = Literal["packet", "body", "frame"]
+"""What a CRC is computed over: all of the packet before it, that without its header, or all of the frame."""
+
+
+@dataclass(frozen=True)
+class ByteLink:
+    """How packets travel on a serial line."""
+
+    framing: Framing
+    header: PacketHeader
+    crc: Crc | None
+    covered: Covered
+    byte_order: ByteOrder
+    """Of the CRC."""
+
+    @cached_property
+    def crc_length(self) -> int:
+        """Bytes of the CRC."""
+        return 0 if self.crc is None else self.crc.length
+
+    @cached_property
+    def checksum(self) -> Callable[[bytes], int]:
+        """From what is covered to the CRC."""
+        assert self.crc is not None
+        return self.crc.function
+
+    @cached_property
+    def overhead(self) -> int:
+        """Bytes of a packet beside its body."""
+        return self.header.length + self.crc_length
 
 
 @dataclass(frozen=True)
 class PacketDefinition:
-    """The body of a packet: `header`, then `beam` once for each beam."""
+    """The body of a measurement: `header`, then `beam`, if there is one, for each beam."""
 
-    apid: int
-    """Of unit 0; the other units follow."""
-    maximum_beams: int
     header: Layout
-    beam: Layout
+    beam: Layout | None
+    maximum_beams: int
+
+    @cached_property
+    def of_beams(self) -> tuple[tuple[str, str, int], ...]:
+        """The fields of the header that belong to a beam: key, name and beam."""
+        fields = (placed.field for placed in self.header.placed)
+        return tuple((field.key, field.name, field.beam) for field in fields if field.beam is not None)
+
+    @cached_property
+    def beams_in_header(self) -> int:
+        """How many beams the fields of the header belong to."""
+        return max((beam + 1 for _, _, beam in self.of_beams), default=0)
+
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """Names of all fields."""
+        return self.header.names | (self.beam.names if self.beam else frozenset())
+
+    @property
+    def longest(self) -> int:
+        """Bytes of the longest body."""
+        return self.header.length + (self.maximum_beams * self.beam.length if self.beam else 0)
+
+
+@dataclass(frozen=True)
+class CommandDefinition:
+    """A command: on a byte link code, sequence number and arguments; on CAN its identifier stands for the code."""
+
+    name: str
+    code: int
+    meaning: str
+    packet: Layout
+    arguments: tuple[str, ...]
+    can: Layout | None
+    can_id: int | None
+    """Relative to the unit's first identifier."""
+
+
+@dataclass(frozen=True)
+class Commands:
+    """What a host can ask for."""
+
+    header: Layout
+    """The fields with which every command starts, `command` and `sequence` among them."""
+    commands: tuple[CommandDefinition, ...]
+
+    @cached_property
+    def by_name(self) -> Mapping[str, CommandDefinition]:
+        return {command.name: command for command in self.commands}
+
+    @cached_property
+    def by_code(self) -> Mapping[int, CommandDefinition]:
+        return {command.code: command for command in self.commands}
 
 
 @dataclass(frozen=True)
@@ -57,7 +129,28 @@ class CanMessage:
     @cached_property
     def opens_set(self) -> bool:
         """It is the header, which states how many beams follow."""
-        return any(placed.field.name == "beam_count" for placed in self.layout.placed)
+        return "beam_count" in self.layout.names
+
+    @cached_property
+    def absent_blocks(self) -> tuple[bytes, ...]:
+        """An absent beam's message, for each value of the shot counter."""
+        bits, absent = self.layout.placed[0].field.codec.bits, self.layout.absent
+        shift = 8 - bits if self.layout.byte_order == "big" else 0
+        return tuple(bytes((absent[0] | n << shift,)) + absent[1:] for n in range(1 << bits))
+
+    @cached_property
+    def absent_set(self) -> frozenset[bytes]:
+        """The same, to look up."""
+        return frozenset(self.absent_blocks)
+
+
+@dataclass(frozen=True)
+class CanBlock:
+    """A message that stands alone: an acknowledgement, or a part of the housekeeping."""
+
+    name: str
+    id: int
+    layout: Layout
 
 
 @dataclass(frozen=True)
@@ -67,11 +160,38 @@ class CanDefinition:
     id_base: int
     unit_stride: int
     beam_slots: int
+    counter_bits: int
+    """Of the shot counter, with which every message of a shot starts."""
     messages: tuple[CanMessage, ...]
+    acknowledge: CanBlock | None
+    housekeeping: tuple[CanBlock, ...]
 
-    def can_id(self, unit: int, message: CanMessage, slot: int = 0) -> int:
+    def shot_counter(self, data: bytes) -> int:
+        """The counter with which every message of a shot starts."""
+        return data[0] >> self.counter_shift & self.counter_mask
+
+    def can_id(self, unit: int, message: CanMessage | CanBlock, slot: int = 0) -> int:
         """The identifier of a unit's message."""
         return self.id_base + unit * self.unit_stride + message.id + slot
+
+    @cached_property
+    def blocks(self) -> tuple[CanBlock, ...]:
+        """The messages that stand alone."""
+        return (*([self.acknowledge] if self.acknowledge else []), *self.housekeeping)
+
+    @cached_property
+    def counter_mask(self) -> int:
+        return (1 << self.counter_bits) - 1
+
+    @cached_property
+    def counter_shift(self) -> int:
+        return 8 - self.counter_bits if self.messages[0].layout.byte_order == "big" else 0
+
+    @cached_property
+    def sets(self) -> Mapping[str, tuple[CanMessage, ...]]:
+        """The messages of each set, in the order of sending."""
+        names = {name: None for message in self.messages for name in sorted(message.sets)}
+        return {name: tuple(each for each in self.messages if name in each.sets) for name in names}
 
 
 @dataclass(frozen=True)
@@ -82,142 +202,29 @@ class Interface:
     version: int
     units: int
     epoch: str
+    byte_order: ByteOrder
     enumerations: Enumerations
+    link: ByteLink
     packet: PacketDefinition
-    can: CanDefinition
+    commands: Commands | None
+    acknowledge: Layout | None
+    housekeeping: Layout | None
+    can: CanDefinition | None
 
     @cached_property
     def maximum_packet_bytes(self) -> int:
-        """Length of the longest packet, CCSDS header and CRC included."""
-        beams = self.packet.maximum_beams * self.packet.beam.length
-        return OVERHEAD_BYTES + self.packet.header.length + beams
+        """Length of the longest packet from the device, header and CRC included."""
+        others = [layout.length for layout in (self.acknowledge, self.housekeeping) if layout is not None]
+        return self.link.overhead + max(self.packet.longest, *others, 0)
 
+    @cached_property
+    def maximum_command_bytes(self) -> int:
+        """Length of the longest packet to the device; longer ones are still read up to some 64 bytes more, so that
+        a command that is too long is told from noise."""
+        bodies = [command.packet.length for command in self.commands.commands] if self.commands else [0]
+        return self.link.overhead + max(bodies) + 64
 
-@cache
-def default_interface() -> Interface:
-    """The interface that comes with the package."""
-    source = files("lidar_protocol") / "default.toml"
-    return load(source.read_text(encoding="utf-8"), "default.toml")
-
-
-def load(text: str, where: str) -> Interface:
-    """Read a definition; `where` names it in errors.
-
-    Raises:
-        DefinitionError: one line that names the place, the value and what is allowed.
-    """
-    try:
-        tree = tomllib.loads(text, parse_float=Decimal)
-    except tomllib.TOMLDecodeError as error:
-        raise DefinitionError(where, str(error), "TOML 1.0") from None
-    root = TomlTable(f"{where}:", tree)
-    general = root.table("interface")
-    byte_order = general.text("byte_order")
-    if byte_order != "big":
-        raise general.refusal("byte_order", byte_order, "big")
-    units = general.integer("units", 1, 256)
-    reader = _Reader(_read_enumerations(root.table("enumerations")))
-    interface = Interface(
-        name=general.text("name"),
-        version=general.integer("version", 0, 255),
-        units=units,
-        epoch=general.text("epoch"),
-        enumerations=reader.enumerations,
-        packet=reader.packet(root.table("packet"), units),
-        can=reader.can(root.table("can"), units),
-    )
-    general.finish()
-    root.finish()
-    return interface
-
-
-def _read_enumerations(table: TomlTable) -> Enumerations:
-    words = {name: table.table(name) for name in table.names()}
-    return {name: {word: own.integer(word, 0, 255) for word in own.names()} for name, own in words.items()}
-
-
-class _Reader:
-    """Remembers the packet's fields, so that messages on CAN can refer to them by name."""
-
-    def __init__(self, enumerations: Enumerations) -> None:
-        self.enumerations = enumerations
-        self._blocks: dict[str, list[Entry]] = {}
-        self._known: dict[object, Entry] = {}
-
-    def packet(self, table: TomlTable, units: int) -> PacketDefinition:
-        definition = PacketDefinition(
-            apid=table.integer("apid", 0, APID_LIMIT - units),
-            maximum_beams=table.integer("maximum_beams", 1, 255),
-            header=self._packet_block(table, "header"),
-            beam=self._packet_block(table, "beam"),
-        )
-        table.finish()
-        return definition
-
-    def _packet_block(self, table: TomlTable, name: str) -> Layout:
-        entries: list[Entry] = [entry.rest() for entry in table.tables(name)]
-        self._blocks[name] = entries
-        self._known |= {entry["name"]: entry for entry in entries if "name" in entry}
-        return read_layout(f"{table.where}.{name}", entries, self.enumerations, range(1, 1024))
-
-    def can(self, table: TomlTable, units: int) -> CanDefinition:
-        shared = table.table("fields")
-        self._known |= {name: {"name": name, **shared.table(name).rest()} for name in shared.names()}
-        definition = CanDefinition(
-            id_base=table.integer("id_base", 0, _STANDARD_ID_LIMIT - 1),
-            unit_stride=table.integer("unit_stride", 1, _STANDARD_ID_LIMIT),
-            beam_slots=table.integer("beam_slots", 1, 64),
-            messages=tuple(self._message(entry) for entry in table.tables("messages")),
-        )
-        table.finish()
-        _check_ids(definition, units, table.where)
-        return definition
-
-    def _message(self, table: TomlTable) -> CanMessage:
-        sets = [str(item) for item in table.items("sets")]
-        if sets != ["fd"] and not set(sets) <= {"core", "full"}:
-            raise table.refusal("sets", sets, "core, full or both; or fd alone")
-        entries = [entry for item in table.tables("fields") for entry in self._resolved(item)]
-        lengths = _FD_LENGTHS if sets == ["fd"] else _CLASSIC_LENGTHS
-        message = CanMessage(
-            name=table.text("name"),
-            id=table.integer("id", 0, _STANDARD_ID_LIMIT - 1),
-            each_beam=table.boolean("each_beam"),
-            sets=frozenset(sets),
-            absent_unless=table.text("absent_unless", "") or None,
-            layout=read_layout(f"{table.where}.fields", entries, self.enumerations, lengths),
-        )
-        table.finish()
-        first, bit = message.layout.placed[0]
-        if (first.name, bit, first.codec) != ("shot_counter", 0, Counter(COUNTER_BITS)):
-            raise table.refusal("fields", first.name, f"shot_counter first, {COUNTER_BITS} bits that wrap")
-        return message
-
-    def _resolved(self, table: TomlTable) -> Sequence[Entry]:
-        """A field with what it takes from the packet's; or all fields of a block."""
-        if "all_of" in table:
-            block = table.text("all_of")
-            table.finish()
-            if block not in self._blocks:
-                raise table.refusal("all_of", block, " or ".join(self._blocks))
-            return self._blocks[block]
-        own = table.rest()
-        base = dict(self._known.get(own.get("name"), {}))
-        if "type" in own:  # codes belong to a type
-            base.pop("none", None)
-            base.pop("absent", None)
-        return [base | own]
-
-
-def _check_ids(can: CanDefinition, units: int, where: str) -> None:
-    taken: set[int] = set()
-    for message in can.messages:
-        own = set(range(message.id, message.id + (can.beam_slots if message.each_beam else 1)))
-        if own & taken or max(own) >= can.unit_stride:
-            allowed = f"identifiers of its own, all slots below unit_stride {can.unit_stride:#x}"
-            raise DefinitionError(f"{where}.messages: {message.name}.id", message.id, allowed)
-        taken |= own
-    last = can.id_base + (units - 1) * can.unit_stride + max(taken)
-    if last >= _STANDARD_ID_LIMIT:
-        allowed = f"{units} units within 11 bits; the last identifier would be {last:#x}"
-        raise DefinitionError(f"{where}.id_base", can.id_base, allowed)
+    def word(self, enumeration: str | None, value: int) -> str | None:
+        """The name of a value of an enumeration; None where it has none."""
+        words = self.enumerations.get(enumeration or "", {})
+        return next((word for word, own in words.items() if own == value), None)

@@ -9,7 +9,9 @@ class DefinitionError(ValueError):
     """An interface definition cannot be used: one line with the place, the value and what is allowed."""
 
     def __init__(self, where: str, value: object, allowed: str) -> None:
-        super().__init__(f"{where}: {value!r} is not usable; allowed: {allowed}")
+        self.where, self.value, self.allowed = where, value, allowed
+        found = "missing" if value is None else f"{value!r} is not usable"
+        super().__init__(" ".join(f"{where}: {found}; allowed: {allowed}".split()))
 
 
 class EncodeError(ValueError):
@@ -19,7 +21,7 @@ class EncodeError(ValueError):
 class Fault(StrEnum):
     """What is wrong with received bytes. The values are the names of the receivers' counters."""
 
-    BAD_COBS = "bad_cobs"
+    BAD_STUFFING = "bad_stuffing"
     BAD_LENGTH = "bad_length"
     BAD_CRC = "bad_crc"
     FOREIGN = "foreign"

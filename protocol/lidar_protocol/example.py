@@ -1,11 +1,14 @@
-"""One shot that shows every kind of value: the example of the interface document and of the golden frames."""
+"""One shot that shows every kind of value, and a command: the examples of the interface document."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
-from lidar_protocol.fields import Value
+from lidar_protocol.commands import Argument
+from lidar_protocol.definitions import Interface
+from lidar_protocol.fields import Codec, Constant, Flag, Number, Real, Value
+from lidar_protocol.layout import FILLED_IN, Layout
 
 UNIT: Final = 0
 
@@ -70,3 +73,56 @@ BEAMS: Final[tuple[Mapping[str, Value], ...]] = (
     },
 )
 """A measurement; one of a receding surface with a second return; an echo below the threshold; not fired."""
+
+
+def shot(interface: Interface) -> tuple[Mapping[str, Value], Sequence[Mapping[str, Value]]]:
+    """The example in the fields of any interface: those that are not in it read none, or the least of their values."""
+    packet = interface.packet
+    layouts = [packet.header, *([packet.beam] if packet.beam else [])]
+    layouts += [message.layout for message in interface.can.messages] if interface.can else []
+    made_up = {name: value for layout in layouts for name, value in values(layout).items()}
+    count = max(len(BEAMS), packet.beams_in_header)
+    count = min(count, packet.maximum_beams, interface.can.beam_slots if interface.can else count)
+    beams = [made_up | dict(BEAMS[k % len(BEAMS)]) for k in range(max(count, packet.beams_in_header))]
+    # The words of the example, in the numbers of the interface.
+    mode = next((p.field.enumeration for p in packet.header.placed if p.field.name == "mode"), None)
+    track = interface.enumerations.get(mode or "", {}).get("track", HEADER["mode"])
+    timed = {"mode": track, "time_s": 1.500490773, "due_s": 1.5029}
+    return made_up | dict(HEADER) | timed, beams
+
+
+def values(layout: Layout) -> dict[str, Value]:
+    """Something for each field that the library does not fill in."""
+    return {
+        placed.field.name: _something(placed.field.codec)
+        for placed in layout.placed
+        if placed.field.name not in FILLED_IN
+    }
+
+
+def _something(codec: Codec) -> Value:
+    if isinstance(codec, Flag):
+        return True
+    if isinstance(codec, Number | Real):
+        return max(codec.limits[0], min(1, codec.limits[1]))
+    return 0 if isinstance(codec, Constant) else 1
+
+
+def command(interface: Interface) -> tuple[str, dict[str, Argument]]:
+    """A command with arguments, if there is one; with its sequence number."""
+    assert interface.commands is not None
+    chosen = max(
+        interface.commands.commands, key=lambda each: (each.name == "set_rate_hz", len(each.arguments))
+    )
+    fields = {placed.field.name: placed.field for placed in chosen.packet.placed}
+    given: dict[str, Argument] = {"sequence": 7}
+    for name in chosen.arguments:
+        words = interface.enumerations.get(fields[name].enumeration or "", {})
+        given[name] = next(iter(words), None) or _something(fields[name].codec)
+    return chosen.name, given
+
+
+def acknowledgement(interface: Interface) -> dict[str, Argument]:
+    """That the command is accepted."""
+    assert interface.acknowledge is not None
+    return {**values(interface.acknowledge), "sequence": 7, "verdict": "accepted"}

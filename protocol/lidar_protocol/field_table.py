@@ -8,21 +8,31 @@ from fractions import Fraction
 from math import ceil, floor
 
 from lidar_protocol.errors import DefinitionError
-from lidar_protocol.fields import Codec, Counter, Field, Flag, Number, Time
-from lidar_protocol.layout import Layout, Placed
+from lidar_protocol.fields import Codec, Constant, Counter, Field, Flag, Number, Real, Time
+from lidar_protocol.layout import ByteOrder, Layout, Placed
 from lidar_protocol.toml_table import TomlTable
 
 Enumerations = Mapping[str, Mapping[str, int]]
 Entry = Mapping[str, object]
 
-_TYPE = re.compile(r"([ui])([1-9]|[12]\d|3[0-2])")
+_TYPE = re.compile(r"([ui])([1-9]|[1-5]\d|6[0-4])")
+_REALS = {"f32": (32, 3.4028234663852886e38), "f64": (64, 1.7976931348623157e308)}
 _OUTSIDE = ("none", "nearest")
+_MOST_BEAMS = 64
 
 
 def read_layout(
-    where: str, entries: Sequence[Entry], enumerations: Enumerations, lengths: Sequence[int]
+    where: str,
+    entries: Sequence[Entry],
+    enumerations: Enumerations,
+    lengths: Sequence[int],
+    byte_order: ByteOrder,
+    of_beams: bool = False,
 ) -> Layout:
     """The layout of a list of fields and spare bits; its length is the first of `lengths` that holds it.
+
+    Args:
+        of_beams: whether a field may belong to one beam.
 
     Raises:
         DefinitionError: a field cannot be used, a name comes twice, or the fields fit into none of `lengths`.
@@ -35,33 +45,38 @@ def read_layout(
             bit += table.integer("spare", 1, 64)
             table.finish()
             continue
-        field = read_field(table, enumerations)
-        if any(field.name == other.field.name for other in placed):
+        field = read_field(table, enumerations, of_beams)
+        if any(field.key == other.field.key for other in placed):
             raise table.refusal("name", field.name, "a name that the message does not have yet")
+        if isinstance(field.codec, Real) and bit % 8:
+            raise table.refusal(
+                "type", f"f{field.codec.bits}", "a floating-point number at the start of a byte"
+            )
         placed.append(Placed(field, bit))
         bit += field.codec.bits
     if not placed:
         raise DefinitionError(where, "spare bits alone", "at least one field")
     for length in lengths:
         if bit <= 8 * length:
-            return Layout(length, tuple(placed))
+            return Layout(length, tuple(placed), byte_order)
     raise DefinitionError(where, f"{bit} bits", f"at most {8 * lengths[-1]}")
 
 
-def read_field(table: TomlTable, enumerations: Enumerations) -> Field:
+def read_field(table: TomlTable, enumerations: Enumerations, of_beams: bool = False) -> Field:
     """The field that a table describes.
 
     Raises:
         DefinitionError: a key is missing, unknown or cannot be used.
     """
-    name, kind = table.text("name"), table.text("type")
+    name, kind = table.name("name"), table.text("type")
     unit, meaning = table.text("unit", ""), table.text("meaning", "")
     enumeration = table.text("values", "") or None
     if enumeration is not None and enumeration not in enumerations:
         raise table.refusal("values", enumeration, ", ".join(enumerations))
+    beam = table.integer("beam", 0, _MOST_BEAMS - 1) if of_beams and "beam" in table else None
     codec = _read_codec(table, kind)
     table.finish()
-    return Field(name, codec, unit, meaning, enumeration)
+    return Field(name, codec, unit, meaning, enumeration, beam)
 
 
 def _read_codec(table: TomlTable, kind: str) -> Codec:
@@ -69,20 +84,41 @@ def _read_codec(table: TomlTable, kind: str) -> Codec:
         return Flag()
     if kind == "cuc":
         return Time()
+    if kind in _REALS:
+        return _read_real(table, *_REALS[kind])
     match = _TYPE.fullmatch(kind)
     if match is None:
-        raise table.refusal("type", kind, "bool, cuc, u1 to u32, i1 to i32")
+        raise table.refusal("type", kind, "bool, cuc, f32, f64, u1 to u64, i1 to i64")
     bits = int(match[2])
+    if "constant" in table:
+        return Constant(bits, table.integer("constant", 0, (1 << bits) - 1))
     if table.boolean("wraps"):
         return Counter(bits)
     return _read_number(table, bits, signed=match[1] == "i")
 
 
+def _read_real(table: TomlTable, bits: int, largest: float) -> Real:
+    lowest, highest = -largest, largest
+    if "range" in table:
+        low, high = table.decimal_pair("range")
+        if float(low) < lowest or float(high) > highest:
+            raise table.refusal("range", [float(low), float(high)], f"within -{largest:g} to {largest:g}")
+        lowest, highest = float(low), float(high)
+    return Real(bits, lowest, highest, nearest=_outside(table) == "nearest")
+
+
+def _outside(table: TomlTable) -> str:
+    outside = table.text("outside", "none")
+    if outside not in _OUTSIDE:
+        raise table.refusal("outside", outside, " or ".join(_OUTSIDE))
+    return outside
+
+
 def _read_number(table: TomlTable, bits: int, signed: bool) -> Number:
     whole = "scale" not in table
     scale = Fraction(1) if whole else Fraction(table.decimal("scale"))
-    if scale <= 0:
-        raise table.refusal("scale", float(scale), "a number above 0")
+    if scale <= 0 or not 1e-30 <= scale <= 1e30:
+        raise table.refusal("scale", float(scale), "a number above 0, from 1e-30 to 1e30")
     offset = table.integer("offset", -(2**31), 2**31, 0) if whole else 0
     none, absent = table.optional_integer("none"), table.optional_integer("absent")
     codes = [code for code in (none, absent) if code is not None]
@@ -93,9 +129,6 @@ def _read_number(table: TomlTable, bits: int, signed: bool) -> Number:
     if lowest > highest or any(lowest <= code <= highest for code in codes):
         stated = {"none": none, "absent": absent}
         raise DefinitionError(table.where, stated, "codes that are not values in range")
-    outside = table.text("outside", "none")
-    if outside not in _OUTSIDE:
-        raise table.refusal("outside", outside, " or ".join(_OUTSIDE))
     return Number(
         bits=bits,
         signed=signed,
@@ -106,7 +139,7 @@ def _read_number(table: TomlTable, bits: int, signed: bool) -> Number:
         whole=whole,
         none=none,
         absent=absent,
-        nearest=outside == "nearest",
+        nearest=_outside(table) == "nearest",
     )
 
 

@@ -1,13 +1,18 @@
-"""Fields: physical values to bit patterns and back.
+"""Fields: physical values to bit patterns and back, as expressions in Python.
 
 A value outside its range never wraps: it is sent as the field's code for "none", or as the nearest value that
 can be sent. A missing value (None, NaN) is the code for "none"; what is not in range on reception is None.
+
+A packet takes a hundred of these conversions, so none of them is a call: each codec writes down the expression
+for its field, and `compiled` puts those of a block into one function.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from math import floor
 from typing import ClassVar, Protocol
 
@@ -17,69 +22,105 @@ from lidar_protocol.errors import EncodeError
 Value = int | float | None
 """What a field holds: a bool, an int, a float in the field's unit, or None where there is no value."""
 
-Encoder = Callable[[Value], int]
-Decoder = Callable[[int], Value]
+Bind = Callable[[Callable[[Value], int | float]], str]
+"""Gives a function that an expression needs a name in it."""
 
 
 class Codec(Protocol):
-    """How values become `bits` bits, as unsigned numbers.
-
-    A packet takes sixty of these conversions. So a codec hands out functions that hold what they need, where
-    methods would spend their time on looking it up.
-    """
+    """How values become `bits` bits."""
 
     @property
     def bits(self) -> int: ...
     @property
-    def absent_raw(self) -> int: ...
-    def encoder(self) -> Encoder: ...
-    def decoder(self) -> Decoder: ...
+    def signed(self) -> bool:
+        """Whether `raw` may be negative."""
+
+    @property
+    def absent_raw(self) -> int:
+        """The bits of "absent", without sign."""
+
+    @property
+    def is_optional(self) -> bool:
+        """Whether None can be sent."""
+
+    def raw(self, value: str, bind: Bind) -> str:
+        """The expression for what is sent of the value that the expression `value` gives. It may use v and s."""
+
+    def value(self, raw: str) -> str:
+        """The expression for the value; `raw` is evaluated at most once. It may use r."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Flag:
     """One bit; None is sent as 0."""
 
     bits: ClassVar[int] = 1
+    signed: ClassVar[bool] = False
     absent_raw: ClassVar[int] = 0
+    is_optional: ClassVar[bool] = True
 
-    def encoder(self) -> Encoder:
-        return lambda value: 1 if value else 0
+    def raw(self, value: str, bind: Bind) -> str:  # noqa: ARG002
+        return f"1 if {value} else 0"
 
-    def decoder(self) -> Decoder:
-        return bool
+    def value(self, raw: str) -> str:
+        return f"({raw}) != 0"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
+class Constant:
+    """The same bits in every message, whatever value is given."""
+
+    bits: int
+    code: int
+    signed: ClassVar[bool] = False
+    is_optional: ClassVar[bool] = True
+
+    @property
+    def absent_raw(self) -> int:
+        return self.code
+
+    def raw(self, value: str, bind: Bind) -> str:  # noqa: ARG002
+        return str(self.code)
+
+    def value(self, raw: str) -> str:
+        return raw
+
+
+@dataclass(frozen=True)
 class Counter:
     """A whole number that wraps: its lowest bits."""
 
     bits: int
+    signed: ClassVar[bool] = False
     absent_raw: ClassVar[int] = 0
+    is_optional: ClassVar[bool] = False
 
-    def encoder(self) -> Encoder:
-        mask = (1 << self.bits) - 1
-        return lambda value: _required(value) & mask
+    def raw(self, value: str, bind: Bind) -> str:
+        return f"(v if (v := {value}).__class__ is int else {bind(_required)}(v)) & {(1 << self.bits) - 1}"
 
-    def decoder(self) -> Decoder:
-        return int
+    def value(self, raw: str) -> str:
+        return raw
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Time:
     """Nanoseconds from the epoch as a CUC time code."""
 
     bits: ClassVar[int] = cuc.BITS
+    signed: ClassVar[bool] = False
     absent_raw: ClassVar[int] = 0
+    is_optional: ClassVar[bool] = False
 
-    def encoder(self) -> Encoder:
-        return lambda value: cuc.ticks_from_ns(_required(value))
+    def raw(self, value: str, bind: Bind) -> str:
+        ticks = f"((v << {cuc.FRACTION_BITS}) + {cuc.NS_PER_S // 2}) // {cuc.NS_PER_S}"
+        in_range = f"(v := {value}).__class__ is int and 0 <= (s := {ticks}) < {1 << cuc.BITS}"
+        return f"s if {in_range} else {bind(_ticks)}(v)"
 
-    def decoder(self) -> Decoder:
-        return cuc.ns_from_ticks
+    def value(self, raw: str) -> str:
+        return f"({raw}) * {cuc.NS_PER_S} + {cuc.HALF_TICK} >> {cuc.FRACTION_BITS}"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Number:
     """A number in steps of a unit: value = raw / steps_per_unit + offset.
 
@@ -102,51 +143,113 @@ class Number:
     @property
     def limits(self) -> tuple[float, float]:
         """The least and the greatest value."""
-        low, high = (raw / self.steps_per_unit + self.offset for raw in (self.lowest, self.highest))
-        return low, high
+        if self.whole:
+            return self.lowest + self.offset, self.highest + self.offset
+        return self.lowest / self.steps_per_unit, self.highest / self.steps_per_unit
 
     @property
     def absent_raw(self) -> int:
         code = self.absent if self.absent is not None else self.none
         return (code or 0) % (1 << self.bits)
 
-    def encoder(self) -> Encoder:
-        lowest, end = self.lowest, self.highest + 1
-        steps_per_unit, half_up = self.steps_per_unit, 0.5 - self.offset * self.steps_per_unit
-        mask = (1 << self.bits) - 1
+    @property
+    def is_optional(self) -> bool:
+        return self.none is not None
 
-        def to_raw(value: Value) -> int:
-            if value is not None:
-                steps = value * steps_per_unit + half_up
-                if lowest <= steps < end:  # false for NaN
-                    return floor(steps) & mask
-            return self._outside(value) & mask
+    def raw(self, value: str, bind: Bind) -> str:
+        if self.whole:
+            low, high = self.limits
+            less = f" - {self.offset}" if self.offset else ""
+            return f"v{less} if (v := {value}).__class__ is int and {low} <= v <= {high} else {bind(self.rounded)}(v)"
+        steps = f"v * {self.steps_per_unit!r} + 0.5"  # a comparison with NaN is false
+        in_range = (
+            f"floor(s) if {self.lowest} <= (s := {steps}) < {self.highest + 1} else {bind(self.outside)}(v)"
+        )
+        missing = bind(self.outside) + "(v)" if self.none is None else str(self.none)
+        return f"{missing} if (v := {value}) is None else {in_range}"
 
-        return to_raw
+    def rounded(self, value: Value) -> int:
+        """What is sent of a value that is not a whole number, or not in range."""
+        if value is not None and self.lowest <= (steps := value + (0.5 - self.offset)) < self.highest + 1:
+            return floor(steps)
+        return self.outside(value)
 
-    def _outside(self, value: Value) -> int:
+    def outside(self, value: Value) -> int:
+        """What is sent of a value that is not in range."""
         if self.nearest and value is not None and value == value:
             return self.lowest if (value - self.offset) * self.steps_per_unit < self.lowest else self.highest
         if self.none is None:
             raise EncodeError(f"{value!r} cannot be sent, and there is no code for none")
         return self.none
 
-    def decoder(self) -> Decoder:
-        lowest, highest, steps_per_unit, offset = self.lowest, self.highest, self.steps_per_unit, self.offset
-        modulus = 1 << self.bits
-        largest = modulus // 2 - 1 if self.signed else modulus - 1
+    def value(self, raw: str) -> str:
+        if self.is_full:
+            return self._scaled(f"({raw})")
+        # Most codes lie at one end, so that one comparison finds them.
+        least, most = self._pattern_limits
+        below = "" if self.lowest == least else f"{self.lowest} <= "
+        above = "" if self.highest == most else f" <= {self.highest}"
+        return f"{self._scaled('r')} if {below}(r := {raw}){above} else None"
 
-        def whole(raw: int) -> Value:
-            if raw > largest:
-                raw -= modulus
-            return raw + offset if lowest <= raw <= highest else None
+    @property
+    def _pattern_limits(self) -> tuple[int, int]:
+        """The least and the greatest number that the bits can be."""
+        return (-(1 << self.bits - 1), (1 << self.bits - 1) - 1) if self.signed else (0, (1 << self.bits) - 1)
 
-        def scaled(raw: int) -> Value:
-            if raw > largest:
-                raw -= modulus
-            return raw / steps_per_unit if lowest <= raw <= highest else None
+    @property
+    def is_full(self) -> bool:
+        """Whether every pattern of bits is a value."""
+        return (self.lowest, self.highest) == self._pattern_limits
 
-        return whole if self.whole else scaled
+    def _scaled(self, raw: str) -> str:
+        if not self.whole:
+            return f"{raw} / {self.steps_per_unit!r}"
+        return f"{raw} + {self.offset}" if self.offset else raw
+
+
+@dataclass(frozen=True)
+class Real:
+    """A floating-point number (IEEE 754) in the field's unit; none is NaN."""
+
+    bits: int
+    lowest: float
+    highest: float
+    nearest: bool = False
+    signed: ClassVar[bool] = False
+    is_optional: ClassVar[bool] = True
+
+    @property
+    def code(self) -> str:
+        """The letter of `struct`."""
+        return "f" if self.bits == 32 else "d"
+
+    @property
+    def absent_raw(self) -> int:
+        return int.from_bytes(struct.pack(f">{self.code}", float("nan")), "big")
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The least and the greatest value, as far as the type can tell them."""
+        return self._sendable
+
+    @cached_property
+    def _sendable(self) -> tuple[float, float]:
+        low, high = struct.unpack(f">2{self.code}", struct.pack(f">2{self.code}", self.lowest, self.highest))
+        return float(low), float(high)
+
+    def raw(self, value: str, bind: Bind) -> str:
+        low, high = self.lowest, self.highest
+        return f"v if (v := {value}) is not None and {low!r} <= v <= {high!r} else {bind(self.outside)}(v)"
+
+    def outside(self, value: Value) -> float:
+        """What is sent of a value that is not in range."""
+        if self.nearest and value is not None and value == value:
+            return self.lowest if value < self.lowest else self.highest
+        return float("nan")
+
+    def value(self, raw: str) -> str:
+        low, high = self._sendable
+        return f"r if {low!r} <= (r := {raw}) <= {high!r} else None"
 
 
 @dataclass(frozen=True)
@@ -159,9 +262,20 @@ class Field:
     meaning: str = ""
     enumeration: str | None = None
     """Name of the interface's enumeration that the value comes from."""
+    beam: int | None = None
+    """The beam whose value it is, of a field in the header of a packet that belongs to one beam."""
+
+    @property
+    def key(self) -> str:
+        """What tells it from the other fields of its block."""
+        return self.name if self.beam is None else f"{self.name}_{self.beam}"
 
 
 def _required(value: Value) -> int:
     if value is None:
         raise EncodeError("there is no code for none")
     return int(value)
+
+
+def _ticks(value: Value) -> int:
+    return cuc.ticks_from_ns(_required(value))

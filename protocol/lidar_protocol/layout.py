@@ -1,21 +1,25 @@
-"""Fields one after another in a run of bytes, most significant bit first."""
+"""Fields one after another in a run of bytes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Final
 
+from lidar_protocol.compiled import ByteOrder, Pack, Placed, Unpack, compiled
 from lidar_protocol.errors import EncodeError
-from lidar_protocol.fields import Field, Value
+from lidar_protocol.fields import Value
 
+__all__ = ["FILLED_IN", "ByteOrder", "Layout", "Placed"]
 
-class Placed(NamedTuple):
-    """A field and its place: `first_bit` counts from the most significant bit of byte 0."""
+FILLED_IN: Final = frozenset({"shot_counter", "details", "interface_version", "beam_count", "command"})
+"""Fields that the library fills in; the caller's values need not hold them, and do not count."""
 
-    field: Field
-    first_bit: int
+_SILENT: Final = frozenset({"shot_counter"})
+"""It is read before a message is unpacked."""
+
+_NOTHING: Final[Mapping[str, Value]] = {}
 
 
 @dataclass(frozen=True)
@@ -24,49 +28,51 @@ class Layout:
 
     length: int
     placed: tuple[Placed, ...]
+    byte_order: ByteOrder = "big"
 
-    def pack(self, values: Mapping[str, Value]) -> bytes:
-        """The block; keys of `values` that are not in it are passed over.
+    def pack(self, values: Mapping[str, Value], own: Mapping[str, Value] = _NOTHING) -> bytes:
+        """The block; keys of `values` that are not in it are passed over. `own` holds fields of `FILLED_IN`.
 
         Raises:
             EncodeError: a value is missing or cannot be sent.
         """
-        word = 0
-        name = ""
         try:
-            for name, shift, to_raw in self._packing:
-                word |= to_raw(values[name]) << shift
-        except KeyError:
-            raise EncodeError(f"{name} is missing") from None
-        except EncodeError as error:
-            raise EncodeError(f"{name}: {error}") from None
-        return word.to_bytes(self.length, "big")
+            return self.packing(values, own)
+        except KeyError as missing:
+            raise EncodeError(f"{missing.args[0]} is missing") from None
 
-    def unpack(self, block: bytes) -> dict[str, Value]:
-        """The values of a block of `length` bytes, in the order of the fields."""
-        word = int.from_bytes(block, "big")
-        return {name: from_raw(word >> shift & mask) for name, shift, mask, from_raw in self._unpacking}
+    def unpack(self, data: bytes, offset: int = 0) -> dict[str, Value]:
+        """The values of the block that starts at `offset`, in the order of the fields."""
+        return self.unpacking(data, offset)
+
+    @cached_property
+    def packing(self) -> Pack:
+        """`pack` for those who answer a KeyError themselves."""
+        return self._functions[0]
+
+    @cached_property
+    def unpacking(self) -> Unpack:
+        """`unpack`, without a default."""
+        return self._functions[1]
+
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """Names of the fields."""
+        return frozenset(placed.field.name for placed in self.placed)
 
     @cached_property
     def absent(self) -> bytes:
         """The block with each field's code for "absent"."""
         word = 0
-        for field, first_bit in self.placed:
-            word |= field.codec.absent_raw << self._shift(field, first_bit)
-        return word.to_bytes(self.length, "big")
+        for placed in self.placed:
+            word |= placed.field.codec.absent_raw << self._shift(placed)
+        return word.to_bytes(self.length, self.byte_order)
 
     @cached_property
-    def _packing(self) -> list[tuple[str, int, Callable[[Value], int]]]:
-        return [
-            (field.name, self._shift(field, first), field.codec.encoder()) for field, first in self.placed
-        ]
+    def _functions(self) -> tuple[Pack, Unpack]:
+        return compiled(self.length, self.placed, self.byte_order, FILLED_IN, _SILENT)
 
-    @cached_property
-    def _unpacking(self) -> list[tuple[str, int, int, Callable[[int], Value]]]:
-        return [
-            (field.name, self._shift(field, first), (1 << field.codec.bits) - 1, field.codec.decoder())
-            for field, first in self.placed
-        ]
-
-    def _shift(self, field: Field, first_bit: int) -> int:
-        return 8 * self.length - first_bit - field.codec.bits
+    def _shift(self, placed: Placed) -> int:
+        if self.byte_order == "little":
+            return placed.first_bit
+        return 8 * self.length - placed.first_bit - placed.field.codec.bits

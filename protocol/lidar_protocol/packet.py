@@ -1,16 +1,59 @@
-"""A shot as a space packet."""
+"""Packets of every kind, without framing; and a shot as a packet."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from lidar_protocol import ccsds
-from lidar_protocol.definitions import Interface
+from lidar_protocol.definitions import ByteLink, Interface
 from lidar_protocol.errors import DecodeError, EncodeError, Fault
 from lidar_protocol.fields import Value
+from lidar_protocol.headers import Kind, Origin
 from lidar_protocol.message import Message
 
 Values = Mapping[str, Value]
+
+
+def seal(link: ByteLink, kind: Kind, unit: int, sequence: int, body: bytes) -> bytes:
+    """A whole packet: header, body and CRC."""
+    packet = link.header.pack(kind, unit, sequence, link.overhead + len(body)) + body
+    return packet if link.crc is None else packet + _checksum(link, packet)
+
+
+def unseal(link: ByteLink, packet: bytes) -> tuple[Origin, bytes]:
+    """What the header of a packet tells, and its body.
+
+    Raises:
+        DecodeError: the length or the CRC is wrong, or the packet is none of the interface.
+    """
+    if len(packet) <= link.overhead:
+        raise DecodeError(Fault.BAD_LENGTH, f"{len(packet)} bytes are less than a packet")
+    link.header.check_length(packet)
+    end = len(packet) - link.crc_length
+    if link.crc is not None and packet[end:] != _checksum(link, packet[:end]):
+        raise DecodeError(Fault.BAD_CRC, "the CRC does not match")
+    return link.header.unpack(packet), packet[link.header.length : end]
+
+
+def _checksum(link: ByteLink, packet: bytes) -> bytes:
+    """The CRC that ends a packet."""
+    match link.covered:
+        case "packet":
+            covered = packet
+        case "body":
+            covered = packet[link.header.length :]
+        case "frame":
+            covered = link.framing.head(len(packet) + link.crc_length) + packet
+    return link.checksum(covered).to_bytes(link.crc_length, link.byte_order)
+
+
+def check_unit(interface: Interface, unit: int) -> None:
+    """Refuse a unit that the interface does not have.
+
+    Raises:
+        EncodeError: it is refused.
+    """
+    if not 0 <= unit < interface.units:
+        raise EncodeError(f"unit {unit}: allowed are 0 to {interface.units - 1}")
 
 
 def encode(interface: Interface, unit: int, header: Values, beams: Sequence[Values]) -> bytes:
@@ -18,45 +61,95 @@ def encode(interface: Interface, unit: int, header: Values, beams: Sequence[Valu
 
     Args:
         unit: from 0.
-        header: the fields of the header, less `interface_version` and `beam_count`, which are filled in.
+        header: the fields of the header, less `interface_version` and `beam_count`, which are filled in; and `shot`.
         beams: for each beam the fields of a beam block. None and NaN mean that there is no value.
 
     Raises:
         EncodeError: a field is missing or cannot be sent, or there are too many beams or none.
     """
     definition = interface.packet
-    if not 0 <= unit < interface.units:
-        raise EncodeError(f"unit {unit}: allowed are 0 to {interface.units - 1}")
+    check_unit(interface, unit)
     if not 1 <= len(beams) <= definition.maximum_beams:
         raise EncodeError(f"{len(beams)} beams: a packet carries 1 to {definition.maximum_beams}")
-    filled_in = {"interface_version": interface.version, "beam_count": len(beams)}
-    body = definition.header.pack({**header, **filled_in})
-    body += b"".join([definition.beam.pack(beam) for beam in beams])
-    shot = int(header["shot"] or 0)
-    return ccsds.seal(definition.apid + unit, shot % ccsds.SEQUENCE_LIMIT, body)
+    shot = header.get("shot")
+    if shot is None:
+        raise EncodeError("shot is missing: the sequence count follows from it")
+    values = {**header, **_of_beams(interface, beams)} if definition.of_beams else header
+    own = {"interface_version": interface.version, "beam_count": len(beams)}
+    try:
+        body = definition.header.packing(values, own)
+        if definition.beam is not None:
+            pack = definition.beam.packing
+            body += b"".join([pack(beam, own) for beam in beams])
+    except KeyError as missing:
+        raise EncodeError(f"{missing.args[0]} is missing") from None
+    return seal(interface.link, "measurement", unit, int(shot), body)
+
+
+def _of_beams(interface: Interface, beams: Sequence[Values]) -> Values:
+    """The fields of the header that belong to a beam."""
+    if len(beams) < interface.packet.beams_in_header:
+        raise EncodeError(f"{len(beams)} beams: the packet holds {interface.packet.beams_in_header}")
+    return {key: beams[beam].get(name) for key, name, beam in interface.packet.of_beams}
 
 
 def decode(interface: Interface, packet: bytes) -> Message:
     """The shot in a packet.
 
     Raises:
-        DecodeError: the packet is damaged, or not one of this interface.
+        DecodeError: the packet is damaged, or not a shot of this interface.
+    """
+    (kind, unit, sequence), body = unseal(interface.link, packet)
+    if kind != "measurement":
+        raise DecodeError(Fault.FOREIGN, f"a packet of another kind: {kind}")
+    return measurement(interface, unit, sequence, body)
+
+
+def measurement(interface: Interface, unit: int, sequence: int | None, body: bytes) -> Message:
+    """The shot in the body of a packet.
+
+    Raises:
+        DecodeError: the length is wrong, or the version is another one.
     """
     definition = interface.packet
-    primary, body = ccsds.unseal(packet)
-    unit = primary.apid - definition.apid
-    if not 0 <= unit < interface.units:
-        raise DecodeError(Fault.FOREIGN, f"APID {primary.apid:#x} is none of this interface")
-    first, step = definition.header.length, definition.beam.length
-    header = definition.header.unpack(body[:first])
-    if header["interface_version"] != interface.version:
-        raise DecodeError(
-            Fault.FOREIGN, f"interface version {header['interface_version']}, not {interface.version}"
-        )
-    count = header["beam_count"]
-    if count is None or len(body) != first + step * int(count):
+    first = definition.header.length
+    if len(body) < first:
+        raise DecodeError(Fault.BAD_LENGTH, f"{len(body)} bytes are less than a header")
+    header = definition.header.unpacking(body, 0)
+    check_version(interface, header)
+    if definition.beam is None:
+        if len(body) != first:
+            raise DecodeError(Fault.BAD_LENGTH, f"{len(body)} bytes are not the {first} of a shot")
+        return Message(unit, header, _take_beams(interface, header), sequence)
+    step, unpack = definition.beam.length, definition.beam.unpacking
+    count, rest = divmod(len(body) - first, step)
+    stated = header.get("beam_count", count)
+    if rest or not count or stated != count:
         raise DecodeError(
             Fault.BAD_LENGTH, f"{len(body)} bytes do not hold the number of beams that they state"
         )
-    beams = [definition.beam.unpack(body[start : start + step]) for start in range(first, len(body), step)]
-    return Message(unit, header, tuple(beams))
+    beams = [unpack(body, start) for start in range(first, len(body), step)]
+    if definition.of_beams:
+        for beam, own in zip(beams, _take_beams(interface, header), strict=False):
+            beam.update(own)
+    return Message(unit, header, tuple(beams), sequence)
+
+
+def check_version(interface: Interface, values: Values) -> None:
+    """Refuse what states another version.
+
+    Raises:
+        DecodeError: it is refused.
+    """
+    if values.get("interface_version", interface.version) != interface.version:
+        raise DecodeError(
+            Fault.FOREIGN, f"interface version {values['interface_version']}, not {interface.version}"
+        )
+
+
+def _take_beams(interface: Interface, header: dict[str, Value]) -> tuple[dict[str, Value], ...]:
+    """The fields that belong to beams, out of the header."""
+    beams: tuple[dict[str, Value], ...] = tuple({} for _ in range(interface.packet.beams_in_header))
+    for key, name, beam in interface.packet.of_beams:
+        beams[beam][name] = header.pop(key)
+    return beams

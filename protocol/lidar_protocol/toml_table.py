@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Collection
 from decimal import Decimal
 
 from lidar_protocol.errors import DefinitionError
+
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 
 class TomlTable:
@@ -26,6 +30,22 @@ class TomlTable:
             raise self.refusal(key, value, "a text")
         return value
 
+    def name(self, key: str) -> str:
+        """A name that languages and file formats take as it is; required."""
+        value = self.text(key)
+        if not _NAME.fullmatch(value):
+            raise self.refusal(
+                key, value, "small letters, digits and underscores, a letter first, at most 32"
+            )
+        return value
+
+    def choice(self, key: str, allowed: Collection[str], default: str | None = None) -> str:
+        """One of these texts; required where there is no default."""
+        value = self._take(key, default, " or ".join(allowed))
+        if value not in allowed:
+            raise self.refusal(key, value, " or ".join(allowed))
+        return str(value)
+
     def boolean(self, key: str) -> bool:
         """`true` or `false`; false where left out."""
         value = self._take(key, False, "true or false")
@@ -43,7 +63,7 @@ class TomlTable:
 
     def optional_integer(self, key: str) -> int | None:
         """A whole number, or None where it is left out."""
-        return self.integer(key, -(2**63), 2**63) if key in self else None
+        return self.integer(key, -(2**63), 2**64) if key in self else None
 
     def decimal(self, key: str) -> Decimal:
         """A number, exactly as it is written."""
@@ -69,6 +89,18 @@ class TomlTable:
     def table(self, key: str) -> TomlTable:
         """A table within this one."""
         return TomlTable(self._at(key), self._take(key, None, "a table"))
+
+    def peek(self, key: str) -> TomlTable:
+        """A table within this one, which stays to be taken."""
+        return TomlTable(self._at(key), self._left[key])
+
+    def optional_table(self, key: str) -> TomlTable | None:
+        """A table within this one, or None where it is left out."""
+        return self.table(key) if key in self else None
+
+    def optional_tables(self, key: str) -> list[TomlTable]:
+        """A list of tables; empty where it is left out."""
+        return self.tables(key) if key in self else []
 
     def tables(self, key: str) -> list[TomlTable]:
         """A list of tables."""

@@ -45,6 +45,12 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
     ("record under a name too long", f"run my.yaml --record {_LONG}", ("--record: 'xxx", "the name of a file")),
     ("summary onto a folder", "run my.yaml --summary .", ("--summary: '.'", "allowed: the name of a file")),
     ("documents into no folder", "icd --out nowhere", ("--out: 'nowhere'", "a folder that exists")),
+    ("documents of no interface", "icd --interface sonar", ("--interface: 'sonar'", "default, altimeter", "FILE.toml")),
+    ("documents of a missing file", "icd --interface sonar.toml", ("sonar.toml: 'No such file", "a TOML file")),
+    ("documents of a scenario", "icd --interface my.toml.yaml", ("--interface: 'my.toml.yaml'", "FILE.toml")),
+    ("unknown interface to listen", "listen --port pty --wire-interface x", ("--wire-interface: 'x'", "altimeter")),
+    ("unknown interface to run", "run my.yaml --set wire.interface=sonar", ("wire.interface: 'sonar'", "altimeter")),
+    ("no beams for the interface", "run my.yaml --set wire.interface=altimeter", ("beams: 1", "at least 3")),
 ]  # fmt: skip
 
 _PORTS: list[tuple[str, str, tuple[str, ...]]] = [

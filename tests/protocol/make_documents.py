@@ -1,4 +1,4 @@
-"""Writes INTERFACE.md and lidar.dbc beside the interface definition that they are generated from.
+"""Writes INTERFACE.md, lidar.dbc and lidar.h beside the interface definition that they are generated from.
 
 python tests/protocol/make_documents.py
 """
@@ -12,10 +12,11 @@ from lidar_protocol import documents
 
 
 def main() -> None:
-    """Write both files."""
+    """Write all files."""
     folder = Path(lidar_protocol.__file__).parent
     interface = lidar_protocol.default_interface()
     (folder / "INTERFACE.md").write_text(documents.interface_markdown(interface), encoding="utf-8")
+    (folder / "lidar.h").write_text(documents.c_header(interface), encoding="utf-8")
     (folder / "lidar.dbc").write_text(documents.dbc(interface), encoding="utf-8")
 
 

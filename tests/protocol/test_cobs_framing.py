@@ -51,4 +51,4 @@ def test_the_stated_longest_length_is_reached():
 def test_what_is_not_a_frame_is_refused(stuffed):
     with pytest.raises(DecodeError) as caught:
         cobs.decode(bytes.fromhex(stuffed))
-    assert caught.value.fault == "bad_cobs"
+    assert caught.value.fault == "bad_stuffing"

@@ -4,9 +4,9 @@ from importlib.resources import files
 
 import pytest
 
-from lidar_protocol import DefinitionError, default_interface
+from lidar_protocol import DefinitionError, default_interface, example
 from lidar_protocol.can_frames import addresses
-from lidar_protocol.definitions import load
+from lidar_protocol.reading import load
 
 DEFAULT = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
 
@@ -25,13 +25,13 @@ def refusal(old, new):
 @pytest.mark.parametrize(
     ("old", "new", "named"),
     [
-        ("version = 1", "version = 256", ["interface.version", "256", "0 to 255"]),
+        ("version = 1", "version = 256", ["packet.header: interface_version", "256", "holds it"]),
         ("version = 1", "version = true", ["interface.version", "True"]),
         ("units = 16", "", ["interface.units", "required"]),
         ('byte_order = "big"', 'byte_order = "middle"', ["interface.byte_order", "middle", "big"]),
-        ("apid = 0x2A0", "apid = 0x7F8", ["packet.apid", "2040", "2032"]),
-        ("apid = 0x2A0", "apid = 0x2A0\ncolour = 1", ["packet", "colour"]),
-        ('type = "u8"', 'type = "u65"', ["packet.header[2].type", "u65", "u1 to u32"]),
+        ("measurement = 0x2A0", "measurement = 0x7F8", ["header.apid.measurement", "2040", "2031"]),
+        ("measurement = 0x2A0", "measurement = 0x2A0\ncolour = 1", ["header.apid", "colour"]),
+        ('type = "u8"', 'type = "u65"', ["packet.header[2].type", "u65", "u1 to u64"]),
         ('values = "mode"', 'values = "moods"', ["packet.header[3].values", "moods", "reason"]),
         ("scale = 0.01", "scale = 0", ["packet.beam[8].scale", "above 0"]),
         ("scale = 0.01", "scale = nan", ["packet.beam[8].scale", "finite"]),
@@ -55,7 +55,11 @@ def refusal(old, new):
             '{ name = "due_ns" }, { spare = 1 },',
             ["can.messages[1].fields", "65 bits", "64"],
         ),
-        ('{ name = "due_ns" },', '{ name = "do_ns" },', ["can.messages[1].fields[4].type", "required"]),
+        (
+            '{ name = "due_ns" },',
+            '{ name = "do_ns" },',
+            ["can.messages[1].fields[4].name", "do_ns", "a type as well"],
+        ),
         ("[interface]", "[interface", ["TOML"]),
     ],
 )
@@ -98,5 +102,6 @@ def test_the_header_of_an_fd_set_carries_what_that_of_a_packet_does():
 
 def test_scales_are_exact_reciprocals():
     codecs = {placed.field.name: placed.field.codec for placed in default_interface().packet.beam.placed}
-    assert codecs["range_m"].decoder()(2164784) == 2164.784
+    packed = default_interface().packet.beam.pack(example.BEAMS[0])
+    assert default_interface().packet.beam.unpack(packed)["range_m"] == 2164.784
     assert codecs["sigma_speed_mps"].steps_per_unit == 100_000

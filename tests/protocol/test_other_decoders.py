@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import lidar_protocol
-from lidar_protocol import Device, ccsds, default_interface, documents, example, packet
+from lidar_protocol import Device, default_interface, documents, example, packet
+from lidar_protocol.can_frames import block_addresses, command_addresses
 
 INTERFACE = default_interface()
 FOLDER = Path(lidar_protocol.__file__).parent
@@ -23,11 +24,8 @@ PACKET = packet.encode(INTERFACE, 5, {**example.HEADER, "shot": 20_000}, example
 def test_the_documents_are_up_to_date():
     hint = "run tests/protocol/make_documents.py"
     assert documents.interface_markdown(INTERFACE) == DOCUMENT, hint
+    assert documents.c_header(INTERFACE) == (FOLDER / "lidar.h").read_text(encoding="utf-8"), hint
     assert documents.dbc(INTERFACE) == (FOLDER / "lidar.dbc").read_text(encoding="utf-8"), hint
-
-
-def test_crc_check_value():
-    assert ccsds.crc16(b"123456789") == 0x29B1
 
 
 def test_spacepackets_reads_the_primary_header():
@@ -126,7 +124,7 @@ def field_of(row, data, first):
 
 
 def test_a_decoder_built_from_the_document_reads_its_example():
-    header_table, beam_table = (rows for heading, rows in tables(DOCUMENT)[1:3])
+    header_table, beam_table = (rows for heading, rows in tables(DOCUMENT)[2:4])
     blocks = [bytes.fromhex(block) for block in re.findall(r"```text\n([0-9a-f \n]+)```", DOCUMENT)]
     data = blocks[0]
     stated = {heading[0]: rows for heading, rows in tables(DOCUMENT)}
@@ -230,6 +228,9 @@ def test_core_beam_and_cantools_agree_both_ways(range_m, speed_mps, snr_db, segm
 
 def test_every_identifier_is_in_the_dbc_and_no_other():
     sent = {frame.can_id for s in ("core", "full", "fd") for frame in all_slots(s)}
+    sent |= set(command_addresses(INTERFACE, 0)) | {
+        can_id for can_id, (unit, _) in block_addresses(INTERFACE).items() if unit == 0
+    }
     assert sent == {message.frame_id for message in DATABASE.messages}
 
 

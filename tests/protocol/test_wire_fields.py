@@ -7,29 +7,46 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lidar_protocol import EncodeError, cuc, default_interface
-from lidar_protocol.fields import Number
+from lidar_protocol.fields import Field, Number
+from lidar_protocol.layout import Layout, Placed
 
 PACKET = default_interface().packet
 FIELDS = {placed.field.name: placed.field.codec for placed in (*PACKET.header.placed, *PACKET.beam.placed)}
+
+
+def encode(name, value):
+    """The bits of a field alone at the start of a block."""
+    codec = FIELDS[name]
+    layout = Layout((codec.bits + 7) // 8, (Placed(Field("x", codec), 0),))
+    return int.from_bytes(layout.pack({"x": value}), "big") >> -codec.bits % 8
+
+
+def decode(name, raw):
+    """The value of a field alone at the start of a block."""
+    codec = FIELDS[name]
+    layout = Layout((codec.bits + 7) // 8, (Placed(Field("x", codec), 0),))
+    return layout.unpack((raw << -codec.bits % 8).to_bytes(layout.length, "big"))["x"]
+
+
 NUMBERS = {name: codec for name, codec in FIELDS.items() if isinstance(codec, Number)}
 
 
 @given(st.data())
 def test_a_value_comes_back_to_half_a_step(data):
-    codec = NUMBERS[data.draw(st.sampled_from(sorted(NUMBERS)))]
+    name = data.draw(st.sampled_from(sorted(NUMBERS)))
+    codec = NUMBERS[name]
     low, high = codec.limits
     value = data.draw(st.floats(low, high))
-    back = codec.decoder()(codec.encoder()(value))
+    back = decode(name, encode(name, value))
     assert abs(back - value) <= 0.5 / codec.steps_per_unit * (1 + 1e-9) + 1e-9 * abs(value)
 
 
 @pytest.mark.parametrize("name", sorted(NUMBERS))
 def test_every_raw_value_near_the_ends_is_a_fixed_point(name):
     codec = NUMBERS[name]
-    encode, decode = codec.encoder(), codec.decoder()
     for raw in (codec.lowest, codec.lowest + 1, codec.highest - 1, codec.highest):
         pattern = raw % (1 << codec.bits)
-        assert encode(decode(pattern)) == pattern
+        assert encode(name, decode(name, pattern)) == pattern
 
 
 @pytest.mark.parametrize(
@@ -51,32 +68,36 @@ def test_every_raw_value_near_the_ends_is_a_fixed_point(name):
     ],
 )
 def test_a_value_outside_its_range_never_wraps(name, too_much, pattern):
-    assert NUMBERS[name].encoder()(too_much) == pattern
+    assert encode(name, too_much) == pattern
 
 
 @pytest.mark.parametrize("name", sorted(name for name, codec in NUMBERS.items() if codec.none is not None))
 @pytest.mark.parametrize("missing", [None, math.nan])
 def test_no_value_is_sent_as_its_code_and_comes_back_as_none(name, missing):
     codec = NUMBERS[name]
-    raw = codec.encoder()(missing)
+    raw = encode(name, missing)
     assert raw == codec.none % (1 << codec.bits)
-    assert codec.decoder()(raw) is None
+    assert decode(name, raw) is None
 
 
 def test_without_a_code_no_value_is_refused():
     with pytest.raises(EncodeError):
-        FIELDS["reason"].encoder()(None)
+        encode("reason", None)
     with pytest.raises(EncodeError):
-        FIELDS["shot"].encoder()(None)
+        encode("shot", None)
 
 
 def test_a_raw_value_outside_the_range_is_no_value():
-    assert FIELDS["beam_angle_deg"].decoder()(9001) is None
+    assert decode("beam_angle_deg", 9001) is None
 
 
 def test_rounding_is_to_the_nearest_step_on_both_sides_of_zero():
-    encode = FIELDS["residual_mps"].encoder()
-    assert [encode(k * 1e-5) - (0 if k > -5 else 0x10000) for k in (-16, -14, 14, 16)] == [-2, -1, 1, 2]
+    assert [encode("residual_mps", k * 1e-5) - (0 if k > -5 else 0x10000) for k in (-16, -14, 14, 16)] == [
+        -2,
+        -1,
+        1,
+        2,
+    ]
 
 
 def test_time_code_against_the_definition():

@@ -38,26 +38,40 @@ def schema(markdown: bool) -> None:
     )
 
 
-@click.command(short_help="The interface document and the CAN database.")
+@click.command(short_help="The interface document, the CAN database and a decoder in C.")
 @click.option("--out", metavar="FOLDER", default=".", show_default=True, help="Where to write them.")
-def icd(out: str) -> None:
-    """Write INTERFACE.md and lidar.dbc, generated from the message definitions.
+@click.option(
+    "--interface",
+    "--wire-interface",
+    "name",
+    metavar="FILE",
+    default="default",
+    show_default=True,
+    help="Message definitions: a name, or FILE.toml.",
+)
+def icd(out: str, name: str) -> None:
+    """Write INTERFACE.md, lidar.dbc (where there is CAN) and lidar.h, generated from the message definitions.
 
     \b
     lidar-emu icd --out docs/
+    lidar-emu icd --interface my.toml --out docs/
     """
-    from lidar_protocol import default_interface, documents
+    from lidar_emu.wire import interface_named
+    from lidar_protocol import documents
 
     folder = Path(out)
     if not folder.is_dir():
         raise InputError("--out", None, out, "allowed: a folder that exists")
-    interface = default_interface()
-    for name, text in (
-        ("INTERFACE.md", documents.interface_markdown(interface)),
-        ("lidar.dbc", documents.dbc(interface)),
-    ):
+    interface = interface_named(name, "--interface")
+    texts = {
+        "INTERFACE.md": documents.interface_markdown(interface),
+        "lidar.h": documents.c_header(interface),
+    }
+    if interface.can is not None:
+        texts["lidar.dbc"] = documents.dbc(interface)
+    for file, text in texts.items():
         try:
-            (folder / name).write_text(text)
+            (folder / file).write_text(text)
         except OSError as error:
-            raise RunError(f"{folder / name}: could not be written: {error.strerror}") from None
-        click.echo(str(folder / name))
+            raise RunError(f"{folder / file}: could not be written: {error.strerror}") from None
+        click.echo(str(folder / file))

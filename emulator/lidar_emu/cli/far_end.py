@@ -10,35 +10,35 @@ from typing import Any
 from lidar_emu.cli.output import say
 from lidar_emu.transports.frames import Frame
 from lidar_emu.wire import rows
-from lidar_protocol import CanReceiver, Message, SerialReceiver, default_interface
+from lidar_protocol import CanReceiver, Interface, Message, Received, SerialReceiver, default_interface
 
 
 class Decoder:
     """Whatever a port delivers, as messages; bad bytes and frames are counted."""
 
-    def __init__(self) -> None:
-        interface = default_interface()
-        self._serial = SerialReceiver(interface)
-        self._can = CanReceiver(interface)
+    def __init__(self, interface: Interface | None = None) -> None:
+        self.interface = interface or default_interface()
+        self._serial = SerialReceiver(self.interface)
+        self._can = CanReceiver(self.interface) if self.interface.can else None
         self.messages = 0
 
     def decode(self, arrived: bytes | Iterable[Frame]) -> list[Message]:
         """The messages that are complete with what arrived."""
+        received: list[Received] = []
         if isinstance(arrived, bytes):
-            messages = self._serial.receive(arrived)
-        else:
-            messages = [
-                message
-                for frame in arrived
-                for message in self._can.receive(frame.can_id, frame.data, frame.is_fd)
-            ]
+            received = self._serial.receive(arrived)
+        elif self._can is not None:
+            for frame in arrived:
+                received += self._can.receive(frame.can_id, frame.data, frame.is_fd)
+        messages = [message for message in received if isinstance(message, Message)]
         self.messages += len(messages)
         return messages
 
     def counters(self) -> dict[str, int]:
         """All that was counted, good and bad."""
-        used = self._can if self._can.counters.frames else self._serial
-        return asdict(used.counters)
+        if self._can is not None and self._can.counters.frames:
+            return asdict(self._can.counters)
+        return asdict(self._serial.counters)
 
 
 def json_lines(message: Message) -> Iterable[str]:
@@ -46,11 +46,12 @@ def json_lines(message: Message) -> Iterable[str]:
     return (json.dumps(row) for row in rows(message))
 
 
-def text_line(message: Message) -> str:
+def text_line(message: Message, interface: Interface) -> str:
     """One line per shot: time, unit, shot, then range and closing speed of each beam, or why there is none."""
-    cells = [_cell(row) for row in rows(message)]
+    cells = [_cell(row, interface) for row in rows(message)]
     time_s = "-" if message.time_ns is None else f"{message.time_ns * 1e-9:.3f}"
-    shot = "-" if message.shot is None else str(message.shot)
+    number = message.sequence if message.shot is None else message.shot
+    shot = "-" if number is None else str(number)
     return f"{time_s:>9} s  unit {message.unit} shot {shot:>6}  " + "  ".join(cells)
 
 
@@ -61,18 +62,28 @@ def heading(beams: int) -> str:
     )
 
 
-def _cell(row: dict[str, Any]) -> str:
-    if row.get("range_valid") and row["range_m"] is not None and row["closing_speed_mps"] is not None:
-        return f"{row['range_m']:>13.3f} {row['closing_speed_mps']:>+12.4f}"
-    return f"{_reason(row):>26}"
+def _cell(row: dict[str, Any], interface: Interface) -> str:
+    values = [row.get("range_m"), row.get("closing_speed_mps")]
+    sent = [name in row for name in ("range_m", "closing_speed_mps")]
+    usable = row.get("range_valid", True) and all(
+        value is not None for value, is_sent in zip(values, sent, strict=True) if is_sent
+    )
+    if not usable or not any(sent):
+        return f"{_reason(row, interface):>26}"
+    range_m, speed_mps = values
+    return " ".join(
+        (
+            f"{'' if range_m is None else f'{range_m:.3f}':>13}",
+            f"{'' if speed_mps is None else f'{speed_mps:+.4f}':>12}",
+        )
+    )
 
 
-def _reason(row: dict[str, Any]) -> str:
-    names = {code: name for name, code in default_interface().enumerations["reason"].items()}
+def _reason(row: dict[str, Any], interface: Interface) -> str:
     reason = row.get("reason")
     if reason is None:
-        return "invalid" if row.get("fired") else "not fired"
-    return names.get(reason, str(reason)).replace("_", " ")
+        return "invalid" if row.get("fired", True) else "not fired"
+    return (interface.word("reason", reason) or str(reason)).replace("_", " ")
 
 
 def counter_line(counters: dict[str, int]) -> str:
@@ -86,8 +97,9 @@ def counter_line(counters: dict[str, int]) -> str:
 class Screen:
     """Messages as lines; of each unit at most one per `every_s` of its own time, 0 for all."""
 
-    def __init__(self, every_s: float) -> None:
+    def __init__(self, every_s: float, interface: Interface | None = None) -> None:
         self._every_s = every_s
+        self._interface = interface or default_interface()
         self._shown_s: dict[int, float] = {}
 
     def show(self, messages: Iterable[Message]) -> None:
@@ -99,5 +111,5 @@ class Screen:
             since_s = time_s - self._shown_s.get(message.unit, float("-inf"))
             # Time that goes back is a device that started anew.
             if since_s >= self._every_s or since_s < 0:
-                say(text_line(message))
+                say(text_line(message, self._interface))
                 self._shown_s[message.unit] = time_s

@@ -20,8 +20,11 @@ _READ_S = 0.2
 @click.command(short_help="Decode what arrives at the other end of the line.")
 @port_options
 @click.option("--json", "as_json", is_flag=True, help="One JSON object per beam and line.")
+@click.option(
+    "--wire-interface", metavar="FILE", default="default", help="Message definitions: a name, or FILE.toml."
+)
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N shots.")
-def listen(port: PortSpec, as_json: bool, count: int | None) -> None:
+def listen(port: PortSpec, as_json: bool, wire_interface: str, count: int | None) -> None:
     """Decode what arrives, and count gaps and bad bytes.
 
     `--port pty` opens a pseudo-terminal and prints the path for `lidar-emu run --port PATH`. Ctrl-C ends it.
@@ -30,11 +33,16 @@ def listen(port: PortSpec, as_json: bool, count: int | None) -> None:
     lidar-emu listen --port /dev/ttyUSB1 --baud 921600
     lidar-emu listen --port pty --json
     lidar-emu listen -i socketcan -c vcan0 --count 100
+    lidar-emu listen --port /dev/ttyUSB1 --wire-interface my.toml
     """
     from lidar_emu.cli.far_end import Decoder, Screen, counter_line, json_lines
     from lidar_emu.transports.host import open_host
     from lidar_emu.transports.spec import Kind
+    from lidar_emu.wire import interface_named
 
+    interface = interface_named(wire_interface, "--wire-interface")
+    if port.kind is Kind.CAN and interface.can is None:
+        raise InputError("--wire-interface", None, wire_interface, "allowed: one with messages on CAN")
     if port.kind is Kind.LOOPBACK:
         raise InputError(
             "listen", None, Finding("no port"), "allowed: --port PORT, or --interface and --channel"
@@ -44,7 +52,7 @@ def listen(port: PortSpec, as_json: bool, count: int | None) -> None:
         signal.signal(number, signal.default_int_handler)
     host = open_host(port)
     click.echo(f"listening on {host.description}", err=True)
-    decoder, screen = Decoder(), Screen(every_s=0.0)
+    decoder, screen = Decoder(interface), Screen(0.0, interface)
     try:
         while count is None or decoder.messages < count:
             messages = decoder.decode(host.read(_READ_S))

@@ -81,8 +81,10 @@ def run(
     flown = load_scenario(scenario, duration, seed, settings, exact)
     _check_start(start, flown)
     from lidar_emu.shots import build_model
+    from lidar_emu.wire import interface_named
 
-    view = LoopbackView(quiet=as_json)
+    interface = interface_named(flown.wire.interface, "scenario", "wire.interface")
+    view = LoopbackView(interface, quiet=as_json)
     observers: list[Observer] = [view] if as_json else [Announcer(flown.name, pace), view]
     with busy(COMPILING):
         model = build_model(flown)

@@ -12,6 +12,7 @@ from lidar_emu.cli.output import say
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.runtime.summary import Tally
+from lidar_protocol import Interface
 
 _SHOW_EVERY_S = 0.5
 
@@ -51,9 +52,9 @@ class Progress(Observer):
 class LoopbackView(Observer):
     """The far end of the in-memory loopback: decodes all, shows two lines a second."""
 
-    def __init__(self, quiet: bool) -> None:
-        self._decoder = Decoder()
-        self._screen = None if quiet else Screen(_SHOW_EVERY_S)
+    def __init__(self, interface: Interface, quiet: bool) -> None:
+        self._decoder = Decoder(interface)
+        self._screen = None if quiet else Screen(_SHOW_EVERY_S, interface)
 
     def arrived(self, data: bytes) -> None:
         """Decode, and show what is due."""

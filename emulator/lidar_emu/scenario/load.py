@@ -52,6 +52,7 @@ def load(scenario: str | Path, overrides: Mapping[str, str] | None = None) -> Fl
     sources: Sources = {(): Source(str(path))}
     for key, text in (overrides or {}).items():
         _override(tree, key, text, sources)
+    _anchor_interface(tree, path.parent, sources)
     model = BenchScenario if "bench_pattern" in tree else FlightScenario
     for part in PART_FOLDERS:
         if part in tree:
@@ -61,6 +62,16 @@ def load(scenario: str | Path, overrides: Mapping[str, str] | None = None) -> Fl
         return model.model_validate_json(json.dumps(tree))
     except ValidationError as error:
         raise explained(error, model, tree, sources) from None
+
+
+def _anchor_interface(tree: Tree, folder: Path, sources: Sources) -> None:
+    """An interface's file is relative to the scenario that names it; of an option, to where the user is."""
+    wire = tree.get("wire")
+    if not isinstance(wire, dict) or source_of(("wire", "interface"), sources).name == "--set":
+        return
+    name = wire.get("interface")
+    if isinstance(name, str) and name.endswith(".toml"):
+        wire["interface"] = str(folder / name)
 
 
 def _find_scenario(given: Path) -> Path:

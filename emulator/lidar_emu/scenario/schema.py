@@ -57,8 +57,10 @@ class Timing(Part):
 
 
 class Wire(Part):
-    """What identifies this unit on the wire."""
+    """What this unit says on the wire, and as whom."""
 
+    interface: str = "default"
+    """Message definitions: `default`, `altimeter`, or a TOML file (`.toml`) of one's own."""
     unit: Annotated[int, Field(ge=0, le=15)] = 0
     """Offsets the APID and the CAN identifiers, so that several units can share a bus."""
     can_messages: Literal["core", "full"] = "full"

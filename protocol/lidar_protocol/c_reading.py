@@ -1,0 +1,154 @@
+"""Functions in C that check a packet and read each kind of packet that a device sends."""
+
+from __future__ import annotations
+
+from lidar_protocol.crc import Crc
+from lidar_protocol.definitions import Interface
+from lidar_protocol.fields import Constant
+from lidar_protocol.headers import Kind, PlainHeader, SpacePacketHeader
+from lidar_protocol.layout import Layout
+
+
+def reading_text(interface: Interface) -> str:
+    """The functions that read a packet: the checks, then each kind."""
+    return "\n\n".join([_check(interface), *(_kind(interface, kind) for kind in _kinds(interface))])
+
+
+def _kinds(interface: Interface) -> list[Kind]:
+    blocks: list[tuple[Kind, Layout | None]] = [
+        ("measurement", interface.packet.header),
+        ("acknowledge", interface.acknowledge),
+        ("housekeeping", interface.housekeeping),
+    ]
+    return [kind for kind, layout in blocks if layout is not None]
+
+
+def _check(interface: Interface) -> str:
+    lines: list[str] = []
+    link = interface.link
+    if link.crc is not None:
+        lines += _crc_lines(interface, link.crc)
+    header = link.header
+    lines += (
+        _ccsds_lines(header, interface)
+        if isinstance(header, SpacePacketHeader)
+        else _plain_lines(header, interface)
+    )
+    body = "\n".join(f"    {line}" for line in lines)
+    return f"""/* The kind of a good packet of this interface, and its unit; LIDAR_NOTHING otherwise. */
+static inline lidar_kind lidar_check(const uint8_t *packet, size_t length, unsigned *unit) {{
+    if (length <= LIDAR_HEADER_BYTES + LIDAR_CRC_BYTES)
+        return LIDAR_NOTHING;
+{body}
+    return LIDAR_NOTHING;
+}}"""
+
+
+def _crc_lines(interface: Interface, crc: Crc) -> list[str]:
+    link = interface.link
+    start = "LIDAR_HEADER_BYTES" if link.covered == "body" else "0u"
+    lines = [f"uint{crc.bits}_t crc = LIDAR_CRC_START;", "uint32_t stated = 0u;"]
+    if link.covered == "frame":
+        lines += ["uint8_t head[LIDAR_SYNC_BYTES + LIDAR_LENGTH_BYTES];", "lidar_head(head, length);"]
+        lines += ["crc = lidar_crc(crc, head, sizeof head);"]
+    lines.append(f"crc = lidar_crc(crc, packet + {start}, length - LIDAR_CRC_BYTES - {start});")
+    place = "length - LIDAR_CRC_BYTES + k" if link.byte_order == "big" else "length - 1u - k"
+    lines += ["for (size_t k = 0u; k < LIDAR_CRC_BYTES; k++)", f"    stated = stated << 8 | packet[{place}];"]
+    return [*lines, "if (stated != crc)", "    return LIDAR_NOTHING;"]
+
+
+def _ccsds_lines(header: SpacePacketHeader, interface: Interface) -> list[str]:
+    lines = [
+        "const unsigned identification = (unsigned)packet[0] << 8 | packet[1];",
+        "if (((size_t)packet[4] << 8 | packet[5]) + 7u != length || packet[2] < 0xC0u)",
+        "    return LIDAR_NOTHING;",
+    ]
+    for kind in _kinds(interface):
+        first = header.identification(kind, 0)
+        lines += [
+            f"if (identification >= 0x{first:X}u && identification < 0x{first:X}u + LIDAR_UNITS) {{",
+            f"    *unit = identification - 0x{first:X}u;",
+            f"    return LIDAR_{kind.upper()};",
+            "}",
+        ]
+    return lines
+
+
+def _plain_lines(header: PlainHeader, interface: Interface) -> list[str]:
+    places = {placed.field.name: placed for placed in header.layout.placed}
+
+    def bits(name: str) -> str:
+        return f"lidar_bits(packet, {places[name].first_bit}u, {places[name].field.codec.bits}u)"
+
+    lines: list[str] = []
+    unit = f"(unsigned){bits('unit')}" if "unit" in places else "0u"
+    lines.append(f"*unit = {unit};")
+    checks = []
+    if "unit" in places and interface.units < 1 << places["unit"].field.codec.bits:
+        checks.append("*unit >= LIDAR_UNITS")
+    if "length" in places:
+        checks.append(f"{bits('length')} != length")
+    for name, placed in places.items():
+        if isinstance(placed.field.codec, Constant):
+            checks.append(f"{bits(name)} != 0x{placed.field.codec.code:X}u")
+    if checks:
+        lines += [f"if ({' || '.join(checks)})", "    return LIDAR_NOTHING;"]
+    for kind in _kinds(interface):
+        if "message" in places:
+            lines.append(f"if ({bits('message')} == {header.messages[kind]}u)")
+        lines.append(f"    return LIDAR_{kind.upper()};")
+    return lines
+
+
+def _kind(interface: Interface, kind: Kind) -> str:
+    """A function that reads one kind of packet."""
+    if kind == "measurement":
+        return _measurement(interface)
+    layout = interface.acknowledge if kind == "acknowledge" else interface.housekeeping
+    assert layout is not None
+    version = _version_check(layout, "to->")
+    return f"""static inline bool lidar_read_{kind}(
+    const uint8_t *packet, size_t length, unsigned *unit, lidar_{kind} *to) {{
+    if (lidar_check(packet, length, unit) != LIDAR_{kind.upper()} ||
+        length != LIDAR_HEADER_BYTES + LIDAR_{kind.upper()}_BYTES + LIDAR_CRC_BYTES)
+        return false;
+    lidar_unpack_{kind}(packet + LIDAR_HEADER_BYTES, to);
+    return {version};
+}}"""
+
+
+def _version_check(layout: Layout, to: str) -> str:
+    return (
+        f"{to}interface_version == LIDAR_INTERFACE_VERSION" if "interface_version" in layout.names else "true"
+    )
+
+
+def _measurement(interface: Interface) -> str:
+    packet = interface.packet
+    version = _version_check(packet.header, "to->shot.")
+    head = "LIDAR_HEADER_BYTES + LIDAR_SHOT_BYTES + LIDAR_CRC_BYTES"
+    if packet.beam is None:
+        rest = f"    to->beam_count = 0u;\n    return length == {head} && {version};"
+        beams = ""
+    else:
+        count = " || to->shot.beam_count != to->beam_count" if "beam_count" in packet.header.names else ""
+        beams = "    lidar_beam beams[LIDAR_MAXIMUM_BEAMS];\n"
+        rest = f"""    to->beam_count = (length - ({head})) / LIDAR_BEAM_BYTES;
+    if (length != {head} + to->beam_count * LIDAR_BEAM_BYTES ||
+        to->beam_count == 0u || to->beam_count > LIDAR_MAXIMUM_BEAMS{count})
+        return false;
+    for (size_t k = 0u; k < to->beam_count; k++)
+        lidar_unpack_beam(packet + LIDAR_HEADER_BYTES + LIDAR_SHOT_BYTES + k * LIDAR_BEAM_BYTES, &to->beams[k]);
+    return {version};"""
+    return f"""typedef struct {{
+    lidar_shot shot;
+    size_t beam_count;
+{beams}}} lidar_measurement;
+
+static inline bool lidar_read_measurement(
+    const uint8_t *packet, size_t length, unsigned *unit, lidar_measurement *to) {{
+    if (lidar_check(packet, length, unit) != LIDAR_MEASUREMENT || length < {head})
+        return false;
+    lidar_unpack_shot(packet + LIDAR_HEADER_BYTES, &to->shot);
+{rest}
+}}"""

@@ -1,0 +1,46 @@
+typedef struct {
+    uint8_t data[LIDAR_LONGEST_FRAME];
+    size_t length, used;
+    const uint8_t *packet;
+    size_t packet_length;
+} lidar_receiver;
+
+static inline void lidar_drop(lidar_receiver *receiver, size_t count) {
+    receiver->length -= count;
+    memmove(receiver->data, receiver->data + count, receiver->length);
+}
+
+/* Takes a byte. Call lidar_next() until it is false before the next one; what it found is no longer valid. */
+static inline void lidar_feed(lidar_receiver *receiver, uint8_t byte) {
+    if (receiver->length == sizeof receiver->data)
+        lidar_drop(receiver, 1u);
+    receiver->data[receiver->length++] = byte;
+}
+
+/* Whether there is a good packet: `packet`, `packet_length`. */
+static inline bool lidar_next(lidar_receiver *receiver) {
+    const size_t head = LIDAR_SYNC_BYTES + LIDAR_LENGTH_BYTES;
+    lidar_drop(receiver, receiver->used);
+    receiver->used = 0u;
+    for (;;) {
+        size_t start = 0u, length;
+        unsigned unit;
+        while (start < receiver->length && !lidar_may_be_sync(receiver->data + start, receiver->length - start))
+            start++;
+        lidar_drop(receiver, start);
+        if (receiver->length < head)
+            return false;
+        length = lidar_stated_length(receiver->data);
+        if (length != 0u && length <= LIDAR_LONGEST_PACKET) {
+            if (receiver->length < head + length)
+                return false;
+            if (lidar_check(receiver->data + head, length, &unit) != LIDAR_NOTHING) {
+                receiver->packet = receiver->data + head;
+                receiver->packet_length = length;
+                receiver->used = head + length;
+                return true;
+            }
+        }
+        lidar_drop(receiver, LIDAR_SYNC_BYTES); /* chance, or damage: a real frame may follow */
+    }
+}

@@ -1,0 +1,205 @@
+"""Commands: encoded by a host, read by a device out of whatever arrives.
+
+A command is its code, a sequence number and its arguments. On CAN the identifier stands for the code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from lidar_protocol import can_frames, packet
+from lidar_protocol.can_frames import CanFrame
+from lidar_protocol.definitions import CommandDefinition, Commands, Interface
+from lidar_protocol.errors import DecodeError, EncodeError, Fault
+from lidar_protocol.fields import Value
+from lidar_protocol.framing import LinkCounters
+from lidar_protocol.layout import Layout
+from lidar_protocol.message import BadCommand, Command
+
+Argument = Value | str
+"""A value, or a word of the field's enumeration."""
+
+
+def encode(interface: Interface, unit: int, name: str, values: Mapping[str, Argument]) -> bytes:
+    """A command as framed bytes. `values` are `sequence` and the command's arguments.
+
+    Raises:
+        EncodeError: the interface has no such command, or an argument is missing, unknown or cannot be sent.
+    """
+    packet.check_unit(interface, unit)
+    command = _command(interface, name)
+    body = command.packet.pack(
+        _checked(interface, command, command.packet, values), {"command": command.code}
+    )
+    sequence = values["sequence"]
+    assert isinstance(sequence, int)
+    return interface.link.framing.encode_alone(packet.seal(interface.link, "command", unit, sequence, body))
+
+
+def encode_frame(interface: Interface, unit: int, name: str, values: Mapping[str, Argument]) -> CanFrame:
+    """A command as a CAN frame.
+
+    Raises:
+        EncodeError: as `encode`, or the interface has no commands on CAN.
+    """
+    packet.check_unit(interface, unit)
+    can, command = can_frames.definition(interface), _command(interface, name)
+    if command.can is None or command.can_id is None:
+        raise EncodeError(f"the interface {interface.name} has no commands on CAN")
+    checked = _checked(interface, command, command.can, values)
+    can_id = can.id_base + unit * can.unit_stride + command.can_id
+    return CanFrame(can_id, command.can.pack(checked))
+
+
+def _commands(interface: Interface) -> Commands:
+    if interface.commands is None:
+        raise EncodeError(f"the interface {interface.name} has no commands")
+    return interface.commands
+
+
+def _command(interface: Interface, name: str) -> CommandDefinition:
+    commands = _commands(interface).by_name
+    if name not in commands:
+        raise EncodeError(f"command {name}: the interface has {', '.join(commands)}")
+    return commands[name]
+
+
+def _checked(
+    interface: Interface, command: CommandDefinition, layout: Layout, values: Mapping[str, Argument]
+) -> dict[str, Value]:
+    """The arguments as numbers, each of which arrives as a value."""
+    known = ("sequence", *command.arguments)
+    if strange := values.keys() - set(known):
+        raise EncodeError(f"{command.name} has no {', '.join(sorted(strange))}; it has {', '.join(known)}")
+    numbers = as_numbers(interface, layout, values)
+    back = layout.unpack(layout.pack(numbers, {"command": command.code}))
+    for name in known:
+        problem = _out_of_range(interface, layout, back, name)
+        if problem is not None:
+            raise EncodeError(f"{problem} of {values[name]!r}")
+    return numbers
+
+
+def as_numbers(interface: Interface, layout: Layout, values: Mapping[str, Argument]) -> dict[str, Value]:
+    """Values with the words of enumerations replaced by what they stand for.
+
+    Raises:
+        EncodeError: a word that the enumeration does not have.
+    """
+    words = {placed.field.name: placed.field.enumeration for placed in layout.placed}
+    numbers: dict[str, Value] = {}
+    for name, value in values.items():
+        if isinstance(value, str) and name in words:
+            known = interface.enumerations.get(words[name] or "", {})
+            if value not in known:
+                raise EncodeError(f"{name}: {value!r} is none of {', '.join(known) or 'its values'}")
+            numbers[name] = known[value]
+        elif not isinstance(value, str):
+            numbers[name] = value
+    return numbers
+
+
+def _out_of_range(interface: Interface, layout: Layout, values: Mapping[str, Value], name: str) -> str | None:
+    """What is wrong with a value that arrived, if anything."""
+    (field,) = (placed.field for placed in layout.placed if placed.field.name == name)
+    value = values[field.key]
+    if value is None:
+        return f"{name} is out of range"
+    if field.enumeration and interface.word(field.enumeration, int(value)) is None:
+        return f"{name} has no such value"
+    return None
+
+
+@dataclass(slots=True)
+class CommandCounters(LinkCounters):
+    """What has come in: `messages` are commands, good ones and bad ones; of CAN frames, none is skipped bytes."""
+
+    rejected: int = 0
+    """Undamaged packets for this unit that are no command of the interface."""
+
+
+class CommandReader:
+    """A device's ears on a byte link: commands out of a stream in any portions. It raises nothing."""
+
+    def __init__(self, interface: Interface, unit: int = 0) -> None:
+        self.counters = CommandCounters()
+        self._interface, self._unit = interface, unit
+        longest = interface.maximum_command_bytes
+        self._frames = interface.link.framing.reader(longest, self._read, self.counters)
+
+    @property
+    def buffered_bytes(self) -> int:
+        """Bytes that may belong to a command whose end has not come yet."""
+        return self._frames.buffered_bytes
+
+    def feed(self, data: bytes) -> list[Command | BadCommand]:
+        """The commands that are complete with `data`."""
+        return self._frames.receive(data)
+
+    def _read(self, frame: bytes) -> Command | BadCommand:
+        (kind, unit, sequence), body = packet.unseal(self._interface.link, frame)
+        if kind != "command" or unit != self._unit:
+            raise DecodeError(Fault.FOREIGN, "no command to this unit")
+        command = self._command(sequence, body)
+        self.counters.rejected += isinstance(command, BadCommand)
+        return command
+
+    def _command(self, count: int | None, body: bytes) -> Command | BadCommand:
+        commands = _commands(self._interface)
+        if len(body) < commands.header.length:
+            text = f"{len(body)} bytes are less than code and sequence number"
+            return BadCommand(self._unit, None, count, "malformed", text)
+        head = commands.header.unpack(body)
+        code, sequence = (_whole(head[name]) for name in ("command", "sequence"))
+        command = commands.by_code.get(-1 if code is None else code)
+        if command is None:
+            return BadCommand(self._unit, code, sequence, "unknown", f"no command has the code {code}")
+        if len(body) != command.packet.length:
+            text = f"{command.name} has {command.packet.length} bytes, not {len(body)}"
+            return BadCommand(self._unit, code, sequence, "malformed", text)
+        return _read_command(self._interface, self._unit, command, command.packet, body)
+
+
+class CanCommandReader:
+    """A device's ears on CAN."""
+
+    def __init__(self, interface: Interface, unit: int = 0) -> None:
+        self.counters = CommandCounters()
+        self._interface, self._unit = interface, unit
+        self._commands = can_frames.command_addresses(interface, unit)
+
+    def feed(self, can_id: int, data: bytes, is_fd: bool = False) -> list[Command | BadCommand]:
+        """The command in a frame; frames with other identifiers are none."""
+        command = None if is_fd else self._commands.get(can_id)
+        self.counters.frames += 1
+        if command is None or command.can is None:
+            self.counters.foreign += 1
+            return []
+        self.counters.messages += 1
+        read = self._command(command, command.can, data)
+        self.counters.rejected += isinstance(read, BadCommand)
+        return [read]
+
+    def _command(self, command: CommandDefinition, layout: Layout, data: bytes) -> Command | BadCommand:
+        if len(data) != layout.length:
+            text = f"{command.name} has {layout.length} bytes, not {len(data)}"
+            return BadCommand(self._unit, command.code, None, "malformed", text)
+        return _read_command(self._interface, self._unit, command, layout, data)
+
+
+def _read_command(
+    interface: Interface, unit: int, command: CommandDefinition, layout: Layout, data: bytes
+) -> Command | BadCommand:
+    values = layout.unpack(data)
+    sequence = _whole(values["sequence"])
+    for name in ("sequence", *command.arguments):
+        problem = _out_of_range(interface, layout, values, name)
+        if problem is not None:
+            return BadCommand(unit, command.code, sequence, "out_of_range", f"{command.name}: {problem}")
+    assert sequence is not None
+    return Command(unit, command.name, sequence, {name: values[name] for name in command.arguments})
+
+
+def _whole(value: Value) -> int | None:
+    return None if value is None else int(value)

@@ -1,0 +1,237 @@
+"""How packets lie in a stream of bytes, and how they are found in it again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Literal, Protocol, TypeVar
+
+from lidar_protocol import cobs, slip
+from lidar_protocol.errors import DecodeError, Fault
+
+T = TypeVar("T")
+
+Read = Callable[[bytes], T]
+"""From a packet to what is in it; raises DecodeError."""
+
+
+@dataclass(slots=True)
+class LinkCounters:
+    """What has come in on a byte link."""
+
+    frames: int = 0
+    """Frames, good or bad; empty ones do not count. With a sync word: each place where it stood."""
+    messages: int = 0
+    """Frames that held a good packet."""
+    bad_stuffing: int = 0
+    """Frames that cannot be unstuffed."""
+    bad_length: int = 0
+    """Frames that are too long, or not as long as they state."""
+    bad_crc: int = 0
+    """Packets with a wrong CRC."""
+    foreign: int = 0
+    """Good packets of another kind, address or interface version."""
+    skipped_bytes: int = 0
+    """Bytes that belong to no message, delimiters left out."""
+
+    def count(self, fault: Fault) -> None:
+        """One more of a kind."""
+        setattr(self, fault, getattr(self, fault) + 1)
+
+
+class FrameReader(Protocol[T]):
+    """Finds packets in a stream that comes in any portions; raises nothing and holds a bounded number of bytes."""
+
+    @property
+    def buffered_bytes(self) -> int: ...
+    def receive(self, data: bytes) -> list[T]: ...
+
+
+@dataclass(frozen=True)
+class Stuffed:
+    """Frames that end with a delimiter, which stuffing has taken out of them."""
+
+    kind: Literal["cobs", "slip"]
+
+    @property
+    def delimiter(self) -> bytes:
+        return cobs.DELIMITER if self.kind == "cobs" else slip.DELIMITER
+
+    @property
+    def decode(self) -> Callable[[bytes], bytes]:
+        """The data of a frame, given without delimiter; raises DecodeError."""
+        return cobs.decode if self.kind == "cobs" else slip.decode
+
+    def head(self, packet_length: int) -> bytes:  # noqa: ARG002
+        """What stands before a packet."""
+        return b""
+
+    def encode(self, packet: bytes) -> bytes:
+        """The packet as it follows a frame."""
+        return cobs.encode(packet) + b"\0" if self.kind == "cobs" else slip.encode(packet) + slip.DELIMITER
+
+    def encode_alone(self, packet: bytes) -> bytes:
+        """The packet as it follows anything: a delimiter ends what came before."""
+        return self.delimiter + self.encode(packet)
+
+    def longest_frame(self, packet_length: int) -> int:
+        """Bytes of the longest frame of packets up to a length, without its delimiter."""
+        stuffed = cobs.stuffed_length if self.kind == "cobs" else slip.stuffed_length
+        return stuffed(packet_length)
+
+    def reader(self, longest_packet: int, read: Read[T], counters: LinkCounters) -> FrameReader[T]:
+        """What finds packets again."""
+        return _DelimiterReader(self, self.longest_frame(longest_packet), read, counters)
+
+
+@dataclass(frozen=True)
+class Synced:
+    """Frames that start with a sync word and their length."""
+
+    sync: bytes
+    length_bytes: int
+    byte_order: Literal["big", "little"]
+    counts: Literal["packet", "frame"] = "packet"
+    """What the length counts: the bytes after it, or all bytes of the frame."""
+
+    @property
+    def head_length(self) -> int:
+        """Bytes of sync word and length."""
+        return len(self.sync) + self.length_bytes
+
+    @property
+    def uncounted(self) -> int:
+        """Stated length less that of the packet."""
+        return self.head_length if self.counts == "frame" else 0
+
+    def head(self, packet_length: int) -> bytes:
+        """What stands before a packet."""
+        return self.sync + (packet_length + self.uncounted).to_bytes(self.length_bytes, self.byte_order)
+
+    def encode(self, packet: bytes) -> bytes:
+        """The packet as it follows anything."""
+        return self.head(len(packet)) + packet
+
+    encode_alone = encode
+
+    def longest_frame(self, packet_length: int) -> int:
+        """Bytes of the longest frame of packets up to a length."""
+        return self.head_length + packet_length
+
+    def reader(self, longest_packet: int, read: Read[T], counters: LinkCounters) -> FrameReader[T]:
+        """What finds packets again."""
+        return _SyncReader(self, longest_packet, read, counters)
+
+
+Framing = Stuffed | Synced
+
+
+class _DelimiterReader(Generic[T]):
+    def __init__(self, framing: Stuffed, longest: int, read: Read[T], counters: LinkCounters) -> None:
+        self._delimiter, self._decode = framing.delimiter, framing.decode
+        self._longest, self._read, self._counters = longest, read, counters
+        self._frame = bytearray()
+        self._too_long = False
+
+    @property
+    def buffered_bytes(self) -> int:
+        """Bytes of a frame whose end has not come yet; never more than the longest frame."""
+        return len(self._frame)
+
+    def receive(self, data: bytes) -> list[T]:
+        """What is complete with `data`."""
+        *endings, rest = data.split(self._delimiter)
+        found: list[T] = []
+        for ending in endings:
+            if self._frame or self._too_long:
+                self._append(ending)
+                ending = bytes(self._frame)
+                self._frame.clear()
+            self._end_of_frame(ending, found)
+            self._too_long = False
+        if rest:
+            self._append(rest)
+        return found
+
+    def _append(self, piece: bytes) -> None:
+        if self._too_long or len(self._frame) + len(piece) > self._longest:
+            self._counters.skipped_bytes += len(self._frame) + len(piece)
+            self._frame.clear()
+            self._too_long = True
+        else:
+            self._frame += piece
+
+    def _end_of_frame(self, frame: bytes, found: list[T]) -> None:
+        if not frame and not self._too_long:
+            return
+        self._counters.frames += 1
+        try:
+            if self._too_long or len(frame) > self._longest:
+                raise DecodeError(Fault.BAD_LENGTH, "longer than the longest packet")
+            found.append(self._read(self._decode(frame)))
+        except DecodeError as error:
+            self._counters.count(error.fault)
+            self._counters.skipped_bytes += len(frame)
+        else:
+            self._counters.messages += 1
+
+
+class _SyncReader(Generic[T]):
+    """After a packet that is not one, it looks on right behind that sync word: what follows may hold a real one."""
+
+    def __init__(self, framing: Synced, longest: int, read: Read[T], counters: LinkCounters) -> None:
+        self._framing, self._longest, self._read, self._counters = framing, longest, read, counters
+        self._buffer = bytearray()
+
+    @property
+    def buffered_bytes(self) -> int:
+        """Bytes that may belong to a frame; never more than the longest frame."""
+        return len(self._buffer)
+
+    def receive(self, data: bytes) -> list[T]:
+        """What is complete with `data`."""
+        found: list[T] = []
+        step = self._framing.longest_frame(self._longest)
+        for start in range(0, len(data), step):
+            self._buffer += data[start : start + step]
+            while self._at_sync() and self._take(found):
+                pass
+        return found
+
+    def _at_sync(self) -> bool:
+        """Skip to the next sync word, or to what may become one."""
+        sync, buffer = self._framing.sync, self._buffer
+        start = buffer.find(sync)
+        if start < 0:
+            kept = next(n for n in range(len(sync) - 1, -1, -1) if buffer.endswith(sync[:n]))
+            self._skip(len(buffer) - kept)
+            return False
+        self._skip(start)
+        return len(buffer) >= self._framing.head_length
+
+    def _take(self, found: list[T]) -> bool:
+        """Read the frame at the start of the buffer; False if it is not complete."""
+        framing, buffer = self._framing, self._buffer
+        head = framing.head_length
+        length = int.from_bytes(buffer[len(framing.sync) : head], framing.byte_order) - framing.uncounted
+        if not 0 < length <= self._longest:
+            self._counters.count(Fault.BAD_LENGTH)
+            self._counters.frames += 1
+            self._skip(len(framing.sync))
+            return True
+        if len(buffer) < head + length:
+            return False
+        self._counters.frames += 1
+        try:
+            found.append(self._read(bytes(buffer[head : head + length])))
+        except DecodeError as error:
+            self._counters.count(error.fault)
+            self._skip(len(framing.sync))
+        else:
+            self._counters.messages += 1
+            del buffer[: head + length]
+        return True
+
+    def _skip(self, count: int) -> None:
+        self._counters.skipped_bytes += count
+        del self._buffer[:count]

@@ -1,0 +1,805 @@
+/* Decoder of the interface "lidar-emu", version 1. Generated from its definition; do not edit.
+ *
+ * C99, no allocation, nothing beside the standard headers. On a byte link:
+ *
+ *     static lidar_receiver receiver;
+ *     lidar_feed(&receiver, byte);                        (every byte that arrives)
+ *     while (lidar_next(&receiver)) {
+ *         unsigned unit;
+ *         lidar_measurement shot;
+ *         if (lidar_read_measurement(receiver.packet, receiver.packet_length, &unit, &shot)) ...
+ *     }
+ *
+ * On CAN the identifiers of unit 0 are LIDAR_CAN_ID_...; compare the length of a frame with LIDAR_CAN_..._BYTES and call
+ * lidar_unpack_can_...(). A member x has a value if the member has_x, where there is one, is true.
+ * Epoch of times: the instant agreed for the run (key timing.epoch of the emulator's scenario), on a scale without leap seconds.
+ */
+#ifndef LIDAR_INTERFACE_H
+#define LIDAR_INTERFACE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+typedef enum { LIDAR_NOTHING, LIDAR_MEASUREMENT, LIDAR_ACKNOWLEDGE, LIDAR_HOUSEKEEPING } lidar_kind;
+
+static inline uint64_t lidar_bits(const uint8_t *block, size_t first_bit, unsigned bits) {
+    uint64_t word = 0u;
+    for (size_t k = first_bit; k < first_bit + bits; k++)
+        word = word << 1 | (uint64_t)(block[k / 8u] >> (7u - k % 8u) & 1u);
+    return word;
+}
+
+static inline int64_t lidar_signed(uint64_t word, unsigned bits) {
+    const uint64_t sign = (uint64_t)1 << (bits - 1u);
+    return (word & sign) != 0u ? -(int64_t)((sign - 1u) - (word & (sign - 1u))) - 1 : (int64_t)word;
+}
+
+/* From a time code of 4 + 3 bytes. */
+static inline int64_t lidar_nanoseconds(uint64_t ticks) {
+    const uint64_t fraction = ticks & 0xFFFFFFu;
+    return (int64_t)((ticks >> 24) * 1000000000u + ((fraction * 1000000000u + 0x800000u) >> 24));
+}
+
+static inline double lidar_float(uint32_t word) {
+    float value;
+    memcpy(&value, &word, sizeof value);
+    return (double)value;
+}
+
+static inline double lidar_double(uint64_t word) {
+    double value;
+    memcpy(&value, &word, sizeof value);
+    return value;
+}
+
+#define LIDAR_INTERFACE_VERSION 1
+#define LIDAR_UNITS 16u
+#define LIDAR_MAXIMUM_BEAMS 64u
+#define LIDAR_HEADER_BYTES 6u
+#define LIDAR_CRC_BYTES 2u
+#define LIDAR_LONGEST_PACKET 1822u
+#define LIDAR_LONGEST_FRAME 1830u
+#define LIDAR_CAN_UNIT_STRIDE 0x40u
+#define LIDAR_CAN_BEAM_SLOTS 8u
+#define LIDAR_CAN_ID_HEADER 0x100u
+#define LIDAR_CAN_ID_STATUS 0x101u
+#define LIDAR_CAN_ID_SHOT 0x102u
+#define LIDAR_CAN_ID_BEAM 0x108u
+#define LIDAR_CAN_ID_QUALITY 0x110u
+#define LIDAR_CAN_ID_GEOMETRY 0x118u
+#define LIDAR_CAN_ID_FD_HEADER 0x120u
+#define LIDAR_CAN_ID_FD_BEAM 0x128u
+#define LIDAR_CAN_ID_ACKNOWLEDGE 0x138u
+#define LIDAR_CAN_ID_HEALTH 0x139u
+#define LIDAR_CAN_ID_AGE 0x13Au
+#define LIDAR_CAN_ID_SHOTS_LOST 0x13Bu
+#define LIDAR_CAN_ID_COMMANDS_LOST 0x13Cu
+#define LIDAR_CAN_ID_VERSIONS 0x13Du
+
+#define LIDAR_MODE_OFF 0u
+#define LIDAR_MODE_STANDBY 1u
+#define LIDAR_MODE_SELF_TEST 2u
+#define LIDAR_MODE_ACQUIRE 3u
+#define LIDAR_MODE_TRACK 4u
+#define LIDAR_MODE_FAULT 5u
+#define LIDAR_MODE_SAFE 6u
+#define LIDAR_REASON_VALID 0u
+#define LIDAR_REASON_NOT_FIRED 1u
+#define LIDAR_REASON_NO_SURFACE 2u
+#define LIDAR_REASON_BELOW_THRESHOLD 3u
+#define LIDAR_REASON_BEYOND_RANGE 4u
+#define LIDAR_REASON_INSIDE_GROUND 5u
+#define LIDAR_REASON_AMBIGUOUS 6u
+#define LIDAR_SEGMENTS_NONE 0u
+#define LIDAR_SEGMENTS_UP 1u
+#define LIDAR_SEGMENTS_CONSTANT 2u
+#define LIDAR_SEGMENTS_UP_CONSTANT 3u
+#define LIDAR_SEGMENTS_DOWN 4u
+#define LIDAR_SEGMENTS_UP_DOWN 5u
+#define LIDAR_SEGMENTS_CONSTANT_DOWN 6u
+#define LIDAR_SEGMENTS_UP_CONSTANT_DOWN 7u
+#define LIDAR_VERDICT_ACCEPTED 0u
+#define LIDAR_VERDICT_UNKNOWN 1u
+#define LIDAR_VERDICT_MALFORMED 2u
+#define LIDAR_VERDICT_BAD_SEQUENCE 3u
+#define LIDAR_VERDICT_OUT_OF_STATE 4u
+#define LIDAR_VERDICT_OUT_OF_RANGE 5u
+#define LIDAR_RESTART_WARM 0u
+#define LIDAR_RESTART_COLD 1u
+#define LIDAR_COMMAND_NO_OP 0u
+#define LIDAR_COMMAND_SET_MODE 1u
+#define LIDAR_COMMAND_SET_PATTERN 2u
+#define LIDAR_COMMAND_SET_RATE_HZ 3u
+#define LIDAR_COMMAND_ENABLE_BEAMS 4u
+#define LIDAR_COMMAND_TIME_AT_TONE 5u
+#define LIDAR_COMMAND_SET_PARAMETER 6u
+#define LIDAR_COMMAND_RESET 7u
+
+#define LIDAR_SHOT_BYTES 22u
+
+typedef struct {
+    int64_t time_ns;
+    int64_t due_ns;
+    uint64_t interface_version;
+    uint64_t mode;
+    bool laser_on;
+    bool clock_locked;
+    uint64_t beam_count;
+    bool has_beam_count;
+    uint64_t shot;
+} lidar_shot;
+
+static inline void lidar_unpack_shot(const uint8_t *block, lidar_shot *to) {
+    to->time_ns = lidar_nanoseconds(lidar_bits(block, 0u, 56u));
+    to->due_ns = lidar_nanoseconds(lidar_bits(block, 56u, 56u));
+    { const uint64_t raw = lidar_bits(block, 112u, 8u);
+      to->interface_version = raw; }
+    { const uint64_t raw = lidar_bits(block, 120u, 8u);
+      to->mode = raw; }
+    to->laser_on = lidar_bits(block, 134u, 1u) != 0u;
+    to->clock_locked = lidar_bits(block, 135u, 1u) != 0u;
+    { const uint64_t raw = lidar_bits(block, 136u, 8u);
+      to->has_beam_count = raw >= 1ULL && raw <= 64ULL;
+      to->beam_count = raw; }
+    to->shot = lidar_bits(block, 144u, 32u);
+}
+
+#define LIDAR_BEAM_BYTES 28u
+
+typedef struct {
+    bool fired;
+    bool range_valid;
+    bool speed_valid;
+    bool sign_resolved;
+    uint64_t segments;
+    uint64_t reason;
+    uint64_t returns;
+    double snr_db; /* dB */
+    bool has_snr_db;
+    double range_m; /* m */
+    bool has_range_m;
+    double closing_speed_mps; /* m/s */
+    bool has_closing_speed_mps;
+    double second_range_m; /* m */
+    bool has_second_range_m;
+    double sigma_range_m; /* m */
+    bool has_sigma_range_m;
+    double sigma_speed_mps; /* m/s */
+    bool has_sigma_speed_mps;
+    double residual_mps; /* m/s */
+    bool has_residual_mps;
+    double beam_angle_deg; /* deg */
+    bool has_beam_angle_deg;
+    double time_offset_s; /* s */
+    bool has_time_offset_s;
+} lidar_beam;
+
+static inline void lidar_unpack_beam(const uint8_t *block, lidar_beam *to) {
+    to->fired = lidar_bits(block, 0u, 1u) != 0u;
+    to->range_valid = lidar_bits(block, 1u, 1u) != 0u;
+    to->speed_valid = lidar_bits(block, 2u, 1u) != 0u;
+    to->sign_resolved = lidar_bits(block, 3u, 1u) != 0u;
+    { const uint64_t raw = lidar_bits(block, 5u, 3u);
+      to->segments = raw; }
+    { const uint64_t raw = lidar_bits(block, 8u, 4u);
+      to->reason = raw; }
+    { const uint64_t raw = lidar_bits(block, 12u, 4u);
+      to->returns = raw; }
+    { const int64_t raw = lidar_signed(lidar_bits(block, 16u, 16u), 16u);
+      to->has_snr_db = raw >= -32767LL && raw <= 32767LL;
+      to->snr_db = (double)raw / 100.0; }
+    { const uint64_t raw = lidar_bits(block, 32u, 32u);
+      to->has_range_m = raw <= 4294967294ULL;
+      to->range_m = (double)raw / 1000.0; }
+    { const int64_t raw = lidar_signed(lidar_bits(block, 64u, 32u), 32u);
+      to->has_closing_speed_mps = raw >= -2147483647LL && raw <= 2147483647LL;
+      to->closing_speed_mps = (double)raw / 10000.0; }
+    { const uint64_t raw = lidar_bits(block, 96u, 32u);
+      to->has_second_range_m = raw <= 4294967294ULL;
+      to->second_range_m = (double)raw / 1000.0; }
+    { const uint64_t raw = lidar_bits(block, 128u, 16u);
+      to->has_sigma_range_m = raw <= 65534ULL;
+      to->sigma_range_m = (double)raw / 10000.0; }
+    { const uint64_t raw = lidar_bits(block, 144u, 16u);
+      to->has_sigma_speed_mps = raw <= 65534ULL;
+      to->sigma_speed_mps = (double)raw / 100000.0; }
+    { const int64_t raw = lidar_signed(lidar_bits(block, 160u, 16u), 16u);
+      to->has_residual_mps = raw >= -32767LL && raw <= 32767LL;
+      to->residual_mps = (double)raw / 10000.0; }
+    { const uint64_t raw = lidar_bits(block, 176u, 16u);
+      to->has_beam_angle_deg = raw <= 9000ULL;
+      to->beam_angle_deg = (double)raw / 100.0; }
+    { const uint64_t raw = lidar_bits(block, 192u, 32u);
+      to->has_time_offset_s = raw <= 4294967294ULL;
+      to->time_offset_s = (double)raw / 1000000.0; }
+}
+
+#define LIDAR_ACKNOWLEDGE_BYTES 10u
+
+typedef struct {
+    int64_t time_ns;
+    uint64_t command;
+    uint64_t sequence;
+    uint64_t verdict;
+} lidar_acknowledge;
+
+static inline void lidar_unpack_acknowledge(const uint8_t *block, lidar_acknowledge *to) {
+    to->time_ns = lidar_nanoseconds(lidar_bits(block, 0u, 56u));
+    { const uint64_t raw = lidar_bits(block, 56u, 8u);
+      to->command = raw; }
+    { const uint64_t raw = lidar_bits(block, 64u, 8u);
+      to->sequence = raw; }
+    { const uint64_t raw = lidar_bits(block, 72u, 8u);
+      to->verdict = raw; }
+}
+
+#define LIDAR_HOUSEKEEPING_BYTES 41u
+
+typedef struct {
+    int64_t time_ns;
+    uint64_t interface_version;
+    uint64_t software_major;
+    uint64_t software_minor;
+    uint64_t software_patch;
+    uint64_t mode;
+    bool interlock_closed;
+    bool laser_on;
+    bool clock_locked;
+    double temperature_c; /* degC */
+    bool has_temperature_c;
+    double laser_power_w; /* W */
+    bool has_laser_power_w;
+    uint64_t uptime_s; /* s */
+    bool has_uptime_s;
+    uint64_t shots_dropped;
+    uint64_t shots_late;
+    uint64_t commands_accepted;
+    uint64_t commands_rejected;
+    uint64_t bad_bytes;
+    double truth_age_s; /* s */
+    bool has_truth_age_s;
+} lidar_housekeeping;
+
+static inline void lidar_unpack_housekeeping(const uint8_t *block, lidar_housekeeping *to) {
+    to->time_ns = lidar_nanoseconds(lidar_bits(block, 0u, 56u));
+    { const uint64_t raw = lidar_bits(block, 56u, 8u);
+      to->interface_version = raw; }
+    { const uint64_t raw = lidar_bits(block, 64u, 8u);
+      to->software_major = raw; }
+    { const uint64_t raw = lidar_bits(block, 72u, 8u);
+      to->software_minor = raw; }
+    { const uint64_t raw = lidar_bits(block, 80u, 8u);
+      to->software_patch = raw; }
+    { const uint64_t raw = lidar_bits(block, 88u, 8u);
+      to->mode = raw; }
+    to->interlock_closed = lidar_bits(block, 101u, 1u) != 0u;
+    to->laser_on = lidar_bits(block, 102u, 1u) != 0u;
+    to->clock_locked = lidar_bits(block, 103u, 1u) != 0u;
+    { const int64_t raw = lidar_signed(lidar_bits(block, 104u, 16u), 16u);
+      to->has_temperature_c = raw >= -32767LL && raw <= 32767LL;
+      to->temperature_c = (double)raw / 100.0; }
+    { const uint64_t raw = lidar_bits(block, 120u, 16u);
+      to->has_laser_power_w = raw <= 65534ULL;
+      to->laser_power_w = (double)raw / 1000.0; }
+    { const uint64_t raw = lidar_bits(block, 136u, 32u);
+      to->has_uptime_s = raw <= 4294967294ULL;
+      to->uptime_s = raw; }
+    to->shots_dropped = lidar_bits(block, 168u, 32u);
+    to->shots_late = lidar_bits(block, 200u, 32u);
+    to->commands_accepted = lidar_bits(block, 232u, 16u);
+    to->commands_rejected = lidar_bits(block, 248u, 16u);
+    to->bad_bytes = lidar_bits(block, 264u, 32u);
+    { const uint64_t raw = lidar_bits(block, 296u, 32u);
+      to->has_truth_age_s = raw <= 4294967294ULL;
+      to->truth_age_s = (double)raw / 1000000.0; }
+}
+
+#define LIDAR_CAN_HEADER_BYTES 8u
+
+typedef struct {
+    uint64_t shot_counter;
+    bool details;
+    int64_t beam_count;
+    int64_t time_ns;
+} lidar_can_header;
+
+static inline void lidar_unpack_can_header(const uint8_t *block, lidar_can_header *to) {
+    to->shot_counter = lidar_bits(block, 0u, 4u);
+    to->details = lidar_bits(block, 4u, 1u) != 0u;
+    { const uint64_t raw = lidar_bits(block, 5u, 3u);
+      to->beam_count = (int64_t)raw + 1; }
+    to->time_ns = lidar_nanoseconds(lidar_bits(block, 8u, 56u));
+}
+
+#define LIDAR_CAN_STATUS_BYTES 8u
+
+typedef struct {
+    uint64_t shot_counter;
+    bool laser_on;
+    bool clock_locked;
+    int64_t due_ns;
+} lidar_can_status;
+
+static inline void lidar_unpack_can_status(const uint8_t *block, lidar_can_status *to) {
+    to->shot_counter = lidar_bits(block, 0u, 4u);
+    to->laser_on = lidar_bits(block, 6u, 1u) != 0u;
+    to->clock_locked = lidar_bits(block, 7u, 1u) != 0u;
+    to->due_ns = lidar_nanoseconds(lidar_bits(block, 8u, 56u));
+}
+
+#define LIDAR_CAN_SHOT_BYTES 6u
+
+typedef struct {
+    uint64_t shot_counter;
+    uint64_t mode;
+    uint64_t interface_version;
+    uint64_t shot;
+} lidar_can_shot;
+
+static inline void lidar_unpack_can_shot(const uint8_t *block, lidar_can_shot *to) {
+    to->shot_counter = lidar_bits(block, 0u, 4u);
+    { const uint64_t raw = lidar_bits(block, 4u, 4u);
+      to->mode = raw; }
+    { const uint64_t raw = lidar_bits(block, 8u, 8u);
+      to->interface_version = raw; }
+    to->shot = lidar_bits(block, 16u, 32u);
+}
+
+#define LIDAR_CAN_BEAM_BYTES 8u
+
+typedef struct {
+    uint64_t shot_counter;
+    bool range_valid;
+    bool speed_valid;
+    bool sign_resolved;
+    uint64_t segments;
+    double snr_db; /* dB */
+    bool has_snr_db;
+    double range_m; /* m */
+    bool has_range_m;
+    double closing_speed_mps; /* m/s */
+    bool has_closing_speed_mps;
+} lidar_can_beam;
+
+static inline void lidar_unpack_can_beam(const uint8_t *block, lidar_can_beam *to) {
+    to->shot_counter = lidar_bits(block, 0u, 4u);
+    to->range_valid = lidar_bits(block, 4u, 1u) != 0u;
+    to->speed_valid = lidar_bits(block, 5u, 1u) != 0u;
+    to->sign_resolved = lidar_bits(block, 6u, 1u) != 0u;
+    { const uint64_t raw = lidar_bits(block, 7u, 3u);
+      to->segments = raw; }
+    { const uint64_t raw = lidar_bits(block, 10u, 6u);
+      to->has_snr_db = raw <= 62ULL;
+      to->snr_db = (double)raw / 1.0; }
+    { const uint64_t raw = lidar_bits(block, 16u, 24u);
+      to->has_range_m = raw <= 16777213ULL;
+      to->range_m = (double)raw / 1000.0; }
+    { const int64_t raw = lidar_signed(lidar_bits(block, 40u, 24u), 24u);
+      to->has_closing_speed_mps = raw >= -8388606LL && raw <= 8388607LL;
+      to->closing_speed_mps = (double)raw / 10000.0; }
+}
+
+#define LIDAR_CAN_QUALITY_BYTES 8u
+
+typedef struct {
+    uint64_t shot_counter;
+    uint64_t reason;
+    uint64_t returns;
+    double sigma_range_m; /* m */
+    bool has_sigma_range_m;
+    double sigma_speed_mps; /* m/s */
+    bool has_sigma_speed_mps;
+    double residual_mps; /* m/s */
+    bool has_residual_mps;
+} lidar_can_quality;
+
+static inline void lidar_unpack_can_quality(const uint8_t *block, lidar_can_quality *to) {
+    to->shot_counter = lidar_bits(block, 0u, 4u);
+    { const uint64_t raw = lidar_bits(block, 4u, 4u);
+      to->reason = raw; }
+    { const uint64_t raw = lidar_bits(block, 8u, 4u);
+      to->returns = raw; }
+    { const uint64_t raw = lidar_bits(block, 16u, 16u);
+      to->has_sigma_range_m = raw <= 65534ULL;
+      to->sigma_range_m = (double)raw / 10000.0; }
+    { const uint64_t raw = lidar_bits(block, 32u, 16u);
+      to->has_sigma_speed_mps = raw <= 65534ULL;
+      to->sigma_speed_mps = (double)raw / 100000.0; }
+    { const int64_t raw = lidar_signed(lidar_bits(block, 48u, 16u), 16u);
+      to->has_residual_mps = raw >= -32767LL && raw <= 32767LL;
+      to->residual_mps = (double)raw / 10000.0; }
+}
+
+#define LIDAR_CAN_GEOMETRY_BYTES 8u
+
+typedef struct {
+    uint64_t shot_counter;
+    double time_offset_s; /* s */
+    bool has_time_offset_s;
+    double beam_angle_deg; /* deg */
+    bool has_beam_angle_deg;
+    double second_range_m; /* m */
+    bool has_second_range_m;
+} lidar_can_geometry;
+
+static inline void lidar_unpack_can_geometry(const uint8_t *block, lidar_can_geometry *to) {
+    to->shot_counter = lidar_bits(block, 0u, 4u);
+    { const uint64_t raw = lidar_bits(block, 4u, 20u);
+      to->has_time_offset_s = raw <= 1048574ULL;
+      to->time_offset_s = (double)raw / 1000000.0; }
+    { const uint64_t raw = lidar_bits(block, 24u, 16u);
+      to->has_beam_angle_deg = raw <= 9000ULL;
+      to->beam_angle_deg = (double)raw / 100.0; }
+    { const uint64_t raw = lidar_bits(block, 40u, 24u);
+      to->has_second_range_m = raw <= 16777214ULL;
+      to->second_range_m = (double)raw / 1000.0; }
+}
+
+#define LIDAR_CAN_FD_HEADER_BYTES 24u
+
+typedef struct {
+    uint64_t shot_counter;
+    int64_t time_ns;
+    int64_t due_ns;
+    uint64_t interface_version;
+    uint64_t mode;
+    bool laser_on;
+    bool clock_locked;
+    uint64_t beam_count;
+    bool has_beam_count;
+    uint64_t shot;
+} lidar_can_fd_header;
+
+static inline void lidar_unpack_can_fd_header(const uint8_t *block, lidar_can_fd_header *to) {
+    to->shot_counter = lidar_bits(block, 0u, 4u);
+    to->time_ns = lidar_nanoseconds(lidar_bits(block, 8u, 56u));
+    to->due_ns = lidar_nanoseconds(lidar_bits(block, 64u, 56u));
+    { const uint64_t raw = lidar_bits(block, 120u, 8u);
+      to->interface_version = raw; }
+    { const uint64_t raw = lidar_bits(block, 128u, 8u);
+      to->mode = raw; }
+    to->laser_on = lidar_bits(block, 142u, 1u) != 0u;
+    to->clock_locked = lidar_bits(block, 143u, 1u) != 0u;
+    { const uint64_t raw = lidar_bits(block, 144u, 8u);
+      to->has_beam_count = raw >= 1ULL && raw <= 8ULL;
+      to->beam_count = raw; }
+    to->shot = lidar_bits(block, 152u, 32u);
+}
+
+#define LIDAR_CAN_FD_BEAM_BYTES 32u
+
+typedef struct {
+    uint64_t shot_counter;
+    bool fired;
+    bool range_valid;
+    bool speed_valid;
+    bool sign_resolved;
+    uint64_t segments;
+    uint64_t reason;
+    uint64_t returns;
+    double snr_db; /* dB */
+    bool has_snr_db;
+    double range_m; /* m */
+    bool has_range_m;
+    double closing_speed_mps; /* m/s */
+    bool has_closing_speed_mps;
+    double second_range_m; /* m */
+    bool has_second_range_m;
+    double sigma_range_m; /* m */
+    bool has_sigma_range_m;
+    double sigma_speed_mps; /* m/s */
+    bool has_sigma_speed_mps;
+    double residual_mps; /* m/s */
+    bool has_residual_mps;
+    double beam_angle_deg; /* deg */
+    bool has_beam_angle_deg;
+    double time_offset_s; /* s */
+    bool has_time_offset_s;
+} lidar_can_fd_beam;
+
+static inline void lidar_unpack_can_fd_beam(const uint8_t *block, lidar_can_fd_beam *to) {
+    to->shot_counter = lidar_bits(block, 0u, 4u);
+    to->fired = lidar_bits(block, 8u, 1u) != 0u;
+    to->range_valid = lidar_bits(block, 9u, 1u) != 0u;
+    to->speed_valid = lidar_bits(block, 10u, 1u) != 0u;
+    to->sign_resolved = lidar_bits(block, 11u, 1u) != 0u;
+    { const uint64_t raw = lidar_bits(block, 13u, 3u);
+      to->segments = raw; }
+    { const uint64_t raw = lidar_bits(block, 16u, 4u);
+      to->reason = raw; }
+    { const uint64_t raw = lidar_bits(block, 20u, 4u);
+      to->returns = raw; }
+    { const int64_t raw = lidar_signed(lidar_bits(block, 24u, 16u), 16u);
+      to->has_snr_db = raw >= -32767LL && raw <= 32767LL;
+      to->snr_db = (double)raw / 100.0; }
+    { const uint64_t raw = lidar_bits(block, 40u, 32u);
+      to->has_range_m = raw <= 4294967294ULL;
+      to->range_m = (double)raw / 1000.0; }
+    { const int64_t raw = lidar_signed(lidar_bits(block, 72u, 32u), 32u);
+      to->has_closing_speed_mps = raw >= -2147483647LL && raw <= 2147483647LL;
+      to->closing_speed_mps = (double)raw / 10000.0; }
+    { const uint64_t raw = lidar_bits(block, 104u, 32u);
+      to->has_second_range_m = raw <= 4294967294ULL;
+      to->second_range_m = (double)raw / 1000.0; }
+    { const uint64_t raw = lidar_bits(block, 136u, 16u);
+      to->has_sigma_range_m = raw <= 65534ULL;
+      to->sigma_range_m = (double)raw / 10000.0; }
+    { const uint64_t raw = lidar_bits(block, 152u, 16u);
+      to->has_sigma_speed_mps = raw <= 65534ULL;
+      to->sigma_speed_mps = (double)raw / 100000.0; }
+    { const int64_t raw = lidar_signed(lidar_bits(block, 168u, 16u), 16u);
+      to->has_residual_mps = raw >= -32767LL && raw <= 32767LL;
+      to->residual_mps = (double)raw / 10000.0; }
+    { const uint64_t raw = lidar_bits(block, 184u, 16u);
+      to->has_beam_angle_deg = raw <= 9000ULL;
+      to->beam_angle_deg = (double)raw / 100.0; }
+    { const uint64_t raw = lidar_bits(block, 200u, 32u);
+      to->has_time_offset_s = raw <= 4294967294ULL;
+      to->time_offset_s = (double)raw / 1000000.0; }
+}
+
+#define LIDAR_CAN_ACKNOWLEDGE_BYTES 3u
+
+typedef struct {
+    uint64_t command;
+    uint64_t sequence;
+    uint64_t verdict;
+} lidar_can_acknowledge;
+
+static inline void lidar_unpack_can_acknowledge(const uint8_t *block, lidar_can_acknowledge *to) {
+    { const uint64_t raw = lidar_bits(block, 0u, 8u);
+      to->command = raw; }
+    { const uint64_t raw = lidar_bits(block, 8u, 8u);
+      to->sequence = raw; }
+    { const uint64_t raw = lidar_bits(block, 16u, 8u);
+      to->verdict = raw; }
+}
+
+#define LIDAR_CAN_HEALTH_BYTES 6u
+
+typedef struct {
+    uint64_t mode;
+    bool interlock_closed;
+    bool laser_on;
+    bool clock_locked;
+    double temperature_c; /* degC */
+    bool has_temperature_c;
+    double laser_power_w; /* W */
+    bool has_laser_power_w;
+} lidar_can_health;
+
+static inline void lidar_unpack_can_health(const uint8_t *block, lidar_can_health *to) {
+    { const uint64_t raw = lidar_bits(block, 0u, 8u);
+      to->mode = raw; }
+    to->interlock_closed = lidar_bits(block, 13u, 1u) != 0u;
+    to->laser_on = lidar_bits(block, 14u, 1u) != 0u;
+    to->clock_locked = lidar_bits(block, 15u, 1u) != 0u;
+    { const int64_t raw = lidar_signed(lidar_bits(block, 16u, 16u), 16u);
+      to->has_temperature_c = raw >= -32767LL && raw <= 32767LL;
+      to->temperature_c = (double)raw / 100.0; }
+    { const uint64_t raw = lidar_bits(block, 32u, 16u);
+      to->has_laser_power_w = raw <= 65534ULL;
+      to->laser_power_w = (double)raw / 1000.0; }
+}
+
+#define LIDAR_CAN_AGE_BYTES 8u
+
+typedef struct {
+    uint64_t uptime_s; /* s */
+    bool has_uptime_s;
+    double truth_age_s; /* s */
+    bool has_truth_age_s;
+} lidar_can_age;
+
+static inline void lidar_unpack_can_age(const uint8_t *block, lidar_can_age *to) {
+    { const uint64_t raw = lidar_bits(block, 0u, 32u);
+      to->has_uptime_s = raw <= 4294967294ULL;
+      to->uptime_s = raw; }
+    { const uint64_t raw = lidar_bits(block, 32u, 32u);
+      to->has_truth_age_s = raw <= 4294967294ULL;
+      to->truth_age_s = (double)raw / 1000000.0; }
+}
+
+#define LIDAR_CAN_SHOTS_LOST_BYTES 8u
+
+typedef struct {
+    uint64_t shots_dropped;
+    uint64_t shots_late;
+} lidar_can_shots_lost;
+
+static inline void lidar_unpack_can_shots_lost(const uint8_t *block, lidar_can_shots_lost *to) {
+    to->shots_dropped = lidar_bits(block, 0u, 32u);
+    to->shots_late = lidar_bits(block, 32u, 32u);
+}
+
+#define LIDAR_CAN_COMMANDS_LOST_BYTES 8u
+
+typedef struct {
+    uint64_t commands_accepted;
+    uint64_t commands_rejected;
+    uint64_t bad_bytes;
+} lidar_can_commands_lost;
+
+static inline void lidar_unpack_can_commands_lost(const uint8_t *block, lidar_can_commands_lost *to) {
+    to->commands_accepted = lidar_bits(block, 0u, 16u);
+    to->commands_rejected = lidar_bits(block, 16u, 16u);
+    to->bad_bytes = lidar_bits(block, 32u, 32u);
+}
+
+#define LIDAR_CAN_VERSIONS_BYTES 4u
+
+typedef struct {
+    uint64_t interface_version;
+    uint64_t software_major;
+    uint64_t software_minor;
+    uint64_t software_patch;
+} lidar_can_versions;
+
+static inline void lidar_unpack_can_versions(const uint8_t *block, lidar_can_versions *to) {
+    { const uint64_t raw = lidar_bits(block, 0u, 8u);
+      to->interface_version = raw; }
+    { const uint64_t raw = lidar_bits(block, 8u, 8u);
+      to->software_major = raw; }
+    { const uint64_t raw = lidar_bits(block, 16u, 8u);
+      to->software_minor = raw; }
+    { const uint64_t raw = lidar_bits(block, 24u, 8u);
+      to->software_patch = raw; }
+}
+
+/* crc16_ccitt_false; 0x29B1 for "123456789". From LIDAR_CRC_START on, piece by piece. */
+#define LIDAR_CRC_START 0xFFFFu
+static inline uint16_t lidar_crc(uint16_t crc, const uint8_t *data, size_t length) {
+    static const uint16_t table[256] = {
+        0x0000u, 0x1021u, 0x2042u, 0x3063u, 0x4084u, 0x50A5u, 0x60C6u, 0x70E7u,
+        0x8108u, 0x9129u, 0xA14Au, 0xB16Bu, 0xC18Cu, 0xD1ADu, 0xE1CEu, 0xF1EFu,
+        0x1231u, 0x0210u, 0x3273u, 0x2252u, 0x52B5u, 0x4294u, 0x72F7u, 0x62D6u,
+        0x9339u, 0x8318u, 0xB37Bu, 0xA35Au, 0xD3BDu, 0xC39Cu, 0xF3FFu, 0xE3DEu,
+        0x2462u, 0x3443u, 0x0420u, 0x1401u, 0x64E6u, 0x74C7u, 0x44A4u, 0x5485u,
+        0xA56Au, 0xB54Bu, 0x8528u, 0x9509u, 0xE5EEu, 0xF5CFu, 0xC5ACu, 0xD58Du,
+        0x3653u, 0x2672u, 0x1611u, 0x0630u, 0x76D7u, 0x66F6u, 0x5695u, 0x46B4u,
+        0xB75Bu, 0xA77Au, 0x9719u, 0x8738u, 0xF7DFu, 0xE7FEu, 0xD79Du, 0xC7BCu,
+        0x48C4u, 0x58E5u, 0x6886u, 0x78A7u, 0x0840u, 0x1861u, 0x2802u, 0x3823u,
+        0xC9CCu, 0xD9EDu, 0xE98Eu, 0xF9AFu, 0x8948u, 0x9969u, 0xA90Au, 0xB92Bu,
+        0x5AF5u, 0x4AD4u, 0x7AB7u, 0x6A96u, 0x1A71u, 0x0A50u, 0x3A33u, 0x2A12u,
+        0xDBFDu, 0xCBDCu, 0xFBBFu, 0xEB9Eu, 0x9B79u, 0x8B58u, 0xBB3Bu, 0xAB1Au,
+        0x6CA6u, 0x7C87u, 0x4CE4u, 0x5CC5u, 0x2C22u, 0x3C03u, 0x0C60u, 0x1C41u,
+        0xEDAEu, 0xFD8Fu, 0xCDECu, 0xDDCDu, 0xAD2Au, 0xBD0Bu, 0x8D68u, 0x9D49u,
+        0x7E97u, 0x6EB6u, 0x5ED5u, 0x4EF4u, 0x3E13u, 0x2E32u, 0x1E51u, 0x0E70u,
+        0xFF9Fu, 0xEFBEu, 0xDFDDu, 0xCFFCu, 0xBF1Bu, 0xAF3Au, 0x9F59u, 0x8F78u,
+        0x9188u, 0x81A9u, 0xB1CAu, 0xA1EBu, 0xD10Cu, 0xC12Du, 0xF14Eu, 0xE16Fu,
+        0x1080u, 0x00A1u, 0x30C2u, 0x20E3u, 0x5004u, 0x4025u, 0x7046u, 0x6067u,
+        0x83B9u, 0x9398u, 0xA3FBu, 0xB3DAu, 0xC33Du, 0xD31Cu, 0xE37Fu, 0xF35Eu,
+        0x02B1u, 0x1290u, 0x22F3u, 0x32D2u, 0x4235u, 0x5214u, 0x6277u, 0x7256u,
+        0xB5EAu, 0xA5CBu, 0x95A8u, 0x8589u, 0xF56Eu, 0xE54Fu, 0xD52Cu, 0xC50Du,
+        0x34E2u, 0x24C3u, 0x14A0u, 0x0481u, 0x7466u, 0x6447u, 0x5424u, 0x4405u,
+        0xA7DBu, 0xB7FAu, 0x8799u, 0x97B8u, 0xE75Fu, 0xF77Eu, 0xC71Du, 0xD73Cu,
+        0x26D3u, 0x36F2u, 0x0691u, 0x16B0u, 0x6657u, 0x7676u, 0x4615u, 0x5634u,
+        0xD94Cu, 0xC96Du, 0xF90Eu, 0xE92Fu, 0x99C8u, 0x89E9u, 0xB98Au, 0xA9ABu,
+        0x5844u, 0x4865u, 0x7806u, 0x6827u, 0x18C0u, 0x08E1u, 0x3882u, 0x28A3u,
+        0xCB7Du, 0xDB5Cu, 0xEB3Fu, 0xFB1Eu, 0x8BF9u, 0x9BD8u, 0xABBBu, 0xBB9Au,
+        0x4A75u, 0x5A54u, 0x6A37u, 0x7A16u, 0x0AF1u, 0x1AD0u, 0x2AB3u, 0x3A92u,
+        0xFD2Eu, 0xED0Fu, 0xDD6Cu, 0xCD4Du, 0xBDAAu, 0xAD8Bu, 0x9DE8u, 0x8DC9u,
+        0x7C26u, 0x6C07u, 0x5C64u, 0x4C45u, 0x3CA2u, 0x2C83u, 0x1CE0u, 0x0CC1u,
+        0xEF1Fu, 0xFF3Eu, 0xCF5Du, 0xDF7Cu, 0xAF9Bu, 0xBFBAu, 0x8FD9u, 0x9FF8u,
+        0x6E17u, 0x7E36u, 0x4E55u, 0x5E74u, 0x2E93u, 0x3EB2u, 0x0ED1u, 0x1EF0u
+    };
+    crc ^= 0x0u;
+    for (size_t k = 0u; k < length; k++)
+        crc = (uint16_t)((uint16_t)(crc << 8) ^ table[(crc >> 8 ^ data[k]) & 0xFFu]);
+    return crc ^ 0x0u;
+}
+
+/* The kind of a good packet of this interface, and its unit; LIDAR_NOTHING otherwise. */
+static inline lidar_kind lidar_check(const uint8_t *packet, size_t length, unsigned *unit) {
+    if (length <= LIDAR_HEADER_BYTES + LIDAR_CRC_BYTES)
+        return LIDAR_NOTHING;
+    uint16_t crc = LIDAR_CRC_START;
+    uint32_t stated = 0u;
+    crc = lidar_crc(crc, packet + 0u, length - LIDAR_CRC_BYTES - 0u);
+    for (size_t k = 0u; k < LIDAR_CRC_BYTES; k++)
+        stated = stated << 8 | packet[length - LIDAR_CRC_BYTES + k];
+    if (stated != crc)
+        return LIDAR_NOTHING;
+    const unsigned identification = (unsigned)packet[0] << 8 | packet[1];
+    if (((size_t)packet[4] << 8 | packet[5]) + 7u != length || packet[2] < 0xC0u)
+        return LIDAR_NOTHING;
+    if (identification >= 0xAA0u && identification < 0xAA0u + LIDAR_UNITS) {
+        *unit = identification - 0xAA0u;
+        return LIDAR_MEASUREMENT;
+    }
+    if (identification >= 0xAC0u && identification < 0xAC0u + LIDAR_UNITS) {
+        *unit = identification - 0xAC0u;
+        return LIDAR_ACKNOWLEDGE;
+    }
+    if (identification >= 0xAB0u && identification < 0xAB0u + LIDAR_UNITS) {
+        *unit = identification - 0xAB0u;
+        return LIDAR_HOUSEKEEPING;
+    }
+    return LIDAR_NOTHING;
+}
+
+typedef struct {
+    lidar_shot shot;
+    size_t beam_count;
+    lidar_beam beams[LIDAR_MAXIMUM_BEAMS];
+} lidar_measurement;
+
+static inline bool lidar_read_measurement(
+    const uint8_t *packet, size_t length, unsigned *unit, lidar_measurement *to) {
+    if (lidar_check(packet, length, unit) != LIDAR_MEASUREMENT || length < LIDAR_HEADER_BYTES + LIDAR_SHOT_BYTES + LIDAR_CRC_BYTES)
+        return false;
+    lidar_unpack_shot(packet + LIDAR_HEADER_BYTES, &to->shot);
+    to->beam_count = (length - (LIDAR_HEADER_BYTES + LIDAR_SHOT_BYTES + LIDAR_CRC_BYTES)) / LIDAR_BEAM_BYTES;
+    if (length != LIDAR_HEADER_BYTES + LIDAR_SHOT_BYTES + LIDAR_CRC_BYTES + to->beam_count * LIDAR_BEAM_BYTES ||
+        to->beam_count == 0u || to->beam_count > LIDAR_MAXIMUM_BEAMS || to->shot.beam_count != to->beam_count)
+        return false;
+    for (size_t k = 0u; k < to->beam_count; k++)
+        lidar_unpack_beam(packet + LIDAR_HEADER_BYTES + LIDAR_SHOT_BYTES + k * LIDAR_BEAM_BYTES, &to->beams[k]);
+    return to->shot.interface_version == LIDAR_INTERFACE_VERSION;
+}
+
+static inline bool lidar_read_acknowledge(
+    const uint8_t *packet, size_t length, unsigned *unit, lidar_acknowledge *to) {
+    if (lidar_check(packet, length, unit) != LIDAR_ACKNOWLEDGE ||
+        length != LIDAR_HEADER_BYTES + LIDAR_ACKNOWLEDGE_BYTES + LIDAR_CRC_BYTES)
+        return false;
+    lidar_unpack_acknowledge(packet + LIDAR_HEADER_BYTES, to);
+    return true;
+}
+
+static inline bool lidar_read_housekeeping(
+    const uint8_t *packet, size_t length, unsigned *unit, lidar_housekeeping *to) {
+    if (lidar_check(packet, length, unit) != LIDAR_HOUSEKEEPING ||
+        length != LIDAR_HEADER_BYTES + LIDAR_HOUSEKEEPING_BYTES + LIDAR_CRC_BYTES)
+        return false;
+    lidar_unpack_housekeeping(packet + LIDAR_HEADER_BYTES, to);
+    return to->interface_version == LIDAR_INTERFACE_VERSION;
+}
+
+typedef struct {
+    uint8_t data[LIDAR_LONGEST_FRAME];
+    size_t length;
+    bool is_complete, is_too_long;
+    const uint8_t *packet;
+    size_t packet_length;
+} lidar_receiver;
+
+/* Takes a byte. What lidar_next() found before is no longer valid. */
+static inline void lidar_feed(lidar_receiver *receiver, uint8_t byte) {
+    if (receiver->is_complete) {
+        receiver->is_complete = receiver->is_too_long = false;
+        receiver->length = 0u;
+    }
+    if (byte == 0u)
+        receiver->is_complete = true;
+    else if (receiver->length < sizeof receiver->data)
+        receiver->data[receiver->length++] = byte;
+    else
+        receiver->is_too_long = true;
+}
+
+/* Whether there is a good packet: `packet`, `packet_length`. */
+static inline bool lidar_next(lidar_receiver *receiver) {
+    size_t position = 0u, end = receiver->length, written = 0u;
+    unsigned unit;
+    if (!receiver->is_complete || receiver->is_too_long)
+        return false;
+    while (position < end) {
+        const size_t code = receiver->data[position];
+        if (position + code > end)
+            return false;
+        memmove(receiver->data + written, receiver->data + position + 1u, code - 1u);
+        written += code - 1u;
+        position += code;
+        if (code < 255u && position < end)
+            receiver->data[written++] = 0u;
+    }
+    receiver->length = 0u;
+    receiver->packet = receiver->data;
+    receiver->packet_length = written;
+    return lidar_check(receiver->packet, written, &unit) != LIDAR_NOTHING;
+}
+
+#endif

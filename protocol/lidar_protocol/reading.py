@@ -1,0 +1,207 @@
+"""Interface definitions from TOML: read and checked once."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from decimal import Decimal
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Final, cast
+
+from lidar_protocol.definitions import CommandDefinition, Commands, Interface, PacketDefinition
+from lidar_protocol.errors import DefinitionError
+from lidar_protocol.fields import Time
+from lidar_protocol.headers import Kind
+from lidar_protocol.layout import ByteOrder, Layout
+from lidar_protocol.reading_can import read_can
+from lidar_protocol.reading_context import Context, holds
+from lidar_protocol.reading_link import read_link
+from lidar_protocol.toml_table import TomlTable
+
+SHIPPED: Final = ("default", "altimeter")
+"""Names of the interfaces that come with the package."""
+
+VERDICTS: Final = ("accepted", "unknown", "malformed", "bad_sequence", "out_of_state", "out_of_range")
+"""What an acknowledgement must be able to say."""
+
+_MOST_BEAMS = 64
+_MOST_CODE = 2**16 - 1
+
+
+@cache
+def shipped_interface(name: str) -> Interface:
+    """One of the interfaces that come with the package."""
+    return load((files("lidar_protocol") / f"{name}.toml").read_text(encoding="utf-8"), f"{name}.toml")
+
+
+def default_interface() -> Interface:
+    """The interface that is meant where none is named."""
+    return shipped_interface("default")
+
+
+def load_file(path: str | Path) -> Interface:
+    """Read a definition from a file.
+
+    Raises:
+        DefinitionError: as `load`, or the file cannot be read.
+    """
+    try:
+        text = Path(path).read_bytes().decode("utf-8")
+    except OSError as error:
+        raise DefinitionError(str(path), error.strerror, "a TOML file") from None
+    except ValueError:
+        raise DefinitionError(str(path), "bytes that are not UTF-8", "a TOML file") from None
+    return load(text, str(path))
+
+
+def load(text: str, where: str) -> Interface:
+    """Read a definition; `where` names it in errors.
+
+    Raises:
+        DefinitionError: one line that names the place, the value and what is allowed.
+    """
+    try:
+        tree = tomllib.loads(text, parse_float=Decimal)
+    except (ValueError, ArithmeticError, RecursionError) as error:
+        raise DefinitionError(where, str(error), "TOML 1.0") from None
+    return _interface(TomlTable(f"{where}:", tree))
+
+
+def _interface(root: TomlTable) -> Interface:
+    general = root.table("interface")
+    commands_table = root.optional_table("commands")
+    enumerations = _enumerations(root.optional_table("enumerations"))
+    enumerations["command"] = _codes(commands_table)
+    context = Context(
+        byte_order=cast(ByteOrder, general.choice("byte_order", ("big", "little"))),
+        units=general.integer("units", 1, 256),
+        version=general.integer("version", 0, 2**16 - 1),
+        enumerations=enumerations,
+    )
+    packet = _packet(root.table("packet"), context)
+    commands = _commands(root, commands_table, context)
+    acknowledge = _block(root, "acknowledge", {"command", "interface_version"}, context)
+    housekeeping = _block(root, "housekeeping", {"interface_version"}, context)
+    if acknowledge is not None:
+        _check_acknowledge(acknowledge, f"{root.where} acknowledge", context)
+    bodies: dict[Kind, Layout | None] = {
+        "measurement": packet.header,
+        "command": commands.header if commands else None,
+        "acknowledge": acknowledge,
+        "housekeeping": housekeeping,
+    }
+    timed = {kind: _starts_with_time(layout) for kind, layout in bodies.items() if layout is not None}
+    longest = max([packet.longest, *(layout.length for layout in bodies.values() if layout is not None)])
+    link = read_link(root, context, timed, longest)
+    can = None
+    if (can_table := root.optional_table("can")) is not None:
+        can, commands = read_can(can_table, context, commands)
+    interface = Interface(
+        name=general.text("name"),
+        version=context.version,
+        units=context.units,
+        epoch=general.text("epoch"),
+        byte_order=context.byte_order,
+        enumerations=enumerations,
+        link=link,
+        packet=packet,
+        commands=commands,
+        acknowledge=acknowledge,
+        housekeeping=housekeeping,
+        can=can,
+    )
+    general.finish()
+    root.finish()
+    return interface
+
+
+def _enumerations(table: TomlTable | None) -> dict[str, Mapping[str, int]]:
+    enumerations: dict[str, Mapping[str, int]] = {}
+    for name in table.names() if table else []:
+        assert table is not None
+        own = table.table(name)
+        enumerations[name] = {word: own.integer(word, 0, 2**32 - 1) for word in own.names()}
+    return enumerations
+
+
+def _packet(table: TomlTable, context: Context) -> PacketDefinition:
+    own = frozenset({"interface_version", "beam_count"})
+    context.blocks["header"] = [entry.rest() for entry in table.tables("header")]
+    header = context.layout(f"{table.where}.header", context.blocks["header"], own, of_beams=True)
+    beam, most = None, _MOST_BEAMS
+    if "beam" in table:
+        context.blocks["beam"] = [entry.rest() for entry in table.tables("beam")]
+        beam = context.layout(f"{table.where}.beam", context.blocks["beam"], frozenset())
+        most = table.integer("maximum_beams", 1, 255)
+    table.finish()
+    holds(header, f"{table.where}.header", "beam_count", most)
+    return PacketDefinition(header, beam, most)
+
+
+def _block(root: TomlTable, name: str, own: set[str], context: Context) -> Layout | None:
+    tables = root.optional_tables(name)
+    if not tables:
+        return None
+    context.blocks[name] = [entry.rest() for entry in tables]
+    return context.layout(f"{root.where} {name}", context.blocks[name], frozenset(own))
+
+
+def _check_acknowledge(layout: Layout, where: str, context: Context) -> None:
+    fields = {placed.field.name: placed.field for placed in layout.placed}
+    for name in ("sequence", "verdict"):
+        if name not in fields:
+            raise DefinitionError(where, ", ".join(fields), f"a field {name} among them")
+    words = context.enumerations.get(fields["verdict"].enumeration or "", {})
+    if missing := [word for word in VERDICTS if word not in words]:
+        raise DefinitionError(
+            f"{where}: verdict.values", ", ".join(missing), "an enumeration with these words"
+        )
+
+
+def _codes(table: TomlTable | None) -> dict[str, int]:
+    """The codes of the commands, before the fields that name them are read."""
+    codes: dict[str, int] = {}
+    for name in table.names() if table else []:
+        assert table is not None
+        code = table.peek(name).integer("code", 0, _MOST_CODE)
+        if code in codes.values():
+            raise DefinitionError(f"{table.where}.{name}.code", code, "a code of its own")
+        codes[name] = code
+    return codes
+
+
+def _commands(root: TomlTable, table: TomlTable | None, context: Context) -> Commands | None:
+    if table is None:
+        return None
+    where, own = f"{root.where} command_header", frozenset({"command"})
+    head = context.blocks["command_header"] = [entry.rest() for entry in root.tables("command_header")]
+    header = context.layout(where, head, own)
+    for name in ("command", "sequence"):
+        if name not in header.names:
+            raise DefinitionError(where, ", ".join(header.names), f"a field {name} among them")
+    codes = context.enumerations["command"]
+    holds(header, where, "command", max(codes.values(), default=0))
+    commands = [_command(table, name, code, context) for name, code in codes.items()]
+    if not commands:
+        raise DefinitionError(table.where, "no command", "at least one")
+    return Commands(header, tuple(commands))
+
+
+def _command(table: TomlTable, name: str, code: int, context: Context) -> CommandDefinition:
+    own = table.table(name)
+    own.integer("code", 0, _MOST_CODE)
+    meaning = own.text("meaning", "")
+    arguments = [entry.rest() for entry in own.optional_tables("fields")]
+    own.finish()
+    context.blocks[f"commands.{name}"] = arguments
+    entries = [*context.blocks["command_header"], *arguments]
+    layout = context.layout(own.where, entries, frozenset({"command"}))
+    names = tuple(str(entry["name"]) for entry in arguments if "name" in entry)
+    return CommandDefinition(name, code, meaning, layout, names, None, None)
+
+
+def _starts_with_time(layout: Layout) -> bool:
+    first = layout.placed[0]
+    return isinstance(first.field.codec, Time) and first.first_bit == 0

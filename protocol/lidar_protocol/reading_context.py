@@ -1,0 +1,85 @@
+"""What the parts of an interface definition have in common while they are read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from lidar_protocol.errors import DefinitionError
+from lidar_protocol.field_table import Entry, Enumerations, read_layout
+from lidar_protocol.fields import Codec, Constant, Counter, Number
+from lidar_protocol.layout import FILLED_IN, ByteOrder, Layout
+from lidar_protocol.toml_table import TomlTable
+
+BODY_LENGTHS: Final = range(1, 4097)
+
+
+@dataclass
+class Context:
+    """Byte order, units and enumerations; and the tables of fields by name, which later parts refer to."""
+
+    byte_order: ByteOrder
+    units: int
+    version: int
+    enumerations: Enumerations
+    blocks: dict[str, Sequence[Entry]] = field(default_factory=dict)
+    """Lists of fields that a message on CAN can take as a whole."""
+
+    def layout(
+        self,
+        where: str,
+        entries: Sequence[Entry],
+        own: frozenset[str],
+        lengths: Sequence[int] = BODY_LENGTHS,
+        of_beams: bool = False,
+    ) -> Layout:
+        """The layout of a list of fields; of those that the library fills in it may hold `own`."""
+        layout = read_layout(where, entries, self.enumerations, lengths, self.byte_order, of_beams)
+        if strange := (layout.names & FILLED_IN) - own:
+            raise DefinitionError(where, ", ".join(sorted(strange)), "names that mean something else here")
+        holds(layout, where, "interface_version", self.version)
+        for placed in layout.placed:
+            if placed.field.name == "shot" and not isinstance(placed.field.codec, Counter):
+                raise DefinitionError(f"{where}: shot.wraps", False, "true: shots go on for ever")
+        return layout
+
+    def resolved(self, table: TomlTable, known: Mapping[object, Entry]) -> Sequence[Entry]:
+        """A field with what it takes from the one of the same name; or all fields of a block."""
+        if "all_of" in table:
+            block = table.choice("all_of", self.blocks)
+            table.finish()
+            return self.blocks[block]
+        own = table.rest()
+        base = {key: value for key, value in known.get(own.get("name"), {}).items() if key != "beam"}
+        if "type" in own:  # codes belong to a type
+            base.pop("none", None)
+            base.pop("absent", None)
+        if not own.keys() & {"type", "spare"} and "type" not in base:
+            raise table.refusal(
+                "name", own.get("name"), "the name of a field of the packet, or a type as well"
+            )
+        return [base | own]
+
+
+def by_name(entries: Sequence[Entry]) -> dict[object, Entry]:
+    """Tables of fields by the names of the fields."""
+    return {entry["name"]: entry for entry in entries if "name" in entry}
+
+
+def codec_of(layout: Layout, name: str) -> Codec | None:
+    """How a field is sent; None where the layout does not have it."""
+    return next((placed.field.codec for placed in layout.placed if placed.field.name == name), None)
+
+
+def holds(layout: Layout, where: str, name: str, most: int) -> None:
+    """Refuse a field that the library fills in and that cannot hold what it will fill in.
+
+    Raises:
+        DefinitionError: it is refused.
+    """
+    codec = codec_of(layout, name)
+    if codec is None or isinstance(codec, Counter | Constant):
+        return
+    if not isinstance(codec, Number) or not codec.whole or codec.limits[1] < most:
+        raise DefinitionError(f"{where}: {name}.type", f"up to {most}", "a whole number that holds it")

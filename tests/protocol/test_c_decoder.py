@@ -1,0 +1,176 @@
+"""The generated C header, compiled as strictly as compilers go and run against bytes that the library did not make."""
+
+import json
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from lidar_protocol import Device, default_interface, documents, load, shipped_interface
+from lidar_protocol.reading import files
+
+HERE = Path(__file__).parent
+COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+FLAGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wconversion"]
+SHOTS = json.loads((HERE / "golden.json").read_text(encoding="utf-8"))
+DEFAULT = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler on this machine")
+
+BEAM_PRINTER = r"""
+static void optional(bool has, double value) { if (has) printf(" %.9g", value); else printf(" none"); }
+int main(void) {
+    static lidar_receiver receiver;
+    int byte;
+    while ((byte = getchar()) != EOF) {
+        lidar_feed(&receiver, (uint8_t)byte);
+        while (lidar_next(&receiver)) {
+            static lidar_measurement m;
+            lidar_acknowledge answer;
+            lidar_housekeeping health;
+            unsigned unit;
+            if (lidar_read_measurement(receiver.packet, receiver.packet_length, &unit, &m)) {
+                printf("shot %u %llu %lld %u\n", unit, (unsigned long long)m.shot.shot, (long long)m.shot.time_ns,
+                       (unsigned)m.beam_count);
+                for (size_t k = 0u; k < m.beam_count; k++) {
+                    const lidar_beam *b = &m.beams[k];
+                    printf("%d %llu", b->fired, (unsigned long long)b->reason);
+                    optional(b->has_range_m, b->range_m);
+                    optional(b->has_closing_speed_mps, b->closing_speed_mps);
+                    optional(b->has_sigma_speed_mps, b->sigma_speed_mps);
+                    optional(b->has_beam_angle_deg, b->beam_angle_deg);
+                    printf("\n");
+                }
+            } else if (lidar_read_acknowledge(receiver.packet, receiver.packet_length, &unit, &answer)) {
+                printf("answer %u %llu %llu\n", unit, (unsigned long long)answer.sequence,
+                       (unsigned long long)answer.verdict);
+            } else if (lidar_read_housekeeping(receiver.packet, receiver.packet_length, &unit, &health)) {
+                printf("health %u %.9g %d\n", unit, health.temperature_c, health.has_laser_power_w);
+            }
+        }
+    }
+    return 0;
+}
+"""
+ALTIMETER_PRINTER = r"""
+int main(void) {
+    static lidar_receiver receiver;
+    int byte;
+    while ((byte = getchar()) != EOF) {
+        lidar_feed(&receiver, (uint8_t)byte);
+        while (lidar_next(&receiver)) {
+            lidar_measurement m;
+            unsigned unit;
+            if (lidar_read_measurement(receiver.packet, receiver.packet_length, &unit, &m))
+                printf("%u %.3f %d%d%d%d %.2f %d %.4f %d\n", unit, m.shot.time_s, m.shot.range_valid_0,
+                       m.shot.speed_valid_0, m.shot.speed_valid_1, m.shot.speed_valid_2, m.shot.range_m_0,
+                       m.shot.has_range_m_0, m.shot.closing_speed_mps_1, m.shot.has_closing_speed_mps_2);
+        }
+    }
+    return 0;
+}
+"""
+
+
+def built(folder, interface, program):
+    """A program that includes the interface's header."""
+    (folder / "lidar.h").write_text(documents.c_header(interface))
+    (folder / "main.c").write_text('#include "lidar.h"\n#include <stdio.h>\n' + program)
+    subprocess.run([COMPILER, *FLAGS, "main.c", "-o", "main"], cwd=folder, check=True)
+    return lambda data: subprocess.run(
+        [folder / "main"], input=data, capture_output=True, check=True
+    ).stdout.decode()
+
+
+def expected(shot):
+    """What the printer says of a golden shot."""
+    header = shot["header"]
+    lines = [header["shot"], len(shot["beams"])]
+    rows = []
+    for beam in shot["beams"]:
+        names = ("range_m", "closing_speed_mps", "sigma_speed_mps", "beam_angle_deg")
+        cells = ["none" if beam[name] is None else f"{beam[name]:.9g}" for name in names]
+        rows.append(" ".join([str(int(beam["fired"])), str(beam["reason"]), *cells]))
+    return lines, rows
+
+
+@pytest.mark.parametrize(
+    "framing", ['kind = "cobs"', 'kind = "slip"', 'kind = "sync"\nsync = "EB90"\nlength = "u16"']
+)
+def test_golden_shots_answers_and_health_between_garbage(framing, tmp_path):
+    interface = load(DEFAULT.replace('kind = "cobs"', framing, 1), "mine.toml")
+    run = built(tmp_path, interface, BEAM_PRINTER)
+    device = Device(interface, 15)
+    if "cobs" in framing:
+        frames = [bytes.fromhex(shot["frame"]) for shot in SHOTS]
+    else:
+        frames = [interface.link.framing.encode_alone(bytes.fromhex(shot["packet"])) for shot in SHOTS]
+    answer = device.acknowledge(0, "no_op", time_ns=0, sequence=3, verdict="out_of_range")
+    ending = interface.link.framing.encode(b"garbage")
+    health = device.housekeeping(
+        0,
+        {
+            **dict.fromkeys(interface.housekeeping.names, 0),
+            "temperature_c": -12.34,
+            "laser_power_w": None,
+            "interlock_closed": True,
+        },
+    )
+    damaged = bytearray(frames[0])
+    damaged[20] ^= 1
+    stream = b"\x55" * 3000 + ending + b"".join(frames) + bytes(damaged) + answer + ending + health
+    said = run(stream + bytes(3000)).splitlines()
+    for shot in SHOTS:
+        (number, count), rows = expected(shot)
+        line = said.pop(0).split()
+        assert line[:3] == ["shot", str(shot["unit"]), str(number)]
+        assert abs(int(line[3]) - shot["header"]["time_ns"]) <= 30
+        assert (int(line[4]), said[:count]) == (count, rows)
+        del said[:count]
+    assert said == ["answer 15 3 5", "health 15 -12.34 0"]
+
+
+def altimeter_frame(unit, sequence, time_s, flags, range_cm, speeds):
+    """By hand, from INTERFACE.md of the altimeter: little-endian, CRC-16/MODBUS bit by bit over the whole frame."""
+    body = struct.pack("<BBdB", 1 | unit << 6, sequence, time_s, flags) + struct.pack("<I", range_cm)[:3]
+    body += struct.pack("<3f", *speeds)
+    frame = bytes.fromhex("1acffc1d") + bytes((len(body) + 2,)) + body
+    crc = 0xFFFF
+    for byte in frame:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
+    return frame + struct.pack("<H", crc)
+
+
+def test_an_altimeter_in_c_and_by_hand(tmp_path):
+    interface = shipped_interface("altimeter")
+    frame = altimeter_frame(2, 30, 1.5, 0b0010_1011, 216_478, [92.388, -46.194, float("nan")])
+    beams = [
+        {"range_valid": True, "speed_valid": True, "range_m": 2164.784, "closing_speed_mps": 92.388},
+        {"speed_valid": False, "closing_speed_mps": -46.194},
+        {"speed_valid": True, "closing_speed_mps": None},
+    ]
+    beams[1]["speed_valid"], beams[2]["speed_valid"] = False, True
+    header = {"time_s": 1.5, "mode": 2, "shot": 256 + 30}
+    assert Device(interface, 2).serial_bytes(header, beams) == frame
+    run = built(tmp_path, interface, ALTIMETER_PRINTER)
+    damaged = frame[:-1] + b"\0"
+    said = run(b"\x1a\xcf\xfc" + frame + damaged + frame[:9] + frame + bytes(300))
+    assert said == "2 1.500 1101 2164.78 1 -46.1940 0\n" * 2
+
+
+def test_can_messages_in_c(tmp_path):
+    interface = default_interface()
+    data = ", ".join(f"0x{byte:02x}" for byte in bytes.fromhex("efe22108 30f8f38c"))
+    program = f"""
+int main(void) {{
+    static const uint8_t data[LIDAR_CAN_BEAM_BYTES] = {{{data}}};
+    lidar_can_beam beam;
+    lidar_unpack_can_beam(data, &beam);
+    printf("0x%X %d %.3f %.4f %llu %.0f\\n", LIDAR_CAN_ID_BEAM, beam.range_valid, beam.range_m, beam.closing_speed_mps,
+           (unsigned long long)beam.segments, beam.snr_db);
+    return 0;
+}}"""
+    assert built(tmp_path, interface, program)(b"") == "0x108 1 2164.784 -46.1940 7 34\n"

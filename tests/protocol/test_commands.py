@@ -1,0 +1,292 @@
+"""Commands, acknowledgements and housekeeping: whole, in pieces, with garbage around, and wrong in every way."""
+
+import binascii
+import struct
+
+import pytest
+
+from lidar_protocol import (
+    Acknowledge,
+    BadCommand,
+    CanCommandReader,
+    CanReceiver,
+    Command,
+    CommandReader,
+    Device,
+    EncodeError,
+    Host,
+    Housekeeping,
+    SerialReceiver,
+    cobs,
+    default_interface,
+    packet,
+    shipped_interface,
+)
+
+DEFAULT, ALTIMETER = default_interface(), shipped_interface("altimeter")
+ARGUMENTS = {
+    "no_op": {},
+    "set_mode": {"mode": "standby"},
+    "set_pattern": {"pattern": 2},
+    "set_rate_hz": {"rate_hz": 12.5},
+    "enable_beams": {"beams": 0b1011},
+    "time_at_tone": {"tone_ns": 1_500_000_000},
+    "set_parameter": {"parameter": 300, "number": -0.25},
+    "reset": {"restart": "cold"},
+}
+HEALTH = {
+    "time_ns": 2_000_000_000,
+    "software_major": 1,
+    "software_minor": 2,
+    "software_patch": 3,
+    "mode": "track",
+    "interlock_closed": True,
+    "laser_on": True,
+    "clock_locked": False,
+    "temperature_c": -12.34,
+    "laser_power_w": None,
+    "uptime_s": 86_400,
+    "shots_dropped": 1,
+    "shots_late": 2,
+    "commands_accepted": 3,
+    "commands_rejected": 4,
+    "bad_bytes": 5,
+    "truth_age_s": 0.00025,
+}
+GARBAGE = [b"", b"\x00", b"\xff" * 40, bytes(range(256)), b"\x1a\xcf\xfc\x1d\xff", b"\x1a\xcf\xfc"]
+
+
+def numbers(interface, name):
+    """The arguments of a command as they arrive."""
+    words = {"standby": interface.enumerations.get("mode", {}).get("standby"), "cold": 1}
+    return {key: words.get(value, value) for key, value in ARGUMENTS[name].items()}
+
+
+@pytest.mark.parametrize("name", ARGUMENTS)
+def test_each_command_arrives_with_its_arguments(name):
+    sent = Host(DEFAULT, 3).encode_command(name, sequence=77, **ARGUMENTS[name])
+    assert CommandReader(DEFAULT, 3).feed(sent) == [Command(3, name, 77, numbers(DEFAULT, name))]
+    frame = Host(DEFAULT, 3).encode_command_frame(name, sequence=77, **ARGUMENTS[name])
+    assert (frame.is_fd, len(frame.data) <= 8) == (False, True)
+    assert CanCommandReader(DEFAULT, 3).feed(frame.can_id, frame.data) == [
+        Command(3, name, 77, numbers(DEFAULT, name))
+    ]
+
+
+def test_a_command_by_hand():
+    """A telecommand packet without secondary header, as INTERFACE.md says, with `struct` alone."""
+    head = struct.pack(">HHHBBI", 0x1000 | 0x2A1, 0xC000 | 9, 8 - 1, 3, 9, 12_500)
+    plain = head + struct.pack(">H", binascii.crc_hqx(head, 0xFFFF))
+    assert (
+        Host(DEFAULT, 1).encode_command("set_rate_hz", sequence=9, rate_hz=12.5)
+        == b"\0" + cobs.encode(plain) + b"\0"
+    )
+
+
+def test_spacepackets_reads_a_command_and_an_answer():
+    from spacepackets.ccsds import SpacePacketHeader
+    from spacepackets.ccsds.spacepacket import PacketType
+
+    command = cobs.decode(Host(DEFAULT, 1).encode_command("no_op", sequence=9).strip(b"\0"))
+    header = SpacePacketHeader.unpack(command)
+    assert (header.packet_type, header.sec_header_flag, header.apid, header.seq_count) == (
+        PacketType.TC,
+        False,
+        0x2A1,
+        9,
+    )
+    answer = Device(DEFAULT, 1).acknowledge(5, "no_op", time_ns=0, sequence=9, verdict="accepted")
+    header = SpacePacketHeader.unpack(cobs.decode(answer.strip(b"\0")))
+    assert (header.packet_type, header.sec_header_flag, header.apid, header.seq_count) == (
+        PacketType.TM,
+        True,
+        0x2C1,
+        5,
+    )
+    assert header.packet_len == len(cobs.decode(answer.strip(b"\0")))
+
+
+@pytest.mark.parametrize("interface", [DEFAULT, ALTIMETER], ids=["default", "altimeter"])
+@pytest.mark.parametrize("garbage", GARBAGE, ids=range(len(GARBAGE)))
+@pytest.mark.parametrize("step", [1, 3, 10_000])
+def test_garbage_before_between_and_after_costs_no_command(interface, garbage, step):
+    host = Host(interface)
+    first, second = (host.encode_command("no_op", sequence=n) for n in (4, 5))
+    # The last garbage may state a length: what it waits for has to come.
+    stream = garbage + first + garbage + second + garbage + bytes(300)
+    reader = CommandReader(interface)
+    found = [command for k in range(0, len(stream), step) for command in reader.feed(stream[k : k + step])]
+    assert found == [Command(0, "no_op", 4, {}), Command(0, "no_op", 5, {})]
+    counters = reader.counters
+    assert (counters.messages, counters.rejected) == (2, 0)
+    assert (counters.skipped_bytes > 0) == (garbage.strip(b"\0") != b"" or interface is ALTIMETER)
+
+
+def sealed(body, unit=0):
+    """Any body as a command to a unit."""
+    link = DEFAULT.link
+    return link.framing.encode_alone(packet.seal(link, "command", unit, 0, body))
+
+
+@pytest.mark.parametrize(
+    ("body", "code", "sequence", "verdict"),
+    [
+        (b"\x63\x05", 99, 5, "unknown"),
+        (b"\x01\x05", 1, 5, "malformed"),
+        (b"\x00\x05\x00", 0, 5, "malformed"),
+        (b"\x01", None, None, "malformed"),
+        (b"\x01\x05\x63", 1, 5, "out_of_range"),
+        (b"\x03\x05" + struct.pack(">I", 10_000_001), 3, 5, "out_of_range"),
+        (b"\x03\x05" + struct.pack(">I", 0), 3, 5, "out_of_range"),
+        (b"\x06\x05\x00\x01" + struct.pack(">f", float("nan")), 6, 5, "out_of_range"),
+        (b"\x07\x05\x02", 7, 5, "out_of_range"),
+    ],
+)
+@pytest.mark.parametrize("step", [1, 100])
+def test_undamaged_commands_that_mean_nothing_are_told_apart(body, code, sequence, verdict, step):
+    stream = sealed(body)
+    reader = CommandReader(DEFAULT)
+    (bad,) = [each for k in range(0, len(stream), step) for each in reader.feed(stream[k : k + step])]
+    assert isinstance(bad, BadCommand)
+    assert (bad.code, bad.verdict) == (code, verdict)
+    assert bad.sequence == (sequence if code is not None else 0)
+    assert reader.counters.rejected == 1
+
+
+def test_damage_other_units_and_telemetry_are_counted_and_nothing_else():
+    reader = CommandReader(DEFAULT, 2)
+    good = Host(DEFAULT, 2).encode_command("no_op", sequence=1)
+    plain = bytearray(cobs.decode(good.strip(b"\0")))
+    plain[-1] ^= 1
+    shot_like = Device(DEFAULT, 2).acknowledge(0, "no_op", time_ns=0, sequence=1, verdict="accepted")
+    for data in (
+        cobs.encode(bytes(plain)) + b"\0",
+        Host(DEFAULT, 3).encode_command("no_op", sequence=1),
+        shot_like,
+        b"\x09\x01\x01\0",
+        cobs.encode(bytes(plain[:-1])) + b"\0",
+        b"\x01" * 5000 + b"\0",
+    ):
+        assert reader.feed(data) == []
+    counters = reader.counters
+    found = (counters.bad_crc, counters.foreign, counters.bad_stuffing, counters.bad_length)
+    assert found == (1, 2, 1, 2)
+    assert reader.feed(good) != []
+    assert reader.buffered_bytes == 0
+
+
+def test_a_command_that_is_wrong_on_can():
+    reader = CanCommandReader(DEFAULT, 1)
+    assert reader.feed(0x170, b"\x05", False) == [Command(1, "no_op", 5, {})]
+    (short,) = reader.feed(0x171, b"\x05")
+    (range_,) = reader.feed(0x171, b"\x05\x63")
+    assert (short.verdict, short.code, range_.verdict, range_.sequence) == ("malformed", 1, "out_of_range", 5)
+    assert reader.feed(0x130, b"\x05") == reader.feed(0x170, b"\x05", True) == []
+    assert (reader.counters.rejected, reader.counters.foreign, reader.counters.frames) == (2, 2, 5)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "complaint"),
+    [
+        ("fly", {}, "command fly"),
+        ("set_mode", {}, "mode is missing"),
+        ("set_mode", {"mode": "asleep"}, "'asleep' is none of off, standby"),
+        ("set_mode", {"mode": 99}, "mode has no such value"),
+        ("set_rate_hz", {"rate_hz": 0.0}, "rate_hz is out of range"),
+        ("set_parameter", {"parameter": 1, "number": float("inf")}, "number is out of range"),
+        ("no_op", {"mode": 1}, "has no mode"),
+    ],
+)
+def test_a_host_refuses_what_a_device_would(name, values, complaint):
+    for encode in (Host(DEFAULT).encode_command, Host(DEFAULT).encode_command_frame):
+        with pytest.raises(EncodeError, match=complaint):
+            encode(name, sequence=0, **values)
+    with pytest.raises(EncodeError, match="sequence"):
+        Host(DEFAULT).encode_command("no_op")
+    with pytest.raises(EncodeError, match="on CAN"):
+        Host(ALTIMETER).encode_command_frame("no_op", sequence=0)
+
+
+@pytest.mark.parametrize("step", [1, 1000])
+def test_answers_and_health_arrive_between_shots(step):
+    from lidar_protocol import example
+
+    device = Device(DEFAULT, 6)
+    shot = device.serial_bytes(example.HEADER, example.BEAMS)
+    accepted = device.acknowledge(0, "reset", time_ns=0, sequence=8, verdict="accepted")
+    unknown = device.acknowledge(1, 200, time_ns=0, sequence=9, verdict="unknown")
+    stream = shot + accepted + b"\x07garbage" + unknown + device.housekeeping(0, HEALTH) + shot
+    receiver = SerialReceiver(DEFAULT)
+    found = [each for k in range(0, len(stream), step) for each in receiver.receive(stream[k : k + step])]
+    yes, no, health = found[1:4]
+    assert (type(yes), yes.unit, yes.command, yes.sequence, yes.verdict) == (
+        Acknowledge,
+        6,
+        "reset",
+        8,
+        "accepted",
+    )
+    assert (no.command, no.sequence, no.verdict, no.values["command"]) == (None, 9, "unknown", 200)
+    check_health(health.values, HEALTH)
+    assert health.values["interface_version"] == DEFAULT.version
+    assert (receiver.counters.messages, receiver.counters.frames) == (5, 6)
+
+
+def check_health(values, expected):
+    for name, value in expected.items():
+        if isinstance(value, str):
+            assert values[name] == DEFAULT.enumerations["mode"][value]
+        else:
+            assert values[name] == (
+                value if value is None else pytest.approx(value, abs=1e-9 if name != "time_ns" else 30)
+            )
+
+
+def test_health_on_can_comes_in_parts():
+    receiver, device = CanReceiver(DEFAULT), Device(DEFAULT, 6)
+    parts = [each for frame in device.housekeeping_frames(HEALTH) for each in receiver.receive(*frame[:3])]
+    assert {type(part) for part in parts} == {Housekeeping}
+    together = {name: value for part in parts for name, value in part.values.items()}
+    check_health(together, {name: value for name, value in HEALTH.items() if name != "time_ns"})
+    frame = device.acknowledge_frame("no_op", sequence=3, verdict="out_of_state")
+    (answer,) = receiver.receive(*frame[:3])
+    assert (answer.unit, answer.command, answer.sequence, answer.verdict) == (6, "no_op", 3, "out_of_state")
+    assert receiver.counters.messages == len(parts) + 1
+
+
+def test_an_altimeter_tells_how_it_is():
+    device = Device(ALTIMETER, 3)
+    stream = device.acknowledge(0, "no_op", sequence=3, verdict="accepted")
+    stream += device.housekeeping(1, {"mode": "track", "temperature_c": 200, "uptime_s": 1.5})
+    answer, health = SerialReceiver(ALTIMETER).receive(stream)
+    assert (answer.unit, answer.sequence, answer.verdict) == (3, 3, "accepted")
+    assert health.values == {"mode": 2, "temperature_c": 127, "uptime_s": 1.5}
+
+
+def test_cantools_reads_commands_answers_and_health():
+    import cantools
+
+    from lidar_protocol import documents
+
+    database = cantools.database.load_string(documents.dbc(DEFAULT), "dbc", strict=True)
+    host, device = Host(DEFAULT), Device(DEFAULT)
+
+    def read(frame):
+        message = database.get_message_by_frame_id(frame.can_id)
+        assert message.encode(message.decode(frame.data)) == frame.data
+        return message.decode(frame.data)
+
+    assert read(host.encode_command_frame("set_mode", sequence=3, mode="safe")) == {
+        "sequence": 3,
+        "mode": "safe",
+    }
+    parameter = read(host.encode_command_frame("set_parameter", sequence=3, parameter=7, number=-0.25))
+    assert parameter == {"sequence": 3, "parameter": 7, "number": -0.25}
+    assert database.get_message_by_name("CommandReset").senders == ["HOST"]
+    answer = read(device.acknowledge_frame("reset", sequence=3, verdict="bad_sequence"))
+    assert answer == {"command": "reset", "sequence": 3, "verdict": "bad_sequence"}
+    health = {
+        name: value for frame in device.housekeeping_frames(HEALTH) for name, value in read(frame).items()
+    }
+    assert (health["mode"], health["laser_power_w"], health["uptime_s"]) == ("track", "none", 86_400)
+    assert health["temperature_c"] == pytest.approx(-12.34)
