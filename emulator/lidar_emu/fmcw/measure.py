@@ -85,7 +85,7 @@ def _bounded(values: FloatArray) -> FloatArray:
     return np.ascontiguousarray(np.clip(np.where(np.isnan(values), 0.0, values), -_FASTEST, _FASTEST))
 
 
-@kernel
+@kernel(outermost=True)
 def _widest(
     model: ReceiverModel,
     range_m: FloatArray,
@@ -104,7 +104,7 @@ def _widest(
     return widest
 
 
-@kernel
+@kernel(outermost=True)
 def _measure(
     model: ReceiverModel,
     work: Workspace,
