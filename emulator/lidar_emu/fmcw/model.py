@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,6 +83,7 @@ class ReceiverModel(NamedTuple):
     """Smaller probabilities that noise elsewhere matters are left out."""
 
 
+@lru_cache(maxsize=16)
 def as_record(fields: Any) -> Any:
     """A named tuple as one structured scalar: numba hands on its address, instead of fifty numbers to each kernel."""
     return np.array(fields, dtype=_record_type(fields))[()]

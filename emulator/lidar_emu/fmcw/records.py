@@ -26,7 +26,7 @@ SEGMENT_INDICES = 2**24
 """Indices kept for the bins of each record; N is at most 2**24."""
 
 
-@kernel
+@kernel(inline="always")
 def set_spectrum(
     model: ReceiverModel,
     work: Workspace,
@@ -88,7 +88,7 @@ def set_spectrum(
     return bins
 
 
-@kernel
+@kernel(inline="always")
 def set_look_tones(
     model: ReceiverModel,
     work: Workspace,

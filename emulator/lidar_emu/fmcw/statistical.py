@@ -25,7 +25,7 @@ from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS
 from lidar_emu.kernels import kernel
 
 
-@kernel
+@kernel(inline="always")
 def draw_targets(
     model: ReceiverModel,
     work: Workspace,
