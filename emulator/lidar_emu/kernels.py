@@ -100,5 +100,5 @@ def _compiled(function: Any, **options: Any) -> Any:
 
 def interpreted(compiled: _Function) -> _Function:
     """The Python function behind a kernel: for a few values, on which a call would spend longer unpacking the model."""
-    function: _Function = compiled.py_func  # type: ignore[attr-defined]
+    function: _Function = getattr(compiled, "py_func", compiled)
     return function

@@ -131,7 +131,12 @@ def _measure_spectra(
             if row.reason != _VALID:
                 continue
             row.reason, count, total_w = gather_beamlets(
-                model, range_m[s, b], closing_speed_mps[s, b], power_w[s, b], range_rate_mps[s, b], work.beamlets
+                model,
+                range_m[s, b],
+                closing_speed_mps[s, b],
+                power_w[s, b],
+                range_rate_mps[s, b],
+                work.beamlets,
             )
             if row.reason == _INSIDE_GROUND:
                 continue
@@ -186,7 +191,12 @@ def _measure_statistically(
             if row.reason != _VALID:
                 continue
             row.reason, count, total_w = gather_beamlets(
-                model, range_m[s, b], closing_speed_mps[s, b], power_w[s, b], range_rate_mps[s, b], work.beamlets
+                model,
+                range_m[s, b],
+                closing_speed_mps[s, b],
+                power_w[s, b],
+                range_rate_mps[s, b],
+                work.beamlets,
             )
             if row.reason == _INSIDE_GROUND:
                 continue
@@ -244,11 +254,11 @@ def _conclude(model: ReceiverModel, targets: FloatArray, row: Any) -> None:
     if detections > 0:
         scale = model.noise_power / model.window_centre**2
         row.snr_db = 10.0 * log10(scale * power / detections)
+    segments: Any = np.int64(row.segments)
     if detections >= model.least_segments:
-        segments: Any = np.int64(row.segments)
         _report(model, _estimate(model, segments, targets[:, 0]), row)
     if row.returns > 1:
-        second = _estimate(model, 7, targets[:, 1])
+        second = _estimate(model, segments, targets[:, 1])
         distance_m = second.range_bin * model.range_bin_m
         if second.found and 0.0 <= distance_m <= model.maximum_range_m:
             row.second_range_m = distance_m
