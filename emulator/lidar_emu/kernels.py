@@ -10,15 +10,20 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, overload
 
 from numba import njit
 from numba.core import config
+from numba.core.registry import CPUDispatcher
 
 __all__ = ["interpreted", "kernel", "njit"]
 
 _ROOMS = (".", "fmcw", "scanner", "scene", "trajectory")
+
+_OPTIONS = {"error_model": "numpy", "_nrt": False}
+_NO_WRAPPERS = {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 def _sources_digest() -> str:
@@ -45,26 +50,55 @@ class _Decorator(Protocol):
     def __call__(self, function: _Function) -> _Function: ...
 
 
+class _Inner(CPUDispatcher):
+    """Compiled for calls from kernels only; for one from Python once more, with all that such a call needs.
+
+    Unpacking Python's arguments is more code than most kernels are, and made a third of the time of compiling.
+    """
+
+    def __call__(self, *args: Any) -> Any:
+        return self._for_python(*args)
+
+    @cached_property
+    def _for_python(self) -> Any:
+        own = {name: value for name, value in self.targetoptions.items() if name not in _NO_WRAPPERS}
+        return _compiled(self.py_func, cache=True, **own)
+
+
 @overload
 def kernel(function: _Function) -> _Function: ...
 
 
 @overload
-def kernel(*, fastmath: Any = False, inline: str = "never", forceinline: bool = False) -> _Decorator: ...
+def kernel(
+    *, outermost: bool = False, fastmath: Any = False, inline: str = "never", forceinline: bool = False
+) -> _Decorator: ...
 
 
-def kernel(function: Any = None, **options: Any) -> Any:
+def kernel(function: Any = None, *, outermost: bool = False, **options: Any) -> Any:
     """`njit` for kernels that work in their caller's arrays and allocate none; divisions follow IEEE 754.
 
     numba counts references to an array's owner wherever the array is handed on, and does so atomically. In code made of
     short kernels that is half of the time, of running and of compiling alike; here nothing is counted.
+
+    Args:
+        outermost: called from Python, and kept in the cache with all that it calls.
     """
-    compiled: Any = njit  # whose types do not know of `_nrt`
-    decorate = compiled(cache=True, error_model="numpy", _nrt=False, **options)
+
+    def decorate(function: Any) -> Any:
+        if outermost or config.DISABLE_JIT:  # type: ignore[attr-defined]
+            return _compiled(function, cache=True, **_OPTIONS, **options)
+        return _Inner(function, targetoptions=_NO_WRAPPERS | _OPTIONS | options)
+
     return decorate if function is None else decorate(function)
+
+
+def _compiled(function: Any, **options: Any) -> Any:
+    decorate: Any = njit  # whose types do not know of `_nrt`
+    return decorate(**options)(function)
 
 
 def interpreted(compiled: _Function) -> _Function:
     """The Python function behind a kernel: for a few values, on which a call would spend longer unpacking the model."""
-    function: _Function = compiled.py_func  # type: ignore[attr-defined]
+    function: _Function = getattr(compiled, "py_func", compiled)
     return function

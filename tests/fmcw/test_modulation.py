@@ -69,7 +69,8 @@ def _smeared_bins(
     set_tones(tones, float(length), grid, count, bins)
     mirror_ends(float(length), grid, count, bins)
     mirrored = place - length * np.rint(place / length) < 0
-    filter_bins(_smear(beta, half), half, bool(mirrored), grid, count, bins, np.empty_like(bins))
+    scratch = np.empty((4, bins.shape[1] + 2 * half + 4))
+    filter_bins(_smear(beta, half), half, bool(mirrored), grid, count, bins, scratch)
     mirror_ends(float(length), grid, count, bins)
     taps = (*WINDOWS[window], np.cos(np.pi / length), np.sin(np.pi / length))
     columns = range(3, count - 3)

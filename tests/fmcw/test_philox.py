@@ -70,7 +70,7 @@ def test_every_part_of_the_key_and_the_counter_counts() -> None:
 def _filled(first_pair: int, count: int, shot: int = 3) -> np.ndarray:
     out = np.empty((2, count))
     words = np.empty((4, count // 2), dtype=np.uint64)
-    fill_complex_normals(np.uint64(2**40 + 11), shot, 5, 2, first_pair, words, out)
+    fill_complex_normals(np.uint64(2**40 + 11), shot, 5, 2, first_pair, count, words, out)
     return out[0] + 1j * out[1]
 
 

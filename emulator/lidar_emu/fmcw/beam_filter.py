@@ -86,8 +86,7 @@ def filter_beam(
 ) -> None:
     """Apply smear and the laser's line, those of the two that matter, to the bins of one record."""
     range_m, speed_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
-    width = 2 * half + 1
-    by_smear, by_line, both = work.taps[0, :, :width], work.taps[1, :, :width], work.taps[2, :, :width]
+    by_smear, by_line, both = work.taps[0], work.taps[1], work.taps[2]
     smear = smear_bins(model, segment, speed_mps, smear_acceleration_mps2)
     smeared, lined = abs(smear) > model.least_smear_bins, _line_matters(model, range_m)
     index = (segment + 3 * look) * _INDICES
@@ -101,7 +100,7 @@ def filter_beam(
         smear_taps(computed, half, by_smear)
         if computed != smear:
             for part in range(2):
-                for m in range(width):
+                for m in range(2 * half + 1):
                     by_smear[part, m] *= sqrt(computed / smear)
     if smeared and lined:
         convolve_taps(by_smear, by_line, half, both)

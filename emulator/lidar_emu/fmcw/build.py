@@ -19,6 +19,7 @@ from lidar_emu.fmcw.model import Haze, ReceiverModel
 from lidar_emu.fmcw.peaks import METHODS
 from lidar_emu.fmcw.response import Response
 from lidar_emu.fmcw.spectrum import WINDOWS, Window
+from lidar_emu.kernels import interpreted
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Receiver
 from lidar_emu.scenario.site import Site
 
@@ -50,7 +51,7 @@ def build_receiver(
     snr_per_w = instrument.optics.heterodyne_efficiency * receiver.responsivity_a_per_w * record_s
     snr_per_w /= ELEMENTARY_CHARGE_C * (amplifier + digitiser)
     window = WINDOWS[detection.window]
-    threshold = float(quantile(detection.looks, instrument.log_false_alarm_per_bin))
+    threshold = float(interpreted(quantile)(detection.looks, instrument.log_false_alarm_per_bin))
     return ReceiverModel(
         statistical=statistical,
         fft_length=float(waveform.fft_length),

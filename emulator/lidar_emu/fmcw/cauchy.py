@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from math import copysign, pi
 
+import numpy as np
+
 from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.sine import FAST, sin_pi
 from lidar_emu.fmcw.spectrum import BIN
@@ -19,6 +21,11 @@ from lidar_emu.kernels import kernel
 
 TONES_PER_DIVISION = 4
 """Tones come in multiples of it; fill up with tones of no weight."""
+
+_LANES = 4
+"""Numbers in a vector."""
+
+_Five = tuple[float, float, float, float, float]
 
 _TRUNCATION = 3e-13
 """Largest U⁵/D⁶ for tones and bins within U of their middle, the image D away: π times the first term left out."""
@@ -52,17 +59,20 @@ def set_close_tones(
         grid: as `lay_bins` leaves it.
         count: bins in use.
         bins: (2, capacity) receives real and imaginary parts.
-        scratch: (2, tones) overwritten.
+        scratch: (2, tones or more) overwritten.
     """
     middle = _middle(grid, count)
-    residues = scratch[:, : tones.shape[1]]
+    residues = scratch
     whole, rests, weight_re, weight_im = tones[0], tones[1], tones[2], tones[3]
     residue_re, residue_im = residues[0], residues[1]
     for i in range(len(whole)):
-        share = (1.0 - 2.0 * (int(whole[i]) & 1)) * sin_pi(_off(rests[i])) / pi
+        odd = whole[i] - 2.0 * np.floor(0.5 * whole[i])
+        share = (1.0 - 2.0 * odd) * sin_pi(_off(rests[i])) / pi
         residue_re[i], residue_im[i] = share * weight_re[i], share * weight_im[i]
-    _sum_poles(tones, residues, grid, count, bins)
-    _add_remainder(tones, residues, length, middle, grid, count, bins)
+    # In whole vectors, where there are columns enough; nobody reads those beyond `count`.
+    wide = min(-(-count // _LANES) * _LANES, grid.shape[1], bins.shape[1])
+    _sum_poles(tones, residues, grid, wide, bins)
+    _add_remainder(tones, residues, length, middle, grid, wide, bins)
 
 
 @kernel(fastmath=FAST)
@@ -90,7 +100,7 @@ def _sum_poles(
 @kernel(fastmath=FAST, forceinline=True)
 def _off(rest: float) -> float:
     """δ kept off zero, so that a tone on its bin has a pole beside it."""
-    return copysign(max(abs(rest), 1e-18), rest)
+    return rest + copysign(1e-18, rest)
 
 
 @kernel(fastmath=FAST)
@@ -103,37 +113,58 @@ def _add_remainder(
     count: int,
     bins: FloatArray,
 ) -> None:
-    for part in range(2):
-        m0 = m1 = m2 = m3 = m4 = 0.0
-        for i in range(tones.shape[1]):
-            e = (tones[0, i] - middle) + tones[1, i]
-            g = residues[part, i]
-            m0 += g
-            m1 += g * e
-            m2 += g * e * e
-            m3 += g * e * e * e
-            m4 += g * e * e * e * e
-        f0, f1, f2, f3, f4 = _image_series(2.0 * middle, length, 1.0 if part == 0 else -1.0)
-        first = pi * pi / (6.0 * length * length)
-        third = 7.0 * pi**4 / (360.0 * length**4)
-        c0 = f0 * m0 + f1 * m1 + f2 * m2 + f3 * m3 + f4 * m4 + first * m1 + third * m3
-        c1 = f1 * m0 + 2 * f2 * m1 + 3 * f3 * m2 + 4 * f4 * m3 - first * m0 - 3 * third * m2
-        c2 = f2 * m0 + 3 * f3 * m1 + 6 * f4 * m2 + 3 * third * m1
-        c3 = f3 * m0 + 4 * f4 * m1 - third * m0
-        c4 = f4 * m0
-        for j in range(count):
-            k = grid[BIN, j] - middle
-            bins[part, j] += c0 + k * (c1 + k * (c2 + k * (c3 + k * c4)))
+    places, rests = tones[0], tones[1]
+    residue_re, residue_im = residues[0], residues[1]
+    a0 = a1 = a2 = a3 = a4 = 0.0
+    b0 = b1 = b2 = b3 = b4 = 0.0
+    # Ten sums at once, since none of them can be taken in another order.
+    for i in range(tones.shape[1]):
+        e = (places[i] - middle) + rests[i]
+        a, b = residue_re[i], residue_im[i]
+        a0, b0 = a0 + a, b0 + b
+        a, b = a * e, b * e
+        a1, b1 = a1 + a, b1 + b
+        a, b = a * e, b * e
+        a2, b2 = a2 + a, b2 + b
+        a, b = a * e, b * e
+        a3, b3 = a3 + a, b3 + b
+        a, b = a * e, b * e
+        a4, b4 = a4 + a, b4 + b
+    image = _image_series(2.0 * middle, length)
+    p0, p1, p2, p3, p4 = _remainder(image, 1.0, length, a0, a1, a2, a3, a4)
+    q0, q1, q2, q3, q4 = _remainder(image, -1.0, length, b0, b1, b2, b3, b4)
+    numbers, re, im = grid[BIN, :count], bins[0, :count], bins[1, :count]
+    for j in range(count):
+        k = numbers[j] - middle
+        re[j] += p0 + k * (p1 + k * (p2 + k * (p3 + k * p4)))
+        im[j] += q0 + k * (q1 + k * (q2 + k * (q3 + k * q4)))
+
+
+@kernel(fastmath=FAST, forceinline=True)
+def _remainder(
+    image: _Five, sign: float, length: float, m0: float, m1: float, m2: float, m3: float, m4: float
+) -> _Five:
+    """Coefficients of the polynomial over bins that follows from the moments of residues."""
+    f0, f1, f2, f3, f4 = (sign * image[0], sign * image[1], sign * image[2], sign * image[3], sign * image[4])
+    first = pi * pi / (6.0 * length * length)
+    third = 7.0 * pi**4 / (360.0 * length**4)
+    return (
+        f0 * m0 + f1 * m1 + f2 * m2 + f3 * m3 + f4 * m4 + first * m1 + third * m3,
+        f1 * m0 + 2 * f2 * m1 + 3 * f3 * m2 + 4 * f4 * m3 - first * m0 - 3 * third * m2,
+        f2 * m0 + 3 * f3 * m1 + 6 * f4 * m2 + 3 * third * m1,
+        f3 * m0 + 4 * f4 * m1 - third * m0,
+        f4 * m0,
+    )
 
 
 @kernel(fastmath=FAST)
-def _image_series(place: float, length: float, sign: float) -> tuple[float, float, float, float, float]:
-    """Taylor coefficients of ±(π/N) csc(πs/N) about s = `place`."""
+def _image_series(place: float, length: float) -> _Five:
+    """Taylor coefficients of (π/N) csc(πs/N) about s = `place`."""
     step = pi / length
     csc = 1.0 / sin_pi(place / length if place <= 0.5 * length else 1.0 - place / length)
     cot = csc * sin_pi(0.5 - place / length)
     square = cot * cot
-    scale = sign * step * csc
+    scale = step * csc
     return (
         scale,
         -scale * step * cot,

@@ -18,24 +18,24 @@ _PANELS = 16
 def set_haze_tone(
     model: ReceiverModel,
     work: Workspace,
-    tone: int,
     look: int,
     purpose: int,
     shot: int,
     beam: int,
     seed: np.uint64,
 ) -> None:
-    """The air's own line in the constant segment: all of it closes with the sensor's speed."""
+    """The air's own line in the constant segment: all of it closes with the sensor's speed. The last of the tones."""
     beat = signed_bin(model, 1, work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0])
     gain_re, gain_im = tone_gain(model.response, beat)
     observed_bin, factor_re, factor_im = fold(beat, model.fft_length)
     snr = haze_snr(model, work.beamlets[RANGE_M, 0])
     x, y = complex_normal(seed, shot, beam, purpose, look)
     scale = np.sqrt(snr)
-    work.tones[look, 0, tone] = np.rint(observed_bin)
-    work.tones[look, 1, tone] = observed_bin - work.tones[look, 0, tone]
-    work.tones[look, 2, tone] = factor_re * scale * (x * gain_re - y * gain_im)
-    work.tones[look, 3, tone] = factor_im * scale * (x * gain_im + y * gain_re)
+    tone = work.tones[look, :, -1]
+    tone[0] = np.rint(observed_bin)
+    tone[1] = observed_bin - tone[0]
+    tone[2] = factor_re * scale * (x * gain_re - y * gain_im)
+    tone[3] = factor_im * scale * (x * gain_im + y * gain_re)
 
 
 @kernel

@@ -12,7 +12,7 @@ from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.beam_filter import widest_filter
 from lidar_emu.fmcw.estimate import DOWN, UP, Estimate, chirp_minus_doppler, least_squares
 from lidar_emu.fmcw.limits import GROSS_RESIDUAL_BINS
-from lidar_emu.fmcw.model import ReceiverModel, Workspace, build_workspace
+from lidar_emu.fmcw.model import ReceiverModel, Workspace, as_record, build_workspace
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.records import set_spectrum
 from lidar_emu.fmcw.speckle import forget
@@ -73,11 +73,13 @@ def measure_beams(
     flags = np.ascontiguousarray(echoes.fired), np.ascontiguousarray(echoes.inside)
     # The type checker cannot follow arrays into compiled functions.
     widest: Any = _widest
-    measure: Any = _measure
-    half = widest(model, arrays[0], arrays[1], arrays[5])
+    # Two kernels, of which a run compiles the one that it needs.
+    measure: Any = _measure_statistically if model.statistical else _measure_spectra
+    record = as_record(model)
+    half = widest(record, arrays[0], arrays[1], arrays[5])
     work = build_workspace(echoes.range_m.shape[2], model.looks, half, model.fft_length)
     numbers = np.ascontiguousarray(shot, dtype=np.int64)
-    measure(model, work, *arrays, *flags, numbers, np.uint64(seed), rows)
+    measure(record, work, *arrays, *flags, numbers, np.uint64(seed), rows)
 
 
 def _bounded(values: FloatArray) -> FloatArray:
@@ -85,7 +87,7 @@ def _bounded(values: FloatArray) -> FloatArray:
     return np.ascontiguousarray(np.clip(np.where(np.isnan(values), 0.0, values), -_FASTEST, _FASTEST))
 
 
-@kernel
+@kernel(outermost=True)
 def _widest(
     model: ReceiverModel,
     range_m: FloatArray,
@@ -104,8 +106,8 @@ def _widest(
     return widest
 
 
-@kernel
-def _measure(
+@kernel(outermost=True)
+def _measure_spectra(
     model: ReceiverModel,
     work: Workspace,
     range_m: FloatArray,
@@ -125,12 +127,8 @@ def _measure(
     for s in range(range_m.shape[0]):
         for b in range(range_m.shape[1]):
             row = rows[s, b]
-            _blank(row)
-            if not fired[s, b]:
-                row.reason = _NOT_FIRED
-                continue
-            if inside[s, b]:
-                row.reason = _INSIDE_GROUND
+            _blank(row, fired[s, b], inside[s, b])
+            if row.reason != _VALID:
                 continue
             row.reason, count, total_w = gather_beamlets(
                 model,
@@ -142,21 +140,72 @@ def _measure(
             )
             if row.reason == _INSIDE_GROUND:
                 continue
+            smear_mps2 = smear_acceleration_mps2[s, b]
             half = 0
             if count > 0:
-                half = widest_filter(
-                    model,
-                    work.beamlets[RANGE_M, 0],
-                    work.beamlets[SPEED_MPS, 0],
-                    smear_acceleration_mps2[s, b],
-                )
+                first_m, first_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
+                half = widest_filter(model, first_m, first_mps, smear_mps2)
             forget(work.held)
             for segment in range(3):
-                targets = _find(
+                bins = set_spectrum(
                     model,
                     work,
                     count,
                     half,
+                    segment,
+                    closing_acceleration_mps2[s, b],
+                    smear_mps2,
+                    speckle_place[s, b],
+                    speckle_drift_per_s[s, b],
+                    total_w,
+                    shot[s],
+                    b,
+                    seed,
+                )
+                _count_targets(row, segment, find_targets(model, work, bins, segment, shot[s], b, seed))
+            _conclude(model, work.targets, row)
+
+
+@kernel(outermost=True)
+def _measure_statistically(
+    model: ReceiverModel,
+    work: Workspace,
+    range_m: FloatArray,
+    closing_speed_mps: FloatArray,
+    power_w: FloatArray,
+    range_rate_mps: FloatArray,
+    closing_acceleration_mps2: FloatArray,
+    smear_acceleration_mps2: FloatArray,
+    speckle_place: FloatArray,
+    speckle_drift_per_s: FloatArray,
+    fired: NDArray[np.bool_],
+    inside: NDArray[np.bool_],
+    shot: NDArray[np.int64],
+    seed: np.uint64,
+    rows: NDArray[Any],
+) -> None:
+    for s in range(range_m.shape[0]):
+        for b in range(range_m.shape[1]):
+            row = rows[s, b]
+            _blank(row, fired[s, b], inside[s, b])
+            if row.reason != _VALID:
+                continue
+            row.reason, count, total_w = gather_beamlets(
+                model,
+                range_m[s, b],
+                closing_speed_mps[s, b],
+                power_w[s, b],
+                range_rate_mps[s, b],
+                work.beamlets,
+            )
+            if row.reason == _INSIDE_GROUND:
+                continue
+            forget(work.held)
+            for segment in range(3):
+                targets = draw_targets(
+                    model,
+                    work,
+                    count,
                     segment,
                     closing_acceleration_mps2[s, b],
                     smear_acceleration_mps2[s, b],
@@ -167,64 +216,21 @@ def _measure(
                     b,
                     seed,
                 )
-                if targets > 0:
-                    row.segments |= 1 << segment
-                row.returns = targets if segment == 0 else min(row.returns, targets)
+                _count_targets(row, segment, targets)
             _conclude(model, work.targets, row)
 
 
-@kernel(inline="always")
-def _find(
-    model: ReceiverModel,
-    work: Workspace,
-    count: int,
-    half: int,
-    segment: int,
-    acceleration_mps2: float,
-    smear_mps2: float,
-    place: FloatArray,
-    drift_per_s: FloatArray,
-    power_w: float,
-    shot: int,
-    beam: int,
-    seed: np.uint64,
-) -> int:
-    """Targets of one segment, by the closed-form error model or from its spectrum."""
-    if model.statistical:
-        return draw_targets(
-            model,
-            work,
-            count,
-            segment,
-            acceleration_mps2,
-            smear_mps2,
-            place,
-            drift_per_s,
-            power_w,
-            shot,
-            beam,
-            seed,
-        )
-    bins = set_spectrum(
-        model,
-        work,
-        count,
-        half,
-        segment,
-        acceleration_mps2,
-        smear_mps2,
-        place,
-        drift_per_s,
-        power_w,
-        shot,
-        beam,
-        seed,
-    )
-    return find_targets(model, work, bins, segment, shot, beam, seed)
+@kernel(forceinline=True)
+def _count_targets(row: Any, segment: int, targets: int) -> None:
+    if targets > 0:
+        row.segments |= 1 << segment
+    row.returns = targets if segment == 0 else min(row.returns, targets)
 
 
 @kernel
-def _blank(row: Any) -> None:
+def _blank(row: Any, fired: bool, inside: bool) -> None:
+    """Nothing is known, and why if that is known."""
+    row.reason = _VALID if fired and not inside else (_INSIDE_GROUND if fired else _NOT_FIRED)
     row.range_m = np.nan
     row.closing_speed_mps = np.nan
     row.snr_db = np.nan
@@ -248,11 +254,11 @@ def _conclude(model: ReceiverModel, targets: FloatArray, row: Any) -> None:
     if detections > 0:
         scale = model.noise_power / model.window_centre**2
         row.snr_db = 10.0 * log10(scale * power / detections)
+    segments: Any = np.int64(row.segments)
     if detections >= model.least_segments:
-        segments: Any = np.int64(row.segments)
         _report(model, _estimate(model, segments, targets[:, 0]), row)
     if row.returns > 1:
-        second = _estimate(model, 7, targets[:, 1])
+        second = _estimate(model, segments, targets[:, 1])
         distance_m = second.range_bin * model.range_bin_m
         if second.found and 0.0 <= distance_m <= model.maximum_range_m:
             row.second_range_m = distance_m

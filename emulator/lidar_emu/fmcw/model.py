@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,9 +83,10 @@ class ReceiverModel(NamedTuple):
     """Smaller probabilities that noise elsewhere matters are left out."""
 
 
+@lru_cache(maxsize=16)
 def as_record(fields: Any) -> Any:
     """A named tuple as one structured scalar: numba hands on its address, instead of fifty numbers to each kernel."""
-    return np.array(fields, dtype=_record_type(fields))[()]
+    return np.array(fields, dtype=_record_type(fields)).view(np.recarray)[()]
 
 
 def _record_type(fields: Any) -> np.dtype[Any]:
@@ -102,7 +104,7 @@ class Workspace(NamedTuple):
     """Arrays that the kernels write to; their size bounds beamlets, looks and the widest filter."""
 
     beamlets: FloatArray
-    """(6, beamlets) see `gather_beamlets`."""
+    """(5, tones) see `gather_beamlets`; columns are beamlets, and at least one more, for the haze."""
     tones: FloatArray
     """(looks, 4, tones) see `set_tones`; also the places of all, one after another, to lay bins."""
     places: FloatArray
@@ -126,23 +128,22 @@ class Workspace(NamedTuple):
 
 def build_workspace(beamlets: int, looks: int, half: int, length: float) -> Workspace:
     """Room for beams of so many beamlets, and filters of `half` taps on each side."""
-    # One tone more for the haze.
     tones = -(-(beamlets + 1) // TONES_PER_DIVISION) * TONES_PER_DIVISION
     reach = REACH + max(0, half - LEAST_TAPS)
-    capacity = grid_capacity(looks * (beamlets + 1), reach, length)
+    capacity = grid_capacity(looks * tones, reach, length)
     return Workspace(
-        beamlets=np.empty((6, beamlets)),
+        beamlets=np.empty((5, tones)),
         tones=np.zeros((looks, 4, tones)),
-        places=np.empty((2, looks * (beamlets + 1))),
+        places=np.empty((2, looks * tones)),
         residues=np.empty((2, tones)),
-        weights=np.empty((2, beamlets + beamlets % 2)),
+        weights=np.empty((2, tones)),
         held=np.empty((SLOTS, 2), dtype=np.int64),
-        corners=np.empty((SLOTS, 2, beamlets + beamlets % 2)),
+        corners=np.empty((SLOTS, 2, tones)),
         grid=np.empty((ROWS, capacity)),
         bins=np.empty((looks, 2, capacity)),
-        filtered=np.empty((2, capacity)),
+        filtered=np.empty((4, capacity + 2 * half + 4)),
         noise=np.empty((2, capacity + 4)),
-        words=np.empty((4, capacity // 2 + beamlets + 4), dtype=np.uint64),
+        words=np.empty((4, capacity // 2 + tones + 4), dtype=np.uint64),
         taps=np.empty((3, 2, 2 * half + 1)),
         peaks=np.empty(MAX_GROUPS, dtype=np.int64),
         targets=np.empty((3, MAX_GROUPS, 4)),

@@ -19,6 +19,9 @@ from lidar_emu.kernels import kernel
 LEAST_TAPS = 8
 """Taps on each side of the central one, before a wide smear or line asks for more."""
 
+_LANES = 4
+"""Numbers in a vector."""
+
 _SERIES_LIMIT = 2.0
 _TERMS = 14
 
@@ -171,14 +174,19 @@ def gaussian_line_taps(
         taps[0, half + m], taps[1, half + m] = share * x, share * y
 
 
-@kernel
+@kernel(fastmath=FAST)
 def convolve_taps(first: FloatArray, second: FloatArray, half: int, result: FloatArray) -> None:
-    """The taps of a product of two factors, cut off at `half` on each side; arrays (2, 2 half + 1)."""
-    result[:, : 2 * half + 1] = 0.0
-    for a in range(2 * half + 1):
-        for b in range(max(0, half - a), min(2 * half + 1, 3 * half + 1 - a)):
-            result[0, a + b - half] += first[0, a] * second[0, b] - first[1, a] * second[1, b]
-            result[1, a + b - half] += first[0, a] * second[1, b] + first[1, a] * second[0, b]
+    """The taps of a product of two factors, cut off at `half` on each side; arrays (2, 2 half + 1 or more)."""
+    width = 2 * half + 1
+    result[:, :width] = 0.0
+    for a in range(width):
+        re, im = first[0, a], first[1, a]
+        start, stop = max(0, half - a), min(width, width + half - a)
+        from_re, from_im = second[0, start:stop], second[1, start:stop]
+        to_re, to_im = result[0, a + start - half :], result[1, a + start - half :]
+        for b in range(len(from_re)):
+            to_re[b] += re * from_re[b] - im * from_im[b]
+            to_im[b] += re * from_im[b] + im * from_re[b]
 
 
 @kernel(fastmath=FAST)
@@ -195,26 +203,32 @@ def filter_bins(
 
     Bins outside the intervals laid count as empty, and the images of tones within `half` bins of 0 and N/2 are
     filtered like the tones themselves.
+
+    Args:
+        scratch: (4, capacity + 2 half + 4) overwritten.
     """
-    for part in range(2):
-        for j in range(count):
-            scratch[part, j], bins[part, j] = bins[part, j], 0.0
     sign = -1.0 if mirrored else 1.0
+    from_re, from_im, to_re, to_im = scratch[0], scratch[1], scratch[2], scratch[3]
     start = 0
     while start < count:
         stop = start + 1
         while stop < count and grid[BIN, stop] - grid[BIN, stop - 1] == 1.0:
             stop += 1
+        # Zeros on both sides, and whole vectors: so all taps are one loop each, without ends.
+        width = -(-(stop - start) // _LANES) * _LANES
+        scratch[:, : width + 2 * half] = 0.0
+        for j in range(stop - start):
+            from_re[half + j], from_im[half + j] = bins[0, start + j], bins[1, start + j]
         for m in range(-half, half + 1):
             # A folded tone has the complex conjugate factor, whose taps are conjugate and in reverse order. Bins as
             # `spectrum` refers them to the centre change sign from one to the next, and so do the taps.
             turn = -1.0 if m % 2 else 1.0
             re = turn * (taps[0, half - m] if mirrored else taps[0, half + m])
             im = turn * sign * (taps[1, half - m] if mirrored else taps[1, half + m])
-            first, last = max(start, start + m), min(stop, stop + m)
-            bins_re, bins_im = bins[0, first:last], bins[1, first:last]
-            from_re, from_im = scratch[0, first - m :], scratch[1, first - m :]
-            for j in range(last - first):
-                bins_re[j] += re * from_re[j] - im * from_im[j]
-                bins_im[j] += re * from_im[j] + im * from_re[j]
+            at_re, at_im = from_re[half - m :], from_im[half - m :]
+            for j in range(width):
+                to_re[j] += re * at_re[j] - im * at_im[j]
+                to_im[j] += re * at_im[j] + im * at_re[j]
+        for j in range(stop - start):
+            bins[0, start + j], bins[1, start + j] = to_re[j], to_im[j]
         start = stop

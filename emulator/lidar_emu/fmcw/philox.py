@@ -109,20 +109,21 @@ def fill_complex_normals(
     beam: int,
     purpose: int,
     first_pair: int,
+    count: int,
     words: NDArray[np.uint64],
     out: FloatArray,
 ) -> None:
-    """Fill `out` (2, n), n even, with circular complex Gaussians of unit mean power (Box-Muller).
+    """Fill the first `count` columns, an even number, of `out` with circular complex Gaussians of unit mean power.
 
-    Numbers 2i and 2i + 1 are those of counter `first_pair` + i: 32 bits each for magnitude and phase, so that no
-    power exceeds 22.9, what one in 1e10 does. `words` (4, n/2 or more) is overwritten. In stages without branches,
-    which become vector instructions.
+    Numbers 2i and 2i + 1 are those of counter `first_pair` + i (Box-Muller): 32 bits each for magnitude and phase, so
+    that no power exceeds 22.9, what one in 1e10 does. `words` (4, count/2 or more) is overwritten. In stages without
+    branches, which become vector instructions.
     """
     number = np.uint64(shot)
     use = (np.uint64(purpose) << _SHIFT_16) | np.uint64(beam)
-    _fill_words(seed, number, use, np.uint64(first_pair), out.shape[1] // 2, words)
-    _fill_uniforms(words, out)
-    _box_muller(out)
+    _fill_words(seed, number, use, np.uint64(first_pair), count // 2, words)
+    _fill_uniforms(words, out, count)
+    _box_muller(out[0, :count], out[1, :count])
 
 
 @kernel
@@ -144,18 +145,17 @@ def _fill_words(
 
 
 @kernel
-def _fill_uniforms(words: NDArray[np.uint64], out: FloatArray) -> None:
+def _fill_uniforms(words: NDArray[np.uint64], out: FloatArray, count: int) -> None:
     for part in range(2):
         row, even, odd = out[part], words[part], words[part + 2]
-        for i in range(out.shape[1] // 2):
+        for i in range(count // 2):
             row[2 * i] = (np.float64(np.int64(even[i])) + 0.5) * 2.0**-32
             row[2 * i + 1] = (np.float64(np.int64(odd[i])) + 0.5) * 2.0**-32
 
 
 @kernel(fastmath=FAST)
-def _box_muller(out: FloatArray) -> None:
+def _box_muller(re: FloatArray, im: FloatArray) -> None:
     """Uniforms for magnitude and phase in, real and imaginary parts out."""
-    re, im = out[0], out[1]
     bits = re.view(np.int64)
     for i in range(len(re)):
         # The exponent counts from sqrt(1/2), so that the mantissa lies around 1.

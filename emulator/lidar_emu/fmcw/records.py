@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import cos, pi, sin
+from typing import Any
 
 import numpy as np
 
@@ -16,17 +17,19 @@ from lidar_emu.fmcw.philox import uniform_pair
 from lidar_emu.fmcw.response import clipping, set_noise
 from lidar_emu.fmcw.speckle import set_weights
 from lidar_emu.fmcw.spectrum import REACH, add_noise, lay_bins, mirror_ends, set_power, set_tones
-from lidar_emu.fmcw.tones import ORDER, set_segment_tones
+from lidar_emu.fmcw.tones import set_segment_tones
 from lidar_emu.kernels import kernel
 
-PHASE, NOISE_BINS, SPECKLE, LINE, HAZE, FALSE_ALARM = range(1, 7)
-"""What a random number is for; part of its counter."""
+_purposes: Any = np.arange(1, 7)
+PHASE, NOISE_BINS, SPECKLE, LINE, HAZE, FALSE_ALARM = _purposes
+"""What a random number is for; part of its counter. Not literals, for each of which numba would compile all it goes to
+once more."""
 
 SEGMENT_INDICES = 2**24
 """Indices kept for the bins of each record; N is at most 2**24."""
 
 
-@kernel
+@kernel(inline="always")
 def set_spectrum(
     model: ReceiverModel,
     work: Workspace,
@@ -54,33 +57,23 @@ def set_spectrum(
     """
     if count == 0:
         return 0
-    haze = 1 if segment == 1 and model.haze.snr_per_m > 0.0 else 0
-    tones = count + haze
-    # Tones come in fours; those added have no weight.
-    padded = -(-tones // 4) * 4
+    haze = segment == 1 and model.haze.snr_per_m > 0.0
+    tones = work.tones.shape[2]
     for look in range(model.looks):
-        set_look_tones(
-            model, work, count, segment, look, acceleration_mps2, place, drift_per_s, shot, beam, seed
-        )
+        set_look_tones(model, work, segment, look, acceleration_mps2, place, drift_per_s, shot, beam, seed)
         if haze:
-            set_haze_tone(model, work, count, look, HAZE, shot, beam, seed)
-        lines = work.tones[look]
-        for i in range(tones, padded):
-            lines[0, i], lines[1, i], lines[2, i], lines[3, i] = lines[0, 0], lines[1, 0], 0.0, 0.0
+            set_haze_tone(model, work, look, HAZE, shot, beam, seed)
         for i in range(tones):
-            work.places[0, look * tones + i] = lines[0, i]
+            work.places[0, look * tones + i] = work.tones[look, 0, i]
     reach = REACH + max(0, half - LEAST_TAPS)
-    every = model.looks * tones
-    bins = lay_bins(work.places[0, :every], float(reach), model.fft_length, work.places[1], work.grid)
-    gain, distortion = clipping(model.response, work.tones[0, :, :count], model.fft_length)
+    bins = lay_bins(work.places[0], float(reach), model.fft_length, work.places[1], work.grid)
+    gain, distortion = clipping(model.response, work.tones[0], model.fft_length)
     factor = gain * gain * (1.0 + model.signal_shot_per_w * power_w)
     set_noise(model.response, factor, distortion, work.grid, bins)
     if model.haze.snr_per_m > 0.0 and segment != 1:
         add_haze(model, work, segment, gain, bins)
     for look in range(model.looks):
-        _set_look(
-            model, work, padded, half, segment, look, smear_acceleration_mps2, gain, bins, shot, beam, seed
-        )
+        _set_look(model, work, half, segment, look, smear_acceleration_mps2, gain, bins, shot, beam, seed)
     cosine, sine = cos(pi / model.fft_length), sin(pi / model.fft_length)
     set_power(
         model.window_centre, model.window_side, cosine, sine, model.fft_length, work.grid, bins, work.bins
@@ -88,11 +81,10 @@ def set_spectrum(
     return bins
 
 
-@kernel
+@kernel(inline="always")
 def set_look_tones(
     model: ReceiverModel,
     work: Workspace,
-    count: int,
     segment: int,
     look: int,
     acceleration_mps2: float,
@@ -106,33 +98,19 @@ def set_look_tones(
     time_records = (segment - 1) * model.segment_records
     time_records += (look - 0.5 * (model.looks - 1)) * model.cycle_records
     time_s = time_records * model.record_time_s
-    weights = work.weights
     if model.speckle:
         east = place[0] + drift_per_s[0] * time_s
         north = place[1] + drift_per_s[1] * time_s
-        set_weights(seed, beam, SPECKLE, east, north, work.held, work.corners, work.words, weights)
-        # Of the beamlets that return light, in ascending order.
-        for i in range(count):
-            order = int(work.beamlets[ORDER, i])
-            weights[0, i], weights[1, i] = weights[0, order], weights[1, order]
+        set_weights(seed, beam, SPECKLE, east, north, work.held, work.corners, work.words, work.weights)
     turn, _ = uniform_pair(seed, shot, beam, PHASE, segment + 3 * look)
-    set_segment_tones(
-        model,
-        segment,
-        time_records,
-        acceleration_mps2,
-        turn,
-        work.beamlets[:, :count],
-        weights,
-        work.tones[look, :, :count],
-    )
+    beamlets, tones = work.beamlets, work.tones[look]
+    set_segment_tones(model, segment, time_records, acceleration_mps2, turn, beamlets, work.weights, tones)
 
 
 @kernel(inline="always")
 def _set_look(
     model: ReceiverModel,
     work: Workspace,
-    tones: int,
     half: int,
     segment: int,
     look: int,
@@ -145,9 +123,9 @@ def _set_look(
 ) -> None:
     """Bins of one record: light, filter, noise."""
     length, bins = model.fft_length, work.bins[look]
-    lines = work.tones[look, :, :tones]
+    lines = work.tones[look]
     if gain != 1.0:
-        for i in range(tones):
+        for i in range(lines.shape[1]):
             lines[2, i] *= gain
             lines[3, i] *= gain
     if are_close(length, work.grid, count):

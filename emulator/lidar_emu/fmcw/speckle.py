@@ -87,5 +87,5 @@ def _hold(
     if held[slot, 0] != x or held[slot, 1] != y:
         held[slot, 0], held[slot, 1] = x, y
         place = int(((x & _LOW_WORD) << 32) | (y & _LOW_WORD))
-        fill_complex_normals(seed, place, beam, purpose, 0, words, corners[slot])
+        fill_complex_normals(seed, place, beam, purpose, 0, corners.shape[2], words, corners[slot])
     return slot

@@ -106,6 +106,9 @@ def lay_bins(tone_bin: FloatArray, reach: float, length: float, scratch: FloatAr
                 first = scratch[i]
         count = _lay_interval(first - reach, highest + reach, length, grid, count)
     _set_angles(length, grid, count)
+    # Whole vectors of bins may be computed.
+    for j in range(count, min(count + 3, grid.shape[1])):
+        grid[BIN, j] = grid[BIN, j - 1] + 1.0
     return count
 
 
@@ -179,11 +182,9 @@ def set_tones(tones: FloatArray, length: float, grid: FloatArray, count: int, bi
         for j in range(count):
             difference = sin_pi(((n - numbers[j]) + rest) * per_length)
             kernel = 1.0 / (difference * (sine * cosines[j] + cosine * sines[j]))
-            re[j] += share_re * kernel
-            im[j] += share_im * kernel
+            re[j], im[j] = re[j] + share_re * kernel, im[j] + share_im * kernel
     for j in range(count):
-        re[j] *= cosines[j]
-        im[j] *= sines[j]
+        re[j], im[j] = re[j] * cosines[j], im[j] * sines[j]
 
 
 @kernel
@@ -215,29 +216,31 @@ def add_noise(
         skipped = max(0, -int(grid[BIN, start]))
         first = int(grid[BIN, start]) + skipped
         needed = stop - start - skipped + first % 2
-        normals = scratch[:, : needed + needed % 2]
-        fill_complex_normals(seed, shot, beam, purpose, (first_index + first) // 2, words, normals)
-        _add(normals, first % 2, start + skipped, stop, length, grid, bins)
+        drawn = needed + needed % 2
+        fill_complex_normals(seed, shot, beam, purpose, (first_index + first) // 2, drawn, words, scratch)
+        _add(scratch, first % 2 - start - skipped, start, stop, length, grid, bins)
         start = stop
 
 
-@kernel
+@kernel(fastmath=FAST)
 def _add(
-    normals: FloatArray, column: int, start: int, stop: int, length: float, grid: FloatArray, bins: FloatArray
+    normals: FloatArray, shift: int, start: int, stop: int, length: float, grid: FloatArray, bins: FloatArray
 ) -> None:
+    """Add noise to one interval; bin j's is in column j + `shift`."""
     half = 0.5 * length
-    for j in range(start, stop):
-        level = sqrt(grid[NOISE, j])
-        x, y = level * normals[0, column + j - start], level * normals[1, column + j - start]
-        k = grid[BIN, j]
-        if 0.0 < k < half:
-            bins[0, j] += x
-            bins[1, j] += y
-        elif k == 0.0:
-            # The transform of a real record is real at 0 and imaginary at N/2, with the same mean power.
-            bins[0, j] += sqrt(2.0) * x
-        elif k == half:
-            bins[1, j] += sqrt(2.0) * y
+    zero = start - int(grid[BIN, start])
+    nyquist = zero + int(half)
+    first, last = max(start, zero + 1), min(stop, nyquist)
+    noise, x, y = grid[NOISE, first:last], normals[0, first + shift :], normals[1, first + shift :]
+    re, im = bins[0, first:last], bins[1, first:last]
+    for j in range(last - first):
+        level = np.sqrt(noise[j])
+        re[j], im[j] = re[j] + level * x[j], im[j] + level * y[j]
+    # The transform of a real record is real at 0 and imaginary at N/2, with the same mean power.
+    if start <= zero < stop:
+        bins[0, zero] += sqrt(2.0 * grid[NOISE, zero]) * normals[0, zero + shift]
+    if start <= nyquist < stop:
+        bins[1, nyquist] += sqrt(2.0 * grid[NOISE, nyquist]) * normals[1, nyquist + shift]
 
 
 @kernel

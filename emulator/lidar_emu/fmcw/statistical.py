@@ -25,7 +25,7 @@ from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS
 from lidar_emu.kernels import kernel
 
 
-@kernel
+@kernel(inline="always")
 def draw_targets(
     model: ReceiverModel,
     work: Workspace,
@@ -48,12 +48,10 @@ def draw_targets(
     kept = _filter_loss(model, work, segment, smear_acceleration_mps2)
     power, frequency, weight = 0.0, 0.0, 0.0
     for look in range(model.looks):
-        set_look_tones(
-            model, work, count, segment, look, acceleration_mps2, place, drift_per_s, shot, beam, seed
-        )
-        gain, distortion = clipping(model.response, work.tones[look, :, :count], model.fft_length)
+        set_look_tones(model, work, segment, look, acceleration_mps2, place, drift_per_s, shot, beam, seed)
+        gain, distortion = clipping(model.response, work.tones[look], model.fft_length)
         factor, loss = gain * gain * (1.0 + model.signal_shot_per_w * power_w), gain * kept
-        centre, re, im = _sum_at_peak(work.tones[look, :, :count])
+        centre, re, im = _sum_at_peak(work.tones[look])
         k = min(max(np.rint(centre), 1.0), 0.5 * model.fft_length - 1.0)
         level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
         straddled = loss * _window_gain(model, centre - k)

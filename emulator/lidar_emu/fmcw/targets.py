@@ -22,7 +22,7 @@ _PEAK_VARIANCE_TIMES_SNR = 0.5
 """Of the estimators that resolve part of a bin, for peaks in noise, whose bins are not computed."""
 
 
-@kernel
+@kernel(inline="always")
 def find_targets(
     model: ReceiverModel, work: Workspace, count: int, segment: int, shot: int, beam: int, seed: np.uint64
 ) -> int:
@@ -123,7 +123,7 @@ def draw_alarms(
     return MAX_GROUPS
 
 
-@kernel
+@kernel(inline="always")
 def insert_alarms(
     model: ReceiverModel, alarms: FloatArray, highest: float, targets: FloatArray, count: int
 ) -> int:

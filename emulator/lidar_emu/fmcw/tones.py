@@ -24,9 +24,8 @@ from lidar_emu.fmcw.sine import FAST
 from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.kernels import kernel
 
-RANGE_M, RANGE_RATE_MPS, SPEED_MPS, AMPLITUDE, SHARE, ORDER = range(6)
-"""Rows of a beam's beamlets: what returns light, square root of its SNR, SNR over the root of the beam's, and its place
-among the beamlets, lit or not."""
+RANGE_M, RANGE_RATE_MPS, SPEED_MPS, AMPLITUDE, SHARE = range(5)
+"""Rows of a beam's beamlets: what returns light, square root of its SNR, and SNR over the root of the beam's."""
 
 _FASTEST_MPS = 2.9e8
 """Nothing is faster; what claims to be returns no light."""
@@ -49,13 +48,18 @@ def gather_beamlets(
     range_rate_mps: FloatArray,
     beamlets: FloatArray,
 ) -> tuple[int, int, float]:
-    """Fill the first columns of `beamlets` with those that return light.
+    """Fill `beamlets`, whose columns are those of `range_m` and some more.
+
+    A column that returns no light is like the first that does, but for its power of 0: so all of a beam's arrays have
+    the same length, and lie in one piece.
 
     Returns:
-        The reason why nothing can be detected, for the case that nothing is; the number of beamlets; their power.
+        The reason why nothing can be detected, for the case that nothing is; the number of beamlets that return light;
+        their power.
     """
     reason = _NO_SURFACE
-    count = 0
+    count, first = 0, 0
+    beamlets[SHARE] = 0.0
     total_w = 0.0
     for i in range(len(range_m)):
         distance_m, power = range_m[i], power_w[i]
@@ -69,21 +73,25 @@ def gather_beamlets(
         elif distance_m > 0.0:
             reason = _BELOW_THRESHOLD
         if distance_m > 0.0 and 0.0 < power < np.inf and abs(closing_speed_mps[i]) < _FASTEST_MPS:
-            beamlets[RANGE_M, count] = distance_m
-            beamlets[RANGE_RATE_MPS, count] = (
-                range_rate_mps[i] if abs(range_rate_mps[i]) < _FASTEST_MPS else 0.0
-            )
-            beamlets[ORDER, count] = i
-            beamlets[SPEED_MPS, count] = closing_speed_mps[i]
-            beamlets[SHARE, count] = power
+            beamlets[RANGE_M, i] = distance_m
+            beamlets[RANGE_RATE_MPS, i] = range_rate_mps[i] if abs(range_rate_mps[i]) < _FASTEST_MPS else 0.0
+            beamlets[SPEED_MPS, i] = closing_speed_mps[i]
+            beamlets[SHARE, i] = power
             total_w += power
+            first = i if count == 0 else first
             count += 1
     if count > 0:
         scale = min(model.snr_per_w, _MOST_SNR / total_w)
-        for i in range(count):
-            snr = beamlets[SHARE, i] * scale
-            beamlets[AMPLITUDE, i] = sqrt(snr)
-            beamlets[SHARE, i] = snr / sqrt(total_w * scale)
+        for i in range(beamlets.shape[1]):
+            if beamlets[SHARE, i] == 0.0:
+                for row in (RANGE_M, RANGE_RATE_MPS, SPEED_MPS):
+                    beamlets[row, i] = beamlets[row, first]
+        share, amplitude = beamlets[SHARE], beamlets[AMPLITUDE]
+        per_root = 1.0 / sqrt(total_w * scale)
+        for i in range(len(share)):
+            snr = share[i] * scale
+            amplitude[i] = sqrt(snr)
+            share[i] = snr * per_root
     return reason, count, total_w
 
 
@@ -155,8 +163,8 @@ def set_segment_tones(
     first: the part of the speckle's change that is not an exchange of scatterers. Without speckle all add in phase.
 
     Args:
-        beamlets: (6, n) from `gather_beamlets`.
-        weights: (2, n or more).
+        beamlets: (5, n) from `gather_beamlets`.
+        weights: (2, n).
         tones: (4, n) receives n, δ and the complex weight.
     """
     _set_places(model, segment, time_records * model.record_time_s, acceleration_mps2, beamlets, tones)
