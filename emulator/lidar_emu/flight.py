@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.rotations import rotate
 from lidar_emu.pointing import (
     ACCELERATION,
     PUBLISHED,
@@ -21,6 +20,7 @@ from lidar_emu.pointing import (
     point_beams,
     set_times,
 )
+from lidar_emu.rotations import rotate
 from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
 from lidar_emu.scenario.site import Grid
@@ -46,42 +46,46 @@ class Pointing(NamedTuple):
     @property
     def sensor_site_m(self) -> FloatArray:
         """Centre of the aperture."""
-        return self.beams[SENSOR]
+        return self._of_beams(SENSOR)
 
     @property
     def sensor_velocity_site_mps(self) -> FloatArray:
         """Of the sensor, which the lever arm moves."""
-        return self.beams[VELOCITY]
+        return self._of_beams(VELOCITY)
 
     @property
     def sensor_acceleration_site_mps2(self) -> FloatArray:
         """The body's angular rate is taken as steady: its change, times the lever arm, is left out."""
-        return self.beams[ACCELERATION]
+        return self._of_beams(ACCELERATION)
 
     @property
     def turning_site_radps(self) -> FloatArray:
         """Angular rate of the body, and of the beams with it."""
-        return self.beams[TURNING]
+        return self._of_beams(TURNING)
 
     @property
     def true_site(self) -> FloatArray:
         """Where the light goes."""
-        return self.beams[TRUE]
+        return self._of_beams(TRUE)
 
     @property
     def published_site(self) -> FloatArray:
         """Where the flight software believes that it goes."""
-        return self.beams[PUBLISHED]
+        return self._of_beams(PUBLISHED)
 
     @property
     def position_site_m(self) -> FloatArray:
         """(shots, 3) Of the vehicle at the first beam's validity."""
-        return self.vehicle[0]
+        return np.asarray(self.vehicle[0])
 
     @property
     def velocity_site_mps(self) -> FloatArray:
         """(shots, 3)"""
-        return self.vehicle[1]
+        return np.asarray(self.vehicle[1])
+
+    def _of_beams(self, place: int) -> FloatArray:
+        vectors: FloatArray = self.beams[place]
+        return vectors
 
 
 class Flight:
@@ -170,12 +174,18 @@ class Flight:
             return np.zeros(len(instant_s), dtype=np.int64), state
         start_s, sensor_m = np.empty(len(instant_s)), np.empty((3, len(instant_s)))
         place_starts(
-            instant_s, vehicle.position_site_m, vehicle.site_from_body, self._lever_arm_body_m, start_s, sensor_m
+            instant_s,
+            vehicle.position_site_m,
+            vehicle.site_from_body,
+            self._lever_arm_body_m,
+            start_s,
+            sensor_m,
         )
         east_m, north_m, up_m = sensor_m
         above_ground_m = up_m
         if self.scanner.needs_ground_altitude:
             above_ground_m = up_m - self.scene.height_m(east_m, north_m)
+        # Where no switch asks for the ground it does not matter how high that is.
         return self.scanner.choose(state, start_s, up_m, above_ground_m)
 
     def _refuse_to_leave_the_ground(self) -> None:

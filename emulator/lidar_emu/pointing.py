@@ -77,7 +77,11 @@ def point_beams(
         for b in range(beams):
             k = s * (1 + beams) + 1 + b
             rotation = site_from_body[k]
-            sensor, velocity, acceleration = vectors[SENSOR, s, b], vectors[VELOCITY, s, b], vectors[ACCELERATION, s, b]
+            sensor, velocity, acceleration = (
+                vectors[SENSOR, s, b],
+                vectors[VELOCITY, s, b],
+                vectors[ACCELERATION, s, b],
+            )
             turning = vectors[TURNING, s, b]
             set_rotated(rotation, body_rate_radps[k], turning)
             set_rotated(rotation, lever_arm_m, sensor)

@@ -73,7 +73,11 @@ class ScannerModel:
         return state, int(chosen[0])
 
     def choose(
-        self, state: ScannerState, time_s: FloatArray, altitude_origin_m: FloatArray, altitude_ground_m: FloatArray
+        self,
+        state: ScannerState,
+        time_s: FloatArray,
+        altitude_origin_m: FloatArray,
+        altitude_ground_m: FloatArray,
     ) -> tuple[IntArray, ScannerState]:
         """The sets of consecutive shots (n,); see `select`."""
         chosen, active = np.empty(len(time_s), dtype=np.int64), np.array(state.active, dtype=np.bool_)
