@@ -118,6 +118,7 @@ class Flight:
         body_from_sensor = mounting_rotation(scenario.mounting)
         self._true_body = rotate(body_from_sensor, self.scanner.true_sensor)
         self._published_body = rotate(body_from_sensor, self.scanner.published_sensor)
+        self._needs_ground_altitude = self.scanner.needs_ground_altitude
         self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
         self._refuse_to_leave_the_ground()
 
@@ -172,21 +173,15 @@ class Flight:
         """The pattern of each shot, decided at the shot's start: the first of its instants."""
         if not self.scanner.switches:
             return np.zeros(len(instant_s), dtype=np.int64), state
-        start_s, sensor_m = np.empty(len(instant_s)), np.empty((3, len(instant_s)))
+        starts = np.empty((4, len(instant_s)))
         place_starts(
-            instant_s,
-            vehicle.position_site_m,
-            vehicle.site_from_body,
-            self._lever_arm_body_m,
-            start_s,
-            sensor_m,
+            instant_s, vehicle.position_site_m, vehicle.site_from_body, self._lever_arm_body_m, starts
         )
-        east_m, north_m, up_m = sensor_m
-        above_ground_m = up_m
-        if self.scanner.needs_ground_altitude:
-            above_ground_m = up_m - self.scene.height_m(east_m, north_m)
         # Where no switch asks for the ground it does not matter how high that is.
-        return self.scanner.choose(state, start_s, up_m, above_ground_m)
+        above_ground_m = up_m = starts[3]
+        if self._needs_ground_altitude:
+            above_ground_m = up_m - self.scene.height_m(starts[1], starts[2])
+        return self.scanner.choose(state, starts[0], up_m, above_ground_m)
 
     def _refuse_to_leave_the_ground(self) -> None:
         ground = self.scenario.site.ground

@@ -36,15 +36,14 @@ def place_starts(
     position_m: FloatArray,
     site_from_body: FloatArray,
     lever_arm_m: FloatArray,
-    start_s: FloatArray,
-    sensor_m: FloatArray,
+    starts: FloatArray,
 ) -> None:
-    """Take from the first of each shot's instants its time (shots,) and where the sensor is then, (3, shots)."""
-    for s in range(len(start_s)):
-        start_s[s] = instant_s[s, 0]
+    """Take from the first of each shot's instants its time, and where the sensor is then: (4, shots)."""
+    for s in range(starts.shape[1]):
+        starts[0, s] = instant_s[s, 0]
         k = s * instant_s.shape[1]
         for axis in range(3):
-            sensor_m[axis, s] = position_m[k, axis] + dot_3(site_from_body[k, axis], lever_arm_m)
+            starts[1 + axis, s] = position_m[k, axis] + dot_3(site_from_body[k, axis], lever_arm_m)
 
 
 @kernel
