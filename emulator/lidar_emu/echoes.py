@@ -131,7 +131,7 @@ class _Numbers(NamedTuple):
     rayleigh_m: float
 
 
-@kernel
+@kernel(outermost=True)
 def _receive(
     facing_w: float,
     lommel_seeliger_share: float,
@@ -176,6 +176,9 @@ def _receive(
             smear_mps2[s, b] = along_mps2 + _bending_mps2(
                 passing_m2ps2, coriolis_mps2, squared_radps2, away_m, rayleigh_m
             )
+            # Across the beam, in pitches: from shot to shot the echo's field is that of the whole beam. It changes
+            # with exp(-d²/w0²); a turn of the beam changes it too, by the sensor's distance from the origin times the
+            # angle rather than by the Rayleigh range.
             waist_pitch_m = SPECKLE_PITCH_W * waist_m
             place[s, b, 0] = _known(dot_3(sensor, first) / waist_pitch_m)
             place[s, b, 1] = _known(dot_3(sensor, second) / waist_pitch_m)
@@ -190,8 +193,8 @@ def _receive(
                     - doppler_start_m[1, beam, i] * second_radps
                 )
                 cos_incidence = -dot_3(facet, ray[beam, i])
-                # Of the axis: the turn of a beamlet, and that of its start, differ by the footprint's radius times
-                # the rate.
+                # -(n·(v + R u'))/(n·u): of the distance along the moving beam to the plane of its facet. u' is the
+                # axis': the turn of a beamlet, and that of its start, differ by the footprint's radius times the rate.
                 sinking_mps = dot_3(facet, velocity) + range_m[s, b, i] * dot_3(facet, swing_radps)
                 range_rate_mps[s, b, i] = sinking_mps / max(cos_incidence, _LEAST_COSINE)
                 dimmed = _dimming(range_m[s, b, i], parting_per_m, extinction_per_m, rayleigh_m)

@@ -49,48 +49,46 @@ class Pointing(NamedTuple):
     @property
     def sensor_site_m(self) -> FloatArray:
         """Centre of the aperture."""
-        return self._vector(SENSOR)
+        return self._of_beams(SENSOR)
 
     @property
     def sensor_velocity_site_mps(self) -> FloatArray:
         """Of the sensor, which the lever arm moves."""
-        return self._vector(VELOCITY)
+        return self._of_beams(VELOCITY)
 
     @property
     def sensor_acceleration_site_mps2(self) -> FloatArray:
         """The body's angular rate is taken as steady: its change, times the lever arm, is left out."""
-        return self._vector(ACCELERATION)
+        return self._of_beams(ACCELERATION)
 
     @property
     def turning_site_radps(self) -> FloatArray:
         """Angular rate of the body, and of the beams with it."""
-        return self._vector(TURNING)
+        return self._of_beams(TURNING)
 
     @property
     def true_site(self) -> FloatArray:
         """Where the light goes."""
-        return self._vector(TRUE)
+        return self._of_beams(TRUE)
 
     @property
     def published_site(self) -> FloatArray:
         """Where the flight software believes that it goes."""
-        return self._vector(PUBLISHED)
+        return self._of_beams(PUBLISHED)
 
     @property
     def position_site_m(self) -> FloatArray:
         """(shots, 3) Of the vehicle at the first beam's validity."""
-        position_m: FloatArray = self.vehicle[0]
-        return position_m
+        return np.asarray(self.vehicle[0])
 
     @property
     def velocity_site_mps(self) -> FloatArray:
         """(shots, 3)"""
-        velocity_mps: FloatArray = self.vehicle[1]
-        return velocity_mps
+        return np.asarray(self.vehicle[1])
 
-    def _vector(self, place: int) -> FloatArray:
-        vector: FloatArray = self.beams[place]
-        return vector
+    def _of_beams(self, place: int) -> FloatArray:
+        vectors: FloatArray = self.beams[place]
+        return vectors
 
 
 class Flight:
@@ -125,6 +123,7 @@ class Flight:
         body_from_sensor = mounting_rotation(scenario.mounting)
         self._true_body = rotate(body_from_sensor, self.scanner.true_sensor)
         self._published_body = rotate(body_from_sensor, self.scanner.published_sensor)
+        self._needs_ground_altitude = self.scanner.needs_ground_altitude
         self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
         self._refuse_to_leave_the_ground()
 
@@ -183,20 +182,15 @@ class Flight:
         """The pattern of each shot, decided at the shot's start: the first of its instants."""
         if not self.scanner.switches:
             return np.zeros(len(instant_s), dtype=np.int64), state
-        start_s, sensor_m = np.empty(len(instant_s)), np.empty((3, len(instant_s)))
+        starts = np.empty((4, len(instant_s)))
         place_starts(
-            instant_s,
-            vehicle.position_site_m,
-            vehicle.site_from_body,
-            self._lever_arm_body_m,
-            start_s,
-            sensor_m,
+            instant_s, vehicle.position_site_m, vehicle.site_from_body, self._lever_arm_body_m, starts
         )
-        east_m, north_m, up_m = sensor_m
-        above_ground_m = up_m
-        if self.scanner.needs_ground_altitude:
-            above_ground_m = up_m - self.scene.height_m(east_m, north_m)
-        return self.scanner.choose(state, start_s, up_m, above_ground_m)
+        # Where no switch asks for the ground it does not matter how high that is.
+        above_ground_m = up_m = starts[3]
+        if self._needs_ground_altitude:
+            above_ground_m = up_m - self.scene.height_m(starts[1], starts[2])
+        return self.scanner.choose(state, starts[0], up_m, above_ground_m)
 
     def _refuse_to_leave_the_ground(self) -> None:
         ground = self.scenario.site.ground

@@ -13,7 +13,7 @@ SENSOR, VELOCITY, ACCELERATION, TURNING, TRUE, PUBLISHED = range(6)
 """Places of the vectors of a beam, in the order of `Pointing`."""
 
 
-@kernel
+@kernel(outermost=True)
 def set_times(
     shot: NDArray[np.int64],
     period_ns: int,
@@ -30,24 +30,23 @@ def set_times(
             instant_s[s, 1 + b] = time_ns[s, b] * 1e-9
 
 
-@kernel
+@kernel(outermost=True)
 def place_starts(
     instant_s: FloatArray,
     position_m: FloatArray,
     site_from_body: FloatArray,
     lever_arm_m: FloatArray,
-    start_s: FloatArray,
-    sensor_m: FloatArray,
+    starts: FloatArray,
 ) -> None:
-    """Take from the first of each shot's instants its time (shots,) and where the sensor is then, (3, shots)."""
-    for s in range(len(start_s)):
-        start_s[s] = instant_s[s, 0]
+    """Take from the first of each shot's instants its time, and where the sensor is then: (4, shots)."""
+    for s in range(starts.shape[1]):
+        starts[0, s] = instant_s[s, 0]
         k = s * instant_s.shape[1]
         for axis in range(3):
-            sensor_m[axis, s] = position_m[k, axis] + dot_3(site_from_body[k, axis], lever_arm_m)
+            starts[1 + axis, s] = position_m[k, axis] + dot_3(site_from_body[k, axis], lever_arm_m)
 
 
-@kernel
+@kernel(outermost=True)
 def point_beams(
     position_m: FloatArray,
     velocity_mps: FloatArray,

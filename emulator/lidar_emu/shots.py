@@ -99,7 +99,7 @@ class FlightModel:
         )
 
 
-@kernel
+@kernel(outermost=True)
 def _locate(
     beams: FloatArray, range_m: FloatArray, true_closing_mps: FloatArray, point_site_m: FloatArray
 ) -> None:

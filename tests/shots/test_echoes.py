@@ -9,6 +9,7 @@ import pytest
 
 from lidar_emu.echoes import SPECKLE_PITCH_W, receive_light
 from lidar_emu.flight import Flight
+from lidar_emu.fmcw.echo import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.rotations import dot
 from lidar_emu.scanner.footprint import beam_radius_m, sample_footprint
@@ -197,6 +198,37 @@ def test_beams_that_meet_nothing_or_do_not_fire_have_a_place(make_flight) -> Non
     assert np.isfinite(echoes.closing_acceleration_mps2[pointing.fired]).all()
     np.testing.assert_array_equal(np.isnan(echoes.range_rate_mps), np.isnan(echoes.range_m))
     np.testing.assert_array_equal(echoes.power_w[np.isnan(echoes.range_m)], 0)
+
+
+@pytest.mark.parametrize("air", [None, {"extinction_per_m": 2e-4, "backscatter_per_m_sr": 1e-6}])
+@pytest.mark.parametrize("beamlets", [1, 19])
+def test_power_is_that_of_the_link_budget(make_flight, air, beamlets) -> None:
+    """Each beamlet's share of what the whole beam would return from its range and incidence, on a slope."""
+    parts = tumbling(3000)
+    parts["site"] |= {"atmosphere": air, "surface": {"reflectance": 0.3, "lommel_seeliger_share": 0.4}}
+    parts["instrument"]["optics"] |= {"alignment_error_rad": 2e-5, "depolarisation": 0.8}
+    scenario = make_flight(**parts)
+    pointing, hits, echoes = look(scenario, [0, 20], beamlets=beamlets)
+    for shot, beam in np.ndindex(hits.range_m.shape):
+        sampled = sample_footprint(
+            pointing.sensor_site_m[shot, [beam]],
+            pointing.true_site[shot, [beam]],
+            hits.range_m[shot, [beam]],
+            beamlets,
+            WAIST_M,
+            WAVELENGTH_M,
+        )
+        cosine = -dot(hits.normal_site[shot, beam], sampled.ray_site[0])
+        whole_w = coherent_power_w(
+            scenario.instrument,
+            scenario.site.surface,
+            scenario.site.atmosphere,
+            echoes.range_m[shot, beam],
+            cosine,
+        )
+        expected_w = np.nan_to_num(whole_w * sampled.weight, nan=0.0)
+        np.testing.assert_allclose(echoes.power_w[shot, beam], expected_w, rtol=1e-13)
+    assert np.count_nonzero(echoes.power_w) > 3 * beamlets
 
 
 def test_bits_of_a_shot_do_not_depend_on_the_block(make_flight) -> None:

@@ -84,7 +84,7 @@ def sample_footprint(
     return footprint
 
 
-@kernel
+@kernel(outermost=True)
 def _sample(
     offset_w: FloatArray,
     waist_radius_m: float,

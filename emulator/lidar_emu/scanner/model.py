@@ -55,23 +55,6 @@ class ScannerModel:
             isinstance(switch, AltitudeSwitch) and switch.datum == "ground" for switch in self.switches
         )
 
-    def select(
-        self, state: ScannerState, time_s: float, altitude_origin_m: float, altitude_ground_m: float
-    ) -> tuple[ScannerState, int]:
-        """The set of beams of a shot, and the state to pass with the next one.
-
-        Args:
-            state: of the shot before; `initial` for the first.
-            time_s: scenario time of the shot's start.
-            altitude_origin_m: of the sensor above the origin of the site frame.
-            altitude_ground_m: of the sensor above the ground straight below; NaN where there is none, which
-                leaves a switch as it is.
-        """
-        chosen, state = self.choose(
-            state, np.array([time_s]), np.array([altitude_origin_m]), np.array([altitude_ground_m])
-        )
-        return state, int(chosen[0])
-
     def choose(
         self,
         state: ScannerState,
@@ -79,13 +62,21 @@ class ScannerModel:
         altitude_origin_m: FloatArray,
         altitude_ground_m: FloatArray,
     ) -> tuple[IntArray, ScannerState]:
-        """The sets of consecutive shots (n,); see `select`."""
+        """The sets of beams of consecutive shots (n,), and the state to pass with the next ones.
+
+        Args:
+            state: of the shot before; `initial` for the first.
+            time_s: (n,) scenario time of each shot's start.
+            altitude_origin_m: (n,) of the sensor above the origin of the site frame.
+            altitude_ground_m: (n,) of the sensor above the ground straight below; NaN where there is none, which
+                leaves a switch as it is.
+        """
         chosen, active = np.empty(len(time_s), dtype=np.int64), np.array(state.active, dtype=np.bool_)
         _choose(*self.thresholds, time_s, altitude_origin_m, altitude_ground_m, active, chosen)
         return chosen, ScannerState(tuple(active.tolist()))
 
 
-@kernel
+@kernel(outermost=True)
 def _choose(
     by_time: BoolArray,
     from_ground: BoolArray,

@@ -101,7 +101,7 @@ def _cast_one(
     return MISS
 
 
-@kernel
+@kernel(outermost=True)
 def cast_rays(
     origin: FloatArray,
     direction: FloatArray,
@@ -131,7 +131,7 @@ def cast_rays(
         )
 
 
-@kernel
+@kernel(outermost=True)
 def surface_heights(
     grid: FloatArray, nodes: FloatArray, east: FloatArray, north: FloatArray, height: FloatArray
 ) -> None:

@@ -26,7 +26,7 @@ def plane_stretch(height: float, climb: float) -> tuple[float, float]:
     return np.inf, -np.inf
 
 
-@kernel
+@kernel(outermost=True)
 def _cast(
     origin: FloatArray,
     direction: FloatArray,

@@ -37,7 +37,7 @@ def sphere_stretch(
     return near, power / near if near != 0.0 else 0.0
 
 
-@kernel
+@kernel(outermost=True)
 def _cast(
     origin: FloatArray,
     direction: FloatArray,

@@ -60,9 +60,9 @@ def _crossing(position: float, rate: float, first: int, end: int) -> float:
 
 @kernel(forceinline=True)
 def _starting_level(reach: float, top_level: int) -> int:
-    """The level whose blocks are as large as the ray's way over the ground."""
+    """The level of whose blocks four are as long as the ray's way over the ground."""
     level = 0
-    while level < top_level and (1 << level) < reach:
+    while level < top_level and (4 << level) < reach:
         level += 1
     return level
 
@@ -128,8 +128,9 @@ def traverse(
     """
     rows, columns = nodes.shape[0] - 1, nodes.shape[1] - 1
     i, j = cell_of(u + t * du, columns), cell_of(v + t * dv, rows)
-    top_level = levels.shape[0] - 1
-    level = _starting_level(max(abs(du), abs(dv)) * (t_end - t), top_level)
+    # The ray never climbs above the level where it begins: few of that level's blocks are on its way.
+    top_level = _starting_level(max(abs(du), abs(dv)) * (t_end - t), levels.shape[0] - 1)
+    level = top_level
     while True:
         i_first, j_first = (i >> level) << level, (j >> level) << level
         i_end, j_end = min(i_first + (1 << level), columns), min(j_first + (1 << level), rows)

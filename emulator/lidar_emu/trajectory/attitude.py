@@ -38,7 +38,7 @@ class EulerAttitude:
         return site_from_body, body_rate
 
 
-@kernel
+@kernel(outermost=True)
 def _from_euler(
     site_from_ned: FloatArray,
     angles: FloatArray,

@@ -41,7 +41,7 @@ class Curves:
         return orders
 
 
-@kernel
+@kernel(outermost=True)
 def _read(
     first: IntArray, knot_s: FloatArray, pieces: FloatArray, time_s: FloatArray, orders: FloatArray
 ) -> None:

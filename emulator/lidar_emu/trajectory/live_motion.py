@@ -18,7 +18,7 @@ _Three = tuple[float, float, float]
 _Four = tuple[float, float, float, float]
 
 
-@kernel
+@kernel(outermost=True)
 def follow(
     rows: FloatArray,
     time_s: FloatArray,

@@ -61,7 +61,7 @@ class ProfileTrajectory:
         return state
 
 
-@kernel
+@kernel(outermost=True)
 def _fly(
     leg_start_s: FloatArray,
     start_site_m: FloatArray,

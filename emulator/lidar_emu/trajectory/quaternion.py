@@ -35,7 +35,7 @@ class QuaternionAttitude:
         return site_from_body, body_rate
 
 
-@kernel
+@kernel(outermost=True)
 def _from_quaternions(
     quaternion: FloatArray, derivative: FloatArray, site_from_body: FloatArray, body_rate: FloatArray
 ) -> None:
