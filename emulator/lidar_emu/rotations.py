@@ -31,12 +31,6 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return product
 
 
-def normalised(vector: FloatArray) -> FloatArray:
-    """Unit vectors along (..., 3)."""
-    unit: FloatArray = vector / np.sqrt(dot(vector, vector))[..., None]
-    return unit
-
-
 def rotate(target_from_source: FloatArray, source: FloatArray) -> FloatArray:
     """Matrices (..., 3, 3) on vectors (..., 3): (..., 3)."""
     x, y, z = source[..., 0, None], source[..., 1, None], source[..., 2, None]

@@ -8,13 +8,17 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.rotations import cross, dot, normalised
+from lidar_emu.rotations import cross, dot
 from lidar_emu.scanner.footprint import beam_radius_m, beamlet_pattern, sample_footprint, wavefront_radius_m
 
 COUNTS = [1, 7, 19, 37, 61, 91, 127]
 WAIST_M, WAVELENGTH_M = 17e-3, 1550e-9
 RAYLEIGH_M = np.pi * WAIST_M**2 / WAVELENGTH_M
 DOWN = np.array([[0.0, 0.0, -1.0]])
+
+
+def normalised(vector: FloatArray) -> FloatArray:
+    return np.asarray(vector / np.sqrt(dot(vector, vector))[..., None])
 
 
 def inverse_beam_parameter(range_m: FloatArray) -> FloatArray:
