@@ -36,9 +36,9 @@ def build_level(scenario: FlightScenario) -> Level:
         from lidar_emu.waveform.level import measure_echoes
 
         return lambda echoes, shot: measure_echoes(scenario.instrument, model, echoes, shot, scenario.seed)
-    from lidar_emu.fmcw.receiver import receive
+    from lidar_emu.fmcw.receiver import Receiver
 
-    return lambda echoes, shot: receive(model, echoes, shot, scenario.seed)
+    return Receiver(model, scenario.seed)
 
 
 def geometric(echoes: Echoes, maximum_range_m: float) -> Returns:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
-from lidar_emu.fmcw.model import ReceiverModel, as_record
+from lidar_emu.fmcw.model import ReceiverModel, as_records
 from lidar_emu.fmcw.philox import uniform_pair, unit_phasor
 from lidar_emu.fmcw.records import PHASE, SPECKLE
 from lidar_emu.fmcw.returns import Echoes
@@ -41,7 +43,7 @@ def echo_field(
     shots, beams, beamlets = echoes.range_m.shape
     field = np.zeros((shots, beams, 3, beamlets), dtype=complex)
     _set_field(
-        as_record(model),
+        as_records(model),
         lit,
         amplitude,
         np.ascontiguousarray(echoes.range_m, dtype=float),
@@ -58,7 +60,7 @@ def echo_field(
 
 @njit(cache=True)
 def _set_field(
-    model: ReceiverModel,
+    models: NDArray[Any],
     lit: BoolArray,
     amplitude: FloatArray,
     range_m: FloatArray,
@@ -70,6 +72,7 @@ def _set_field(
     purposes: tuple[int, int],
     field: NDArray[np.complex128],
 ) -> None:
+    model = models[0]
     beamlets = range_m.shape[2]
     pairs = beamlets // 2 + 1
     held = np.empty((SLOTS, 2), dtype=np.int64)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import log10, sqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.beam_filter import widest_filter
 from lidar_emu.fmcw.estimate import DOWN, UP, Estimate, chirp_minus_doppler, least_squares
 from lidar_emu.fmcw.limits import GROSS_RESIDUAL_BINS
-from lidar_emu.fmcw.model import ReceiverModel, Workspace, as_record, build_workspace
+from lidar_emu.fmcw.model import ReceiverModel, Workspace
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.records import set_spectrum
 from lidar_emu.fmcw.speckle import forget
@@ -20,9 +20,6 @@ from lidar_emu.fmcw.statistical import draw_targets
 from lidar_emu.fmcw.targets import find_targets
 from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS, gather_beamlets
 from lidar_emu.kernels import kernel
-
-if TYPE_CHECKING:
-    from lidar_emu.fmcw.returns import Echoes
 
 BEAM_RETURN = np.dtype(
     [
@@ -55,60 +52,42 @@ _INSIDE_GROUND = int(Reason.INSIDE_GROUND)
 _AMBIGUOUS = int(Reason.AMBIGUOUS)
 
 
-def measure_beams(
-    model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed: int, rows: NDArray[Any]
-) -> None:
-    """Fill `rows` (shots, beams) from beamlets; see `receive`."""
-    beamlets = ("range_m", "closing_speed_mps", "power_w", "range_rate_mps")
-    beams = (
-        "closing_acceleration_mps2",
-        "smear_acceleration_mps2",
-        "speckle_place",
-        "speckle_drift_per_s",
-    )
-    arrays: list[Any] = [
-        *(np.ascontiguousarray(getattr(echoes, name), dtype=float) for name in beamlets),
-        *(_bounded(getattr(echoes, name)) for name in beams),
-    ]
-    flags = np.ascontiguousarray(echoes.fired), np.ascontiguousarray(echoes.inside)
-    # The type checker cannot follow arrays into compiled functions.
-    widest: Any = _widest
-    # Two kernels, of which a run compiles the one that it needs.
-    measure: Any = _measure_statistically if model.statistical else _measure_spectra
-    record = as_record(model)
-    half = widest(record, arrays[0], arrays[1], arrays[5])
-    work = build_workspace(echoes.range_m.shape[2], model.looks, half, model.fft_length)
-    numbers = np.ascontiguousarray(shot, dtype=np.int64)
-    measure(record, work, *arrays, *flags, numbers, np.uint64(seed), rows)
-
-
-def _bounded(values: FloatArray) -> FloatArray:
-    """Within what the kernels' arithmetic bears, far beyond any motion; 0 where nothing is known."""
-    return np.ascontiguousarray(np.clip(np.where(np.isnan(values), 0.0, values), -_FASTEST, _FASTEST))
-
-
 @kernel(outermost=True)
-def _widest(
-    model: ReceiverModel,
+def prepare(
+    models: NDArray[Any],
     range_m: FloatArray,
     closing_speed_mps: FloatArray,
     smear_acceleration_mps2: FloatArray,
+    motions: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    bounded: FloatArray,
 ) -> int:
-    """The widest filter that any beam needs."""
+    """Fill `bounded` with flat `motions`, one after another, as far as the kernels' arithmetic bears them; return the
+    taps of the widest filter that any beam needs."""
+    model = models[0]
+    place = 0
+    for motion in motions:
+        for i in range(len(motion)):
+            bounded[place] = _bounded(motion[i])
+            place += 1
     widest = 0
     for s in range(range_m.shape[0]):
         for b in range(range_m.shape[1]):
+            smear_mps2 = _bounded(smear_acceleration_mps2[s, b])
             for i in range(range_m.shape[2]):
-                needed = widest_filter(
-                    model, range_m[s, b, i], closing_speed_mps[s, b, i], smear_acceleration_mps2[s, b]
-                )
+                needed = widest_filter(model, range_m[s, b, i], closing_speed_mps[s, b, i], smear_mps2)
                 widest = max(widest, needed)
     return widest
 
 
+@kernel
+def _bounded(value: float) -> float:
+    """Within what the kernels' arithmetic bears, far beyond any motion; 0 where nothing is known."""
+    return 0.0 if np.isnan(value) else min(max(value, -_FASTEST), _FASTEST)
+
+
 @kernel(outermost=True)
-def _measure_spectra(
-    model: ReceiverModel,
+def measure_spectra(
+    models: NDArray[Any],
     work: Workspace,
     range_m: FloatArray,
     closing_speed_mps: FloatArray,
@@ -124,6 +103,7 @@ def _measure_spectra(
     seed: np.uint64,
     rows: NDArray[Any],
 ) -> None:
+    model = models[0]
     for s in range(range_m.shape[0]):
         for b in range(range_m.shape[1]):
             row = rows[s, b]
@@ -167,8 +147,8 @@ def _measure_spectra(
 
 
 @kernel(outermost=True)
-def _measure_statistically(
-    model: ReceiverModel,
+def measure_statistically(
+    models: NDArray[Any],
     work: Workspace,
     range_m: FloatArray,
     closing_speed_mps: FloatArray,
@@ -184,6 +164,7 @@ def _measure_statistically(
     seed: np.uint64,
     rows: NDArray[Any],
 ) -> None:
+    model = models[0]
     for s in range(range_m.shape[0]):
         for b in range(range_m.shape[1]):
             row = rows[s, b]

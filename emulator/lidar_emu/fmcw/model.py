@@ -15,6 +15,7 @@ from lidar_emu.fmcw.modulation import LEAST_TAPS
 from lidar_emu.fmcw.response import Response
 from lidar_emu.fmcw.speckle import SLOTS
 from lidar_emu.fmcw.spectrum import REACH, ROWS, grid_capacity
+from lidar_emu.kernels import with_fields
 
 
 class Haze(NamedTuple):
@@ -84,9 +85,9 @@ class ReceiverModel(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def as_record(fields: Any) -> Any:
-    """A named tuple as one structured scalar: numba hands on its address, instead of fifty numbers to each kernel."""
-    return np.array(fields, dtype=_record_type(fields)).view(np.recarray)[()]
+def as_records(fields: Any) -> Any:
+    """A named tuple as a structured array of one: numba hands on its address, not fifty numbers to each kernel."""
+    return with_fields(np.array([fields], dtype=_record_type(fields)))
 
 
 def _record_type(fields: Any) -> np.dtype[Any]:
