@@ -65,6 +65,10 @@ class BenchModel:
         )
         return measurement, state
 
+    def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:  # noqa: ARG002
+        """There are no patterns to choose from."""
+        return None
+
 
 def _level(level: Level, time_ns: NDArray[np.int64]) -> FloatArray:
     if not isinstance(level, Ramp):

@@ -180,7 +180,7 @@ class Flight:
         self, instant_s: FloatArray, vehicle: VehicleState, state: ScannerState
     ) -> tuple[NDArray[np.int64], ScannerState]:
         """The pattern of each shot, decided at the shot's start: the first of its instants."""
-        if not self.scanner.switches:
+        if not self.scanner.switches and state.commanded is None:
             return np.zeros(len(instant_s), dtype=np.int64), state
         starts = np.empty((4, len(instant_s)))
         place_starts(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 from lidar_emu.measurement import Measurement
+from lidar_emu.scanner.model import ScannerState
 from lidar_emu.shots import Model
 from lidar_emu.wire import Encoder, Packet
 
@@ -16,6 +18,15 @@ class Block:
     measurement: Measurement
     packets: list[Packet]
 
+    def first(self, count: int) -> Block:
+        """The first shots."""
+        return Block(self.measurement.first(count), self.packets[:count])
+
+    def before(self, shot: int) -> Block:
+        """The shots before a shot, perhaps none."""
+        count = shot - int(self.measurement.shot[0])
+        return self if count >= len(self.packets) else self.first(max(0, count))
+
 
 class Session:
     """Works through the shots of a model, in order.
@@ -23,12 +34,14 @@ class Session:
     Args:
         model: what is measured.
         encoder: how it goes onto the link.
+        kept_blocks: how many blocks back `rewind` can go.
     """
 
-    def __init__(self, model: Model, encoder: Encoder) -> None:
+    def __init__(self, model: Model, encoder: Encoder, kept_blocks: int = 1) -> None:
         self._model = model
         self._encoder = encoder
         self._state = model.initial_state
+        self._before: deque[tuple[int, ScannerState]] = deque(maxlen=kept_blocks)
         self.next_shot = 0
         """The first shot that has not been computed."""
 
@@ -42,6 +55,7 @@ class Session:
         count = min(most, self._model.shot_count - self.next_shot)
         if count <= 0:
             return None
+        self._before.append((self.next_shot, self._state))
         measurement, self._state = self._model.measure(self.next_shot, count, self._state)
         if not fired:
             measurement = measurement.unfired()
@@ -51,3 +65,24 @@ class Session:
     def pass_over(self, shot: int) -> None:
         """Go on with this shot; those before it are never computed."""
         self.next_shot = max(shot, self.next_shot)
+
+    def rewind(self, shot: int) -> None:
+        """Go back to a shot that is kept, and compute it and those after it again.
+
+        Raises:
+            ValueError: the block that it was computed in is not kept any more.
+        """
+        while self._before and self._before[-1][0] > shot:
+            self._before.pop()
+        if not self._before:
+            raise ValueError(f"shot {shot} is not kept")
+        self.next_shot, self._state = self._before.pop()
+        if shot > self.next_shot:
+            # What the scanner carries from shot to shot follows from the shots alone.
+            self.shoot(shot - self.next_shot)
+
+    def use_pattern(self, pattern: int) -> bool:
+        """From the next shot on, use these beams; False if there are none of this number."""
+        state = self._model.commanded(self._state, pattern)
+        self._state = state or self._state
+        return state is not None

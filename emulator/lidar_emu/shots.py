@@ -44,6 +44,10 @@ class Model(Protocol):
         """Shots `first` to `first + count - 1`, given the scanner's state before them."""
         ...
 
+    def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:
+        """The scanner's state after a command to use a pattern of beams; None if there is no such pattern."""
+        ...
+
 
 class FlightModel:
     """A flight over ground, measured by the model of the instrument."""
@@ -65,6 +69,10 @@ class FlightModel:
         axis_hits = self.flight.cast(pointing.sensor_site_m, pointing.true_site)
         returns = self.level(self.light.echoes(pointing, axis_hits), shot)
         return self._measurement(shot, pointing, axis_hits, returns), state
+
+    def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:
+        """The scanner's state after a command to use a pattern of beams; None if there is no such pattern."""
+        return self.flight.scanner.commanded(state, pattern)
 
     def _measurement(
         self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits, returns: Returns

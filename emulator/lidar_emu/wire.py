@@ -87,7 +87,8 @@ class Encoder:
     """
 
     def __init__(self, wire: Wire, can: bool, fd: bool, beam_count: int) -> None:
-        interface = interface_named(wire.interface, "scenario", "wire.interface")
+        self.interface = interface = interface_named(wire.interface, "scenario", "wire.interface")
+        """By which packets are made."""
         self._device = Device(interface, wire.unit)
         self._can_set: CanSet | None = ("fd" if fd else wire.can_messages) if can else None
         if wire.unit >= interface.units:

@@ -108,6 +108,11 @@ class Commands:
     def by_code(self) -> Mapping[int, CommandDefinition]:
         return {command.code: command for command in self.commands}
 
+    @cached_property
+    def sequence_steps(self) -> int:
+        """How many sequence numbers there are; after the last one comes 0."""
+        return next(1 << p.field.codec.bits for p in self.header.placed if p.field.name == "sequence")
+
 
 @dataclass(frozen=True)
 class CanMessage:

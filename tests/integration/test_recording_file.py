@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, make_reader
-from programs import Program
+from programs import Program, eventually
 
 from lidar_emu.measurement import Measurement
 
@@ -98,7 +98,7 @@ def test_a_cut_recording_holds_everything_before_the_cut(recording: bytes, share
 def test_a_recording_of_a_run_that_died_is_whole(start: Start, tmp_path: Path) -> None:
     run = start("run", "descent.yaml", "--record", "r.mcap")
     port = run.port_process()
-    run.word_after("descent on ")
+    eventually(lambda: (tmp_path / "r.mcap").exists() and b'"range_m"' in (tmp_path / "r.mcap").read_bytes())
     os.kill(port, signal.SIGKILL)
     assert run.wait() == 1
     with (tmp_path / "r.mcap").open("rb") as stream:

@@ -58,8 +58,8 @@ def test_the_loopback_delivers_every_byte_in_order_at_full_speed(runner: PortRun
     assert runner.far_end() == joined(sent)
     assert [(report.shot, report.due_ns) for report in reports] == [(p.shot, p.due_ns) for p in sent]
     assert {report.fate for report in reports} == {Fate.SENT}
-    assert runner.sent_bytes == len(joined(sent))
-    assert runner.events == []
+    assert runner.told.sent_bytes == len(joined(sent))
+    assert runner.told.events == []
 
 
 def test_nothing_goes_out_before_it_is_due(runner: PortRunner) -> None:
@@ -79,7 +79,7 @@ def test_what_comes_too_late_is_skipped_and_said(runner: PortRunner) -> None:
         assert runner.push(packet)
     runner.finish()
     assert [(r.shot, r.fate, r.sent_ns) for r in runner.reports()] == [(k, Fate.LATE, -1) for k in range(10)]
-    assert (runner.far_end(), runner.sent_bytes) == (b"", 0)
+    assert (runner.far_end(), runner.told.sent_bytes) == (b"", 0)
 
 
 def test_packets_pushed_before_the_beginning_wait_for_it(runner: PortRunner) -> None:
@@ -109,8 +109,8 @@ def test_without_a_reader_a_pty_drops_and_says_so_once(runner: PortRunner) -> No
     runner.start(PTY)
     reports = fly(runner, packets(100), Pace.WALL, late_after_ns=60 * SECOND_NS)
     assert Counter(report.fate for report in reports) == {Fate.DROPPED_NOBODY: 100}
-    assert [event.text for event in runner.events] == ["nobody connected"]
-    assert runner.event_count == 1
+    assert [event.text for event in runner.told.events] == ["nobody connected"]
+    assert runner.told.event_count == 1
 
 
 def test_at_full_speed_a_pty_waits_for_its_first_reader(
@@ -123,7 +123,7 @@ def test_at_full_speed_a_pty_waits_for_its_first_reader(
 
     def nobody_is_known_to_be_there() -> bool:
         assert runner.reports() == []
-        return bool(runner.events)
+        return bool(runner.told.events)
 
     eventually(nobody_is_known_to_be_there)
     reader = pty_reader(path)
@@ -132,7 +132,7 @@ def test_at_full_speed_a_pty_waits_for_its_first_reader(
     reader.stop()
     assert {report.fate for report in runner.reports()} == {Fate.SENT}
     assert reader.data == joined(sent)
-    assert [event.text for event in runner.events] == ["nobody connected", "connected"]
+    assert [event.text for event in runner.told.events] == ["nobody connected", "connected"]
 
 
 def test_what_counts_as_sent_is_read_even_where_the_run_is_cut_off(
@@ -156,7 +156,7 @@ def test_what_counts_as_sent_is_read_even_where_the_run_is_cut_off(
     closing.join()
     os.close(reader)
     assert data == joined(sent)
-    assert runner.sent_bytes == len(data)
+    assert runner.told.sent_bytes == len(data)
 
 
 def test_what_the_host_sends_is_counted(runner: PortRunner, pty_reader: Any, eventually: Any) -> None:
@@ -168,7 +168,7 @@ def test_what_the_host_sends_is_counted(runner: PortRunner, pty_reader: Any, eve
     os.write(reader.descriptor, bytes(1000))
     runner.finish()
     runner.close()
-    assert runner.received_bytes == 1000
+    assert runner.told.received_bytes == 1000
     reader.stop()
 
 
@@ -182,8 +182,8 @@ def test_a_device_that_vanishes_does_not_end_the_run(runner: PortRunner, tmp_pat
     os.close(master)
     reports = fly(runner, packets(50), Pace.MAX)
     assert Counter(report.fate for report in reports) == {Fate.DROPPED_BROKEN: 50}
-    assert len(runner.events) == 1
-    assert runner.events[0].text.startswith("link broken")
+    assert len(runner.told.events) == 1
+    assert runner.told.events[0].text.startswith("link broken")
 
 
 def test_slcan_carries_frame_records(runner: PortRunner) -> None:
@@ -228,7 +228,7 @@ def test_a_killed_port_process_is_a_failed_run(runner: PortRunner) -> None:
     with pytest.raises(RunError, match="signal 9"):
         runner.finish()
     runner.close()
-    assert runner.sent_bytes is None
+    assert runner.told.sent_bytes is None
 
 
 def test_an_error_in_the_port_process_is_told_in_its_own_words(runner: PortRunner) -> None:
@@ -262,7 +262,7 @@ def test_closing_in_mid_run_keeps_what_is_known(runner: PortRunner, eventually: 
     eventually(lambda: got.extend(runner.far_end()) or got == b"now")
     runner.close()
     assert [report.shot for report in runner.reports()] == [0]
-    assert runner.sent_bytes == 3
+    assert runner.told.sent_bytes == 3
 
 
 def test_the_port_process_imports_little() -> None:

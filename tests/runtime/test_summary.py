@@ -12,15 +12,16 @@ from lidar_emu.scenario.load import load
 from lidar_emu.shots import build_model, measure_in_blocks, simulate
 
 
-def test_blocks_count_once_their_packets_have_met_their_fate():
+def test_counts_of_shots_and_of_their_errors():
     scenario = load(
         "descent.yaml",
         {"instrument": "ndl_as_published", "duration_s": "5", "scanner.pattern.angle_deg": "22.5"},
     )
     tally = Tally(Pace.WALL)
     for block in measure_in_blocks(build_model(scenario), 32):
-        tally.measured(block)
-    assert tally.range_error_m.count == 0
+        tally.measured(block.first(70 - int(block.shot[0])) if 64 <= block.shot[0] < 70 else block)
+        if block.shot[0] >= 64:
+            break
     fates = [Fate.LATE if shot % 10 == 0 else Fate.SENT for shot in range(70)]
     for shot, fate in enumerate(fates):
         tally.report(
@@ -28,7 +29,6 @@ def test_blocks_count_once_their_packets_have_met_their_fate():
                 shot, shot * 50_000_000, shot * 50_000_000 + 1000 * shot if fate is Fate.SENT else -1, fate
             )
         )
-    tally.close()
     told = tally.to_json()
     assert told["shots"] == {
         "due": 70,

@@ -18,11 +18,12 @@ from lidar_emu.bench.cyclictest import Cyclictest
 from lidar_emu.bench.realtime_helper import Helper
 from lidar_emu.bench.realtime_statistics import NEVER, Side, Window, windows
 from lidar_emu.recording.write import Recorder
-from lidar_emu.runtime.fly import Run, RunOptions
+from lidar_emu.runtime.fly import Run
 from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.outbox import payload_of
 from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.run_options import RunOptions
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.session import Block
@@ -149,6 +150,11 @@ class _Witness(Observer):
         """Pass it on."""
         for other in self.others:
             other.computed(block)
+
+    def settled(self, block: Block) -> None:
+        """Pass it on."""
+        for other in self.others:
+            other.settled(block)
 
     def report(self, packet: Outgoing, report: Report) -> None:
         """Note it, and the steal ticks once a second."""

@@ -74,8 +74,9 @@ def run(
     if record is not None and record == summary_file:
         raise InputError("--summary", None, summary_file, "it is the recording; allowed: another file")
     from lidar_emu.cli.run_display import Announcer, LoopbackView, Progress, summary_lines
-    from lidar_emu.runtime.fly import Run, RunOptions
+    from lidar_emu.runtime.fly import Run
     from lidar_emu.runtime.pacing import Pace
+    from lidar_emu.runtime.run_options import RunOptions
     from lidar_emu.transports.spec import Kind
 
     flown = load_scenario(scenario, duration, seed, settings, exact)
@@ -134,7 +135,7 @@ def _failures(text: str) -> set[str]:
 
 
 def _check_start(text: str | None, flown: FlightScenario | BenchScenario) -> None:
-    from lidar_emu.runtime.fly import is_live
+    from lidar_emu.runtime.run_options import is_live
 
     live = is_live(flown)
     if text == ("now" if live else "on-truth"):

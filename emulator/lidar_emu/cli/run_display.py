@@ -88,6 +88,7 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
             f"worst {_time(windows['p99_worst_ns'])} at {windows['worst_at_s']} s"
         )
     lines += _truth(told["truth"])
+    lines += _commands(told["commands"])
     lines += _system(told["granted"], told["missing"])
     lines += [f"beam {beam:<6}{_reasons(counts)}" for beam, counts in enumerate(told["beams"])]
     for name, key, factor, unit in (
@@ -132,6 +133,17 @@ def _truth(told: dict[str, Any] | None) -> list[str]:
         lines.append(f"age        {age}" + (f"; stale in {stale} shots" if stale else ""))
     if told["response"]["count"]:
         lines.append(f"response   {_figures(told['response'])} from truth in to last byte written")
+    return lines
+
+
+def _commands(told: dict[str, Any] | None) -> list[str]:
+    """What a host has commanded, if it has."""
+    if told is None or not (told["accepted"] or told["rejected"]):
+        return []
+    rejected = "".join(f", {word.replace('_', ' ')} {count}" for word, count in told["rejected"].items())
+    lines = [f"commands   {told['accepted']} accepted{rejected}"]
+    if told["delay"]["count"]:
+        lines.append(f"{'':10} {_figures(told['delay'])} from command to the first shot that follows it")
     return lines
 
 

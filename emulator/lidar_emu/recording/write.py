@@ -104,7 +104,7 @@ class Recorder(Observer):
         """Keep what a simulator sent."""
         self._write("/live_truth", 0, time_ns, datagram)
 
-    def computed(self, block: Block) -> None:
+    def settled(self, block: Block) -> None:
         """Keep truth and measurements, shot by shot."""
         for k, shot in enumerate(block.measurement.shot.tolist()):
             time_ns = int(block.measurement.time_ns[k].min())

@@ -29,10 +29,16 @@ class Answers:
         self._unsent += json.dumps(answer).encode() + b"\n"
         self.flush()
 
-    def mention(self, **answer: object) -> None:
-        """A line that may be lost, so that what is kept stays small: not said while others wait for room."""
-        if not self._unsent:
-            self.say(**answer)
+    def mention(self, **answer: object) -> bool:
+        """A line that may be lost, so that what is kept stays small: not said while others wait for room.
+
+        Returns:
+            Whether it was said.
+        """
+        if self._unsent:
+            return False
+        self.say(**answer)
+        return True
 
     def flush(self) -> None:
         """Write as much of what was kept as there is room for."""

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.command_post import Change, CommandPost
 from lidar_emu.runtime.outbox import Outbox
 from lidar_emu.runtime.packets import Outgoing
 from lidar_emu.session import Session
@@ -25,6 +26,8 @@ class Desk(NamedTuple):
     """End the run with an error."""
     begin: Callable[[int], None]
     """Tell the port that scenario time 0 is at this instant of the monotonic clock."""
+    commands: CommandPost | None
+    """Where a host is heard; None where the interface has no commands."""
 
     def push(self, packet: Outgoing) -> bool:
         """Hand a packet over, waiting for room; False if the run was interrupted meanwhile."""
@@ -38,6 +41,21 @@ class Desk(NamedTuple):
         """Wait a little for the port, and hear it."""
         self.outbox.wait(self.clock.now_ns() + POLL_NS)
         self.outbox.settle()
+
+    def next_change(self, start_ns: int) -> Change | None:
+        """Hear the host; the oldest of the changes that it has commanded and that is not taken yet."""
+        arrivals = self.outbox.arrivals()
+        if self.commands is None:
+            return None
+        for arrived_ns, data in arrivals:
+            self.commands.hear(data, arrived_ns, arrived_ns - start_ns)
+        return self.commands.next_change()
+
+    def follow(self, change: Change, begins_ns: int) -> None:
+        """Let the next shot, which begins at this instant of the monotonic clock, be the first to follow a change."""
+        self.session.use_pattern(change.pattern)
+        if self.commands is not None:
+            self.commands.followed(change, begins_ns)
 
     def finish(self) -> None:
         """Say that no more packets will come, and wait until the port is through with them."""

@@ -1,9 +1,18 @@
-"""A prescribed flight: shots computed ahead of time, as far as the ring holds them."""
+"""A prescribed flight: shots computed ahead of time, as far as the ring holds them, and again after a command."""
 
 from __future__ import annotations
 
+from collections import deque
+
+from lidar_emu.runtime.command_post import Change
 from lidar_emu.runtime.feed import Desk
+from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.packets import Outgoing
 from lidar_emu.session import Block
+
+_REACTION_NS = 3_000_000
+"""What it takes to compute the first shot after a command, and to tell the port: no packet that is due sooner is
+changed."""
 
 
 class AheadFeed:
@@ -11,25 +20,83 @@ class AheadFeed:
 
     Args:
         first: the block that has been computed already.
-        block_shots: shots of each further one.
+        block_shots: the longest further one.
         start_ns: instant of the monotonic clock at scenario time 0.
+        period_ns: from shot to shot.
     """
 
-    def __init__(self, desk: Desk, first: Block, block_shots: int, start_ns: int) -> None:
+    def __init__(
+        self, desk: Desk, first: Block, block_shots: int, start_ns: int, period_ns: int, pace: Pace
+    ) -> None:
         self._desk = desk
         self._first = first
-        self._block_shots = block_shots
+        self._longest = self._next_length = block_shots
         self._start_ns = start_ns
+        self._period_ns = period_ns
+        self._pace = pace
+        self._latency_ns = int(first.measurement.due_ns[0])
+        self._waiting: deque[Outgoing] = deque()
+        self._later: tuple[int, Change] | None = None
 
     def fly(self) -> None:
         """See `Feed`."""
         desk = self._desk
         desk.begin(self._start_ns)
-        block: Block | None = self._first
-        while block is not None and not desk.interrupted():
-            for packet in desk.outbox.announce(block):
-                if not desk.push(packet):
-                    return
+        self._waiting.extend(desk.outbox.announce(self._first))
+        while not desk.interrupted() and self._go_on():
             desk.outbox.settle()
-            block = desk.session.shoot(self._block_shots)
         desk.finish()
+
+    def _go_on(self) -> bool:
+        """Do the next thing; False if there is nothing left to do."""
+        desk = self._desk
+        if self._later is None and (change := desk.next_change(self._start_ns)) is not None:
+            self._change(change)
+        elif self._waiting:
+            if desk.outbox.push(self._waiting[0]):
+                self._waiting.popleft()
+            else:
+                desk.rest()
+        elif (block := self._next_block()) is not None:
+            self._waiting.extend(desk.outbox.announce(block))
+        elif desk.outbox.empty:
+            return False
+        else:
+            desk.rest()
+        return True
+
+    def _next_block(self) -> Block | None:
+        """Short at first after a change, so that its first shot is soon there."""
+        session = self._desk.session
+        length = self._next_length
+        self._next_length = min(2 * length, self._longest)
+        if self._later is not None:
+            shot, change = self._later
+            if session.next_shot == shot:
+                self._later = None
+                self._desk.follow(change, self._begins_ns(shot))
+            else:
+                length = min(length, shot - session.next_shot)
+        return session.shoot(length)
+
+    def _change(self, change: Change) -> None:
+        session, shot = self._desk.session, self._first_to_follow(change)
+        self._next_length = 1
+        if shot > session.next_shot:
+            self._later = shot, change
+            return
+        if shot < session.next_shot:
+            session.rewind(shot)
+            self._desk.outbox.supersede(shot)
+            self._waiting = deque(packet for packet in self._waiting if packet.shot < shot)
+        self._desk.follow(change, self._begins_ns(shot))
+
+    def _first_to_follow(self, change: Change) -> int:
+        """The first shot to begin after the command, and late enough that its packet can still be made."""
+        if self._pace is not Pace.WALL:
+            return self._waiting[0].shot if self._waiting else self._desk.session.next_shot
+        ready_ns = self._desk.clock.now_ns() + _REACTION_NS - self._latency_ns
+        return max(0, -((self._start_ns - max(change.arrived_ns, ready_ns)) // self._period_ns))
+
+    def _begins_ns(self, shot: int) -> int:
+        return self._start_ns + shot * self._period_ns

@@ -87,6 +87,8 @@ class LiveFeed:
 
     def _fire(self, shot: int) -> None:
         desk, source = self._desk, self._source
+        while (change := desk.next_change(self._start_ns_known())) is not None:
+            desk.follow(change, self._start_ns_known() + shot * self._flight.period_ns)
         now_ns = desk.clock.now_ns()
         if now_ns > self._due_ns(shot) + self._late_after_ns:
             desk.session.pass_over(shot + 1)

@@ -62,6 +62,8 @@ class LockstepFeed:
     def _compute(self, time_ns: int) -> None:
         """Every shot that truth covers by now; one that could also be covered sooner never depends on it."""
         session = self._desk.session
+        while (change := self._desk.next_change(0)) is not None:
+            self._desk.follow(change, change.arrived_ns)
         while (
             session.next_shot < self._flight.shot_count and self._flight.seen_ns(session.next_shot) <= time_ns
         ):

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from threading import current_thread, main_thread
 from typing import Any
 
 from lidar_emu.errors import InputError
 from lidar_emu.flight import Flight
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.command_post import CommandPost, has_commands_on_can
 from lidar_emu.runtime.feed import Desk, Feed
 from lidar_emu.runtime.feed_ahead import AheadFeed
 from lidar_emu.runtime.feed_live import LiveFeed
@@ -24,15 +22,16 @@ from lidar_emu.runtime.outbox import Outbox, payload_of
 from lidar_emu.runtime.pacing import Pace, WhenLate
 from lidar_emu.runtime.rehearsal import rehearse
 from lidar_emu.runtime.run import PortRunner
+from lidar_emu.runtime.run_options import RunOptions, live_part
+from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import Tally, expectation
 from lidar_emu.runtime.truth_socket import TruthSocket
 from lidar_emu.runtime.truth_source import TruthSource
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.scenario.trajectory import Live
 from lidar_emu.session import Block, Session
 from lidar_emu.shots import FlightModel, Model
 from lidar_emu.trajectory.live import LiveTrajectory
-from lidar_emu.transports.spec import Kind, PortSpec
+from lidar_emu.transports.spec import Kind
 from lidar_emu.transports.wire_load import check_wire_load, wire_load
 from lidar_emu.wire import Encoder
 
@@ -40,17 +39,6 @@ LOOK_AHEAD_S = 2.0
 _BLOCK_S = 0.25
 _LEAD_NS = 100_000_000
 _PACKET_ROOM_BYTES = 8192
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """How a scenario is run."""
-
-    port: PortSpec
-    pace: Pace = Pace.WALL
-    start: datetime | None = None
-    """UTC instant of scenario time 0; None as soon as the first shots are computed, or, where truth is live, as its
-    first datagram says."""
 
 
 @dataclass
@@ -94,18 +82,18 @@ class Run:
         self._options = options
         self._observers = observers
         self._clock = clock or Clock()
-        self._live = _live_part(scenario, options)
+        self._live = live_part(scenario, options)
         rate_hz = scenario.timing.rate_hz
         self._block_shots = max(1, min(128, round(rate_hz * _BLOCK_S)))
         port = options.port
-        encoder = Encoder(scenario.wire, port.kind is Kind.CAN, port.fd, model.beam_count)
-        self._session = Session(model, encoder)
+        self._encoder = encoder = Encoder(scenario.wire, port.kind is Kind.CAN, port.fd, model.beam_count)
+        self._slots = max(2 * self._block_shots, round(rate_hz * LOOK_AHEAD_S))
+        self._session = Session(model, encoder, kept_blocks=self._slots + 1)
         # The first block is computed before the run: kernels are compiled, and the packets' length is known.
         self._first = self._first_block(encoder)
         longest = max((payload_of(packet) for packet in self._first.packets), key=len)
         self.warning = check_wire_load(port, longest, rate_hz)
         self._wire_load = wire_load(port, longest, rate_hz)
-        self._slots = max(2 * self._block_shots, round(rate_hz * LOOK_AHEAD_S))
         self._opening = True
         self._interrupted = False
         self._description = ""
@@ -127,20 +115,20 @@ class Run:
         truth_address = TruthSocket(self._live.listen, self._clock) if self._live else nullcontext()
         with (
             truth_address as socket,
-            _on_signals(self._interrupt),
+            on_signals(self._interrupt),
             PortRunner(self._slots, _PACKET_ROOM_BYTES) as port,
         ):
             source = self._source(socket)
             ours = [observer for observer in (source, self._judge_of_lateness()) if observer is not None]
             outbox = Outbox(port, [*self._observers, *ours], self.tally)
+            commands = self._command_post(outbox)
             with suppress(KeyboardInterrupt):
                 self._description = port.start(self._options.port)
                 self._opening = False
-                self._feed(port, outbox, source).fly()
+                self._feed(port, outbox, source, commands).fly()
             port.close()
-            outbox.settle()
-        self.tally.close()
-        return Outcome(self.tally, self._details(port, source, stolen), self._error)
+            outbox.close()
+        return Outcome(self.tally, self._details(port, source, commands, stolen), self._error)
 
     def _judge_of_lateness(self) -> Observer | None:
         return LateEnds(self._fail) if self._scenario.timing.when_late == "abort" else None
@@ -158,7 +146,22 @@ class Run:
         stale_after_ns = round(self._live.stale_after_s * 1e9)
         return TruthSource(socket, _live_trajectory(self._flight), stale_after_ns, self._observers)
 
-    def _feed(self, port: PortRunner, outbox: Outbox, source: TruthSource | None) -> Feed:
+    def _command_post(self, outbox: Outbox) -> CommandPost | None:
+        """None where the interface has no commands on this link."""
+        interface, can = self._encoder.interface, self._options.port.kind is Kind.CAN
+        if interface.commands is None or (can and not has_commands_on_can(interface)):
+            return None
+        return CommandPost(
+            interface,
+            self._scenario.wire.unit,
+            can,
+            lambda number: self._model.commanded(self._model.initial_state, number) is not None,
+            outbox.send_now,
+        )
+
+    def _feed(
+        self, port: PortRunner, outbox: Outbox, source: TruthSource | None, commands: CommandPost | None
+    ) -> Feed:
         desk = Desk(
             self._session,
             outbox,
@@ -166,9 +169,17 @@ class Run:
             self._cut_short,
             self._fail,
             lambda start_ns: self._begin(port, start_ns),
+            commands,
         )
         if source is None or self._live is None:
-            return AheadFeed(desk, self._first, self._block_shots, self._start_ns(self._options.start))
+            return AheadFeed(
+                desk,
+                self._first,
+                self._block_shots,
+                self._start_ns(self._options.start),
+                self._scenario.timing.period_ns,
+                self._options.pace,
+            )
         for observer in self._observers:
             observer.awaiting(self._description, f"truth on {self._live.listen}")
         if self._options.pace is Pace.LOCKSTEP:
@@ -212,7 +223,9 @@ class Run:
             raise InputError("--start", None, start.isoformat(), "allowed: now, or an instant to come")
         return now_ns + (start - now) // timedelta(microseconds=1) * 1000
 
-    def _details(self, port: PortRunner, source: TruthSource | None, stolen: int | None) -> dict[str, Any]:
+    def _details(
+        self, port: PortRunner, source: TruthSource | None, commands: CommandPost | None, stolen: int | None
+    ) -> dict[str, Any]:
         stolen_now = steal_ticks()
         return {
             "scenario": self._scenario.name,
@@ -223,18 +236,23 @@ class Run:
             "started_utc": None if self._start_utc is None else self._start_utc.isoformat(),
             "interrupted": self._interrupted,
             "error": self._error,
-            "port": port.description or str(self._options.port),
+            "port": port.told.description or str(self._options.port),
             "pace": str(self._options.pace),
-            "granted": port.granted,
-            "missing": port.missing,
+            "granted": port.told.granted,
+            "missing": port.told.missing,
             "steal_ticks": None if stolen is None or stolen_now is None else stolen_now - stolen,
             "wire": {
                 "load": self._wire_load,
-                "sent_bytes": port.sent_bytes,
-                "received_bytes": port.received_bytes,
+                "sent_bytes": port.told.sent_bytes,
+                "received_bytes": port.told.received_bytes,
+                "unheard_bytes": port.told.unheard_bytes,
+                "unsent_answers": port.told.unsent,
             },
-            "link_event_count": port.event_count,
-            "link_events": [{"time_s": event.time_ns * 1e-9, "what": event.text} for event in port.events],
+            "link_event_count": port.told.event_count,
+            "link_events": [
+                {"time_s": event.time_ns * 1e-9, "what": event.text} for event in port.told.events
+            ],
+            "commands": None if commands is None else commands.to_json(),
             "truth": None if source is None else source.to_json(),
             **self._expected,
             "left_out": [row for row in self._model.plan.rows() if not row["computed"]],
@@ -246,47 +264,6 @@ class Run:
         return None if self._live and self._scenario.duration_s is None else self._model.shot_count
 
 
-def is_live(scenario: FlightScenario | BenchScenario) -> bool:
-    """Whether a simulator says how the scenario is flown."""
-    return isinstance(scenario, FlightScenario) and isinstance(scenario.trajectory, Live)
-
-
-def _live_part(scenario: FlightScenario | BenchScenario, options: RunOptions) -> Live | None:
-    """The live trajectory of a scenario; None if it has another.
-
-    Raises:
-        InputError: the pace does not fit it.
-    """
-    part = scenario.trajectory if isinstance(scenario, FlightScenario) else None
-    live = part if isinstance(part, Live) else None
-    if live is None and options.pace is Pace.LOCKSTEP:
-        raise InputError(
-            "--pace", None, "lockstep", "allowed with trajectory.kind live: wall, lockstep; else wall, max"
-        )
-    if live is not None and options.pace is Pace.MAX:
-        raise InputError("--pace", None, "max", "allowed with trajectory.kind live: wall, lockstep")
-    return live
-
-
 def _live_trajectory(flight: Flight) -> LiveTrajectory:
     assert isinstance(flight.trajectory, LiveTrajectory)
     return flight.trajectory
-
-
-@contextmanager
-def _on_signals(act: Callable[..., None]) -> Iterator[None]:
-    """Let SIGINT, SIGTERM and SIGHUP do something else for a while.
-
-    A signal that is ignored stays so: a shell's background job is not meant to hear Ctrl-C. Threads other than
-    the main one have no say in this.
-    """
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if current_thread() is main_thread() else ()
-    previous = {number: signal.getsignal(number) for number in numbers}
-    heard = [number for number in numbers if previous[number] is not signal.SIG_IGN]
-    for number in heard:
-        signal.signal(number, act)
-    try:
-        yield
-    finally:
-        for number in heard:
-            signal.signal(number, previous[number])

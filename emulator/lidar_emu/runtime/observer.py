@@ -21,7 +21,10 @@ class Observer:
         """A simulator's datagram arrived, at this scenario time; good or not."""
 
     def computed(self, block: Block) -> None:
-        """Shots are on their way to the port."""
+        """Shots are on their way to the port; a command may yet change them."""
+
+    def settled(self, block: Block) -> None:
+        """The packets of all these shots have met their fates."""
 
     def report(self, packet: Outgoing, report: Report) -> None:
         """A packet met its fate."""

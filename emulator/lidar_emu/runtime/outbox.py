@@ -26,13 +26,16 @@ class Outbox:
         self._observers = observers
         self._tally = tally
         self._in_flight: deque[Outgoing] = deque()
+        self._blocks: deque[Block] = deque()
+        self._met_fate = 0
+        self._generation = 0
 
     def announce(self, block: Block) -> list[Outgoing]:
         """Tell of shots just computed; returns their packets, which are to be pushed in this order."""
         for observer in self._observers:
             observer.computed(block)
-        self._tally.measured(block.measurement)
-        return list(outgoing(block))
+        self._blocks.append(block)
+        return list(outgoing(block, self._generation))
 
     def push(self, packet: Outgoing) -> bool:
         """Hand a packet over; False where there is no room before the port has sent some."""
@@ -41,16 +44,40 @@ class Outbox:
         self._in_flight.append(packet)
         return True
 
+    def supersede(self, from_shot: int) -> None:
+        """From this shot on, what was announced is not to be sent: shots from there on will be announced anew."""
+        self._generation += 1
+        self._port.supersede(self._generation, from_shot)
+        kept = (block.before(from_shot) for block in self._blocks)
+        self._blocks = deque(block for block in kept if len(block.measurement))
+
+    def send_now(self, payload: bytes) -> None:
+        """Send what is no shot."""
+        self._port.send_now(payload)
+
     def settle(self) -> None:
         """Count what became of packets and pass on what arrived."""
         for report in self._port.reports():
             packet = self._in_flight.popleft()
+            if report.fate is Fate.SUPERSEDED:
+                continue
             self._tally.report(report)
             for observer in self._observers:
                 observer.report(packet, report)
+            self._met_fate += 1
+            while self._blocks and self._met_fate >= len(self._blocks[0].measurement):
+                self._met_fate -= len(self._blocks[0].measurement)
+                self._settled(self._blocks.popleft())
         if data := self._port.far_end():
             for observer in self._observers:
                 observer.arrived(data)
+
+    def close(self) -> None:
+        """After the last report: the shots of a block that was cut off."""
+        self.settle()
+        if self._blocks and self._met_fate:
+            self._settled(self._blocks[0].first(self._met_fate))
+        self._blocks.clear()
 
     def missed(self, shot: int, due_ns: int, now_ns: int) -> None:
         """Count a shot that was too late to be computed; times from the start of the run."""
@@ -73,16 +100,25 @@ class Outbox:
         """Sleep until an instant of the monotonic clock, or until the port or one of the descriptors has news."""
         self._port.wait(until_ns, readable)
 
+    def arrivals(self) -> list[tuple[int, bytes]]:
+        """What arrived on the port since the last call, see `PortRunner.arrivals`."""
+        return self._port.arrivals()
+
     def last_packet_pushed(self) -> None:
         """No more will come."""
         self._port.last_packet_pushed()
 
+    def _settled(self, block: Block) -> None:
+        self._tally.measured(block.measurement)
+        for observer in self._observers:
+            observer.settled(block)
 
-def outgoing(block: Block) -> Iterator[Outgoing]:
+
+def outgoing(block: Block, generation: int = 0) -> Iterator[Outgoing]:
     """The packets of shots, as the port's process takes them."""
     shots, dues = block.measurement.shot.tolist(), block.measurement.due_ns.tolist()
     for shot, due_ns, packet in zip(shots, dues, block.packets, strict=True):
-        yield Outgoing(shot, due_ns, payload_of(packet))
+        yield Outgoing(shot, due_ns, payload_of(packet), generation)
 
 
 def payload_of(packet: Packet) -> bytes:

@@ -11,7 +11,7 @@ from lidar_emu.transports.link import Fate
 
 __all__ = ["Fate", "Frame", "Outgoing", "Report", "pack_frames", "unpack_frames"]
 
-_PACKET_HEAD = struct.Struct("<qq")
+_PACKET_HEAD = struct.Struct("<qqI")
 _REPORT = struct.Struct("<qqqBq")
 
 
@@ -24,18 +24,20 @@ class Outgoing:
     """From the start of the run."""
     payload: bytes
     """Framed bytes on a byte link, frame records (`pack_frames`) on CAN."""
+    generation: int = 0
+    """How many commands had changed shots that were computed already."""
 
     HEAD_BYTES = _PACKET_HEAD.size
 
     def to_bytes(self) -> bytes:
         """As a ring entry."""
-        return _PACKET_HEAD.pack(self.shot, self.due_ns) + self.payload
+        return _PACKET_HEAD.pack(self.shot, self.due_ns, self.generation) + self.payload
 
     @classmethod
     def from_bytes(cls, entry: bytes) -> Self:
         """The inverse of `to_bytes`."""
-        shot, due_ns = _PACKET_HEAD.unpack_from(entry)
-        return cls(shot, due_ns, entry[_PACKET_HEAD.size :])
+        shot, due_ns, generation = _PACKET_HEAD.unpack_from(entry)
+        return cls(shot, due_ns, entry[_PACKET_HEAD.size :], generation)
 
 
 @dataclass(frozen=True)

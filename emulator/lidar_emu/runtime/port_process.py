@@ -7,8 +7,11 @@ Both pipes carry one JSON object per line:
     in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "loopback": fd or null}     once
          {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ..., "when_late": ...}}    monotonic clock
          {"finish": true}                            no more packets will come
+         {"supersede": [generation, shot]}           older packets from this shot on are not to be sent
+         {"send": hex}                               at once; it is no shot
     out  {"ready": description} or {"refused": [where, key, value, allowed]}
          {"granted": [name], "missing": {name: command}}     what the system gave towards punctuality
+         {"arrived": [time_ns, hex]}                 received on the port; lost while the parent does not listen
          {"event": [number, time_ns, text]}          counted from 1; lost while the parent does not listen
          {"finished": counts}                        every packet has its report
          {"stopped": counts}                         last line
@@ -29,7 +32,7 @@ from lidar_emu.runtime.pacing import Pace, Pacing, WhenLate
 from lidar_emu.runtime.realtime import become_punctual
 from lidar_emu.runtime.ring import Ring
 from lidar_emu.runtime.sender import Sender, Wait
-from lidar_emu.transports.link import Link
+from lidar_emu.transports.link import Fate, Link
 from lidar_emu.transports.opening import opener
 from lidar_emu.transports.spec import PortSpec
 from lidar_emu.transports.wire_load import drain_time_s
@@ -92,6 +95,8 @@ class _Port:
         self._clock = clock
         self._sender: Sender | None = None
         self._received_bytes = 0
+        self._unheard_bytes = 0
+        self._unsent = 0
         self._event_count = 0
         self._finishing = False
         self._drain: _Drain | None = None
@@ -143,6 +148,11 @@ class _Port:
             )
         if "finish" in order:
             self._finishing = True
+        if self._sender is not None:
+            if "supersede" in order:
+                self._sender.supersede(*order["supersede"])
+            if "send" in order:
+                self._unsent += self._sender.send_now(bytes.fromhex(order["send"])) is not Fate.SENT
 
     def _drained_or_look_again(self, wait: Wait) -> int | None:
         """Say so once everything is out; while the other end still reads, when to look again."""
@@ -170,7 +180,11 @@ class _Port:
         self._tell_events()
 
     def _receive(self) -> None:
-        self._received_bytes += len(self._link.receive(self._clock.now_ns()))
+        now_ns = self._clock.now_ns()
+        data = self._link.receive(now_ns)
+        self._received_bytes += len(data)
+        if data and not self._answers.mention(arrived=[now_ns, data.hex()]):
+            self._unheard_bytes += len(data)
 
     def _tell_events(self) -> None:
         for time_ns, text in self._link.take_events():
@@ -179,7 +193,12 @@ class _Port:
 
     def _counts(self) -> dict[str, int]:
         sent_bytes = self._sender.sent_bytes if self._sender is not None else 0
-        return {"sent_bytes": sent_bytes, "received_bytes": self._received_bytes}
+        return {
+            "sent_bytes": sent_bytes,
+            "received_bytes": self._received_bytes,
+            "unheard_bytes": self._unheard_bytes,
+            "unsent": self._unsent,
+        }
 
 
 class _Drain:

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import os
-import socket
 from collections import deque
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
-from lidar_emu.errors import InputError, RunError
+from lidar_emu.errors import RunError
 from lidar_emu.runtime.child import PortChild
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.events import EventLog, LinkEvent
+from lidar_emu.runtime.loopback_end import LoopbackEnd
 from lidar_emu.runtime.pacing import Pace, WhenLate
 from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.runtime.port_story import PortStory
 from lidar_emu.runtime.ring import Ring
-from lidar_emu.transports.serial_port import loopback_pair
 from lidar_emu.transports.spec import Kind, PortSpec
 
 _START_LIMIT_NS = 30_000_000_000
 _STOP_LIMIT_NS = 2_000_000_000  # the process itself takes half a second for what is still unread
 _POLL_NS = 2_000_000
 _OPENING_POLL_NS = 100_000_000
-_READ_BYTES = 65536
 
 
 class PortRunner:
@@ -48,23 +46,11 @@ class PortRunner:
         doorbell_fd, self._doorbell = os.pipe()
         os.set_blocking(self._doorbell, False)
         self._passed = (packets_fd, reports_fd, doorbell_fd)
-        self._far_end: socket.socket | None = None
-        self._far_end_bytes = bytearray()
-        self._events = EventLog()
-        self._start_ns = 0
+        self._far_end: LoopbackEnd | None = None
         self._begun = False
-        self._finished = False
         self._closed = False
-        self.description = ""
-        """Name of the port; of a pty, the path that the host opens."""
-        self.sent_bytes: int | None = None
-        """Known after `finish` or `close`; None if the process died before it could tell."""
-        self.received_bytes: int | None = None
-        """What arrived on the port; known when `sent_bytes` is."""
-        self.granted: list[str] = []
-        """What the system gave towards punctuality; see `Punctuality`."""
-        self.missing: dict[str, str] = {}
-        """What it refused, each with the command that would give it."""
+        self.told = PortStory()
+        """What the process has said about itself, the port and the link."""
 
     def __enter__(self) -> Self:
         return self
@@ -75,16 +61,15 @@ class PortRunner:
         self.close()
 
     def start(self, spec: PortSpec) -> str:
-        """Start the process and open the port; returns `description`.
+        """Start the process and open the port; returns its description.
 
         Raises:
             InputError: the port cannot be opened.
             RunError: the process did not start.
         """
         if spec.kind is Kind.LOOPBACK:
-            device_end, self._far_end = loopback_pair()
-            self._far_end.setblocking(False)
-            with device_end:
+            self._far_end = LoopbackEnd()
+            with self._far_end.device_end as device_end:
                 self._child = PortChild((*self._passed, device_end.fileno()))
         else:
             self._child = PortChild(self._passed)
@@ -97,11 +82,11 @@ class PortRunner:
             loopback=next(iter(loopback_fds), None),
         )
         deadline_ns = self._clock.now_ns() + _START_LIMIT_NS
-        while not self.description:
+        while not self.told.description:
             if self._clock.now_ns() > deadline_ns:
                 raise RunError(f"opening {spec} took more than {_START_LIMIT_NS // 10**9} s")
             self.wait(self._clock.now_ns() + _OPENING_POLL_NS)
-        return self.description
+        return self.told.description
 
     def begin(
         self, start_ns: int, late_after_ns: int, pace: Pace, when_late: WhenLate = WhenLate.SKIP
@@ -114,7 +99,7 @@ class PortRunner:
             pace: see `Pace`.
             when_late: see `WhenLate`.
         """
-        self._start_ns, self._begun = start_ns, True
+        self.told.start_ns, self._begun = start_ns, True
         begin = {"start_ns": start_ns, "late_after_ns": late_after_ns, "pace": pace, "when_late": when_late}
         self._running().tell(begin=begin)
 
@@ -130,6 +115,28 @@ class PortRunner:
             return False
         self._ring()
         return True
+
+    def supersede(self, generation: int, from_shot: int) -> None:
+        """Packets of earlier generations are not to be sent any more, from this shot on; they are reported as such.
+
+        Raises:
+            RunError: the process died.
+        """
+        self._running().tell(supersede=[generation, from_shot])
+
+    def send_now(self, payload: bytes) -> None:
+        """Send what is no shot, between shots; there is no report.
+
+        Raises:
+            RunError: the process died.
+        """
+        self._running().tell(send=payload.hex())
+
+    def arrivals(self) -> list[tuple[int, bytes]]:
+        """What arrived on the port since the last call: instants of the monotonic clock, and bytes (CAN: frame
+        records)."""
+        arrived, self.told.arrived = self.told.arrived, []
+        return arrived
 
     def reports(self) -> list[Report]:
         """What became of packets since the last call, in the order of `push`; also after `close`.
@@ -149,23 +156,12 @@ class PortRunner:
         """
         if not self._closed:
             self._collect()
-        data, self._far_end_bytes = bytes(self._far_end_bytes), bytearray()
-        return data
+        return b"" if self._far_end is None else self._far_end.take()
 
     @property
     def pid(self) -> int | None:
         """The port process; None before `start`."""
         return None if self._child is None else self._child.pid
-
-    @property
-    def events(self) -> list[LinkEvent]:
-        """What happened to the link so far: of more than 20 events the first and the last ten."""
-        return self._events.since(self._start_ns)
-
-    @property
-    def event_count(self) -> int:
-        """How many events there were, with those that `events` leaves out."""
-        return self._events.count
 
     def wait(self, until_ns: int, readable: Sequence[int] = ()) -> None:
         """Sleep until an instant of the monotonic clock, or until the process says something, the loopback delivers
@@ -195,7 +191,7 @@ class PortRunner:
     def finished(self) -> bool:
         """Every packet was sent, skipped or dropped, and what was sent has left the line or, on a pty, was read;
         for that the other end has 2 s, and a serial line the time that its bit rate makes it take besides."""
-        return self._finished
+        return self.told.finished
 
     def finish(self) -> None:
         """`last_packet_pushed`, and wait until `finished`.
@@ -204,7 +200,7 @@ class PortRunner:
             RunError: the run has not begun, or the process died.
         """
         self.last_packet_pushed()
-        while not self._finished:
+        while not self.told.finished:
             self.wait(self._clock.now_ns() + _POLL_NS)
 
     def close(self) -> None:
@@ -233,8 +229,8 @@ class PortRunner:
             deadline_ns = self._clock.now_ns() + _STOP_LIMIT_NS
             while not child.ended and self._clock.now_ns() < deadline_ns:
                 self._clock.wait(self._clock.now_ns() + _POLL_NS, [child.descriptor])
-                self._drain_far_end()
-                self._understand(child.hear())
+                self._drain()
+                self.told.understand(child.hear())
         finally:
             # It has ended, or it hangs in a driver.
             child.kill()
@@ -248,38 +244,18 @@ class PortRunner:
         """
         child = self._running()
         self._fetch()
-        self._understand(child.hear())
+        self.told.understand(child.hear())
         if child.ended:
             raise child.death()
 
     def _fetch(self) -> None:
         while (entry := self._reports.pop()) is not None:
             self._fetched.append(Report.from_bytes(entry))
-        self._drain_far_end()
+        self._drain()
 
-    def _drain_far_end(self) -> None:
-        if self._far_end is None:
-            return
-        try:
-            while data := self._far_end.recv(_READ_BYTES):
-                self._far_end_bytes += data
-        except (BlockingIOError, ConnectionResetError):
-            return
-
-    def _understand(self, answers: list[dict[str, Any]]) -> None:
-        for answer in answers:
-            match answer:
-                case {"refused": refusal}:
-                    raise InputError(*refusal)
-                case {"ready": description}:
-                    self.description = description
-                case {"granted": granted, "missing": missing}:
-                    self.granted, self.missing = granted, missing
-                case {"event": [number, time_ns, text]}:
-                    self._events.add(number, time_ns, text)
-                case {"finished": counts} | {"stopped": counts}:
-                    self._finished = True
-                    self.sent_bytes, self.received_bytes = counts["sent_bytes"], counts["received_bytes"]
+    def _drain(self) -> None:
+        if self._far_end is not None:
+            self._far_end.drain()
 
     def _running(self) -> PortChild:
         if self._child is None or self._closed:

@@ -51,6 +51,8 @@ class Sender:
         self._patience = Patience(link)
         self._next: Outgoing | None = None
         self._given_up = False
+        self._generation, self._valid_before = 0, 0
+        self._last_shot = -1
         self.sent_bytes = 0
 
     def step(self) -> Wait:
@@ -62,6 +64,9 @@ class Sender:
             if packet is None:
                 return Wait(for_packets=True)
             now_ns = self._clock.now_ns()
+            if self._is_superseded(packet):
+                self._finish(packet, Fate.SUPERSEDED, now_ns)
+                continue
             match self._pacing.action(now_ns - self._start_ns, packet.due_ns):
                 case Action.WAIT:
                     return Wait(until_ns=self._start_ns + packet.due_ns)
@@ -75,6 +80,22 @@ class Sender:
                         return Wait(until_ns, for_room=fate is Fate.DROPPED_FULL)
                     self._finish(packet, fate, now_ns)
         return Wait(until_ns=self._clock.now_ns())
+
+    def supersede(self, generation: int, from_shot: int) -> None:
+        """Packets of earlier generations are not sent any more, from this shot on."""
+        self._generation, self._valid_before = generation, from_shot
+
+    def send_now(self, payload: bytes) -> Fate:
+        """What is no shot: sent or dropped at once."""
+        fate = self._link.send(payload, self._clock.now_ns())
+        if fate is Fate.SENT:
+            self.sent_bytes += len(payload)
+        return fate
+
+    def _is_superseded(self, packet: Outgoing) -> bool:
+        """Also where the shot has met its fate already: news of the generation came too late for it."""
+        old = packet.generation < self._generation and packet.shot >= self._valid_before
+        return old or packet.shot <= self._last_shot
 
     def _patience_ends_ns(self, fate: Fate, now_ns: int) -> int | None:
         """Until when the packet is kept; None: it met its fate."""
@@ -93,6 +114,8 @@ class Sender:
             sent_ns = max(0, self._clock.now_ns() - self._start_ns)
             self.sent_bytes += len(packet.payload)
         self._next = None
+        if fate is not Fate.SUPERSEDED:
+            self._last_shot = packet.shot
         report = Report(packet.shot, packet.due_ns, sent_ns, fate, max(-1, woke_ns - self._start_ns))
         if not self._reports.push(report.to_bytes()):
             raise RuntimeError("the ring of reports is too small")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -51,7 +51,7 @@ class ErrorStatistics:
 
 @dataclass
 class Tally:
-    """Counts of a run in constant memory. Shots count once their packet has met its fate."""
+    """Counts of a run in constant memory."""
 
     pace: Pace
     fates: Counter[Fate] = field(default_factory=Counter)
@@ -60,12 +60,15 @@ class Tally:
     range_error_m: ErrorStatistics = field(default_factory=ErrorStatistics)
     speed_error_mps: ErrorStatistics = field(default_factory=ErrorStatistics)
     reasons: list[Counter[int]] = field(default_factory=list)
-    _pending: deque[Measurement] = field(default_factory=deque)
-    _unmatched: int = 0
 
     def measured(self, block: Measurement) -> None:
-        """Shots whose packets are on their way."""
-        self._pending.append(block)
+        """Shots whose packets have met their fates."""
+        self.range_error_m.add((block.range_m - block.true_range_m)[block.range_valid])
+        self.speed_error_mps.add((block.closing_speed_mps - block.true_closing_speed_mps)[block.speed_valid])
+        if not self.reasons:
+            self.reasons = [Counter() for _ in range(block.beam_count)]
+        for beam, counts in enumerate(self.reasons):
+            counts.update(block.reason[:, beam].tolist())
 
     def report(self, report: Report) -> None:
         """One packet met its fate."""
@@ -74,20 +77,10 @@ class Tally:
             lateness_ns = max(0, report.sent_ns - report.due_ns)
             self.lateness.add(lateness_ns)
             self.windows.add(report.due_ns, lateness_ns)
-        self._unmatched += 1
-        while self._pending and self._unmatched >= len(self._pending[0]):
-            self._unmatched -= len(self._pending[0])
-            self._absorb(self._pending.popleft())
 
     def missed(self) -> None:
         """A shot was late before it was computed."""
         self.fates[Fate.LATE] += 1
-
-    def close(self) -> None:
-        """Count the shots of a block that was cut off."""
-        if self._pending and self._unmatched:
-            self._absorb(self._pending[0].first(self._unmatched))
-        self._pending.clear()
 
     @property
     def due(self) -> int:
@@ -108,14 +101,6 @@ class Tally:
     def dropped(self) -> int:
         """Packets that the link did not take."""
         return sum(self.fates[fate] for fate in _DROPS)
-
-    def _absorb(self, block: Measurement) -> None:
-        self.range_error_m.add((block.range_m - block.true_range_m)[block.range_valid])
-        self.speed_error_mps.add((block.closing_speed_mps - block.true_closing_speed_mps)[block.speed_valid])
-        if not self.reasons:
-            self.reasons = [Counter() for _ in range(block.beam_count)]
-        for beam, counts in enumerate(self.reasons):
-            counts.update(block.reason[:, beam].tolist())
 
     def to_json(self) -> dict[str, Any]:
         """The counts under the names of the summary file."""

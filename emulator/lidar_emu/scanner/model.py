@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,8 @@ class ScannerState:
 
     active: tuple[bool, ...]
     """One per switch."""
+    commanded: int | None = None
+    """The set that a command has chosen, instead of the switches."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,10 @@ class ScannerModel:
         """Beams of the largest set."""
         return len(self.firing_cycle)
 
+    def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:
+        """The state after a command to use a set; None if there is no such set."""
+        return replace(state, commanded=pattern) if pattern < len(self.angle_deg) else None
+
     @property
     def needs_ground_altitude(self) -> bool:
         """Whether any switch counts its altitude from the ground."""
@@ -73,7 +79,9 @@ class ScannerModel:
         """
         chosen, active = np.empty(len(time_s), dtype=np.int64), np.array(state.active, dtype=np.bool_)
         _choose(*self.thresholds, time_s, altitude_origin_m, altitude_ground_m, active, chosen)
-        return chosen, ScannerState(tuple(active.tolist()))
+        if state.commanded is not None:
+            chosen[:] = state.commanded
+        return chosen, replace(state, active=tuple(active.tolist()))
 
 
 @kernel(outermost=True)

@@ -27,6 +27,8 @@ class Fate(IntEnum):
     """Nobody has the other end of the pty open."""
     DROPPED_BROKEN = 4
     """The link was broken."""
+    SUPERSEDED = 5
+    """Never sent: a command has changed the shot, and another packet takes its place."""
 
 
 class LinkLostError(Exception):

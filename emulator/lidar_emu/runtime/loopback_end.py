@@ -1,0 +1,38 @@
+"""The far end of the in-memory loopback: read in the model's process, as a host would read it."""
+
+from __future__ import annotations
+
+from lidar_emu.transports.serial_port import loopback_pair
+
+_READ_BYTES = 65536
+
+
+class LoopbackEnd:
+    """A line's other end. It must be read: an in-memory line can be full, too."""
+
+    def __init__(self) -> None:
+        self.device_end, self._socket = loopback_pair()
+        """The end of the device; whoever passed it on closes it."""
+        self._socket.setblocking(False)
+        self._data = bytearray()
+
+    def fileno(self) -> int:
+        """Ready when there is something to drain."""
+        return self._socket.fileno()
+
+    def drain(self) -> None:
+        """Read what has arrived."""
+        try:
+            while data := self._socket.recv(_READ_BYTES):
+                self._data += data
+        except (BlockingIOError, ConnectionResetError):
+            return
+
+    def take(self) -> bytes:
+        """What was read since the last call."""
+        data, self._data = bytes(self._data), bytearray()
+        return data
+
+    def close(self) -> None:
+        """Give the socket back; what was read can still be taken."""
+        self._socket.close()

@@ -1,0 +1,118 @@
+"""Shots on their way, over a port that sends what it is told to and reports in order."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import lidar_emu
+from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.outbox import Outbox
+from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.summary import Tally
+from lidar_emu.session import Block, Session
+from lidar_emu.shots import build_model
+from lidar_emu.wire import Encoder
+
+
+class Port:
+    """A stand-in for `PortRunner`."""
+
+    def __init__(self) -> None:
+        self.pushed: deque[Outgoing] = deque()
+        self.superseded: tuple[int, int] | None = None
+        self._reports: list[Report] = []
+
+    def push(self, packet: Outgoing) -> bool:
+        self.pushed.append(packet)
+        return True
+
+    def meet(self, count: int) -> None:
+        """Let so many packets meet their fate."""
+        for _ in range(count):
+            packet = self.pushed.popleft()
+            old = self.superseded is not None and packet.generation < self.superseded[0]
+            fate = Fate.SUPERSEDED if old and packet.shot >= self.superseded[1] else Fate.SENT
+            self._reports.append(Report(packet.shot, packet.due_ns, packet.due_ns, fate, packet.due_ns))
+
+    def supersede(self, generation: int, from_shot: int) -> None:
+        self.superseded = generation, from_shot
+
+    def reports(self) -> list[Report]:
+        reports, self._reports = self._reports, []
+        return reports
+
+    def far_end(self) -> bytes:
+        return b""
+
+
+class Kept(Observer):
+    def __init__(self) -> None:
+        self.shots: list[int] = []
+        self.angles_deg: list[float] = []
+        self.reported: list[int] = []
+
+    def settled(self, block: Block) -> None:
+        self.shots += block.measurement.shot.tolist()
+        self.angles_deg += block.measurement.beam_angle_deg[:, 0].tolist()
+
+    def report(self, packet: Outgoing, report: Report) -> None:
+        assert packet.shot == report.shot
+        self.reported.append(packet.shot)
+
+
+def begun() -> tuple[Session, Port, Kept, Tally, Outbox]:
+    scenario = lidar_emu.load("descent.yaml", {"level": "geometric"})
+    session = Session(build_model(scenario), Encoder(scenario.wire, False, False, 4), 10)
+    port, kept, tally = Port(), Kept(), Tally(Pace.WALL)
+    return session, port, kept, tally, Outbox(port, [kept], tally)  # type: ignore[arg-type]
+
+
+def post(session: Session, outbox: Outbox, shots: int) -> None:
+    block = session.shoot(shots)
+    assert block is not None
+    for packet in outbox.announce(block):
+        assert outbox.push(packet)
+
+
+def test_blocks_settle_once_all_their_packets_have_met_their_fate() -> None:
+    session, port, kept, tally, outbox = begun()
+    post(session, outbox, 5)
+    post(session, outbox, 5)
+    port.meet(4)
+    outbox.settle()
+    assert (kept.shots, kept.reported, tally.range_error_m.count) == ([], [0, 1, 2, 3], 0)
+    port.meet(3)
+    outbox.settle()
+    assert (kept.shots, tally.range_error_m.count) == ([0, 1, 2, 3, 4], 20)
+    outbox.close()
+    assert (kept.shots, tally.range_error_m.count) == ([0, 1, 2, 3, 4, 5, 6], 28)
+
+
+def test_shots_that_a_command_changes_are_told_once_as_they_were_sent() -> None:
+    session, port, kept, tally, outbox = begun()
+    post(session, outbox, 5)
+    post(session, outbox, 5)
+    port.meet(2)
+    outbox.settle()
+    session.rewind(3)
+    assert session.use_pattern(1)
+    outbox.supersede(3)
+    post(session, outbox, 4)
+    port.meet(len(port.pushed))
+    outbox.close()
+    assert kept.shots == kept.reported == list(range(7))
+    assert kept.angles_deg == [22.5] * 3 + [7.5] * 4
+    assert tally.sent == tally.due == 7
+    assert tally.range_error_m.count == 28
+
+
+def test_going_back_computes_the_same_again() -> None:
+    session, *_ = begun()
+    whole = session.shoot(8)
+    assert whole is not None
+    for shot in (5, 0, 7, 3):
+        session.rewind(shot)
+        again = session.shoot(8 - shot)
+        assert again is not None
+        assert again.packets == whole.packets[shot:]
