@@ -145,6 +145,11 @@ class FarEnd:
         """From now on pass everything on to the program that has the other cable's `path` open."""
         self._forward_to = other._master
 
+    def say(self, data: bytes) -> None:
+        """Write to the program that has `path` open."""
+        while data:
+            data = data[os.write(self._master, data) :]
+
     def wait_for(self, count: int) -> None:
         """Wait until so many bytes have come."""
         eventually(lambda: len(self.data) >= count)

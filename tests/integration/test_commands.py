@@ -1,0 +1,125 @@
+"""A host commands the beams in flight: every shot is sent once, and follows the command from one shot on."""
+
+from __future__ import annotations
+
+import math
+import signal
+from collections.abc import Callable
+from itertools import groupby, pairwise
+from pathlib import Path
+
+import pytest
+from programs import FarEnd, Program, eventually, read_summary
+
+from lidar_protocol import Acknowledge, Host, Message, SerialReceiver, default_interface
+
+Start = Callable[..., Program]
+HOST = Host(default_interface())
+RATE = [
+    "descent.yaml",
+    "--set",
+    "timing.rate_hz=200",
+    "--set",
+    "level=geometric",
+    "--set",
+    "site=flat",
+    "--summary",
+    "s.json",
+]
+LINK = ["--baud", "3000000"]
+
+
+def command(name: str, sequence: int, **arguments: int) -> bytes:
+    return HOST.encode_command(name, sequence=sequence, **arguments)
+
+
+def received(far_end: FarEnd) -> tuple[list[Message], list[Acknowledge]]:
+    messages = SerialReceiver(default_interface()).receive(bytes(far_end.data))
+    return (
+        [message for message in messages if isinstance(message, Message)],
+        [message for message in messages if isinstance(message, Acknowledge)],
+    )
+
+
+def answers(far_end: FarEnd, count: int) -> list[Acknowledge]:
+    eventually(lambda: len(received(far_end)[1]) >= count)
+    return received(far_end)[1]
+
+
+@pytest.mark.parametrize("pace", ["wall", "max"])
+def test_the_beams_are_drawn_in_at_one_shot(pace: str, start: Start, far_end: FarEnd, tmp_path: Path) -> None:
+    run = start(
+        "run",
+        *RATE,
+        "--duration",
+        "6" if pace == "wall" else "40",
+        "--port",
+        far_end.path,
+        *LINK,
+        "--pace",
+        pace,
+    )
+    far_end.wait_for(144 * 100)
+    far_end.say(command("set_pattern", 0, pattern=1))
+    (first,) = answers(far_end, 1)
+    assert (first.command, first.sequence, first.verdict) == ("set_pattern", 0, "accepted")
+    far_end.wait_for(len(far_end.data) + 144 * 100)
+    far_end.say(command("set_pattern", 1, pattern=0))
+    run.succeed()
+    shots, (_, second) = received(far_end)
+    assert second.verdict == "accepted"
+    assert [shot.shot for shot in shots] == list(range(len(shots)))
+    angles = [shot.beams[0]["beam_angle_deg"] for shot in shots]
+    assert [angle for angle, _ in groupby(angles)] == [22.5, 7.5, 22.5]
+    heights_m = [
+        shot.beams[0]["range_m"] * math.cos(math.radians(shot.beams[0]["beam_angle_deg"])) for shot in shots
+    ]
+    fallen_m = [above - below for above, below in pairwise(heights_m)]
+    assert all(0.1 < step_m < 0.5 for step_m in fallen_m), (
+        "over a plane the height sinks steadily, at any angle"
+    )
+    told = read_summary(tmp_path / "s.json")
+    assert told["commands"]["accepted"] == 2
+    assert told["commands"]["delay"]["count"] == 2
+    assert told["shots"]["sent"] == len(shots) == sum(told["beams"][0].values())
+
+
+def test_commands_that_cannot_be_followed_are_answered_and_counted(
+    start: Start, far_end: FarEnd, tmp_path: Path
+) -> None:
+    run = start("run", *RATE, "--port", far_end.path, *LINK)
+    far_end.wait_for(144)
+    unknown = command("no_op", 9)
+    for data in (
+        b"noise\0\0\xff\0",
+        command("no_op", 5),
+        command("no_op", 5),
+        command("set_pattern", 6, pattern=77),
+        command("reset", 7, restart=0),
+        unknown[:-3] + b"\x55" + unknown[-2:],  # damaged: neither followed nor answered
+        command("no_op", 8),
+    ):
+        far_end.say(data)
+    verdicts = [answer.verdict for answer in answers(far_end, 5)]
+    assert verdicts == ["accepted", "bad_sequence", "out_of_range", "out_of_state", "accepted"]
+    run.signal(signal.SIGINT)
+    run.succeed()
+    told = read_summary(tmp_path / "s.json")["commands"]
+    assert told["accepted"] == 2
+    assert told["rejected"] == {"bad_sequence": 1, "out_of_range": 1, "out_of_state": 1}
+    assert told["skipped_bytes"] > 10
+    assert "2 accepted, bad sequence 1" in run.out
+
+
+def test_a_flood_of_noise_changes_nothing_that_is_sent(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
+    run = start("run", *RATE, "--duration", "1", "--port", far_end.path, *LINK)
+    far_end.wait_for(144)
+    far_end.say(bytes(range(256)) * 400)
+    run.succeed()
+    shots, answered = received(far_end)
+    assert answered == []
+    told = read_summary(tmp_path / "s.json")
+    assert len(shots) == told["shots"]["sent"] == 200 - told["shots"]["late"]
+    assert told["wire"]["received_bytes"] == 102400
+    heard = told["commands"]["skipped_bytes"]
+    assert heard + told["wire"]["unheard_bytes"] >= 100_000
