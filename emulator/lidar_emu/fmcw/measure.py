@@ -57,12 +57,11 @@ def prepare(
     models: NDArray[Any],
     range_m: FloatArray,
     closing_speed_mps: FloatArray,
-    smear_acceleration_mps2: FloatArray,
     motions: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     bounded: FloatArray,
 ) -> int:
     """Fill `bounded` with flat `motions`, one after another, as far as the kernels' arithmetic bears them; return the
-    taps of the widest filter that any beam needs."""
+    taps of the widest filter that any beam needs. The first of them is the smear's acceleration."""
     model = models[0]
     place = 0
     for motion in motions:
@@ -72,7 +71,7 @@ def prepare(
     widest = 0
     for s in range(range_m.shape[0]):
         for b in range(range_m.shape[1]):
-            smear_mps2 = _bounded(smear_acceleration_mps2[s, b])
+            smear_mps2 = bounded[s * range_m.shape[1] + b]
             for i in range(range_m.shape[2]):
                 needed = widest_filter(model, range_m[s, b, i], closing_speed_mps[s, b, i], smear_mps2)
                 widest = max(widest, needed)

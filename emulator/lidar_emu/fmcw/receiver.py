@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.measure import BEAM_RETURN, measure_spectra, measure_statistically, prepare
 from lidar_emu.fmcw.model import ReceiverModel, Workspace, as_records, build_workspace
 from lidar_emu.fmcw.returns import Echoes, Returns
@@ -58,12 +59,11 @@ class Receiver:
             self._records,
             range_m,
             speed_mps,
-            echoes.smear_acceleration_mps2,
             (
-                echoes.closing_acceleration_mps2.reshape(-1),
-                echoes.smear_acceleration_mps2.reshape(-1),
-                echoes.speckle_place.reshape(-1),
-                echoes.speckle_drift_per_s.reshape(-1),
+                _flat(echoes.smear_acceleration_mps2),
+                _flat(echoes.closing_acceleration_mps2),
+                _flat(echoes.speckle_place),
+                _flat(echoes.speckle_drift_per_s),
             ),
             bounded,
         )
@@ -75,8 +75,8 @@ class Receiver:
             speed_mps,
             power_w,
             rate_mps,
-            bounded[:size].reshape(shape),
             bounded[size : 2 * size].reshape(shape),
+            bounded[:size].reshape(shape),
             bounded[2 * size : 4 * size].reshape(*shape, 2),
             bounded[4 * size :].reshape(*shape, 2),
             np.ascontiguousarray(echoes.fired),
@@ -93,6 +93,10 @@ class Receiver:
             self._room = beamlets, half
             self._work = build_workspace(beamlets, self._model.looks, half, self._model.fft_length)
         return self._work
+
+
+def _flat(values: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
 
 
 def receive(model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed: int) -> Returns:
