@@ -23,12 +23,14 @@ import lidar_emu
 from lidar_emu.scene.build import build_scene
 
 STEP_NS = 10_000_000
+FACING_DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # body x north, y east, z down
 LEG_M = 1.5
 """From the lidar down to the feet."""
 LONGEST_S = 200.0
 MOON_RADPS = 2.6617e-6
 LATITUDE_DEG, LONGITUDE_DEG = 0.67, 23.47
 START_SITE_M, START_SITE_MPS = np.array([-150.0, 80.0, 800.0]), np.array([12.0, -7.0, -30.0])
+COLUMNS = ["time_s", "height_m", "east_m", "north_m", "up_m", "east_mps", "north_mps", "up_mps"]
 START_TILT_DEG, START_RATE_RADPS = 5.0, np.array([0.01, -0.01, 0.0])
 
 
@@ -59,11 +61,9 @@ class Flight:
         radius_m = site.body.radius_m + self._ground.origin_altitude_m
         self._site = SiteFrame(LATITUDE_DEG, LONGITUDE_DEG, radius_m, MOON_RADPS)
         position_m, velocity_mps = self._site.to_inertial(0.0, START_SITE_M, START_SITE_MPS)
-        # Body x north, y east, z down, then tilted about x.
-        body_from_site = Rotations.euler1(radians(START_TILT_DEG)) @ np.array(
-            [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
+        attitude = (
+            Rotations.euler1(radians(START_TILT_DEG)) @ FACING_DOWN @ self._site.site_from_inertial(0.0)
         )
-        attitude = body_from_site @ self._site.site_from_inertial(0.0)
         start = State(position_m, velocity_mps, attitude, START_RATE_RADPS)
         self.vehicle = Vehicle(start, STEP_NS, with_clock)
 
@@ -78,7 +78,7 @@ class Flight:
             time_s,
             position_m,
             velocity_mps,
-            # The parameters of the matrix that takes site vectors to the body are those that turn body vectors to the site.
+            # Basilisk's parameters of the matrix to the body are the quaternion that turns body vectors to the site.
             Rotations.C2EP(body_from_site),
             state.rate_body_radps - ground_rate_radps,
             float(position_m[2] - ground_m),
@@ -99,9 +99,7 @@ def fly(flight: Flight, link: LidarLink) -> Iterator[Row]:
     while not landed:
         row = flight.row()
         landed = row.height_m <= LEG_M or row.time_s >= LONGEST_S
-        commands = link.exchange(
-            truth(row, sequence, flight.vehicle.time_ns, landed), sequence, landed
-        )
+        commands = link.exchange(truth(row, sequence, flight.vehicle.time_ns, landed), sequence, landed)
         if commands:
             flight.vehicle.obey(commands[-1].thrust_body_mps2)
         yield row
@@ -113,7 +111,7 @@ def write(rows: list[Row], file: Path) -> None:
     """One line for each truth."""
     with file.open("w", newline="") as opened:
         table = csv.writer(opened)
-        table.writerow("time_s height_m east_m north_m up_m east_mps north_mps up_mps".split())
+        table.writerow(COLUMNS)
         table.writerows(
             [row.time_s, row.height_m, *row.position_site_m, *row.velocity_site_mps] for row in rows
         )
@@ -138,14 +136,14 @@ def main() -> int:
     asked = options.parse_args()
     lockstep = asked.pace == "lockstep"
     flight = Flight(asked.scenario, with_clock=not lockstep)
-    with closing(LidarLink(asked.truth, asked.commands, lockstep)) as link:
-        try:
+    try:
+        with closing(LidarLink(asked.truth, asked.commands, lockstep)) as link:
             rows = list(fly(flight, link))
-        except TimeoutError as error:
-            print(f"simulation: {error}", file=sys.stderr)
-            return 1
-        if asked.packets:
-            asked.packets.write_bytes(link.packets)
+    except OSError as error:  # a socket that is taken, or nobody who answers
+        print(f"simulation: {error}", file=sys.stderr)
+        return 1
+    if asked.packets:
+        asked.packets.write_bytes(link.packets)
     if asked.log:
         write(rows, asked.log)
     end = rows[-1]

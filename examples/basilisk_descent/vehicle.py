@@ -51,12 +51,12 @@ class Vehicle:
         self._simulation.CreateNewProcess("flight").addTask(
             self._simulation.CreateNewTask("dynamics", step_ns)
         )
-        # Higher priorities come first: the commanded force is read, then the step is flown with it, then time waited for.
+        # Higher priorities come first: the command is read, the step is flown with it, then time is waited for.
         self._simulation.AddModelToTask("dynamics", self._effector, 3)
         self._simulation.AddModelToTask("dynamics", self._hub, 2)
         if with_clock:
             self._clock = simSynch.ClockSynch()
-            self._clock.accelFactor = 1.0
+            self._clock.accuracyNanos = 100_000
             self._simulation.AddModelToTask("dynamics", self._clock, 1)
         self._push(0.0, np.zeros(3))
         self._simulation.InitializeSimulation()
@@ -86,9 +86,7 @@ class Vehicle:
         thrust_n = min(max(0.0, MASS_KG * along_engine_mps2), LARGEST_THRUST_N)
         size_mps2 = float(np.linalg.norm(wanted_mps2))
         turn_rad = np.cross(_ENGINE_BODY, wanted_mps2 / size_mps2) if size_mps2 > 0 else np.zeros(3)
-        wanted_radps2 = (
-            _NATURAL_RADPS**2 * turn_rad - 2 * _DAMPING * _NATURAL_RADPS * state.rate_body_radps
-        )
+        wanted_radps2 = _NATURAL_RADPS**2 * turn_rad - 2 * _DAMPING * _NATURAL_RADPS * state.rate_body_radps
         self._push(thrust_n, INERTIA_KG_M2 @ wanted_radps2)
         self.time_ns += self._step_ns
         self._simulation.ConfigureStopTime(self.time_ns)
