@@ -49,15 +49,17 @@ def solve(message: Message) -> Estimate | None:
 
 def _valid(message: Message, flag: str, name: str) -> list[tuple[Array, float]]:
     """Direction and value of each beam whose value counts."""
-    return [
-        (_direction(beam["beam_angle_deg"], azimuth_deg), beam[name])
-        for beam, azimuth_deg in zip(message.beams, AZIMUTHS_DEG, strict=True)
-        if beam[flag]
-    ]
+    found = []
+    for beam, azimuth_deg in zip(message.beams, AZIMUTHS_DEG, strict=True):
+        angle_deg, value = beam["beam_angle_deg"], beam[name]
+        if beam[flag] and angle_deg is not None and value is not None:
+            found.append((_direction(angle_deg, azimuth_deg), float(value)))
+    return found
 
 
 def _least_squares(directions: Sequence[Array], values: Sequence[float]) -> Array:
-    return np.linalg.lstsq(np.array(directions), np.array(values), rcond=None)[0]
+    solution: Array = np.linalg.lstsq(np.array(directions), np.array(values), rcond=None)[0]
+    return solution
 
 
 def _direction(angle_deg: float, azimuth_deg: float) -> Array:

@@ -20,6 +20,7 @@ from site_frame import Array, SiteFrame
 from vehicle import State, Vehicle
 
 import lidar_emu
+from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.build import build_scene
 
 STEP_NS = 10_000_000
@@ -30,8 +31,8 @@ LONGEST_S = 200.0
 MOON_RADPS = 2.6617e-6
 LATITUDE_DEG, LONGITUDE_DEG = 0.67, 23.47
 START_SITE_M, START_SITE_MPS = np.array([-150.0, 80.0, 800.0]), np.array([12.0, -7.0, -30.0])
-COLUMNS = ["time_s", "height_m", "east_m", "north_m", "up_m", "east_mps", "north_mps", "up_mps"]
 START_TILT_DEG, START_RATE_RADPS = 5.0, np.array([0.01, -0.01, 0.0])
+COLUMNS = ["time_s", "height_m", "east_m", "north_m", "up_m", "east_mps", "north_mps", "up_mps"]
 
 
 class Row(NamedTuple):
@@ -56,9 +57,10 @@ class Flight:
     """
 
     def __init__(self, scenario: str, with_clock: bool) -> None:
-        site = lidar_emu.load(scenario).site
-        self._ground = build_scene(site)
-        radius_m = site.body.radius_m + self._ground.origin_altitude_m
+        loaded = lidar_emu.load(scenario)
+        assert isinstance(loaded, FlightScenario), f"{scenario} has no ground"
+        self._ground = build_scene(loaded.site)
+        radius_m = loaded.site.body.radius_m + self._ground.origin_altitude_m
         self._site = SiteFrame(LATITUDE_DEG, LONGITUDE_DEG, radius_m, MOON_RADPS)
         position_m, velocity_mps = self._site.to_inertial(0.0, START_SITE_M, START_SITE_MPS)
         attitude = (
@@ -100,11 +102,12 @@ def fly(flight: Flight, link: LidarLink) -> Iterator[Row]:
         row = flight.row()
         landed = row.height_m <= LEG_M or row.time_s >= LONGEST_S
         commands = link.exchange(truth(row, sequence, flight.vehicle.time_ns, landed), sequence, landed)
+        yield row
         if commands:
             flight.vehicle.obey(commands[-1].thrust_body_mps2)
-        yield row
+        if not landed:
+            flight.vehicle.step()
         sequence += 1
-        flight.vehicle.step()
 
 
 def write(rows: list[Row], file: Path) -> None:
