@@ -1,0 +1,78 @@
+"""The simulation's two sockets: truth to the emulated lidar, commands from the navigator that reads its packets."""
+
+import socket
+import sys
+import time
+from pathlib import Path
+
+from command import Command
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from live_truth import packets_of, tell
+
+Address = tuple[str, int]
+_PATIENCE_S = 60.0
+
+
+class LidarLink:
+    """In lockstep nobody has to guess how long the others take. One step is:
+
+    1. truth goes to the emulator;
+    2. the emulator writes the packets that are due by then to the port, and then answers with the same packets;
+    3. the navigator reads the port and sends one command for each packet;
+    4. the step is over when as many commands have come as the answer had packets.
+
+    With the clock truth is sent and nothing waited for: a command counts from the step after it has come.
+    """
+
+    def __init__(self, truth_to: Address, commands_at: Address, lockstep: bool) -> None:
+        self._lockstep = lockstep
+        self._truth = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._truth.connect(truth_to)
+        self._truth.settimeout(1.0)
+        self._commands = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._commands.bind(commands_at)
+        self._commands.settimeout(_PATIENCE_S if lockstep else 0.0)
+        self.packets = b""
+        """All that went over the port, as the answers say; in lockstep alone."""
+
+    def exchange(self, datagram: bytes, sequence: int, last: bool) -> list[Command]:
+        """Send truth; returns the commands that are new.
+
+        Raises:
+            TimeoutError: the emulator or the navigator does not answer.
+        """
+        tell(self._truth, datagram)
+        if not self._lockstep:
+            return self._arrived()
+        packets = self._answer(datagram, sequence)
+        self.packets += b"".join(packets)
+        return [] if last else [self._awaited() for _ in packets]
+
+    def _answer(self, datagram: bytes, sequence: int) -> list[bytes]:
+        ends_s = time.monotonic() + _PATIENCE_S
+        while (packets := packets_of(self._truth, sequence)) is None:
+            if time.monotonic() > ends_s:
+                raise TimeoutError("no answer to truth: is `lidar-emu run ... --pace lockstep` there?")
+            time.sleep(0.05)
+            tell(self._truth, datagram)  # nobody may have listened yet; a truth that comes twice does no harm
+        return packets
+
+    def _awaited(self) -> Command:
+        try:
+            return Command.from_bytes(self._commands.recv(1024))
+        except TimeoutError:
+            raise TimeoutError("no command for a packet: does the navigator read the port?") from None
+
+    def _arrived(self) -> list[Command]:
+        commands = []
+        while True:
+            try:
+                commands.append(Command.from_bytes(self._commands.recv(1024)))
+            except BlockingIOError:
+                return commands
+
+    def close(self) -> None:
+        """Give the sockets back."""
+        self._truth.close()
+        self._commands.close()
