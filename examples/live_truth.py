@@ -9,9 +9,10 @@ import socket
 import struct
 import sys
 import time
+from typing import NamedTuple
 
 TRUTH = struct.Struct("<4sHHI4xq3d3d3d4d3d")  # 152 bytes; see docs/live-truth.md
-ANSWER, PACKET = struct.Struct("<4sHBBIIq"), struct.Struct("<IIq")
+ANSWER, PACKET = struct.Struct("<4sHBBIIq"), struct.Struct("<IIqB7x")
 ACCELERATION_KNOWN, LAST = 1, 2
 FACING_DOWN = (0.0, 0.5**0.5, 0.5**0.5, 0.0)  # body z down, x north: site_from_body, scalar first
 
@@ -31,8 +32,17 @@ def tell(link: socket.socket, datagram: bytes) -> None:
         link.send(datagram)
 
 
-def packets_of(link: socket.socket, sequence: int) -> list[bytes] | None:
-    """The answer to a truth in lockstep: the packets that went out since the one before; None if none came."""
+class Packet(NamedTuple):
+    """A packet of the answer."""
+
+    shot: int
+    due_ns: int
+    fate: int  # 0: it was sent
+    payload: bytes  # as on the link
+
+
+def packets_of(link: socket.socket, sequence: int) -> list[Packet] | None:
+    """The answer to a truth in lockstep: the packets that were due since the one before; None if none came."""
     packets, more = [], True
     while more:
         try:
@@ -43,12 +53,13 @@ def packets_of(link: socket.socket, sequence: int) -> list[bytes] | None:
         if answered != sequence:  # to a truth that was sent twice
             more = True
             continue
-        assert status == 0, f"truth {sequence} refused: {status}"
+        if status:
+            raise ValueError(f"truth {sequence} was refused: status {status}")
         start = ANSWER.size
         for _ in range(count):
-            length, _shot, _due_ns = PACKET.unpack_from(data, start)
-            packets.append(data[start + PACKET.size : start + PACKET.size + length])
+            length, shot, due_ns, fate = PACKET.unpack_from(data, start)
             start += PACKET.size + length
+            packets.append(Packet(shot, due_ns, fate, data[start - length : start]))
     return packets
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from command import Command
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from live_truth import packets_of, tell
+from live_truth import Packet, packets_of, tell
 
 Address = tuple[str, int]
 _PATIENCE_S = 60.0
@@ -46,10 +46,10 @@ class LidarLink:
         if not self._lockstep:
             return self._arrived()
         packets = self._answer(datagram, sequence)
-        self.packets += b"".join(packets)
+        self.packets += b"".join(packet.payload for packet in packets)
         return [] if last else [self._awaited() for _ in packets]
 
-    def _answer(self, datagram: bytes, sequence: int) -> list[bytes]:
+    def _answer(self, datagram: bytes, sequence: int) -> list[Packet]:
         ends_s = time.monotonic() + _PATIENCE_S
         while (packets := packets_of(self._truth, sequence)) is None:
             if time.monotonic() > ends_s:

@@ -68,20 +68,22 @@ def test_the_beams_are_drawn_in_at_one_shot(pace: str, start: Start, far_end: Fa
     run.succeed()
     shots, (_, second) = received(far_end)
     assert second.verdict == "accepted"
-    assert [shot.shot for shot in shots] == list(range(len(shots)))
+    numbers = [int(shot.header["shot"] or 0) for shot in shots]
     angles = [shot.beams[0]["beam_angle_deg"] for shot in shots]
     assert [angle for angle, _ in groupby(angles)] == [22.5, 7.5, 22.5]
     heights_m = [
         shot.beams[0]["range_m"] * math.cos(math.radians(shot.beams[0]["beam_angle_deg"])) for shot in shots
     ]
-    fallen_m = [above - below for above, below in pairwise(heights_m)]
-    assert all(0.0 < step_m < 0.51 for step_m in fallen_m), (
-        "over a plane the height sinks steadily, at any angle"
-    )
+    for (n, above_m), (m, below_m) in pairwise(zip(numbers, heights_m, strict=True)):
+        assert n < m, "every shot once, in order"
+        assert 0.0 < (above_m - below_m) / (m - n) < 0.51, (
+            "over a plane the height sinks steadily, at any angle"
+        )
     told = read_summary(tmp_path / "s.json")
     assert told["commands"]["accepted"] == 2
     assert told["commands"]["delay"]["count"] == 2
-    assert told["shots"]["sent"] == len(shots) == sum(told["beams"][0].values())
+    assert told["shots"]["sent"] == len(shots) == told["shots"]["due"] - told["shots"]["late"]
+    assert sum(told["beams"][0].values()) == told["shots"]["due"] == numbers[-1] + 1
 
 
 def test_commands_that_cannot_be_followed_are_answered_and_counted(

@@ -79,7 +79,7 @@ def test_another_magic_or_version_is_refused(place: int) -> None:
 
 @given(st.lists(st.binary(max_size=9000), max_size=30))
 def test_an_answer_comes_back_whole_in_datagrams_that_udp_carries(payloads: list[bytes]) -> None:
-    packets = [AnsweredPacket(k, 10 * k, payload) for k, payload in enumerate(payloads)]
+    packets = [AnsweredPacket(k, 10 * k, k % 5, payload) for k, payload in enumerate(payloads)]
     parts = [Answer.from_bytes(part.to_bytes()) for part in answers(Verdict.ACCEPTED, 3, 5, packets)]
     assert [packet for part in parts for packet in part.packets] == packets
     assert [part.more for part in parts] == [True] * (len(parts) - 1) + [False]

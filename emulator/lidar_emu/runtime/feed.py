@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.command_post import Change, CommandPost
 from lidar_emu.runtime.outbox import Outbox
-from lidar_emu.runtime.packets import Outgoing
+from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.session import Session
 
 POLL_NS = 20_000_000
@@ -37,10 +37,10 @@ class Desk(NamedTuple):
                 return False
         return True
 
-    def rest(self) -> None:
-        """Wait a little for the port, and hear it."""
+    def rest(self) -> list[Report]:
+        """Wait a little for the port, and hear it; returns reports of packets."""
         self.outbox.wait(self.clock.now_ns() + POLL_NS)
-        self.outbox.settle()
+        return self.outbox.settle()
 
     def next_change(self, start_ns: int) -> Change | None:
         """Hear the host; the oldest of the changes that it has commanded and that is not taken yet."""

@@ -6,9 +6,11 @@ from collections import deque
 
 from lidar_emu.flight import Flight
 from lidar_emu.runtime.feed import POLL_NS, Desk
-from lidar_emu.runtime.packets import Outgoing
+from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.runtime.truth_source import Arrival, TruthSource
 from lidar_emu.trajectory.live_datagram import Answer, AnsweredPacket, Truth, Verdict, answers
+
+_LINGER_NS = 200_000_000
 
 
 class LockstepFeed:
@@ -35,7 +37,16 @@ class LockstepFeed:
                 self._answer(arrival)
             desk.outbox.settle()
         if self._begun:
+            self._linger()
             desk.finish()
+
+    def _linger(self) -> None:
+        """The last answer may have got lost, too."""
+        ends_ns = self._desk.clock.now_ns() + _LINGER_NS
+        while self._desk.clock.now_ns() < ends_ns and not self._desk.interrupted():
+            self._desk.outbox.wait(ends_ns, [self._source.fileno()])
+            for arrival in self._source.receive():
+                self._answer(arrival)
 
     def _answer(self, arrival: Arrival) -> None:
         truth = arrival.truth
@@ -55,8 +66,7 @@ class LockstepFeed:
             self._desk.session.pass_over(-(-truth.time_ns // self._flight.period_ns))
         self._compute(truth.time_ns)
         self._ended = truth.last or self._desk.session.next_shot >= self._flight.shot_count
-        sent = self._send(None if self._ended else truth.time_ns)
-        packets = (AnsweredPacket(packet.shot, packet.due_ns, packet.payload) for packet in sent)
+        packets = self._send(None if self._ended else truth.time_ns)
         return answers(Verdict.ACCEPTED, truth.sequence, truth.time_ns, packets)
 
     def _compute(self, time_ns: int) -> None:
@@ -72,13 +82,19 @@ class LockstepFeed:
             assert block is not None
             self._computed.extend(self._desk.outbox.announce(block))
 
-    def _send(self, up_to_ns: int | None) -> list[Outgoing]:
+    def _send(self, up_to_ns: int | None) -> list[AnsweredPacket]:
         """What is due by then, or everything; returns it once each packet has met its fate."""
-        sent: list[Outgoing] = []
+        desk, reports = self._desk, list[Report]()
+        pushed: list[Outgoing] = []
         while self._computed and (up_to_ns is None or self._computed[0].due_ns <= up_to_ns):
-            sent.append(self._computed.popleft())
-            if not self._desk.push(sent[-1]):
-                return sent
-        while not (self._desk.outbox.empty or self._desk.interrupted()):
-            self._desk.rest()
-        return sent
+            while not desk.outbox.push(self._computed[0]) and not desk.interrupted():
+                reports += desk.rest()
+            pushed.append(self._computed.popleft())
+        while not (desk.outbox.empty or desk.interrupted()):
+            reports += desk.rest()
+        return [
+            AnsweredPacket(packet.shot, packet.due_ns, report.fate, packet.payload)
+            for packet, report in zip(
+                pushed, reports, strict=False
+            )  # fewer reports if the run was interrupted
+        ]

@@ -55,9 +55,10 @@ class Outbox:
         """Send what is no shot."""
         self._port.send_now(payload)
 
-    def settle(self) -> None:
-        """Count what became of packets and pass on what arrived."""
-        for report in self._port.reports():
+    def settle(self) -> list[Report]:
+        """Count what became of packets and pass on what arrived; returns the packets' reports."""
+        reports = self._port.reports()
+        for report in reports:
             packet = self._in_flight.popleft()
             if report.fate is Fate.SUPERSEDED:
                 continue
@@ -71,6 +72,7 @@ class Outbox:
         if data := self._port.far_end():
             for observer in self._observers:
                 observer.arrived(data)
+        return reports
 
     def close(self) -> None:
         """After the last report: the shots of a block that was cut off."""

@@ -12,6 +12,7 @@ Both pipes carry one JSON object per line:
     out  {"ready": description} or {"refused": [where, key, value, allowed]}
          {"granted": [name], "missing": {name: command}}     what the system gave towards punctuality
          {"arrived": [time_ns, hex]}                 received on the port; lost while the parent does not listen
+         {"settled": count}                          in lockstep: so many packets have met their fate
          {"event": [number, time_ns, text]}          counted from 1; lost while the parent does not listen
          {"finished": counts}                        every packet has its report
          {"stopped": counts}                         last line
@@ -97,6 +98,8 @@ class _Port:
         self._received_bytes = 0
         self._unheard_bytes = 0
         self._unsent = 0
+        self._lockstep = False
+        self._told_settled = 0
         self._event_count = 0
         self._finishing = False
         self._drain: _Drain | None = None
@@ -110,6 +113,7 @@ class _Port:
             wait = self._sender.step() if self._sender is not None else Wait()
             self._link.service(self._clock.now_ns())
             self._tell_events()
+            self._tell_settled()
             drain_ns = self._drained_or_look_again(wait)
             self._answers.flush()
             alive = self._sleep(wait, drain_ns)
@@ -140,6 +144,7 @@ class _Port:
         if "begin" in order:
             begin = order["begin"]
             pacing = Pacing(Pace(begin["pace"]), begin["late_after_ns"], WhenLate(begin["when_late"]))
+            self._lockstep = pacing.pace is Pace.LOCKSTEP
             if pacing.pace is Pace.WALL:
                 had = become_punctual()
                 self._answers.say(granted=had.granted, missing=had.missing)
@@ -190,6 +195,12 @@ class _Port:
         for time_ns, text in self._link.take_events():
             self._event_count += 1
             self._answers.mention(event=[self._event_count, time_ns, text])
+
+    def _tell_settled(self) -> None:
+        """Where a simulator waits for the packets to be out, so does the parent."""
+        if self._lockstep and self._sender is not None and self._sender.settled != self._told_settled:
+            self._told_settled = self._sender.settled
+            self._answers.say(settled=self._told_settled)
 
     def _counts(self) -> dict[str, int]:
         sent_bytes = self._sender.sent_bytes if self._sender is not None else 0

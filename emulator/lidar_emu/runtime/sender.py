@@ -54,6 +54,8 @@ class Sender:
         self._generation, self._valid_before = 0, 0
         self._last_shot = -1
         self.sent_bytes = 0
+        self.settled = 0
+        """Packets that have met their fate."""
 
     def step(self) -> Wait:
         """Do what is due now, a bounded part of it at a time."""
@@ -119,3 +121,4 @@ class Sender:
         report = Report(packet.shot, packet.due_ns, sent_ns, fate, max(-1, woke_ns - self._start_ns))
         if not self._reports.push(report.to_bytes()):
             raise RuntimeError("the ring of reports is too small")
+        self.settled += 1

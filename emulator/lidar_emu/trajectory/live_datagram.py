@@ -16,7 +16,7 @@ _TRUTH_MAGIC, _ANSWER_MAGIC = b"LETR", b"LEAN"
 _HEAD = struct.Struct("<4sHHI4xq")
 _TRUTH = struct.Struct("<4sHHI4xq3d3d3d4d3d")
 _ANSWER = struct.Struct("<4sHBBIIq")
-_PACKET = struct.Struct("<IIq")
+_PACKET = struct.Struct("<IIqB7x")
 _ACCELERATION_KNOWN, _LAST = 1, 2
 _LONGEST_ANSWER_BYTES = 60_000
 
@@ -97,6 +97,8 @@ class AnsweredPacket(NamedTuple):
 
     shot: int
     due_ns: int
+    fate: int
+    """What became of it on the link: a `transports.link.Fate`."""
     payload: bytes
     """As on the link; on CAN as frame records."""
 
@@ -118,7 +120,8 @@ class Answer(NamedTuple):
             _ANSWER_MAGIC, VERSION, self.verdict, self.more, self.sequence, len(self.packets), self.time_ns
         )
         return head + b"".join(
-            _PACKET.pack(len(p.payload), p.shot & 0xFFFFFFFF, p.due_ns) + p.payload for p in self.packets
+            _PACKET.pack(len(p.payload), p.shot & 0xFFFFFFFF, p.due_ns, p.fate) + p.payload
+            for p in self.packets
         )
 
     @classmethod
@@ -132,9 +135,9 @@ class Answer(NamedTuple):
             magic, version, verdict, more, sequence, count, time_ns = _ANSWER.unpack_from(datagram)
             packets, start = [], _ANSWER.size
             for _ in range(count):
-                length, shot, due_ns = _PACKET.unpack_from(datagram, start)
+                length, shot, due_ns, fate = _PACKET.unpack_from(datagram, start)
                 start += _PACKET.size + length
-                packets.append(AnsweredPacket(shot, due_ns, datagram[start - length : start]))
+                packets.append(AnsweredPacket(shot, due_ns, fate, datagram[start - length : start]))
         except struct.error as error:
             raise ValueError(f"not an answer: {error}") from None
         if (magic, version, start) != (_ANSWER_MAGIC, VERSION, len(datagram)):
