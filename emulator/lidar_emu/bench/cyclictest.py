@@ -41,7 +41,9 @@ class Cyclictest:
     ) -> None:
         if self._process is not None:
             self._process.kill()
-            self._process.communicate()
+            self._process.wait()
+            assert self._process.stdout is not None
+            self._process.stdout.close()
 
     def result(self) -> dict[str, int] | None:
         """p50, p99, p99.9 and maximum of its wake-up lateness; None where it is not installed or had no permission."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.bench_realtime import realtime
+from lidar_emu.cli.bench_response import response
 from lidar_emu.cli.options import load_scenario, settings_option
 from lidar_emu.errors import Finding, InputError, RunError
 
@@ -24,6 +25,7 @@ def bench() -> None:
 
 
 bench.add_command(realtime)
+bench.add_command(response)
 
 
 @bench.command(short_help="Error and time of every level and dial, beside the waveform level.")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,15 +50,13 @@ def realtime(rate: str, duration: str, beamlets: str, record: bool, plot: str | 
         from lidar_emu.report.lateness_plot import check_plot_path
 
         check_plot_path(Path(plot))
-    rate_hz, duration_s = _number("--rate", rate), _number("--duration", duration)
-    count = _count(beamlets)
+    rate_hz, duration_s = as_number("--rate", rate), as_number("--duration", duration)
+    count = as_count(beamlets)
     from lidar_emu.bench.realtime import RealtimeOptions, measure_realtime
 
-    try:
-        report = measure_realtime(RealtimeOptions(rate_hz, duration_s, count, record), _show)
-    except InputError as error:
-        raise InputError(_OPTIONS.get(error.key, error.where), None, error.value, error.allowed) from None
-    _show("")
+    with named_by_option():
+        report = measure_realtime(RealtimeOptions(rate_hz, duration_s, count, record), show)
+    show("")
     if plot is not None:
         _plot(report, Path(plot))
     from lidar_emu.bench.realtime_document import realtime_document
@@ -93,13 +93,27 @@ def _plot(report: RealtimeReport, path: Path) -> None:
     click.echo(f"{path}: {title}", err=True)
 
 
-def _show(what: str) -> None:
+@contextmanager
+def named_by_option() -> Iterator[None]:
+    """Let a complaint about the scenario name the option that it comes from."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(_OPTIONS.get(error.key, error.where), None, error.value, error.allowed) from None
+
+
+def show(what: str) -> None:
     """Progress, where somebody looks."""
     if sys.stderr is not None and sys.stderr.isatty():
         click.echo(f"\r\x1b[K{what}", nl=False, err=True)
 
 
-def _number(option: str, text: str) -> float:
+def as_number(option: str, text: str) -> float:
+    """What an option says.
+
+    Raises:
+        InputError: it is no number above 0.
+    """
     try:
         number = float(text)
     except ValueError:
@@ -109,7 +123,12 @@ def _number(option: str, text: str) -> float:
     return number
 
 
-def _count(text: str) -> int:
+def as_count(text: str) -> int:
+    """What --beamlets says.
+
+    Raises:
+        InputError: it is no whole number.
+    """
     try:
         return int(text)
     except ValueError:

@@ -31,6 +31,25 @@ def print_realtime(told: dict[str, Any]) -> None:
         console.print("the flight was interrupted")
 
 
+def print_response(told: dict[str, Any]) -> None:
+    """Figures of `bench response`."""
+    console = Console()
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
+    table.add_column("us from truth sent to last byte written")
+    for heading in ("shots", *_FIGURES.values()):
+        table.add_column(heading, justify="right")
+    for side in ("emulator", "control"):
+        table.add_row(side, *_cells(told[side]))
+    console.print(table)
+    shots = told["shots"]
+    console.print(
+        f"{told['rate_hz']:g} shots/s, four beams of {told['beamlets']} beamlets; {shots['sent']} sent, "
+        f"{shots['late']} late; host steal {told['steal_ticks']} ticks",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
 def _figures_table(told: dict[str, Any]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
     table.add_column("us after they were due")

@@ -1,0 +1,157 @@
+"""How long the emulator takes from truth in to the last byte written, beside a control that writes at once."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lidar_emu.arrays import IntArray
+from lidar_emu.bench.realtime_helper import Helper
+from lidar_emu.bench.realtime_statistics import NEVER
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.fly import Run
+from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.runtime.run_options import RunOptions
+from lidar_emu.scenario.load import load
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.shots import FlightModel, build_model
+from lidar_emu.transports.spec import Kind, PortSpec
+
+_BAUD = 3_000_000
+_TOP_M, _BOTTOM_M, _SPEED_MPS = 2000.0, 100.0, 50.0
+_BEFORE_START_S = 0.5
+_EARLY_NS = 100_000
+"""Truth comes this long before the packet is due: later, the shot would be computed without it."""
+
+
+@dataclass(frozen=True)
+class ResponseReport:
+    """What both sides took, in nanoseconds, one number for each shot that was written."""
+
+    rate_hz: float
+    duration_s: float
+    beamlets: int
+    emulator_ns: IntArray
+    control_ns: IntArray
+    summary: dict[str, Any]
+
+
+def measure_response(
+    rate_hz: float, duration_s: float, beamlets: int, progress: Callable[[str], None]
+) -> ResponseReport:
+    """Fly by a simulator's truth, which comes for each shot just before its packet is due.
+
+    Raises:
+        InputError: a rate, duration or number of beamlets that no instrument has.
+        RunError: a process died.
+    """
+    progress("preparing")
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="lidar-emu-")))
+        addresses = folder / "emulator", folder / "control"
+        scenario = _scenario(rate_hz, duration_s, beamlets, addresses[0])
+        model = build_model(scenario)
+        assert isinstance(model, FlightModel)
+        simulator, control, reader, control_reader = (
+            stack.enter_context(Helper(f"lidar_emu.bench.{name}"))
+            for name in ("response_simulator", "response_control", "realtime_far_end", "realtime_far_end")
+        )
+        beside = _Beside(simulator, control, reader, control_reader, addresses, model, scenario, progress)
+        port, clock = PortSpec(Kind.PTY, baud=_BAUD), Clock()
+        Run(
+            scenario, model, RunOptions(port), []
+        )  # compiles what is not in the cache: the next one starts on time
+        start_utc = clock.utc_now() + timedelta(seconds=_BEFORE_START_S)
+        beside.start_ns = clock.now_ns() + round(_BEFORE_START_S * 1e9)
+        run = Run(scenario, model, RunOptions(port, start=start_utc), [beside])
+        summary = run.fly().to_json()
+        progress("collecting")
+        told_ns, told_control_ns = simulator.finish()
+        (control_ns,) = control.finish()
+    written_ns = np.array(beside.written_ns, dtype=np.int64) + (run.start_ns or 0) - beside.start_ns
+    emulator = written_ns - told_ns[np.array(beside.shots, dtype=np.int64)]
+    n = min(len(control_ns), len(told_control_ns))
+    taken_ns = (control_ns - beside.start_ns)[:n] - told_control_ns[:n]
+    return ResponseReport(rate_hz, duration_s, beamlets, emulator, taken_ns[control_ns[:n] != NEVER], summary)
+
+
+def _scenario(rate_hz: float, duration_s: float, beamlets: int, address: Path) -> FlightScenario:
+    scenario = load(
+        "live.yaml",
+        {
+            "name": "bench response",
+            "timing.rate_hz": repr(rate_hz),
+            "timing.processing_latency_s": "0",
+            "duration_s": repr(duration_s),
+            "instrument.optics.beamlets": repr(beamlets),
+            "trajectory.listen": f"unix:{address}",
+            "trajectory.lead_s": "0",
+        },
+    )
+    assert isinstance(scenario, FlightScenario)
+    return scenario
+
+
+class _Beside(Observer):
+    """Starts simulator, control and readers with the flight, and notes when its packets were written."""
+
+    def __init__(
+        self,
+        simulator: Helper,
+        control: Helper,
+        reader: Helper,
+        control_reader: Helper,
+        addresses: tuple[Path, Path],
+        model: FlightModel,
+        scenario: FlightScenario,
+        progress: Callable[[str], None],
+    ) -> None:
+        self._simulator, self._control, self._reader = simulator, control, reader
+        self._addresses, self._flight, self._progress = addresses, model.flight, progress
+        self._count = model.shot_count
+        self._speed_mps = min(_SPEED_MPS, (_TOP_M - _BOTTOM_M) / (scenario.duration_s or 1.0))
+        self.start_ns = 0
+        self.shots: list[int] = []
+        self.written_ns: list[int] = []
+        path = control.hear()["path"]
+        for helper in (simulator, reader, control_reader):
+            helper.hear()
+        control_reader.tell(path=path)
+        control_reader.hear()
+
+    def awaiting(self, port: str, what: str) -> None:  # noqa: ARG002
+        """The port is open: so can be the others."""
+        self._reader.tell(path=port)
+        self._reader.hear()
+        self._control.tell(address=str(self._addresses[1]), packet_bytes=144)
+        self._control.hear()
+        flight = self._flight
+        self._simulator.tell(
+            emulator=str(self._addresses[0]),
+            control=str(self._addresses[1]),
+            start_ns=self.start_ns,
+            first_sent_ns=flight.due_ns(0) - _EARLY_NS,
+            first_truth_ns=flight.seen_ns(0),
+            period_ns=flight.period_ns,
+            count=self._count,
+            top_m=_TOP_M,
+            speed_mps=self._speed_mps,
+        )
+
+    def opened(self, port: str, start: datetime) -> None:
+        """Say so."""
+        self._progress(f"flying on {port} from {start:%H:%M:%S}")
+
+    def report(self, packet: Outgoing, report: Report) -> None:
+        """Note when it was written."""
+        if report.sent_ns >= 0:
+            self.shots.append(packet.shot)
+            self.written_ns.append(report.sent_ns)

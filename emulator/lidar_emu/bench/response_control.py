@@ -1,0 +1,54 @@
+"""The control of `bench response`: for each datagram a write of as many bytes to a pty, and nothing else.
+
+A process; see `realtime_helper`.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import tty
+from array import array
+
+from lidar_emu.bench.realtime_answers import LIFELINE, answer, answer_arrays, next_order
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.realtime import become_punctual
+
+_NEVER = -1
+
+
+def main() -> None:
+    """Write until the lifeline ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    answer(path=os.ttyname(slave), granted=become_punctual(1).granted)
+    order = next_order()
+    if order is None:
+        return
+    os.close(slave)
+    link = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    link.bind(order["address"])
+    answer(open=True)
+    answer_arrays(_write(Clock(), link, master, b"U" * order["packet_bytes"]))
+
+
+def _write(clock: Clock, link: socket.socket, descriptor: int, payload: bytes) -> array[int]:
+    """When each write had returned, on the monotonic clock."""
+    written = array("q")
+    while True:
+        ready, _ = clock.wait(None, [link.fileno(), LIFELINE])
+        if link.fileno() not in ready:
+            return written
+        link.recv(65536)
+        try:
+            os.write(descriptor, payload)
+            written.append(clock.now_ns())
+        except BlockingIOError:
+            written.append(_NEVER)
+
+
+if __name__ == "__main__":
+    main()
