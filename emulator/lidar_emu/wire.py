@@ -6,6 +6,7 @@ The only file that knows both `Measurement` and `lidar_protocol`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from operator import attrgetter
 from typing import Any
 
 from lidar_emu.errors import Finding, InputError
@@ -47,6 +48,8 @@ _SAME_ON_THE_WIRE = (
     "residual_mps",
     "beam_angle_deg",
 )
+_columns = attrgetter(*_SAME_ON_THE_WIRE)
+_REASON = _SAME_ON_THE_WIRE.index("reason")
 _OF_A_BEAM = frozenset({*_SAME_ON_THE_WIRE, "time_offset_s"})
 _OF_A_SHOT = frozenset({"time_ns", "time_s", "due_ns", "due_s", "mode", "laser_on", "clock_locked", "shot"})
 _REASONS = tuple(reason.name.lower() for reason in Reason)
@@ -115,14 +118,15 @@ class Encoder:
         self, measurement: Measurement
     ) -> Iterator[tuple[Mapping[str, Value], Sequence[Mapping[str, Value]]]]:
         # Lists of Python numbers: the protocol knows no arrays, and float(array element) costs more.
-        columns = [getattr(measurement, name).tolist() for name in _SAME_ON_THE_WIRE]
-        reasons = _SAME_ON_THE_WIRE.index("reason")
-        columns[reasons] = [[self._reasons[code] for code in row] for row in columns[reasons]]
-        first_ns = measurement.time_ns.min(axis=1)
-        offsets_s = ((measurement.time_ns - first_ns[:, None]) * 1e-9).tolist()
-        times = zip(
-            measurement.shot.tolist(), first_ns.tolist(), measurement.due_ns.tolist(), offsets_s, strict=True
-        )
+        columns = [column.tolist() for column in _columns(measurement)]
+        columns[_REASON] = [[self._reasons[code] for code in row] for row in columns[_REASON]]
+        times_ns = measurement.time_ns.tolist()
+        first_ns = [min(row) for row in times_ns]
+        offsets_s = [
+            [(time_ns - first) * 1e-9 for time_ns in row]
+            for row, first in zip(times_ns, first_ns, strict=True)
+        ]
+        times = zip(measurement.shot.tolist(), first_ns, measurement.due_ns.tolist(), offsets_s, strict=True)
         for row, (shot, time_ns, due_ns, offset_s) in enumerate(times):
             header = {
                 "time_ns": time_ns,

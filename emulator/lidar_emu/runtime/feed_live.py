@@ -78,12 +78,13 @@ class LiveFeed:
             now_ns = desk.clock.now_ns()
             if now_ns >= latest_ns:
                 break
+            # What is left of earlier shots is done while there is time: once truth is there, nothing is but the shot.
+            desk.outbox.settle()
             desk.outbox.wait(min(latest_ns, now_ns + POLL_NS), [source.fileno()])
             self._ended |= any(
                 arrival.truth is not None and arrival.truth.last and arrival.verdict is Verdict.ACCEPTED
                 for arrival in source.receive()
             )
-            desk.outbox.settle()
 
     def _fire(self, shot: int) -> None:
         desk, source = self._desk, self._source
@@ -94,15 +95,15 @@ class LiveFeed:
             desk.session.pass_over(shot + 1)
             desk.outbox.missed(shot, self._flight.due_ns(shot), now_ns - self._start_ns_known())
             return
-        fresh = source.used_at(self._flight.seen_ns(shot))
+        fresh = source.is_fresh_at(self._flight.seen_ns(shot))
         if not fresh and self._part.when_stale == "abort":
             desk.fail(f"truth is stale at shot {shot}, and trajectory.when_stale is abort")
             return
         block = desk.session.shoot(1, fired=fresh or self._part.when_stale == "coast")
         assert block is not None
         for packet in desk.outbox.announce(block):
-            source.awaited_by(packet)
             desk.push(packet)
+            source.used_for(packet, self._flight.seen_ns(shot))
 
     def _due_ns(self, shot: int) -> int:
         return self._start_ns_known() + self._flight.due_ns(shot)

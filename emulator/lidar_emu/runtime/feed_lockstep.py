@@ -77,7 +77,6 @@ class LockstepFeed:
         while (
             session.next_shot < self._flight.shot_count and self._flight.seen_ns(session.next_shot) <= time_ns
         ):
-            self._source.used_at(self._flight.seen_ns(session.next_shot))
             block = session.shoot(1)
             assert block is not None
             self._computed.extend(self._desk.outbox.announce(block))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -112,6 +113,7 @@ class Run:
             RunError: the port's process died.
         """
         stolen = steal_ticks()
+        gc.freeze()  # a collection in mid-flight need not look at all that was built for it
         truth_address = TruthSocket(self._live.listen, self._clock) if self._live else nullcontext()
         with (
             truth_address as socket,

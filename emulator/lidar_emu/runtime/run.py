@@ -38,7 +38,7 @@ class PortRunner:
         self._clock = Clock()
         self._child: PortChild | None = None
         packets_fd = Ring.create(slots, Outgoing.HEAD_BYTES + packet_bytes)
-        # Reports are fetched before each push, so about `slots` can be waiting: twice that is never full.
+        # Whoever pushes fetches reports at least once in so many packets: twice the room is never full.
         reports_fd = Ring.create(2 * slots, Report.SIZE_BYTES)
         self._packets = Ring(packets_fd)
         self._reports = Ring(reports_fd)
@@ -110,8 +110,9 @@ class PortRunner:
             ValueError: the packet is longer than `packet_bytes`.
             RunError: the process died.
         """
-        self._collect()
+        self._running()
         if not self._packets.push(packet.to_bytes()):
+            self._collect()
             return False
         self._ring()
         return True

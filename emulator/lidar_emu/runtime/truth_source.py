@@ -76,20 +76,22 @@ class TruthSource(Observer):
         newest = self.newest
         return newest is not None and newest.time_ns >= time_ns
 
-    def used_at(self, time_ns: int) -> bool:
-        """Count the age of the truth used for a shot valid at this scenario time; False if it is stale."""
-        newest = self.newest
-        age_ns = 0 if newest is None else max(0, time_ns - newest.time_ns)
-        self._age.add(age_ns)
-        stale = age_ns > self._stale_after_ns
-        self._stale += stale
-        return not stale
+    def is_fresh_at(self, time_ns: int) -> bool:
+        """Whether truth is not stale for a shot valid at this scenario time."""
+        return self._age_ns(time_ns) <= self._stale_after_ns
 
-    def awaited_by(self, packet: Outgoing) -> None:
-        """A packet made from the newest truth goes on its way, with the clock."""
+    def used_for(self, packet: Outgoing, time_ns: int) -> None:
+        """Note that a packet, of a shot valid at this scenario time, was made from the newest truth."""
+        age_ns = self._age_ns(time_ns)
+        self._age.add(age_ns)
+        self._stale += age_ns > self._stale_after_ns
         assert self.start_ns is not None
         since_ns = max(self._newest_arrived_ns - self.start_ns, packet.due_ns)
         self._awaited.append((packet.shot, since_ns))
+
+    def _age_ns(self, time_ns: int) -> int:
+        newest = self.newest
+        return 0 if newest is None else max(0, time_ns - newest.time_ns)
 
     def report(self, packet: Outgoing, report: Report) -> None:
         """Count how long it took from truth in, or from when the packet was due if that was later, to its last byte

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from math import isfinite, nan
+from math import dist, isfinite, nan
 
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.rotations import dot
 from lidar_emu.scenario.schema import LONGEST_S
 from lidar_emu.trajectory.live_datagram import Truth, Verdict
 from lidar_emu.trajectory.live_motion import ROW, follow
@@ -20,6 +19,7 @@ LONGEST_STEP_NS = 10_000_000_000
 _KEPT = 64
 _UNIT_TOLERANCE = 1e-3
 _UNKNOWN = (nan, nan, nan)
+_STILL = (0.0, 0.0, 0.0)
 
 
 class LiveTrajectory:
@@ -108,9 +108,7 @@ class LiveTrajectory:
         newest = self.newest
         if newest is not None:
             self.lost += max(0, truth.sequence - newest.sequence - 1)
-            heading_m = self.state(np.array([truth.time_ns * 1e-9])).position_site_m[0]
-            away_m = np.array(truth.position_site_m) - heading_m
-            if float(dot(away_m, away_m)) > self._jump_m**2:
+            if _distance_m(newest, truth) > self._jump_m:
                 self.jumped += 1
                 self._count = 0
         self._append(truth)
@@ -129,3 +127,15 @@ class LiveTrajectory:
         )
         self._count += 1
         self.newest = truth
+
+
+def _distance_m(a: Truth, b: Truth) -> float:
+    """From where `a` was heading to where `b` is."""
+    since_s = (b.time_ns - a.time_ns) * 1e-9
+    heading_m = (
+        p + (v + 0.5 * g * since_s) * since_s
+        for p, v, g in zip(
+            a.position_site_m, a.velocity_site_mps, a.acceleration_site_mps2 or _STILL, strict=True
+        )
+    )
+    return dist(tuple(heading_m), b.position_site_m)
