@@ -18,14 +18,11 @@ class Block:
     measurement: Measurement
     packets: list[Packet]
 
-    def first(self, count: int) -> Block:
-        """The first shots."""
-        return Block(self.measurement.first(count), self.packets[:count])
-
-    def before(self, shot: int) -> Block:
-        """The shots before a shot, perhaps none."""
-        count = shot - int(self.measurement.shot[0])
-        return self if count >= len(self.packets) else self.first(max(0, count))
+    def part(self, first: int, end: int) -> Block:
+        """Some of the shots: rows from `first`, and before `end`."""
+        if (first, end) == (0, len(self.packets)):
+            return self
+        return Block(self.measurement.part(first, end), self.packets[first:end])
 
 
 class Session:
@@ -76,13 +73,10 @@ class Session:
             self._before.pop()
         if not self._before:
             raise ValueError(f"shot {shot} is not kept")
-        self.next_shot, self._state = self._before.pop()
-        if shot > self.next_shot:
-            # What the scanner carries from shot to shot follows from the shots alone.
-            self.shoot(shot - self.next_shot)
+        first, state = self._before[-1]
+        self.next_shot = shot
+        self._state = self._model.state_after(first, shot - first, state) if shot > first else state
 
-    def use_pattern(self, pattern: int) -> bool:
-        """From the next shot on, use these beams; False if there are none of this number."""
-        state = self._model.commanded(self._state, pattern)
-        self._state = state or self._state
-        return state is not None
+    def use_pattern(self, pattern: int) -> None:
+        """From the next shot on, use these beams, if there are any of this number."""
+        self._state = self._model.commanded(self._state, pattern) or self._state

@@ -44,6 +44,10 @@ class Model(Protocol):
         """Shots `first` to `first + count - 1`, given the scanner's state before them."""
         ...
 
+    def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
+        """The scanner's state after these shots, without measuring them."""
+        ...
+
     def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:
         """The scanner's state after a command to use a pattern of beams; None if there is no such pattern."""
         ...
@@ -69,6 +73,10 @@ class FlightModel:
         axis_hits = self.flight.cast(pointing.sensor_site_m, pointing.true_site)
         returns = self.level(self.light.echoes(pointing, axis_hits), shot)
         return self._measurement(shot, pointing, axis_hits, returns), state
+
+    def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
+        """The scanner's state after these shots, without measuring them."""
+        return self.flight.point(np.arange(first, first + count, dtype=np.int64), state)[1]
 
     def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:
         """The scanner's state after a command to use a pattern of beams; None if there is no such pattern."""

@@ -51,7 +51,7 @@ class Sender:
         self._patience = Patience(link)
         self._next: Outgoing | None = None
         self._given_up = False
-        self._generation, self._valid_before = 0, 0
+        self._superseded: list[tuple[int, int]] = []
         self._last_shot = -1
         self.sent_bytes = 0
         self.settled = 0
@@ -85,7 +85,7 @@ class Sender:
 
     def supersede(self, generation: int, from_shot: int) -> None:
         """Packets of earlier generations are not sent any more, from this shot on."""
-        self._generation, self._valid_before = generation, from_shot
+        self._superseded.append((generation, from_shot))
 
     def send_now(self, payload: bytes) -> Fate:
         """What is no shot: sent or dropped at once."""
@@ -96,8 +96,9 @@ class Sender:
 
     def _is_superseded(self, packet: Outgoing) -> bool:
         """Also where the shot has met its fate already: news of the generation came too late for it."""
-        old = packet.generation < self._generation and packet.shot >= self._valid_before
-        return old or packet.shot <= self._last_shot
+        # Those that no packet is older than any more concern nobody.
+        self._superseded = [(g, shot) for g, shot in self._superseded if g > packet.generation]
+        return packet.shot <= self._last_shot or any(packet.shot >= shot for _, shot in self._superseded)
 
     def _patience_ends_ns(self, fate: Fate, now_ns: int) -> int | None:
         """Until when the packet is kept; None: it met its fate."""
