@@ -37,7 +37,9 @@ class Port:
             fate = Fate.SUPERSEDED if gone else Fate.SENT
             if not gone:
                 self.last_shot = packet.shot
-            self._reports.append(Report(packet.shot, packet.due_ns, packet.due_ns, fate, packet.due_ns))
+            self._reports.append(
+                Report(packet.shot, packet.due_ns, 1 if gone else packet.due_ns, fate, packet.due_ns)
+            )
 
     def supersede(self, generation: int, from_shot: int) -> None:
         self.superseded = generation, from_shot

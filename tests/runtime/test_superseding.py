@@ -42,10 +42,12 @@ def test_of_each_shot_the_last_announcement_is_sent(commands: list[tuple[int, in
             wanted[next_shot] = generation
             next_shot += 1
         next_shot = max(0, next_shot - back)
-        sender.supersede(generation + 1, next_shot)
+        sender.supersede(generation + 1, next_shot, packets.written)
         wanted = {shot: g for shot, g in wanted.items() if shot < next_shot}
     while not sender.step().for_packets:
         pass
     assert line.sent == [bytes(entry) for entry in sorted(wanted.items())]
+    told = [Report.from_bytes(entry) for entry in iter(reports.pop, None)]
+    assert sum(report.sent_ns if report.fate is Fate.SUPERSEDED else 1 for report in told) == packets.written
     packets.close()
     reports.close()

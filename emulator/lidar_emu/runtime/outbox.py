@@ -63,9 +63,11 @@ class Outbox:
         """Count what became of packets and pass on what arrived; returns the packets' reports."""
         reports = self._port.reports()
         for report in reports:
-            packet, block, row = self._in_flight.popleft()
             if report.fate is Fate.SUPERSEDED:
+                for _ in range(report.sent_ns):
+                    self._in_flight.popleft()
                 continue
+            packet, block, row = self._in_flight.popleft()
             self._tally.report(report)
             for observer in self._observers:
                 observer.report(packet, report)

@@ -7,7 +7,7 @@ Both pipes carry one JSON object per line:
     in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "loopback": fd or null}     once
          {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ..., "when_late": ...}}    monotonic clock
          {"finish": true}                            no more packets will come
-         {"supersede": [generation, shot]}           older packets from this shot on are not to be sent
+         {"supersede": [generation, shot, number]}   older packets from this shot, before that entry: not to be sent
          {"send": hex}                               at once; it is no shot
     out  {"ready": description} or {"refused": [where, key, value, allowed]}
          {"granted": [name], "missing": {name: command}}     what the system gave towards punctuality

@@ -127,7 +127,7 @@ class PortRunner:
         Raises:
             RunError: the process died.
         """
-        self._running().tell(supersede=[generation, from_shot])
+        self._running().tell(supersede=[generation, from_shot, self._packets.written])
 
     def send_now(self, payload: bytes) -> None:
         """Send what is no shot, between shots; there is no report.
