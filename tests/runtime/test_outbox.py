@@ -71,7 +71,7 @@ def begun() -> tuple[Session, Port, Kept, Tally, Outbox]:
     scenario = lidar_emu.load("descent.yaml", {"level": "geometric"})
     session = Session(build_model(scenario), Encoder(scenario.wire, False, False, 4), 10)
     port, kept, tally = Port(), Kept(), Tally(Pace.WALL)
-    return session, port, kept, tally, Outbox(port, [kept], tally)  # type: ignore[arg-type]
+    return session, port, kept, tally, Outbox(port, [kept], tally, 100)  # type: ignore[arg-type]
 
 
 def post(session: Session, outbox: Outbox, shots: int) -> None:

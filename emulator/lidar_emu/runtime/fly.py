@@ -118,11 +118,11 @@ class Run:
         with (
             truth_address as socket,
             on_signals(self._interrupt),
-            PortRunner(self._slots, _PACKET_ROOM_BYTES) as port,
+            PortRunner(2 * self._slots, _PACKET_ROOM_BYTES) as port,
         ):
             source = self._source(socket)
             ours = [observer for observer in (source, self._judge_of_lateness()) if observer is not None]
-            outbox = Outbox(port, [*self._observers, *ours], self.tally)
+            outbox = Outbox(port, [*self._observers, *ours], self.tally, self._slots)
             commands = self._command_post(outbox)
             with suppress(KeyboardInterrupt):
                 self._description = port.start(self._options.port)

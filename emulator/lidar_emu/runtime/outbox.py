@@ -19,9 +19,11 @@ class Outbox:
 
     Args:
         observers: told of everything: they must be quick.
+        room: packets that may be on their way at a time. The port must hold twice as many, for those that commands have
+            superseded stay in its ring until the ones before them are sent.
     """
 
-    def __init__(self, port: PortRunner, observers: Sequence[Observer], tally: Tally) -> None:
+    def __init__(self, port: PortRunner, observers: Sequence[Observer], tally: Tally, room: int) -> None:
         self._port = port
         self._observers = observers
         self._tally = tally
@@ -29,6 +31,7 @@ class Outbox:
         self._in_flight: deque[tuple[Outgoing, Block, int]] = deque()
         self._settling: tuple[Block, int, int] | None = None
         self._generation = 0
+        self._room = self._left = room
 
     def announce(self, block: Block) -> list[Outgoing]:
         """Tell of shots just computed; returns their packets, which are to be pushed in this order."""
@@ -41,8 +44,9 @@ class Outbox:
 
     def push(self, packet: Outgoing) -> bool:
         """Hand a packet over; False where there is no room before the port has sent some."""
-        if not self._port.push(packet):
+        if self._left <= 0 or not self._port.push(packet):
             return False
+        self._left -= 1
         self._in_flight.append((packet, *self._announced.pop((packet.generation, packet.shot))))
         return True
 
@@ -53,6 +57,7 @@ class Outbox:
         """
         self._generation += 1
         self._port.supersede(self._generation, from_shot)
+        self._left = self._room - sum(packet.shot < from_shot for packet, _, _ in self._in_flight)
         self._announced = {key: value for key, value in self._announced.items() if key[1] < from_shot}
 
     def send_now(self, payload: bytes) -> None:
@@ -68,6 +73,7 @@ class Outbox:
                     self._in_flight.popleft()
                 continue
             packet, block, row = self._in_flight.popleft()
+            self._left = min(self._room, self._left + 1)
             self._tally.report(report)
             for observer in self._observers:
                 observer.report(packet, report)
