@@ -1,0 +1,114 @@
+"""The emulator on SocketCAN, and at the other end candump, cansend, cantools, tshark and `lidar-emu listen`."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+from collections.abc import Callable
+from itertools import groupby
+from pathlib import Path
+
+import pytest
+import slcan_lines
+from can_tools import CANTOOLS, candump, run_tool, send, send_command, tshark
+from comparison import CODES, FLAGS, SERIAL_HELD, SERIAL_STEPS, assert_complete, assert_equal
+from programs import Program, eventually, read_summary
+
+import lidar_protocol
+from lidar_emu.measurement import Measurement
+from lidar_protocol import Host, default_interface
+
+BEAMS = 4
+BUS = ["-i", "socketcan", "-c", "vcan0", "--bitrate", "1000000"]
+CORE_STEPS = {"snr_db": 1.0, "range_m": 0.001, "closing_speed_mps": 0.0001}
+CORE_HELD = {"snr_db": (0.0, 62.0)}
+CORE_EXACT = ("range_valid", "speed_valid", "sign_resolved", "segments")
+FULL_STEPS, FULL_HELD = SERIAL_STEPS | CORE_STEPS, SERIAL_HELD | CORE_HELD
+FULL_EXACT = (*CORE_EXACT, "reason", "returns")
+PART = ["--pace", "max", "--duration", "5"]
+DBC = str(Path(lidar_protocol.__file__).parent / "lidar.dbc")
+
+Start = Callable[..., Program]
+Simulated = Callable[..., Measurement]
+
+
+def test_the_full_set_as_everybody_reads_it(start: Start, simulated: Simulated, tmp_path: Path) -> None:
+    capture = tmp_path / "bus.pcapng"
+    listener = start("listen", *BUS, "--json")
+    with candump(tmp_path) as dump, tshark(capture):
+        listener.word_after("listening on ")
+        start("run", "descent.yaml", *BUS, *PART, "--summary", "s.json").succeed()
+        summary = read_summary(tmp_path / "s.json")
+        eventually(lambda: listener.out.count("\n") >= BEAMS * summary["shots"]["sent"])
+        listener.signal(signal.SIGINT)
+        assert listener.wait() == 0
+
+    frames = dump.frames()
+    rows = slcan_lines.rows(slcan_lines.shots(frames))
+    heard = [json.loads(line) for line in listener.out.splitlines()]
+    for received in (rows, heard):
+        assert_complete(received, summary, BEAMS)
+        assert len(received) == BEAMS * summary["planned_shots"]
+        assert_equal(received, simulated("descent.yaml"), FULL_STEPS, FULL_HELD, FULL_EXACT)
+    assert summary["wire"]["lost_frames"] == summary["wire"]["error_frames"] == 0
+
+    decoded = run_tool(CANTOOLS, "decode", "--single-line", DBC, stdin=dump.log).splitlines()
+    told = [re.search(r"Beam0\(.*?range_m: (\S+)", line) for line in decoded]
+    ranges_m = [match[1] for match in told if match]
+    for text, row in zip(ranges_m, rows[::BEAMS], strict=True):
+        assert (text[0] == "n") == (row["range_m"] is None)
+        assert text[0] == "n" or float(text) == pytest.approx(row["range_m"], abs=1e-9)
+
+    fields = ["-T", "fields", "-e", "can.id", "-e", "data.data"]
+    seen = [line.split("\t") for line in run_tool("tshark", "-r", str(capture), *fields).splitlines()]
+    captured = [(int(can_id, 0), bytes.fromhex(data)) for can_id, data in seen]
+    assert captured == [(frame.can_id, frame.data) for frame in frames]
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "messages"),
+    [
+        (["--set", "wire.can_messages=core"], "t", ["Header", *(f"Beam{k}" for k in range(4))]),
+        (["--fd", "--data-bitrate", "5000000"], "b", ["FdHeader", *(f"FdBeam{k}" for k in range(4))]),
+    ],
+)
+def test_the_other_sets_of_messages(
+    options: list[str], kind: str, messages: list[str], start: Start, simulated: Simulated, tmp_path: Path
+) -> None:
+    with candump(tmp_path) as dump:
+        start("run", "descent.yaml", *BUS, *options, "--pace", "max", "--summary", "s.json").succeed()
+    frames = dump.frames()
+    shots = slcan_lines.shots(frames)
+    rows, expected = slcan_lines.rows(shots), simulated("descent.yaml")
+    assert_complete(rows, read_summary(tmp_path / "s.json"), BEAMS)
+    assert {frame.kind for frame in frames} == {kind}
+    assert {tuple(shot["messages"]) for shot in shots} == {tuple(messages)}
+    if kind == "b":
+        assert_equal(rows, expected, exact=FLAGS + CODES)
+    else:
+        assert_equal(rows, expected, CORE_STEPS, CORE_HELD, CORE_EXACT)
+
+
+def test_the_beams_follow_a_command_by_cansend(start: Start, tmp_path: Path) -> None:
+    host = Host(default_interface())
+    flat = ["--set", "level=geometric", "--set", "site=flat"]
+    with candump(tmp_path) as dump:
+        run = start("run", "descent.yaml", *BUS, *flat, "--summary", "s.json")
+        eventually(lambda: len(dump.shots()) > 60)
+        send_command(host.encode_command_frame("set_pattern", sequence=0, pattern=1))
+        send(0x132, b"\x01")  # a command cut short
+        send_command(host.encode_command_frame("set_pattern", sequence=1, pattern=77))
+        eventually(lambda: sum(frame.can_id == 0x138 for frame in dump.frames()) >= 2)
+        sent = len(dump.shots())
+        eventually(lambda: len(dump.shots()) > sent + 150)
+        run.signal(signal.SIGINT)
+        run.succeed()
+    answers = [frame for frame in dump.frames() if frame.can_id == 0x138]
+    told = [slcan_lines.DATABASE.decode_message(frame.can_id, frame.data) for frame in answers]
+    summary = read_summary(tmp_path / "s.json")
+    assert [str(answer["verdict"]) for answer in (told[0], told[-1])] == ["accepted", "out_of_range"]
+    assert summary["commands"]["accepted"] == 1
+    assert summary["commands"]["rejected"]["out_of_range"] == 1
+    angles = [beam["beam_angle_deg"] for shot in slcan_lines.shots(dump.shots()) for beam in shot["beams"]]
+    assert [angle for angle, _ in groupby(angles)] == [22.5, 7.5]
