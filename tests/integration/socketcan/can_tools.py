@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -69,14 +69,19 @@ def candump(folder: Path, interface: str = "vcan0") -> Iterator[Candump]:
 
 
 @contextmanager
-def tshark(capture: Path, interface: str = "vcan0") -> Iterator[None]:
-    """tshark, capturing from here on."""
-    command = ["tshark", "-q", "-i", interface, "-w", str(capture)]
+def tshark(folder: Path, interface: str = "vcan0") -> Iterator[Callable[[], list[tuple[int, bytes]]]]:
+    """tshark, dissecting from here on: identifiers and data of the frames that it has seen so far."""
+    path = folder / f"tshark-{interface}.txt"
+    fields = ["-T", "fields", "-e", "can.id", "-e", "data.data"]
     before = _packet_sockets()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    with path.open("wb") as out:
+        command = ["tshark", "-l", "-Q", "-i", interface, *fields]
+        process = subprocess.Popen(command, stdout=out, stderr=subprocess.DEVNULL)
     with ended_at_the_end(process):
         eventually(lambda: _packet_sockets() > before)
-        yield
+        yield lambda: [
+            _dissected(line) for line in path.read_text().splitlines(keepends=True) if line[-1] == "\n"
+        ]
 
 
 @contextmanager
@@ -87,6 +92,11 @@ def ended_at_the_end(process: subprocess.Popen[bytes]) -> Iterator[None]:
     finally:
         process.terminate()
         process.wait(20)
+
+
+def _dissected(line: str) -> tuple[int, bytes]:
+    can_id, data = line.rstrip("\n").split("\t")
+    return int(can_id, 0), bytes.fromhex(data)
 
 
 def _packet_sockets() -> int:
