@@ -14,6 +14,7 @@ from slcan_lines import Line
 
 from lidar_protocol import CanFrame
 
+_LAST = 0x7FF
 MEASUREMENTS = range(0x100, 0x130)
 CANTOOLS = str(Path(sys.executable).parent / "cantools")
 _LOGGED = re.compile(r"\(\d+\.\d+\) (\w+) ([0-9A-F]{3})#(#[0-9A-F])?([0-9A-F]*)( [RT])?")
@@ -46,8 +47,16 @@ class Candump:
         text = self._path.read_text()
         return text[: text.rfind("\n") + 1]
 
+    def is_complete(self, interface: str) -> bool:
+        """Whether it has caught up: a last frame is sent, again where the bus loses it, until it is there."""
+        send(_LAST, b"", interface)
+        return any(frame.can_id == _LAST for frame in self._all_frames())
+
     def frames(self) -> list[Line]:
         """Data frames with 11-bit identifiers."""
+        return [frame for frame in self._all_frames() if frame.can_id != _LAST]
+
+    def _all_frames(self) -> list[Line]:
         return [_line(match) for line in self.log.splitlines() if (match := _LOGGED.fullmatch(line))]
 
     def shots(self) -> list[Line]:
@@ -65,7 +74,9 @@ def candump(folder: Path, interface: str = "vcan0") -> Iterator[Candump]:
         process = subprocess.Popen(command, stdout=log, stderr=subprocess.DEVNULL)
         with ended_at_the_end(process):
             eventually(lambda: interface in Path("/proc/net/can/rcvlist_all").read_text())
-            yield Candump(path)
+            dump = Candump(path)
+            yield dump
+            eventually(lambda: dump.is_complete(interface))
 
 
 @contextmanager

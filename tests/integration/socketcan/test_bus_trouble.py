@@ -62,7 +62,8 @@ def test_a_lossy_bus_costs_what_it_loses(start: Start, shape: Shape, tmp_path: P
     assert 0.87 < frames / (200 * (3 + 3 * BEAMS)) < 0.93, "five standard deviations"
     listener.signal(signal.SIGINT)
     assert listener.wait() == 0
-    assert f"frames {frames}," in listener.err
+    heard = int(re.search(r"frames (\d+)", listener.err)[1])
+    assert 0.9 * frames < heard <= frames + 10
     complete = int(re.search(r"messages (\d+)", listener.err)[1])
     assert 5 < complete < 100, "0.9**15 of 200 shots is 41"
     assert listener.out.count("\n") == BEAMS * complete
