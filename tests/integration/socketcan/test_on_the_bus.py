@@ -6,18 +6,16 @@ import json
 import re
 import signal
 from collections.abc import Callable
-from itertools import groupby
 from pathlib import Path
 
 import pytest
 import slcan_lines
-from can_tools import CANTOOLS, candump, run_tool, send, send_command, tshark
+from can_tools import CANTOOLS, candump, run_tool, tshark
 from comparison import CODES, FLAGS, SERIAL_HELD, SERIAL_STEPS, assert_complete, assert_equal
 from programs import Program, eventually, read_summary
 
 import lidar_protocol
 from lidar_emu.measurement import Measurement
-from lidar_protocol import Host, default_interface
 
 BEAMS = 4
 BUS = ["-i", "socketcan", "-c", "vcan0", "--bitrate", "1000000"]
@@ -84,27 +82,3 @@ def test_the_other_sets_of_messages(
         assert_equal(rows, expected, exact=FLAGS + CODES)
     else:
         assert_equal(rows, expected, CORE_STEPS, CORE_HELD, CORE_EXACT)
-
-
-def test_the_beams_follow_a_command_by_cansend(start: Start, tmp_path: Path) -> None:
-    host = Host(default_interface())
-    flat = ["--set", "level=geometric", "--set", "site=flat"]
-    with candump(tmp_path) as dump:
-        run = start("run", "descent.yaml", *BUS, *flat, "--summary", "s.json")
-        eventually(lambda: len(dump.shots()) > 60)
-        send_command(host.encode_command_frame("set_pattern", sequence=0, pattern=1))
-        send(0x132, b"\x01")  # a command cut short
-        send_command(host.encode_command_frame("set_pattern", sequence=1, pattern=77))
-        eventually(lambda: sum(frame.can_id == 0x138 for frame in dump.frames()) >= 2)
-        sent = len(dump.shots())
-        eventually(lambda: len(dump.shots()) > sent + 150)
-        run.signal(signal.SIGINT)
-        run.succeed()
-    answers = [frame for frame in dump.frames() if frame.can_id == 0x138]
-    told = [slcan_lines.DATABASE.decode_message(frame.can_id, frame.data) for frame in answers]
-    summary = read_summary(tmp_path / "s.json")
-    assert [str(answer["verdict"]) for answer in (told[0], told[-1])] == ["accepted", "out_of_range"]
-    assert summary["commands"]["accepted"] == 1
-    assert summary["commands"]["rejected"]["out_of_range"] == 1
-    angles = [beam["beam_angle_deg"] for shot in slcan_lines.shots(dump.shots()) for beam in shot["beams"]]
-    assert [angle for angle, _ in groupby(angles)] == [22.5, 7.5]
