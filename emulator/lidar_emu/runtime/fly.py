@@ -249,6 +249,7 @@ class Run:
                 "received_bytes": port.told.received_bytes,
                 "unheard_bytes": port.told.unheard_bytes,
                 "unsent_answers": port.told.unsent,
+                **port.told.noticed,
             },
             "link_event_count": port.told.event_count,
             "link_events": [

@@ -33,7 +33,7 @@ from lidar_emu.runtime.pacing import Pace, Pacing, WhenLate
 from lidar_emu.runtime.realtime import become_punctual
 from lidar_emu.runtime.ring import Ring
 from lidar_emu.runtime.sender import Sender, Wait
-from lidar_emu.transports.link import Fate, Link
+from lidar_emu.transports.link import COUNTED, Fate, Link
 from lidar_emu.transports.opening import opener
 from lidar_emu.transports.spec import PortSpec
 from lidar_emu.transports.wire_load import drain_time_s
@@ -209,6 +209,7 @@ class _Port:
             "received_bytes": self._received_bytes,
             "unheard_bytes": self._unheard_bytes,
             "unsent": self._unsent,
+            **{name: self._link.counts[name] for name in COUNTED},
         }
 
 
