@@ -24,7 +24,6 @@ from lidar_emu.rotations import rotate
 from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
 from lidar_emu.scenario.site import Grid
-from lidar_emu.scenario.trajectory import Live
 from lidar_emu.scene.build import build_scene
 from lidar_emu.scene.hits import Hits
 from lidar_emu.trajectory.build import build_trajectory
@@ -97,7 +96,7 @@ class Flight:
     def __init__(self, scenario: FlightScenario) -> None:
         self.scenario = scenario
         self.trajectory = build_trajectory(scenario.trajectory)
-        self.is_live = isinstance(scenario.trajectory, Live)
+        self.is_live = scenario.live is not None
         """Whether the vehicle's motion becomes known only as it is flown."""
         self.scanner = build_scanner(scenario.scanner)
         self.scene = build_scene(scenario.site)

@@ -26,7 +26,6 @@ from lidar_emu.pointing import PUBLISHED, SENSOR, TRUE, VELOCITY
 from lidar_emu.rotations import dot_3
 from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.scenario.trajectory import Live
 from lidar_emu.scene.hits import Hits
 
 BLOCK_SHOTS = 128
@@ -143,7 +142,7 @@ def require_known_flight(scenario: FlightScenario | BenchScenario) -> None:
     Raises:
         InputError: the trajectory is live.
     """
-    if isinstance(scenario, FlightScenario) and isinstance(scenario.trajectory, Live):
+    if scenario.live is not None:
         allowed = "allowed here: profile or table; live truth is flown by lidar-emu run"
         raise InputError(scenario.name, "trajectory.kind", "live", allowed)
 

@@ -12,7 +12,7 @@ import click
 
 from lidar_emu.cli.bench_realtime import realtime
 from lidar_emu.cli.bench_response import response
-from lidar_emu.cli.options import load_scenario, settings_option
+from lidar_emu.cli.options import as_number, load_scenario, settings_option
 from lidar_emu.errors import Finding, InputError, RunError
 
 if TYPE_CHECKING:
@@ -61,8 +61,13 @@ def accuracy(
     lidar-emu bench accuracy --set instrument=ndl_fine --shots 4000 --json
     """
     count = _count(shots)
-    range_m = _target("--target-range-error", target_range_error)
-    speed_mps = _target("--target-speed-error", target_speed_error)
+    range_m, speed_mps = (
+        None if text is None else as_number(option, text)
+        for option, text in (
+            ("--target-range-error", target_range_error),
+            ("--target-speed-error", target_speed_error),
+        )
+    )
     if plot is not None:
         from lidar_emu.report.work_precision_plot import check_plot_path
 
@@ -134,15 +139,3 @@ def _count(text: str) -> int:
     if not 10 <= count <= 1_000_000:
         raise InputError("--shots", None, text, "allowed: a whole number from 10 to 1000000")
     return count
-
-
-def _target(option: str, text: str | None) -> float | None:
-    if text is None:
-        return None
-    try:
-        target = float(text)
-    except ValueError:
-        target = math.nan
-    if not 0.0 < target < math.inf:
-        raise InputError(option, None, text, "allowed: a number above 0")
-    return target

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from lidar_emu.cli.options import as_number
 from lidar_emu.errors import InputError
 
 if TYPE_CHECKING:
@@ -106,21 +106,6 @@ def show(what: str) -> None:
     """Progress, where somebody looks."""
     if sys.stderr is not None and sys.stderr.isatty():
         click.echo(f"\r\x1b[K{what}", nl=False, err=True)
-
-
-def as_number(option: str, text: str) -> float:
-    """What an option says.
-
-    Raises:
-        InputError: it is no number above 0.
-    """
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not 0.0 < number < math.inf:
-        raise InputError(option, None, text, "allowed: a number above 0")
-    return number
 
 
 def as_count(text: str) -> int:

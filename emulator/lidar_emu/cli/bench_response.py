@@ -7,7 +7,8 @@ from typing import Any
 
 import click
 
-from lidar_emu.cli.bench_realtime import as_count, as_number, named_by_option, show
+from lidar_emu.cli.bench_realtime import as_count, named_by_option, show
+from lidar_emu.cli.options import as_number
 
 
 @click.command(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -61,6 +62,21 @@ def load_scenario(
             if (error.where, error.key) == ("--set", key) or error.where == f"--set {key}":
                 raise InputError(option, None, error.value, error.allowed) from None
         raise
+
+
+def as_number(option: str, text: str) -> float:
+    """What an option says.
+
+    Raises:
+        InputError: it is no number above 0.
+    """
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not 0.0 < number < math.inf:
+        raise InputError(option, None, text, "allowed: a number above 0")
+    return number
 
 
 def _keys_and_values(settings: tuple[str, ...]) -> dict[str, str]:

@@ -135,9 +135,7 @@ def _failures(text: str) -> set[str]:
 
 
 def _check_start(text: str | None, flown: FlightScenario | BenchScenario) -> None:
-    from lidar_emu.runtime.run_options import is_live
-
-    live = is_live(flown)
+    live = flown.live is not None
     if text == ("now" if live else "on-truth"):
         allowed = "on-truth (as if left out) or an instant" if live else "now (as if left out) or an instant"
         kind = "live" if live else "not live"

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.lateness import LatenessHistogram
-from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
+from lidar_emu.runtime.outbox import payload_of
+from lidar_emu.transports.frames import unpack_frames
 from lidar_protocol import (
     BadCommand,
     CanCommandReader,
@@ -149,8 +150,7 @@ class CommandPost:
             return [self._device.acknowledge(self._verdicts.total() - 1, command, **values)]
         if self._interface.can is None or self._interface.can.acknowledge is None:
             return []
-        frame = self._device.acknowledge_frame(command, **values)
-        return [pack_frames([Frame(frame.can_id, frame.data, frame.is_fd, frame.bitrate_switch)])]
+        return [payload_of([self._device.acknowledge_frame(command, **values)])]
 
     def _check_answer(self, verdict: str) -> None:
         try:

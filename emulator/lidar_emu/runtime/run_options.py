@@ -23,19 +23,13 @@ class RunOptions:
     first datagram says."""
 
 
-def is_live(scenario: FlightScenario | BenchScenario) -> bool:
-    """Whether a simulator says how the scenario is flown."""
-    return isinstance(scenario, FlightScenario) and isinstance(scenario.trajectory, Live)
-
-
 def live_part(scenario: FlightScenario | BenchScenario, options: RunOptions) -> Live | None:
     """The live trajectory of a scenario; None if it has another.
 
     Raises:
         InputError: the pace does not fit it.
     """
-    part = scenario.trajectory if isinstance(scenario, FlightScenario) else None
-    live = part if isinstance(part, Live) else None
+    live = scenario.live
     if live is None and options.pace is Pace.LOCKSTEP:
         raise InputError(
             "--pace", None, "lockstep", "allowed with trajectory.kind live: wall, lockstep; else wall, max"

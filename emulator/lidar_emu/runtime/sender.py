@@ -99,11 +99,12 @@ class Sender:
 
         One shot is also passed over where it has met its fate already: news of the command came too late for it.
         """
-        # Those that no packet is older than any more concern nobody.
-        self._superseded = [mark for mark in self._superseded if mark[0] > packet.generation]
-        ends = [end for _, shot, end in self._superseded if packet.shot >= shot]
-        if ends:
-            return 1 + self._packets.skip_to(max(ends))
+        if self._superseded:
+            # Those that no packet is older than any more concern nobody.
+            self._superseded = [mark for mark in self._superseded if mark[0] > packet.generation]
+            ends = [end for _, shot, end in self._superseded if packet.shot >= shot]
+            if ends:
+                return 1 + self._packets.skip_to(max(ends))
         return int(packet.shot <= self._last_shot)
 
     def _patience_ends_ns(self, fate: Fate, now_ns: int) -> int | None:

@@ -18,7 +18,6 @@ from lidar_emu.runtime.packets import Fate, Report
 from lidar_emu.runtime.windows import LatenessWindows
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.shots import FlightModel, Model
-from lidar_emu.trajectory.live import LiveTrajectory
 
 _DROPS = {Fate.DROPPED_FULL: "full", Fate.DROPPED_NOBODY: "nobody_connected", Fate.DROPPED_BROKEN: "broken"}
 
@@ -125,8 +124,7 @@ def expectation(scenario: FlightScenario | BenchScenario, model: Model) -> dict[
     """What the closed forms expect of the run, under the names of the summary file; null for a bench pattern and
     for a flight that is not known yet."""
     names = ("expected_range_error_m", "expected_speed_error_mps", "expected_dropout")
-    known = isinstance(model, FlightModel) and not isinstance(model.flight.trajectory, LiveTrajectory)
-    if not (isinstance(scenario, FlightScenario) and isinstance(model, FlightModel) and known):
+    if scenario.live or not (isinstance(scenario, FlightScenario) and isinstance(model, FlightModel)):
         return dict.fromkeys(names)
     told = expected_error(scenario, model.flight, model.plan.beamlets).to_json()
     values = (

@@ -13,7 +13,7 @@ from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.part import Part, Switch, unusable
 from lidar_emu.scenario.scanner import Mounting, Scanner
 from lidar_emu.scenario.site import Site
-from lidar_emu.scenario.trajectory import Trajectory
+from lidar_emu.scenario.trajectory import Live, Trajectory
 
 
 def _in_utc(instant: datetime) -> datetime:
@@ -81,6 +81,11 @@ class Scenario(Part):
     wire: Wire = Wire()
     """Identity on the wire."""
 
+    @property
+    def live(self) -> Live | None:
+        """Where the truth of a simulator comes from; None if the scenario itself says how it is flown."""
+        return None
+
 
 class FlightScenario(Scenario):
     """A flight over ground, measured by the model of the instrument."""
@@ -100,6 +105,11 @@ class FlightScenario(Scenario):
     model, `spectral` computes the bins of the spectra that matter, `waveform` every sample (slow)."""
     exact: Switch = False
     """Compute every stage of the model, also those whose effect is below its bound."""
+
+    @property
+    def live(self) -> Live | None:
+        """See `Scenario`."""
+        return self.trajectory if isinstance(self.trajectory, Live) else None
 
     @property
     def cycle_time_s(self) -> float:

@@ -76,9 +76,7 @@ class LiveTrajectory:
         """
         if not self._count:
             raise ValueError("there is no truth yet")
-        place, matrix = (len(time_s), 3), (len(time_s), 3, 3)
-        moving = np.empty(place), np.empty(place), np.empty(place)
-        state = VehicleState(time_s, *moving, np.empty(matrix), np.empty(place))
+        state = VehicleState.unfilled(time_s)
         follow(self._rows[: self._count], *state)
         return state
 

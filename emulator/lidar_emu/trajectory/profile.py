@@ -44,10 +44,7 @@ class ProfileTrajectory:
 
     def state(self, time_s: FloatArray) -> VehicleState:
         """The vehicle at scenario times (n,)."""
-        place, matrix = (len(time_s), 3), (len(time_s), 3, 3)
-        state = VehicleState(
-            time_s, np.empty(place), np.empty(place), np.empty(place), np.empty(matrix), np.empty(place)
-        )
+        state = VehicleState.unfilled(time_s)
         _fly(
             self._leg_start_s,
             self._start_site_m,

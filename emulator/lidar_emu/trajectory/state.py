@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, Self
+
+import numpy as np
 
 from lidar_emu.arrays import FloatArray
 
@@ -34,6 +36,13 @@ class VehicleState(NamedTuple):
     """(n, 3, 3) Rotations."""
     body_rate_radps: FloatArray
     """(n, 3) Angular rate of the body against the site, about body x, y and z."""
+
+    @classmethod
+    def unfilled(cls, time_s: FloatArray) -> Self:
+        """Arrays for a kernel to fill."""
+        vector, matrix = (len(time_s), 3), (len(time_s), 3, 3)
+        moving = np.empty(vector), np.empty(vector), np.empty(vector)
+        return cls(time_s, *moving, np.empty(matrix), np.empty(vector))
 
 
 class Trajectory(Protocol):
