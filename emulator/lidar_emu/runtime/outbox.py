@@ -112,14 +112,15 @@ class Outbox:
 
     def _settled(self, block: Block) -> None:
         self._tally.measured(block.measurement)
+        self._tally.faults.update(fault.kind for fault in block.faults)
         for observer in self._observers:
             observer.settled(block)
 
 
 def outgoing(block: Block, generation: int = 0) -> Iterator[Outgoing]:
     """The packets of shots, as the port's process takes them."""
-    shots, dues = block.measurement.shot.tolist(), block.measurement.due_ns.tolist()
-    for shot, due_ns, packet in zip(shots, dues, block.packets, strict=True):
+    shots = block.measurement.shot.tolist()
+    for shot, due_ns, packet in zip(shots, block.due_ns, block.packets, strict=True):
         yield Outgoing(shot, due_ns, payload_of(packet), generation)
 
 
