@@ -77,8 +77,12 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
         "",
         f"shots      {shots['due']} due{_planned(told)}: {shots['sent']} sent, "
         f"{shots['late']} late, {sum(shots['dropped'].values())} dropped"
-        + (f" ({dropped})" if dropped else ""),
+        + (f" ({dropped})" if dropped else "")
+        + (f", {shots['withheld']} withheld by faults" if shots["withheld"] else ""),
     ]
+    if told["faults"]:
+        counts = ", ".join(f"{kind.replace('_', ' ')} {count}" for kind, count in told["faults"].items())
+        lines.append(f"faults     {counts} (shots)")
     if lateness["count"]:
         steal = "" if told["steal_ticks"] is None else f"; host steal {told['steal_ticks']} ticks"
         lines.append(f"lateness   {_figures(lateness)}{steal}")

@@ -27,6 +27,12 @@ class Chance:
     def __init__(self, seed: int, number: int) -> None:
         self._seed = np.uint64(seed)
         self._purpose = _FIRST_PURPOSE + number
+        # Kernels are compiled before the run: what is drawn at a fault's first shot must not make it late.
+        nobody = np.empty(0, dtype=np.int64)
+        self.uniforms(nobody, 1, 0)
+        self.normals(nobody, 1, 0)
+        self.of_shots(nobody)
+        self.run_of(0, 0, 0)
 
     def uniforms(self, shot: NDArray[np.int64], beams: int, index: int) -> FloatArray:
         """(shots, beams, 2) Uniforms between 0 and 1; other ones for each index."""

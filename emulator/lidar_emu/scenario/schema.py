@@ -81,7 +81,7 @@ class Scenario(Part):
     """Rate and latency."""
     wire: Wire = Wire()
     """Identity on the wire."""
-    faults: Annotated[list[Fault], Field(max_length=256)] = []
+    faults: Annotated[list[Fault], Field(min_length=0, max_length=256)] = []
     """What goes wrong, in this order: each acts on what those before it have left."""
 
 
