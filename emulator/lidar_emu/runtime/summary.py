@@ -111,7 +111,6 @@ class Tally:
                 "due": self.due,
                 "sent": self.sent,
                 "late": self.late,
-                "withheld": self.fates[Fate.WITHHELD],
                 "dropped": {name: self.fates[fate] for fate, name in _DROPS.items()},
             },
             "lateness": {**self.lateness.summary(), "windows": self.windows.summary()},
@@ -119,7 +118,7 @@ class Tally:
                 {Reason(code).name.lower(): count for code, count in sorted(counts.items())}
                 for counts in self.reasons
             ],
-            "faults": dict(sorted(self.faults.items())),
+            "faults": {"shots": dict(sorted(self.faults.items())), "withheld": self.fates[Fate.WITHHELD]},
             "range_error_m": self.range_error_m.to_json(),
             "speed_error_mps": self.speed_error_mps.to_json(),
         }
