@@ -72,6 +72,17 @@ def test_spells_of_any_block_are_those_of_each_shot_alone(
             assert acts[row, beam] == (inside(shot) and hit)
 
 
+@pytest.mark.parametrize("lasts_s", [0.0, 0.02, 0.021, 0.1])
+def test_spells_of_single_shots_are_those_of_all_together(lasts_s: float) -> None:
+    asked = schedule(from_s=0.5, to_s=30, probability=0.1, lasts_s=lasts_s)
+    together = asked.beams(shots(0, 2000), 2)
+    singly = np.concatenate([asked.beams(shots(k, 1), 2) for k in range(2000)])
+    np.testing.assert_array_equal(singly, together)
+    np.testing.assert_array_equal(
+        [asked.shots(shots(k, 1))[0] for k in range(2000)], asked.shots(shots(0, 2000))
+    )
+
+
 def test_faults_beams_and_seeds_have_chances_of_their_own() -> None:
     many = shots(0, 20_000)
     first = schedule(0, probability=0.1).beams(many, 2)

@@ -23,6 +23,8 @@ def hold(values: NDArray[Any], renewed: BoolArray, before: Row | None) -> tuple[
     Returns:
         (shots, beams) what is held at each shot, and (1, beams) after the last.
     """
+    if renewed.all():
+        return values, values[-1:]
     stacked = np.concatenate([values[:1] if before is None else before, values])
     row = np.where(renewed, np.arange(1, len(values) + 1)[:, None], 0)
     held = np.take_along_axis(stacked, np.maximum.accumulate(row, axis=0), axis=0)

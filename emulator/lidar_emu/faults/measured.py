@@ -61,6 +61,8 @@ class _Act:
 
     def with_columns(self, block: Measurement, **columns: Any) -> Measurement:
         """The block with these values where the fault acts."""
+        if not self.hit.any():
+            return block
         chosen: dict[str, Any] = {}
         for name, values in columns.items():
             own = getattr(block, name)
@@ -109,11 +111,13 @@ class BeamFaults:
         after: list[Held | None] = []
         for (number, fault, schedule, chance), before in zip(self._faults, held, strict=True):
             effect = _EFFECTS[type(fault)]
-            if not schedule.may_act(block.shot) and effect not in _CARRY:
+            carries = effect in _CARRY
+            due = carries or schedule.begins_by(int(block.shot[-1]))
+            if not due or schedule.is_over(int(block.shot[0])):
                 after.append(None)
                 continue
             act = _Act(fault, schedule, chance, self._hit(fault, schedule, block), before)
-            changed, carried = effect(block, act)
+            changed, carried = effect(block, act) if carries or act.hit.any() else (block, None)
             after.append(carried)
             for row in np.flatnonzero(act.hit.any(axis=1)).tolist():
                 beams = tuple(np.flatnonzero(act.hit[row]).tolist())

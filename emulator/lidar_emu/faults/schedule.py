@@ -48,9 +48,13 @@ class Schedule:
             self._first = self._shot_at(fault.from_s)
             self._end = np.iinfo(np.int64).max if fault.to_s is None else self._shot_at(fault.to_s)
 
-    def may_act(self, shot: NDArray[np.int64]) -> bool:
-        """Whether any of consecutive shots lies in the window."""
-        return bool(shot[-1] >= self._first and shot[0] < self._end)
+    def begins_by(self, shot: int) -> bool:
+        """Whether the window has begun."""
+        return shot >= self._first
+
+    def is_over(self, shot: int) -> bool:
+        """Whether the window has ended."""
+        return shot >= self._end
 
     def shots(self, shot: NDArray[np.int64]) -> BoolArray:
         """(shots,) On which of consecutive shots it acts, as one."""
