@@ -202,6 +202,12 @@ def test_a_crc_that_there_is_not_is_refused(bench: Any) -> None:
         FaultyPackets(scenario, encoder, True)
 
 
+def test_packets_that_double_without_measure_are_refused(bench: Any) -> None:
+    scenario = bench(*[{"kind": "doubled"}] * 7)
+    with pytest.raises(InputError, match="faults: 7 of kind doubled or reordered; allowed: 6"):
+        FaultyPackets(scenario, Encoder(scenario.wire, False, False, 4), False)
+
+
 PACKET_FAULTS = st.sampled_from(
     [
         {"kind": "lost"},

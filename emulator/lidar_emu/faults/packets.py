@@ -28,6 +28,8 @@ _CAN_DATA_BYTES = 8
 _CAN_IDS = 0x800
 _RECORD_BYTES = 14
 _CHANCES_AT_ONCE = 64
+_DOUBLING = (kinds.Doubled, kinds.Reordered)
+_MOST_DOUBLING = 6
 
 
 class PacketState(NamedTuple):
@@ -61,7 +63,7 @@ class PacketFaults:
         name: of the scenario, for complaints.
 
     Raises:
-        InputError: a fault is none of this link.
+        InputError: a fault is none of this link, or packets could grow without measure.
     """
 
     def __init__(
@@ -83,6 +85,12 @@ class PacketFaults:
                 raise InputError(name, f"faults.{number}.kind", found, allowed)
             chance = Chance(seed, number)
             self._faults.append((number, fault, Schedule(fault, chance, period_ns), chance))
+        doubling = sum(isinstance(fault, _DOUBLING) for _, fault, *_ in self._faults)
+        if doubling > _MOST_DOUBLING:
+            found = Finding(f"{doubling} of kind doubled or reordered")
+            raise InputError(
+                name, "faults", found, f"allowed: {_MOST_DOUBLING}, each of which can double a packet"
+            )
         self.initial = PacketState(((),) * len(self._faults))
         """What is carried before shot 0."""
 
@@ -120,7 +128,7 @@ class PacketFaults:
     def longest(self, packet_bytes: int) -> int:
         """Of a packet, as the port takes it, that was so long before faults."""
         for _, fault, *_ in self._faults:
-            if isinstance(fault, kinds.Doubled | kinds.Reordered):
+            if isinstance(fault, _DOUBLING):
                 packet_bytes *= 2
             elif isinstance(fault, kinds.Garbage):
                 packet_bytes += fault.bytes * (_RECORD_BYTES if self._can else 1)
