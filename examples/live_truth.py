@@ -43,16 +43,18 @@ class Packet(NamedTuple):
 
 def packets_of(link: socket.socket, sequence: int) -> list[Packet] | None:
     """The answer to a truth in lockstep: the packets that were due since the one before; None if none came."""
-    packets, more = [], True
-    while more:
+    packets, follow = [], None
+    while follow != 0:
         try:
             data = link.recv(65536)
         except (TimeoutError, ConnectionRefusedError):
             return None
         _, _, status, more, answered, count, _ = ANSWER.unpack_from(data)
         if answered != sequence:  # to a truth that was sent twice
-            more = True
             continue
+        if follow is not None and more not in (follow - 1, 255):
+            return None  # a part of it got lost
+        follow = more
         if status:
             raise ValueError(f"truth {sequence} was refused: status {status}")
         start = ANSWER.size
@@ -74,7 +76,10 @@ def main(lockstep: bool, rate_hz: int = 100, duration_s: int = 48) -> None:
         datagram = truth(step, step / rate_hz, last=step == steps)
         tell(link, datagram)
         if lockstep:
+            asked_s = time.monotonic()
             while (packets := packets_of(link, step)) is None:
+                if step > 0 and time.monotonic() > asked_s + 10:
+                    raise TimeoutError("the lidar does not answer any more")
                 time.sleep(0.1)
                 tell(link, datagram)  # a truth that comes twice is answered twice
             received += len(packets)

@@ -71,6 +71,10 @@ class BenchModel:
         """A pattern has no points."""
         return measurement.point_site_m
 
+    def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:  # noqa: ARG002
+        """There is no state to carry."""
+        return state
+
     def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:  # noqa: ARG002
         """There are no patterns to choose from."""
         return None

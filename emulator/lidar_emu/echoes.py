@@ -13,19 +13,18 @@ beam and exp(-(π w0 θ/λ)²) for one that turned by θ, at any range, and the 
 
 from __future__ import annotations
 
-from math import exp, pi, sqrt
-from typing import NamedTuple
+from math import pi, sqrt
 
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
 from lidar_emu.flight import Flight, Pointing
-from lidar_emu.fmcw.echo import coherent_power_w
+from lidar_emu.fmcw.echo import echo_law, echo_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.kernels import kernel
 from lidar_emu.pointing import ACCELERATION, SENSOR, TRUE, TURNING, VELOCITY
 from lidar_emu.rotations import dot_3, set_cross
-from lidar_emu.scanner.footprint import Footprint, rayleigh_range_m, sample_footprint
+from lidar_emu.scanner.footprint import Footprint, sample_footprint
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene.hits import Hits
@@ -42,18 +41,9 @@ class Light:
 
     def __init__(self, instrument: Instrument, site: Site, flight: Flight, beamlets: int) -> None:
         """Of beams of so many beamlets each."""
-        optics, air = instrument.optics, site.atmosphere
         self._flight, self._beamlets = flight, beamlets
-        self._waist_m, self._wavelength_m = optics.waist_radius_m, instrument.waveform.wavelength_m
-        facing_w = coherent_power_w(instrument, site.surface, None, 0.0, 1.0)
-        self._numbers = _Numbers(
-            facing_w=float(facing_w),
-            lommel_seeliger_share=float(site.surface.lommel_seeliger_share),
-            parting_per_m=float(optics.alignment_error_rad / self._waist_m),
-            extinction_per_m=0.0 if air is None else float(air.extinction_per_m),
-            waist_m=float(self._waist_m),
-            rayleigh_m=rayleigh_range_m(self._waist_m, self._wavelength_m),
-        )
+        self._waist_m, self._wavelength_m = instrument.optics.waist_radius_m, instrument.waveform.wavelength_m
+        self._law = echo_law(instrument, site.surface, site.atmosphere)
 
     def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
         """Echoes of beams (shots, beams) whose axes met the ground at `axis_hits`."""
@@ -80,7 +70,8 @@ class Light:
             inside=axis_hits.inside,
         )
         _receive(
-            *self._numbers,
+            *self._law,
+            self._waist_m,
             pointing.beams,
             axis_hits.range_m,
             footprint.weight,
@@ -118,27 +109,14 @@ def receive_light(
     return Light(instrument, site, flight, beamlets).echoes(pointing, axis_hits)
 
 
-class _Numbers(NamedTuple):
-    """Of instrument and site, in the order in which `_receive` takes them."""
-
-    facing_w: float
-    """Power of the echo, in the mode of the local oscillator, of a surface before the sensor that faces it."""
-    lommel_seeliger_share: float
-    parting_per_m: float
-    """By how many of their radii at the waist the modes part, per metre of range."""
-    extinction_per_m: float
-    waist_m: float
-    rayleigh_m: float
-
-
 @kernel(outermost=True)
 def _receive(
     facing_w: float,
     lommel_seeliger_share: float,
     parting_per_m: float,
     extinction_per_m: float,
-    waist_m: float,
     rayleigh_m: float,
+    waist_m: float,
     vectors: FloatArray,
     axis_range_m: FloatArray,
     weight: FloatArray,
@@ -197,10 +175,17 @@ def _receive(
                 # axis': the turn of a beamlet, and that of its start, differ by the footprint's radius times the rate.
                 sinking_mps = dot_3(facet, velocity) + range_m[s, b, i] * dot_3(facet, swing_radps)
                 range_rate_mps[s, b, i] = sinking_mps / max(cos_incidence, _LEAST_COSINE)
-                dimmed = _dimming(range_m[s, b, i], parting_per_m, extinction_per_m, rayleigh_m)
-                limb = lommel_seeliger_share + (1.0 - lommel_seeliger_share) * cos_incidence
                 lit = cos_incidence > 0.0 and range_m[s, b, i] >= 0.0
-                power_w[s, b, i] = facing_w * limb * dimmed * weight[i] if lit else 0.0
+                whole_w = echo_power_w(
+                    facing_w,
+                    lommel_seeliger_share,
+                    parting_per_m,
+                    extinction_per_m,
+                    rayleigh_m,
+                    range_m[s, b, i],
+                    cos_incidence,
+                )
+                power_w[s, b, i] = whole_w * weight[i] if lit else 0.0
 
 
 @kernel
@@ -229,14 +214,6 @@ def _speckle_scale(beamlets: int, range_m: float, waist_m: float, rayleigh_m: fl
         return rayleigh_m, SPECKLE_PITCH_W * waist_m
     farness = range_m / rayleigh_m
     return range_m, SPECKLE_PITCH_W * waist_m * sqrt(1 + farness * farness)
-
-
-@kernel
-def _dimming(range_m: float, parting_per_m: float, extinction_per_m: float, rayleigh_m: float) -> float:
-    """Power of an echo over that from just before the sensor; see `coherent_power_w`."""
-    farness, parting = range_m / rayleigh_m, parting_per_m * range_m
-    spread = 1.0 + farness * farness
-    return exp(-parting * parting / spread - 2.0 * extinction_per_m * range_m) / spread
 
 
 @kernel

@@ -1,12 +1,13 @@
 """numba's compiler, with a cache of compiled kernels that follows the sources.
 
 numba keeps a compiled function until the file of that very function changes, whatever changes in what it calls.
-So the cache lies in a folder named after all files that hold kernels: `~/.cache/lidar-emu/` unless
-`XDG_CACHE_HOME` or `NUMBA_CACHE_DIR` say otherwise.
+So the cache lies in a folder named after all files that hold kernels, in `~/.cache/lidar-emu/` unless `XDG_CACHE_HOME`
+or `NUMBA_CACHE_DIR` say otherwise. Where nothing can be written every start compiles.
 """
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import os
 from collections.abc import Callable
@@ -16,10 +17,10 @@ from typing import Any, Protocol, TypeVar, overload
 
 import numpy as np
 from numba import njit
-from numba.core import config
+from numba.core import config, event
 from numba.core.registry import CPUDispatcher
 
-__all__ = ["interpreted", "kernel", "njit", "with_fields"]
+__all__ = ["CACHED", "interpreted", "kernel", "njit", "with_fields"]
 
 _ROOMS = ("fmcw", "scene")
 """Every file of these may hold what kernels take in."""
@@ -42,12 +43,49 @@ def _sources_digest() -> str:
 
 
 def _cache_folder() -> Path:
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(home) / "lidar-emu" / f"kernels-{_sources_digest()}"
+    if config.CACHE_DIR:  # type: ignore[attr-defined]
+        home = Path(config.CACHE_DIR)  # type: ignore[attr-defined]
+    else:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lidar-emu"
+    return home / f"kernels-{_sources_digest()}"
 
 
-if not config.CACHE_DIR:  # type: ignore[attr-defined]
-    config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
+def _use_cache() -> bool:
+    """Tell numba where to keep what it compiles; whether it can be kept."""
+    try:
+        folder = _cache_folder()
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):  # read-only, or a user without a home
+        return False
+    config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+    return os.access(folder, os.W_OK)
+
+
+CACHED = _use_cache()
+"""Whether compiled kernels are kept; else numba would give up, or keep them beside the sources whatever changes."""
+
+
+class _Uncollected(event.Listener):
+    """No looking for garbage while numba compiles: it makes millions of objects and keeps most of them."""
+
+    def __init__(self) -> None:
+        self._depth = 0
+        self._collecting = False
+
+    def on_start(self, _event: Any) -> None:
+        if self._depth == 0:
+            self._collecting = gc.isenabled()
+            gc.disable()
+        self._depth += 1
+
+    def on_end(self, _event: Any) -> None:
+        self._depth -= 1
+        if self._depth == 0 and self._collecting:
+            gc.enable()
+
+
+_listen: Any = event.register
+_listen("numba:compile", _Uncollected())
 
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -69,7 +107,7 @@ class _Inner(CPUDispatcher):
     @cached_property
     def _for_python(self) -> Any:
         own = {name: value for name, value in self.targetoptions.items() if name not in _NO_WRAPPERS}
-        return _compiled(self.py_func, cache=True, **own)
+        return _compiled(self.py_func, cache=CACHED, **own)
 
 
 @overload
@@ -94,7 +132,7 @@ def kernel(function: Any = None, *, outermost: bool = False, **options: Any) -> 
 
     def decorate(function: Any) -> Any:
         if outermost or config.DISABLE_JIT:  # type: ignore[attr-defined]
-            return _compiled(function, cache=True, **_OPTIONS, **options)
+            return _compiled(function, cache=CACHED, **_OPTIONS, **options)
         return _Inner(function, targetoptions=_NO_WRAPPERS | _OPTIONS | options)
 
     return decorate if function is None else decorate(function)

@@ -70,9 +70,9 @@ class Measurement:
     def __len__(self) -> int:
         return len(self.shot)
 
-    def first(self, count: int) -> Measurement:
-        """The first `count` shots."""
-        return self._rows(slice(count))
+    def part(self, first: int, end: int) -> Measurement:
+        """Some of the shots: rows from `first`, and before `end`."""
+        return self._rows(slice(first, end))
 
     def one(self, row: int) -> Measurement:
         """A single shot."""

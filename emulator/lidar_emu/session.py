@@ -27,20 +27,17 @@ class Block:
     faults: tuple[Injected, ...] = ()
     """Which faults acted."""
 
-    def first(self, count: int) -> Block:
-        """The first shots."""
-        end = int(self.measurement.shot[0]) + count
+    def part(self, first: int, end: int) -> Block:
+        """Some of the shots: rows from `first`, and before `end`."""
+        if (first, end) == (0, len(self.packets)):
+            return self
+        start = int(self.measurement.shot[0])
         return Block(
-            self.measurement.first(count),
-            self.packets[:count],
-            self.due_ns[:count],
-            tuple(fault for fault in self.faults if fault.shot < end),
+            self.measurement.part(first, end),
+            self.packets[first:end],
+            self.due_ns[first:end],
+            tuple(fault for fault in self.faults if start + first <= fault.shot < start + end),
         )
-
-    def before(self, shot: int) -> Block:
-        """The shots before a shot, perhaps none."""
-        count = shot - int(self.measurement.shot[0])
-        return self if count >= len(self.packets) else self.first(max(0, count))
 
 
 class _State(NamedTuple):
@@ -109,14 +106,26 @@ class Session:
             self._before.pop()
         if not self._before:
             raise ValueError(f"shot {shot} is not kept")
-        self.next_shot, self._state = self._before.pop()
+        self.next_shot, self._state = self._before[-1]
         if shot > self.next_shot:
-            # What is carried from shot to shot follows from the shots alone.
-            self.shoot(shot - self.next_shot)
+            self._catch_up(shot)
 
-    def use_pattern(self, pattern: int) -> bool:
-        """From the next shot on, use these beams; False if there are none of this number."""
+    def use_pattern(self, pattern: int) -> None:
+        """From the next shot on, use these beams, if there are any of this number."""
         scanner = self._model.commanded(self._state.model.scanner, pattern)
         if scanner is not None:
             self._state = self._state._replace(model=self._state.model._replace(scanner=scanner))
-        return scanner is not None
+
+    def _catch_up(self, shot: int) -> None:
+        """From the beginning of the block, which stays kept, to a shot in it."""
+        count, scanner = shot - self.next_shot, self._state.model.scanner
+        if self._model.faults is not None or self._faulty is not None:
+            # What faults carry from shot to shot follows from what is measured.
+            self._before.pop()
+            self.shoot(count)
+            return
+        after = self._model.state_after(self.next_shot, count, scanner)
+        self.next_shot, self._state = (
+            shot,
+            self._state._replace(model=self._state.model._replace(scanner=after)),
+        )

@@ -55,6 +55,10 @@ class Model(Protocol):
         """(shots, beams, 3) Where the ranges of a measurement end, given the scanner's state before it."""
         ...
 
+    def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
+        """The scanner's state after these shots, without measuring them."""
+        ...
+
     def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:
         """The scanner's state after a command to use a pattern of beams; None if there is no such pattern."""
         ...
@@ -88,6 +92,10 @@ class FlightModel:
         speed_mps, point_site_m = np.empty(pointing.fired.shape), np.empty((*pointing.fired.shape, 3))
         _locate(pointing.beams, measurement.range_m, speed_mps, point_site_m)
         return point_site_m
+
+    def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
+        """The scanner's state after these shots, without measuring them."""
+        return self.flight.point(np.arange(first, first + count, dtype=np.int64), state)[1]
 
     def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:
         """The scanner's state after a command to use a pattern of beams; None if there is no such pattern."""

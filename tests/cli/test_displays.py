@@ -21,7 +21,7 @@ QUICK = ("run", "bench.yaml", "--duration", "2", "--pace", "max")
 def packets(unit: int, shots: int) -> list[bytes]:
     scenario = load("bench.yaml", {"wire.unit": str(unit)})
     encoder = Encoder(scenario.wire, can=False, fd=False, beam_count=4)
-    return list(encoder.packets(simulate(scenario).first(shots)))
+    return list(encoder.packets(simulate(scenario).part(0, shots)))
 
 
 def lines_of(screen: Screen, stream: list[bytes], capsys: pytest.CaptureFixture[str]) -> list[str]:

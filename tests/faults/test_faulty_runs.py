@@ -150,8 +150,8 @@ def test_going_back_computes_the_same_again(bench: Any, back_to: int) -> None:
 def test_parts_of_a_block_keep_their_own_faults(bench: Any, shoot: Any) -> None:
     (block,) = shoot(bench({"kind": "lost", "from_s": 0.2, "to_s": 0.4}))
     assert [fault.shot for fault in block.faults] == list(range(10, 20))
-    assert [fault.shot for fault in block.before(13).faults] == [10, 11, 12]
-    assert block.before(13).due_ns == block.due_ns[:13]
+    assert [fault.shot for fault in block.part(0, 13).faults] == [10, 11, 12]
+    assert block.part(0, 13).due_ns == block.due_ns[:13]
 
 
 FLIGHT = {"level": "geometric", "duration_s": "4"}

@@ -21,6 +21,7 @@ class Port:
     def __init__(self) -> None:
         self.pushed: deque[Outgoing] = deque()
         self.superseded: tuple[int, int] | None = None
+        self.last_shot = -1
         self._reports: list[Report] = []
 
     def push(self, packet: Outgoing) -> bool:
@@ -32,8 +33,13 @@ class Port:
         for _ in range(count):
             packet = self.pushed.popleft()
             old = self.superseded is not None and packet.generation < self.superseded[0]
-            fate = Fate.SUPERSEDED if old and packet.shot >= self.superseded[1] else Fate.SENT
-            self._reports.append(Report(packet.shot, packet.due_ns, packet.due_ns, fate, packet.due_ns))
+            gone = (old and packet.shot >= self.superseded[1]) or packet.shot <= self.last_shot
+            fate = Fate.SUPERSEDED if gone else Fate.SENT
+            if not gone:
+                self.last_shot = packet.shot
+            self._reports.append(
+                Report(packet.shot, packet.due_ns, 1 if gone else packet.due_ns, fate, packet.due_ns)
+            )
 
     def supersede(self, generation: int, from_shot: int) -> None:
         self.superseded = generation, from_shot
@@ -65,7 +71,7 @@ def begun() -> tuple[Session, Port, Kept, Tally, Outbox]:
     scenario = lidar_emu.load("descent.yaml", {"level": "geometric"})
     session = Session(build_model(scenario), Encoder(scenario.wire, False, False, 4), 10)
     port, kept, tally = Port(), Kept(), Tally(Pace.WALL)
-    return session, port, kept, tally, Outbox(port, [kept], tally)  # type: ignore[arg-type]
+    return session, port, kept, tally, Outbox(port, [kept], tally, 100)  # type: ignore[arg-type]
 
 
 def post(session: Session, outbox: Outbox, shots: int) -> None:
@@ -96,7 +102,7 @@ def test_shots_that_a_command_changes_are_told_once_as_they_were_sent() -> None:
     port.meet(2)
     outbox.settle()
     session.rewind(3)
-    assert session.use_pattern(1)
+    session.use_pattern(1)
     outbox.supersede(3)
     post(session, outbox, 4)
     port.meet(len(port.pushed))
@@ -116,3 +122,18 @@ def test_going_back_computes_the_same_again() -> None:
         again = session.shoot(8 - shot)
         assert again is not None
         assert again.packets == whole.packets[shot:]
+
+
+def test_a_packet_that_was_sent_before_the_port_heard_of_a_command_is_told_as_it_was_sent() -> None:
+    session, port, kept, tally, outbox = begun()
+    post(session, outbox, 5)
+    port.meet(4)  # shot 3 goes out while the model is at it
+    session.rewind(3)
+    session.use_pattern(1)
+    outbox.supersede(3)
+    post(session, outbox, 4)
+    port.meet(len(port.pushed))
+    outbox.close()
+    assert kept.shots == kept.reported == list(range(7))
+    assert kept.angles_deg == [22.5] * 4 + [7.5] * 3
+    assert tally.due == 7

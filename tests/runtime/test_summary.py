@@ -19,7 +19,7 @@ def test_counts_of_shots_and_of_their_errors():
     )
     tally = Tally(Pace.WALL)
     for block in measure_in_blocks(build_model(scenario), 32):
-        tally.measured(block.first(70 - int(block.shot[0])) if 64 <= block.shot[0] < 70 else block)
+        tally.measured(block.part(0, 70 - int(block.shot[0])) if 64 <= block.shot[0] < 70 else block)
         if block.shot[0] >= 64:
             break
     fates = [Fate.LATE if shot % 10 == 0 else Fate.SENT for shot in range(70)]

@@ -82,7 +82,7 @@ def test_an_answer_comes_back_whole_in_datagrams_that_udp_carries(payloads: list
     packets = [AnsweredPacket(k, 10 * k, k % 5, payload) for k, payload in enumerate(payloads)]
     parts = [Answer.from_bytes(part.to_bytes()) for part in answers(Verdict.ACCEPTED, 3, 5, packets)]
     assert [packet for part in parts for packet in part.packets] == packets
-    assert [part.more for part in parts] == [True] * (len(parts) - 1) + [False]
+    assert [part.more for part in parts] == list(reversed(range(len(parts))))
     assert all(len(part.to_bytes()) < 65507 for part in parts)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import socket
+from contextlib import suppress
 from typing import Any
 
 import can
@@ -15,6 +16,7 @@ from lidar_emu.transports.can_port import CanChannel, open_can
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.host import CanHost, open_host
 from lidar_emu.transports.link import LinkLostError
+from lidar_emu.transports.socketcan import enlarge_receive_buffer, lost_frames, prepare_socket
 from lidar_emu.transports.spec import Kind, PortSpec
 
 SHOT = [Frame(0x100, bytes.fromhex("0011223344556677")), Frame(0x101, b"\xab"), Frame(0x7FF, b"")]
@@ -62,7 +64,7 @@ def test_slcan_receives_and_passes_over_what_is_no_frame(raw_pty: Any) -> None:
     for _ in range(10):  # each line that makes no sense ends one call
         frames += unpack_frames(channel.receive())
     assert frames[0] == Frame(0x123, b"\xaa\xbb")
-    assert channel.ignored_frames == 2
+    assert channel.take_noticed().counts == {"ignored_frames": 2}
     assert [frame.can_id for frame in frames[1:]] == [0x123]
     channel.close()
 
@@ -207,23 +209,86 @@ def test_an_interface_that_is_down_is_a_lost_link() -> None:
         channel.send(pack_frames(SHOT))
 
 
-def test_error_frames_are_no_data() -> None:
+def error_frame(error_class: int, controller: int = 0) -> can.Message:
+    return can.Message(arbitration_id=error_class, data=bytes([0, controller]), is_error_frame=True)
+
+
+def test_error_frames_are_no_data_and_tell_when_the_controller_changes() -> None:
     bus = FailingBus(OSError())
     bus.arrived = [
-        can.Message(is_error_frame=True),
+        error_frame(0x80),
+        error_frame(0x4, 0x08),
+        error_frame(0x4, 0x04),
+        error_frame(0x4, 0x20),
         can.Message(arbitration_id=5, data=b"\1", is_extended_id=False),
+        error_frame(0x100),
+        error_frame(0x4, 0x40),
     ]
     channel = on(bus)
     assert unpack_frames(channel.receive()) == [Frame(5, b"\1")]
-    assert channel.ignored_frames == 1
+    noticed = channel.take_noticed()
+    assert noticed.counts == {"error_frames": 6}
+    states = ["error warning", "error passive", "restarted after bus-off", "error active"]
+    assert noticed.events == [f"CAN controller: {state}" for state in states]
+    assert channel.take_noticed().events == []
 
 
-def test_a_socketcan_reader_gets_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    class WithSocket(FailingBus):
-        socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+def test_bus_off_is_a_lost_link() -> None:
+    bus = FailingBus(OSError())
+    bus.arrived = [error_frame(0x40)]
+    channel = on(bus)
+    with pytest.raises(LinkLostError, match="bus off"):
+        channel.receive()
+    assert channel.take_noticed().counts == {"error_frames": 1}
 
-    before = WithSocket.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
-    monkeypatch.setattr(can, "Bus", lambda **_: WithSocket(OSError()))
-    open_can(PortSpec(Kind.CAN, interface="socketcan", channel="vcan0"))
-    assert WithSocket.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) > before
-    WithSocket.socket.close()
+
+def test_a_socketcan_reader_gets_room() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        before = sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        enlarge_receive_buffer(sock)
+        assert sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) > before
+
+
+def test_what_a_slow_reader_loses_is_counted() -> None:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reader,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as writer,
+    ):
+        reader.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
+        reader.bind(("127.0.0.1", 0))
+        assert lost_frames(reader) == 0
+        for _ in range(100):
+            writer.sendto(bytes(72), reader.getsockname())
+        kept = 0
+        with suppress(BlockingIOError):
+            while reader.recv(100, socket.MSG_DONTWAIT):
+                kept += 1
+        assert 0 < kept < 100
+        assert lost_frames(reader) == 100 - kept
+
+
+@pytest.mark.parametrize(
+    ("flags", "mtu", "fd", "option", "told"),
+    [
+        (0x80, 72, False, "--channel", "down: ip link set can7 up"),
+        (0x81, 72, False, "--channel", "can7 type can restart"),
+        (0xC1, 16, True, "--fd", "classic frames only"),
+        (0xC1, 16, False, None, ""),
+        (0xC1, 72, True, None, ""),
+    ],
+)
+def test_an_interface_from_which_no_frame_can_leave_is_refused(
+    flags: int, mtu: int, fd: bool, option: str | None, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    numbers = {0x8913: flags, 0x8921: mtu}
+    monkeypatch.setattr(
+        "fcntl.ioctl", lambda _, request, asked: asked[:16] + numbers[request].to_bytes(24, "little")
+    )
+    spec = PortSpec(Kind.CAN, interface="socketcan", channel="can7", fd=fd)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        if option is None:
+            prepare_socket(sock, spec)
+            return
+        with pytest.raises(InputError, match=told) as refused:
+            prepare_socket(sock, spec)
+    assert refused.value.where == option

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 from lidar_emu.errors import InputError
-from lidar_emu.transports.link import Fate, Link, LinkLostError
+from lidar_emu.transports.link import Fate, Link, LinkLostError, Noticed
 
 MS = 1_000_000
 
@@ -18,6 +20,7 @@ class Cable:
         self.room = True
         self.attempts = 0
         self.carried: list[bytes] = []
+        self.noticed = Noticed()
 
     def open(self) -> Plug:
         self.attempts += 1
@@ -56,6 +59,9 @@ class Plug:
     def receive(self) -> bytes:
         self._check()
         return b"hello"
+
+    def take_noticed(self) -> Noticed:
+        return self._cable.noticed
 
     def unread(self) -> int:
         return 3
@@ -144,3 +150,15 @@ def test_a_full_line_is_not_a_broken_one() -> None:
     cable.room = True
     assert link.send(b"y", 0) is Fate.SENT
     assert texts(link) == []
+
+
+def test_what_the_channel_noticed_is_told_and_added_up_before_a_break_and_after() -> None:
+    cable = Cable()
+    link = Link(cable.open)
+    cable.noticed = Noticed(["error passive"], Counter(error_frames=2))
+    link.receive(1 * MS)
+    cable.plugged = False
+    cable.noticed = Noticed(counts=Counter(error_frames=1, lost_frames=5))
+    link.receive(2 * MS)
+    assert texts(link) == [(1, "error passive"), (2, "link broken: pulled")]
+    assert link.counts == {"error_frames": 3, "lost_frames": 5}

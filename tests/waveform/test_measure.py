@@ -6,7 +6,7 @@ from itertools import groupby
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.stats import ncx2
 
@@ -240,6 +240,11 @@ def test_a_fold_must_be_worth_three_standard_deviations(variance: float, range_b
     observed=st.tuples(*[st.floats(0.0, 511.0)] * 3),
     variance=st.tuples(*[st.floats(1e-3, 1.0)] * 3),
 )
+# Ties: of range and direction, of direction alone, of range alone, and of the sign of the shorter chirp.
+@example(observed=(2.0, 1e-5, 2.0), variance=(1.0, 1.0, 1.0))
+@example(observed=(2.0, 1e-5, 2.0), variance=(0.5, 1.0, 0.5))
+@example(observed=(1.0, 0.0, 1.1), variance=(1.0, 1.0, 1.0))
+@example(observed=(0.1, 1.0, 2.0), variance=(1.0, 1.0, 1.0))
 def test_everything_combined_is_that_of_the_spectral_level(
     observed: tuple[float, ...], variance: tuple[float, ...]
 ) -> None:

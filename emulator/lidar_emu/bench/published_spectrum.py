@@ -16,7 +16,7 @@ from scipy.fft import fft, ifft
 
 from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.spectrum import Window
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import CACHED, njit
 
 Deposit = Literal["nearest", "cubic"]
 """A tone on the grid's nearest point, or on four by Lagrange's cubic."""
@@ -81,7 +81,7 @@ def published_bins(spectrum: PublishedSpectrum, tones: FloatArray, first_bin: Fl
     return np.where(odd, -bins, bins)
 
 
-@njit(cache=True)
+@njit(cache=CACHED)
 def _deposit(tones: FloatArray, first_bin: FloatArray, oversample: float, cubic: bool, grid: Any) -> None:
     for s in range(tones.shape[0]):
         for i in range(tones.shape[2]):

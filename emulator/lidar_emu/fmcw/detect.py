@@ -28,8 +28,8 @@ def find_groups(
     Returns:
         The number of groups, MAX_GROUPS at most.
     """
-    count = 0
-    peak = -1
+    # No literals, for which numba would compile `_keep` once more.
+    count, peak = int(np.int64(0)), int(np.int64(-1))
     for j in range(len(power)):
         if power[j] > floor:
             if peak < 0 or power[j] > power[peak]:

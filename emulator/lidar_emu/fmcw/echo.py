@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+from math import exp
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidar_emu.fmcw.constants import ELEMENTARY_CHARGE_C
+from lidar_emu.kernels import interpreted, kernel
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.site import Atmosphere, Site, Surface
 
@@ -13,6 +18,50 @@ _OPAQUE = 20.0
 """Optical depth beyond which nothing returns: exp(-40) of the light."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
+
+
+class EchoLaw(NamedTuple):
+    """How the power of an echo goes with range and incidence, in the order in which `echo_power_w` takes it."""
+
+    facing_w: float
+    """Power of the echo, in the mode of the local oscillator, of a surface before the sensor that faces it."""
+    lommel_seeliger_share: float
+    parting_per_m: float
+    """By how many of their radii at the waist the modes part, per metre of range."""
+    extinction_per_m: float
+    rayleigh_m: float
+
+
+def echo_law(instrument: Instrument, surface: Surface, atmosphere: Atmosphere | None) -> EchoLaw:
+    """The law of `coherent_power_w`; its arguments are explained there."""
+    wavelength_m, optics = instrument.waveform.wavelength_m, instrument.optics
+    coupling = wavelength_m**2 / (np.pi * optics.waist_radius_m**2)
+    efficiency = optics.optical_efficiency * optics.depolarisation
+    return EchoLaw(
+        facing_w=float(optics.laser_power_w * efficiency * surface.reflectance / np.pi * coupling),
+        lommel_seeliger_share=float(surface.lommel_seeliger_share),
+        parting_per_m=float(optics.alignment_error_rad / optics.waist_radius_m),
+        extinction_per_m=0.0 if atmosphere is None else float(atmosphere.extinction_per_m),
+        rayleigh_m=float(np.pi * optics.waist_radius_m**2 / wavelength_m),
+    )
+
+
+@kernel
+def echo_power_w(
+    facing_w: float,
+    lommel_seeliger_share: float,
+    parting_per_m: float,
+    extinction_per_m: float,
+    rayleigh_m: float,
+    range_m: float,
+    cos_incidence: float,
+) -> float:
+    """One echo by an `EchoLaw`; see `coherent_power_w`."""
+    farness, parting = range_m / rayleigh_m, parting_per_m * range_m
+    spread = 1.0 + farness * farness
+    dimmed = exp(-parting * parting / spread - 2.0 * extinction_per_m * range_m) / spread
+    limb = lommel_seeliger_share + (1.0 - lommel_seeliger_share) * cos_incidence
+    return facing_w * (0.0 if cos_incidence <= 0.0 else limb) * dimmed
 
 
 def coherent_power_w(
@@ -42,18 +91,8 @@ def coherent_power_w(
     Returns:
         Watts in the broadcast shape: NaN where an argument is NaN, 0 for a surface seen from behind.
     """
-    wavelength_m, optics = instrument.waveform.wavelength_m, instrument.optics
-    range_m, cos_incidence = np.asarray(range_m, dtype=float), np.asarray(cos_incidence, dtype=float)
-    rayleigh_range_m = np.pi * optics.waist_radius_m**2 / wavelength_m
-    spread = 1.0 + np.square(range_m / rayleigh_range_m)
-    overlap = np.exp(-np.square(optics.alignment_error_rad / optics.waist_radius_m * range_m) / spread)
-    coupling = wavelength_m**2 / (np.pi * optics.waist_radius_m**2 * spread)
-    radiance = surface.reflectance / np.pi * _limb(surface.lommel_seeliger_share, cos_incidence)
-    efficiency = optics.optical_efficiency * optics.depolarisation
-    power_w = optics.laser_power_w * efficiency * radiance * coupling * overlap
-    if atmosphere is None:
-        return np.asarray(power_w)
-    return np.asarray(power_w * np.exp(-2.0 * atmosphere.extinction_per_m * range_m))
+    law = partial(interpreted(echo_power_w), *echo_law(instrument, surface, atmosphere))
+    return np.asarray(np.vectorize(law, otypes=[float])(range_m, cos_incidence))
 
 
 def haze_w_per_m(instrument: Instrument, atmosphere: Atmosphere) -> float:
@@ -105,8 +144,3 @@ def sunlight_over_shot(instrument: Instrument, site: Site) -> float:
         0.5 * site.surface.reflectance * irradiance_w_per_m3 * wavelength_m**4 / (np.pi * SPEED_OF_LIGHT_MPS)
     )
     return float(2.0 * instrument.receiver.responsivity_a_per_w * per_hz_w / ELEMENTARY_CHARGE_C)
-
-
-def _limb(lommel_seeliger_share: float, cos_incidence: NDArray[np.float64]) -> NDArray[np.float64]:
-    factor = lommel_seeliger_share + (1.0 - lommel_seeliger_share) * cos_incidence
-    return np.where(cos_incidence <= 0.0, 0.0, factor)

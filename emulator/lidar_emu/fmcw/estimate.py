@@ -102,10 +102,11 @@ def least_squares(
 
     Of all three, an explanation puts the residual r = g₋ - g₊ - 2 g₀ to zero by corrections in proportion to the
     variances, and is admitted where b lies between 0 and `farthest_bin`, give or take three standard deviations.
-    It costs r² over its variance, plus 9 for each fold at N/2 that it assumes; of equals the closing one is taken.
-    The sign counts as resolved when every admitted explanation that lies more than six standard deviations away
-    in b or d costs more by 9, or by 9 times r² over its variance where the residual shows that the variances are
-    too small.
+    It costs r² over its variance, plus 9 for each fold at N/2 that it assumes. Of equals one with g₀ closing is taken,
+    and of those the first with g₊, then g₋, in the order above.
+
+    The sign counts as resolved when every admitted explanation that lies more than six standard deviations away in b or
+    d costs more by 9, or by 9 times r² over its variance where the residual shows that the variances are too small.
 
     Two have no residual, and seldom a single explanation; see `_from_two`.
 

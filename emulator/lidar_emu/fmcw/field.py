@@ -14,7 +14,7 @@ from lidar_emu.fmcw.records import PHASE, SPECKLE
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.speckle import SLOTS, forget, set_weights
 from lidar_emu.fmcw.tones import relative_turn
-from lidar_emu.kernels import njit
+from lidar_emu.kernels import CACHED, njit
 
 
 def echo_field(
@@ -58,7 +58,7 @@ def echo_field(
     return field
 
 
-@njit(cache=True)
+@njit(cache=CACHED)
 def _set_field(
     models: NDArray[Any],
     lit: BoolArray,

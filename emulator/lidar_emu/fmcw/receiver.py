@@ -90,8 +90,8 @@ class Receiver:
     def _workspace(self, beamlets: int, half: int) -> Workspace:
         """Room for so many beamlets and for filters of `half` taps on each side."""
         if self._room[0] != beamlets or self._room[1] < half:
-            self._room = beamlets, half
             self._work = build_workspace(beamlets, self._model.looks, half, self._model.fft_length)
+            self._room = beamlets, half  # now that there is room
         return self._work
 
 

@@ -12,6 +12,7 @@ within 0.035 of the Gaussian exp(-D²/w²) where the pitch is (π/√8) w.
 from __future__ import annotations
 
 from math import floor
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,9 @@ from lidar_emu.kernels import kernel
 
 SLOTS = 9
 """Corners kept, by their coordinates modulo 3: a measurement seldom moves by more than a cell."""
+
+_FIRST: Any = np.int64(0)
+"""No literal, for which numba would compile what draws the numbers once more."""
 
 _LOW_WORD = np.int64(0x7FFFFFFF)
 """Of a coordinate: two of them are a number that has a sign bit left."""
@@ -87,5 +91,5 @@ def _hold(
     if held[slot, 0] != x or held[slot, 1] != y:
         held[slot, 0], held[slot, 1] = x, y
         place = int(((x & _LOW_WORD) << 32) | (y & _LOW_WORD))
-        fill_complex_normals(seed, place, beam, purpose, 0, corners.shape[2], words, corners[slot])
+        fill_complex_normals(seed, place, beam, purpose, _FIRST, corners.shape[2], words, corners[slot])
     return slot

@@ -207,7 +207,7 @@ def add_noise(
         first_index: even; index of bin 0.
         words, scratch: (4, capacity / 2), (2, capacity) overwritten, two columns longer than any interval.
     """
-    start = 0
+    start = int(np.int64(0))  # no literal, for which numba would compile `_add` once more
     while start < count:
         stop = start + 1
         while stop < count and grid[BIN, stop] - grid[BIN, stop - 1] == 1.0:

@@ -70,6 +70,7 @@ class CommandPost:
         self._verdicts: Counter[str] = Counter()
         self._changes: deque[Change] = deque()
         self._delay = LatenessHistogram()
+        self._unanswerable = 0
         for verdict in _VERDICTS:  # an interface that cannot say them is refused before the run
             self._check_answer(verdict)
 
@@ -84,9 +85,14 @@ class CommandPost:
             verdict = self._obey(command, arrived_ns)
             self._verdicts[verdict] += 1
             code = command.code if isinstance(command, BadCommand) else command.name
-            for answer in self._answer(
-                _UNKNOWN if code is None else code, command.sequence or 0, verdict, time_ns
-            ):
+            try:
+                answers = self._answer(
+                    _UNKNOWN if code is None else code, command.sequence or 0, verdict, time_ns
+                )
+            except EncodeError:  # a time or a number that the interface's field does not hold
+                self._unanswerable += 1
+                continue
+            for answer in answers:
                 self._say(answer)
 
     def next_change(self) -> Change | None:
@@ -104,6 +110,7 @@ class CommandPost:
         return {
             "accepted": self._verdicts["accepted"],
             "rejected": {word: n for word, n in sorted(self._verdicts.items()) if word != "accepted"},
+            "unanswerable": self._unanswerable,
             "skipped_bytes": reader.counters.skipped_bytes,
             "delay": self._delay.summary(),
         }
@@ -123,10 +130,10 @@ class CommandPost:
         self._sequence = command.sequence
         if command.name == "no_op":
             return "accepted"
-        if command.name != "set_pattern":
+        if command.name != "set_pattern" or "pattern" not in command.values:
             return "out_of_state"
         pattern = int(command.values["pattern"] or 0)
-        if not self._has_pattern(pattern):
+        if pattern < 0 or not self._has_pattern(pattern):
             return "out_of_range"
         self._changes.append(Change(pattern, arrived_ns))
         return "accepted"

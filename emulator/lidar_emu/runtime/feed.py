@@ -42,19 +42,25 @@ class Desk(NamedTuple):
         self.outbox.wait(self.clock.now_ns() + POLL_NS)
         return self.outbox.settle()
 
-    def next_change(self, start_ns: int) -> Change | None:
-        """Hear the host; the oldest of the changes that it has commanded and that is not taken yet."""
+    def hear(self, time_ns: int) -> None:
+        """Hear the host, at this scenario time."""
         arrivals = self.outbox.arrivals()
-        if self.commands is None:
-            return None
-        for arrived_ns, data in arrivals:
-            self.commands.hear(data, arrived_ns, arrived_ns - start_ns)
-        return self.commands.next_change()
+        for arrived_ns, data in arrivals if self.commands is not None else ():
+            assert self.commands is not None
+            self.commands.hear(data, arrived_ns, time_ns)
 
-    def follow(self, change: Change, begins_ns: int) -> None:
-        """Let the next shot, which begins at this instant of the monotonic clock, be the first to follow a change."""
+    def next_change(self) -> Change | None:
+        """The oldest of the changes that were commanded and have not been taken."""
+        return None if self.commands is None else self.commands.next_change()
+
+    def follow(self, change: Change, begins_ns: int | None) -> None:
+        """Let the next shot be the first to follow a change.
+
+        Args:
+            begins_ns: when it begins, on the monotonic clock; None where that clock does not set the pace.
+        """
         self.session.use_pattern(change.pattern)
-        if self.commands is not None:
+        if self.commands is not None and begins_ns is not None:
             self.commands.followed(change, begins_ns)
 
     def finish(self) -> None:

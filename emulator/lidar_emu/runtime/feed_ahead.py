@@ -50,7 +50,8 @@ class AheadFeed:
     def _go_on(self) -> bool:
         """Do the next thing; False if there is nothing left to do."""
         desk = self._desk
-        if self._later is None and (change := desk.next_change(self._start_ns)) is not None:
+        desk.hear(desk.clock.now_ns() - self._start_ns)
+        if self._later is None and (change := desk.next_change()) is not None:
             self._change(change)
         elif self._waiting:
             if desk.outbox.push(self._waiting[0]):
@@ -86,8 +87,8 @@ class AheadFeed:
             self._later = shot, change
             return
         if shot < session.next_shot:
-            session.rewind(shot)
             self._desk.outbox.supersede(shot)
+            session.rewind(shot)
             self._waiting = deque(packet for packet in self._waiting if packet.shot < shot)
         self._desk.follow(change, self._begins_ns(shot))
 
@@ -98,5 +99,5 @@ class AheadFeed:
         ready_ns = self._desk.clock.now_ns() + _REACTION_NS - self._latency_ns
         return max(0, -((self._start_ns - max(change.arrived_ns, ready_ns)) // self._period_ns))
 
-    def _begins_ns(self, shot: int) -> int:
-        return self._start_ns + shot * self._period_ns
+    def _begins_ns(self, shot: int) -> int | None:
+        return self._start_ns + shot * self._period_ns if self._pace is Pace.WALL else None

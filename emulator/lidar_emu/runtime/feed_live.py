@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from lidar_emu.flight import Flight
+from lidar_emu.runtime.command_post import Change
 from lidar_emu.runtime.feed import POLL_NS, Desk
-from lidar_emu.runtime.truth_source import TruthSource
+from lidar_emu.runtime.truth_source import Arrival, TruthSource
 from lidar_emu.scenario.trajectory import Live
-from lidar_emu.trajectory.live_datagram import Truth, Verdict
+from lidar_emu.trajectory.live_datagram import Verdict
 
 
 class LiveFeed:
@@ -33,40 +34,44 @@ class LiveFeed:
         self._part = part
         self._start_ns = start_ns
         self._late_after_ns = late_after_ns
-        self._ended = False
+        self._later: Change | None = None
 
     def fly(self) -> None:
         """See `Feed`."""
         desk = self._desk
+        if self._start_ns is not None:
+            self._source.expect(self._start_ns)
         first = self._await_first()
         if first is None:
             return
-        truth, arrived_ns = first
-        self._begin(truth, arrived_ns)
+        self._begin(first)
         while desk.session.next_shot < self._flight.shot_count:
             shot = desk.session.next_shot
             self._await(shot)
-            if desk.interrupted() or (self._ended and not self._source.covers(self._flight.seen_ns(shot))):
+            if desk.interrupted() or (
+                self._source.ended and not self._source.covers(self._flight.seen_ns(shot))
+            ):
                 break
             self._fire(shot)
         desk.finish()
 
-    def _await_first(self) -> tuple[Truth, int] | None:
+    def _await_first(self) -> Arrival | None:
         while not self._desk.interrupted():
             self._desk.outbox.wait(self._desk.clock.now_ns() + POLL_NS, [self._source.fileno()])
-            for arrival in self._source.receive():
-                if arrival.verdict is Verdict.ACCEPTED and arrival.truth is not None:
-                    return arrival.truth, arrival.arrived_ns
+            self._desk.hear(0)
+            accepted = [arrival for arrival in self._source.receive() if arrival.verdict is Verdict.ACCEPTED]
+            if accepted:
+                return accepted[0]
         return None
 
-    def _begin(self, truth: Truth, arrived_ns: int) -> None:
+    def _begin(self, first: Arrival) -> None:
         """The first shot is the one that begins with the first truth, or after it."""
+        assert first.truth is not None
         if self._start_ns is None:
-            self._start_ns = arrived_ns - truth.time_ns
-        self._source.start_ns = self._start_ns
-        self._ended = truth.last
+            self._start_ns = first.arrived_ns - first.truth.time_ns
         self._desk.begin(self._start_ns)
-        begun_ns = max(truth.time_ns, arrived_ns - self._start_ns, 0)
+        self._source.begin(self._start_ns)
+        begun_ns = max(first.truth.time_ns, first.arrived_ns - self._start_ns, 0)
         self._desk.session.pass_over(-(-begun_ns // self._flight.period_ns))
 
     def _await(self, shot: int) -> None:
@@ -74,22 +79,19 @@ class LiveFeed:
         desk, source = self._desk, self._source
         seen_ns = self._flight.seen_ns(shot)
         latest_ns = self._due_ns(shot) - round(self._part.lead_s * 1e9)
-        while not (source.covers(seen_ns) or self._ended or desk.interrupted()):
+        # What is left of earlier shots is done first: once truth is there, nothing is but the shot.
+        desk.outbox.settle()
+        source.receive()
+        while not (source.covers(seen_ns) or source.ended or desk.interrupted()):
             now_ns = desk.clock.now_ns()
             if now_ns >= latest_ns:
                 break
-            # What is left of earlier shots is done while there is time: once truth is there, nothing is but the shot.
-            desk.outbox.settle()
             desk.outbox.wait(min(latest_ns, now_ns + POLL_NS), [source.fileno()])
-            self._ended |= any(
-                arrival.truth is not None and arrival.truth.last and arrival.verdict is Verdict.ACCEPTED
-                for arrival in source.receive()
-            )
+            source.receive()
 
     def _fire(self, shot: int) -> None:
         desk, source = self._desk, self._source
-        while (change := desk.next_change(self._start_ns_known())) is not None:
-            desk.follow(change, self._start_ns_known() + shot * self._flight.period_ns)
+        self._follow_commands(shot)
         now_ns = desk.clock.now_ns()
         if now_ns > self._due_ns(shot) + self._late_after_ns:
             desk.session.pass_over(shot + 1)
@@ -104,6 +106,16 @@ class LiveFeed:
         for packet in desk.outbox.announce(block):
             desk.push(packet)
             source.used_for(packet, self._flight.seen_ns(shot))
+
+    def _follow_commands(self, shot: int) -> None:
+        """Those that came before the shot began."""
+        begins_ns = self._start_ns_known() + shot * self._flight.period_ns
+        self._desk.hear(self._desk.clock.now_ns() - self._start_ns_known())
+        while (change := self._later or self._desk.next_change()) is not None:
+            self._later = change if change.arrived_ns > begins_ns else None
+            if self._later is not None:
+                return
+            self._desk.follow(change, begins_ns)
 
     def _due_ns(self, shot: int) -> int:
         return self._start_ns_known() + self._flight.due_ns(shot)

@@ -33,6 +33,7 @@ class LockstepFeed:
         desk = self._desk
         while not (self._ended or desk.interrupted()):
             desk.outbox.wait(desk.clock.now_ns() + POLL_NS, [self._source.fileno()])
+            desk.hear(0 if self._source.newest is None else self._source.newest.time_ns)
             for arrival in self._source.receive():
                 self._answer(arrival)
             desk.outbox.settle()
@@ -52,28 +53,29 @@ class LockstepFeed:
         truth = arrival.truth
         if arrival.verdict is Verdict.ACCEPTED and truth is not None:
             self._last_answer = self._step(truth)
-            self._source.answer(self._last_answer)
+            self._source.answer(self._last_answer, arrival.sender)
         elif self._last_answer and arrival.verdict is Verdict.DUPLICATE:
-            self._source.answer(self._last_answer)
+            self._source.answer(self._last_answer, arrival.sender)
         else:
             time_ns = 0 if truth is None else truth.time_ns
-            self._source.answer(answers(arrival.verdict, arrival.sequence, time_ns, ()))
+            self._source.answer(answers(arrival.verdict, arrival.sequence, time_ns, ()), arrival.sender)
 
     def _step(self, truth: Truth) -> list[Answer]:
         if not self._begun:
             self._begun = True
             self._desk.begin(self._desk.clock.now_ns())
+            self._source.begin(None)
             self._desk.session.pass_over(-(-truth.time_ns // self._flight.period_ns))
         self._compute(truth.time_ns)
-        self._ended = truth.last or self._desk.session.next_shot >= self._flight.shot_count
+        self._ended = self._source.ended or self._desk.session.next_shot >= self._flight.shot_count
         packets = self._send(None if self._ended else truth.time_ns)
         return answers(Verdict.ACCEPTED, truth.sequence, truth.time_ns, packets)
 
     def _compute(self, time_ns: int) -> None:
         """Every shot that truth covers by now; one that could also be covered sooner never depends on it."""
         session = self._desk.session
-        while (change := self._desk.next_change(0)) is not None:
-            self._desk.follow(change, change.arrived_ns)
+        while (change := self._desk.next_change()) is not None:
+            self._desk.follow(change, None)
         while (
             session.next_shot < self._flight.shot_count and self._flight.seen_ns(session.next_shot) <= time_ns
         ):

@@ -125,11 +125,11 @@ class Run:
         with (
             truth_address as socket,
             on_signals(self._interrupt),
-            PortRunner(self._slots, self._packet_room_bytes) as port,
+            PortRunner(2 * self._slots, self._packet_room_bytes) as port,
         ):
             source = self._source(socket)
             ours = [observer for observer in (source, self._judge_of_lateness()) if observer is not None]
-            outbox = Outbox(port, [*self._observers, *ours], self.tally)
+            outbox = Outbox(port, [*self._observers, *ours], self.tally, self._slots)
             commands = self._command_post(outbox)
             with suppress(KeyboardInterrupt):
                 self._description = port.start(self._options.port)
@@ -256,6 +256,7 @@ class Run:
                 "received_bytes": port.told.received_bytes,
                 "unheard_bytes": port.told.unheard_bytes,
                 "unsent_answers": port.told.unsent,
+                **port.told.noticed,
             },
             "link_event_count": port.told.event_count,
             "link_events": [

@@ -19,37 +19,46 @@ class Outbox:
 
     Args:
         observers: told of everything: they must be quick.
+        room: packets that may be on their way at a time. The port must hold twice as many, for those that commands have
+            superseded stay in its ring until the ones before them are sent.
     """
 
-    def __init__(self, port: PortRunner, observers: Sequence[Observer], tally: Tally) -> None:
+    def __init__(self, port: PortRunner, observers: Sequence[Observer], tally: Tally, room: int) -> None:
         self._port = port
         self._observers = observers
         self._tally = tally
-        self._in_flight: deque[Outgoing] = deque()
-        self._blocks: deque[Block] = deque()
-        self._met_fate = 0
+        self._announced: dict[tuple[int, int], tuple[Block, int]] = {}
+        self._in_flight: deque[tuple[Outgoing, Block, int]] = deque()
+        self._settling: tuple[Block, int, int] | None = None
         self._generation = 0
+        self._room = self._left = room
 
     def announce(self, block: Block) -> list[Outgoing]:
         """Tell of shots just computed; returns their packets, which are to be pushed in this order."""
         for observer in self._observers:
             observer.computed(block)
-        self._blocks.append(block)
-        return list(outgoing(block, self._generation))
+        packets = list(outgoing(block, self._generation))
+        for row, packet in enumerate(packets):
+            self._announced[packet.generation, packet.shot] = block, row
+        return packets
 
     def push(self, packet: Outgoing) -> bool:
         """Hand a packet over; False where there is no room before the port has sent some."""
-        if not self._port.push(packet):
+        if self._left <= 0 or not self._port.push(packet):
             return False
-        self._in_flight.append(packet)
+        self._left -= 1
+        self._in_flight.append((packet, *self._announced.pop((packet.generation, packet.shot))))
         return True
 
     def supersede(self, from_shot: int) -> None:
-        """From this shot on, what was announced is not to be sent: shots from there on will be announced anew."""
+        """From this shot on, what was announced is not to be sent: shots from there on will be announced anew.
+
+        A packet that the port has sent before it hears of it stays sent, and that of the new announcement is not.
+        """
         self._generation += 1
         self._port.supersede(self._generation, from_shot)
-        kept = (block.before(from_shot) for block in self._blocks)
-        self._blocks = deque(block for block in kept if len(block.measurement))
+        self._left = self._room - sum(packet.shot < from_shot for packet, _, _ in self._in_flight)
+        self._announced = {key: value for key, value in self._announced.items() if key[1] < from_shot}
 
     def send_now(self, payload: bytes) -> None:
         """Send what is no shot."""
@@ -59,16 +68,16 @@ class Outbox:
         """Count what became of packets and pass on what arrived; returns the packets' reports."""
         reports = self._port.reports()
         for report in reports:
-            packet = self._in_flight.popleft()
             if report.fate is Fate.SUPERSEDED:
+                for _ in range(report.sent_ns):
+                    self._in_flight.popleft()
                 continue
+            packet, block, row = self._in_flight.popleft()
+            self._left = min(self._room, self._left + 1)
             self._tally.report(report)
             for observer in self._observers:
                 observer.report(packet, report)
-            self._met_fate += 1
-            while self._blocks and self._met_fate >= len(self._blocks[0].measurement):
-                self._met_fate -= len(self._blocks[0].measurement)
-                self._settled(self._blocks.popleft())
+            self._met_fate(block, row)
         if data := self._port.far_end():
             for observer in self._observers:
                 observer.arrived(data)
@@ -77,9 +86,7 @@ class Outbox:
     def close(self) -> None:
         """After the last report: the shots of a block that was cut off."""
         self.settle()
-        if self._blocks and self._met_fate:
-            self._settled(self._blocks[0].first(self._met_fate))
-        self._blocks.clear()
+        self._tell_settled()
 
     def missed(self, shot: int, due_ns: int, now_ns: int) -> None:
         """Count a shot that was too late to be computed; times from the start of the run."""
@@ -110,11 +117,24 @@ class Outbox:
         """No more will come."""
         self._port.last_packet_pushed()
 
-    def _settled(self, block: Block) -> None:
-        self._tally.measured(block.measurement)
-        self._tally.faults.update(fault.kind for fault in block.faults)
+    def _met_fate(self, block: Block, row: int) -> None:
+        """Shots are told of block by block; of one that a command cut, those that were sent."""
+        if self._settling is None or self._settling[0] is not block:
+            self._tell_settled()
+            self._settling = block, row, row
+        self._settling = block, self._settling[1], row + 1
+        if row + 1 == len(block.packets):
+            self._tell_settled()
+
+    def _tell_settled(self) -> None:
+        if self._settling is None:
+            return
+        part = self._settling[0].part(*self._settling[1:])
+        self._settling = None
+        self._tally.measured(part.measurement)
+        self._tally.faults.update(fault.kind for fault in part.faults)
         for observer in self._observers:
-            observer.settled(block)
+            observer.settled(part)
 
 
 def outgoing(block: Block, generation: int = 0) -> Iterator[Outgoing]:

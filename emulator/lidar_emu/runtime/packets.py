@@ -48,7 +48,7 @@ class Report:
     due_ns: int
     """From the start of the run."""
     sent_ns: int
-    """When the link had taken it, from the start of the run; -1 if it did not."""
+    """When the link had taken it, from the start of the run; -1 if it did not. Of superseded packets: their number."""
     fate: Fate
     woke_ns: int = -1
     """When the port's process had woken up for it, from the start of the run; -1 if that was before the start."""

@@ -7,7 +7,7 @@ Both pipes carry one JSON object per line:
     in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "loopback": fd or null}     once
          {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ..., "when_late": ...}}    monotonic clock
          {"finish": true}                            no more packets will come
-         {"supersede": [generation, shot]}           older packets from this shot on are not to be sent
+         {"supersede": [generation, shot, number]}   older packets from this shot, before that entry: not to be sent
          {"send": hex}                               at once; it is no shot
     out  {"ready": description} or {"refused": [where, key, value, allowed]}
          {"granted": [name], "missing": {name: command}}     what the system gave towards punctuality
@@ -33,7 +33,7 @@ from lidar_emu.runtime.pacing import Pace, Pacing, WhenLate
 from lidar_emu.runtime.realtime import become_punctual
 from lidar_emu.runtime.ring import Ring
 from lidar_emu.runtime.sender import Sender, Wait
-from lidar_emu.transports.link import Fate, Link
+from lidar_emu.transports.link import COUNTED, Fate, Link
 from lidar_emu.transports.opening import opener
 from lidar_emu.transports.spec import PortSpec
 from lidar_emu.transports.wire_load import drain_time_s
@@ -209,6 +209,7 @@ class _Port:
             "received_bytes": self._received_bytes,
             "unheard_bytes": self._unheard_bytes,
             "unsent": self._unsent,
+            **{name: self._link.counts[name] for name in COUNTED},
         }
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.events import EventLog, LinkEvent
+from lidar_emu.transports.link import COUNTED
 
 
 @dataclass
@@ -23,6 +24,8 @@ class PortStory:
     """Of what arrived, what came too fast to be passed on."""
     unsent: int | None = None
     """Payloads of `send_now` that the link did not take."""
+    noticed: dict[str, int | None] = field(default_factory=lambda: dict.fromkeys(COUNTED))
+    """What a CAN bus counts besides data; known when `sent_bytes` is."""
     granted: list[str] = field(default_factory=list)
     """What the system gave towards punctuality; see `Punctuality`."""
     missing: dict[str, str] = field(default_factory=dict)
@@ -66,3 +69,4 @@ class PortStory:
                     self.finished = True
                     self.sent_bytes, self.received_bytes = counts["sent_bytes"], counts["received_bytes"]
                     self.unheard_bytes, self.unsent = counts["unheard_bytes"], counts["unsent"]
+                    self.noticed = {name: counts[name] for name in COUNTED}

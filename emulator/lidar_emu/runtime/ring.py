@@ -77,6 +77,18 @@ class Ring:
         self._words[_TAIL] = number + 1
         return entry
 
+    @property
+    def written(self) -> int:
+        """Entries pushed since the beginning."""
+        return self._words[_HEAD]
+
+    def skip_to(self, number: int) -> int:
+        """Consumer: pass over entries, so that the next is the one before which `number` were pushed; returns how many
+        that were."""
+        skipped = max(0, number - self._words[_TAIL])
+        self._words[_TAIL] += skipped
+        return skipped
+
     def close(self) -> None:
         """Unmap the memory."""
         self._words.release()

@@ -38,11 +38,12 @@ class PortRunner:
         self._clock = Clock()
         self._child: PortChild | None = None
         packets_fd = Ring.create(slots, Outgoing.HEAD_BYTES + packet_bytes)
-        # Whoever pushes fetches reports at least once in so many packets: twice the room is never full.
+        # Reports are fetched at least once in `slots` packets, and as many can be under way: twice that is never full.
         reports_fd = Ring.create(2 * slots, Report.SIZE_BYTES)
         self._packets = Ring(packets_fd)
         self._reports = Ring(reports_fd)
         self._fetched: deque[Report] = deque()
+        self._slots, self._uncollected = slots, 0
         doorbell_fd, self._doorbell = os.pipe()
         os.set_blocking(self._doorbell, False)
         self._passed = (packets_fd, reports_fd, doorbell_fd)
@@ -111,6 +112,9 @@ class PortRunner:
             RunError: the process died.
         """
         self._running()
+        self._uncollected += 1
+        if self._uncollected >= self._slots:
+            self._collect()
         if not self._packets.push(packet.to_bytes()):
             self._collect()
             return False
@@ -123,7 +127,7 @@ class PortRunner:
         Raises:
             RunError: the process died.
         """
-        self._running().tell(supersede=[generation, from_shot])
+        self._running().tell(supersede=[generation, from_shot, self._packets.written])
 
     def send_now(self, payload: bytes) -> None:
         """Send what is no shot, between shots; there is no report.
@@ -250,6 +254,7 @@ class PortRunner:
             raise child.death()
 
     def _fetch(self) -> None:
+        self._uncollected = 0
         while (entry := self._reports.pop()) is not None:
             self._fetched.append(Report.from_bytes(entry))
         self._drain()

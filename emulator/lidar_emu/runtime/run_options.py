@@ -42,4 +42,8 @@ def live_part(scenario: FlightScenario | BenchScenario, options: RunOptions) -> 
         )
     if live is not None and options.pace is Pace.MAX:
         raise InputError("--pace", None, "max", "allowed with trajectory.kind live: wall, lockstep")
+    if options.pace is Pace.LOCKSTEP and options.start is not None:
+        raise InputError(
+            "--start", None, options.start.isoformat(), "allowed in lockstep: on-truth, as if left out"
+        )
     return live

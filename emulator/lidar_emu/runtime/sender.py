@@ -51,7 +51,7 @@ class Sender:
         self._patience = Patience(link)
         self._next: Outgoing | None = None
         self._given_up = False
-        self._generation, self._valid_before = 0, 0
+        self._superseded: list[tuple[int, int, int]] = []
         self._last_shot = -1
         self.sent_bytes = 0
         self.settled = 0
@@ -66,8 +66,8 @@ class Sender:
             if packet is None:
                 return Wait(for_packets=True)
             now_ns = self._clock.now_ns()
-            if self._is_superseded(packet):
-                self._finish(packet, Fate.SUPERSEDED, now_ns)
+            if (count := self._superseded_from(packet)) > 0:
+                self._report(Report(packet.shot, packet.due_ns, count, Fate.SUPERSEDED), count)
                 continue
             match self._pacing.action(now_ns - self._start_ns, packet.due_ns):
                 case Action.WAIT:
@@ -85,9 +85,9 @@ class Sender:
                     self._finish(packet, fate, now_ns)
         return Wait(until_ns=self._clock.now_ns())
 
-    def supersede(self, generation: int, from_shot: int) -> None:
-        """Packets of earlier generations are not sent any more, from this shot on."""
-        self._generation, self._valid_before = generation, from_shot
+    def supersede(self, generation: int, from_shot: int, end: int) -> None:
+        """Packets of earlier generations are not sent any more, from this shot on; they lie before entry `end`."""
+        self._superseded.append((generation, from_shot, end))
 
     def send_now(self, payload: bytes) -> Fate:
         """What is no shot: sent or dropped at once."""
@@ -96,10 +96,17 @@ class Sender:
             self.sent_bytes += len(payload)
         return fate
 
-    def _is_superseded(self, packet: Outgoing) -> bool:
-        """Also where the shot has met its fate already: news of the generation came too late for it."""
-        old = packet.generation < self._generation and packet.shot >= self._valid_before
-        return old or packet.shot <= self._last_shot
+    def _superseded_from(self, packet: Outgoing) -> int:
+        """How many packets from this one on are not to be sent; they leave the ring at once.
+
+        One shot is also passed over where it has met its fate already: news of the command came too late for it.
+        """
+        # Those that no packet is older than any more concern nobody.
+        self._superseded = [mark for mark in self._superseded if mark[0] > packet.generation]
+        ends = [end for _, shot, end in self._superseded if packet.shot >= shot]
+        if ends:
+            return 1 + self._packets.skip_to(max(ends))
+        return int(packet.shot <= self._last_shot)
 
     def _patience_ends_ns(self, fate: Fate, now_ns: int) -> int | None:
         """Until when the packet is kept; None: it met its fate."""
@@ -117,10 +124,11 @@ class Sender:
             # As fast as the link takes it, a packet may go out before the start, even centuries before it.
             sent_ns = max(0, self._clock.now_ns() - self._start_ns)
             self.sent_bytes += len(packet.payload)
+        self._last_shot = packet.shot
+        self._report(Report(packet.shot, packet.due_ns, sent_ns, fate, max(-1, woke_ns - self._start_ns)), 1)
+
+    def _report(self, report: Report, count: int) -> None:
         self._next = None
-        if fate is not Fate.SUPERSEDED:
-            self._last_shot = packet.shot
-        report = Report(packet.shot, packet.due_ns, sent_ns, fate, max(-1, woke_ns - self._start_ns))
         if not self._reports.push(report.to_bytes()):
             raise RuntimeError("the ring of reports is too small")
-        self.settled += 1
+        self.settled += count

@@ -29,7 +29,6 @@ class TruthSocket:
     def __init__(self, address: str, clock: Clock) -> None:
         self._clock = clock
         self._path: str | None = None
-        self._sender: Any = None
         kind, _, place = address.partition(":")
         try:
             self._socket = self._unix(place) if kind == "unix" else self._udp(place)
@@ -56,26 +55,26 @@ class TruthSocket:
         """Ready when there is something to receive."""
         return self._socket.fileno()
 
-    def receive(self) -> list[tuple[bytes, int]]:
+    def receive(self) -> list[tuple[bytes, int, Any]]:
         """Datagrams that have arrived, a bounded number at a time, with the instants of the monotonic clock at
-        which they were taken."""
-        arrived: list[tuple[bytes, int]] = []
+        which they were taken, and the addresses that they came from."""
+        arrived: list[tuple[bytes, int, Any]] = []
         while len(arrived) < _AT_ONCE:
             try:
-                data, self._sender = self._socket.recvfrom(_LONGEST_BYTES)
+                data, sender = self._socket.recvfrom(_LONGEST_BYTES)
             except BlockingIOError:
                 break
             except ConnectionError:  # an answer found nobody
                 continue
-            arrived.append((data, self._clock.now_ns()))
+            arrived.append((data, self._clock.now_ns(), sender))
         return arrived
 
-    def answer(self, datagram: bytes) -> bool:
-        """To whom the last datagram came from; False if it cannot be delivered."""
-        if not self._sender:
+    def answer(self, datagram: bytes, receiver: Any) -> bool:
+        """To an address that something came from; False if it cannot be delivered."""
+        if not receiver:  # a Unix socket without a name
             return False
         try:
-            self._socket.sendto(datagram, self._sender)
+            self._socket.sendto(datagram, receiver)
         except OSError:
             return False
         return True

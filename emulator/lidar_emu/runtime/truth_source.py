@@ -13,6 +13,8 @@ from lidar_emu.runtime.truth_socket import TruthSocket
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict, sequence_of
 
+_UNTOLD = 1000
+
 
 class Arrival(NamedTuple):
     """A datagram that came in."""
@@ -24,6 +26,8 @@ class Arrival(NamedTuple):
     """Its number, as far as it has one."""
     arrived_ns: int
     """Instant of the monotonic clock."""
+    sender: Any
+    """The address that it came from."""
 
 
 class TruthSource(Observer):
@@ -49,8 +53,10 @@ class TruthSource(Observer):
         self._undelivered = 0
         self._response = LatenessHistogram()
         self._awaited: deque[tuple[int, int]] = deque()
-        self.start_ns: int | None = None
-        """Instant of the monotonic clock at scenario time 0; None before the run has begun and in lockstep."""
+        self.ended = False
+        """Whether a truth has said that the flight ends with it."""
+        self._start_ns: int | None = None
+        self._untold: list[tuple[bytes, int]] | None = []
         self._newest_arrived_ns = 0
 
     def fileno(self) -> int:
@@ -59,12 +65,27 @@ class TruthSource(Observer):
 
     def receive(self) -> list[Arrival]:
         """Take what arrived into account."""
-        return [self._judged(data, arrived_ns) for data, arrived_ns in self._socket.receive()]
+        return [self._judged(*arrived) for arrived in self._socket.receive()]
 
-    def answer(self, parts: Sequence[Answer]) -> None:
-        """To whom the last datagram came from; an answer that cannot be delivered is counted."""
+    def expect(self, start_ns: int) -> None:
+        """Scenario time 0 is at this instant of the monotonic clock, as is known before the first truth."""
+        self._start_ns = start_ns
+
+    def begin(self, start_ns: int | None) -> None:
+        """The run begins; observers hear of truth from now on, and of what has come before.
+
+        Args:
+            start_ns: instant of the monotonic clock at scenario time 0; None in lockstep.
+        """
+        self._start_ns = start_ns
+        untold, self._untold = self._untold or [], None
+        for data, arrived_ns in untold:
+            self._tell(data, arrived_ns)
+
+    def answer(self, parts: Sequence[Answer], receiver: Any) -> None:
+        """To the sender of a datagram; an answer that cannot be delivered is counted."""
         for part in parts:
-            self._undelivered += not self._socket.answer(part.to_bytes())
+            self._undelivered += not self._socket.answer(part.to_bytes(), receiver)
 
     @property
     def newest(self) -> Truth | None:
@@ -85,8 +106,8 @@ class TruthSource(Observer):
         age_ns = self._age_ns(time_ns)
         self._age.add(age_ns)
         self._stale += age_ns > self._stale_after_ns
-        assert self.start_ns is not None
-        since_ns = max(self._newest_arrived_ns - self.start_ns, packet.due_ns)
+        assert self._start_ns is not None
+        since_ns = max(self._newest_arrived_ns - self._start_ns, packet.due_ns)
         self._awaited.append((packet.shot, since_ns))
 
     def _age_ns(self, time_ns: int) -> int:
@@ -114,12 +135,25 @@ class TruthSource(Observer):
             "response": self._response.summary(),
         }
 
-    def _judged(self, data: bytes, arrived_ns: int) -> Arrival:
-        now_ns = None if self.start_ns is None else arrived_ns - self.start_ns
+    def _judged(self, data: bytes, arrived_ns: int, sender: Any) -> Arrival:
         truth = Truth.from_bytes(data)
-        verdict = self._trajectory.accept(truth, now_ns)
+        verdict = self._trajectory.accept(
+            truth, None if self._start_ns is None else arrived_ns - self._start_ns
+        )
         if verdict is Verdict.ACCEPTED:
             self._newest_arrived_ns = arrived_ns
+        # The last truth may say again what the one before it said.
+        if truth is not None and verdict in (Verdict.ACCEPTED, Verdict.DUPLICATE):
+            self.ended |= truth.last
+        if self._untold is None:
+            self._tell(data, arrived_ns)
+        elif len(self._untold) < _UNTOLD:
+            self._untold.append((data, arrived_ns))
+        return Arrival(truth, verdict, sequence_of(data), arrived_ns, sender)
+
+    def _tell(self, data: bytes, arrived_ns: int) -> None:
+        newest = self.newest
+        lockstep_ns = 0 if newest is None else newest.time_ns
+        time_ns = lockstep_ns if self._start_ns is None else arrived_ns - self._start_ns
         for observer in self._observers:
-            observer.truth(data, 0 if now_ns is None else max(0, now_ns))
-        return Arrival(truth, verdict, sequence_of(data), arrived_ns)
+            observer.truth(data, max(0, time_ns))

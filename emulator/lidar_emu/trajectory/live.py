@@ -95,7 +95,8 @@ class LiveTrajectory:
         if now_ns is not None and abs(truth.time_ns - now_ns) > LONGEST_STEP_NS:
             return Verdict.IMPLAUSIBLE_TIME
         if newest is None:
-            return Verdict.ACCEPTED
+            possible = 0 <= truth.time_ns <= LONGEST_S * 1e9
+            return Verdict.ACCEPTED if possible or now_ns is not None else Verdict.IMPLAUSIBLE_TIME
         if truth.time_ns == newest.time_ns:
             return Verdict.DUPLICATE
         if truth.time_ns < newest.time_ns:

@@ -41,7 +41,8 @@ class Verdict(IntEnum):
     OUT_OF_ORDER = 5
     """Older than the newest truth."""
     IMPLAUSIBLE_TIME = 6
-    """More than 10 s from where it can be: from now, or in lockstep after the newest truth."""
+    """More than 10 s from where it can be: from now, or in lockstep after the newest truth; or a first one before
+    scenario time 0 or beyond the longest run."""
 
 
 class Truth(NamedTuple):
@@ -107,8 +108,8 @@ class Answer(NamedTuple):
     """A datagram of the answer to a truth, in lockstep."""
 
     verdict: Verdict
-    more: bool
-    """Another datagram of the same answer follows."""
+    more: int
+    """How many datagrams of the same answer follow; 255 stands for more."""
     sequence: int
     time_ns: int
     """Of the truth: all packets due up to then have been sent."""
@@ -142,7 +143,7 @@ class Answer(NamedTuple):
             raise ValueError(f"not an answer: {error}") from None
         if (magic, version, start) != (_ANSWER_MAGIC, VERSION, len(datagram)):
             raise ValueError("not an answer of this version")
-        return cls(Verdict(verdict), bool(more), sequence, time_ns, tuple(packets))
+        return cls(Verdict(verdict), more, sequence, time_ns, tuple(packets))
 
 
 def answers(verdict: Verdict, sequence: int, time_ns: int, packets: Iterable[AnsweredPacket]) -> list[Answer]:
@@ -157,4 +158,6 @@ def answers(verdict: Verdict, sequence: int, time_ns: int, packets: Iterable[Ans
         parts[-1].append(packet)
         room -= size
     last = len(parts) - 1
-    return [Answer(verdict, k < last, sequence, time_ns, tuple(part)) for k, part in enumerate(parts)]
+    return [
+        Answer(verdict, min(last - k, 255), sequence, time_ns, tuple(part)) for k, part in enumerate(parts)
+    ]

@@ -11,7 +11,7 @@ import tty
 from collections.abc import Callable
 from contextlib import suppress
 
-from lidar_emu.transports.link import LinkLostError
+from lidar_emu.transports.link import LinkLostError, Noticed
 
 _READ_BYTES = 65536
 _INT = struct.Struct("i")
@@ -78,6 +78,10 @@ class DescriptorChannel:
                 raise LinkLostError("the other end is gone")
             return data
         return b""
+
+    def take_noticed(self) -> Noticed:
+        """Nothing: a byte link has no news of its own."""
+        return Noticed()
 
     def unread(self) -> int:
         """Bytes that wait in the system for a serial line, or for the other end of a socket (there counted

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import os
 import select
 import socket
 from collections import deque
@@ -12,15 +13,14 @@ from typing import TYPE_CHECKING, Any
 from lidar_emu.errors import InputError, one_line
 from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
-from lidar_emu.transports.link import LinkLostError
+from lidar_emu.transports.link import LinkLostError, Noticed
+from lidar_emu.transports.socketcan import controller_state, is_bus_off, lost_frames, prepare_socket
 from lidar_emu.transports.spec import PortSpec
 
 if TYPE_CHECKING:
     import can
 
 _RECEIVE_AT_MOST = 256
-_RECEIVE_BUFFER_BYTES = 4 << 20
-_SO_RCVBUFFORCE = 33
 _FULL_ERRNOS = (errno.ENOBUFS, errno.EAGAIN)
 
 
@@ -29,12 +29,14 @@ class CanChannel:
 
     def __init__(self, bus: can.BusABC, description: str, lines: DescriptorChannel | None = None) -> None:
         self.description = description
-        self.ignored_frames = 0
-        """Received without data of ours: error and remote frames, and slcan lines that make no sense."""
         self._bus = bus
+        self._socket = _socket_of(bus)
         self._lines = lines
         self._rest: deque[can.Message] = deque()
         self._descriptor = _descriptor_of(bus)
+        self._noticed = Noticed()
+        self._controller: str | None = None
+        self._lost_frames = 0
 
     @property
     def pending(self) -> bool:
@@ -82,11 +84,19 @@ class CanChannel:
             message = self._receive_one()
             if message is None:
                 break
-            if message.is_error_frame or message.is_remote_frame:
-                self.ignored_frames += 1
+            if message.is_error_frame:
+                self._notice_error(message)
+            elif message.is_remote_frame:
+                self._noticed.counts["ignored_frames"] += 1
             else:
                 frames.append(_frame(message))
+        self._notice_losses()
         return pack_frames(frames)
+
+    def take_noticed(self) -> Noticed:
+        """Error frames, frames that make no sense, frames lost on the way in; since the last call."""
+        noticed, self._noticed = self._noticed, Noticed()
+        return noticed
 
     def unread(self) -> int:
         """Bytes on their way to an slcan adapter; frames on a bus are nobody's to lose."""
@@ -114,13 +124,32 @@ class CanChannel:
                 raise LinkLostError(_text_of(error)) from None
             messages.popleft()
 
+    def _notice_error(self, message: can.Message) -> None:
+        self._noticed.counts["error_frames"] += 1
+        if is_bus_off(message.arbitration_id):
+            # The system goes on taking frames without a word, and throws them away.
+            raise LinkLostError("bus off")
+        state = controller_state(message.arbitration_id, bytes(message.data))
+        if state not in (None, self._controller):
+            self._noticed.events.append(f"CAN controller: {state}")
+            self._controller = state
+
+    def _notice_losses(self) -> None:
+        if self._socket is None:
+            return
+        lost = (lost_frames(self._socket) - self._lost_frames) % 2**32
+        if lost:
+            self._lost_frames += lost
+            self._noticed.counts["lost_frames"] += lost
+            self._noticed.events.append(f"{lost} received frames lost: they came faster than they were read")
+
     def _receive_one(self) -> can.Message | None:
         from can import CanError
 
         try:
             return self._bus.recv(timeout=0)
         except (ValueError, LookupError):  # a line that is not slcan
-            self.ignored_frames += 1
+            self._noticed.counts["ignored_frames"] += 1
             return None
         except (CanError, OSError) as error:
             raise LinkLostError(_text_of(error)) from None
@@ -165,8 +194,15 @@ def open_can(spec: PortSpec) -> CanChannel:
     except Exception as error:  # without its vendor's driver an interface raises what it likes
         reason = f"it cannot be opened: {_kind_of(error)}{_text_of(error)}"
         raise InputError("--channel", None, f"{spec.interface} {spec.channel}", reason) from None
-    _enlarge_receive_buffer(bus)
-    return CanChannel(bus, str(spec), lines)
+    channel = CanChannel(bus, str(spec), lines)
+    sock = _socket_of(bus)
+    if sock is not None:
+        try:
+            prepare_socket(sock, spec)
+        except InputError:
+            channel.close()
+            raise
+    return channel
 
 
 def _settings(spec: PortSpec) -> dict[str, Any]:
@@ -187,16 +223,10 @@ def _prepare_slcan(bus: Any, spec: PortSpec) -> DescriptorChannel:
     return lines
 
 
-def _enlarge_receive_buffer(bus: object) -> None:
-    """A SocketCAN reader that is slow for a moment loses frames without a word; give it room."""
+def _socket_of(bus: object) -> socket.socket | None:
+    """The socket of a SocketCAN interface; None for the other kinds."""
     sock = getattr(bus, "socket", None)
-    if not isinstance(sock, socket.socket):
-        return
-    for option in (socket.SO_RCVBUF, _SO_RCVBUFFORCE):
-        try:
-            sock.setsockopt(socket.SOL_SOCKET, option, _RECEIVE_BUFFER_BYTES)
-        except OSError:
-            continue
+    return sock if isinstance(sock, socket.socket) and sock.family == socket.AF_CAN else None
 
 
 def _descriptor_of(bus: can.BusABC) -> int | None:
@@ -232,6 +262,9 @@ def _kind_of(error: Exception) -> str:
 
 def _text_of(error: BaseException) -> str:
     cause = error.__cause__
+    number = getattr(error, "error_code", None)
+    if number is not None and isinstance(cause, OSError):
+        return os.strerror(number)
     return one_line(f"{error}: {cause}" if cause is not None and str(cause) not in str(error) else str(error))
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Protocol
 
@@ -37,6 +39,19 @@ class LinkLostError(Exception):
     """The link broke: cable pulled, interface down, other end gone."""
 
 
+COUNTED = ("error_frames", "ignored_frames", "lost_frames")
+"""What a CAN bus counts besides data: error frames, frames without data of ours, frames that came too fast."""
+
+
+@dataclass
+class Noticed:
+    """What happened on a link besides its data."""
+
+    events: list[str] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
+    """Under the names of `COUNTED`."""
+
+
 class Channel(Protocol):
     """An open port. No call waits; every call but `close` may raise LinkLostError."""
 
@@ -66,6 +81,9 @@ class Channel(Protocol):
     def receive(self) -> bytes:
         """What has arrived (CAN: frame records), also from one who left since; empty if nothing."""
 
+    def take_noticed(self) -> Noticed:
+        """What was noticed by `receive` since the last call; does not raise."""
+
     def unread(self) -> int:
         """Bytes taken that have not left the line or, on a pty, were not fetched by its reader."""
 
@@ -88,6 +106,8 @@ class Link:
         self._retry_at_ns = 0
         self._back_off_ns = _FIRST_RETRY_NS
         self._events: list[tuple[int, str]] = []
+        self.counts: Counter[str] = Counter()
+        """Under the names of `COUNTED`, over all times that the link was open."""
 
     def send(self, payload: bytes, now_ns: int) -> Fate:
         """Send a packet or drop it. Whether somebody is at the other end is as the last `service` saw it."""
@@ -111,7 +131,9 @@ class Link:
             return b""
         try:
             self._is_connected(self._channel, now_ns)
-            return self._channel.receive()
+            data = self._channel.receive()
+            self._take_noticed(self._channel, now_ns)
+            return data
         except LinkLostError as lost:
             self._lose(str(lost), now_ns)
             return b""
@@ -184,7 +206,15 @@ class Link:
             self.note("connected" if somebody else "nobody connected", now_ns)
         return somebody
 
+    def _take_noticed(self, channel: Channel, now_ns: int) -> None:
+        noticed = channel.take_noticed()
+        self.counts += noticed.counts
+        for text in noticed.events:
+            self.note(text, now_ns)
+
     def _lose(self, text: str, now_ns: int) -> None:
+        if self._channel is not None:
+            self._take_noticed(self._channel, now_ns)
         self.close()
         self._somebody = True
         self._retry_later(now_ns)

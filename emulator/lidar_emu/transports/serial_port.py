@@ -11,7 +11,7 @@ from typing import Any
 
 from lidar_emu.errors import InputError, one_line
 from lidar_emu.transports.byte_channel import DescriptorChannel, PtyChannel
-from lidar_emu.transports.link import Channel, LinkLostError
+from lidar_emu.transports.link import Channel, LinkLostError, Noticed
 from lidar_emu.transports.spec import Kind, PortSpec
 
 _LOOPBACK_BUFFER_BYTES = 4 << 20
@@ -120,6 +120,10 @@ class UrlChannel:
             return bytes(self._port.read(self._port.in_waiting))
         except (OSError, termios.error) as error:
             raise LinkLostError(one_line(str(error))) from None
+
+    def take_noticed(self) -> Noticed:
+        """Nothing: a byte link has no news of its own."""
+        return Noticed()
 
     def unread(self) -> int:
         """Not known."""

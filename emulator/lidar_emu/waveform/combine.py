@@ -52,15 +52,16 @@ def chirp_minus_doppler(observed: FloatArray, variance: FloatArray) -> Combined:
     up_variance, constant_variance, down_variance = np.moveaxis(variance, -1, 0)
     receding = up > down
     doppler = np.where(receding, -constant, constant)
-    lower_up, lower_down = np.where(receding, 1.0, [[1.0], [-1.0]]), np.where(receding, [[1.0], [-1.0]], 1.0)
-    either = lower_down * down - lower_up * up - 2.0 * doppler
-    residual = np.where(abs(either[0]) <= abs(either[1]), either[0], either[1])
+    longer, shorter = np.where(receding, up, down), np.where(receding, down, up)
+    excess = longer - 2.0 * constant
+    fitting = np.where(abs(excess - shorter) <= abs(excess + shorter), excess - shorter, excess + shorter)
+    residual = np.where(receding, -fitting, fitting)
     differ = np.square(up - down) > _REFUTED * (up_variance + down_variance)
     scatter = np.sqrt(_REFUTED * (variance @ np.square(_CONSTRAINT)))
     # Motion and the chirps' optical frequencies set the segments apart by a part of a bin.
     consistent = np.abs(residual) <= scatter + 1.0
     return Combined(
-        np.where(receding, up, down) - constant,
+        longer - constant,
         doppler,
         np.where(receding, up_variance, down_variance) + constant_variance,
         constant_variance,
@@ -74,9 +75,9 @@ def least_squares(observed: FloatArray, variance: FloatArray, length: int, farth
 
     A chirp is one of F, -F, N - F, F - N, the constant segment F or -F. The residual counts in standard deviations,
     squared, plus 9 for each fold at N/2, and the beat of range must lie from 0 to `farthest_bin`, give or take
-    three standard deviations; of equals a closing one is taken. The sign is resolved where all others more than
-    six standard deviations away in range or Doppler shift cost more by 9, or by 9 times the residual, squared, of the
-    chosen one.
+    three standard deviations. Of equals one with the constant segment closing is taken, and of those the first with the
+    up-chirp, then the down-chirp, as F, -F, N - F, F - N. The sign is resolved where all others more than six standard
+    deviations away in range or Doppler shift cost more by 9, or by 9 times the residual, squared, of the chosen one.
 
     Args:
         observed, variance: (records, 3).
@@ -94,7 +95,8 @@ def least_squares(observed: FloatArray, variance: FloatArray, length: int, farth
     chirp = ((1.0, 0.0), (-1.0, 0.0), (-1.0, 1.0), (1.0, -1.0))
     choices = np.array([(up, constant, down) for constant, up, down in product(chirp[:2], chirp, chirp)])
     signed = choices[:, :, 0] * observed[:, None] + choices[:, :, 1] * length
-    residual = signed @ _CONSTRAINT
+    # Written out: a library's sum may round mirrored choices apart, and equals would no longer be equal.
+    residual = signed[..., 2] - signed[..., 0] - 2.0 * signed[..., 1]
     cost = np.square(residual) / spread[:, None] + _REFUTED * np.abs(choices[:, :, 1]).sum(axis=1)
     beat, doppler = np.moveaxis(np.einsum("rbs,rcs->rcb", solver, signed), -1, 0)
     cost[(beat < -slack[:, None]) | (beat > farthest_bin + slack[:, None])] = np.inf

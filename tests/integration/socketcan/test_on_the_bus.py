@@ -1,0 +1,84 @@
+"""The emulator on SocketCAN, and at the other end candump, cansend, cantools, tshark and `lidar-emu listen`."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import slcan_lines
+from can_tools import CANTOOLS, candump, run_tool, tshark
+from comparison import CODES, FLAGS, SERIAL_HELD, SERIAL_STEPS, assert_complete, assert_equal
+from programs import Program, eventually, read_summary
+
+import lidar_protocol
+from lidar_emu.measurement import Measurement
+
+BEAMS = 4
+BUS = ["-i", "socketcan", "-c", "vcan0", "--bitrate", "1000000"]
+CORE_STEPS = {"snr_db": 1.0, "range_m": 0.001, "closing_speed_mps": 0.0001}
+CORE_HELD = {"snr_db": (0.0, 62.0)}
+CORE_EXACT = ("range_valid", "speed_valid", "sign_resolved", "segments")
+FULL_STEPS, FULL_HELD = SERIAL_STEPS | CORE_STEPS, SERIAL_HELD | CORE_HELD
+FULL_EXACT = (*CORE_EXACT, "reason", "returns")
+PART = ["--pace", "max", "--duration", "5"]
+DBC = str(Path(lidar_protocol.__file__).parent / "lidar.dbc")
+
+Start = Callable[..., Program]
+Simulated = Callable[..., Measurement]
+
+
+def test_the_full_set_as_everybody_reads_it(start: Start, simulated: Simulated, tmp_path: Path) -> None:
+    listener = start("listen", *BUS, "--json")
+    with candump(tmp_path) as dump, tshark(tmp_path) as dissected:
+        listener.word_after("listening on ")
+        start("run", "descent.yaml", *BUS, *PART, "--summary", "s.json").succeed()
+        summary = read_summary(tmp_path / "s.json")
+        eventually(lambda: listener.out.count("\n") >= BEAMS * summary["shots"]["sent"])
+        listener.signal(signal.SIGINT)
+        assert listener.wait() == 0
+        eventually(lambda: len(dissected()) >= len(dump.frames()))
+        assert dissected() == [(frame.can_id, frame.data) for frame in dump.frames()]
+
+    frames = dump.frames()
+    rows = slcan_lines.rows(slcan_lines.shots(frames))
+    heard = [json.loads(line) for line in listener.out.splitlines()]
+    for received in (rows, heard):
+        assert_complete(received, summary, BEAMS)
+        assert len(received) == BEAMS * summary["planned_shots"]
+        assert_equal(received, simulated("descent.yaml"), FULL_STEPS, FULL_HELD, FULL_EXACT)
+    assert summary["wire"]["lost_frames"] == summary["wire"]["error_frames"] == 0
+
+    decoded = run_tool(CANTOOLS, "decode", "--single-line", DBC, stdin=dump.log).splitlines()
+    told = [re.search(r"Beam0\(.*?range_m: (\S+)", line) for line in decoded]
+    ranges_m = [match[1] for match in told if match]
+    for text, row in zip(ranges_m, rows[::BEAMS], strict=True):
+        assert (text[0] == "n") == (row["range_m"] is None)
+        assert text[0] == "n" or float(text) == pytest.approx(row["range_m"], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "messages"),
+    [
+        (["--set", "wire.can_messages=core"], "t", ["Header", *(f"Beam{k}" for k in range(4))]),
+        (["--fd", "--data-bitrate", "5000000"], "b", ["FdHeader", *(f"FdBeam{k}" for k in range(4))]),
+    ],
+)
+def test_the_other_sets_of_messages(
+    options: list[str], kind: str, messages: list[str], start: Start, simulated: Simulated, tmp_path: Path
+) -> None:
+    with candump(tmp_path) as dump:
+        start("run", "descent.yaml", *BUS, *options, "--pace", "max", "--summary", "s.json").succeed()
+    frames = dump.frames()
+    shots = slcan_lines.shots(frames)
+    rows, expected = slcan_lines.rows(shots), simulated("descent.yaml")
+    assert_complete(rows, read_summary(tmp_path / "s.json"), BEAMS)
+    assert {frame.kind for frame in frames} == {kind}
+    assert {tuple(shot["messages"]) for shot in shots} == {tuple(messages)}
+    if kind == "b":
+        assert_equal(rows, expected, exact=FLAGS + CODES)
+    else:
+        assert_equal(rows, expected, CORE_STEPS, CORE_HELD, CORE_EXACT)

@@ -1,0 +1,53 @@
+"""Packets that commands have changed, at the sender."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.pacing import Pace, Pacing
+from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.ring import Ring
+from lidar_emu.runtime.sender import Sender
+
+
+class Line:
+    """Takes everything."""
+
+    unread = 0
+
+    def __init__(self) -> None:
+        self.sent: list[bytes] = []
+
+    def send(self, payload: bytes, now_ns: int) -> Fate:  # noqa: ARG002
+        self.sent.append(payload)
+        return Fate.SENT
+
+    def note(self, text: str, now_ns: int) -> None:  # noqa: ARG002
+        raise AssertionError(text)
+
+
+@given(st.lists(st.tuples(st.integers(0, 6), st.integers(0, 6)), max_size=4))
+def test_of_each_shot_the_last_announcement_is_sent(commands: list[tuple[int, int]]) -> None:
+    """Commands, each after so many more shots were announced, each from so many shots back on."""
+    packets, reports = Ring(Ring.create(256, 64)), Ring(Ring.create(512, Report.SIZE_BYTES))
+    line = Line()
+    sender = Sender(packets, reports, line, Clock(), 0, Pacing(Pace.MAX, 0))
+    wanted: dict[int, int] = {}
+    next_shot = 0
+    for generation, (more, back) in enumerate([*commands, (6, 0)]):
+        for _ in range(more):
+            packets.push(Outgoing(next_shot, 0, bytes((next_shot, generation)), generation).to_bytes())
+            wanted[next_shot] = generation
+            next_shot += 1
+        next_shot = max(0, next_shot - back)
+        sender.supersede(generation + 1, next_shot, packets.written)
+        wanted = {shot: g for shot, g in wanted.items() if shot < next_shot}
+    while not sender.step().for_packets:
+        pass
+    assert line.sent == [bytes(entry) for entry in sorted(wanted.items())]
+    told = [Report.from_bytes(entry) for entry in iter(reports.pop, None)]
+    assert sum(report.sent_ns if report.fate is Fate.SUPERSEDED else 1 for report in told) == packets.written
+    packets.close()
+    reports.close()
