@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import FloatArray
+from lidar_emu.faults.build import beam_faults
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.plan import Plan, plan_bench
@@ -25,6 +26,7 @@ class BenchModel:
         self.beam_count = len(self.pattern.beams)
         self.plan: Plan = plan_bench(scenario)
         self.initial_state = ScannerState(())
+        self.faults = beam_faults(scenario, self.beam_count)
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         """Shots `first` to `first + count - 1`; there is no state to carry."""
@@ -64,6 +66,10 @@ class BenchModel:
             velocity_site_mps=nowhere,
         )
         return measurement, state
+
+    def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:  # noqa: ARG002
+        """A pattern has no points."""
+        return measurement.point_site_m
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:  # noqa: ARG002
         """There is no state to carry."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from lidar_emu.echoes import receive_light
 from lidar_emu.flight import Flight, Pointing
+from lidar_emu.plan_faults import planned_faults
 from lidar_emu.plan_receiver import Decision, plan_receiver
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.site import Grid
@@ -37,6 +38,7 @@ def plan_bench(scenario: BenchScenario) -> Plan:
         (
             Decision("pattern", True, f"{beams} beams", "the scenario gives bench_pattern", "exact"),
             Decision("flight, ground, receiver", False, "-", "a pattern needs none of them", "exact"),
+            *planned_faults(scenario),
         )
     )
 
@@ -55,6 +57,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
         footprint,
         *_switching(flight),
         *plan_receiver(scenario, echoes),
+        *planned_faults(scenario),
     )
     return Plan(decisions, beamlets)
 
@@ -71,6 +74,7 @@ def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
             Decision("footprint", beamlets > 1, f"{beamlets} beamlets", kept, "sampled"),
             *_switching(flight),
             Decision("receiver", True, scenario.level, f"the scenario asks for level {scenario.level}", kept),
+            *planned_faults(scenario),
         ),
         beamlets,
     )

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 from lidar_emu.measurement import Measurement
-from lidar_emu.scanner.model import ScannerState
-from lidar_emu.shots import Model
+from lidar_emu.shots import Model, ModelState, initial_state, measure
 from lidar_emu.wire import Encoder, Packet
+
+if TYPE_CHECKING:
+    from lidar_emu.faults.schedule import Injected
+    from lidar_emu.faulty_packets import FaultyPackets, WireState
 
 
 @dataclass(frozen=True)
@@ -17,12 +21,30 @@ class Block:
 
     measurement: Measurement
     packets: list[Packet]
+    """Empty ones were taken away by faults."""
+    due_ns: list[int]
+    """When packets are due: as the measurement says, but for faults."""
+    faults: tuple[Injected, ...] = ()
+    """Which faults acted."""
 
     def part(self, first: int, end: int) -> Block:
         """Some of the shots: rows from `first`, and before `end`."""
         if (first, end) == (0, len(self.packets)):
             return self
-        return Block(self.measurement.part(first, end), self.packets[first:end])
+        start = int(self.measurement.shot[0])
+        return Block(
+            self.measurement.part(first, end),
+            self.packets[first:end],
+            self.due_ns[first:end],
+            tuple(fault for fault in self.faults if start + first <= fault.shot < start + end),
+        )
+
+
+class _State(NamedTuple):
+    """What is carried from shot to shot."""
+
+    model: ModelState
+    wire: WireState | None
 
 
 class Session:
@@ -32,13 +54,17 @@ class Session:
         model: what is measured.
         encoder: how it goes onto the link.
         kept_blocks: how many blocks back `rewind` can go.
+        faulty: what becomes of packets; None: nothing.
     """
 
-    def __init__(self, model: Model, encoder: Encoder, kept_blocks: int = 1) -> None:
+    def __init__(
+        self, model: Model, encoder: Encoder, kept_blocks: int = 1, faulty: FaultyPackets | None = None
+    ) -> None:
         self._model = model
         self._encoder = encoder
-        self._state = model.initial_state
-        self._before: deque[tuple[int, ScannerState]] = deque(maxlen=kept_blocks)
+        self._faulty = faulty
+        self._state = _State(initial_state(model), None if faulty is None else faulty.initial)
+        self._before: deque[tuple[int, _State]] = deque(maxlen=kept_blocks)
         self.next_shot = 0
         """The first shot that has not been computed."""
 
@@ -53,11 +79,18 @@ class Session:
         if count <= 0:
             return None
         self._before.append((self.next_shot, self._state))
-        measurement, self._state = self._model.measure(self.next_shot, count, self._state)
-        if not fired:
-            measurement = measurement.unfired()
+        measurement, model_state, injected = measure(
+            self._model, self.next_shot, count, self._state.model, fired
+        )
         self.next_shot += count
-        return Block(measurement, list(self._encoder.packets(measurement)))
+        if self._faulty is None or self._state.wire is None:
+            self._state = _State(model_state, None)
+            packets, due_ns = list(self._encoder.packets(measurement)), measurement.due_ns.tolist()
+        else:
+            packets, due_ns, wire_state, more = self._faulty.packets(measurement, self._state.wire)
+            self._state = _State(model_state, wire_state)
+            injected = [*injected, *more]
+        return Block(measurement, packets, due_ns, tuple(injected))
 
     def pass_over(self, shot: int) -> None:
         """Go on with this shot; those before it are never computed."""
@@ -73,10 +106,26 @@ class Session:
             self._before.pop()
         if not self._before:
             raise ValueError(f"shot {shot} is not kept")
-        first, state = self._before[-1]
-        self.next_shot = shot
-        self._state = self._model.state_after(first, shot - first, state) if shot > first else state
+        self.next_shot, self._state = self._before[-1]
+        if shot > self.next_shot:
+            self._catch_up(shot)
 
     def use_pattern(self, pattern: int) -> None:
         """From the next shot on, use these beams, if there are any of this number."""
-        self._state = self._model.commanded(self._state, pattern) or self._state
+        scanner = self._model.commanded(self._state.model.scanner, pattern)
+        if scanner is not None:
+            self._state = self._state._replace(model=self._state.model._replace(scanner=scanner))
+
+    def _catch_up(self, shot: int) -> None:
+        """From the beginning of the block, which stays kept, to a shot in it."""
+        count, scanner = shot - self.next_shot, self._state.model.scanner
+        if self._model.faults is not None or self._faulty is not None:
+            # What faults carry from shot to shot follows from what is measured.
+            self._before.pop()
+            self.shoot(count)
+            return
+        after = self._model.state_after(self.next_shot, count, scanner)
+        self.next_shot, self._state = (
+            shot,
+            self._state._replace(model=self._state.model._replace(scanner=after)),
+        )

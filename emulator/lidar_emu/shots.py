@@ -7,7 +7,8 @@ of a shot do not depend on the block that it came in.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Protocol
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from lidar_emu.arrays import FloatArray
 from lidar_emu.bench_model import BenchModel
 from lidar_emu.echoes import Light
 from lidar_emu.errors import InputError
+from lidar_emu.faults.build import beam_faults
 from lidar_emu.flight import Flight, Pointing
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.kernels import kernel
@@ -28,6 +30,10 @@ from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scene.hits import Hits
 
+if TYPE_CHECKING:
+    from lidar_emu.faults.measured import BeamFaults, Held
+    from lidar_emu.faults.schedule import Injected
+
 BLOCK_SHOTS = 128
 
 
@@ -38,9 +44,14 @@ class Model(Protocol):
     shot_count: int
     plan: Plan
     initial_state: ScannerState
+    faults: BeamFaults | None
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """Shots `first` to `first + count - 1`, given the scanner's state before them."""
+        """Shots `first` to `first + count - 1` without faults, given the scanner's state before them."""
+        ...
+
+    def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
+        """(shots, beams, 3) Where the ranges of a measurement end, given the scanner's state before it."""
         ...
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
@@ -64,14 +75,22 @@ class FlightModel:
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count = self.flight.shot_count
         self.initial_state = self.flight.scanner.initial
+        self.faults = beam_faults(scenario, self.beam_count)
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """Shots `first` to `first + count - 1`, given the scanner's state before them."""
+        """Shots `first` to `first + count - 1` without faults, given the scanner's state before them."""
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.flight.point(shot, state)
         axis_hits = self.flight.cast(pointing.sensor_site_m, pointing.true_site)
         returns = self.level(self.light.echoes(pointing, axis_hits), shot)
         return self._measurement(shot, pointing, axis_hits, returns), state
+
+    def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
+        """(shots, beams, 3) Where the ranges of a measurement end, given the scanner's state before it."""
+        pointing, _ = self.flight.point(measurement.shot, state)
+        speed_mps, point_site_m = np.empty(pointing.fired.shape), np.empty((*pointing.fired.shape, 3))
+        _locate(pointing.beams, measurement.range_m, speed_mps, point_site_m)
+        return point_site_m
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
         """The scanner's state after these shots, without measuring them."""
@@ -147,11 +166,42 @@ def require_known_flight(scenario: FlightScenario | BenchScenario) -> None:
         raise InputError(scenario.name, "trajectory.kind", "live", allowed)
 
 
+class ModelState(NamedTuple):
+    """What is carried from shot to shot."""
+
+    scanner: ScannerState
+    faults: tuple[Held | None, ...] = ()
+
+
+def initial_state(model: Model) -> ModelState:
+    """Before shot 0."""
+    return ModelState(model.initial_state, () if model.faults is None else model.faults.initial)
+
+
+def measure(
+    model: Model, first: int, count: int, state: ModelState, fired: bool = True
+) -> tuple[Measurement, ModelState, list[Injected]]:
+    """Shots `first` to `first + count - 1` with their faults of beams; the state after them; and which faults acted.
+
+    Args:
+        fired: whether the beams fire at all.
+    """
+    measurement, scanner = model.measure(first, count, state.scanner)
+    if not fired:
+        measurement = measurement.unfired()
+    if model.faults is None:
+        return measurement, ModelState(scanner), []
+    faulty, held, injected = model.faults.apply(measurement, state.faults)
+    if injected:
+        faulty = replace(faulty, point_site_m=model.points_site_m(faulty, state.scanner))
+    return faulty, ModelState(scanner, held), injected
+
+
 def measure_in_blocks(model: Model, block_shots: int = BLOCK_SHOTS) -> Iterator[Measurement]:
     """All shots of the run, a block at a time."""
-    state = model.initial_state
+    state = initial_state(model)
     for first in range(0, model.shot_count, block_shots):
-        block, state = model.measure(first, min(block_shots, model.shot_count - first), state)
+        block, state, _ = measure(model, first, min(block_shots, model.shot_count - first), state)
         yield block
 
 

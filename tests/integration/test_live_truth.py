@@ -98,6 +98,22 @@ def test_lockstep_reports_what_truth_says(start: Start, simulator: Simulator, tm
     assert told["truth"]["age"]["count"] == 0  # every shot lies between two truths
 
 
+def test_lockstep_answers_with_faulty_packets(start: Start, simulator: Simulator, tmp_path: Path) -> None:
+    """Shots 20 to 29 are lost, those from 50 to 59 are 40 ms late; nobody waits for what does not come."""
+    lost, late = (
+        "{kind: lost, from_s: 0.2, to_s: 0.3}",
+        "{kind: delayed, delay_s: 0.04, from_s: 0.5, to_s: 0.6}",
+    )
+    run = start("run", *FAST, "--pace", "lockstep", "--set", f"faults=[{lost}, {late}]")
+    packets = handwritten.unstuffed(fly_in_lockstep(simulator, 50))
+    run.succeed()
+    shots = [handwritten.decoded(packet)[0]["shot"] for packet in packets]
+    assert shots == [*range(20), *range(30, 100)]
+    told = read_summary(tmp_path / "s.json")
+    assert told["faults"] == {"shots": {"delayed": 10, "lost": 10}, "withheld": 10}
+    assert (told["shots"]["due"], told["shots"]["sent"]) == (100, 90)
+
+
 def nuisances(step: int) -> list[bytes]:
     """What lossy links and broken simulators send between two good truths."""
     spoilt = truth(step)._replace(velocity_site_mps=(math.nan, 0.0, 0.0))

@@ -135,6 +135,16 @@ def test_an_hour_goes_out_in_order_and_exactly_on_time(wall: Rig) -> None:
     assert [int.from_bytes(payload, "big") for _, payload in wall.line.taken] == list(range(shots))
 
 
+def test_an_empty_packet_meets_its_fate_at_its_time_and_the_line_sees_nothing(wall: Rig) -> None:
+    wall.push(0, 0)
+    assert wall.packets.push(Outgoing(1, 1000, b"").to_bytes())
+    wall.push(2, 2000)
+    wall.run_until_empty()
+    assert [report.fate for report in wall.seen] == [Fate.SENT, Fate.WITHHELD, Fate.SENT]
+    assert (wall.seen[1].sent_ns, wall.seen[1].woke_ns) == (-1, 1000)
+    assert [int.from_bytes(payload, "big") for _, payload in wall.line.taken] == [0, 2]
+
+
 def test_a_stall_of_ten_seconds_is_skipped_without_a_burst(wall: Rig) -> None:
     period_ns = SECOND_NS // 1111
     stalls_at, wakes_ns = 500, 500 * period_ns + 10 * SECOND_NS

@@ -79,6 +79,7 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
         f"{shots['late']} late, {sum(shots['dropped'].values())} dropped"
         + (f" ({dropped})" if dropped else ""),
     ]
+    lines += _faults(told["faults"])
     if lateness["count"]:
         steal = "" if told["steal_ticks"] is None else f"; host steal {told['steal_ticks']} ticks"
         lines.append(f"lateness   {_figures(lateness)}{steal}")
@@ -114,6 +115,13 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
 
 def _planned(told: dict[str, Any]) -> str:
     return "" if told["planned_shots"] is None else f" of {told['planned_shots']} planned"
+
+
+def _faults(told: dict[str, Any]) -> list[str]:
+    if not told["shots"]:
+        return []
+    kinds = ", ".join(f"{kind.replace('_', ' ')} {count}" for kind, count in told["shots"].items())
+    return [f"faults     on shots: {kinds}; {told['withheld']} packets withheld"]
 
 
 def _truth(told: dict[str, Any] | None) -> list[str]:

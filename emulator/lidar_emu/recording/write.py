@@ -7,6 +7,7 @@ every reader gets all that was written before a cut):
     /measurement   JSON  the columns of `simulate --out`, one list per column
     /live_truth    bytes a simulator's datagrams as they came, good or not; log time when they came
     /packet        bytes what went onto the wire; on CAN, frame records
+    /fault         JSON  a fault that acted on a shot: its place in the scenario's list, its kind, and beams
     /fate          JSON  due and sent times from the start, and what became of the packet
 """
 
@@ -57,6 +58,7 @@ class Recorder(Observer):
             "seed": str(scenario.seed),
             "scenario": scenario.model_dump_json(),
         }
+        self._topics = _JSON_TOPICS + ("/fault",) * bool(scenario.faults)
         self._writer: Writer | None = None
         self._file: BinaryIO
         self.error: str | None = None
@@ -97,7 +99,7 @@ class Recorder(Observer):
         schema = writer.register_schema("any", "jsonschema", _ANY_OBJECT)
         self._channels = {
             **{topic: writer.register_channel(topic, "application/octet-stream", 0) for topic in _RAW_TOPICS},
-            **{topic: writer.register_channel(topic, "json", schema) for topic in _JSON_TOPICS},
+            **{topic: writer.register_channel(topic, "json", schema) for topic in self._topics},
         }
 
     def truth(self, datagram: bytes, time_ns: int) -> None:
@@ -111,6 +113,10 @@ class Recorder(Observer):
             truth, measured = _truth_and_measurement(block.measurement, k)
             self._write("/truth", shot, time_ns, _json(truth))
             self._write("/measurement", shot, time_ns, _json(measured))
+        first = int(block.measurement.shot[0])
+        for fault in block.faults:
+            time_ns = int(block.measurement.time_ns[fault.shot - first].min())
+            self._write("/fault", fault.shot, time_ns, _json(fault._asdict() | {"beams": list(fault.beams)}))
         self._flush()
 
     def report(self, packet: Outgoing, report: Report) -> None:

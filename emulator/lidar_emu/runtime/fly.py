@@ -6,7 +6,7 @@ import gc
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lidar_emu.errors import InputError
 from lidar_emu.flight import Flight
@@ -28,7 +28,7 @@ from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import Tally, expectation
 from lidar_emu.runtime.truth_socket import TruthSocket
 from lidar_emu.runtime.truth_source import TruthSource
-from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario
 from lidar_emu.session import Block, Session
 from lidar_emu.shots import FlightModel, Model
 from lidar_emu.trajectory.live import LiveTrajectory
@@ -36,10 +36,14 @@ from lidar_emu.transports.spec import Kind
 from lidar_emu.transports.wire_load import check_wire_load, wire_load
 from lidar_emu.wire import Encoder
 
+if TYPE_CHECKING:
+    from lidar_emu.faulty_packets import FaultyPackets
+
 LOOK_AHEAD_S = 2.0
 _BLOCK_S = 0.25
 _LEAD_NS = 100_000_000
 _PACKET_ROOM_BYTES = 8192
+_STUFFING_BYTES = 256
 
 
 @dataclass
@@ -89,10 +93,13 @@ class Run:
         port = options.port
         self._encoder = encoder = Encoder(scenario.wire, port.kind is Kind.CAN, port.fd, model.beam_count)
         self._slots = max(2 * self._block_shots, round(rate_hz * LOOK_AHEAD_S))
-        self._session = Session(model, encoder, kept_blocks=self._slots + 1)
+        faulty = _faulty_packets(scenario, encoder, port.kind is Kind.CAN)
+        self._session = Session(model, encoder, self._slots + 1, faulty)
         # The first block is computed before the run: kernels are compiled, and the packets' length is known.
         self._first = self._first_block(encoder)
-        longest = max((payload_of(packet) for packet in self._first.packets), key=len)
+        longest = max((payload_of(packet) for packet in encoder.packets(self._first.measurement)), key=len)
+        faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
+        self._packet_room_bytes = max(_PACKET_ROOM_BYTES, faulty_bytes + _STUFFING_BYTES)
         self.warning = check_wire_load(port, longest, rate_hz)
         self._wire_load = wire_load(port, longest, rate_hz)
         self._opening = True
@@ -118,7 +125,7 @@ class Run:
         with (
             truth_address as socket,
             on_signals(self._interrupt),
-            PortRunner(2 * self._slots, _PACKET_ROOM_BYTES) as port,
+            PortRunner(2 * self._slots, self._packet_room_bytes) as port,
         ):
             source = self._source(socket)
             ours = [observer for observer in (source, self._judge_of_lateness()) if observer is not None]
@@ -265,6 +272,14 @@ class Run:
     def _planned_shots(self) -> int | None:
         """None where the simulator decides."""
         return None if self._live and self._scenario.duration_s is None else self._model.shot_count
+
+
+def _faulty_packets(scenario: Scenario, encoder: Encoder, can: bool) -> FaultyPackets | None:
+    if not scenario.faults:
+        return None
+    from lidar_emu.faulty_packets import faulty_packets
+
+    return faulty_packets(scenario, encoder, can)
 
 
 def _live_trajectory(flight: Flight) -> LiveTrajectory:

@@ -132,14 +132,15 @@ class Outbox:
         part = self._settling[0].part(*self._settling[1:])
         self._settling = None
         self._tally.measured(part.measurement)
+        self._tally.faults.update(fault.kind for fault in part.faults)
         for observer in self._observers:
             observer.settled(part)
 
 
 def outgoing(block: Block, generation: int = 0) -> Iterator[Outgoing]:
     """The packets of shots, as the port's process takes them."""
-    shots, dues = block.measurement.shot.tolist(), block.measurement.due_ns.tolist()
-    for shot, due_ns, packet in zip(shots, dues, block.packets, strict=True):
+    shots = block.measurement.shot.tolist()
+    for shot, due_ns, packet in zip(shots, block.due_ns, block.packets, strict=True):
         yield Outgoing(shot, due_ns, payload_of(packet), generation)
 
 

@@ -59,6 +59,8 @@ class Tally:
     range_error_m: ErrorStatistics = field(default_factory=ErrorStatistics)
     speed_error_mps: ErrorStatistics = field(default_factory=ErrorStatistics)
     reasons: list[Counter[int]] = field(default_factory=list)
+    faults: Counter[str] = field(default_factory=Counter)
+    """Shots on which a fault acted, by its kind."""
 
     def measured(self, block: Measurement) -> None:
         """Shots whose packets have met their fates."""
@@ -115,6 +117,7 @@ class Tally:
                 {Reason(code).name.lower(): count for code, count in sorted(counts.items())}
                 for counts in self.reasons
             ],
+            "faults": {"shots": dict(sorted(self.faults.items())), "withheld": self.fates[Fate.WITHHELD]},
             "range_error_m": self.range_error_m.to_json(),
             "speed_error_mps": self.speed_error_mps.to_json(),
         }

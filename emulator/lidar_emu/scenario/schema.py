@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.bench_pattern import BenchPattern
+from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.part import Part, Switch, unusable
 from lidar_emu.scenario.scanner import Mounting, Scanner
@@ -80,6 +81,8 @@ class Scenario(Part):
     """Rate and latency."""
     wire: Wire = Wire()
     """Identity on the wire."""
+    faults: Annotated[list[Fault], Field(min_length=0, max_length=256)] = []
+    """What goes wrong, in this order: each acts on what those before it have left."""
 
     @property
     def live(self) -> Live | None:

@@ -31,6 +31,8 @@ class Fate(IntEnum):
     """The link was broken."""
     SUPERSEDED = 5
     """Never sent: a command has changed the shot, and another packet takes its place."""
+    WITHHELD = 6
+    """Nothing was to be sent: a fault that the scenario orders has taken the packet away."""
 
 
 class LinkLostError(Exception):

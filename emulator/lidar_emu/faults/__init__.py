@@ -1,0 +1,1 @@
+"""Faults on order: a schedule, and functions that act on what they are given."""

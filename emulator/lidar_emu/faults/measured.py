@@ -1,0 +1,271 @@
+"""Faults of beams: what they make of a measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.errors import InputError
+from lidar_emu.faults.chance import Chance
+from lidar_emu.faults.hold import Row, hold
+from lidar_emu.faults.schedule import Injected, Schedule
+from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.measurement import Measurement
+from lidar_emu.scenario import faults as kinds
+
+Held = dict[str, Row]
+"""What one fault carries from shot to shot: rows (1, beams) by their names in `Measurement`."""
+
+_FLOATS = (
+    "range_m",
+    "closing_speed_mps",
+    "snr_db",
+    "residual_mps",
+    "sigma_range_m",
+    "sigma_speed_mps",
+    "second_range_m",
+)
+_FLAGS = ("range_valid", "speed_valid", "sign_resolved")
+_REPORTED = (*_FLOATS, *_FLAGS, "reason", "segments", "returns")
+_VALUES = {
+    "range": (("range_m", "range_valid"),),
+    "closing_speed": (("closing_speed_mps", "speed_valid"),),
+    "both": (("range_m", "range_valid"), ("closing_speed_mps", "speed_valid")),
+}
+_VALUE_DRAW = 1
+
+
+@dataclass(frozen=True)
+class _Act:
+    """A fault in a block of shots."""
+
+    fault: Any
+    schedule: Schedule
+    chance: Chance
+    hit: BoolArray
+    """(shots, beams) Beams that have fired and on which the fault acts."""
+    held: Held | None
+    """From before the block; None: nothing yet."""
+
+    def size(self, block: Measurement) -> FloatArray:
+        """(shots, 1) Part of its full size that a growing fault has."""
+        if self.fault.ramp_s == 0:
+            return np.ones((len(block), 1))
+        grown: FloatArray = np.minimum(1.0, self.schedule.since_s(block.shot) / self.fault.ramp_s)
+        return grown[:, None]
+
+    def with_columns(self, block: Measurement, **columns: Any) -> Measurement:
+        """The block with these values where the fault acts."""
+        if not self.hit.any():
+            return block
+        chosen: dict[str, Any] = {}
+        for name, values in columns.items():
+            own = getattr(block, name)
+            chosen[name] = np.where(self.hit, values, own).astype(own.dtype)
+        return replace(block, **chosen)
+
+
+class BeamFaults:
+    """All faults of beams of a scenario.
+
+    Args:
+        numbered: the faults, with their places in the scenario's list.
+        seed: of the run.
+        period_ns: from shot to shot.
+        beam_count: beams of a shot.
+        name: of the scenario, for complaints.
+
+    Raises:
+        InputError: a fault is of a beam that there is not.
+    """
+
+    def __init__(
+        self,
+        numbered: Sequence[tuple[int, kinds.BeamFault]],
+        seed: int,
+        period_ns: int,
+        beam_count: int,
+        name: str,
+    ) -> None:
+        self._beam_count = beam_count
+        self._faults: list[tuple[int, kinds.BeamFault, Schedule, Chance]] = []
+        for number, fault in numbered:
+            if any(beam >= beam_count for beam in fault.beams or ()):
+                allowed = f"allowed: 0 to {beam_count - 1}, the scenario's beams"
+                raise InputError(name, f"faults.{number}.beams", list(fault.beams or ()), allowed)
+            chance = Chance(seed, number)
+            self._faults.append((number, fault, Schedule(fault, chance, period_ns), chance))
+        self.initial: tuple[Held | None, ...] = (None,) * len(self._faults)
+        """What is carried before shot 0."""
+
+    def apply(
+        self, block: Measurement, held: tuple[Held | None, ...]
+    ) -> tuple[Measurement, tuple[Held | None, ...], list[Injected]]:
+        """What becomes of consecutive shots, but for `point_site_m`; what is carried on; and which faults acted."""
+        injected: list[Injected] = []
+        after: list[Held | None] = []
+        for (number, fault, schedule, chance), before in zip(self._faults, held, strict=True):
+            effect = _EFFECTS[type(fault)]
+            carries = effect in _CARRY
+            due = carries or schedule.begins_by(int(block.shot[-1]))
+            if not due or schedule.is_over(int(block.shot[0])):
+                after.append(None)
+                continue
+            act = _Act(fault, schedule, chance, self._hit(fault, schedule, block), before)
+            changed, carried = effect(block, act) if carries or act.hit.any() else (block, None)
+            after.append(carried)
+            for row in np.flatnonzero(act.hit.any(axis=1)).tolist():
+                beams = tuple(np.flatnonzero(act.hit[row]).tolist())
+                injected.append(Injected(int(block.shot[row]), number, fault.kind, beams))
+            block = changed
+        return block, tuple(after), injected
+
+    def _hit(self, fault: kinds.BeamFault, schedule: Schedule, block: Measurement) -> BoolArray:
+        if isinstance(fault, kinds.SwappedBeams):
+            both = schedule.shots(block.shot) & block.fired[:, list(fault.beams)].all(axis=1)
+            hit = np.zeros_like(block.fired)
+            hit[:, list(fault.beams)] = both[:, None]
+            return hit
+        hit = schedule.beams(block.shot, self._beam_count) & block.fired
+        if fault.beams is not None:
+            others = np.ones(self._beam_count, dtype=np.bool_)
+            others[fault.beams] = False
+            hit[:, others] = False
+        return hit & _HITS[type(fault)](block, fault) if type(fault) in _HITS else hit
+
+
+_Result = tuple[Measurement, Held | None]
+
+
+def _dropout(block: Measurement, act: _Act) -> _Result:
+    nothing: dict[str, Any] = {**dict.fromkeys(_FLOATS, np.nan), **dict.fromkeys(_FLAGS, False)}
+    reason = Reason.BELOW_THRESHOLD
+    return act.with_columns(block, **nothing, reason=reason, segments=0, returns=0), None
+
+
+def _stuck(block: Measurement, act: _Act) -> _Result:
+    columns, carried = {}, {}
+    for value, flag in _VALUES[act.fault.value]:
+        valid = getattr(block, flag)
+        own = np.where(valid, getattr(block, value), np.nan)
+        before = act.held[value] if act.held else None
+        held, carried[value] = hold(own, valid & ~act.hit, before)
+        columns[value] = np.where(valid & ~np.isnan(held), held, getattr(block, value))
+    return act.with_columns(block, **columns), carried
+
+
+def _frozen(block: Measurement, act: _Act) -> _Result:
+    columns, carried = {}, {}
+    for name in _REPORTED:
+        before = act.held[name] if act.held else None
+        columns[name], carried[name] = hold(getattr(block, name), block.fired & ~act.hit, before)
+    return act.with_columns(block, **columns), carried
+
+
+def _with_errors(block: Measurement, act: _Act, range_m: Any, speed_mps: Any) -> _Result:
+    erroneous_m = np.maximum(0.0, block.range_m + range_m)
+    return act.with_columns(
+        block, range_m=erroneous_m, closing_speed_mps=block.closing_speed_mps + speed_mps
+    ), None
+
+
+def _bias(block: Measurement, act: _Act) -> _Result:
+    size = act.size(block)
+    return _with_errors(block, act, size * act.fault.range_m, size * act.fault.closing_speed_mps)
+
+
+def _scale(block: Measurement, act: _Act) -> _Result:
+    size, fault = act.size(block), act.fault
+    range_m = block.range_m * (1 + size * (fault.range_factor - 1))
+    speed_mps = block.closing_speed_mps * (1 + size * (fault.closing_speed_factor - 1))
+    return act.with_columns(block, range_m=range_m, closing_speed_mps=speed_mps), None
+
+
+def _drift(block: Measurement, act: _Act) -> _Result:
+    since_s = act.schedule.since_s(block.shot)[:, None]
+    return _with_errors(block, act, since_s * act.fault.range_mps, since_s * act.fault.closing_speed_mps2)
+
+
+def _noise(block: Measurement, act: _Act) -> _Result:
+    errors = act.size(block)[..., None] * act.chance.normals(block.shot, block.beam_count, _VALUE_DRAW)
+    fault = act.fault
+    return _with_errors(block, act, errors[..., 0] * fault.range_m, errors[..., 1] * fault.closing_speed_mps)
+
+
+def _outlier(block: Measurement, act: _Act) -> _Result:
+    place = act.chance.uniforms(block.shot, block.beam_count, _VALUE_DRAW)
+    columns: dict[str, Any] = {"range_m": _between(act.fault.range_m, place[..., 0])}
+    if act.fault.closing_speed_mps is not None:
+        columns["closing_speed_mps"] = _between(act.fault.closing_speed_mps, place[..., 1])
+    return _claimed_valid(block, act, columns), None
+
+
+def _between(interval: kinds.Interval, place: FloatArray) -> FloatArray:
+    return interval[0] + (interval[1] - interval[0]) * place
+
+
+def _claimed_valid(block: Measurement, act: _Act, columns: dict[str, Any]) -> Measurement:
+    flags = dict.fromkeys(_FLAGS, True)
+    returns = np.maximum(1, block.returns)
+    return act.with_columns(block, **columns, **flags, reason=Reason.VALID, segments=7, returns=returns)
+
+
+def _wrong_sign(block: Measurement, act: _Act) -> _Result:
+    return act.with_columns(block, closing_speed_mps=-block.closing_speed_mps), None
+
+
+def _swapped_beams(block: Measurement, act: _Act) -> _Result:
+    columns: dict[str, NDArray[Any]] = {}
+    a, b = act.fault.beams
+    for name in _REPORTED:
+        columns[name] = getattr(block, name).copy()
+        columns[name][:, [a, b]] = columns[name][:, [b, a]]
+    return act.with_columns(block, **columns), None
+
+
+def _false_valid(block: Measurement, act: _Act) -> _Result:
+    fault = act.fault
+    columns = {"range_m": fault.range_m, "closing_speed_mps": fault.closing_speed_mps}
+    return _claimed_valid(block, act, columns), None
+
+
+def _false_invalid(block: Measurement, act: _Act) -> _Result:
+    return act.with_columns(block, range_valid=False, speed_valid=False, reason=Reason.BELOW_THRESHOLD), None
+
+
+def _is_valid(block: Measurement, fault: Any = None) -> BoolArray:  # noqa: ARG001
+    return block.range_valid | block.speed_valid
+
+
+_EFFECTS: dict[type, Callable[[Measurement, _Act], _Result]] = {
+    kinds.Dropout: _dropout,
+    kinds.Stuck: _stuck,
+    kinds.Frozen: _frozen,
+    kinds.Bias: _bias,
+    kinds.Scale: _scale,
+    kinds.Drift: _drift,
+    kinds.Noise: _noise,
+    kinds.Outlier: _outlier,
+    kinds.WrongSign: _wrong_sign,
+    kinds.SwappedBeams: _swapped_beams,
+    kinds.FalseValid: _false_valid,
+    kinds.FalseInvalid: _false_invalid,
+}
+_CARRY = (_stuck, _frozen)
+_HITS: dict[type, Callable[[Measurement, Any], BoolArray]] = {
+    kinds.Stuck: _is_valid,
+    kinds.Bias: _is_valid,
+    kinds.Scale: _is_valid,
+    kinds.Drift: _is_valid,
+    kinds.Noise: _is_valid,
+    kinds.Outlier: lambda block, fault: block.speed_valid | (fault.closing_speed_mps is not None),
+    kinds.WrongSign: lambda block, _: block.speed_valid,
+    kinds.FalseValid: lambda block, _: ~_is_valid(block),
+    kinds.FalseInvalid: _is_valid,
+}
+"""Beams on which a fault can act; those that are not here act on any that fired."""

@@ -1,0 +1,86 @@
+"""When a fault acts: a function of shot, beam and seed alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.faults.chance import Chance
+from lidar_emu.scenario.faults import BeamFault, PacketFault, StampFault
+
+_Draw = Callable[[NDArray[np.int64]], FloatArray]
+
+
+class Injected(NamedTuple):
+    """A fault that acted on a shot."""
+
+    shot: int
+    fault: int
+    """Its place in the scenario's list."""
+    kind: str
+    beams: tuple[int, ...]
+    """Of a fault of beams, those on which it acted; else empty."""
+
+
+class Schedule:
+    """When one fault of a scenario acts.
+
+    Args:
+        fault: what the scenario says.
+        chance: its numbers.
+        period_ns: from shot to shot.
+    """
+
+    def __init__(self, fault: BeamFault | StampFault | PacketFault, chance: Chance, period_ns: int) -> None:
+        self._chance = chance
+        self._period_ns = period_ns
+        self._probability = fault.probability
+        # At least one shot, begun or not: whoever asks for a spell of half a period gets a shot.
+        self._lasts = max(1, -(-round(fault.lasts_s * 1e9) // period_ns))
+        if fault.at_s is not None:
+            self._first = self._shot_at(fault.at_s)
+            self._end = self._first + 1
+        else:
+            self._first = self._shot_at(fault.from_s)
+            self._end = np.iinfo(np.int64).max if fault.to_s is None else self._shot_at(fault.to_s)
+
+    def begins_by(self, shot: int) -> bool:
+        """Whether the window has begun."""
+        return shot >= self._first
+
+    def is_over(self, shot: int) -> bool:
+        """Whether the window has ended."""
+        return shot >= self._end
+
+    def shots(self, shot: NDArray[np.int64]) -> BoolArray:
+        """(shots,) On which of consecutive shots it acts, as one."""
+        return self._spells(shot, lambda asked: self._chance.of_shots(asked)[:, None])[:, 0]
+
+    def beams(self, shot: NDArray[np.int64], beam_count: int) -> BoolArray:
+        """(shots, beams) On which beams of consecutive shots it acts, each by its own chance."""
+        acts = self._spells(shot, lambda asked: self._chance.uniforms(asked, beam_count, 0)[..., 0])
+        return np.broadcast_to(acts, (len(shot), beam_count))
+
+    def since_s(self, shot: NDArray[np.int64]) -> FloatArray:
+        """(shots,) Time since the first shot of the window began."""
+        return np.asarray((shot - self._first) * (self._period_ns * 1e-9), dtype=np.float64)
+
+    def _shot_at(self, time_s: float) -> int:
+        """The first shot that begins then or later."""
+        return -(-round(time_s * 1e9) // self._period_ns)
+
+    def _spells(self, shot: NDArray[np.int64], draw: _Draw) -> BoolArray:
+        inside = ((shot >= self._first) & (shot < self._end))[:, None]
+        if self._probability >= 1 or not inside.any():
+            return inside
+        # A shot is hit by whatever set in so many shots before it, at the earliest where the window starts.
+        before = min(self._lasts - 1, int(shot[0]) - self._first)
+        asked = np.arange(int(shot[0]) - max(0, before), int(shot[-1]) + 1)
+        sets_in = (draw(asked) < self._probability) & (asked >= self._first)[:, None]
+        total = np.concatenate([np.zeros((1, sets_in.shape[1]), dtype=np.int64), sets_in.cumsum(axis=0)])
+        last = shot - asked[0] + 1
+        return np.asarray(inside & (total[last] > total[np.maximum(0, last - self._lasts)]))

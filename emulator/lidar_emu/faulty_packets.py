@@ -1,0 +1,64 @@
+"""Packets with the faults that a scenario orders: of what stamps them, of the packets and of the link."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from lidar_emu.faults.build import numbered
+from lidar_emu.faults.packets import PacketFaults, PacketState
+from lidar_emu.faults.schedule import Injected
+from lidar_emu.faults.stamps import StampFaults, StampState
+from lidar_emu.measurement import Measurement
+from lidar_emu.scenario.faults import PacketFault, StampFault
+from lidar_emu.scenario.schema import Scenario
+from lidar_emu.wire import Encoder, Packet
+
+
+class WireState(NamedTuple):
+    """What is carried from shot to shot."""
+
+    stamps: StampState
+    packets: PacketState
+
+
+class FaultyPackets:
+    """An encoder behind which things go wrong.
+
+    Raises:
+        InputError: a fault is none of this link.
+    """
+
+    def __init__(self, scenario: Scenario, encoder: Encoder, can: bool) -> None:
+        seed, period_ns = scenario.seed, scenario.timing.period_ns
+        self._encoder = encoder
+        self._stamps = StampFaults(numbered(scenario, StampFault), seed, period_ns)
+        self._packets = PacketFaults(
+            numbered(scenario, PacketFault), seed, period_ns, encoder.interface, can, scenario.name
+        )
+        self.initial = WireState(self._stamps.initial, self._packets.initial)
+        """What is carried before shot 0."""
+
+    def packets(
+        self, measurement: Measurement, state: WireState
+    ) -> tuple[list[Packet], list[int], WireState, list[Injected]]:
+        """The packet of each of consecutive shots, perhaps empty; when each is due; what is carried on; and which
+        faults acted."""
+        stamped, stamps, by_stamp = self._stamps.apply(measurement, state.stamps)
+        packets, due_ns, after, by_packet = self._packets.apply(
+            measurement.shot, measurement.due_ns, list(self._encoder.packets(stamped)), state.packets
+        )
+        return packets, due_ns, WireState(stamps, after), by_stamp + by_packet
+
+    def longest(self, packet_bytes: int) -> int:
+        """Of a packet, as the port takes it, that was so long before faults."""
+        return self._packets.longest(packet_bytes)
+
+
+def faulty_packets(scenario: Scenario, encoder: Encoder, can: bool) -> FaultyPackets | None:
+    """None where the scenario orders no faults of packets.
+
+    Raises:
+        InputError: a fault is none of this link.
+    """
+    ordered = numbered(scenario, StampFault) + numbered(scenario, PacketFault)
+    return FaultyPackets(scenario, encoder, can) if ordered else None

@@ -1,0 +1,126 @@
+"""When faults act, against the definition worked out for one shot at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lidar_emu.faults.chance import Chance
+from lidar_emu.faults.hold import hold
+from lidar_emu.faults.schedule import Schedule
+from lidar_emu.scenario.faults import Dropout
+
+PERIOD_NS = 20_000_000
+
+
+def schedule(number: int = 0, seed: int = 1, **when: object) -> Schedule:
+    fault = Dropout.model_validate({"kind": "dropout", **when})
+    return Schedule(fault, Chance(seed, number), PERIOD_NS)
+
+
+def shots(first: int, count: int) -> np.ndarray:
+    return np.arange(first, first + count, dtype=np.int64)
+
+
+@pytest.mark.parametrize(
+    ("when", "expected"),
+    [
+        ({}, range(100)),
+        ({"at_s": 0.0}, [0]),
+        ({"at_s": 0.2}, [10]),
+        ({"at_s": 0.201}, [11]),
+        ({"from_s": 0.2, "to_s": 0.3}, range(10, 15)),
+        ({"from_s": 0.201, "to_s": 0.299}, range(11, 15)),
+        ({"from_s": 1.9}, range(95, 100)),
+        ({"from_s": 0.301, "to_s": 0.302}, []),
+    ],
+)
+def test_windows(when: dict[str, float], expected: object) -> None:
+    assert np.flatnonzero(schedule(**when).shots(shots(0, 100))).tolist() == list(expected)  # type: ignore[call-overload]
+
+
+@given(
+    first=st.integers(0, 60),
+    count=st.integers(1, 60),
+    from_s=st.floats(0, 1),
+    length_s=st.floats(0.01, 2),
+    probability=st.floats(0.01, 0.99),
+    lasts_s=st.floats(0, 0.5),
+    seed=st.integers(0, 2**63 - 1),
+)
+@settings(deadline=None, max_examples=60)
+def test_spells_of_any_block_are_those_of_each_shot_alone(
+    first: int, count: int, from_s: float, length_s: float, probability: float, lasts_s: float, seed: int
+) -> None:
+    to_s = from_s + length_s
+    asked = schedule(3, seed, from_s=from_s, to_s=to_s, probability=probability, lasts_s=lasts_s)
+    chance = Chance(seed, 3)
+    lasts = max(1, -(-round(lasts_s * 1e9) // PERIOD_NS))
+
+    def inside(shot: int) -> bool:
+        return round(from_s * 1e9) <= shot * PERIOD_NS < round(to_s * 1e9)
+
+    def sets_in(shot: int, beam: int) -> bool:
+        return inside(shot) and chance.uniforms(shots(shot, 1), 3, 0)[0, beam, 0] < probability
+
+    acts = asked.beams(shots(first, count), 3)
+    for row, shot in enumerate(range(first, first + count)):
+        for beam in range(3):
+            hit = any(sets_in(k, beam) for k in range(max(0, shot - lasts + 1), shot + 1))
+            assert acts[row, beam] == (inside(shot) and hit)
+
+
+@pytest.mark.parametrize("lasts_s", [0.0, 0.02, 0.021, 0.1])
+def test_spells_of_single_shots_are_those_of_all_together(lasts_s: float) -> None:
+    asked = schedule(from_s=0.5, to_s=30, probability=0.1, lasts_s=lasts_s)
+    together = asked.beams(shots(0, 2000), 2)
+    singly = np.concatenate([asked.beams(shots(k, 1), 2) for k in range(2000)])
+    np.testing.assert_array_equal(singly, together)
+    np.testing.assert_array_equal(
+        [asked.shots(shots(k, 1))[0] for k in range(2000)], asked.shots(shots(0, 2000))
+    )
+
+
+def test_faults_beams_and_seeds_have_chances_of_their_own() -> None:
+    many = shots(0, 20_000)
+    first = schedule(0, probability=0.1).beams(many, 2)
+    others = schedule(1, probability=0.1).beams(many, 2), schedule(0, 2, probability=0.1).beams(many, 2)
+    for acts in (first, *others):
+        # Five sigma of a binomial count.
+        np.testing.assert_allclose(acts.mean(axis=0), 0.1, atol=5 * np.sqrt(0.09 / len(many)))
+    for one, other in ((first[:, 0], first[:, 1]), *((first[:, 0], acts[:, 0]) for acts in others)):
+        assert (one & other).mean() == pytest.approx(0.01, abs=5 * np.sqrt(0.01 / len(many)))
+
+
+def test_the_chances_of_a_whole_shot_are_none_of_a_beam() -> None:
+    many = shots(0, 1000)
+    chance = Chance(1, 0)
+    whole = chance.of_shots(many)
+    run = chance.run_of(0, 0, 1000)
+    drawn = [whole, run, *chance.uniforms(many, 4, 0).reshape(1000, -1).T, *chance.normals(many, 2, 1).T[0]]
+    assert len({float(x) for numbers in drawn for x in numbers}) == sum(map(len, drawn))
+    np.testing.assert_array_equal(chance.run_of(0, 300, 50), run[300:350])
+
+
+def test_noise_is_normal() -> None:
+    normals = Chance(1, 0).normals(shots(0, 20_000), 2, 1)
+    np.testing.assert_allclose(normals.mean(axis=0), 0, atol=5 / np.sqrt(20_000))
+    np.testing.assert_allclose(normals.std(axis=0), 1, atol=5 / np.sqrt(2 * 20_000))
+    np.testing.assert_allclose((normals**4).mean(axis=0), 3, atol=5 * np.sqrt(96 / 20_000))
+
+
+@given(renewed=st.lists(st.booleans(), min_size=1, max_size=20), cut=st.integers(1, 20))
+def test_what_is_held_is_the_last_renewed_value(renewed: list[bool], cut: int) -> None:
+    values = np.arange(10.0, 10 + len(renewed))[:, None]
+    flags = np.array(renewed)[:, None]
+    expected, last = [], values[0, 0]
+    for value, new in zip(values[:, 0], renewed, strict=True):
+        last = value if new else last
+        expected.append(last)
+    whole, _ = hold(values, flags, None)
+    assert whole[:, 0].tolist() == expected
+    first, carried = hold(values[:cut], flags[:cut], None)
+    rest = hold(values[cut:], flags[cut:], carried)[0] if cut < len(values) else values[:0]
+    assert [*first[:, 0], *rest[:, 0]] == expected
