@@ -140,6 +140,10 @@ def truth(k: int, period_ns: int, last: bool = False) -> Truth:
     )
 
 
+def to_pattern(number: int, arrived_ns: int) -> Change:
+    return Change(lambda session: session.use_pattern(number), arrived_ns)
+
+
 def desk(world: World, changes: list[tuple[int, Change]] | None = None) -> Any:
     """With commands that can be heard from given instants on."""
     waiting = changes if changes is not None else []
@@ -220,7 +224,7 @@ def test_a_command_is_followed_from_the_next_shot_that_can_be_made(commanded_ms:
     arrived_ns = START_NS + commanded_ms * MS
     first = block_of(world, 30)
     feed = AheadFeed(
-        desk(world, [(arrived_ns, Change(1, arrived_ns))]), first, 30, START_NS, PERIOD_NS, Pace.WALL
+        desk(world, [(arrived_ns, to_pattern(1, arrived_ns))]), first, 30, START_NS, PERIOD_NS, Pace.WALL
     )
     feed.fly()
     assert [shot for shot, _ in world.sent] == list(range(900)), "every shot once, in order"
@@ -235,7 +239,7 @@ def test_a_command_is_followed_from_the_next_shot_that_can_be_made(commanded_ms:
 def test_two_commands_at_once_and_one_at_the_end() -> None:
     world = World(200)
     instants = [START_NS + t * MS for t in (1000, 1001, 9990)]
-    changes = [(at_ns, Change(k + 1, at_ns)) for k, at_ns in enumerate(instants)]
+    changes = [(at_ns, to_pattern(k + 1, at_ns)) for k, at_ns in enumerate(instants)]
     first = block_of(world, 30)
     AheadFeed(desk(world, changes), first, 30, START_NS, PERIOD_NS, Pace.WALL).fly()
     assert [shot for shot, _ in world.sent] == list(range(200))

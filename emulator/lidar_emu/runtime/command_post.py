@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.lateness import LatenessHistogram
 from lidar_emu.runtime.outbox import payload_of
+from lidar_emu.session import Session
 from lidar_emu.transports.frames import unpack_frames
 from lidar_protocol import (
     BadCommand,
@@ -27,8 +28,8 @@ _VERDICTS = ("accepted", "unknown", "malformed", "bad_sequence", "out_of_state",
 class Change(NamedTuple):
     """Something that shots are to follow."""
 
-    pattern: int
-    """Number of the pattern of beams."""
+    apply: Callable[[Session], None]
+    """Lets the session's next shot be the first to follow it."""
     arrived_ns: int
     """When the command came, on the monotonic clock."""
 
@@ -136,7 +137,7 @@ class CommandPost:
         pattern = int(command.values["pattern"] or 0)
         if pattern < 0 or not self._has_pattern(pattern):
             return "out_of_range"
-        self._changes.append(Change(pattern, arrived_ns))
+        self._changes.append(Change(lambda session: session.use_pattern(pattern), arrived_ns))
         return "accepted"
 
     def _answer(self, command: int | str, sequence: int, verdict: str, time_ns: int) -> list[bytes]:

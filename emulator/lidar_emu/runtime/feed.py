@@ -59,7 +59,7 @@ class Desk(NamedTuple):
         Args:
             begins_ns: when it begins, on the monotonic clock; None where that clock does not set the pace.
         """
-        self.session.use_pattern(change.pattern)
+        change.apply(self.session)
         if self.commands is not None and begins_ns is not None:
             self.commands.followed(change, begins_ns)
 
