@@ -10,7 +10,7 @@ from lidar_emu.echoes import receive_light
 from lidar_emu.flight import Flight, Pointing
 from lidar_emu.plan_faults import planned_faults
 from lidar_emu.plan_receiver import Decision, plan_receiver
-from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.site import Grid
 from lidar_emu.scene.hits import Hits
 from lidar_emu.spread import spread_bins
@@ -39,7 +39,6 @@ def plan_bench(scenario: BenchScenario) -> Plan:
             Decision("pattern", True, f"{beams} beams", "the scenario gives bench_pattern", "exact"),
             Decision("flight, ground, receiver", False, "-", "a pattern needs none of them", "exact"),
             *planned_faults(scenario),
-            *_when_it_goes_wrong(scenario),
         )
     )
 
@@ -59,7 +58,6 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
         *_switching(flight),
         *plan_receiver(scenario, echoes),
         *planned_faults(scenario),
-        *_when_it_goes_wrong(scenario),
     )
     return Plan(decisions, beamlets)
 
@@ -77,28 +75,9 @@ def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
             *_switching(flight),
             Decision("receiver", True, scenario.level, f"the scenario asks for level {scenario.level}", kept),
             *planned_faults(scenario),
-            *_when_it_goes_wrong(scenario),
         ),
         beamlets,
     )
-
-
-def _when_it_goes_wrong(scenario: Scenario) -> list[Decision]:
-    """What a run on the clock does with packets that are late, and where one of its processes dies."""
-    timing = scenario.timing
-    late = "skipped" if timing.when_late == "skip" else "the first one ends the run"
-    death = {"end": "the other one ends the run", "safe": "the other one sends mode safe and ends the run"}
-    limit = f"late: more than {timing.late_after_ns * 1e-6:g} ms"
-    return [
-        Decision("late packets", True, late, f"timing.when_late is {timing.when_late}", limit),
-        Decision(
-            "death of a process",
-            True,
-            death[timing.when_process_dies],
-            f"timing.when_process_dies is {timing.when_process_dies}",
-            "seen within 0.1 s",
-        ),
-    ]
 
 
 def _look(flight: Flight) -> tuple[Pointing, Hits]:

@@ -101,7 +101,7 @@ class PortChild:
             in_order: False: first it says its last words.
         """
         os.set_blocking(self._lifeline.fileno(), False)  # it may hang, with a full pipe
-        self.tell(end={"in_order": in_order})
+        self.tell(end=in_order)
         self._lifeline.close()
 
     def kill(self) -> None:
