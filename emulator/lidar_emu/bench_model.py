@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.faults.build import beam_faults
+from lidar_emu.faults.build import beam_faults, refuse_physics
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.plan import Plan, plan_bench
 from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.bench_pattern import Level, Ramp
 from lidar_emu.scenario.schema import BenchScenario
+
+if TYPE_CHECKING:
+    from lidar_emu.faults.physics import PhysicsFaults
 
 
 class BenchModel:
@@ -26,6 +31,8 @@ class BenchModel:
         self.beam_count = len(self.pattern.beams)
         self.plan: Plan = plan_bench(scenario)
         self.initial_state = ScannerState(())
+        self.physics: PhysicsFaults | None = None
+        refuse_physics(scenario)
         self.faults = beam_faults(scenario, self.beam_count)
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:

@@ -17,7 +17,7 @@ from lidar_emu.arrays import FloatArray
 from lidar_emu.bench_model import BenchModel
 from lidar_emu.echoes import Light
 from lidar_emu.errors import InputError
-from lidar_emu.faults.build import beam_faults
+from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight import Flight, Pointing
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.kernels import kernel
@@ -32,6 +32,7 @@ from lidar_emu.scene.hits import Hits
 
 if TYPE_CHECKING:
     from lidar_emu.faults.measured import BeamFaults, Held
+    from lidar_emu.faults.physics import PhysicsFaults
     from lidar_emu.faults.schedule import Injected
 
 BLOCK_SHOTS = 128
@@ -44,10 +45,11 @@ class Model(Protocol):
     shot_count: int
     plan: Plan
     initial_state: ScannerState
+    physics: PhysicsFaults | None
     faults: BeamFaults | None
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """Shots `first` to `first + count - 1` without faults, given the scanner's state before them."""
+        """Shots `first` to `first + count - 1` without faults of beams, given the scanner's state before them."""
         ...
 
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
@@ -75,14 +77,21 @@ class FlightModel:
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count = self.flight.shot_count
         self.initial_state = self.flight.scanner.initial
+        self.physics = physics_faults(scenario, self.flight, self.level, self.plan.beamlets)
         self.faults = beam_faults(scenario, self.beam_count)
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """Shots `first` to `first + count - 1` without faults, given the scanner's state before them."""
+        """Shots `first` to `first + count - 1` without faults of beams, given the scanner's state before them."""
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.flight.point(shot, state)
+        if self.physics is not None:
+            pointing = self.physics.tilted(pointing, shot)
         axis_hits = self.flight.cast(pointing.sensor_site_m, pointing.true_site)
-        returns = self.level(self.light.echoes(pointing, axis_hits), shot)
+        echoes = self.light.echoes(pointing, axis_hits)
+        if self.physics is None:
+            returns = self.level(echoes, shot)
+        else:
+            returns = self.physics.returns(echoes, pointing, axis_hits, shot)
         return self._measurement(shot, pointing, axis_hits, returns), state
 
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
@@ -181,7 +190,7 @@ def initial_state(model: Model) -> ModelState:
 def measure(
     model: Model, first: int, count: int, state: ModelState, fired: bool = True
 ) -> tuple[Measurement, ModelState, list[Injected]]:
-    """Shots `first` to `first + count - 1` with their faults of beams; the state after them; and which faults acted.
+    """Shots `first` to `first + count - 1` with their faults; the state after them; and which faults acted.
 
     Args:
         fired: whether the beams fire at all.
@@ -189,12 +198,15 @@ def measure(
     measurement, scanner = model.measure(first, count, state.scanner)
     if not fired:
         measurement = measurement.unfired()
+    in_light: list[Injected] = []
+    if model.physics is not None:
+        in_light = model.physics.injected(measurement.shot, measurement.fired)
     if model.faults is None:
-        return measurement, ModelState(scanner), []
+        return measurement, ModelState(scanner), in_light
     faulty, held, injected = model.faults.apply(measurement, state.faults)
     if injected:
         faulty = replace(faulty, point_site_m=model.points_site_m(faulty, state.scanner))
-    return faulty, ModelState(scanner, held), injected
+    return faulty, ModelState(scanner, held), in_light + injected
 
 
 def measure_in_blocks(model: Model, block_shots: int = BLOCK_SHOTS) -> Iterator[Measurement]:

@@ -44,12 +44,23 @@ class StampFaults:
             carried = None
             if isinstance(fault, kinds.FrozenCounter):
                 counter, carried = _frozen(counter, acts, before)
+            elif isinstance(fault, kinds.BrownOut):
+                counter, carried = _restarted(counter, block.shot, acts, before)
+                acts = np.zeros_like(acts)  # told of where packets are withheld
             else:
                 shifted_ns = np.maximum(0, time_ns + round(fault.jump_s * 1e9))
                 time_ns = np.where(acts[:, None], shifted_ns, time_ns)
             after.append(carried)
             injected += [Injected(int(shot), number, fault.kind, ()) for shot in block.shot[acts]]
         return replace(block, time_ns=time_ns, shot=counter), tuple(after), injected
+
+
+def _restarted(
+    counter: NDArray[np.int64], shot: NDArray[np.int64], acts: NDArray[np.bool_], before: Row | None
+) -> tuple[NDArray[np.int64], Row]:
+    """Counted from the last shot of the device's being off; `before` holds the shot after it."""
+    begun = np.maximum.accumulate(np.where(acts, shot + 1, 0 if before is None else before[0]))
+    return np.where(begun > 0, np.maximum(0, shot - begun), counter), begun[-1:]
 
 
 def _frozen(
