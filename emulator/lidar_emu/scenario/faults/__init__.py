@@ -42,6 +42,7 @@ from lidar_emu.scenario.faults.packets import (
     Truncated,
     WrongCrc,
     WrongEndian,
+    WrongUnit,
 )
 from lidar_emu.scenario.faults.physics import (
     Alias,
@@ -63,6 +64,7 @@ __all__ = [
     "MissingSegment", "Noise", "OtherUnit", "OtherVersion", "Outlier", "PacketFault", "ReceiverFault",
     "ReflectancePatch", "Reordered", "Scale", "ScheduledFault", "Silence", "SlowLine", "StalePacket", "StampFault",
     "Stuck", "SwappedBeams", "TimeJump", "Truncated", "WrongBranch", "WrongCrc", "WrongEndian", "WrongSign",
+    "WrongUnit",
 ]  # fmt: skip
 
 ScheduledFault = LightFault | ReceiverFault | BeamFault | StampFault | PacketFault

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from lidar_emu.scenario.faults.when import Ordered
-from lidar_emu.scenario.part import Fraction
+from lidar_emu.scenario.part import Fraction, Positive
 
 
 class TimeJump(Ordered):
@@ -105,6 +105,15 @@ class Garbage(Ordered):
     """So many; on CAN eight to a frame."""
 
 
+class WrongUnit(Ordered):
+    """Lengths and speeds in packets are in another unit of length than the interface says. What was measured stays."""
+
+    kind: Literal["wrong_unit"]
+    """Chooses this fault."""
+    metres: Positive = 0.3048
+    """In one such unit; left out: a foot."""
+
+
 class OtherUnit(Ordered):
     """Another device answers in place of this one: packets carry its number, and a CRC that is right."""
 
@@ -140,7 +149,7 @@ class BrownOut(Ordered):
     """Chooses this fault."""
 
 
-StampFault = TimeJump | FrozenCounter | BrownOut
+StampFault = TimeJump | FrozenCounter | WrongUnit | BrownOut
 PacketFault = (
     Lost | Doubled | Reordered | StalePacket | BitErrors | Truncated | WrongCrc | Delayed | Silence | Garbage
 ) | (OtherUnit | WrongEndian | OtherVersion | BrownOut)
