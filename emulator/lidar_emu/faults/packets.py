@@ -54,7 +54,7 @@ class _Act:
 
 
 class PacketFaults:
-    """All faults of packets and of the link.
+    """All faults of packets; those of the port are told of only.
 
     Args:
         numbered: the faults, with their places in the scenario's list.
@@ -70,7 +70,7 @@ class PacketFaults:
 
     def __init__(
         self,
-        numbered: Sequence[tuple[int, kinds.PacketFault]],
+        numbered: Sequence[tuple[int, kinds.PacketFault | kinds.LinkFault]],
         seed: int,
         period_ns: int,
         interface: Interface,
@@ -80,7 +80,7 @@ class PacketFaults:
         self._interface = interface
         self._rewriter = Rewriter(interface)
         self._can = can
-        self._faults: list[tuple[int, kinds.PacketFault, Schedule, Chance]] = []
+        self._faults: list[tuple[int, kinds.PacketFault | kinds.LinkFault, Schedule, Chance]] = []
         for number, fault in numbered:
             if isinstance(fault, kinds.WrongCrc) and (can or interface.link.crc is None):
                 found = Finding("wrong_crc on CAN" if can else "no CRC in this interface")

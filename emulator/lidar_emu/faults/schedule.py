@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.faults.chance import Chance
-from lidar_emu.scenario.faults import ScheduledFault
+from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.scenario.faults.when import OfBeams
 
 _Draw = Callable[[NDArray[np.int64]], FloatArray]
@@ -36,7 +36,7 @@ class Schedule:
         period_ns: from shot to shot.
     """
 
-    def __init__(self, fault: ScheduledFault, chance: Chance, period_ns: int) -> None:
+    def __init__(self, fault: ScheduledFault | LinkFault, chance: Chance, period_ns: int) -> None:
         self._chance = chance
         self._period_ns = period_ns
         self._probability = fault.probability

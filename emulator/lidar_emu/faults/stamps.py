@@ -44,9 +44,17 @@ class StampFaults:
         self.initial: StampState = (None,) * len(self._faults)
         """What is carried before shot 0."""
 
-    def apply(self, block: Measurement, state: StampState) -> tuple[Measurement, StampState, list[Injected]]:
-        """The shots as they are stamped, what is carried on, and which faults acted."""
-        shot, injected, after = block.shot, list[Injected](), list[Row | None]()
+    def apply(
+        self, shot: NDArray[np.int64], block: Measurement, state: StampState
+    ) -> tuple[Measurement, StampState, list[Injected]]:
+        """The shots as they are stamped, what is carried on, and which faults acted.
+
+        Args:
+            shot: (shots,) the scenario's numbers of the shots; those in `block` are the device's.
+            block: as the device would stamp them.
+            state: carried from the shots before.
+        """
+        injected, after = list[Injected](), list[Row | None]()
         for (number, fault, schedule), before in zip(self._faults, state, strict=True):
             acts, carried = schedule.shots(shot), None
             match fault:

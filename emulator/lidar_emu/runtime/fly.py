@@ -95,6 +95,7 @@ class Run:
         self._slots = max(2 * self._block_shots, round(rate_hz * LOOK_AHEAD_S))
         faulty = _faulty_packets(scenario, encoder, port.kind is Kind.CAN)
         self._session = Session(model, encoder, self._slots + 1, faulty)
+        self._link_orders = self._orders_of_the_link()
         # The first block is computed before the run: kernels are compiled, and the packets' length is known.
         self._first = self._first_block(encoder)
         longest = max((payload_of(packet) for packet in encoder.packets(self._first.measurement)), key=len)
@@ -132,12 +133,22 @@ class Run:
             outbox = Outbox(port, [*self._observers, *ours], self.tally, self._slots)
             commands = self._command_post(outbox)
             with suppress(KeyboardInterrupt):
-                self._description = port.start(self._options.port)
+                self._description = port.start(self._options.port, self._link_orders)
                 self._opening = False
                 self._feed(port, outbox, source, commands).fly()
             port.close()
             outbox.close()
         return Outcome(self.tally, self._details(port, source, commands, stolen), self._error)
+
+    def _orders_of_the_link(self) -> list[dict[str, Any]] | None:
+        """None where nothing will go wrong there."""
+        if not self._scenario.faults:
+            return None
+        from lidar_emu.runtime.link_orders import link_orders
+
+        end_ns = None if self._live else self._model.shot_count * self._scenario.timing.period_ns
+        can = self._options.port.kind is Kind.CAN
+        return link_orders(self._scenario, end_ns, self._options.pace, can) or None
 
     def _judge_of_lateness(self) -> Observer | None:
         return LateEnds(self._fail) if self._scenario.timing.when_late == "abort" else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -16,6 +16,10 @@ class _OfPort(Part):
     """Start of the window, scenario time."""
     to_s: Annotated[float, Field(gt=0)] | None = None
     """End of the window. Left out: the end of the run."""
+
+    at_s: ClassVar[None] = None
+    probability: ClassVar[float] = 1.0
+    lasts_s: ClassVar[float] = 0.0
 
     @model_validator(mode="after")
     def _window_is_one(self) -> Self:
