@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from copy import copy
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.plan import Plan, plan_bench
 from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.bench_pattern import Level, Ramp
+from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.schema import BenchScenario
 
 if TYPE_CHECKING:
@@ -32,7 +34,21 @@ class BenchModel:
         self.plan: Plan = plan_bench(scenario)
         self.initial_state = ScannerState(())
         self.physics: PhysicsFaults | None = None
+        self._order(scenario)
+
+    def with_faults(self, faults: list[Fault]) -> Self:
+        """The same pattern with other faults.
+
+        Raises:
+            InputError: one of them is none of a bench pattern.
+        """
+        twin = copy(self)
+        twin._order(self.scenario.model_copy(update={"faults": faults}))
+        return twin
+
+    def _order(self, scenario: BenchScenario) -> None:
         refuse_physics(scenario)
+        self.scenario = scenario
         self.faults = beam_faults(scenario, self.beam_count)
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:

@@ -52,6 +52,16 @@ class FaultyPackets:
         )
         return packets, due_ns, WireState(stamps, after), by_stamp + by_packet
 
+    def resumed(self, state: WireState | None) -> WireState:
+        """What fewer of these faults have carried so far, for all of them."""
+        if state is None:
+            return self.initial
+        initial = self.initial
+        held = state.packets.held + initial.packets.held[len(state.packets.held) :]
+        return WireState(
+            state.stamps + initial.stamps[len(state.stamps) :], state.packets._replace(held=held)
+        )
+
     def longest(self, packet_bytes: int) -> int:
         """Of a packet, as the port takes it, that was so long before faults."""
         return self._packets.longest(packet_bytes)

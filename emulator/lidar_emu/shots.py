@@ -7,8 +7,9 @@ of a shot do not depend on the block that it came in.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from lidar_emu.plan import Plan, plan_flight
 from lidar_emu.pointing import PUBLISHED, SENSOR, TRUE, VELOCITY
 from lidar_emu.rotations import dot_3
 from lidar_emu.scanner.model import ScannerState
+from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scene.hits import Hits
 
@@ -47,6 +49,14 @@ class Model(Protocol):
     initial_state: ScannerState
     physics: PhysicsFaults | None
     faults: BeamFaults | None
+
+    def with_faults(self, faults: list[Fault]) -> Self:
+        """The same model with other faults.
+
+        Raises:
+            InputError: one of them is none of this scenario.
+        """
+        ...
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         """Shots `first` to `first + count - 1` without faults of beams, given the scanner's state before them."""
@@ -77,6 +87,20 @@ class FlightModel:
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count = self.flight.shot_count
         self.initial_state = self.flight.scanner.initial
+        self._order(scenario)
+
+    def with_faults(self, faults: list[Fault]) -> Self:
+        """The same model with other faults.
+
+        Raises:
+            InputError: one of them is none of this scenario.
+        """
+        twin = copy(self)
+        twin._order(self.scenario.model_copy(update={"faults": faults}))
+        return twin
+
+    def _order(self, scenario: FlightScenario) -> None:
+        self.scenario = scenario
         self.physics = physics_faults(scenario, self.flight, self.level, self.plan.beamlets)
         self.faults = beam_faults(scenario, self.beam_count)
 

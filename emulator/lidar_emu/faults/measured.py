@@ -91,6 +91,10 @@ class BeamFaults:
         self.initial: tuple[Held | None, ...] = (None,) * len(self._faults)
         """What is carried before shot 0."""
 
+    def resumed(self, held: tuple[Held | None, ...]) -> tuple[Held | None, ...]:
+        """What fewer of these faults have carried so far, for all of them."""
+        return held + self.initial[len(held) :]
+
     def apply(
         self, block: Measurement, held: tuple[Held | None, ...]
     ) -> tuple[Measurement, tuple[Held | None, ...], list[Injected]]:
