@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.explain import Source, explained
 from lidar_emu.scenario.faults import Fault, LinkFault, ScheduledFault
-from lidar_emu.scenario.part import Part
 from lidar_emu.scenario.yaml_text import parse
 
 _WHERE = "fault"
 _Fault = ScheduledFault | LinkFault
 
 
-class _Order(Part):
+class _Order(BaseModel):
     """What is ordered."""
 
     fault: Fault
