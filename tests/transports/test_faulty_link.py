@@ -230,6 +230,23 @@ def test_error_frames_are_counted() -> None:
     assert bench.line.sent == []
 
 
+def test_what_comes_at_a_rate_comes_once_though_the_port_is_lost_meanwhile() -> None:
+    bench = Bench(
+        CAN,
+        {"kind": "error_frames", "rate": 50.0},
+        {"kind": "babble", "rate": 800.0},
+        {"kind": "bus_off", "from_ns": 150 * MS, "to_ns": 160 * MS},
+    )
+    for time_ms in range(3000):
+        bench.at(time_ms).service()
+    assert [text for _, text in bench.told()] == ["link broken: bus off, as ordered", "reopened"]
+    assert bench.link.counts["error_frames"] == 10
+    frames = [frame for payload in bench.line.sent for frame in unpack_frames(payload)]
+    noise = LinkOrder(1, "babble", 100 * MS, 300 * MS, 0, 800.0).noise(0, 160)
+    assert b"".join(frame.data for frame in frames) == noise[: 8 * len(frames)]
+    assert len(frames) == 19
+
+
 def test_nothing_goes_wrong_before_the_start() -> None:
     line = Line()
     port = FaultyPort(line.open, SERIAL, lambda: START_NS)

@@ -77,6 +77,7 @@ class FaultyPort:
         self._keeps = spec.kind in (Kind.PTY, Kind.LOOPBACK) or spec.path.startswith("/dev/pts/")
         self._kept: Channel | None = None
         self.orders: list[LinkOrder] = []
+        self._told: dict[int, int] = {}
 
     def begin(self, start_ns: int) -> None:
         """Scenario time 0 is at this instant of the monotonic clock; before, nothing goes wrong."""
@@ -111,6 +112,12 @@ class FaultyPort:
         time_ns = self.time_ns
         return [order for order in self.orders if order.kind in kinds and order.acts(time_ns)]
 
+    def news(self, order: LinkOrder) -> tuple[int, int]:
+        """Of what comes at a rate: how much had come at the last call, and how much has by now."""
+        before, now = self._told.get(order.number, 0), order.due(self.time_ns)
+        self._told[order.number] = now
+        return before, now
+
     @property
     def time_ns(self) -> int:
         """Scenario time; -1 before it begins."""
@@ -132,8 +139,6 @@ class FaultyChannel:
         self.description = channel.description
         self._port, self._channel = port, channel
         self._buffer: deque[tuple[int, bytes]] = deque()
-        self._babbled: dict[int, int] = {}
-        self._error_frames: dict[int, int] = {}
 
     @property
     def pending(self) -> bool:
@@ -189,9 +194,8 @@ class FaultyChannel:
         noticed = self._channel.take_noticed()
         for order in self._port.orders:
             if order.kind == "error_frames" and self._port.time_ns >= 0:
-                due = order.due(self._port.time_ns)
-                noticed.counts["error_frames"] += due - self._error_frames.get(order.number, 0)
-                self._error_frames[order.number] = due
+                before, now = self._port.news(order)
+                noticed.counts["error_frames"] += now - before
         return noticed
 
     def unread(self) -> int:
@@ -216,15 +220,13 @@ class FaultyChannel:
 
     def _babble(self) -> None:
         for order in self._port.acting("babble"):
-            end = order.due(self._port.time_ns)
-            first = max(self._babbled.get(order.number, 0), end - _MOST_BABBLE_BYTES)
+            first, end = self._port.news(order)
+            first = max(first, end - _MOST_BABBLE_BYTES)
             if self._port.is_can:
-                first -= first % _CAN_DATA_BYTES
-                end -= end % _CAN_DATA_BYTES
+                first, end = (place - place % _CAN_DATA_BYTES for place in (first, end))
             if first < end:
                 # Where there is no room it is lost.
                 self._channel.send(self._babble_of(order, first, end))
-            self._babbled[order.number] = end
 
     def _babble_of(self, order: LinkOrder, first: int, end: int) -> bytes:
         noise = order.noise(first, end)
