@@ -34,6 +34,9 @@ _FAILURES = ("late", "dropped")
               help="With the clock, as fast as the link takes it, or step by step with a simulator.")  # fmt: skip
 @click.option("--start", default=None, metavar="now|on-truth|UTC",
               help="When scenario time 0 is, e.g. 2030-01-01T12:00:00Z, or as the first live truth says.")  # fmt: skip
+@click.option(
+    "--control", metavar="PATH", help="Take faults in flight on this Unix socket: lidar-emu inject PATH."
+)
 @click.option("--record", metavar="FILE", help="Keep truth, measurements and packets (MCAP).")
 @click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
 @click.option("--fail-on", metavar="WHAT", default="",
@@ -48,6 +51,7 @@ def run(
     port: PortSpec,
     pace: str,
     start: str | None,
+    control: str | None,
     record: str | None,
     summary_file: str | None,
     fail_on: str,
@@ -64,6 +68,7 @@ def run(
     lidar-emu run descent.yaml -i slcan -c /dev/ttyACM0 --bitrate 1000000
     lidar-emu run live.yaml --port /dev/ttyUSB0 --start on-truth
     lidar-emu run live.yaml --pace lockstep
+    lidar-emu run descent.yaml --port /dev/ttyUSB0 --control /tmp/lidar.sock
     lidar-emu run my.yaml --pace max --fail-on late,dropped --summary out.json --set timing.rate_hz=100
     """
     failures = _failures(fail_on)
@@ -89,7 +94,7 @@ def run(
     observers: list[Observer] = [view] if as_json else [Announcer(flown.name, pace), view]
     with busy(COMPILING):
         model = build_model(flown)
-        this_run = Run(flown, model, RunOptions(port, Pace(pace), start_utc), observers)
+        this_run = Run(flown, model, RunOptions(port, Pace(pace), start_utc, control), observers)
     if port.kind is not Kind.LOOPBACK and sys.stderr is not None and sys.stderr.isatty():
         observers.append(Progress(this_run.tally))
     for warning in this_run.warnings:
@@ -98,7 +103,7 @@ def run(
     if record is not None:
         from lidar_emu.recording.write import Recorder
 
-        recorder = Recorder(Path(record), flown)
+        recorder = Recorder(Path(record), flown, control is not None)
         observers.append(recorder)
     with recorder or nullcontext():
         outcome = this_run.fly()

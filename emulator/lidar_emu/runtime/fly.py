@@ -22,6 +22,7 @@ from lidar_emu.runtime.last_words import last_words_of
 from lidar_emu.runtime.late_ends import LateEnds
 from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.on_order import injector, packets_on_order, port_on_order
 from lidar_emu.runtime.outbox import Outbox, payload_of
 from lidar_emu.runtime.outcome import Outcome
 from lidar_emu.runtime.pacing import Pace, WhenLate
@@ -32,7 +33,7 @@ from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import Tally, expectation
 from lidar_emu.runtime.truth_socket import TruthSocket
 from lidar_emu.runtime.truth_source import TruthSource
-from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block, Session
 from lidar_emu.shots import FlightModel, Model
 from lidar_emu.trajectory.live import LiveTrajectory
@@ -41,7 +42,7 @@ from lidar_emu.transports.wire_load import check_wire_load, wire_load
 from lidar_emu.wire import Encoder
 
 if TYPE_CHECKING:
-    from lidar_emu.faulty_packets import FaultyPackets
+    from lidar_emu.runtime.injector import Injector
 
 LOOK_AHEAD_S = 2.0
 _BLOCK_S = 0.25
@@ -82,13 +83,16 @@ class Run:
         port = options.port
         self._encoder = encoder = Encoder(scenario.wire, port.kind is Kind.CAN, port.fd, model.beam_count)
         self._slots = max(2 * self._block_shots, round(rate_hz * LOOK_AHEAD_S))
-        faulty = _faulty_packets(scenario, encoder, port.kind is Kind.CAN)
+        faulty = packets_on_order(scenario, encoder, options)
         self._session = Session(model, encoder, self._slots + 1, faulty)
+        self._port_faults = port_on_order(scenario, model, options)
         # The first block is computed before the run: kernels are compiled, and the packets' length is known.
         self._first = self._first_block(encoder)
         longest = max((payload_of(packet) for packet in encoder.packets(self._first.measurement)), key=len)
         faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
         self._packet_room_bytes = max(_PACKET_ROOM_BYTES, faulty_bytes + _STUFFING_BYTES)
+        self._packet_bytes = len(longest), self._packet_room_bytes - _STUFFING_BYTES
+        self._injector: Injector | None = None
         self._wire_load = wire_load(port, longest, rate_hz)
         self._opening = True
         self._interrupted = False
@@ -119,6 +123,15 @@ class Run:
             truth_address as socket,
             on_signals(self._interrupt),
             PortRunner(2 * self._slots, self._packet_room_bytes, self._noticed) as port,
+            injector(
+                self._scenario,
+                self._model,
+                self._encoder,
+                self._options,
+                self._packet_bytes,
+                port,
+                self._observers,
+            ) as self._injector,
         ):
             source = self._source(socket)
             ours = (source, self._judge_of_lateness(), self._last_words)
@@ -126,7 +139,7 @@ class Run:
             outbox = Outbox(port, observers, self.tally, self._slots)
             commands = self._command_post(outbox)
             with suppress(KeyboardInterrupt):
-                self._description = port.start(self._options.port)
+                self._description = port.start(self._options.port, self._port_faults)
                 self._opening = False
                 with self._outliving_the_port():
                     self._feed(port, outbox, source, commands).fly()
@@ -188,6 +201,7 @@ class Run:
             self._fail,
             lambda start_ns: self._begin(port, start_ns),
             commands,
+            self._injector,
         )
         if source is None or self._live is None:
             return AheadFeed(
@@ -267,6 +281,7 @@ class Run:
             **told("process", self._process_events.count, self._process_events.since(0)),
             "last_words": None if self._last_words is None else self._last_words.told,
             "commands": None if commands is None else commands.to_json(),
+            "faults_in_flight": None if self._injector is None else self._injector.to_json(),
             "truth": None if source is None else source.to_json(),
             **self._expected,
             "left_out": [row for row in self._model.plan.rows() if not row["computed"]],
@@ -276,14 +291,6 @@ class Run:
     def _planned_shots(self) -> int | None:
         """None where the simulator decides."""
         return None if self._live and self._scenario.duration_s is None else self._model.shot_count
-
-
-def _faulty_packets(scenario: Scenario, encoder: Encoder, can: bool) -> FaultyPackets | None:
-    if not scenario.faults:
-        return None
-    from lidar_emu.faulty_packets import faulty_packets
-
-    return faulty_packets(scenario, encoder, can)
 
 
 def _live_trajectory(flight: Flight) -> LiveTrajectory:

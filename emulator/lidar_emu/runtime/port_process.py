@@ -5,8 +5,10 @@ port and ends, however the parent ended; in mid-run the other end has half a sec
 parent had hung up in order, it sends nothing more of what it was given but last words, if it has any.
 Both pipes carry one JSON object per line:
 
-    in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd}     once; also "loopback": fd, "complaints": fd
+    in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "faults": [a LinkOrder] or null}
+                                                     once; also "loopback": fd, "complaints": fd
          {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ..., "when_late": ...}}    monotonic clock
+         {"fault": a LinkOrder}                      one more, if there was a list at the start
          {"finish": true}                            no more packets will come
          {"supersede": [generation, shot, number]}   older packets from this shot, before that entry: not to be sent
          {"send": hex}                               at once; it is no shot
@@ -25,7 +27,7 @@ from __future__ import annotations
 
 import os
 import signal
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.answers import Answers
@@ -37,9 +39,12 @@ from lidar_emu.runtime.realtime import become_punctual
 from lidar_emu.runtime.ring import Ring
 from lidar_emu.runtime.sender import Sender, Wait
 from lidar_emu.transports.link import COUNTED, Fate, Link
-from lidar_emu.transports.opening import opener
+from lidar_emu.transports.opening import Opener, opener
 from lidar_emu.transports.spec import PortSpec
 from lidar_emu.transports.wire_load import drain_time_s
+
+if TYPE_CHECKING:
+    from lidar_emu.transports.faulty_link import FaultyPort
 
 _LIFELINE, _PARENT = 0, 1
 _PIPE_BYTES = 65536
@@ -60,8 +65,10 @@ def main() -> None:
     clock = Clock()
     answers = Answers(_PARENT, clock)
     spec = PortSpec.from_json(settings["port"])
+    open_port = opener(spec, settings.get("loopback"))
+    faulty = None if settings["faults"] is None else _faulty(open_port, spec, settings["faults"], clock)
     try:
-        link = Link(opener(spec, settings.get("loopback")))
+        link = Link(faulty or open_port)
     except InputError as error:
         answers.say(refused=[error.where, error.key, _plain(error.value), error.allowed])
         answers.end()
@@ -71,7 +78,7 @@ def main() -> None:
     try:
         with Ring(settings["packets"]) as packets, Ring(settings["reports"]) as reports:
             complaint = _Port(
-                spec, link, packets, reports, settings["doorbell"], lifeline, answers, clock
+                spec, link, packets, reports, settings["doorbell"], lifeline, answers, clock, faulty
             ).run()
     finally:
         link.close()
@@ -92,6 +99,7 @@ class _Port:
         lifeline: Lifeline,
         answers: Answers,
         clock: Clock,
+        faulty: FaultyPort | None,
     ) -> None:
         self._spec = spec
         self._link = link
@@ -101,6 +109,7 @@ class _Port:
         self._lifeline = lifeline
         self._answers = answers
         self._clock = clock
+        self._faulty = faulty
         self._sender: Sender | None = None
         self._received_bytes = 0
         self._unheard_bytes = 0
@@ -158,6 +167,8 @@ class _Port:
     def _obey(self, order: dict[str, Any]) -> None:
         if "begin" in order:
             begin = order["begin"]
+            if self._faulty is not None:
+                self._faulty.begin(begin["start_ns"])
             pacing = Pacing(Pace(begin["pace"]), begin["late_after_ns"], WhenLate(begin["when_late"]))
             self._lockstep = pacing.pace is Pace.LOCKSTEP
             if pacing.pace is Pace.WALL:
@@ -166,6 +177,8 @@ class _Port:
             self._sender = Sender(
                 self._packets, self._reports, self._link, self._clock, begin["start_ns"], pacing
             )
+        if "fault" in order and self._faulty is not None:
+            self._faulty.order(order["fault"])
         if "finish" in order:
             self._finishing = True
         self._last_words = bytes.fromhex(order.get("last_words", "")) or self._last_words
@@ -243,6 +256,15 @@ class _Drain:
             self._busy_ns = now_ns
         # Bytes on their way through a pty are counted nowhere for a moment: it must look empty for a while.
         return now_ns - self._busy_ns >= _SETTLE_NS or now_ns >= self._ends_ns
+
+
+def _faulty(open_port: Opener, spec: PortSpec, faults: list[dict[str, Any]], clock: Clock) -> FaultyPort:
+    from lidar_emu.transports.faulty_link import FaultyPort
+
+    port = FaultyPort(open_port, spec, clock.now_ns)
+    for fault in faults:
+        port.order(fault)
+    return port
 
 
 def _plain(value: object) -> object:

@@ -6,7 +6,7 @@ import os
 from collections import deque
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.child import PortChild
@@ -66,8 +66,12 @@ class PortRunner:
     ) -> None:
         self.close(in_order=kind is None or issubclass(kind, InputError | KeyboardInterrupt))
 
-    def start(self, spec: PortSpec) -> str:
+    def start(self, spec: PortSpec, faults: list[dict[str, Any]] | None = None) -> str:
         """Start the process and open the port; returns its description.
+
+        Args:
+            spec: the port.
+            faults: of the port, each a `LinkOrder` as a mapping; None: there are none, nor will be.
 
         Raises:
             InputError: the port cannot be opened.
@@ -80,7 +84,7 @@ class PortRunner:
                 self._child = PortChild(passed | {"loopback": device_end.fileno()})
         else:
             self._child = PortChild(passed)
-        self._child.tell(port=spec.to_json(), **self._child.inherited)
+        self._child.tell(port=spec.to_json(), faults=faults, **self._child.inherited)
         deadline_ns = self._clock.now_ns() + _START_LIMIT_NS
         while not self.told.description:
             if self._clock.now_ns() > deadline_ns:
@@ -134,6 +138,10 @@ class PortRunner:
     def prepare(self, last_words: bytes) -> None:
         """What the process is to send, instead of whatever it was given, should ours die; each time anew."""
         self._running().tell(last_words=last_words.hex())
+
+    def order_fault(self, order: dict[str, Any]) -> None:
+        """One more fault of the port, if there was a list of them at the start."""
+        self._running().tell(fault=order)
 
     def arrivals(self) -> list[tuple[int, bytes]]:
         """What arrived on the port since the last call: instants of the monotonic clock, and bytes (CAN: frame
