@@ -77,6 +77,12 @@ class _Run:
         )
 
     @property
+    def is_signed(self) -> bool:
+        """Whether it is one signed number."""
+        codec = self.fields[0].field.codec
+        return len(self.fields) == 1 and codec.signed and codec.bits == 8 * self.length
+
+    @property
     def parts(self) -> list[int]:
         """Lengths that `struct` knows and that make up the run, from its first byte on."""
         parts, left = [], self.length
@@ -103,8 +109,11 @@ class _Run:
         codec = self.fields[0].field.codec
         if isinstance(codec, Real):
             return codec.code
-        letters = "".join(_LETTERS[length] for length in self.parts)
-        return letters.lower() if self.is_own_number and codec.signed else letters
+        letters = [_LETTERS[length] for length in self.parts]
+        if self.is_signed:  # the part with the sign
+            top = self.shifts.index(max(self.shifts))
+            letters[top] = letters[top].lower()
+        return "".join(letters)
 
     def shift(self, placed: Placed) -> int:
         """How far above the lowest bit of the run the lowest one of the field lies."""
@@ -159,14 +168,23 @@ def _packed(run: _Run, own: frozenset[str], names: dict[str, Any]) -> list[str]:
     """The expressions for what `struct` packs of a run."""
     if run.is_own_number:
         return [_raw(run.fields[0], own, names)]
-    number = " | ".join(_shifted(placed, run.shift(placed), own, names) for placed in run.fields)
+    if run.is_signed:
+        number = f"({_raw(run.fields[0], own, names)})"
+    else:
+        number = " | ".join(_shifted(placed, run.shift(placed), own, names) for placed in run.fields)
     if len(run.parts) == 1:
         return [number]
     whole = [f"(n := {number})", *["n"] * (len(run.parts) - 1)]
     return [
-        f"{each} >> {shift} & {(1 << 8 * length) - 1}"
+        _part(each, shift, length, is_top=shift == max(run.shifts))
         for each, shift, length in zip(whole, run.shifts, run.parts, strict=True)
     ]
+
+
+def _part(number: str, shift: int, length: int, is_top: bool) -> str:
+    """The expression for a part of a number; above the top one there is nothing but the sign."""
+    shifted = f"{number} >> {shift}" if shift else number
+    return shifted if is_top else f"{shifted} & {(1 << 8 * length) - 1}"
 
 
 def _shifted(placed: Placed, shift: int, own: frozenset[str], names: dict[str, Any]) -> str:
@@ -227,7 +245,7 @@ def _unpacked(run: _Run, silent: frozenset[str]) -> list[str]:
             raw = f"{name} >> {shift}" if shift else name
             if shift + codec.bits < 8 * run.length:
                 raw = f"{raw} & {(1 << codec.bits) - 1}"
-        if codec.signed:
+        if codec.signed and not run.is_signed:
             sign = 1 << codec.bits - 1
             raw = f"({raw} ^ {sign}) - {sign}"
         entries.append(f"{placed.field.key!r}: {codec.value(raw)}")

@@ -223,11 +223,15 @@ class Interface:
         return self.link.overhead + max(self.packet.longest, *others, 0)
 
     @cached_property
-    def maximum_command_bytes(self) -> int:
-        """Length of the longest packet to the device; longer ones are still read up to some 64 bytes more, so that
-        a command that is too long is told from noise."""
+    def longest_command(self) -> int:
+        """Length of the longest packet to the device."""
         bodies = [command.packet.length for command in self.commands.commands] if self.commands else [0]
-        return self.link.overhead + max(bodies) + 64
+        return self.link.overhead + max(bodies)
+
+    @cached_property
+    def maximum_command_bytes(self) -> int:
+        """Up to where packets to the device are read: so that a command that is too long is told from noise."""
+        return self.longest_command + 64
 
     def word(self, enumeration: str | None, value: int) -> str | None:
         """The name of a value of an enumeration; None where it has none."""

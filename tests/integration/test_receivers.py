@@ -1,0 +1,235 @@
+"""The example receivers follow a whole descent, with faults and commands: what they logged is what the recording tells."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from decimal import ROUND_FLOOR, Decimal
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from mcap.reader import make_reader
+from programs import FarEnd, Program, read_summary
+
+import lidar_protocol
+
+ROOT = Path(__file__).resolve().parents[2]
+RECEIVERS = ROOT / "examples" / "receivers"
+COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+STRICT = ["-std=c99", "-pedantic", "-O1", "-Wall", "-Wextra", "-Werror", "-fsanitize=undefined,address"]
+EPOCH_NS = 1_893_456_000 * 10**9  # 2030-01-01, the default of timing.epoch
+
+Start = Callable[..., Program]
+
+FAULTS = """[
+    {kind: lost, probability: 0.2, from_s: 4, to_s: 8},
+    {kind: wrong_crc, probability: 0.2, from_s: 9, to_s: 13},
+    {kind: doubled, probability: 0.2, from_s: 14, to_s: 18},
+    {kind: truncated, probability: 0.1, keep: 0.7, from_s: 19, to_s: 23},
+    {kind: time_jump, jump_s: 1.5, from_s: 24, to_s: 26},
+    {kind: frozen_counter, from_s: 27, to_s: 27.5},
+    {kind: dropout, beams: [2], from_s: 28, to_s: 31},
+    {kind: bias, range_m: -2.5, closing_speed_mps: 0.1, from_s: 32, ramp_s: 1},
+    {kind: stale_packet, from_s: 36, to_s: 36.5}
+]"""
+ORDERS = ["300:set_pattern=1", "500:no_op", "700:set_pattern=0"]
+
+NUMBERS = {  # typed from INTERFACE.md: step, lowest, highest, whether a value outside is held
+    "snr_db": ("0.01", "-327.67", "327.67", True),
+    "range_m": ("0.001", "0", "4294967.294", False),
+    "closing_speed_mps": ("0.0001", "-214748.3647", "214748.3647", False),
+    "second_range_m": ("0.001", "0", "4294967.294", False),
+    "sigma_range_m": ("0.0001", "0", "6.5534", True),
+    "sigma_speed_mps": ("0.00001", "0", "0.65534", True),
+    "residual_mps": ("0.0001", "-3.2767", "3.2767", True),
+    "beam_angle_deg": ("0.01", "0", "90", False),
+}
+COPIED = ("fired", "range_valid", "speed_valid", "sign_resolved", "segments", "reason")
+
+
+def quantised(value: float | None, step: str, lowest: str, highest: str, is_held: bool) -> str | None:
+    """What arrives of a value, in decimal digits."""
+    if value is None:
+        return None
+    unit = Decimal(step)
+    sent = (Decimal(value) / unit + Decimal("0.5")).to_integral_value(ROUND_FLOOR) * unit
+    if is_held:
+        sent = min(max(sent, Decimal(lowest)), Decimal(highest))
+    return f"{sent:.{-unit.as_tuple().exponent}f}" if Decimal(lowest) <= sent <= Decimal(highest) else None
+
+
+def as_time_code(time_ns: int) -> int:
+    """Nanoseconds through 24 bits of a second."""
+    ticks = (2 * time_ns * 2**24 + 10**9) // (2 * 10**9)
+    return (2 * ticks * 10**9 + 2**24) // 2**25
+
+
+class Sent(NamedTuple):
+    """What a receiver makes of a frame."""
+
+    message: dict[str, Any] | None
+    """None: it is damaged."""
+    has_end: bool = True
+    """Otherwise it spoils the frame after it."""
+
+
+def expected_message(shot: int, time_ns: int, due_ns: int, measured: dict[str, Any]) -> dict[str, Any]:
+    beams = []
+    for k, second_s in enumerate(measured["time_s"]):
+        beam: dict[str, Any] = {"beam": k, **{name: measured[name][k] for name in COPIED}}
+        beam["returns"] = min(measured["returns"][k], 15)
+        beam |= {name: quantised(measured[name][k], *limits) for name, limits in NUMBERS.items()}
+        offset_s = second_s - min(measured["time_s"])
+        beams.append(beam | {"time_offset_s": quantised(offset_s, "0.000001", "0", "4294", False)})
+    return {
+        "kind": "measurement", "unit": 0, "shot": shot, "time_ns": as_time_code(time_ns), "due_ns": as_time_code(due_ns),
+        "mode": 4, "laser_on": True, "clock_locked": True, "beams": beams,
+    }  # fmt: skip
+
+
+def recorded(path: Path) -> Iterator[tuple[int, int, dict[str, Any], dict[str, Any], set[str]]]:
+    """Of each shot: number, time of validity, what was measured, what became of it, and which faults acted."""
+    faults: dict[int, set[str]] = defaultdict(set)
+    topics: dict[str, list[tuple[int, Any]]] = defaultdict(list)
+    for _, channel, message in make_reader(io.BytesIO(path.read_bytes())).iter_messages():
+        if channel.topic == "/fault":
+            told = json.loads(message.data)
+            faults[told["shot"]].add(told["kind"])
+        elif channel.topic in ("/measurement", "/fate"):
+            topics[channel.topic].append((message.log_time - EPOCH_NS, json.loads(message.data)))
+    for (time_ns, measured), (_, fate) in zip(topics["/measurement"], topics["/fate"], strict=True):
+        shot = fate["shot"]
+        assert set(measured["shot"]) == {shot}
+        yield shot, time_ns, measured, fate, faults[shot]
+
+
+def sent_frames(path: Path) -> Iterator[Sent]:
+    """What was on the wire by the record, fault by fault."""
+    last: dict[str, Any] = {}
+    for shot, time_ns, measured, fate, faults in recorded(path):
+        if "lost" in faults:
+            assert fate["fate"] == "withheld"
+            continue
+        assert fate["fate"] == "sent"
+        message = expected_message(shot, time_ns, fate["due_ns"], measured)
+        if "time_jump" in faults:
+            message["time_ns"] = as_time_code(time_ns + 1_500_000_000)
+        if "frozen_counter" in faults:
+            message["shot"] = last["shot"]
+        if "stale_packet" in faults:
+            message = last
+        is_whole = not faults & {"wrong_crc", "truncated"}
+        yield Sent(message if is_whole else None, "truncated" not in faults)
+        if "doubled" in faults:
+            yield Sent(message)
+        last = message
+
+
+def heard(frames: Iterator[Sent]) -> tuple[list[dict[str, Any]], int]:
+    """The messages that a receiver can tell, and how many frames it finds damaged."""
+    messages, damaged, is_open = [], 0, False
+    for message, has_end in frames:
+        if message is not None and not is_open:
+            messages.append(message)
+        elif has_end:
+            damaged += 1
+        is_open = not has_end
+    return messages, damaged
+
+
+def gaps(shots: list[int]) -> dict[str, int]:
+    steps = [after - before - 1 for before, after in zip(shots, shots[1:], strict=False)]
+    missing = [step for step in steps if step > 0]
+    return {"gaps": len(missing), "lost_shots": sum(missing), "repeats": sum(step < 0 for step in steps)}
+
+
+@pytest.fixture(params=["c", "python"])
+def receiver(request: pytest.FixtureRequest, tmp_path: Path) -> list[str]:
+    """The command that starts a receiver."""
+    return command_of(request.param, tmp_path)
+
+
+def command_of(language: str, folder: Path) -> list[str]:
+    if language == "python":
+        return [sys.executable, "-I", "-S", str(RECEIVERS / "receiver.py")]
+    if COMPILER is None:
+        pytest.skip("there is no C compiler on this machine")
+    header = Path(lidar_protocol.__file__).parent
+    source = [str(RECEIVERS / "receiver.c"), f"-I{header}", "-o", str(folder / "receiver")]
+    subprocess.run([COMPILER, *STRICT, *source], check=True)
+    return [str(folder / "receiver")]
+
+
+def test_a_whole_descent_with_commands_and_faults(receiver: list[str], start: Start, tmp_path: Path) -> None:
+    run = start(
+        "run", "descent.yaml", "--pace", "max", "--port", "pty", "--baud", "921600",
+        "--set", f"faults={FAULTS}", "--record", "r.mcap", "--summary", "s.json",
+    )  # fmt: skip
+    path = run.word_after("descent on ")
+    following = subprocess.run(
+        [*receiver, path, "921600", *ORDERS], stdout=subprocess.PIPE, timeout=120, check=True
+    )
+    run.succeed()
+    lines = [json.loads(line, parse_float=str) for line in following.stdout.splitlines()]
+    by_kind = {kind: [line for line in lines if line["kind"] == kind] for kind in {line["kind"] for line in lines}}
+    expected, damaged = heard(sent_frames(tmp_path / "r.mcap"))
+    logged = by_kind["measurement"]
+    for a, b in zip(logged, expected, strict=False):
+        assert a == b
+    assert len(logged) == len(expected)
+    (end,) = by_kind["end"]
+    assert lines[-1] == end
+    assert (end["measurements"], end["bad_frames"]) == (len(expected), damaged)
+    assert damaged > 10
+    assert gaps([message["shot"] for message in expected]).items() <= end.items()
+
+    answers = [(line["command"], line["sequence"], line["verdict"]) for line in by_kind["acknowledge"]]
+    assert answers == [(2, 0, 0), (0, 1, 0), (2, 2, 0)]
+    told = read_summary(tmp_path / "s.json")
+    assert told["commands"]["accepted"] == 3
+    assert told["shots"]["due"] == told["planned_shots"] == 1008
+    assert len(told["faults"]["shots"]) == FAULTS.count("kind:")
+    angles = [beam["beam_angle_deg"] for beam in (line["beams"][0] for line in logged)]
+    assert [angle for angle, _ in groupby(angles)] == ["22.50", "7.50", "22.50"]
+
+
+def test_both_say_the_same_of_anything(tmp_path: Path, start: Start, far_end: FarEnd) -> None:
+    """A captured stream with every byte that noise can hold: the two programs agree line by line."""
+    noise = "[{kind: bit_errors, rate: 1e-4}, {kind: garbage, bytes: 300, probability: 0.2}]"
+    run = start(
+        "run", "descent.yaml", "--pace", "max", "--duration", "10", "--port", far_end.path, "--set", f"faults={noise}"
+    )  # fmt: skip
+    run.succeed()
+    device = lidar_protocol.Device(lidar_protocol.default_interface(), 15)
+    health = device.housekeeping(
+        9,
+        dict.fromkeys(lidar_protocol.default_interface().housekeeping.names, 0)  # type: ignore[union-attr]
+        | {"temperature_c": -12.34, "laser_power_w": None, "interlock_closed": True},
+    )
+    stream = bytes(far_end.data) + b"\x55" * 5000 + b"\0" + bytes(range(256)) + health
+    said = [
+        subprocess.run([*command_of(language, tmp_path), "-", "9600"], input=stream, capture_output=True, check=True)
+        for language in ("c", "python")
+    ]
+    assert said[0].stdout == said[1].stdout
+    *_, health_line, end = map(json.loads, said[0].stdout.splitlines())
+    assert (health_line["kind"], health_line["temperature_c"], health_line["laser_power_w"]) == (
+        "housekeeping", -12.34, None,
+    )  # fmt: skip
+    assert end["bad_frames"] > 10
+    assert end["measurements"] > 100
+
+
+@pytest.mark.parametrize("order", ["5:set_pattern=256", "5:jump=1", "set_pattern=1", "5:set_rate_hz=-1"])
+def test_orders_that_cannot_be_sent_are_refused(receiver: list[str], order: str) -> None:
+    refused = subprocess.run([*receiver, "-", "9600", order], stdin=subprocess.DEVNULL, capture_output=True)
+    assert refused.returncode in (1, 2)
+    assert order.encode() in refused.stderr
+    assert refused.stdout == b""
