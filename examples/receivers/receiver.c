@@ -1,11 +1,11 @@
-/* Follows a lidar on a serial line: every message becomes a line of JSON, and commands are sent at shots of your choice.
+/* Follows a lidar on a serial line: a line of JSON for every message, and commands at shots of your choice.
  *
  *     cc -std=c99 -I ../../protocol/lidar_protocol receiver.c -o receiver
  *     ./receiver /dev/ttyUSB0 921600
  *     ./receiver /dev/ttyUSB0 921600 2000:set_pattern=1 3000:set_pattern=0
  *
- * The port may be "-", the standard input, to read what was captured before. receiver.py prints the same lines. lidar.h is all
- * that it shares with the device; what deals with the port is POSIX, the rest is C99.
+ * The port may be "-", the standard input, to read what was captured before. receiver.py prints the same lines. lidar.h
+ * is all that it shares with the device; what deals with the port is POSIX, the rest is C99.
  */
 #define _DEFAULT_SOURCE
 
@@ -23,7 +23,7 @@
 
 enum { UNIT = 0, MOST_ORDERS = 32, PATIENCE_MS = 1000 };
 
-/* ------------------------------------------------------------------------------------------------ messages as lines */
+/* ---------------------------------------------------------------------------------------- messages as lines */
 
 static void print_flag(const char *name, bool value) {
     printf(",\"%s\":%s", name, value ? "true" : "false");
@@ -107,7 +107,7 @@ static void print_housekeeping(unsigned unit, const lidar_housekeeping *health) 
     printf("}\n");
 }
 
-/* ---------------------------------------------------------------------------------------------------------- commands */
+/* -------------------------------------------------------------------------------------------------- commands */
 
 /* "2000:set_pattern=1": what to say, once this shot has come. Those of shot 0 are said at once. */
 typedef struct {
@@ -187,7 +187,7 @@ static void answered(commander *host, const lidar_acknowledge *answer) {
     host->done++;
 }
 
-/* ---------------------------------------------------------------------------------------------------------- messages */
+/* -------------------------------------------------------------------------------------------------- messages */
 
 typedef struct {
     uint64_t measurements, acknowledges, housekeeping, foreign;
@@ -240,7 +240,7 @@ static void print_end(const counts *seen, const lidar_receiver *receiver) {
     printf("}\n");
 }
 
-/* ------------------------------------------------------------------------------------------------------------ the port */
+/* -------------------------------------------------------------------------------------------------- the port */
 
 static speed_t speed_of(long baud) {
     switch (baud) {

@@ -1,10 +1,10 @@
-"""Follows a lidar on a serial line: every message becomes a line of JSON, and commands are sent at shots of your choice.
+"""Follows a lidar on a serial line: a line of JSON for every message, and commands at shots of your choice.
 
     python receiver.py /dev/ttyUSB0 921600
     python receiver.py /dev/ttyUSB0 921600 2000:set_pattern=1 3000:set_pattern=0
 
-Written from INTERFACE.md alone, with the standard library alone: take it to pieces. The port may be "-", the standard input,
-to read what was captured before. receiver.c prints the same lines.
+Written from INTERFACE.md alone, with the standard library alone: take it to pieces. The port may be "-", the standard
+input, to read what was captured before. receiver.c prints the same lines.
 """
 
 from __future__ import annotations
@@ -171,7 +171,9 @@ def acknowledge_line(unit: int, packet: bytes) -> tuple[int, str] | None:
 def housekeeping_line(unit: int, packet: bytes) -> str | None:
     if len(packet) != HEADER.size + HEALTH.size + 2:
         return None
-    time_code, version, _, _, _, mode, flags, temperature, power, uptime, *counters, _ = HEALTH.unpack_from(packet, 6)
+    time_code, version, _, _, _, mode, flags, temperature, power, uptime, *counters, _ = HEALTH.unpack_from(
+        packet, 6
+    )
     dropped, late, accepted, rejected, bad_bytes = counters
     if version != INTERFACE_VERSION:
         return None

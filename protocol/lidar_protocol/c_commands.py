@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lidar_protocol.c_blocks import c_type, shipped_text
 from lidar_protocol.definitions import CanDefinition, CommandDefinition, Interface
-from lidar_protocol.fields import Codec, Constant, Counter, Flag, Number, Real, Time
+from lidar_protocol.fields import Constant, Counter, Flag, Number, Real, Time
 from lidar_protocol.framing import Stuffed
 from lidar_protocol.headers import PlainHeader, SpacePacketHeader
 from lidar_protocol.layout import Layout, Placed
@@ -165,7 +165,9 @@ def _put(placed: Placed) -> str:
             return f"lidar_put_time(block, {placed.first_bit}u, {value})"
         case Real():
             low, high = codec.lowest, codec.highest
-            return f"lidar_put_{'float' if codec.bits == 32 else 'double'}({place}, {value}, {low!r}, {high!r})"
+            return (
+                f"lidar_put_{'float' if codec.bits == 32 else 'double'}({place}, {value}, {low!r}, {high!r})"
+            )
         case Number(whole=False):
             limits = f"{float(codec.lowest)!r}, {float(codec.highest + 1)!r}"
             return f"lidar_put_steps({place}, {value} * {codec.steps_per_unit!r}, {limits})"

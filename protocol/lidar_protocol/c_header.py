@@ -1,4 +1,4 @@
-"""A host in C: one header that decodes what a device sends and encodes commands; C99, no allocation, the standard headers."""
+"""A host in C: one header that decodes what a device sends and encodes commands (C99, without allocation)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A block of fields as two functions, written out and compiled once when an interface is loaded.
+"""A block of fields as functions, written out and compiled once when an interface is loaded.
 
 A loop over the fields costs a microsecond for three of them. So each block becomes one `struct` of runs of bytes, a
 field each where a field is a whole number of bytes that `struct` knows, and one expression per field around it. For
@@ -14,6 +14,12 @@ a flag, a 7-bit number and a u16 with a code for none:
         c0_0, c1_0, = struct_unpack(block, offset)
         return {'fired': (c0_0 & 128) != 0, ..., 'range_m': r / 1000.0 if 0 <= (r := c1_0) <= 65534 else None}
 
+    def unpack_each(blocks):
+        found = []
+        for c0_0, c1_0, in iter_struct(blocks):
+            found.append({...})
+        return found
+
 What goes into the source are numbers, operators and names that the definition's reader has checked.
 """
 
@@ -26,13 +32,24 @@ from math import floor
 from typing import Any, Literal, NamedTuple
 
 from lidar_protocol.errors import EncodeError
-from lidar_protocol.fields import Field, Flag, Real, Value
+from lidar_protocol.fields import Counter, Field, Flag, Real, Value
 
 ByteOrder = Literal["big", "little"]
 Pack = Callable[[Mapping[str, Value], Mapping[str, Value]], bytes]
 """(values, own) -> block. KeyError names a value that is missing."""
 Unpack = Callable[[bytes, int], dict[str, Value]]
 """(bytes, place of the block in them) -> values."""
+UnpackEach = Callable[[bytes], list[dict[str, Value]]]
+"""A whole number of blocks, one after another -> the values of each."""
+
+
+class Functions(NamedTuple):
+    """What is compiled of a block."""
+
+    pack: Pack
+    unpack: Unpack
+    unpack_each: UnpackEach
+
 
 _LETTERS = {8: "Q", 4: "I", 2: "H", 1: "B"}
 
@@ -123,7 +140,7 @@ class _Run:
 
 def compiled(
     length: int, placed: Sequence[Placed], order: ByteOrder, own: frozenset[str], silent: frozenset[str]
-) -> tuple[Pack, Unpack]:
+) -> Functions:
     """The functions of a block of `length` bytes.
 
     Args:
@@ -132,18 +149,33 @@ def compiled(
     """
     runs = _runs(placed, order)
     block = struct.Struct(_format(length, runs, order))
-    names: dict[str, Any] = {"floor": floor, "struct_pack": block.pack, "struct_unpack": block.unpack_from}
-
-    source = ["def pack(values, own):", " return struct_pack("]
-    source += [f"  {number}," for run in runs for number in _packed(run, own, names)]
-    source += [" )", "def unpack(block, offset):"]
-    source += [
-        f" {' '.join(f'{name},' for run in runs for name in run.names)} = struct_unpack(block, offset)"
+    names: dict[str, Any] = {
+        "floor": floor,
+        "struct_pack": block.pack,
+        "struct_unpack": block.unpack_from,
+        "iter_struct": block.iter_unpack,
+    }
+    parts = " ".join(f"{name}," for run in runs for name in run.names)
+    join = [f"{run.names[0]} = {_joined(run)}" for run in runs if len(run.parts) > 1]
+    values = "{" + ", ".join(entry for run in runs for entry in _unpacked(run, silent)) + "}"
+    source = [
+        "def pack(values, own):",
+        " return struct_pack(",
+        *(f"  {number}," for run in runs for number in _packed(run, own, names)),
+        " )",
+        "def unpack(block, offset):",
+        f" {parts} = struct_unpack(block, offset)",
+        *(f" {line}" for line in join),
+        f" return {values}",
+        "def unpack_each(blocks):",
+        " found = []",
+        f" for {parts} in iter_struct(blocks):",
+        *(f"  {line}" for line in join),
+        f"  found.append({values})",
+        " return found",
     ]
-    source += [f" {run.names[0]} = {_joined(run)}" for run in runs if len(run.parts) > 1]
-    source += [" return {", *(f"  {entry}," for run in runs for entry in _unpacked(run, silent)), " }"]
     exec("\n".join(source), names)
-    return names["pack"], names["unpack"]
+    return Functions(names["pack"], names["unpack"], names["unpack_each"])
 
 
 def _runs(placed: Sequence[Placed], order: ByteOrder) -> list[_Run]:
@@ -201,14 +233,16 @@ def _source(placed: Placed, own: frozenset[str]) -> str:
 
 
 def _raw(placed: Placed, own: frozenset[str], names: dict[str, Any]) -> str:
-    field = placed.field
+    field, source = placed.field, _source(placed, own)
+    if isinstance(field.codec, Counter) and field.name in own:  # the library's own are whole numbers
+        return f"{source} & {(1 << field.codec.bits) - 1}"
 
     def bind(function: Callable[[Value], int | float]) -> str:
         name = f"{function.__name__.strip('_')}_of_{field.key}"
         names[name] = _named(function, field.key)
         return name
 
-    return field.codec.raw(_source(placed, own), bind)
+    return field.codec.raw(source, bind)
 
 
 def _named(function: Callable[[Value], int | float], name: str) -> Callable[[Value], int | float]:

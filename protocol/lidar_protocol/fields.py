@@ -162,8 +162,8 @@ class Number:
             less = f" - {self.offset}" if self.offset else ""
             return f"v{less} if (v := {value}).__class__ is int and {low} <= v <= {high} else {bind(self.rounded)}(v)"
         steps = "v + 0.5" if self.steps_per_unit == 1.0 else f"v * {self.steps_per_unit!r} + 0.5"
-        low, end = _as_float(self.lowest), _as_float(self.highest + 1)
-        in_range = f"floor(s) if {low} <= (s := {steps}) < {end} else {bind(self.outside)}(v)"
+        least, end = _as_float(self.lowest), _as_float(self.highest + 1)
+        in_range = f"floor(s) if {least} <= (s := {steps}) < {end} else {bind(self.outside)}(v)"
         missing = bind(self.outside) + "(v)" if self.none is None else str(self.none)
         return f"{missing} if (v := {value}) is None else {in_range}"
 

@@ -1,4 +1,4 @@
-"""The example receivers follow a whole descent, with faults and commands: what they logged is what the recording tells."""
+"""The example receivers follow a whole descent with faults and commands: their logs are what the recording tells."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from decimal import ROUND_FLOOR, Decimal
-from itertools import groupby
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +23,7 @@ import lidar_protocol
 ROOT = Path(__file__).resolve().parents[2]
 RECEIVERS = ROOT / "examples" / "receivers"
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+IN_PYTHON = [sys.executable, "-I", "-S", str(RECEIVERS / "receiver.py")]
 STRICT = ["-std=c99", "-pedantic", "-O1", "-Wall", "-Wextra", "-Werror", "-fsanitize=undefined,address"]
 EPOCH_NS = 1_893_456_000 * 10**9  # 2030-01-01, the default of timing.epoch
 
@@ -62,7 +63,8 @@ def quantised(value: float | None, step: str, lowest: str, highest: str, is_held
     sent = (Decimal(value) / unit + Decimal("0.5")).to_integral_value(ROUND_FLOOR) * unit
     if is_held:
         sent = min(max(sent, Decimal(lowest)), Decimal(highest))
-    return f"{sent:.{-unit.as_tuple().exponent}f}" if Decimal(lowest) <= sent <= Decimal(highest) else None
+    decimals = len(step) - len("0.")
+    return f"{sent:.{decimals}f}" if Decimal(lowest) <= sent <= Decimal(highest) else None
 
 
 def as_time_code(time_ns: int) -> int:
@@ -89,7 +91,8 @@ def expected_message(shot: int, time_ns: int, due_ns: int, measured: dict[str, A
         offset_s = second_s - min(measured["time_s"])
         beams.append(beam | {"time_offset_s": quantised(offset_s, "0.000001", "0", "4294", False)})
     return {
-        "kind": "measurement", "unit": 0, "shot": shot, "time_ns": as_time_code(time_ns), "due_ns": as_time_code(due_ns),
+        "kind": "measurement", "unit": 0, "shot": shot, "time_ns": as_time_code(time_ns),
+        "due_ns": as_time_code(due_ns),
         "mode": 4, "laser_on": True, "clock_locked": True, "beams": beams,
     }  # fmt: skip
 
@@ -145,26 +148,27 @@ def heard(frames: Iterator[Sent]) -> tuple[list[dict[str, Any]], int]:
 
 
 def gaps(shots: list[int]) -> dict[str, int]:
-    steps = [after - before - 1 for before, after in zip(shots, shots[1:], strict=False)]
+    steps = [after - before - 1 for before, after in pairwise(shots)]
     missing = [step for step in steps if step > 0]
     return {"gaps": len(missing), "lost_shots": sum(missing), "repeats": sum(step < 0 for step in steps)}
 
 
-@pytest.fixture(params=["c", "python"])
-def receiver(request: pytest.FixtureRequest, tmp_path: Path) -> list[str]:
-    """The command that starts a receiver."""
-    return command_of(request.param, tmp_path)
-
-
-def command_of(language: str, folder: Path) -> list[str]:
-    if language == "python":
-        return [sys.executable, "-I", "-S", str(RECEIVERS / "receiver.py")]
+@pytest.fixture(scope="module")
+def in_c(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The command that starts the receiver in C."""
     if COMPILER is None:
         pytest.skip("there is no C compiler on this machine")
+    program = tmp_path_factory.mktemp("c") / "receiver"
     header = Path(lidar_protocol.__file__).parent
-    source = [str(RECEIVERS / "receiver.c"), f"-I{header}", "-o", str(folder / "receiver")]
+    source = [str(RECEIVERS / "receiver.c"), f"-I{header}", "-o", str(program)]
     subprocess.run([COMPILER, *STRICT, *source], check=True)
-    return [str(folder / "receiver")]
+    return [str(program)]
+
+
+@pytest.fixture(params=["c", "python"])
+def receiver(request: pytest.FixtureRequest) -> list[str]:
+    """The command that starts a receiver."""
+    return request.getfixturevalue("in_c") if request.param == "c" else IN_PYTHON
 
 
 def test_a_whole_descent_with_commands_and_faults(receiver: list[str], start: Start, tmp_path: Path) -> None:
@@ -178,7 +182,9 @@ def test_a_whole_descent_with_commands_and_faults(receiver: list[str], start: St
     )
     run.succeed()
     lines = [json.loads(line, parse_float=str) for line in following.stdout.splitlines()]
-    by_kind = {kind: [line for line in lines if line["kind"] == kind] for kind in {line["kind"] for line in lines}}
+    by_kind = {
+        kind: [line for line in lines if line["kind"] == kind] for kind in {line["kind"] for line in lines}
+    }
     expected, damaged = heard(sent_frames(tmp_path / "r.mcap"))
     logged = by_kind["measurement"]
     for a, b in zip(logged, expected, strict=False):
@@ -200,29 +206,38 @@ def test_a_whole_descent_with_commands_and_faults(receiver: list[str], start: St
     assert [angle for angle, _ in groupby(angles)] == ["22.50", "7.50", "22.50"]
 
 
-def test_both_say_the_same_of_anything(tmp_path: Path, start: Start, far_end: FarEnd) -> None:
+def test_both_say_the_same_of_anything(in_c: list[str], start: Start, far_end: FarEnd) -> None:
     """A captured stream with every byte that noise can hold: the two programs agree line by line."""
     noise = "[{kind: bit_errors, rate: 1e-4}, {kind: garbage, bytes: 300, probability: 0.2}]"
     run = start(
         "run", "descent.yaml", "--pace", "max", "--duration", "10", "--port", far_end.path, "--set", f"faults={noise}"
     )  # fmt: skip
     run.succeed()
-    device = lidar_protocol.Device(lidar_protocol.default_interface(), 15)
-    health = device.housekeeping(
-        9,
-        dict.fromkeys(lidar_protocol.default_interface().housekeeping.names, 0)  # type: ignore[union-attr]
-        | {"temperature_c": -12.34, "laser_power_w": None, "interlock_closed": True},
-    )
+    interface = lidar_protocol.default_interface()
+    assert interface.housekeeping is not None
+    told = {name: 50 + k for k, name in enumerate(sorted(interface.housekeeping.names))}
+    told |= {
+        "temperature_c": -12.34,
+        "laser_power_w": None,
+        "interlock_closed": True,
+        "laser_on": False,
+        "clock_locked": True,
+    }
+    health = lidar_protocol.Device(interface, 15).housekeeping(9, told)
     stream = bytes(far_end.data) + b"\x55" * 5000 + b"\0" + bytes(range(256)) + health
     said = [
-        subprocess.run([*command_of(language, tmp_path), "-", "9600"], input=stream, capture_output=True, check=True)
-        for language in ("c", "python")
+        subprocess.run([*command, "-", "9600"], input=stream, capture_output=True, check=True)
+        for command in (in_c, IN_PYTHON)
     ]
     assert said[0].stdout == said[1].stdout
     *_, health_line, end = map(json.loads, said[0].stdout.splitlines())
-    assert (health_line["kind"], health_line["temperature_c"], health_line["laser_power_w"]) == (
-        "housekeeping", -12.34, None,
-    )  # fmt: skip
+    assert (health_line.pop("kind"), health_line.pop("unit"), health_line.pop("time_ns")) == (
+        "housekeeping",
+        15,
+        60,
+    )
+    assert health_line == {name: told[name] for name in health_line}
+    assert len(health_line) >= 12
     assert end["bad_frames"] > 10
     assert end["measurements"] > 100
 

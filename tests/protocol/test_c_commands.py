@@ -13,7 +13,15 @@ from lidar_protocol.fields import Constant, Counter, Number
 from lidar_protocol.reading import files
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-FLAGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wconversion", "-fsanitize=undefined,address"]
+FLAGS = [
+    "-std=c99",
+    "-pedantic",
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+    "-Wconversion",
+    "-fsanitize=undefined,address",
+]
 DEFAULT = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler on this machine")
 
@@ -75,13 +83,17 @@ def test_every_command_of_the_default_interface(framing, tmp_path):
         host.encode_command(name, sequence=k + 190, **arguments).hex()
         for k, (name, arguments) in enumerate(given_commands)
     ]
-    calls = [framed(name, 3, k + 190, *arguments.values()) for k, (name, arguments) in enumerate(given_commands)]
+    calls = [
+        framed(name, 3, k + 190, *arguments.values()) for k, (name, arguments) in enumerate(given_commands)
+    ]
     assert said(tmp_path, interface, calls) == expected
 
 
 def test_the_command_of_the_interface_document(tmp_path):
     document = (files("lidar_protocol") / "INTERFACE.md").read_text(encoding="utf-8")
-    _, _, rest = document.partition("The command `set_rate_hz` with sequence 7, rate_hz 1, framed:\n\n```text\n")
+    _, _, rest = document.partition(
+        "The command `set_rate_hz` with sequence 7, rate_hz 1, framed:\n\n```text\n"
+    )
     (line,) = said(tmp_path, default_interface(), [framed("set_rate_hz", 0, 7, 1.0)])
     assert bytes.fromhex(line) == bytes.fromhex(rest.partition("```")[0])
 
