@@ -12,12 +12,14 @@ a flag, a 7-bit number and a u16 with a code for none:
 
     def unpack(block, offset):
         c0_0, c1_0, = struct_unpack(block, offset)
-        return {'fired': (c0_0 & 128) != 0, ..., 'range_m': r / 1000.0 if 0 <= (r := c1_0) <= 65534 else None}
+        values = {'fired': (c0_0 & 128) != 0, ..., 'range_m': r / 1000.0 if (r := c1_0) <= 65534 else None}
+        return values
 
     def unpack_each(blocks):
         found = []
         for c0_0, c1_0, in iter_struct(blocks):
-            found.append({...})
+            values = {...}
+            found.append(values)
         return found
 
 What goes into the source are numbers, operators and names that the definition's reader has checked.
@@ -156,8 +158,8 @@ def compiled(
         "iter_struct": block.iter_unpack,
     }
     parts = " ".join(f"{name}," for run in runs for name in run.names)
-    join = [f"{run.names[0]} = {_joined(run)}" for run in runs if len(run.parts) > 1]
-    values = "{" + ", ".join(entry for run in runs for entry in _unpacked(run, silent)) + "}"
+    read = [f"{run.names[0]} = {_joined(run)}" for run in runs if len(run.parts) > 1]
+    read += _collected([entry for run in runs for entry in _unpacked(run, silent)])
     source = [
         "def pack(values, own):",
         " return struct_pack(",
@@ -165,17 +167,23 @@ def compiled(
         " )",
         "def unpack(block, offset):",
         f" {parts} = struct_unpack(block, offset)",
-        *(f" {line}" for line in join),
-        f" return {values}",
+        *(f" {line}" for line in read),
+        " return values",
         "def unpack_each(blocks):",
         " found = []",
         f" for {parts} in iter_struct(blocks):",
-        *(f"  {line}" for line in join),
-        f"  found.append({values})",
+        *(f"  {line}" for line in read),
+        "  found.append(values)",
         " return found",
     ]
     exec("\n".join(source), names)
     return Functions(names["pack"], names["unpack"], names["unpack_each"])
+
+
+def _collected(entries: Sequence[tuple[str, str]]) -> list[str]:
+    """The lines that make a dictionary of keys and values. Python gives a display of up to fifteen its size at once."""
+    first = ", ".join(f"{key!r}: {value}" for key, value in entries[:15])
+    return [f"values = {{{first}}}", *(f"values[{key!r}] = {value}" for key, value in entries[15:])]
 
 
 def _runs(placed: Sequence[Placed], order: ByteOrder) -> list[_Run]:
@@ -262,12 +270,12 @@ def _joined(run: _Run) -> str:
     return " | ".join(f"{name} << {shift}" if shift else name for name, shift in parts)
 
 
-def _unpacked(run: _Run, silent: frozenset[str]) -> list[str]:
-    """The entries of the values' dictionary."""
+def _unpacked(run: _Run, silent: frozenset[str]) -> list[tuple[str, str]]:
+    """Key and expression of each value."""
     name = run.names[0]
     if run.is_own_number:
         field = run.fields[0].field
-        return [] if field.name in silent else [f"{field.key!r}: {field.codec.value(name)}"]
+        return [] if field.name in silent else [(field.key, field.codec.value(name))]
     entries = []
     for placed in run.fields:
         if placed.field.name in silent:
@@ -282,5 +290,5 @@ def _unpacked(run: _Run, silent: frozenset[str]) -> list[str]:
         if codec.signed and not run.is_signed:
             sign = 1 << codec.bits - 1
             raw = f"({raw} ^ {sign}) - {sign}"
-        entries.append(f"{placed.field.key!r}: {codec.value(raw)}")
+        entries.append((placed.field.key, codec.value(raw)))
     return entries
