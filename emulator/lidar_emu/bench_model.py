@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.arrays import FloatArray, IntArray
 from lidar_emu.faults.build import beam_faults
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
@@ -66,6 +66,15 @@ class BenchModel:
             velocity_site_mps=nowhere,
         )
         return measurement, state
+
+    def unlit(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
+        """The same shots, in none of which a beam fires."""
+        measurement, state = self.measure(first, count, state)
+        return measurement.firing_only(np.zeros((1, self.beam_count), dtype=np.bool_)), state
+
+    def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:  # noqa: ARG002
+        """There is only one."""
+        return np.zeros(count, dtype=np.int64)
 
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:  # noqa: ARG002
         """A pattern has no points."""

@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.bench_pattern import BenchPattern
+from lidar_emu.scenario.device import Device
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.part import Part, Switch, unusable
@@ -81,6 +82,8 @@ class Scenario(Part):
     """Rate and latency."""
     wire: Wire = Wire()
     """Identity on the wire."""
+    device: Device = Device()
+    """The device around the lidar: modes, clock, housekeeping."""
     faults: Annotated[list[Fault], Field(min_length=0, max_length=256)] = []
     """What goes wrong, in this order: each acts on what those before it have left."""
 
