@@ -26,6 +26,7 @@ class BenchModel:
         self.beam_count = len(self.pattern.beams)
         self.plan: Plan = plan_bench(scenario)
         self.initial_state = ScannerState(())
+        self.pattern_count = 0
         self.faults = beam_faults(scenario, self.beam_count)
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
@@ -83,10 +84,6 @@ class BenchModel:
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:  # noqa: ARG002
         """There is no state to carry."""
         return state
-
-    def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:  # noqa: ARG002
-        """There are no patterns to choose from."""
-        return None
 
 
 def _level(level: Level, time_ns: NDArray[np.int64]) -> FloatArray:

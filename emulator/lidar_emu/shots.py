@@ -44,6 +44,7 @@ class Model(Protocol):
     beam_count: int
     shot_count: int
     period_ns: int
+    pattern_count: int
     plan: Plan
     initial_state: ScannerState
     faults: BeamFaults | None
@@ -68,10 +69,6 @@ class Model(Protocol):
         """The scanner's state after these shots, without measuring them."""
         ...
 
-    def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:
-        """The scanner's state after a command to use a pattern of beams; None if there is no such pattern."""
-        ...
-
 
 class FlightModel:
     """A flight over ground, measured by the model of the instrument."""
@@ -85,6 +82,7 @@ class FlightModel:
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
         self.initial_state = self.flight.scanner.initial
+        self.pattern_count = len(self.flight.scanner.angle_deg)
         self.faults = beam_faults(scenario, self.beam_count)
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
@@ -115,10 +113,6 @@ class FlightModel:
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
         """The scanner's state after these shots, without measuring them."""
         return self.flight.point(np.arange(first, first + count, dtype=np.int64), state)[1]
-
-    def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:
-        """The scanner's state after a command to use a pattern of beams; None if there is no such pattern."""
-        return self.flight.scanner.commanded(state, pattern)
 
     def _measurement(
         self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits, returns: Returns

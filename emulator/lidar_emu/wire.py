@@ -6,8 +6,11 @@ The only file that knows both `Measurement` and `lidar_protocol`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from operator import attrgetter
 from typing import Any
+
+import numpy as np
 
 from lidar_emu.device.state import TRACKING, Mode, Status
 from lidar_emu.errors import Finding, InputError
@@ -118,6 +121,18 @@ class Encoder:
                     yield self._device.can_frames(self._can_set, header, beams)
             except EncodeError as error:
                 raise InputError("wire", f"shot {header['shot']}", "a measurement", str(error)) from None
+
+    def can_date(self, measurement: Measurement, shown_ns: int) -> bool:
+        """Whether a packet, such as that of these shots, can tell this time."""
+        if not 0 <= shown_ns < 1 << 62:
+            return False
+        one = measurement.one(0)
+        times_ns, due_ns = np.full_like(one.time_ns, shown_ns), np.full_like(one.due_ns, shown_ns)
+        try:
+            next(self.packets(replace(one, time_ns=times_ns, due_ns=due_ns)))
+        except InputError:
+            return False
+        return True
 
     def _shots(
         self, measurement: Measurement, status: Status

@@ -92,6 +92,11 @@ class Scenario(Part):
         """Where the truth of a simulator comes from; None if the scenario itself says how it is flown."""
         return None
 
+    @property
+    def laser_power_w(self) -> float | None:
+        """Of the laser while it is on; None where there is none."""
+        return None
+
 
 class FlightScenario(Scenario):
     """A flight over ground, measured by the model of the instrument."""
@@ -116,6 +121,11 @@ class FlightScenario(Scenario):
     def live(self) -> Live | None:
         """See `Scenario`."""
         return self.trajectory if isinstance(self.trajectory, Live) else None
+
+    @property
+    def laser_power_w(self) -> float | None:
+        """See `Scenario`."""
+        return self.instrument.optics.laser_power_w
 
     @property
     def cycle_time_s(self) -> float:
