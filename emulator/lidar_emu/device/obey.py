@@ -88,8 +88,8 @@ def _set_pattern(rules: Rules, state: DeviceState, order: Order) -> DeviceState:
 def _set_rate(rules: Rules, state: DeviceState, order: Order) -> DeviceState:
     """Shots stay on the scenario's grid: the rate is the scenario's over a whole number."""
     rate_hz = _number(order, "rate_hz")
-    divisor = max(1, round(rules.rate_hz / rate_hz)) if rate_hz > 0 else 1
-    if abs(rules.rate_hz / divisor - rate_hz) > _RATE_STEP_HZ:
+    divisor = max(1, round(rules.rate_hz / rate_hz)) if rate_hz >= _RATE_STEP_HZ else 1
+    if not abs(rules.rate_hz / divisor - rate_hz) <= _RATE_STEP_HZ:  # NaN is no rate either
         raise _RejectedError(OUT_OF_RANGE)
     return _with(state, divisor=divisor)
 

@@ -170,13 +170,11 @@ class Run:
         return LateEnds(self._fail) if self._scenario.timing.when_late == "abort" else None
 
     def _first_block(self, encoder: Encoder) -> Block:
-        if self._live is not None:
+        if self._live is not None or self._options.on_command:
             return rehearse(self._model, encoder)
-        if self._session.device.measures and not self._options.on_command:
-            return self._computed()
-        trial = Session(self._model, encoder).shoot(1)
-        assert trial is not None
-        return trial if self._options.on_command else self._computed()
+        if not self._session.device.measures:
+            rehearse(self._model, encoder)
+        return self._computed()
 
     def _computed(self) -> Block:
         block = self._session.shoot(self._block_shots)
