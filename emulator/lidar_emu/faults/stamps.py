@@ -34,13 +34,21 @@ class StampFaults:
         self.initial: StampState = (None,) * len(self._faults)
         """What is carried before shot 0."""
 
-    def apply(self, block: Measurement, state: StampState) -> tuple[Measurement, StampState, list[Injected]]:
-        """The shots as they are stamped, what is carried on, and which faults acted."""
+    def apply(
+        self, shot: NDArray[np.int64], block: Measurement, state: StampState
+    ) -> tuple[Measurement, StampState, list[Injected]]:
+        """The shots as they are stamped, what is carried on, and which faults acted.
+
+        Args:
+            shot: (shots,) the scenario's numbers of the shots; those in `block` are the device's.
+            block: as the device would stamp them.
+            state: carried from the shots before.
+        """
         time_ns, counter = block.time_ns, block.shot
         injected: list[Injected] = []
         after: list[Row | None] = []
         for (number, fault, schedule), before in zip(self._faults, state, strict=True):
-            acts = schedule.shots(block.shot)
+            acts = schedule.shots(shot)
             carried = None
             if isinstance(fault, kinds.FrozenCounter):
                 counter, carried = _frozen(counter, acts, before)
@@ -48,7 +56,7 @@ class StampFaults:
                 shifted_ns = np.maximum(0, time_ns + round(fault.jump_s * 1e9))
                 time_ns = np.where(acts[:, None], shifted_ns, time_ns)
             after.append(carried)
-            injected += [Injected(int(shot), number, fault.kind, ()) for shot in block.shot[acts]]
+            injected += [Injected(hit, number, fault.kind, ()) for hit in shot[acts].tolist()]
         return replace(block, time_ns=time_ns, shot=counter), tuple(after), injected
 
 

@@ -6,16 +6,21 @@ import gc
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from lidar_emu.device.machine import initial
+from lidar_emu.device.now import DeviceNow
+from lidar_emu.device.rules import device_rules
 from lidar_emu.errors import InputError
 from lidar_emu.flight import Flight
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.command_post import CommandPost, has_commands_on_can
 from lidar_emu.runtime.feed import Desk, Feed
 from lidar_emu.runtime.feed_ahead import AheadFeed
 from lidar_emu.runtime.feed_live import LiveFeed
 from lidar_emu.runtime.feed_lockstep import LockstepFeed
+from lidar_emu.runtime.feed_on_command import OnCommandFeed, waiting_device
+from lidar_emu.runtime.front import Front, open_front
 from lidar_emu.runtime.late_ends import LateEnds
 from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.observer import Observer
@@ -28,6 +33,7 @@ from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import Tally, expectation
 from lidar_emu.runtime.truth_socket import TruthSocket
 from lidar_emu.runtime.truth_source import TruthSource
+from lidar_emu.runtime.voice import Voice
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario
 from lidar_emu.session import Block, Session
 from lidar_emu.shots import FlightModel, Model
@@ -94,7 +100,9 @@ class Run:
         self._encoder = encoder = Encoder(scenario.wire, port.kind is Kind.CAN, port.fd, model.beam_count)
         self._slots = max(2 * self._block_shots, round(rate_hz * LOOK_AHEAD_S))
         faulty = _faulty_packets(scenario, encoder, port.kind is Kind.CAN)
-        self._session = Session(model, encoder, self._slots + 1, faulty)
+        self._rules = rules = device_rules(scenario.device, rate_hz, model.beam_count, model.pattern_count)
+        self._device = waiting_device(rules) if options.on_command else DeviceNow(rules, initial(rules))
+        self._session = Session(model, encoder, self._slots + 1, faulty, rules)
         # The first block is computed before the run: kernels are compiled, and the packets' length is known.
         self._first = self._first_block(encoder)
         longest = max((payload_of(packet) for packet in encoder.packets(self._first.measurement)), key=len)
@@ -127,50 +135,59 @@ class Run:
             on_signals(self._interrupt),
             PortRunner(2 * self._slots, self._packet_room_bytes) as port,
         ):
-            source = self._source(socket)
-            ours = [observer for observer in (source, self._judge_of_lateness()) if observer is not None]
-            outbox = Outbox(port, [*self._observers, *ours], self.tally, self._slots)
-            commands = self._command_post(outbox)
+            watching = list(self._observers)
+            source = self._source(socket, watching)
+            front, outbox = self._front(port, source, watching)
             with suppress(KeyboardInterrupt):
                 self._description = port.start(self._options.port)
                 self._opening = False
-                self._feed(port, outbox, source, commands).fly()
+                self._feed(port, outbox, source, front).fly()
             port.close()
             outbox.close()
-        return Outcome(self.tally, self._details(port, source, commands, stolen), self._error)
+            front.close()
+        return Outcome(self.tally, self._details(port, source, front, stolen), self._error)
+
+    def _front(
+        self, port: PortRunner, source: TruthSource | None, watching: list[Observer]
+    ) -> tuple[Front, Outbox]:
+        """What the device hears and says, and the shots' way out; whoever is to know of them watches from now on."""
+        outbox, can = Outbox(port, watching, self.tally, self._slots), self._options.port.kind is Kind.CAN
+        wire = Voice(self._encoder.interface, self._scenario.wire.unit, can, outbox.send_now)
+        front = open_front(
+            wire, self._device, self._can_date, self._scenario.laser_power_w, self.tally, watching
+        )
+        watching += [
+            each for each in (source, self._judge_of_lateness(), front.housekeeper) if each is not None
+        ]
+        return front, outbox
+
+    def _can_date(self, shown_ns: int) -> bool:
+        """Whether packets can tell the time to the end of the run, once the clock has been set to this."""
+        run_ns = self._model.shot_count * self._model.period_ns
+        return self._encoder.can_date(self._first.measurement, shown_ns + run_ns)
 
     def _judge_of_lateness(self) -> Observer | None:
         return LateEnds(self._fail) if self._scenario.timing.when_late == "abort" else None
 
     def _first_block(self, encoder: Encoder) -> Block:
-        if self._live is not None:
+        if self._live is not None or self._options.on_command:
             return rehearse(self._model, encoder)
+        if not self._session.device.measures:
+            rehearse(self._model, encoder)
+        return self._computed()
+
+    def _computed(self) -> Block:
         block = self._session.shoot(self._block_shots)
         assert block is not None
         return block
 
-    def _source(self, socket: TruthSocket | None) -> TruthSource | None:
+    def _source(self, socket: TruthSocket | None, watching: list[Observer]) -> TruthSource | None:
         if socket is None or self._live is None:
             return None
         stale_after_ns = round(self._live.stale_after_s * 1e9)
-        return TruthSource(socket, _live_trajectory(self._flight), stale_after_ns, self._observers)
+        return TruthSource(socket, _live_trajectory(self._flight), stale_after_ns, watching)
 
-    def _command_post(self, outbox: Outbox) -> CommandPost | None:
-        """None where the interface has no commands on this link."""
-        interface, can = self._encoder.interface, self._options.port.kind is Kind.CAN
-        if interface.commands is None or (can and not has_commands_on_can(interface)):
-            return None
-        return CommandPost(
-            interface,
-            self._scenario.wire.unit,
-            can,
-            lambda number: self._model.commanded(self._model.initial_state, number) is not None,
-            outbox.send_now,
-        )
-
-    def _feed(
-        self, port: PortRunner, outbox: Outbox, source: TruthSource | None, commands: CommandPost | None
-    ) -> Feed:
+    def _feed(self, port: PortRunner, outbox: Outbox, source: TruthSource | None, front: Front) -> Feed:
         desk = Desk(
             self._session,
             outbox,
@@ -178,24 +195,33 @@ class Run:
             self._cut_short,
             self._fail,
             lambda start_ns: self._begin(port, start_ns),
-            commands,
+            front.commands,
         )
         if source is None or self._live is None:
-            return AheadFeed(
-                desk,
-                self._first,
-                self._block_shots,
-                self._start_ns(self._options.start),
-                self._scenario.timing.period_ns,
-                self._options.pace,
-            )
-        for observer in self._observers:
-            observer.awaiting(self._description, f"truth on {self._live.listen}")
+            return self._planned_feed(desk, front)
+        self._announce(f"truth on {self._live.listen}")
         if self._options.pace is Pace.LOCKSTEP:
             return LockstepFeed(desk, source, self._flight)
         start = self._options.start
         start_ns = None if start is None else self._start_ns(start)
         return LiveFeed(desk, source, self._flight, self._live, start_ns, self._scenario.timing.late_after_ns)
+
+    def _planned_feed(self, desk: Desk, front: Front) -> Feed:
+        fly_from = partial(self._ahead, desk)
+        if not self._options.on_command:
+            return fly_from(self._start_ns(self._options.start))
+        feed = OnCommandFeed(desk, self._device, self._rules, front.housekeeper, _LEAD_NS, fly_from)
+        self._announce("set_mode acquire or track")
+        return feed
+
+    def _ahead(self, desk: Desk, start_ns: int) -> Feed:
+        first = self._computed() if self._options.on_command else self._first
+        period_ns = self._scenario.timing.period_ns
+        return AheadFeed(desk, first, self._block_shots, start_ns, period_ns, self._options.pace)
+
+    def _announce(self, what: str) -> None:
+        for observer in self._observers:
+            observer.awaiting(self._description, what)
 
     @property
     def _flight(self) -> Flight:
@@ -233,7 +259,7 @@ class Run:
         return now_ns + (start - now) // timedelta(microseconds=1) * 1000
 
     def _details(
-        self, port: PortRunner, source: TruthSource | None, commands: CommandPost | None, stolen: int | None
+        self, port: PortRunner, source: TruthSource | None, front: Front, stolen: int | None
     ) -> dict[str, Any]:
         stolen_now = steal_ticks()
         return {
@@ -247,22 +273,9 @@ class Run:
             "error": self._error,
             "port": port.told.description or str(self._options.port),
             "pace": str(self._options.pace),
-            "granted": port.told.granted,
-            "missing": port.told.missing,
             "steal_ticks": None if stolen is None or stolen_now is None else stolen_now - stolen,
-            "wire": {
-                "load": self._wire_load,
-                "sent_bytes": port.told.sent_bytes,
-                "received_bytes": port.told.received_bytes,
-                "unheard_bytes": port.told.unheard_bytes,
-                "unsent_answers": port.told.unsent,
-                **port.told.noticed,
-            },
-            "link_event_count": port.told.event_count,
-            "link_events": [
-                {"time_s": event.time_ns * 1e-9, "what": event.text} for event in port.told.events
-            ],
-            "commands": None if commands is None else commands.to_json(),
+            **port.told.to_json(self._wire_load),
+            **front.to_json(),
             "truth": None if source is None else source.to_json(),
             **self._expected,
             "left_out": [row for row in self._model.plan.rows() if not row["computed"]],

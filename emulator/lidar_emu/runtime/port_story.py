@@ -47,6 +47,27 @@ class PortStory:
         """How many events there were, with those that `events` leaves out."""
         return self._events.count
 
+    def to_json(self, load: float | None) -> dict[str, Any]:
+        """What became of port and link, under the names of the summary file.
+
+        Args:
+            load: how much of the link the shots take.
+        """
+        return {
+            "granted": self.granted,
+            "missing": self.missing,
+            "wire": {
+                "load": load,
+                "sent_bytes": self.sent_bytes,
+                "received_bytes": self.received_bytes,
+                "unheard_bytes": self.unheard_bytes,
+                "unsent_answers": self.unsent,
+                **self.noticed,
+            },
+            "link_event_count": self.event_count,
+            "link_events": [{"time_s": event.time_ns * 1e-9, "what": event.text} for event in self.events],
+        }
+
     def understand(self, answers: list[dict[str, Any]]) -> None:
         """Take in what it said.
 

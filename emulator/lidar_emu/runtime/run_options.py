@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.runtime.pacing import Pace
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.trajectory import Live
@@ -21,6 +21,8 @@ class RunOptions:
     start: datetime | None = None
     """UTC instant of scenario time 0; None as soon as the first shots are computed, or, where truth is live, as its
     first datagram says."""
+    on_command: bool = False
+    """Scenario time 0 follows the command that makes the device acquire."""
 
 
 def live_part(scenario: FlightScenario | BenchScenario, options: RunOptions) -> Live | None:
@@ -39,5 +41,10 @@ def live_part(scenario: FlightScenario | BenchScenario, options: RunOptions) -> 
     if options.pace is Pace.LOCKSTEP and options.start is not None:
         raise InputError(
             "--start", None, options.start.isoformat(), "allowed in lockstep: on-truth, as if left out"
+        )
+    if options.on_command and (live is not None or options.pace is not Pace.WALL):
+        found = "trajectory.kind live" if live is not None else f"pace {options.pace}"
+        raise InputError(
+            "--start", None, Finding(f"on-command with {found}"), "allowed: a planned flight at pace wall"
         )
     return live

@@ -61,6 +61,8 @@ class Tally:
     reasons: list[Counter[int]] = field(default_factory=list)
     faults: Counter[str] = field(default_factory=Counter)
     """Shots on which a fault acted, by its kind."""
+    silent: int = 0
+    """Shots that the device did not fire, by its mode or by its rate."""
 
     def measured(self, block: Measurement) -> None:
         """Shots whose packets have met their fates."""
@@ -71,9 +73,10 @@ class Tally:
         for beam, counts in enumerate(self.reasons):
             counts.update(block.reason[:, beam].tolist())
 
-    def report(self, report: Report) -> None:
-        """One packet met its fate."""
+    def report(self, report: Report, silent: bool = False) -> None:
+        """One packet met its fate, or the device was silent when one was due."""
         self.fates[report.fate] += 1
+        self.silent += silent and report.fate is Fate.WITHHELD
         if report.fate is Fate.SENT and self.pace is Pace.WALL:
             lateness_ns = max(0, report.sent_ns - report.due_ns)
             self.lateness.add(lateness_ns)
@@ -110,6 +113,7 @@ class Tally:
                 "due": self.due,
                 "sent": self.sent,
                 "late": self.late,
+                "withheld": self.silent,
                 "dropped": {name: self.fates[fate] for fate, name in _DROPS.items()},
             },
             "lateness": {**self.lateness.summary(), "windows": self.windows.summary()},
@@ -117,7 +121,10 @@ class Tally:
                 {Reason(code).name.lower(): count for code, count in sorted(counts.items())}
                 for counts in self.reasons
             ],
-            "faults": {"shots": dict(sorted(self.faults.items())), "withheld": self.fates[Fate.WITHHELD]},
+            "faults": {
+                "shots": dict(sorted(self.faults.items())),
+                "withheld": self.fates[Fate.WITHHELD] - self.silent,
+            },
             "range_error_m": self.range_error_m.to_json(),
             "speed_error_mps": self.speed_error_mps.to_json(),
         }
