@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from decimal import ROUND_FLOOR, Decimal
 from itertools import groupby, pairwise
 from pathlib import Path
@@ -41,7 +41,7 @@ FAULTS = """[
     {kind: bias, range_m: -2.5, closing_speed_mps: 0.1, from_s: 32, ramp_s: 1},
     {kind: stale_packet, from_s: 36, to_s: 36.5}
 ]"""
-ORDERS = ["300:set_pattern=1", "500:no_op", "700:set_pattern=0"]
+ORDERS = ["300:set_pattern=1", "500:no_op", "650:set_mode=1", "650:set_mode=4", "850:set_pattern=0"]
 
 NUMBERS = {  # typed from INTERFACE.md: step, lowest, highest, whether a value outside is held
     "snr_db": ("0.01", "-327.67", "327.67", True),
@@ -132,14 +132,16 @@ def recorded(path: Path) -> Iterator[Shot]:
 def sent_frames(path: Path) -> Iterator[Sent]:
     """What was on the wire by the record, fault by fault."""
     last: dict[str, Any] = {}
+    silent = 0  # shots that a mode leaves out, which the device does not count
     for time_ns, measured, fate, faults, packet in recorded(path):
         assert fate["fate"] == ("sent" if packet else "withheld")
         assert not ("lost" in faults and packet)
         if not packet:
+            silent += "lost" not in faults
             continue
         is_whole = not faults & {"wrong_crc", "truncated"}
         mode = handwritten.decoded(handwritten.unstuffed(packet)[0])[0]["mode"] if is_whole else 0
-        message = expected_message(fate["shot"], time_ns, fate["due_ns"], mode, measured)
+        message = expected_message(fate["shot"] - silent, time_ns, fate["due_ns"], mode, measured)
         if "time_jump" in faults:
             message["time_ns"] = as_time_code(time_ns + 1_500_000_000)
         if "frozen_counter" in faults:
@@ -174,6 +176,14 @@ def heard(frames: Iterator[Sent], lines: list[dict[str, Any]]) -> tuple[list[dic
             damaged += 1
         is_open = not has_end
     return messages, damaged
+
+
+def told_of_itself(path: Path) -> list[Mapping[str, Any]]:
+    """The housekeeping of a recording, decoded by the library."""
+    messages = make_reader(io.BytesIO(path.read_bytes())).iter_messages(topics=["/housekeeping"])
+    receiver = lidar_protocol.SerialReceiver(lidar_protocol.default_interface())
+    received = receiver.receive(b"".join(message.data for _, _, message in messages))
+    return [each.values for each in received if isinstance(each, lidar_protocol.Housekeeping)]
 
 
 def gaps(shots: list[int]) -> dict[str, int]:
@@ -225,12 +235,19 @@ def test_a_whole_descent_with_commands_and_faults(receiver: list[str], start: St
     assert damaged > 10
     assert gaps([message["shot"] for message in expected]).items() <= end.items()
 
+    expected_health = told_of_itself(tmp_path / "r.mcap")
+    assert len(by_kind["housekeeping"]) == len(expected_health) > 40
+    for line, health in zip(by_kind["housekeeping"], expected_health, strict=True):
+        for name in line.keys() - {"kind", "unit"}:
+            assert line[name] is health[name] is None or float(line[name]) == health[name], name
+
     answers = [(line["command"], line["sequence"], line["verdict"]) for line in by_kind["acknowledge"]]
-    assert answers == [(2, 0, 0), (0, 1, 0), (2, 2, 0)]
+    assert answers == [(2, 0, 0), (0, 1, 0), (1, 2, 0), (1, 3, 0), (2, 4, 0)]
     told = read_summary(tmp_path / "s.json")
-    assert told["commands"]["accepted"] == 3
+    assert told["commands"]["accepted"] == 5
     assert told["shots"]["due"] == told["planned_shots"] == 1008
     assert len(told["faults"]["shots"]) == FAULTS.count("kind:")
+    assert [mode for mode, _ in groupby(line["mode"] for line in logged)] == [4, 3, 4]
     angles = [beam["beam_angle_deg"] for beam in (line["beams"][0] for line in logged)]
     assert [angle for angle, _ in groupby(angles)] == ["22.50", "7.50", "22.50"]
 
