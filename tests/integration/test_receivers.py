@@ -132,14 +132,16 @@ def recorded(path: Path) -> Iterator[Shot]:
 def sent_frames(path: Path) -> Iterator[Sent]:
     """What was on the wire by the record, fault by fault."""
     last: dict[str, Any] = {}
+    silent = 0  # shots that a mode leaves out, which the device does not count
     for time_ns, measured, fate, faults, packet in recorded(path):
         assert fate["fate"] == ("sent" if packet else "withheld")
         assert not ("lost" in faults and packet)
         if not packet:
+            silent += "lost" not in faults
             continue
         is_whole = not faults & {"wrong_crc", "truncated"}
         mode = handwritten.decoded(handwritten.unstuffed(packet)[0])[0]["mode"] if is_whole else 0
-        message = expected_message(fate["shot"], time_ns, fate["due_ns"], mode, measured)
+        message = expected_message(fate["shot"] - silent, time_ns, fate["due_ns"], mode, measured)
         if "time_jump" in faults:
             message["time_ns"] = as_time_code(time_ns + 1_500_000_000)
         if "frozen_counter" in faults:
