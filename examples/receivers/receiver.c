@@ -116,7 +116,8 @@ typedef struct {
     double value;
 } order;
 
-/* One command is on its way at a time. It is said again until it is answered: command or answer may get lost. */
+/* One command is on its way at a time. It is said again until it is answered, for command or answer may get lost; and under
+ * the next number while the device is in no state to follow it. */
 typedef struct {
     order orders[MOST_ORDERS];
     size_t count, done;
@@ -182,8 +183,10 @@ static void command(commander *host, int port, uint64_t newest_shot) {
 static void answered(commander *host, const lidar_acknowledge *answer) {
     if (!host->is_waiting || answer->sequence != host->sequence)
         return;
-    host->is_waiting = false;
     host->sequence++; /* 0 after 255 */
+    if (answer->verdict == LIDAR_VERDICT_OUT_OF_STATE)
+        return; /* said again once the patience is over */
+    host->is_waiting = false;
     host->done++;
 }
 

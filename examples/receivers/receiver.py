@@ -44,6 +44,7 @@ BEAM_NUMBERS = (  # name, lowest and highest raw value, steps per unit
 )
 
 # Section 6.
+OUT_OF_STATE = 4
 ANSWER = struct.Struct(">7sBBB")
 HEALTH = struct.Struct(">7sBBBBBBhHIIIHHII")
 COMMANDS = {  # name: code, argument, steps per unit
@@ -159,13 +160,13 @@ def measurement_line(unit: int, packet: bytes) -> tuple[int, str] | None:
     )
 
 
-def acknowledge_line(unit: int, packet: bytes) -> tuple[int, str] | None:
-    """The sequence number of the command that is answered, and the answer's line."""
+def acknowledge_line(unit: int, packet: bytes) -> tuple[int, int, str] | None:
+    """The sequence number of the command that is answered, the verdict, and the answer's line."""
     if len(packet) != HEADER.size + ANSWER.size + 2:
         return None
     time_code, command, sequence, verdict = ANSWER.unpack_from(packet, 6)
     told = {"time_ns": nanoseconds(time_code), "command": command, "sequence": sequence, "verdict": verdict}
-    return sequence, joined({"kind": '"acknowledge"', "unit": unit, **told})
+    return sequence, verdict, joined({"kind": '"acknowledge"', "unit": unit, **told})
 
 
 def housekeeping_line(unit: int, packet: bytes) -> str | None:
@@ -214,7 +215,11 @@ def encoded(name: str, sequence: int, value: float) -> bytes:
 
 
 class Commander:
-    """Says what it is to say, one command at a time, again until it is answered: command or answer may get lost."""
+    """Says what it is to say, one command at a time.
+
+    It is said again until it is answered, for command or answer may get lost; and under the next number while the
+    device is in no state to follow it.
+    """
 
     def __init__(self, port: int, orders: list[str]) -> None:
         self._port = port
@@ -235,11 +240,14 @@ class Commander:
             self._said_s = time.monotonic()
             os.write(self._port, encoded(name, self._sequence, value))
 
-    def answered(self, sequence: int) -> None:
-        if self._said_s is not None and sequence == self._sequence:
-            self._sequence = (self._sequence + 1) % 256
-            self._said_s = None
-            del self._orders[0]
+    def answered(self, sequence: int, verdict: int) -> None:
+        if self._said_s is None or sequence != self._sequence:
+            return
+        self._sequence = (self._sequence + 1) % 256
+        if verdict == OUT_OF_STATE:
+            return  # said again once the patience is over
+        self._said_s = None
+        del self._orders[0]
 
     @staticmethod
     def _order(text: str) -> tuple[int, str, float]:
@@ -280,8 +288,9 @@ class Follower:
             self._count(shot[0])
             return self._print("measurements", shot[1])
         if kind == ACKNOWLEDGE and (answer := acknowledge_line(unit, packet)) is not None:
-            self._commander.answered(answer[0])
-            return self._print("acknowledges", answer[1])
+            sequence, verdict, line = answer
+            self._commander.answered(sequence, verdict)
+            return self._print("acknowledges", line)
         if kind == HOUSEKEEPING and (health := housekeeping_line(unit, packet)) is not None:
             return self._print("housekeeping", health)
         return False
