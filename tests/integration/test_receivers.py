@@ -252,6 +252,24 @@ def test_a_whole_descent_with_commands_and_faults(receiver: list[str], start: St
     assert [angle for angle, _ in groupby(angles)] == ["22.50", "7.50", "22.50"]
 
 
+def test_a_device_that_boots_is_asked_until_it_follows(receiver: list[str], start: Start) -> None:
+    booting = (
+        "device={start: boot, boot_s: 0.5, self_test_s: 1.0, acquisition_s: 0.2, housekeeping_rate_hz: 5}"
+    )
+    run = start("run", "descent.yaml", "--duration", "4.5", "--port", "pty", "--set", booting)
+    port = run.word_after("descent on ")
+    command = [*receiver, port, "921600", "0:set_mode=4"]
+    following = subprocess.run(command, stdout=subprocess.PIPE, timeout=60, check=True)
+    run.succeed()
+    lines = [json.loads(line) for line in following.stdout.splitlines()]
+    verdicts = [line["verdict"] for line in lines if line["kind"] == "acknowledge"]
+    assert verdicts[-1] == 0
+    assert set(verdicts[:-1]) <= {4}
+    modes = [mode for mode, _ in groupby(line["mode"] for line in lines if "mode" in line)]
+    assert modes == [2, 1, 3, 4]
+    assert {line["mode"] for line in lines if line["kind"] == "measurement"} == {3, 4}
+
+
 def test_both_say_the_same_of_anything(in_c: list[str], start: Start, far_end: FarEnd) -> None:
     """A captured stream with every byte that noise can hold: the two programs agree line by line."""
     noise = "[{kind: bit_errors, rate: 1e-4}, {kind: garbage, bytes: 300, probability: 0.2}]"
