@@ -116,8 +116,8 @@ typedef struct {
     double value;
 } order;
 
-/* One command is on its way at a time. It is said again until it is answered, for command or answer may get lost; and under
- * the next number while the device is in no state to follow it. */
+/* One command is on its way at a time. It is said again until it is answered, for command or answer may get lost; and
+ * under the next number while the device is in no state to follow it. */
 typedef struct {
     order orders[MOST_ORDERS];
     size_t count, done;
