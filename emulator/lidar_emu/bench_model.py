@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.arrays import FloatArray, IntArray
 from lidar_emu.faults.build import beam_faults, refuse_physics
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
@@ -33,6 +33,7 @@ class BenchModel:
         self.beam_count = len(self.pattern.beams)
         self.plan: Plan = plan_bench(scenario)
         self.initial_state = ScannerState(())
+        self.pattern_count = 0
         self.physics: PhysicsFaults | None = None
         self._order(scenario)
 
@@ -90,6 +91,15 @@ class BenchModel:
         )
         return measurement, state
 
+    def unlit(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
+        """The same shots, in none of which a beam fires."""
+        measurement, state = self.measure(first, count, state)
+        return measurement.firing_only(np.zeros((1, self.beam_count), dtype=np.bool_)), state
+
+    def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:  # noqa: ARG002
+        """There is only one."""
+        return np.zeros(count, dtype=np.int64)
+
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:  # noqa: ARG002
         """A pattern has no points."""
         return measurement.point_site_m
@@ -97,10 +107,6 @@ class BenchModel:
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:  # noqa: ARG002
         """There is no state to carry."""
         return state
-
-    def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:  # noqa: ARG002
-        """There are no patterns to choose from."""
-        return None
 
 
 def _level(level: Level, time_ns: NDArray[np.int64]) -> FloatArray:

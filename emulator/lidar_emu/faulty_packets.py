@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from lidar_emu.device.state import Status
 from lidar_emu.faults.build import numbered
 from lidar_emu.faults.packets import PacketFaults, PacketState
 from lidar_emu.faults.schedule import Injected
@@ -42,13 +43,20 @@ class FaultyPackets:
         """What is carried before shot 0."""
 
     def packets(
-        self, measurement: Measurement, state: WireState
+        self, measurement: Measurement, stamped: Measurement, status: Status, state: WireState
     ) -> tuple[list[Packet], list[int], WireState, list[Injected]]:
         """The packet of each of consecutive shots, perhaps empty; when each is due; what is carried on; and which
-        faults acted."""
-        stamped, stamps, by_stamp = self._stamps.apply(measurement.shot, measurement, state.stamps)
+        faults acted.
+
+        Args:
+            measurement: of the shots.
+            stamped: the same with the numbers and times that the device gives them.
+            status: of the device through these shots.
+            state: carried from the shots before.
+        """
+        wrong, stamps, by_stamp = self._stamps.apply(measurement.shot, stamped, state.stamps)
         packets, due_ns, after, by_packet = self._packets.apply(
-            measurement.shot, measurement.due_ns, list(self._encoder.packets(stamped)), state.packets
+            measurement.shot, measurement.due_ns, list(self._encoder.packets(wrong, status)), state.packets
         )
         return packets, due_ns, WireState(stamps, after), by_stamp + by_packet
 

@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.pointing import (
     ACCELERATION,
@@ -166,6 +166,11 @@ class Flight:
             pointing.vehicle,
         )
         return pointing, state
+
+    def patterns(self, shot: NDArray[np.int64], state: ScannerState) -> IntArray:
+        """(shots,) Number of the pattern of consecutive shots, decided as each begins."""
+        begins_s = _seconds(shot * self.period_ns)
+        return self._choose_patterns(begins_s[:, None], self.trajectory.state(begins_s), state)[0]
 
     def cast(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
         """First contact with the ground of rays in any arrangement: arrays (..., 3), hits shaped (...)."""

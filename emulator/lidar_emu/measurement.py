@@ -78,17 +78,14 @@ class Measurement:
         """A single shot."""
         return self._rows(slice(row, row + 1))
 
-    def unfired(self) -> Measurement:
-        """The same shots as if no beam had fired; the truth stays."""
-        nothing = np.zeros_like(self.fired)
-        unknown = np.full(self.fired.shape, np.nan)
-        measured = (name for name in _TABLE_FIELDS if not name.startswith("true_"))
-        floats = (name for name in measured if getattr(self, name).dtype == np.float64)
-        blank: dict[str, Any] = dict.fromkeys(floats, unknown)
-        blank |= dict.fromkeys(("fired", "range_valid", "speed_valid", "sign_resolved"), nothing)
-        blank |= dict.fromkeys(("segments", "returns"), nothing.astype(np.uint8))
-        blank["reason"] = np.full(self.fired.shape, Reason.NOT_FIRED, dtype=np.int8)
-        blank["point_site_m"] = np.full_like(self.point_site_m, np.nan)
+    def firing_only(self, fires: BoolArray) -> Measurement:
+        """The same shots as if only these beams had fired, (shots, beams) or (1, beams); the truth stays."""
+        measured = [name for name in _TABLE_FIELDS if not name.startswith("true_")]
+        blank: dict[str, Any] = {
+            name: np.where(fires, values, np.asarray(_of_nothing(name, values), dtype=values.dtype))
+            for name, values in ((name, getattr(self, name)) for name in measured)
+        }
+        blank["point_site_m"] = np.where(fires[..., None], self.point_site_m, np.nan)
         return replace(self, **blank)
 
     def _rows(self, rows: slice) -> Measurement:
@@ -112,6 +109,13 @@ class Measurement:
     def joined(cls, blocks: Sequence[Measurement]) -> Measurement:
         """Blocks of shots, one after another."""
         return cls(*(np.concatenate([getattr(b, f.name) for b in blocks]) for f in fields(cls)))
+
+
+def _of_nothing(name: str, values: NDArray[Any]) -> float:
+    """What stands where a beam did not fire."""
+    if name == "reason":
+        return Reason.NOT_FIRED
+    return np.nan if values.dtype == np.float64 else 0
 
 
 _TABLE_FIELDS = (

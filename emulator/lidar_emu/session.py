@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
+from lidar_emu.arrays import BoolArray
+from lidar_emu.device.conduct import Conduct, conduct
+from lidar_emu.device.machine import advance, initial
+from lidar_emu.device.rules import Rules, device_rules
+from lidar_emu.device.settling import Settling
+from lidar_emu.device.state import DeviceState
 from lidar_emu.measurement import Measurement
+from lidar_emu.scenario.device import Device
 from lidar_emu.shots import Model, ModelState, initial_state, measure
 from lidar_emu.wire import Encoder, Packet
 
@@ -15,17 +24,22 @@ if TYPE_CHECKING:
     from lidar_emu.faulty_packets import FaultyPackets, WireState
 
 
+_NOT_SETTLING = Settling()
+
+
 @dataclass(frozen=True)
 class Block:
-    """Consecutive shots, measured and encoded."""
+    """Consecutive shots, measured and encoded, through which the device was in one state."""
 
     measurement: Measurement
     packets: list[Packet]
-    """Empty ones were taken away by faults."""
+    """Empty ones were taken away by faults, or the device sends none."""
     due_ns: list[int]
     """When packets are due: as the measurement says, but for faults."""
     faults: tuple[Injected, ...] = ()
     """Which faults acted."""
+    silent: bool = False
+    """Whether the device fires no beams and sends no measurements."""
 
     def part(self, first: int, end: int) -> Block:
         """Some of the shots: rows from `first`, and before `end`."""
@@ -37,6 +51,7 @@ class Block:
             self.packets[first:end],
             self.due_ns[first:end],
             tuple(fault for fault in self.faults if start + first <= fault.shot < start + end),
+            self.silent,
         )
 
 
@@ -44,6 +59,10 @@ class _State(NamedTuple):
     """What is carried from shot to shot."""
 
     model: ModelState
+    conduct: Conduct
+    unnumbered: int
+    """Shots of the scenario that the device has not counted: before its last restart, and silent ones."""
+    settling: Settling
     wire: WireState | None
 
 
@@ -55,18 +74,50 @@ class Session:
         encoder: how it goes onto the link.
         kept_blocks: how many blocks back `rewind` can go.
         faulty: what becomes of packets; None: nothing.
+        rules: of the device; None: it is in mode track from the first shot on.
     """
 
     def __init__(
-        self, model: Model, encoder: Encoder, kept_blocks: int = 1, faulty: FaultyPackets | None = None
+        self,
+        model: Model,
+        encoder: Encoder,
+        kept_blocks: int = 1,
+        faulty: FaultyPackets | None = None,
+        rules: Rules | None = None,
     ) -> None:
         self._model = model
         self._encoder = encoder
         self._faulty = faulty
-        self._state = _State(initial_state(model), None if faulty is None else faulty.initial)
+        self._rules = rules or device_rules(Device(), 1e9 / model.period_ns, model.beam_count, 1)
+        self._state = _State(
+            initial_state(model),
+            conduct(initial(self._rules), model.beam_count),
+            0,
+            _NOT_SETTLING,
+            None if faulty is None else faulty.initial,
+        )
         self._before: deque[tuple[int, _State]] = deque(maxlen=kept_blocks)
         self.next_shot = 0
         """The first shot that has not been computed."""
+
+    @property
+    def device(self) -> DeviceState:
+        """As the last shot has left it, or the last command after that."""
+        return self._state.conduct.device
+
+    def use_device(self, device: DeviceState) -> None:
+        """From the next shot on, let the device be as it is after a command."""
+        state, settings = self._state, device.settings
+        scanner, unnumbered = state.model.scanner, state.unnumbered
+        if scanner.commanded != settings.pattern:
+            scanner = replace(scanner, commanded=settings.pattern)
+        if device.restarts != self.device.restarts:
+            unnumbered = self.next_shot
+        self._state = state._replace(
+            model=state.model._replace(scanner=scanner),
+            conduct=conduct(device, self._model.beam_count),
+            unnumbered=unnumbered,
+        )
 
     def shoot(self, most: int, fired: bool = True) -> Block | None:
         """The next shots, at most so many; None after the last. Packets do not depend on how they are grouped.
@@ -75,22 +126,18 @@ class Session:
             most: shots.
             fired: whether the beams fire at all.
         """
-        count = min(most, self._model.shot_count - self.next_shot)
+        shot, count = self.next_shot, min(most, self._model.shot_count - self.next_shot)
         if count <= 0:
             return None
-        self._before.append((self.next_shot, self._state))
-        measurement, model_state, injected = measure(
-            self._model, self.next_shot, count, self._state.model, fired
-        )
-        self.next_shot += count
-        if self._faulty is None or self._state.wire is None:
-            self._state = _State(model_state, None)
-            packets, due_ns = list(self._encoder.packets(measurement)), measurement.due_ns.tolist()
-        else:
-            packets, due_ns, wire_state, more = self._faulty.packets(measurement, self._state.wire)
-            self._state = _State(model_state, wire_state)
-            injected = [*injected, *more]
-        return Block(measurement, packets, due_ns, tuple(injected))
+        self._before.append((shot, self._state))
+        if self._state.conduct.is_plain and fired:
+            return self._fire(count, None, _NOT_SETTLING)
+        count, silent = self._advance(count)
+        settled, settling = self._settled(count)
+        fires = self._state.conduct.fires if fired else np.zeros((1, self._model.beam_count), dtype=np.bool_)
+        if settled is not None:
+            fires = settled[:, None] if fires is None else fires & settled[:, None]
+        return self._fire(count, fires, settling, silent)
 
     def pass_over(self, shot: int) -> None:
         """Go on with this shot; those before it are never computed."""
@@ -110,11 +157,38 @@ class Session:
         if shot > self.next_shot:
             self._catch_up(shot)
 
-    def use_pattern(self, pattern: int) -> None:
-        """From the next shot on, use these beams, if there are any of this number."""
-        scanner = self._model.commanded(self._state.model.scanner, pattern)
-        if scanner is not None:
-            self._state = self._state._replace(model=self._state.model._replace(scanner=scanner))
+    def _advance(self, most: int) -> tuple[int, bool]:
+        """Take the device to the next shot; through how many shots it is then as it is, and whether it is silent."""
+        shot, period_ns = self.next_shot, self._model.period_ns
+        device = advance(self._rules, self.device, shot * period_ns)
+        if device is not self.device:
+            self.use_device(device)
+        return self._state.conduct.steady(shot, most, period_ns)
+
+    def _settled(self, count: int) -> tuple[BoolArray | None, Settling]:
+        """(shots,) In which of the next shots the beams have settled, None: in all; and what is carried on."""
+        settling_ns = self.device.settings.settling_ns
+        if settling_ns == 0:
+            return None, _NOT_SETTLING
+        patterns = self._model.patterns(self.next_shot, count, self._state.model.scanner)
+        return self._state.settling.settled(patterns, self.next_shot, self._model.period_ns, settling_ns)
+
+    def _fire(self, count: int, fires: BoolArray | None, settling: Settling, silent: bool = False) -> Block:
+        """Measure and encode the next shots, through which the device is as it is."""
+        state = self._state
+        measurement, model, injected = measure(self._model, self.next_shot, count, state.model, fires, silent)
+        stamped, status = _stamped(measurement, state), state.conduct.status
+        if silent:
+            status = status._replace(silent=True)
+        due_ns, wire = measurement.due_ns.tolist(), None
+        if self._faulty is None or state.wire is None:
+            packets = list(self._encoder.packets(stamped, status))
+        else:
+            packets, due_ns, wire, more = self._faulty.packets(measurement, stamped, status, state.wire)
+            injected = [*injected, *more]
+        self.next_shot += count
+        self._state = _State(model, state.conduct, state.unnumbered + silent * count, settling, wire)
+        return Block(measurement, packets, due_ns, tuple(injected), silent)
 
     def use_faults(self, model: Model, faulty: FaultyPackets | None) -> None:
         """From the next shot on, have the faults of these: those that there were, and more after them.
@@ -128,14 +202,28 @@ class Session:
 
     def _catch_up(self, shot: int) -> None:
         """From the beginning of the block, which stays kept, to a shot in it."""
-        count, scanner = shot - self.next_shot, self._state.model.scanner
-        if self._model.faults is not None or self._faulty is not None:
-            # What faults carry from shot to shot follows from what is measured.
+        if self._model.faults or self._faulty or self.device.settings.settling_ns:
+            # What they carry from shot to shot follows from what is measured.
             self._before.pop()
-            self.shoot(count)
+            self.shoot(shot - self.next_shot)
             return
-        after = self._model.state_after(self.next_shot, count, scanner)
-        self.next_shot, self._state = (
-            shot,
-            self._state._replace(model=self._state.model._replace(scanner=after)),
+        count, silent = self._advance(shot - self.next_shot)
+        state = self._state
+        scanner = self._model.state_after(self.next_shot, count, state.model.scanner)
+        self._state = state._replace(
+            model=state.model._replace(scanner=scanner), unnumbered=state.unnumbered + silent * count
         )
+        self.next_shot = shot
+
+
+def _stamped(measurement: Measurement, state: _State) -> Measurement:
+    """The shots with the numbers and the times that the device gives them."""
+    clock = state.conduct.device.clock
+    if state.unnumbered == 0 and (state.conduct.is_plain or clock.is_right):
+        return measurement
+    return replace(
+        measurement,
+        shot=measurement.shot - state.unnumbered,
+        time_ns=clock.reads_ns(measurement.time_ns),
+        due_ns=clock.reads_ns(measurement.due_ns),
+    )

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.bench_model import BenchModel
 from lidar_emu.echoes import Light
 from lidar_emu.errors import InputError
 from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight import Flight, Pointing
+from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.kernels import kernel
 from lidar_emu.levels import build_level
@@ -45,6 +46,8 @@ class Model(Protocol):
 
     beam_count: int
     shot_count: int
+    period_ns: int
+    pattern_count: int
     plan: Plan
     initial_state: ScannerState
     physics: PhysicsFaults | None
@@ -62,16 +65,20 @@ class Model(Protocol):
         """Shots `first` to `first + count - 1` without faults of beams, given the scanner's state before them."""
         ...
 
+    def unlit(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
+        """The same shots without light, and little computed but where the vehicle is."""
+        ...
+
+    def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:
+        """(shots,) Which pattern of beams each of these shots uses."""
+        ...
+
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
         """(shots, beams, 3) Where the ranges of a measurement end, given the scanner's state before it."""
         ...
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
         """The scanner's state after these shots, without measuring them."""
-        ...
-
-    def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:
-        """The scanner's state after a command to use a pattern of beams; None if there is no such pattern."""
         ...
 
 
@@ -85,8 +92,9 @@ class FlightModel:
         self.light = Light(scenario.instrument, scenario.site, self.flight, self.plan.beamlets)
         self.level = build_level(scenario)
         self.beam_count = self.flight.scanner.beam_count
-        self.shot_count = self.flight.shot_count
+        self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
         self.initial_state = self.flight.scanner.initial
+        self.pattern_count = len(self.flight.scanner.angle_deg)
         self._order(scenario)
 
     def with_faults(self, faults: list[Fault]) -> Self:
@@ -118,6 +126,16 @@ class FlightModel:
             returns = self.physics.returns(echoes, pointing, axis_hits, shot)
         return self._measurement(shot, pointing, axis_hits, returns), state
 
+    def unlit(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
+        """The same shots without light, and little computed but where the vehicle is."""
+        shot = np.arange(first, first + count, dtype=np.int64)
+        pointing, state = self.flight.point(shot, state)
+        return _unlit(shot, self.flight.due_ns(shot), pointing), state
+
+    def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:
+        """(shots,) Which pattern of beams each of these shots uses."""
+        return self.flight.patterns(np.arange(first, first + count, dtype=np.int64), state)
+
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
         """(shots, beams, 3) Where the ranges of a measurement end, given the scanner's state before it."""
         pointing, _ = self.flight.point(measurement.shot, state)
@@ -128,10 +146,6 @@ class FlightModel:
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
         """The scanner's state after these shots, without measuring them."""
         return self.flight.point(np.arange(first, first + count, dtype=np.int64), state)[1]
-
-    def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:
-        """The scanner's state after a command to use a pattern of beams; None if there is no such pattern."""
-        return self.flight.scanner.commanded(state, pattern)
 
     def _measurement(
         self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits, returns: Returns
@@ -164,6 +178,37 @@ class FlightModel:
             position_site_m=pointing.position_site_m,
             velocity_site_mps=pointing.velocity_site_mps,
         )
+
+
+def _unlit(shot: NDArray[np.int64], due_ns: NDArray[np.int64], pointing: Pointing) -> Measurement:
+    """Nothing was measured, and of the ground nothing is known."""
+    unknown = np.full(pointing.fired.shape, np.nan)
+    nothing = np.zeros_like(pointing.fired)
+    return Measurement(
+        shot=shot,
+        time_ns=pointing.time_ns,
+        due_ns=due_ns,
+        fired=nothing,
+        beam_angle_deg=unknown,
+        range_m=unknown,
+        closing_speed_mps=unknown,
+        range_valid=nothing,
+        speed_valid=nothing,
+        sign_resolved=nothing,
+        reason=np.full(nothing.shape, Reason.NOT_FIRED, dtype=np.int8),
+        segments=nothing.astype(np.uint8),
+        snr_db=unknown,
+        residual_mps=unknown,
+        sigma_range_m=unknown,
+        sigma_speed_mps=unknown,
+        returns=nothing.astype(np.uint8),
+        second_range_m=unknown,
+        true_range_m=unknown,
+        true_closing_speed_mps=unknown,
+        point_site_m=np.full((*nothing.shape, 3), np.nan),
+        position_site_m=pointing.position_site_m,
+        velocity_site_mps=pointing.velocity_site_mps,
+    )
 
 
 @kernel(outermost=True)
@@ -212,16 +257,22 @@ def initial_state(model: Model) -> ModelState:
 
 
 def measure(
-    model: Model, first: int, count: int, state: ModelState, fired: bool = True
+    model: Model,
+    first: int,
+    count: int,
+    state: ModelState,
+    fires: BoolArray | None = None,
+    unlit: bool = False,
 ) -> tuple[Measurement, ModelState, list[Injected]]:
     """Shots `first` to `first + count - 1` with their faults; the state after them; and which faults acted.
 
     Args:
-        fired: whether the beams fire at all.
+        fires: (shots, beams) or (1, beams), which of its beams the device fires; None: all.
+        unlit: it fires none, and the ground under them does not matter either.
     """
-    measurement, scanner = model.measure(first, count, state.scanner)
-    if not fired:
-        measurement = measurement.unfired()
+    measurement, scanner = (model.unlit if unlit else model.measure)(first, count, state.scanner)
+    if fires is not None and not unlit:
+        measurement = measurement.firing_only(fires)
     in_light: list[Injected] = []
     if model.physics is not None:
         in_light = model.physics.injected(measurement.shot, measurement.fired)

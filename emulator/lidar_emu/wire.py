@@ -6,9 +6,13 @@ The only file that knows both `Measurement` and `lidar_protocol`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from operator import attrgetter
 from typing import Any
 
+import numpy as np
+
+from lidar_emu.device.state import TRACKING, Mode, Status
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
@@ -100,12 +104,16 @@ class Encoder:
         layouts = _layouts(interface, wire.interface, self._can_set)
         _check_fields(layouts, wire.interface)
         codes = _Codes(interface, wire.interface, [layout for _, layout, _ in layouts])
-        (self._track,) = codes.of("mode", ("track",))
+        self._modes = codes.of_modes()
         self._reasons = codes.of("reason", _REASONS)
 
-    def packets(self, measurement: Measurement) -> Iterator[Packet]:
-        """The packet of each shot; a function of the measurement alone."""
-        for header, beams in self._shots(measurement):
+    def packets(self, measurement: Measurement, status: Status = TRACKING) -> Iterator[Packet]:
+        """The packet of each shot, through which the device is as it is; empty ones if it is silent."""
+        if status.silent:
+            for _ in range(len(measurement)):
+                yield b"" if self._can_set is None else []
+            return
+        for header, beams in self._shots(measurement, status):
             try:
                 if self._can_set is None:
                     yield self._device.serial_bytes(header, beams)
@@ -114,9 +122,22 @@ class Encoder:
             except EncodeError as error:
                 raise InputError("wire", f"shot {header['shot']}", "a measurement", str(error)) from None
 
+    def can_date(self, measurement: Measurement, shown_ns: int) -> bool:
+        """Whether a packet, such as that of these shots, can tell this time."""
+        if not 0 <= shown_ns < 1 << 62:
+            return False
+        one = measurement.one(0)
+        times_ns, due_ns = np.full_like(one.time_ns, shown_ns), np.full_like(one.due_ns, shown_ns)
+        try:
+            next(self.packets(replace(one, time_ns=times_ns, due_ns=due_ns)))
+        except InputError:
+            return False
+        return True
+
     def _shots(
-        self, measurement: Measurement
+        self, measurement: Measurement, status: Status
     ) -> Iterator[tuple[Mapping[str, Value], Sequence[Mapping[str, Value]]]]:
+        mode = self._modes[status.mode]
         # Lists of Python numbers: the protocol knows no arrays, and float(array element) costs more.
         columns = [column.tolist() for column in _columns(measurement)]
         columns[_REASON] = [[self._reasons[code] for code in row] for row in columns[_REASON]]
@@ -133,9 +154,9 @@ class Encoder:
                 "time_s": time_ns * 1e-9,
                 "due_ns": due_ns,
                 "due_s": due_ns * 1e-9,
-                "mode": self._track,
-                "laser_on": True,
-                "clock_locked": True,
+                "mode": mode,
+                "laser_on": status.laser_on,
+                "clock_locked": status.clock_locked,
                 "shot": shot,
             }
             beams = [
@@ -195,6 +216,12 @@ class _Codes:
         self._interface, self._where = interface, where
         fields = (placed.field for layout in layouts for placed in layout.placed)
         self._enumerations = {field.name: field.enumeration for field in fields if field.enumeration}
+
+    def of_modes(self) -> dict[Mode, int]:
+        """The codes of the modes in which something is measured; an interface need not know that of acquisition."""
+        (track,) = self.of("mode", (Mode.TRACK,))
+        known = self._interface.enumerations.get(self._enumerations.get("mode", ""), {})
+        return {Mode.TRACK: track, Mode.ACQUIRE: known.get(Mode.ACQUIRE, track)}
 
     def of(self, name: str, words: Sequence[str]) -> list[int]:
         """The codes of these words in the field of a name; without an enumeration, their places in the list."""

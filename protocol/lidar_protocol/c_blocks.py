@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+from importlib.resources import files
+
 from lidar_protocol.fields import Constant, Counter, Field, Flag, Number, Real, Time
 from lidar_protocol.layout import Layout, Placed
+
+
+def shipped_text(name: str) -> str:
+    """A piece of C that comes with the package."""
+    return (files("lidar_protocol") / name).read_text(encoding="utf-8").rstrip()
 
 
 def comment_text(text: str) -> str:
@@ -28,13 +35,14 @@ static inline void lidar_unpack_{name}(const uint8_t *block, lidar_{name} *to) {
 
 def _members(field: Field) -> list[str]:
     told = f" /* {comment_text(field.unit)} */" if field.unit else ""
-    lines = [f"{_c_type(field)} {field.key};{told}"]
+    lines = [f"{c_type(field)} {field.key};{told}"]
     if _may_be_missing(field):
         lines.append(f"bool has_{field.key};")
     return lines
 
 
-def _c_type(field: Field) -> str:
+def c_type(field: Field) -> str:
+    """The type of a field's value."""
     match field.codec:
         case Flag():
             return "bool"

@@ -1,11 +1,11 @@
-"""A decoder in C: one header, C99, without allocation, with nothing beside the standard headers."""
+"""A host in C: one header that decodes what a device sends and encodes commands (C99, without allocation)."""
 
 from __future__ import annotations
 
-from importlib.resources import files
 from string import Template
 
-from lidar_protocol.c_blocks import block_text, comment_text
+from lidar_protocol.c_blocks import block_text, comment_text, shipped_text
+from lidar_protocol.c_commands import commands_text
 from lidar_protocol.c_reading import reading_text
 from lidar_protocol.crc import Crc, table_of
 from lidar_protocol.definitions import CanBlock, CanMessage, Interface
@@ -14,19 +14,30 @@ from lidar_protocol.framing import Synced
 
 def c_header(interface: Interface, prefix: str = "lidar") -> str:
     """The header. Everything in it is called after `prefix`."""
-    template = files("lidar_protocol") / "c_header_template.h"
     parts = [_constants(interface), _enumerations(interface), *_blocks(interface)]
-    text = Template(template.read_text(encoding="utf-8")).substitute(
+    text = Template(shipped_text("c_header_template.h")).substitute(
         name=comment_text(interface.name),
         version=interface.version,
         epoch=comment_text(interface.epoch),
+        command=_told_of_commands(interface),
         definitions="\n\n".join(parts),
         bits=_BITS_BIG if interface.byte_order == "big" else _BITS_LITTLE,
         crc="\n\n".join(filter(None, (_sync(interface), _crc(interface.link.crc)))),
         reading=reading_text(interface),
-        framing=_framing(interface),
+        framing="\n\n".join(filter(None, (_framing(interface), commands_text(interface)))),
     )
     return text.replace("lidar_", f"{prefix}_").replace("LIDAR_", f"{prefix.upper()}_")
+
+
+def _told_of_commands(interface: Interface) -> str:
+    """A paragraph of the comment at the top."""
+    if interface.commands is None:
+        return ""
+    return """
+ *
+ * lidar_encode_...(frame, unit, sequence, ...) writes a command's bytes into `frame`, which has room for
+ * LIDAR_LONGEST_COMMAND, and returns their number: 0 if an argument is out of its range.
+ *"""
 
 
 def _constants(interface: Interface) -> str:
@@ -84,13 +95,13 @@ def _blocks(interface: Interface) -> list[str]:
 _BITS_BIG = """static inline uint64_t lidar_bits(const uint8_t *block, size_t first_bit, unsigned bits) {
     uint64_t word = 0u;
     for (size_t k = first_bit; k < first_bit + bits; k++)
-        word = word << 1 | (uint64_t)(block[k / 8u] >> (7u - k % 8u) & 1u);
+        word = word << 1 | ((uint64_t)block[k / 8u] >> (7u - k % 8u) & 1u);
     return word;
 }"""
 _BITS_LITTLE = """static inline uint64_t lidar_bits(const uint8_t *block, size_t first_bit, unsigned bits) {
     uint64_t word = 0u;
     for (size_t k = first_bit + bits; k-- > first_bit;)
-        word = word << 1 | (uint64_t)(block[k / 8u] >> (k % 8u) & 1u);
+        word = word << 1 | ((uint64_t)block[k / 8u] >> (k % 8u) & 1u);
     return word;
 }"""
 
@@ -122,9 +133,10 @@ static inline {kind} lidar_crc({kind} crc, const uint8_t *data, size_t length) {
 
 
 def _framing(interface: Interface) -> str:
+    """What finds packets in a stream, and what puts them into one."""
     framing = interface.link.framing
-    kind = "sync" if isinstance(framing, Synced) else framing.kind
-    return (files("lidar_protocol") / f"c_{kind}_reader.h").read_text(encoding="utf-8").rstrip()
+    names = ["c_sync.h"] if isinstance(framing, Synced) else [f"c_{framing.kind}.h", "c_stuffed_reader.h"]
+    return "\n\n".join(shipped_text(name) for name in names)
 
 
 def _sync(interface: Interface) -> str:

@@ -1,4 +1,4 @@
-/* Decoder of the interface "$name", version $version. Generated from its definition; do not edit.
+/* The interface "$name", version $version, for its host. Generated from its definition; do not edit.
  *
  * C99, no allocation, nothing beside the standard headers. On a byte link:
  *
@@ -10,6 +10,7 @@
  *         if (lidar_read_measurement(receiver.packet, receiver.packet_length, &unit, &shot)) ...
  *     }
  *
+ * receiver.bad_frames counts what came between good packets and was none.$command
  * On CAN the identifiers of unit 0 are LIDAR_CAN_ID_...; compare the length of a frame with LIDAR_CAN_..._BYTES and call
  * lidar_unpack_can_...(). A member x has a value if the member has_x, where there is one, is true.
  * Epoch of times: $epoch.

@@ -5,8 +5,7 @@ The receiver raises nothing and holds a bounded amount of memory; what could not
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from lidar_protocol import can_frames
@@ -14,6 +13,7 @@ from lidar_protocol.can_frames import Address
 from lidar_protocol.definitions import CanBlock, CanMessage, Interface
 from lidar_protocol.fields import Value
 from lidar_protocol.host import acknowledge
+from lidar_protocol.layout import Layout, joined
 from lidar_protocol.message import Acknowledge, Housekeeping, Message, Received
 
 
@@ -44,36 +44,45 @@ class CanCounters:
     """
 
 
-_NOTHING: dict[str, Value] = {}
-"""What is known of a beam before its first message; replaced, never filled."""
+class _Set(NamedTuple):
+    """What follows the header of a set, and how a shot is made of it."""
+
+    places: dict[int, int]
+    """Of each identifier: where its frame's data go, those of the whole shot first, then beam after beam."""
+    rest: Layout | None
+    """Of the messages of the whole shot behind the header."""
+    beam: Layout | None
+    """Of all messages of a beam, one after another."""
+    flags: tuple[tuple[str, slice, frozenset[bytes]], ...]
+    """Those that a message's content implies: name, places of the message, and the contents that say no."""
+
+
+_NO_SET = _Set({}, None, None, ())
+
+
+@dataclass(slots=True)
+class _Shot:
+    """What has come in of a unit's newest shot."""
+
+    unit: int
+    counter: int | None = None
+    """None before the first header."""
+    header: dict[str, Value] = field(default_factory=dict)
+    can_set: _Set = _NO_SET
+    awaited: dict[int, int] = field(default_factory=dict)
+    """Identifiers that have not come yet, and their places; none once it is complete or given up."""
+    parts: list[bytes] = field(default_factory=list)
+    """Data of the frames behind the header."""
 
 
 class _Listened(NamedTuple):
     """What to do with an identifier."""
 
-    unit: int
+    shot: _Shot
+    is_fd: bool
     length: int
-    unpack: Callable[[bytes, int], dict[str, Value]]
-    flag: str | None
-    absent: frozenset[bytes]
-    bit: int
-    """Stands for its place in a set."""
-    message: CanMessage
-    slot: int | None
-    """Place in `_Shot.beams`; None of a message that begins a shot."""
-
-
-@dataclass(slots=True)
-class _Shot:
-    """What has come in of a shot, from its header on."""
-
-    counter: int
-    missing: int
-    """Bits of what it still waits for; 0 once it is complete or given up."""
-    expected: int
-    """Bits of all that it waits for."""
-    beams: list[dict[str, Value]]
-    """The header, then the beams."""
+    header: CanMessage | None
+    """The message, if it begins a shot."""
 
 
 class CanReceiver:
@@ -88,83 +97,72 @@ class CanReceiver:
         self._interface = interface
         self._can = can_frames.definition(interface)
         self._shift, self._mask = self._can.counter_shift, self._can.counter_mask
-        self._bits: dict[tuple[str, int], int] = {}
+        self._shots = [_Shot(unit) for unit in range(interface.units)]
         self._listened = {
-            key: self._listen(address) for key, address in can_frames.addresses(interface).items()
+            can_id: self._listen(address) for can_id, address in can_frames.addresses(interface).items()
         }
         self._blocks = can_frames.block_addresses(interface)
-        self._expected: dict[tuple[str, int], int] = {}
-        self._shots: dict[int, _Shot] = {}
+        self._sets: dict[tuple[int, str, int], _Set] = {}
 
     @property
     def buffered_frames(self) -> int:
         """Frames of shots that are not complete yet; never more than a unit has identifiers."""
-        shots = (shot for shot in self._shots.values() if shot.missing)
-        return sum((shot.expected & ~shot.missing).bit_count() for shot in shots)
+        return sum(1 + len(shot.parts) - len(shot.awaited) for shot in self._shots if shot.awaited)
 
     def receive(self, can_id: int, data: bytes, is_fd: bool) -> list[Received]:
         """The message that is complete with this frame, if there is one."""
         counters = self.counters
         counters.frames += 1
-        listened = self._listened.get((can_id, is_fd))
-        if listened is None:
+        listened = self._listened.get(can_id)
+        if listened is None or listened[1] != is_fd:
             return self._block(can_id, data, is_fd)
-        unit, length, unpack, flag, absent, bit, message, slot = listened
+        shot, _, length, header = listened
         if len(data) != length:
             counters.bad_length += 1
             return []
         counter = data[0] >> self._shift & self._mask
-        if slot is None:
-            shot = self._begin(unit, message, counter, unpack(data, 0))
-            if shot is None:
+        if header is not None:
+            if not self._begin(shot, header, counter, data):
                 return []
         else:
-            known = self._shots.get(unit)
-            if known is None or not known.missing & bit or counter != known.counter:
+            place = shot.awaited.pop(can_id, None)
+            if place is None or counter != shot.counter:
                 counters.orphans += 1
-                self._give_up(unit)
+                if place is not None or shot.awaited:
+                    self._give_up(shot)
                 return []
-            shot = known
-            values = unpack(data, 0)
-            if flag is not None:
-                values[flag] = data not in absent
-            known_values = shot.beams[slot]
-            shot.beams[slot] = known_values | values if known_values else values
-        shot.missing &= ~bit
-        if shot.missing:
+            shot.parts[place] = data
+        if shot.awaited:
             return []
         counters.messages += 1
-        header, *beams = shot.beams
-        return [Message(unit, header, tuple(beams))]
+        return [_complete(shot)]
 
-    def _begin(self, unit: int, message: CanMessage, counter: int, header: dict[str, Value]) -> _Shot | None:
-        """The shot of this header; None if it states no possible number of beams."""
-        last = self._shots.get(unit)
-        if last is not None:
-            self._give_up(unit)
-            missing = (counter - last.counter - 1) & self._mask
-            if missing:
-                self.counters.sequence_gaps += 1
-                self.counters.lost_shots += missing
+    def _begin(self, shot: _Shot, message: CanMessage, counter: int, data: bytes) -> bool:
+        """Wait for what this header announces; false if it states no possible number of beams."""
+        if shot.awaited:
+            self._give_up(shot)
+        if shot.counter is not None and (lost := (counter - shot.counter - 1) & self._mask):
+            self.counters.sequence_gaps += 1
+            self.counters.lost_shots += lost
+        shot.counter = counter
+        shot.header = header = message.layout.unpacking(data, 0)
         beam_count = int(header["beam_count"] or 0)
         details = header.pop("details", None)
         if not 0 < beam_count <= self._can.beam_slots:
             self.counters.incomplete += 1
-            self._shots[unit] = _Shot(counter, 0, 0, [])
-            return None
+            return False
         # A header without details is that of one set alone.
         can_set = min(message.sets) if details is None else "full" if details else "core"
-        expected = self._places(can_set, beam_count)
-        shot = _Shot(counter, expected, expected, [header, *[_NOTHING] * beam_count])
-        self._shots[unit] = shot
-        return shot
+        key = shot.unit, can_set, beam_count
+        shot.can_set = self._sets.get(key) or self._sets.setdefault(key, self._set(*key))
+        shot.awaited = shot.can_set.places.copy()
+        shot.parts = [b""] * len(shot.awaited)
+        return True
 
-    def _give_up(self, unit: int) -> None:
+    def _give_up(self, shot: _Shot) -> None:
         """No more frames for the unit's shot."""
-        shot = self._shots.get(unit)
-        if shot is not None and shot.missing:
-            shot.missing = shot.expected = 0
-            self.counters.incomplete += 1
+        shot.awaited = {}
+        self.counters.incomplete += 1
 
     def _block(self, can_id: int, data: bytes, is_fd: bool) -> list[Received]:
         """An acknowledgement, or a part of the housekeeping."""
@@ -188,19 +186,38 @@ class CanReceiver:
         return Housekeeping(unit, values)
 
     def _listen(self, address: Address) -> _Listened:
-        unit, message, slot = address
-        layout, flag = message.layout, message.absent_unless
-        place = None if message.opens_set else slot + 1 if message.each_beam else 0
-        bit = self._bits.setdefault((message.name, slot), 1 << len(self._bits))
-        absent = message.absent_set if flag else frozenset[bytes]()
-        return _Listened(unit, layout.length, layout.unpacking, flag, absent, bit, message, place)
+        message = address.message
+        header = message if message.opens_set else None
+        return _Listened(self._shots[address.unit], message.is_fd, message.layout.length, header)
 
-    def _places(self, can_set: str, beam_count: int) -> int:
-        """The bits of all messages of a set."""
-        if (can_set, beam_count) not in self._expected:
-            self._expected[can_set, beam_count] = sum(
-                self._bits[message.name, slot]
-                for message in self._can.sets.get(can_set, ())
-                for slot in range(beam_count if message.each_beam else 1)
-            )
-        return self._expected[can_set, beam_count]
+    def _set(self, unit: int, can_set: str, beam_count: int) -> _Set:
+        _, *messages = self._can.sets.get(can_set, (None,))
+        rest = [message for message in messages if not message.each_beam]
+        own = [message for message in messages if message.each_beam]
+        order = [(message, 0) for message in rest]
+        order += [(message, slot) for slot in range(beam_count) for message in own]
+        return _Set(
+            places={self._can.can_id(unit, *each): place for place, each in enumerate(order)},
+            rest=joined([message.layout for message in rest]) if rest else None,
+            beam=joined([message.layout for message in own]) if own else None,
+            flags=tuple(
+                (message.absent_unless, slice(len(rest) + k, None, len(own)), message.absent_set)
+                for k, message in enumerate(own)
+                if message.absent_unless is not None
+            ),
+        )
+
+
+def _complete(shot: _Shot) -> Message:
+    """The shot, of which everything has come."""
+    _, rest, beam, flags = shot.can_set
+    parts, header = shot.parts, shot.header
+    data = b"".join(parts)
+    if rest is not None:
+        header |= rest.unpacking(data, 0)
+        data = data[rest.length :]
+    beams = beam.unpacking_each(data) if beam else [{} for _ in range(int(header["beam_count"] or 0))]
+    for flag, places, absent in flags:
+        for values, own in zip(beams, parts[places], strict=True):
+            values[flag] = own not in absent
+    return Message(shot.unit, header, tuple(beams))

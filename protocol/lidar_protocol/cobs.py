@@ -45,6 +45,20 @@ def decode(stuffed: bytes) -> bytes:
     """
     if not stuffed or DELIMITER in stuffed:
         raise DecodeError(Fault.BAD_STUFFING, "a frame is at least one byte, none of them zero")
+    if len(stuffed) > _LONGEST_RUN:
+        return _decode_long(stuffed)
+    data = bytearray(stuffed)
+    position, end = 0, len(stuffed)
+    while position < end:
+        code = data[position]
+        data[position] = 0
+        position += code
+    _check_end(position, end)
+    return bytes(data[1:])
+
+
+def _decode_long(stuffed: bytes) -> bytes:
+    """The same where a run may be a full one, after which there is no zero."""
     data = bytearray(stuffed)
     position, end = 0, len(stuffed)
     not_in_data: list[int] = []
@@ -54,11 +68,15 @@ def decode(stuffed: bytes) -> bytes:
         position += code
         if code > _LONGEST_RUN:
             not_in_data.append(position)
-    if position > end:
-        raise DecodeError(Fault.BAD_STUFFING, "the frame ends inside a run")
+    _check_end(position, end)
     for place in reversed(not_in_data):
         del data[place : place + 1]
     return bytes(data[1:])
+
+
+def _check_end(position: int, end: int) -> None:
+    if position > end:
+        raise DecodeError(Fault.BAD_STUFFING, "the frame ends inside a run")
 
 
 def stuffed_length(length: int) -> int:

@@ -1,4 +1,4 @@
-"""A block of fields as two functions, written out and compiled once when an interface is loaded.
+"""A block of fields as functions, written out and compiled once when an interface is loaded.
 
 A loop over the fields costs a microsecond for three of them. So each block becomes one `struct` of runs of bytes, a
 field each where a field is a whole number of bytes that `struct` knows, and one expression per field around it. For
@@ -12,7 +12,15 @@ a flag, a 7-bit number and a u16 with a code for none:
 
     def unpack(block, offset):
         c0_0, c1_0, = struct_unpack(block, offset)
-        return {'fired': (c0_0 & 128) != 0, ..., 'range_m': r / 1000.0 if 0 <= (r := c1_0) <= 65534 else None}
+        values = {'fired': (c0_0 & 128) != 0, ..., 'range_m': r / 1000.0 if (r := c1_0) <= 65534 else None}
+        return values
+
+    def unpack_each(blocks):
+        found = []
+        for c0_0, c1_0, in iter_struct(blocks):
+            values = {...}
+            found.append(values)
+        return found
 
 What goes into the source are numbers, operators and names that the definition's reader has checked.
 """
@@ -26,13 +34,24 @@ from math import floor
 from typing import Any, Literal, NamedTuple
 
 from lidar_protocol.errors import EncodeError
-from lidar_protocol.fields import Field, Flag, Real, Value
+from lidar_protocol.fields import Counter, Field, Flag, Real, Value
 
 ByteOrder = Literal["big", "little"]
 Pack = Callable[[Mapping[str, Value], Mapping[str, Value]], bytes]
 """(values, own) -> block. KeyError names a value that is missing."""
 Unpack = Callable[[bytes, int], dict[str, Value]]
 """(bytes, place of the block in them) -> values."""
+UnpackEach = Callable[[bytes], list[dict[str, Value]]]
+"""A whole number of blocks, one after another -> the values of each."""
+
+
+class Functions(NamedTuple):
+    """What is compiled of a block."""
+
+    pack: Pack
+    unpack: Unpack
+    unpack_each: UnpackEach
+
 
 _LETTERS = {8: "Q", 4: "I", 2: "H", 1: "B"}
 
@@ -77,6 +96,12 @@ class _Run:
         )
 
     @property
+    def is_signed(self) -> bool:
+        """Whether it is one signed number."""
+        codec = self.fields[0].field.codec
+        return len(self.fields) == 1 and codec.signed and codec.bits == 8 * self.length
+
+    @property
     def parts(self) -> list[int]:
         """Lengths that `struct` knows and that make up the run, from its first byte on."""
         parts, left = [], self.length
@@ -103,8 +128,11 @@ class _Run:
         codec = self.fields[0].field.codec
         if isinstance(codec, Real):
             return codec.code
-        letters = "".join(_LETTERS[length] for length in self.parts)
-        return letters.lower() if self.is_own_number and codec.signed else letters
+        letters = [_LETTERS[length] for length in self.parts]
+        if self.is_signed:  # the part with the sign
+            top = self.shifts.index(max(self.shifts))
+            letters[top] = letters[top].lower()
+        return "".join(letters)
 
     def shift(self, placed: Placed) -> int:
         """How far above the lowest bit of the run the lowest one of the field lies."""
@@ -114,7 +142,7 @@ class _Run:
 
 def compiled(
     length: int, placed: Sequence[Placed], order: ByteOrder, own: frozenset[str], silent: frozenset[str]
-) -> tuple[Pack, Unpack]:
+) -> Functions:
     """The functions of a block of `length` bytes.
 
     Args:
@@ -123,18 +151,39 @@ def compiled(
     """
     runs = _runs(placed, order)
     block = struct.Struct(_format(length, runs, order))
-    names: dict[str, Any] = {"floor": floor, "struct_pack": block.pack, "struct_unpack": block.unpack_from}
-
-    source = ["def pack(values, own):", " return struct_pack("]
-    source += [f"  {number}," for run in runs for number in _packed(run, own, names)]
-    source += [" )", "def unpack(block, offset):"]
-    source += [
-        f" {' '.join(f'{name},' for run in runs for name in run.names)} = struct_unpack(block, offset)"
+    names: dict[str, Any] = {
+        "floor": floor,
+        "struct_pack": block.pack,
+        "struct_unpack": block.unpack_from,
+        "iter_struct": block.iter_unpack,
+    }
+    parts = " ".join(f"{name}," for run in runs for name in run.names)
+    read = [f"{run.names[0]} = {_joined(run)}" for run in runs if len(run.parts) > 1]
+    read += _collected([entry for run in runs for entry in _unpacked(run, silent)])
+    source = [
+        "def pack(values, own):",
+        " return struct_pack(",
+        *(f"  {number}," for run in runs for number in _packed(run, own, names)),
+        " )",
+        "def unpack(block, offset):",
+        f" {parts} = struct_unpack(block, offset)",
+        *(f" {line}" for line in read),
+        " return values",
+        "def unpack_each(blocks):",
+        " found = []",
+        f" for {parts} in iter_struct(blocks):",
+        *(f"  {line}" for line in read),
+        "  found.append(values)",
+        " return found",
     ]
-    source += [f" {run.names[0]} = {_joined(run)}" for run in runs if len(run.parts) > 1]
-    source += [" return {", *(f"  {entry}," for run in runs for entry in _unpacked(run, silent)), " }"]
     exec("\n".join(source), names)
-    return names["pack"], names["unpack"]
+    return Functions(names["pack"], names["unpack"], names["unpack_each"])
+
+
+def _collected(entries: Sequence[tuple[str, str]]) -> list[str]:
+    """The lines that make a dictionary of keys and values. Python gives a display of up to fifteen its size at once."""
+    first = ", ".join(f"{key!r}: {value}" for key, value in entries[:15])
+    return [f"values = {{{first}}}", *(f"values[{key!r}] = {value}" for key, value in entries[15:])]
 
 
 def _runs(placed: Sequence[Placed], order: ByteOrder) -> list[_Run]:
@@ -159,14 +208,23 @@ def _packed(run: _Run, own: frozenset[str], names: dict[str, Any]) -> list[str]:
     """The expressions for what `struct` packs of a run."""
     if run.is_own_number:
         return [_raw(run.fields[0], own, names)]
-    number = " | ".join(_shifted(placed, run.shift(placed), own, names) for placed in run.fields)
+    if run.is_signed:
+        number = f"({_raw(run.fields[0], own, names)})"
+    else:
+        number = " | ".join(_shifted(placed, run.shift(placed), own, names) for placed in run.fields)
     if len(run.parts) == 1:
         return [number]
     whole = [f"(n := {number})", *["n"] * (len(run.parts) - 1)]
     return [
-        f"{each} >> {shift} & {(1 << 8 * length) - 1}"
+        _part(each, shift, length, is_top=shift == max(run.shifts))
         for each, shift, length in zip(whole, run.shifts, run.parts, strict=True)
     ]
+
+
+def _part(number: str, shift: int, length: int, is_top: bool) -> str:
+    """The expression for a part of a number; above the top one there is nothing but the sign."""
+    shifted = f"{number} >> {shift}" if shift else number
+    return shifted if is_top else f"{shifted} & {(1 << 8 * length) - 1}"
 
 
 def _shifted(placed: Placed, shift: int, own: frozenset[str], names: dict[str, Any]) -> str:
@@ -183,14 +241,16 @@ def _source(placed: Placed, own: frozenset[str]) -> str:
 
 
 def _raw(placed: Placed, own: frozenset[str], names: dict[str, Any]) -> str:
-    field = placed.field
+    field, source = placed.field, _source(placed, own)
+    if isinstance(field.codec, Counter) and field.name in own:  # the library's own are whole numbers
+        return f"{source} & {(1 << field.codec.bits) - 1}"
 
     def bind(function: Callable[[Value], int | float]) -> str:
         name = f"{function.__name__.strip('_')}_of_{field.key}"
         names[name] = _named(function, field.key)
         return name
 
-    return field.codec.raw(_source(placed, own), bind)
+    return field.codec.raw(source, bind)
 
 
 def _named(function: Callable[[Value], int | float], name: str) -> Callable[[Value], int | float]:
@@ -210,12 +270,12 @@ def _joined(run: _Run) -> str:
     return " | ".join(f"{name} << {shift}" if shift else name for name, shift in parts)
 
 
-def _unpacked(run: _Run, silent: frozenset[str]) -> list[str]:
-    """The entries of the values' dictionary."""
+def _unpacked(run: _Run, silent: frozenset[str]) -> list[tuple[str, str]]:
+    """Key and expression of each value."""
     name = run.names[0]
     if run.is_own_number:
         field = run.fields[0].field
-        return [] if field.name in silent else [f"{field.key!r}: {field.codec.value(name)}"]
+        return [] if field.name in silent else [(field.key, field.codec.value(name))]
     entries = []
     for placed in run.fields:
         if placed.field.name in silent:
@@ -227,8 +287,8 @@ def _unpacked(run: _Run, silent: frozenset[str]) -> list[str]:
             raw = f"{name} >> {shift}" if shift else name
             if shift + codec.bits < 8 * run.length:
                 raw = f"{raw} & {(1 << codec.bits) - 1}"
-        if codec.signed:
+        if codec.signed and not run.is_signed:
             sign = 1 << codec.bits - 1
             raw = f"({raw} ^ {sign}) - {sign}"
-        entries.append(f"{placed.field.key!r}: {codec.value(raw)}")
+        entries.append((placed.field.key, codec.value(raw)))
     return entries

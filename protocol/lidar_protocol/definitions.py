@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
+from lidar_protocol.compiled import Pack
 from lidar_protocol.crc import Crc
 from lidar_protocol.field_table import Enumerations
+from lidar_protocol.fields import Value
 from lidar_protocol.framing import Framing
 from lidar_protocol.headers import PacketHeader
 from lidar_protocol.layout import ByteOrder, Layout
@@ -158,6 +160,18 @@ class CanBlock:
     layout: Layout
 
 
+class CanPlan(NamedTuple):
+    """What is the same in every shot of a unit, a set and a number of beams."""
+
+    identifiers: tuple[int, ...]
+    are_fd: tuple[bool, ...]
+    messages: tuple[tuple[Pack, bool, str | None, tuple[bytes, ...]], ...]
+    """How a message is packed, whether it is one for each beam, the flag without which a beam is absent, and what is
+    sent of it then, for each shot counter."""
+    own: dict[str, Value]
+    """What the library fills in, but for the shot counter."""
+
+
 @dataclass(frozen=True)
 class CanDefinition:
     """Identifiers and messages on CAN."""
@@ -183,6 +197,11 @@ class CanDefinition:
     def blocks(self) -> tuple[CanBlock, ...]:
         """The messages that stand alone."""
         return (*([self.acknowledge] if self.acknowledge else []), *self.housekeeping)
+
+    @cached_property
+    def plans(self) -> dict[tuple[int, CanSet, int], CanPlan]:
+        """Those that were needed so far: by unit, set and number of beams."""
+        return {}
 
     @cached_property
     def counter_mask(self) -> int:
@@ -223,11 +242,15 @@ class Interface:
         return self.link.overhead + max(self.packet.longest, *others, 0)
 
     @cached_property
-    def maximum_command_bytes(self) -> int:
-        """Length of the longest packet to the device; longer ones are still read up to some 64 bytes more, so that
-        a command that is too long is told from noise."""
+    def longest_command(self) -> int:
+        """Length of the longest packet to the device."""
         bodies = [command.packet.length for command in self.commands.commands] if self.commands else [0]
-        return self.link.overhead + max(bodies) + 64
+        return self.link.overhead + max(bodies)
+
+    @cached_property
+    def maximum_command_bytes(self) -> int:
+        """Up to where packets to the device are read: so that a command that is too long is told from noise."""
+        return self.longest_command + 64
 
     def word(self, enumeration: str | None, value: int) -> str | None:
         """The name of a value of an enumeration; None where it has none."""

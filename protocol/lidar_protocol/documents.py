@@ -162,7 +162,9 @@ def _control(interface: Interface) -> str:
 _COMMANDS = """Bytes are counted from the start of the body, after the packet's header. A command is answered by one
 acknowledgement with its sequence number: accepted; or unknown (no such code), malformed (not its length), bad_sequence
 (not the number after that of the last command), out_of_state (not in this mode), out_of_range (an argument is none of
-its values). A damaged packet is not answered. On CAN the identifier stands for the code."""
+its values). The number counts whatever the verdict, bad_sequence aside; the first command after a restart may have any,
+and so may `no_op` at any time, but that of the last command: so a host that does not know the number begins anew.
+A damaged packet is not answered. On CAN the identifier stands for the code."""
 
 
 def _command_rows(interface: Interface) -> str:

@@ -161,10 +161,9 @@ class Number:
             low, high = self.limits
             less = f" - {self.offset}" if self.offset else ""
             return f"v{less} if (v := {value}).__class__ is int and {low} <= v <= {high} else {bind(self.rounded)}(v)"
-        steps = f"v * {self.steps_per_unit!r} + 0.5"  # a comparison with NaN is false
-        in_range = (
-            f"floor(s) if {self.lowest} <= (s := {steps}) < {self.highest + 1} else {bind(self.outside)}(v)"
-        )
+        steps = "v + 0.5" if self.steps_per_unit == 1.0 else f"v * {self.steps_per_unit!r} + 0.5"
+        least, end = _as_float(self.lowest), _as_float(self.highest + 1)
+        in_range = f"floor(s) if {least} <= (s := {steps}) < {end} else {bind(self.outside)}(v)"
         missing = bind(self.outside) + "(v)" if self.none is None else str(self.none)
         return f"{missing} if (v := {value}) is None else {in_range}"
 
@@ -269,6 +268,11 @@ class Field:
     def key(self) -> str:
         """What tells it from the other fields of its block."""
         return self.name if self.beam is None else f"{self.name}_{self.beam}"
+
+
+def _as_float(number: int) -> str:
+    """A limit of floats as they are compared fastest; a comparison with NaN is false."""
+    return repr(float(number)) if float(number) == number else str(number)
 
 
 def _required(value: Value) -> int:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
-from lidar_protocol.compiled import ByteOrder, Pack, Placed, Unpack, compiled
+from lidar_protocol.compiled import ByteOrder, Functions, Pack, Placed, Unpack, UnpackEach, compiled
 from lidar_protocol.errors import EncodeError
 from lidar_protocol.fields import Value
 
-__all__ = ["FILLED_IN", "ByteOrder", "Layout", "Placed"]
+__all__ = ["FILLED_IN", "ByteOrder", "Layout", "Placed", "joined"]
 
 FILLED_IN: Final = frozenset({"shot_counter", "details", "interface_version", "beam_count", "command"})
 """Fields that the library fills in; the caller's values need not hold them, and do not count."""
@@ -48,12 +48,17 @@ class Layout:
     @cached_property
     def packing(self) -> Pack:
         """`pack` for those who answer a KeyError themselves."""
-        return self._functions[0]
+        return self._functions.pack
 
     @cached_property
     def unpacking(self) -> Unpack:
         """`unpack`, without a default."""
-        return self._functions[1]
+        return self._functions.unpack
+
+    @cached_property
+    def unpacking_each(self) -> UnpackEach:
+        """The values of blocks that follow one another and are all of the bytes."""
+        return self._functions.unpack_each
 
     @cached_property
     def names(self) -> frozenset[str]:
@@ -69,10 +74,19 @@ class Layout:
         return word.to_bytes(self.length, self.byte_order)
 
     @cached_property
-    def _functions(self) -> tuple[Pack, Unpack]:
+    def _functions(self) -> Functions:
         return compiled(self.length, self.placed, self.byte_order, FILLED_IN, _SILENT)
 
     def _shift(self, placed: Placed) -> int:
         if self.byte_order == "little":
             return placed.first_bit
         return 8 * self.length - placed.first_bit - placed.field.codec.bits
+
+
+def joined(layouts: Sequence[Layout]) -> Layout:
+    """Blocks that follow one another as one. Of a name that comes twice, the last value counts."""
+    placed, length = [], 0
+    for layout in layouts:
+        placed += [each._replace(first_bit=8 * length + each.first_bit) for each in layout.placed]
+        length += layout.length
+    return Layout(length, tuple(placed), layouts[0].byte_order)

@@ -1,4 +1,4 @@
-/* Decoder of the interface "lidar-emu", version 1. Generated from its definition; do not edit.
+/* The interface "lidar-emu", version 1, for its host. Generated from its definition; do not edit.
  *
  * C99, no allocation, nothing beside the standard headers. On a byte link:
  *
@@ -9,6 +9,11 @@
  *         lidar_measurement shot;
  *         if (lidar_read_measurement(receiver.packet, receiver.packet_length, &unit, &shot)) ...
  *     }
+ *
+ * receiver.bad_frames counts what came between good packets and was none.
+ *
+ * lidar_encode_...(frame, unit, sequence, ...) writes a command's bytes into `frame`, which has room for
+ * LIDAR_LONGEST_COMMAND, and returns their number: 0 if an argument is out of its range.
  *
  * On CAN the identifiers of unit 0 are LIDAR_CAN_ID_...; compare the length of a frame with LIDAR_CAN_..._BYTES and call
  * lidar_unpack_can_...(). A member x has a value if the member has_x, where there is one, is true.
@@ -27,7 +32,7 @@ typedef enum { LIDAR_NOTHING, LIDAR_MEASUREMENT, LIDAR_ACKNOWLEDGE, LIDAR_HOUSEK
 static inline uint64_t lidar_bits(const uint8_t *block, size_t first_bit, unsigned bits) {
     uint64_t word = 0u;
     for (size_t k = first_bit; k < first_bit + bits; k++)
-        word = word << 1 | (uint64_t)(block[k / 8u] >> (7u - k % 8u) & 1u);
+        word = word << 1 | ((uint64_t)block[k / 8u] >> (7u - k % 8u) & 1u);
     return word;
 }
 
@@ -758,12 +763,48 @@ static inline bool lidar_read_housekeeping(
     return to->interface_version == LIDAR_INTERFACE_VERSION;
 }
 
+#define LIDAR_DELIMITER 0x00u
+
+/* The length of what a frame holds, which takes its place; 0 if it ends inside a run. */
+static inline size_t lidar_unstuff(uint8_t *data, size_t length) {
+    size_t position = 0u, written = 0u;
+    while (position < length) {
+        const size_t code = data[position];
+        if (position + code > length)
+            return 0u;
+        memmove(data + written, data + position + 1u, code - 1u);
+        written += code - 1u;
+        position += code;
+        if (code < 255u && position < length)
+            data[written++] = 0u;
+    }
+    return written;
+}
+
+/* The packet in a frame, with a delimiter before it too; returns the number of bytes. */
+static inline size_t lidar_frame(uint8_t *to, const uint8_t *packet, size_t length) {
+    size_t code = 1u, end = 2u; /* places: of the code byte of this run, and of the next byte */
+    to[0] = 0u;
+    for (size_t k = 0u; k < length; k++) {
+        if (packet[k] != 0u)
+            to[end++] = packet[k];
+        if (packet[k] == 0u || (end - code == 255u && k + 1u < length)) {
+            to[code] = (uint8_t)(end - code);
+            code = end++;
+        }
+    }
+    to[code] = (uint8_t)(end - code);
+    to[end++] = 0u;
+    return end;
+}
+
 typedef struct {
     uint8_t data[LIDAR_LONGEST_FRAME];
     size_t length;
     bool is_complete, is_too_long;
     const uint8_t *packet;
     size_t packet_length;
+    uint32_t bad_frames; /* frames that held no good packet */
 } lidar_receiver;
 
 /* Takes a byte. What lidar_next() found before is no longer valid. */
@@ -772,7 +813,7 @@ static inline void lidar_feed(lidar_receiver *receiver, uint8_t byte) {
         receiver->is_complete = receiver->is_too_long = false;
         receiver->length = 0u;
     }
-    if (byte == 0u)
+    if (byte == LIDAR_DELIMITER)
         receiver->is_complete = true;
     else if (receiver->length < sizeof receiver->data)
         receiver->data[receiver->length++] = byte;
@@ -782,24 +823,305 @@ static inline void lidar_feed(lidar_receiver *receiver, uint8_t byte) {
 
 /* Whether there is a good packet: `packet`, `packet_length`. */
 static inline bool lidar_next(lidar_receiver *receiver) {
-    size_t position = 0u, end = receiver->length, written = 0u;
+    const size_t length = receiver->length;
     unsigned unit;
-    if (!receiver->is_complete || receiver->is_too_long)
+    if (!receiver->is_complete || (length == 0u && !receiver->is_too_long))
         return false;
-    while (position < end) {
-        const size_t code = receiver->data[position];
-        if (position + code > end)
-            return false;
-        memmove(receiver->data + written, receiver->data + position + 1u, code - 1u);
-        written += code - 1u;
-        position += code;
-        if (code < 255u && position < end)
-            receiver->data[written++] = 0u;
-    }
-    receiver->length = 0u;
     receiver->packet = receiver->data;
-    receiver->packet_length = written;
-    return lidar_check(receiver->packet, written, &unit) != LIDAR_NOTHING;
+    receiver->packet_length = receiver->is_too_long ? 0u : lidar_unstuff(receiver->data, length);
+    receiver->length = 0u;
+    receiver->is_too_long = false;
+    if (lidar_check(receiver->packet, receiver->packet_length, &unit) != LIDAR_NOTHING)
+        return true;
+    receiver->bad_frames++;
+    return false;
+}
+
+#define LIDAR_LONGEST_COMMAND 20u
+
+static inline void lidar_put(uint8_t *block, size_t first_bit, unsigned bits, uint64_t word) {
+    for (size_t k = first_bit + bits; k-- > first_bit; word >>= 1)
+        block[k / 8u] = (uint8_t)(block[k / 8u] | (word & 1u) << (7u - k % 8u));
+}
+
+static inline bool lidar_put_bits(uint8_t *block, size_t first_bit, unsigned bits, uint64_t word) {
+    lidar_put(block, first_bit, bits, word);
+    return true;
+}
+
+static inline bool lidar_put_unsigned(
+    uint8_t *block, size_t first_bit, unsigned bits, uint64_t value, uint64_t lowest, uint64_t highest) {
+    lidar_put(block, first_bit, bits, value);
+    return value >= lowest && value <= highest;
+}
+
+static inline bool lidar_put_signed(
+    uint8_t *block, size_t first_bit, unsigned bits, int64_t value, int64_t lowest, int64_t highest, int64_t offset) {
+    lidar_put(block, first_bit, bits, (uint64_t)value - (uint64_t)offset);
+    return value >= lowest && value <= highest;
+}
+
+/* A number of steps, rounded to the nearest whole one; NaN is in no range. */
+static inline bool lidar_put_steps(
+    uint8_t *block, size_t first_bit, unsigned bits, double steps, double lowest, double end) {
+    const double raised = steps + 0.5;
+    int64_t below;
+    if (!(raised >= lowest && raised < end))
+        return false;
+    below = raised < 0.0 ? (int64_t)raised : 0;
+    if ((double)below > raised)
+        below--;
+    lidar_put(block, first_bit, bits, raised < 0.0 ? (uint64_t)below : (uint64_t)raised);
+    return true;
+}
+
+/* Nanoseconds as a time code of 4 + 3 bytes. */
+static inline bool lidar_put_time(uint8_t *block, size_t first_bit, int64_t time_ns) {
+    const uint64_t seconds = (uint64_t)time_ns / 1000000000u, rest = (uint64_t)time_ns % 1000000000u;
+    const uint64_t ticks = (seconds << 24) + ((rest << 24) + 500000000u) / 1000000000u;
+    lidar_put(block, first_bit, 56u, ticks);
+    return time_ns >= 0 && ticks < (uint64_t)1 << 56;
+}
+
+static inline bool lidar_put_float(
+    uint8_t *block, size_t first_bit, unsigned bits, double value, double lowest, double highest) {
+    const bool in_range = value >= lowest && value <= highest;
+    const float number = in_range ? (float)value : 0.0f;
+    uint32_t word;
+    memcpy(&word, &number, sizeof word);
+    lidar_put(block, first_bit, bits, word);
+    return in_range;
+}
+
+static inline bool lidar_put_double(
+    uint8_t *block, size_t first_bit, unsigned bits, double value, double lowest, double highest) {
+    uint64_t word;
+    memcpy(&word, &value, sizeof word);
+    lidar_put(block, first_bit, bits, word);
+    return value >= lowest && value <= highest;
+}
+
+/* The packet of a command, whose body is there already, framed; returns the number of bytes. */
+static inline size_t lidar_seal(
+    uint8_t *to, unsigned to_unit, uint64_t sequence, uint8_t *packet, size_t length) {
+    const uint64_t words[3] = {0x12A0u + to_unit, 0xC000u | (sequence & 0x3FFFu), length - 7u};
+    for (size_t k = 0u; k < 3u; k++) {
+        packet[2u * k] = (uint8_t)(words[k] >> 8);
+        packet[2u * k + 1u] = (uint8_t)words[k];
+    }
+    uint16_t crc = LIDAR_CRC_START;
+    crc = lidar_crc(crc, packet + 0u, length - LIDAR_CRC_BYTES - 0u);
+    packet[length - 2u] = (uint8_t)(crc >> 8);
+    packet[length - 1u] = (uint8_t)(crc >> 0);
+    return lidar_frame(to, packet, length);
+}
+
+#define LIDAR_COMMAND_NO_OP_BYTES 2u
+
+static inline bool lidar_pack_no_op(uint8_t *block, uint64_t sequence) {
+    memset(block, 0, LIDAR_COMMAND_NO_OP_BYTES);
+    lidar_put(block, 0u, 8u, 0u);
+    return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL);
+}
+
+static inline size_t lidar_encode_no_op(
+    uint8_t *to, unsigned to_unit, uint64_t sequence) {
+    uint8_t packet[LIDAR_HEADER_BYTES + LIDAR_COMMAND_NO_OP_BYTES + LIDAR_CRC_BYTES];
+    if (to_unit >= LIDAR_UNITS || !lidar_pack_no_op(packet + LIDAR_HEADER_BYTES, sequence))
+        return 0u;
+    return lidar_seal(to, to_unit, (uint64_t)sequence, packet, sizeof packet);
+}
+
+#define LIDAR_CAN_ID_NO_OP 0x130u
+#define LIDAR_CAN_COMMAND_NO_OP_BYTES 1u
+
+static inline bool lidar_pack_can_no_op(uint8_t *block, uint64_t sequence) {
+    memset(block, 0, LIDAR_CAN_COMMAND_NO_OP_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL);
+}
+
+#define LIDAR_COMMAND_SET_MODE_BYTES 3u
+
+static inline bool lidar_pack_set_mode(uint8_t *block, uint64_t sequence, uint64_t mode) {
+    memset(block, 0, LIDAR_COMMAND_SET_MODE_BYTES);
+    lidar_put(block, 0u, 8u, 1u);
+    return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL) &&
+        lidar_put_unsigned(block, 16u, 8u, mode, 0ULL, 255ULL);
+}
+
+static inline size_t lidar_encode_set_mode(
+    uint8_t *to, unsigned to_unit, uint64_t sequence, uint64_t mode) {
+    uint8_t packet[LIDAR_HEADER_BYTES + LIDAR_COMMAND_SET_MODE_BYTES + LIDAR_CRC_BYTES];
+    if (to_unit >= LIDAR_UNITS || !lidar_pack_set_mode(packet + LIDAR_HEADER_BYTES, sequence, mode))
+        return 0u;
+    return lidar_seal(to, to_unit, (uint64_t)sequence, packet, sizeof packet);
+}
+
+#define LIDAR_CAN_ID_SET_MODE 0x131u
+#define LIDAR_CAN_COMMAND_SET_MODE_BYTES 2u
+
+static inline bool lidar_pack_can_set_mode(uint8_t *block, uint64_t sequence, uint64_t mode) {
+    memset(block, 0, LIDAR_CAN_COMMAND_SET_MODE_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL) &&
+        lidar_put_unsigned(block, 8u, 8u, mode, 0ULL, 255ULL);
+}
+
+#define LIDAR_COMMAND_SET_PATTERN_BYTES 3u
+
+static inline bool lidar_pack_set_pattern(uint8_t *block, uint64_t sequence, uint64_t pattern) {
+    memset(block, 0, LIDAR_COMMAND_SET_PATTERN_BYTES);
+    lidar_put(block, 0u, 8u, 2u);
+    return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL) &&
+        lidar_put_unsigned(block, 16u, 8u, pattern, 0ULL, 255ULL);
+}
+
+static inline size_t lidar_encode_set_pattern(
+    uint8_t *to, unsigned to_unit, uint64_t sequence, uint64_t pattern) {
+    uint8_t packet[LIDAR_HEADER_BYTES + LIDAR_COMMAND_SET_PATTERN_BYTES + LIDAR_CRC_BYTES];
+    if (to_unit >= LIDAR_UNITS || !lidar_pack_set_pattern(packet + LIDAR_HEADER_BYTES, sequence, pattern))
+        return 0u;
+    return lidar_seal(to, to_unit, (uint64_t)sequence, packet, sizeof packet);
+}
+
+#define LIDAR_CAN_ID_SET_PATTERN 0x132u
+#define LIDAR_CAN_COMMAND_SET_PATTERN_BYTES 2u
+
+static inline bool lidar_pack_can_set_pattern(uint8_t *block, uint64_t sequence, uint64_t pattern) {
+    memset(block, 0, LIDAR_CAN_COMMAND_SET_PATTERN_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL) &&
+        lidar_put_unsigned(block, 8u, 8u, pattern, 0ULL, 255ULL);
+}
+
+#define LIDAR_COMMAND_SET_RATE_HZ_BYTES 6u
+
+static inline bool lidar_pack_set_rate_hz(uint8_t *block, uint64_t sequence, double rate_hz) {
+    memset(block, 0, LIDAR_COMMAND_SET_RATE_HZ_BYTES);
+    lidar_put(block, 0u, 8u, 3u);
+    return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL) &&
+        lidar_put_steps(block, 16u, 32u, rate_hz * 1000.0, 1.0, 10000001.0);
+}
+
+static inline size_t lidar_encode_set_rate_hz(
+    uint8_t *to, unsigned to_unit, uint64_t sequence, double rate_hz) {
+    uint8_t packet[LIDAR_HEADER_BYTES + LIDAR_COMMAND_SET_RATE_HZ_BYTES + LIDAR_CRC_BYTES];
+    if (to_unit >= LIDAR_UNITS || !lidar_pack_set_rate_hz(packet + LIDAR_HEADER_BYTES, sequence, rate_hz))
+        return 0u;
+    return lidar_seal(to, to_unit, (uint64_t)sequence, packet, sizeof packet);
+}
+
+#define LIDAR_CAN_ID_SET_RATE_HZ 0x133u
+#define LIDAR_CAN_COMMAND_SET_RATE_HZ_BYTES 5u
+
+static inline bool lidar_pack_can_set_rate_hz(uint8_t *block, uint64_t sequence, double rate_hz) {
+    memset(block, 0, LIDAR_CAN_COMMAND_SET_RATE_HZ_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL) &&
+        lidar_put_steps(block, 8u, 32u, rate_hz * 1000.0, 1.0, 10000001.0);
+}
+
+#define LIDAR_COMMAND_ENABLE_BEAMS_BYTES 6u
+
+static inline bool lidar_pack_enable_beams(uint8_t *block, uint64_t sequence, uint64_t beams) {
+    memset(block, 0, LIDAR_COMMAND_ENABLE_BEAMS_BYTES);
+    lidar_put(block, 0u, 8u, 4u);
+    return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL) &&
+        lidar_put_unsigned(block, 16u, 32u, beams, 0ULL, 4294967295ULL);
+}
+
+static inline size_t lidar_encode_enable_beams(
+    uint8_t *to, unsigned to_unit, uint64_t sequence, uint64_t beams) {
+    uint8_t packet[LIDAR_HEADER_BYTES + LIDAR_COMMAND_ENABLE_BEAMS_BYTES + LIDAR_CRC_BYTES];
+    if (to_unit >= LIDAR_UNITS || !lidar_pack_enable_beams(packet + LIDAR_HEADER_BYTES, sequence, beams))
+        return 0u;
+    return lidar_seal(to, to_unit, (uint64_t)sequence, packet, sizeof packet);
+}
+
+#define LIDAR_CAN_ID_ENABLE_BEAMS 0x134u
+#define LIDAR_CAN_COMMAND_ENABLE_BEAMS_BYTES 5u
+
+static inline bool lidar_pack_can_enable_beams(uint8_t *block, uint64_t sequence, uint64_t beams) {
+    memset(block, 0, LIDAR_CAN_COMMAND_ENABLE_BEAMS_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL) &&
+        lidar_put_unsigned(block, 8u, 32u, beams, 0ULL, 4294967295ULL);
+}
+
+#define LIDAR_COMMAND_TIME_AT_TONE_BYTES 9u
+
+static inline bool lidar_pack_time_at_tone(uint8_t *block, uint64_t sequence, int64_t tone_ns) {
+    memset(block, 0, LIDAR_COMMAND_TIME_AT_TONE_BYTES);
+    lidar_put(block, 0u, 8u, 5u);
+    return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL) &&
+        lidar_put_time(block, 16u, tone_ns);
+}
+
+static inline size_t lidar_encode_time_at_tone(
+    uint8_t *to, unsigned to_unit, uint64_t sequence, int64_t tone_ns) {
+    uint8_t packet[LIDAR_HEADER_BYTES + LIDAR_COMMAND_TIME_AT_TONE_BYTES + LIDAR_CRC_BYTES];
+    if (to_unit >= LIDAR_UNITS || !lidar_pack_time_at_tone(packet + LIDAR_HEADER_BYTES, sequence, tone_ns))
+        return 0u;
+    return lidar_seal(to, to_unit, (uint64_t)sequence, packet, sizeof packet);
+}
+
+#define LIDAR_CAN_ID_TIME_AT_TONE 0x135u
+#define LIDAR_CAN_COMMAND_TIME_AT_TONE_BYTES 8u
+
+static inline bool lidar_pack_can_time_at_tone(uint8_t *block, uint64_t sequence, int64_t tone_ns) {
+    memset(block, 0, LIDAR_CAN_COMMAND_TIME_AT_TONE_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL) &&
+        lidar_put_time(block, 8u, tone_ns);
+}
+
+#define LIDAR_COMMAND_SET_PARAMETER_BYTES 8u
+
+static inline bool lidar_pack_set_parameter(uint8_t *block, uint64_t sequence, uint64_t parameter, double number) {
+    memset(block, 0, LIDAR_COMMAND_SET_PARAMETER_BYTES);
+    lidar_put(block, 0u, 8u, 6u);
+    return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL) &&
+        lidar_put_unsigned(block, 16u, 16u, parameter, 0ULL, 65535ULL) &&
+        lidar_put_float(block, 32u, 32u, number, -3.4028234663852886e+38, 3.4028234663852886e+38);
+}
+
+static inline size_t lidar_encode_set_parameter(
+    uint8_t *to, unsigned to_unit, uint64_t sequence, uint64_t parameter, double number) {
+    uint8_t packet[LIDAR_HEADER_BYTES + LIDAR_COMMAND_SET_PARAMETER_BYTES + LIDAR_CRC_BYTES];
+    if (to_unit >= LIDAR_UNITS || !lidar_pack_set_parameter(packet + LIDAR_HEADER_BYTES, sequence, parameter, number))
+        return 0u;
+    return lidar_seal(to, to_unit, (uint64_t)sequence, packet, sizeof packet);
+}
+
+#define LIDAR_CAN_ID_SET_PARAMETER 0x136u
+#define LIDAR_CAN_COMMAND_SET_PARAMETER_BYTES 7u
+
+static inline bool lidar_pack_can_set_parameter(uint8_t *block, uint64_t sequence, uint64_t parameter, double number) {
+    memset(block, 0, LIDAR_CAN_COMMAND_SET_PARAMETER_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL) &&
+        lidar_put_unsigned(block, 8u, 16u, parameter, 0ULL, 65535ULL) &&
+        lidar_put_float(block, 24u, 32u, number, -3.4028234663852886e+38, 3.4028234663852886e+38);
+}
+
+#define LIDAR_COMMAND_RESET_BYTES 3u
+
+static inline bool lidar_pack_reset(uint8_t *block, uint64_t sequence, uint64_t restart) {
+    memset(block, 0, LIDAR_COMMAND_RESET_BYTES);
+    lidar_put(block, 0u, 8u, 7u);
+    return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL) &&
+        lidar_put_unsigned(block, 16u, 8u, restart, 0ULL, 255ULL);
+}
+
+static inline size_t lidar_encode_reset(
+    uint8_t *to, unsigned to_unit, uint64_t sequence, uint64_t restart) {
+    uint8_t packet[LIDAR_HEADER_BYTES + LIDAR_COMMAND_RESET_BYTES + LIDAR_CRC_BYTES];
+    if (to_unit >= LIDAR_UNITS || !lidar_pack_reset(packet + LIDAR_HEADER_BYTES, sequence, restart))
+        return 0u;
+    return lidar_seal(to, to_unit, (uint64_t)sequence, packet, sizeof packet);
+}
+
+#define LIDAR_CAN_ID_RESET 0x137u
+#define LIDAR_CAN_COMMAND_RESET_BYTES 2u
+
+static inline bool lidar_pack_can_reset(uint8_t *block, uint64_t sequence, uint64_t restart) {
+    memset(block, 0, LIDAR_CAN_COMMAND_RESET_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL) &&
+        lidar_put_unsigned(block, 8u, 8u, restart, 0ULL, 255ULL);
 }
 
 #endif

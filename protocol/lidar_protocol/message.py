@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from lidar_protocol.fields import Value
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
+class Message(NamedTuple):
     """One shot of one unit.
 
     `header` and each of `beams` hold what was sent under the names of the interface definition, in the units

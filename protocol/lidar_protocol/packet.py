@@ -121,14 +121,13 @@ def measurement(interface: Interface, unit: int, sequence: int | None, body: byt
         if len(body) != first:
             raise DecodeError(Fault.BAD_LENGTH, f"{len(body)} bytes are not the {first} of a shot")
         return Message(unit, header, _take_beams(interface, header), sequence)
-    step, unpack = definition.beam.length, definition.beam.unpacking
-    count, rest = divmod(len(body) - first, step)
+    count, rest = divmod(len(body) - first, definition.beam.length)
     stated = header.get("beam_count", count)
     if rest or not count or stated != count:
         raise DecodeError(
             Fault.BAD_LENGTH, f"{len(body)} bytes do not hold the number of beams that they state"
         )
-    beams = [unpack(body, start) for start in range(first, len(body), step)]
+    beams = definition.beam.unpacking_each(body[first:])
     if definition.of_beams:
         for beam, own in zip(beams, _take_beams(interface, header), strict=False):
             beam.update(own)

@@ -140,6 +140,11 @@ def test_check_values_of_the_catalogue(name):
     assert crc.function(b"123456789") == crc.by_table(b"123456789") == crc.check
 
 
+@given(st.sampled_from(sorted(CRCS)), st.binary(max_size=300))
+def test_the_fast_way_and_the_table_agree(name, data):
+    assert CRCS[name].function(data) == CRCS[name].by_table(data)
+
+
 @given(st.binary(max_size=300))
 def test_crcs_against_the_standard_library(data):
     assert CRCS["crc32"].by_table(data) == binascii.crc32(data)

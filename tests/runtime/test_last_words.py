@@ -6,18 +6,25 @@ import os
 import select
 import signal
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from lidar_emu.device.machine import initial
+from lidar_emu.device.now import DeviceNow
+from lidar_emu.device.rules import device_rules
 from lidar_emu.errors import RunError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.last_words import LastWords, last_words
+from lidar_emu.runtime.housekeeper import Housekeeper
+from lidar_emu.runtime.last_words import LastWords, unsayable
 from lidar_emu.runtime.pacing import Pace
 from lidar_emu.runtime.packets import Fate, Outgoing, Report, unpack_frames
 from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.summary import Tally
+from lidar_emu.runtime.voice import Voice
+from lidar_emu.scenario.device import Device
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_protocol import default_interface, shipped_interface
 
@@ -35,17 +42,20 @@ def unstuffed(frame: bytes) -> bytes:
     return data[:-1]
 
 
-def words_of(tally: Tally, can: bool = False) -> LastWords:
-    return LastWords(default_interface(), 3, can, tally)
+def words_of(tally: Tally, prepare: Callable[[bytes], None], can: bool = False) -> LastWords:
+    voice = Voice(default_interface(), 3, can, say=prepare)
+    rules = device_rules(Device(), 10.0, 4, 1)
+    keeper = Housekeeper(voice, DeviceNow(rules, initial(rules)), 0.5, tally, None, lambda *_: None)
+    return LastWords(voice, keeper, prepare)
 
 
 def test_they_are_a_housekeeping_packet_with_mode_safe_and_the_laser_off() -> None:
     tally = Tally(Pace.WALL)
     for fate in (Fate.LATE, Fate.LATE, Fate.DROPPED_FULL):
         tally.report(Report(0, 0, -1, fate))
-    said = words_of(tally)
     prepared: list[bytes] = []
-    said.begin(prepared.append)
+    said = words_of(tally, prepared.append)
+    said.begin()
     for tenth in range(26):
         said.report(
             Outgoing(tenth, tenth * SECOND_NS // 10, b""),
@@ -67,14 +77,15 @@ def test_they_are_a_housekeeping_packet_with_mode_safe_and_the_laser_off() -> No
 
 
 def test_on_can_they_are_frames() -> None:
-    frames = unpack_frames(words_of(Tally(Pace.WALL), can=True).words())
+    frames = unpack_frames(words_of(Tally(Pace.WALL), lambda _: None, can=True).words())
     assert {frame.can_id for frame in frames} == {0x100 + 3 * 0x40 + k for k in range(0x39, 0x3E)}
     assert next(frame.data[0] for frame in frames if frame.can_id & 0x3F == 0x39) == 6
 
 
 @pytest.mark.parametrize("can", [False, True])
 def test_an_interface_without_such_a_mode_says_nothing(can: bool) -> None:
-    assert last_words(shipped_interface("altimeter"), 0, can, {"temperature_c": 20, "uptime_s": 1.0}) == b""
+    assert "no housekeeping" in str(unsayable(shipped_interface("altimeter"), can))
+    assert unsayable(default_interface(), can) is None
 
 
 @pytest.fixture

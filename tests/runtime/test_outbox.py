@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 import lidar_emu
+from lidar_emu.device.state import DeviceState
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.outbox import Outbox
 from lidar_emu.runtime.pacing import Pace
@@ -74,6 +75,11 @@ def begun() -> tuple[Session, Port, Kept, Tally, Outbox]:
     return session, port, kept, tally, Outbox(port, [kept], tally, 100)  # type: ignore[arg-type]
 
 
+def with_pattern(session: Session, number: int) -> DeviceState:
+    settings = session.device.settings._replace(pattern=number)
+    return session.device._replace(settings=settings)
+
+
 def post(session: Session, outbox: Outbox, shots: int) -> None:
     block = session.shoot(shots)
     assert block is not None
@@ -102,7 +108,7 @@ def test_shots_that_a_command_changes_are_told_once_as_they_were_sent() -> None:
     port.meet(2)
     outbox.settle()
     session.rewind(3)
-    session.use_pattern(1)
+    session.use_device(with_pattern(session, 1))
     outbox.supersede(3)
     post(session, outbox, 4)
     port.meet(len(port.pushed))
@@ -129,7 +135,7 @@ def test_a_packet_that_was_sent_before_the_port_heard_of_a_command_is_told_as_it
     post(session, outbox, 5)
     port.meet(4)  # shot 3 goes out while the model is at it
     session.rewind(3)
-    session.use_pattern(1)
+    session.use_device(with_pattern(session, 1))
     outbox.supersede(3)
     post(session, outbox, 4)
     port.meet(len(port.pushed))

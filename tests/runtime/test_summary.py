@@ -34,6 +34,7 @@ def test_counts_of_shots_and_of_their_errors():
         "due": 70,
         "sent": 63,
         "late": 7,
+        "withheld": 0,
         "dropped": {"full": 0, "nobody_connected": 0, "broken": 0},
     }
     assert told["lateness"]["count"] == 63

@@ -16,6 +16,7 @@ from lidar_emu.cli.listen import listen
 from lidar_emu.cli.output import silence
 from lidar_emu.cli.plan import plan
 from lidar_emu.cli.run import run
+from lidar_emu.cli.send import send
 from lidar_emu.cli.simulate import simulate
 from lidar_emu.errors import InputError, RunError, one_line
 
@@ -36,6 +37,7 @@ def cli(context: click.Context) -> None:
     lidar-emu run descent.yaml --port /dev/ttyUSB0 --baud 921600
     lidar-emu run descent.yaml -i socketcan -c vcan0
     lidar-emu listen --port /dev/ttyUSB1 --baud 921600 --json
+    lidar-emu send --port /dev/ttyUSB1 set_mode mode=track
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
     lidar-emu detection descent.yaml                  what the instrument will detect, by altitude
     lidar-emu plan descent.yaml                       what the run computes and what it leaves out
@@ -46,7 +48,7 @@ def cli(context: click.Context) -> None:
         click.echo(context.get_help())
 
 
-for command in (run, listen, inject, simulate, detection, plan, bench, scenarios, schema, icd):
+for command in (run, listen, send, inject, simulate, detection, plan, bench, scenarios, schema, icd):
     cli.add_command(command)
 
 

@@ -32,8 +32,9 @@ _FAILURES = ("late", "dropped")
 @port_options
 @click.option("--pace", type=click.Choice(["wall", "max", "lockstep"]), default="wall", show_default=True,
               help="With the clock, as fast as the link takes it, or step by step with a simulator.")  # fmt: skip
-@click.option("--start", default=None, metavar="now|on-truth|UTC",
-              help="When scenario time 0 is, e.g. 2030-01-01T12:00:00Z, or as the first live truth says.")  # fmt: skip
+@click.option("--start", default=None, metavar="now|on-truth|on-command|UTC",
+              help="When scenario time 0 is, e.g. 2030-01-01T12:00:00Z, or as the first live truth says, or once a "
+                   "command makes the device acquire.")  # fmt: skip
 @click.option(
     "--control", metavar="PATH", help="Take faults in flight on this Unix socket: lidar-emu inject PATH."
 )
@@ -68,6 +69,7 @@ def run(
     lidar-emu run descent.yaml -i slcan -c /dev/ttyACM0 --bitrate 1000000
     lidar-emu run live.yaml --port /dev/ttyUSB0 --start on-truth
     lidar-emu run live.yaml --pace lockstep
+    lidar-emu run descent.yaml --port pty --start on-command
     lidar-emu run descent.yaml --port /dev/ttyUSB0 --control /tmp/lidar.sock
     lidar-emu run my.yaml --pace max --fail-on late,dropped --summary out.json --set timing.rate_hz=100
     """
@@ -94,7 +96,8 @@ def run(
     observers: list[Observer] = [view] if as_json else [Announcer(flown.name, pace), view]
     with busy(COMPILING):
         model = build_model(flown)
-        this_run = Run(flown, model, RunOptions(port, Pace(pace), start_utc, control), observers)
+        options = RunOptions(port, Pace(pace), start_utc, start == "on-command", control)
+        this_run = Run(flown, model, options, observers)
     if port.kind is not Kind.LOOPBACK and sys.stderr is not None and sys.stderr.isatty():
         observers.append(Progress(this_run.tally))
     for warning in this_run.warnings:
@@ -150,12 +153,12 @@ def _check_start(text: str | None, flown: FlightScenario | BenchScenario) -> Non
 def _start(text: str | None) -> datetime | None:
     from lidar_emu.runtime.clock import Clock
 
-    if text in (None, "now", "on-truth"):
+    if text in (None, "now", "on-truth", "on-command"):
         return None
     try:
         instant = datetime.fromisoformat(text)
     except ValueError:
-        allowed = "allowed: now, on-truth, or an instant as 2030-01-01T12:00:00Z"
+        allowed = "allowed: now, on-truth, on-command, or an instant as 2030-01-01T12:00:00Z"
         raise InputError("--start", None, text, allowed) from None
     instant = instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant
     # Seen again when the run begins, but then the kernels have been compiled.

@@ -85,7 +85,8 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
         "",
         f"shots      {shots['due']} due{_planned(told)}: {shots['sent']} sent, "
         f"{shots['late']} late, {sum(shots['dropped'].values())} dropped"
-        + (f" ({dropped})" if dropped else ""),
+        + (f" ({dropped})" if dropped else "")
+        + (f", {shots['withheld']} not fired by the device" if shots["withheld"] else ""),
     ]
     lines += _faults(told["faults"])
     if lateness["count"]:

@@ -58,8 +58,11 @@ class Rewriter:
 
     def frame(self, frame: CanFrame, fault: Any) -> CanFrame:
         """A CAN frame with the fault."""
-        address = self._addresses.get((frame.can_id, frame.is_fd))
-        if address is None or len(frame.data) != address.message.layout.length:
+        address = self._addresses.get(frame.can_id)
+        if address is None or (len(frame.data), frame.is_fd) != (
+            address.message.layout.length,
+            address.message.is_fd,
+        ):
             return frame
         assert self._interface.can is not None
         away = (_unit(address.unit, fault) - address.unit) * self._interface.can.unit_stride
@@ -67,7 +70,7 @@ class Rewriter:
         return frame._replace(can_id=frame.can_id + away, data=data)
 
     @cached_property
-    def _addresses(self) -> dict[tuple[int, bool], Address]:
+    def _addresses(self) -> dict[int, Address]:
         return addresses(self._interface)
 
     def _states_version(self, can: bool) -> bool:

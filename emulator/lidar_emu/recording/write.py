@@ -3,11 +3,14 @@
 Topics (log time: scenario time on the epoch; messages stand in the file one by one, outside of chunks, so that
 every reader gets all that was written before a cut):
 
-    /truth         JSON  vehicle position and velocity, true range and closing speed of each beam
+    /truth         JSON  vehicle position and velocity, true range and closing speed of each beam; with live truth,
+                         its age
     /measurement   JSON  the columns of `simulate --out`, one list per column
     /live_truth    bytes a simulator's datagrams as they came, good or not; log time when they came
     /packet        bytes what went onto the wire; on CAN, frame records
     /fault         JSON  a fault that acted on a shot: its place in the scenario's list, its kind, and beams
+    /command       JSON  a command: name, values, sequence, verdict, and the first shot that follows it
+    /housekeeping  bytes as /packet, what the device told of itself
     /fate          JSON  due and sent times from the start, and what became of the packet
 """
 
@@ -27,12 +30,15 @@ from mcap.writer import CompressionType, Writer
 from lidar_emu import __version__
 from lidar_emu.errors import InputError
 from lidar_emu.measurement import Measurement
+from lidar_emu.runtime.heard import Heard
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block
 
+_EARLY = 1000
+"""Messages that are kept until the file is begun: of a device that waits for the command to fly."""
 _ANY_OBJECT = json.dumps({"type": "object"}).encode()
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _TRUTH = ("true_range_m", "true_closing_speed_mps")
@@ -70,6 +76,8 @@ class Recorder(Observer):
         self._topics += ("/ordered_fault",) * controlled
         self._period_ns = scenario.timing.period_ns
         self._writer: Writer | None = None
+        self._age_s: dict[int, float] = {}
+        self._early: list[tuple[str, int, int, bytes]] = []
         self._file: BinaryIO
         self.error: str | None = None
         """Why the recording is not whole; None if it is."""
@@ -102,6 +110,9 @@ class Recorder(Observer):
         with self._trying():
             self._begin(self._writer, {**self._metadata, "port": port, "started_utc": start.isoformat()})
             self._file.flush()
+        early, self._early = self._early, []
+        for message in early:
+            self._write(*message)
 
     def _begin(self, writer: Writer, metadata: dict[str, str]) -> None:
         writer.start(profile="", library=f"lidar-emu {__version__}")
@@ -111,6 +122,19 @@ class Recorder(Observer):
             **{topic: writer.register_channel(topic, "application/octet-stream", 0) for topic in _RAW_TOPICS},
             **{topic: writer.register_channel(topic, "json", schema) for topic in self._topics},
         }
+
+    def truth_used(self, shot: int, age_ns: int) -> None:
+        """Keep it with the truth of the shot."""
+        self._age_s[shot] = age_ns * 1e-9
+
+    def commanded(self, heard: Heard, shot: int | None) -> None:
+        """Keep the command and its answer."""
+        told = heard._asdict() | {"values": dict(heard.values), "first_shot": shot}
+        self._write("/command", shot or 0, heard.time_ns, _json(told))
+
+    def kept_house(self, payload: bytes, time_ns: int) -> None:
+        """Keep what the device told of itself."""
+        self._write("/housekeeping", 0, time_ns, payload)
 
     def truth(self, datagram: bytes, time_ns: int) -> None:
         """Keep what a simulator sent."""
@@ -126,6 +150,8 @@ class Recorder(Observer):
         for k, shot in enumerate(block.measurement.shot.tolist()):
             time_ns = int(block.measurement.time_ns[k].min())
             truth, measured = _truth_and_measurement(block.measurement, k)
+            if shot in self._age_s:
+                truth["age_s"] = self._age_s.pop(shot)
             self._write("/truth", shot, time_ns, _json(truth))
             self._write("/measurement", shot, time_ns, _json(measured))
         first = int(block.measurement.shot[0])
@@ -147,7 +173,11 @@ class Recorder(Observer):
         self._write("/fate", packet.shot, packet.due_ns, _json(fate))
 
     def _write(self, topic: str, shot: int, time_ns: int, data: bytes) -> None:
-        if self._writer is None or self.error is not None:
+        if self._writer is None:
+            if len(self._early) < _EARLY:
+                self._early.append((topic, shot, time_ns, data))
+            return
+        if self.error is not None:
             return
         instant_ns = self._epoch_ns + time_ns
         with self._trying():
@@ -166,8 +196,8 @@ class Recorder(Observer):
             self.error = self.error or f"{self._path}: the recording is not whole: {error.strerror}"
 
 
-_RAW_TOPICS = ("/packet", "/live_truth")
-_JSON_TOPICS = ("/truth", "/measurement", "/fate")
+_RAW_TOPICS = ("/packet", "/live_truth", "/housekeeping")
+_JSON_TOPICS = ("/truth", "/measurement", "/command", "/fate")
 
 
 def _truth_and_measurement(block: Measurement, row: int) -> tuple[dict[str, Any], dict[str, Any]]:

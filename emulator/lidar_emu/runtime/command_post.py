@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from lidar_emu.device.now import DeviceNow
+from lidar_emu.device.obey import OUT_OF_RANGE, Order, Value
 from lidar_emu.errors import InputError
+from lidar_emu.runtime.heard import Heard
 from lidar_emu.runtime.lateness import LatenessHistogram
-from lidar_emu.runtime.outbox import payload_of
+from lidar_emu.runtime.voice import Voice
 from lidar_emu.session import Session
 from lidar_emu.transports.frames import unpack_frames
 from lidar_protocol import (
@@ -16,9 +19,7 @@ from lidar_protocol import (
     CanCommandReader,
     Command,
     CommandReader,
-    Device,
     EncodeError,
-    Interface,
 )
 
 _UNKNOWN = 255
@@ -32,22 +33,18 @@ class Change(NamedTuple):
     """Lets the session's next shot be the first to follow it."""
     arrived_ns: int
     """When the command came, on the monotonic clock."""
-
-
-def has_commands_on_can(interface: Interface) -> bool:
-    """Whether a host can command the device on a CAN bus."""
-    return interface.commands is not None and all(c.can is not None for c in interface.commands.commands)
+    heard: Heard | None = None
+    """The command, if it was one."""
 
 
 class CommandPost:
     """The device's ears and mouth on a link.
 
     Args:
-        interface: that has commands.
-        unit: of this device.
-        can: whether the link is a CAN bus.
-        has_pattern: whether the scanner has a pattern of this number.
-        say: sends an answer at once.
+        voice: by which it answers, and the interface of which has commands.
+        device: that is commanded.
+        can_date: whether packets can tell a time that the clock may be set to, in nanoseconds since the epoch.
+        tell: told of every command, with the number of the first shot that follows it, if one does.
 
     Raises:
         InputError: the interface's acknowledgement cannot be filled.
@@ -55,67 +52,97 @@ class CommandPost:
 
     def __init__(
         self,
-        interface: Interface,
-        unit: int,
-        can: bool,
-        has_pattern: Callable[[int], bool],
-        say: Callable[[bytes], None],
+        voice: Voice,
+        device: DeviceNow,
+        can_date: Callable[[int], bool],
+        tell: Callable[[Heard, int | None], None],
     ) -> None:
-        self._interface, self._device = interface, Device(interface, unit)
-        self._bytes = None if can else CommandReader(interface, unit)
-        self._frames = CanCommandReader(interface, unit) if can else None
-        self._has_pattern = has_pattern
-        self._say = say
-        assert interface.commands is not None
-        self._steps = interface.commands.sequence_steps
+        self._voice, self._interface = voice, voice.interface
+        self._bytes = None if voice.can else CommandReader(voice.interface, voice.unit)
+        self._frames = CanCommandReader(voice.interface, voice.unit) if voice.can else None
+        self._device, self._can_date = device, can_date
+        self._tell = tell
+        assert voice.interface.commands is not None
+        self._commands = voice.interface.commands
         self._sequence: int | None = None
+        self._life = 0
         self._verdicts: Counter[str] = Counter()
         self._changes: deque[Change] = deque()
         self._delay = LatenessHistogram()
-        self._unanswerable = 0
+        self._unanswerable = self._ignored_bytes = 0
         for verdict in _VERDICTS:  # an interface that cannot say them is refused before the run
             self._check_answer(verdict)
 
-    def hear(self, data: bytes, arrived_ns: int, time_ns: int) -> None:
+    def hear(self, data: bytes, arrived_ns: int, time_ns: int, pulse_ns: int | None = None) -> None:
         """Obey and answer the commands that are complete with these bytes (CAN: frame records).
 
         Args:
             arrived_ns: when they came, on the monotonic clock.
             time_ns: scenario time.
+            pulse_ns: scenario time of the last synchronisation pulse before them; None: there was none.
         """
+        state = self._device.at(time_ns)
+        if not state.answers:
+            self._ignored_bytes += len(data)
+            return
         for command in self._read(data):
-            verdict = self._obey(command, arrived_ns)
-            self._verdicts[verdict] += 1
-            code = command.code if isinstance(command, BadCommand) else command.name
-            try:
-                answers = self._answer(
-                    _UNKNOWN if code is None else code, command.sequence or 0, verdict, time_ns
-                )
-            except EncodeError:  # a time or a number that the interface's field does not hold
-                self._unanswerable += 1
-                continue
-            for answer in answers:
-                self._say(answer)
+            if state.restarts != self._life:  # a device that has restarted knows of no command before
+                self._life, self._sequence = state.restarts, None
+            heard, change = self._obey(command, time_ns, pulse_ns)
+            if change is not None:
+                self._changes.append(change._replace(arrived_ns=arrived_ns))
+            else:
+                self._tell(heard, None)
+            self._verdicts[heard.verdict] += 1
+            self._reply(heard)
+            state = self._device.at(time_ns)
+            if not state.answers:  # it has restarted
+                break
 
     def next_change(self) -> Change | None:
         """The oldest change that has not been taken."""
         return self._changes.popleft() if self._changes else None
 
-    def followed(self, change: Change, begins_ns: int) -> None:
-        """The first shot that follows a change begins at this instant of the monotonic clock."""
-        self._delay.add(max(0, begins_ns - change.arrived_ns))
+    def followed(self, change: Change, shot: int, begins_ns: int | None) -> None:
+        """This shot is the first that follows a change; it begins at this instant of the monotonic clock, if that sets
+        the pace."""
+        if change.heard is not None:
+            self._tell(change.heard, shot)
+        if begins_ns is not None:
+            self._delay.add(max(0, begins_ns - change.arrived_ns))
+
+    def close(self) -> None:
+        """Tell of the commands that no shot follows any more."""
+        while (change := self.next_change()) is not None:
+            if change.heard is not None:
+                self._tell(change.heard, None)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Under the names of housekeeping."""
+        accepted = self._verdicts["accepted"]
+        return {
+            "commands_accepted": accepted,
+            "commands_rejected": self._verdicts.total() - accepted,
+            "bad_bytes": self._reader.counters.skipped_bytes,
+        }
 
     def to_json(self) -> dict[str, Any]:
         """The counts under the names of the summary file."""
-        reader = self._bytes or self._frames
-        assert reader is not None
         return {
             "accepted": self._verdicts["accepted"],
             "rejected": {word: n for word, n in sorted(self._verdicts.items()) if word != "accepted"},
             "unanswerable": self._unanswerable,
-            "skipped_bytes": reader.counters.skipped_bytes,
+            "skipped_bytes": self._reader.counters.skipped_bytes,
+            "ignored_bytes": self._ignored_bytes,
             "delay": self._delay.summary(),
         }
+
+    @property
+    def _reader(self) -> CommandReader | CanCommandReader:
+        reader = self._bytes or self._frames
+        assert reader is not None
+        return reader
 
     def _read(self, data: bytes) -> list[Command | BadCommand]:
         if self._bytes is not None:
@@ -124,38 +151,73 @@ class CommandPost:
         frames = (frame for frame in unpack_frames(data) if not frame.is_extended)
         return [command for f in frames for command in self._frames.feed(f.can_id, f.data, f.is_fd)]
 
-    def _obey(self, command: Command | BadCommand, arrived_ns: int) -> str:
+    def _obey(
+        self, command: Command | BadCommand, time_ns: int, pulse_ns: int | None
+    ) -> tuple[Heard, Change | None]:
+        """The command as it was heard, and what it changes."""
+        in_turn = self._in_turn(command)
+        if in_turn:
+            self._sequence = command.sequence
         if isinstance(command, BadCommand):
-            return command.verdict
-        if self._sequence is not None and command.sequence != (self._sequence + 1) % self._steps:
-            return "bad_sequence"
-        self._sequence = command.sequence
-        if command.name == "no_op":
-            return "accepted"
-        if command.name != "set_pattern" or "pattern" not in command.values:
-            return "out_of_state"
-        pattern = int(command.values["pattern"] or 0)
-        if pattern < 0 or not self._has_pattern(pattern):
-            return "out_of_range"
-        self._changes.append(Change(lambda session: session.use_pattern(pattern), arrived_ns))
-        return "accepted"
+            return Heard(time_ns, command.code, {}, command.sequence, command.verdict), None
+        values = self._words(command)
+        heard = Heard(time_ns, command.name, values, command.sequence, "bad_sequence")
+        if not in_turn:
+            return heard, None
+        tone_ns = values.get("tone_ns")
+        if isinstance(tone_ns, int) and not self._can_date(tone_ns):
+            return heard._replace(verdict=OUT_OF_RANGE), None
+        order = Order(command.name, values, time_ns, time_ns if pulse_ns is None else pulse_ns)
+        state, verdict = self._device.obey(order)
+        heard = heard._replace(verdict=verdict)
+        if state is None:
+            return heard, None
+        return heard, Change(lambda session: session.use_device(state), 0, heard)
 
-    def _answer(self, command: int | str, sequence: int, verdict: str, time_ns: int) -> list[bytes]:
-        """The acknowledgement, where the interface has one."""
-        values: dict[str, Any] = {
-            "sequence": sequence, "verdict": verdict, "time_ns": max(0, time_ns), "time_s": max(0, time_ns) * 1e-9
-        }  # fmt: skip
-        if self._bytes is not None:
-            if self._interface.acknowledge is None:
-                return []
-            return [self._device.acknowledge(self._verdicts.total() - 1, command, **values)]
-        if self._interface.can is None or self._interface.can.acknowledge is None:
-            return []
-        return [payload_of([self._device.acknowledge_frame(command, **values)])]
+    def _in_turn(self, command: Command | BadCommand) -> bool:
+        """Whether it has the number after the last; `no_op` may have any but the last: the count goes on from it."""
+        if self._sequence is None:
+            return command.sequence is not None
+        if isinstance(command, Command) and command.name == "no_op":
+            return command.sequence != self._sequence
+        return command.sequence == (self._sequence + 1) % self._commands.sequence_steps
+
+    def _words(self, command: Command) -> Mapping[str, Value]:
+        """The arguments, with the words of enumerations."""
+        words = {
+            placed.field.name: placed.field.enumeration
+            for placed in (self._commands.by_name[command.name].packet.placed)
+        }
+        return {
+            name: value
+            if value is None or not (enumeration := words.get(name))
+            else self._interface.word(enumeration, int(value))
+            for name, value in command.values.items()
+        }
+
+    def _reply(self, heard: Heard) -> None:
+        shown_ns = self._device.at(heard.time_ns).clock.reads_ns(heard.time_ns)
+        try:
+            answer = self._answer(heard, shown_ns)
+        except EncodeError:  # a time or a number that the interface's field does not hold
+            self._unanswerable += 1
+            return
+        if answer is not None:
+            self._voice.say(answer)
+
+    def _answer(self, heard: Heard, shown_ns: int) -> bytes | None:
+        command = _UNKNOWN if heard.command is None else heard.command
+        values = {
+            "sequence": heard.sequence or 0,
+            "verdict": heard.verdict,
+            "time_ns": shown_ns,
+            "time_s": shown_ns * 1e-9,
+        }
+        return self._voice.acknowledgement(self._verdicts.total() - 1, command, values)
 
     def _check_answer(self, verdict: str) -> None:
         try:
-            self._answer(_UNKNOWN, 0, verdict, 0)
+            self._answer(Heard(0, None, {}, None, verdict), 0)
         except EncodeError as error:
             raise InputError(
                 "wire.interface", "acknowledge", verdict, f"it cannot be sent: {error}"

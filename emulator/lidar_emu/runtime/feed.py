@@ -47,12 +47,19 @@ class Desk(NamedTuple):
         self.outbox.wait(self.clock.now_ns() + POLL_NS)
         return self.outbox.settle()
 
-    def hear(self, time_ns: int) -> None:
-        """Hear the host, at this scenario time."""
+    def hear(self, time_ns: int, start_ns: int | None = None) -> None:
+        """Hear the host.
+
+        Args:
+            time_ns: scenario time.
+            start_ns: instant of the monotonic clock at scenario time 0, where that clock sets the pace: commands then
+                count from when they came.
+        """
         arrivals = self.outbox.arrivals()
         for arrived_ns, data in arrivals if self.commands is not None else ():
             assert self.commands is not None
-            self.commands.hear(data, arrived_ns, time_ns)
+            came_ns = time_ns if start_ns is None else arrived_ns - start_ns
+            self.commands.hear(data, arrived_ns, came_ns)
         if self.injector is not None:
             self.injector.hear()
 
@@ -68,8 +75,8 @@ class Desk(NamedTuple):
             begins_ns: when it begins, on the monotonic clock; None where that clock does not set the pace.
         """
         change.apply(self.session)
-        if self.commands is not None and begins_ns is not None:
-            self.commands.followed(change, begins_ns)
+        if self.commands is not None:
+            self.commands.followed(change, self.session.next_shot, begins_ns)
 
     def finish(self) -> None:
         """Say that no more packets will come, and wait until the port is through with them."""

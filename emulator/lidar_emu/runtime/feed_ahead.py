@@ -72,7 +72,10 @@ class AheadFeed:
     def _go_on(self) -> bool:
         """Do the next thing; False if there is nothing left to do."""
         desk = self._desk
-        desk.hear(desk.clock.now_ns() - self._start_ns)
+        if self._pace is Pace.WALL:
+            desk.hear(desk.clock.now_ns() - self._start_ns, self._start_ns)
+        else:
+            desk.hear(self._next_to_push() * self._period_ns)
         if self._later is None and (change := desk.next_change()) is not None:
             self._change(change)
         elif self._waiting:
@@ -117,9 +120,12 @@ class AheadFeed:
     def _first_to_follow(self, change: Change) -> int:
         """The first shot to begin after the command, and late enough that its packet can still be made."""
         if self._pace is not Pace.WALL:
-            return self._waiting[0].shot if self._waiting else self._desk.session.next_shot
+            return self._next_to_push()
         ready_ns = self._desk.clock.now_ns() + _REACTION_NS - self._latency_ns
         return max(0, -((self._start_ns - max(change.arrived_ns, ready_ns)) // self._period_ns))
+
+    def _next_to_push(self) -> int:
+        return self._waiting[0].shot if self._waiting else self._desk.session.next_shot
 
     def _begins_ns(self, shot: int) -> int | None:
         return self._start_ns + shot * self._period_ns if self._pace is Pace.WALL else None

@@ -110,7 +110,7 @@ class LiveFeed:
     def _follow_commands(self, shot: int) -> None:
         """Those that came before the shot began."""
         begins_ns = self._start_ns_known() + shot * self._flight.period_ns
-        self._desk.hear(self._desk.clock.now_ns() - self._start_ns_known())
+        self._desk.hear(self._desk.clock.now_ns() - self._start_ns_known(), self._start_ns_known())
         while (change := self._later or self._desk.next_change()) is not None:
             self._later = change if change.arrived_ns > begins_ns else None
             if self._later is not None:

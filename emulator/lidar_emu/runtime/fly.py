@@ -8,17 +8,20 @@ from contextlib import contextmanager, nullcontext, suppress
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
-from lidar_emu.errors import InputError
+from lidar_emu.device.machine import initial
+from lidar_emu.device.now import DeviceNow
+from lidar_emu.device.rules import device_rules
 from lidar_emu.flight import Flight
 from lidar_emu.runtime.child import PortDiedError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.command_post import CommandPost, has_commands_on_can
 from lidar_emu.runtime.events import EventLog, told
 from lidar_emu.runtime.feed import Desk, Feed
 from lidar_emu.runtime.feed_ahead import AheadFeed
 from lidar_emu.runtime.feed_live import LiveFeed
 from lidar_emu.runtime.feed_lockstep import LockstepFeed
-from lidar_emu.runtime.last_words import last_words_of
+from lidar_emu.runtime.feed_on_command import OnCommandFeed, waiting_device
+from lidar_emu.runtime.front import Front, open_front
+from lidar_emu.runtime.last_words import LastWords, unsayable
 from lidar_emu.runtime.late_ends import LateEnds
 from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.observer import Observer
@@ -28,11 +31,12 @@ from lidar_emu.runtime.outcome import Outcome
 from lidar_emu.runtime.pacing import Pace, WhenLate
 from lidar_emu.runtime.rehearsal import rehearse
 from lidar_emu.runtime.run import PortRunner
-from lidar_emu.runtime.run_options import RunOptions, live_part
+from lidar_emu.runtime.run_options import RunOptions, live_part, start_instant_ns
 from lidar_emu.runtime.signals import on_signals
-from lidar_emu.runtime.summary import Tally, expectation
+from lidar_emu.runtime.summary import Tally, of_scenario
 from lidar_emu.runtime.truth_socket import TruthSocket
 from lidar_emu.runtime.truth_source import TruthSource
+from lidar_emu.runtime.voice import Voice
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block, Session
 from lidar_emu.shots import FlightModel, Model
@@ -84,7 +88,9 @@ class Run:
         self._encoder = encoder = Encoder(scenario.wire, port.kind is Kind.CAN, port.fd, model.beam_count)
         self._slots = max(2 * self._block_shots, round(rate_hz * LOOK_AHEAD_S))
         faulty = packets_on_order(scenario, encoder, options)
-        self._session = Session(model, encoder, self._slots + 1, faulty)
+        self._rules = rules = device_rules(scenario.device, rate_hz, model.beam_count, model.pattern_count)
+        self._device = waiting_device(rules) if options.on_command else DeviceNow(rules, initial(rules))
+        self._session = Session(model, encoder, self._slots + 1, faulty, rules)
         self._port_faults = port_on_order(scenario, model, options)
         # The first block is computed before the run: kernels are compiled, and the packets' length is known.
         self._first = self._first_block(encoder)
@@ -102,10 +108,12 @@ class Run:
         """Instant of the monotonic clock from which due times count; known once observers hear `opened`."""
         self._error: str | None = None
         self.tally = Tally(options.pace)
-        self._expected = expectation(scenario, model)
+        self._known = of_scenario(scenario, model)
         self._process_events = EventLog()
-        self._last_words = last_words_of(scenario, encoder.interface, port, self.tally)
-        warnings = check_wire_load(port, longest, rate_hz), self._last_words and self._last_words.warning
+        self._says_last_words = scenario.timing.when_process_dies == "safe"
+        self._last_words: LastWords | None = None
+        wordless = unsayable(encoder.interface, port.kind is Kind.CAN) if self._says_last_words else None
+        warnings = check_wire_load(port, longest, rate_hz), wordless
         self.warnings = [warning for warning in warnings if warning]
         """What the user should know before the run."""
 
@@ -133,19 +141,38 @@ class Run:
                 self._observers,
             ) as self._injector,
         ):
-            source = self._source(socket)
-            ours = (source, self._judge_of_lateness(), self._last_words)
-            observers = [*self._observers, *(observer for observer in ours if observer is not None)]
-            outbox = Outbox(port, observers, self.tally, self._slots)
-            commands = self._command_post(outbox)
+            watching = list(self._observers)
+            source = self._source(socket, watching)
+            front, outbox = self._front(port, source, watching)
             with suppress(KeyboardInterrupt):
                 self._description = port.start(self._options.port, self._port_faults)
                 self._opening = False
                 with self._outliving_the_port():
-                    self._feed(port, outbox, source, commands).fly()
+                    self._feed(port, outbox, source, front).fly()
             port.close()
             outbox.close()
-        return Outcome(self.tally, self._details(port, source, commands, stolen), self._error)
+            front.close()
+        return Outcome(self.tally, self._details(port, source, front, stolen), self._error)
+
+    def _front(
+        self, port: PortRunner, source: TruthSource | None, watching: list[Observer]
+    ) -> tuple[Front, Outbox]:
+        """What the device hears and says, and the shots' way out; whoever is to know of them watches from now on."""
+        outbox, can = Outbox(port, watching, self.tally, self._slots), self._options.port.kind is Kind.CAN
+        voice = Voice(self._encoder.interface, self._scenario.wire.unit, can, outbox.send_now)
+        front = open_front(
+            voice, self._device, self._can_date, self._scenario.laser_power_w, self.tally, watching
+        )
+        if self._says_last_words:
+            self._last_words = LastWords(voice, front.housekeeper, port.prepare)
+        ours = source, self._judge_of_lateness(), front.housekeeper, self._last_words
+        watching += [each for each in ours if each is not None]
+        return front, outbox
+
+    def _can_date(self, shown_ns: int) -> bool:
+        """Whether packets can tell the time to the end of the run, once the clock has been set to this."""
+        run_ns = self._model.shot_count * self._model.period_ns
+        return self._encoder.can_date(self._first.measurement, shown_ns + run_ns)
 
     @contextmanager
     def _outliving_the_port(self) -> Iterator[None]:
@@ -165,34 +192,24 @@ class Run:
         return LateEnds(self._fail) if self._scenario.timing.when_late == "abort" else None
 
     def _first_block(self, encoder: Encoder) -> Block:
-        if self._live is not None:
+        if self._live is not None or self._options.on_command:
             return rehearse(self._model, encoder)
+        if not self._session.device.measures:
+            rehearse(self._model, encoder)
+        return self._computed()
+
+    def _computed(self) -> Block:
         block = self._session.shoot(self._block_shots)
         assert block is not None
         return block
 
-    def _source(self, socket: TruthSocket | None) -> TruthSource | None:
+    def _source(self, socket: TruthSocket | None, watching: list[Observer]) -> TruthSource | None:
         if socket is None or self._live is None:
             return None
         stale_after_ns = round(self._live.stale_after_s * 1e9)
-        return TruthSource(socket, _live_trajectory(self._flight), stale_after_ns, self._observers)
+        return TruthSource(socket, _live_trajectory(self._flight), stale_after_ns, watching)
 
-    def _command_post(self, outbox: Outbox) -> CommandPost | None:
-        """None where the interface has no commands on this link."""
-        interface, can = self._encoder.interface, self._options.port.kind is Kind.CAN
-        if interface.commands is None or (can and not has_commands_on_can(interface)):
-            return None
-        return CommandPost(
-            interface,
-            self._scenario.wire.unit,
-            can,
-            lambda number: self._model.commanded(self._model.initial_state, number) is not None,
-            outbox.send_now,
-        )
-
-    def _feed(
-        self, port: PortRunner, outbox: Outbox, source: TruthSource | None, commands: CommandPost | None
-    ) -> Feed:
+    def _feed(self, port: PortRunner, outbox: Outbox, source: TruthSource | None, front: Front) -> Feed:
         desk = Desk(
             self._session,
             outbox,
@@ -200,25 +217,31 @@ class Run:
             self._cut_short,
             self._fail,
             lambda start_ns: self._begin(port, start_ns),
-            commands,
+            front.commands,
             self._injector,
         )
-        if source is None or self._live is None:
-            return AheadFeed(
-                desk,
-                self._first,
-                self._block_shots,
-                self._start_ns,
-                self._scenario.timing.period_ns,
-                self._options.pace,
-            )
-        for observer in self._observers:
-            observer.awaiting(self._description, f"truth on {self._live.listen}")
-        if self._options.pace is Pace.LOCKSTEP:
-            return LockstepFeed(desk, source, self._flight)
-        return LiveFeed(
-            desk, source, self._flight, self._live, self._start_ns, self._scenario.timing.late_after_ns
+        start_ns = start_instant_ns(self._options, self._clock)
+        if source is not None and self._live is not None:
+            self._announce(f"truth on {self._live.listen}")
+            if self._options.pace is Pace.LOCKSTEP:
+                return LockstepFeed(desk, source, self._flight)
+            late_after_ns = self._scenario.timing.late_after_ns
+            return LiveFeed(desk, source, self._flight, self._live, start_ns, late_after_ns)
+        if not self._options.on_command:
+            return self._ahead(desk, start_ns)
+        self._announce("set_mode acquire or track")
+        return OnCommandFeed(
+            desk, self._device, self._rules, front.housekeeper, lambda start_ns: self._ahead(desk, start_ns)
         )
+
+    def _ahead(self, desk: Desk, start_ns: int | None) -> Feed:
+        first = self._computed() if self._options.on_command else self._first
+        period_ns = self._scenario.timing.period_ns
+        return AheadFeed(desk, first, self._block_shots, start_ns, period_ns, self._options.pace)
+
+    def _announce(self, what: str) -> None:
+        for observer in self._observers:
+            observer.awaiting(self._description, what)
 
     @property
     def _flight(self) -> Flight:
@@ -246,51 +269,27 @@ class Run:
         timing = self._scenario.timing
         port.begin(start_ns, timing.late_after_ns, self._options.pace, WhenLate(timing.when_late))
         if self._last_words is not None:
-            self._last_words.begin(port.prepare)
-
-    @property
-    def _start_ns(self) -> int | None:
-        """The start of the run on the monotonic clock; None if that is for the feed to say."""
-        start, now_ns, now = self._options.start, self._clock.now_ns(), self._clock.utc_now()
-        if start is None:
-            return None
-        if start < now:
-            raise InputError("--start", None, start.isoformat(), "allowed: now, or an instant to come")
-        return now_ns + (start - now) // timedelta(microseconds=1) * 1000
+            self._last_words.begin()
 
     def _details(
-        self, port: PortRunner, source: TruthSource | None, commands: CommandPost | None, stolen: int | None
+        self, port: PortRunner, source: TruthSource | None, front: Front, stolen: int | None
     ) -> dict[str, Any]:
         stolen_now = steal_ticks()
         return {
-            "scenario": self._scenario.name,
-            "seed": self._scenario.seed,
-            "epoch": self._scenario.timing.epoch.isoformat(),
-            "rate_hz": self._scenario.timing.rate_hz,
-            "planned_shots": self._planned_shots,
+            **self._known,
             "started_utc": None if self._start_utc is None else self._start_utc.isoformat(),
             "interrupted": self._interrupted,
             "error": self._error,
             "port": port.told.description or str(self._options.port),
             "pace": str(self._options.pace),
-            "granted": port.told.granted,
-            "missing": port.told.missing,
             "steal_ticks": None if stolen is None or stolen_now is None else stolen_now - stolen,
-            "wire": {"load": self._wire_load, **port.told.wire()},
-            **told("link", port.told.event_count, port.told.events),
+            **port.told.to_json(self._wire_load),
             **told("process", self._process_events.count, self._process_events.since(0)),
             "last_words": None if self._last_words is None else self._last_words.told,
-            "commands": None if commands is None else commands.to_json(),
+            **front.to_json(),
             "faults_in_flight": None if self._injector is None else self._injector.to_json(),
             "truth": None if source is None else source.to_json(),
-            **self._expected,
-            "left_out": [row for row in self._model.plan.rows() if not row["computed"]],
         }
-
-    @property
-    def _planned_shots(self) -> int | None:
-        """None where the simulator decides."""
-        return None if self._live and self._scenario.duration_s is None else self._model.shot_count
 
 
 def _live_trajectory(flight: Flight) -> LiveTrajectory:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 
+from lidar_emu.runtime.heard import Heard
 from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.session import Block
@@ -20,6 +21,15 @@ class Observer:
 
     def truth(self, datagram: bytes, time_ns: int) -> None:
         """A simulator's datagram arrived, at this scenario time; good or not."""
+
+    def truth_used(self, shot: int, age_ns: int) -> None:
+        """A shot was computed from truth that was so old then."""
+
+    def commanded(self, heard: Heard, shot: int | None) -> None:
+        """A command was answered; this shot is the first that follows it, None if none does."""
+
+    def kept_house(self, payload: bytes, time_ns: int) -> None:
+        """The device told how it was at this scenario time."""
 
     def ordered(self, number: int, fault: ScheduledFault | LinkFault, shot: int) -> None:
         """A fault was ordered in flight: its place in the list; its times, in scenario time; the first shot with it."""

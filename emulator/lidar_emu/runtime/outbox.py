@@ -74,7 +74,7 @@ class Outbox:
                 continue
             packet, block, row = self._in_flight.popleft()
             self._left = min(self._room, self._left + 1)
-            self._tally.report(report)
+            self._tally.report(report, block.silent)
             for observer in self._observers:
                 observer.report(packet, report)
             self._met_fate(block, row)

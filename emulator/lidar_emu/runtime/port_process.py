@@ -113,6 +113,7 @@ class _Port:
         self._sender: Sender | None = None
         self._received_bytes = 0
         self._unheard_bytes = 0
+        self._said_bytes = 0
         self._unsent = 0
         self._lockstep = False
         self._told_settled = 0
@@ -183,11 +184,17 @@ class _Port:
             self._finishing = True
         self._last_words = bytes.fromhex(order.get("last_words", "")) or self._last_words
         self._ends_in_order = order.get("end", self._ends_in_order)
-        if self._sender is not None:
-            if "supersede" in order:
-                self._sender.supersede(*order["supersede"])
-            if "send" in order:
-                self._unsent += self._sender.send_now(bytes.fromhex(order["send"])) is not Fate.SENT
+        if "send" in order:
+            self._say(bytes.fromhex(order["send"]))
+        if "supersede" in order and self._sender is not None:
+            self._sender.supersede(*order["supersede"])
+
+    def _say(self, payload: bytes) -> None:
+        """Send or drop at once what is no shot, also before the run begins."""
+        if self._link.send(payload, self._clock.now_ns()) is Fate.SENT:
+            self._said_bytes += len(payload)
+        else:
+            self._unsent += 1
 
     def _drained_or_look_again(self, wait: Wait) -> int | None:
         """Say so once everything is out; while the other end still reads, when to look again."""
@@ -233,7 +240,7 @@ class _Port:
             self._answers.say(settled=self._told_settled)
 
     def _counts(self) -> dict[str, int]:
-        sent_bytes = self._sender.sent_bytes if self._sender is not None else 0
+        sent_bytes = self._said_bytes + (self._sender.sent_bytes if self._sender is not None else 0)
         return {
             "sent_bytes": sent_bytes,
             "received_bytes": self._received_bytes,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.events import EventLog, LinkEvent
+from lidar_emu.runtime.events import EventLog, LinkEvent, told
 from lidar_emu.transports.link import COUNTED
 
 
@@ -47,14 +47,25 @@ class PortStory:
         """How many events there were, with those that `events` leaves out."""
         return self._events.count
 
-    def wire(self) -> dict[str, int | None]:
-        """What went over the wire, under the names of the summary file."""
-        return {
+    def to_json(self, load: float | None) -> dict[str, Any]:
+        """What became of port and link, under the names of the summary file.
+
+        Args:
+            load: how much of the link the shots take.
+        """
+        wire = {
+            "load": load,
             "sent_bytes": self.sent_bytes,
             "received_bytes": self.received_bytes,
             "unheard_bytes": self.unheard_bytes,
             "unsent_answers": self.unsent,
             **self.noticed,
+        }
+        return {
+            "granted": self.granted,
+            "missing": self.missing,
+            "wire": wire,
+            **told("link", self.event_count, self.events),
         }
 
     def understand(self, answers: list[dict[str, Any]]) -> None:

@@ -1,6 +1,8 @@
-"""A shot before the first truth: it compiles what will be needed, and shows how long packets are."""
+"""A shot before the flight: it compiles what will be needed, and shows how long packets are."""
 
 from __future__ import annotations
+
+from contextlib import nullcontext
 
 from lidar_emu.session import Block, Session
 from lidar_emu.shots import FlightModel, Model
@@ -14,11 +16,9 @@ _HOVER = Truth(0, 0, (0.0, 0.0, 1000.0), _STILL, _STILL, _FACING_DOWN, _STILL)
 
 
 def rehearse(model: Model, encoder: Encoder) -> Block:
-    """Shot 0 as it would be a kilometre above the site's origin; the trajectory then knows of nothing again."""
-    assert isinstance(model, FlightModel)
-    trajectory = model.flight.trajectory
-    assert isinstance(trajectory, LiveTrajectory)
-    with trajectory.pretending(_HOVER):
+    """Shot 0; where truth is live as it would be a kilometre above the site's origin, of which nothing stays."""
+    trajectory = model.flight.trajectory if isinstance(model, FlightModel) else None
+    with trajectory.pretending(_HOVER) if isinstance(trajectory, LiveTrajectory) else nullcontext():
         block = Session(model, encoder).shoot(1)
     assert block is not None
     return block

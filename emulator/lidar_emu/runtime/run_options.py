@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.pacing import Pace
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.trajectory import Live
@@ -21,6 +22,8 @@ class RunOptions:
     start: datetime | None = None
     """UTC instant of scenario time 0; None as soon as the first shots are computed, or, where truth is live, as its
     first datagram says."""
+    on_command: bool = False
+    """Scenario time 0 follows the command that makes the device acquire."""
     control: str | None = None
     """Path of the socket on which faults are ordered in flight; None: none are."""
 
@@ -42,4 +45,23 @@ def live_part(scenario: FlightScenario | BenchScenario, options: RunOptions) -> 
         raise InputError(
             "--start", None, options.start.isoformat(), "allowed in lockstep: on-truth, as if left out"
         )
+    if options.on_command and (live is not None or options.pace is not Pace.WALL):
+        found = "trajectory.kind live" if live is not None else f"pace {options.pace}"
+        raise InputError(
+            "--start", None, Finding(f"on-command with {found}"), "allowed: a planned flight at pace wall"
+        )
     return live
+
+
+def start_instant_ns(options: RunOptions, clock: Clock) -> int | None:
+    """Scenario time 0 on the monotonic clock; None if that is for the feed to say.
+
+    Raises:
+        InputError: it lies in the past.
+    """
+    start, now_ns, now = options.start, clock.now_ns(), clock.utc_now()
+    if start is None:
+        return None
+    if start < now:
+        raise InputError("--start", None, start.isoformat(), "allowed: now, or an instant to come")
+    return now_ns + (start - now) // timedelta(microseconds=1) * 1000

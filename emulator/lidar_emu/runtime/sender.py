@@ -89,13 +89,6 @@ class Sender:
         """Packets of earlier generations are not sent any more, from this shot on; they lie before entry `end`."""
         self._superseded.append((generation, from_shot, end))
 
-    def send_now(self, payload: bytes) -> Fate:
-        """What is no shot: sent or dropped at once."""
-        fate = self._link.send(payload, self._clock.now_ns())
-        if fate is Fate.SENT:
-            self.sent_bytes += len(payload)
-        return fate
-
     def _superseded_from(self, packet: Outgoing) -> int:
         """How many packets from this one on are not to be sent; they leave the ring at once.
 

@@ -61,6 +61,8 @@ class Tally:
     reasons: list[Counter[int]] = field(default_factory=list)
     faults: Counter[str] = field(default_factory=Counter)
     """Shots on which a fault acted, by its kind."""
+    silent: int = 0
+    """Shots that the device did not fire, by its mode or by its rate."""
 
     def measured(self, block: Measurement) -> None:
         """Shots whose packets have met their fates."""
@@ -71,9 +73,10 @@ class Tally:
         for beam, counts in enumerate(self.reasons):
             counts.update(block.reason[:, beam].tolist())
 
-    def report(self, report: Report) -> None:
-        """One packet met its fate."""
+    def report(self, report: Report, silent: bool = False) -> None:
+        """One packet met its fate, or the device was silent when one was due."""
         self.fates[report.fate] += 1
+        self.silent += silent and report.fate is Fate.WITHHELD
         if report.fate is Fate.SENT and self.pace is Pace.WALL:
             lateness_ns = max(0, report.sent_ns - report.due_ns)
             self.lateness.add(lateness_ns)
@@ -110,6 +113,7 @@ class Tally:
                 "due": self.due,
                 "sent": self.sent,
                 "late": self.late,
+                "withheld": self.silent,
                 "dropped": {name: self.fates[fate] for fate, name in _DROPS.items()},
             },
             "lateness": {**self.lateness.summary(), "windows": self.windows.summary()},
@@ -117,13 +121,30 @@ class Tally:
                 {Reason(code).name.lower(): count for code, count in sorted(counts.items())}
                 for counts in self.reasons
             ],
-            "faults": {"shots": dict(sorted(self.faults.items())), "withheld": self.fates[Fate.WITHHELD]},
+            "faults": {
+                "shots": dict(sorted(self.faults.items())),
+                "withheld": self.fates[Fate.WITHHELD] - self.silent,
+            },
             "range_error_m": self.range_error_m.to_json(),
             "speed_error_mps": self.speed_error_mps.to_json(),
         }
 
 
-def expectation(scenario: FlightScenario | BenchScenario, model: Model) -> dict[str, Any]:
+def of_scenario(scenario: FlightScenario | BenchScenario, model: Model) -> dict[str, Any]:
+    """What is known of a run before it, under the names of the summary file."""
+    decided = scenario.live is None or scenario.duration_s is not None  # else by the simulator
+    return {
+        "scenario": scenario.name,
+        "seed": scenario.seed,
+        "epoch": scenario.timing.epoch.isoformat(),
+        "rate_hz": scenario.timing.rate_hz,
+        "planned_shots": model.shot_count if decided else None,
+        **_expectation(scenario, model),
+        "left_out": [row for row in model.plan.rows() if not row["computed"]],
+    }
+
+
+def _expectation(scenario: FlightScenario | BenchScenario, model: Model) -> dict[str, Any]:
     """What the closed forms expect of the run, under the names of the summary file; null for a bench pattern and
     for a flight that is not known yet."""
     names = ("expected_range_error_m", "expected_speed_error_mps", "expected_dropout")

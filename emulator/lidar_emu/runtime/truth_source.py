@@ -107,6 +107,8 @@ class TruthSource(Observer):
         self._age.add(age_ns)
         self._stale += age_ns > self._stale_after_ns
         assert self._start_ns is not None
+        for observer in self._observers:
+            observer.truth_used(packet.shot, age_ns)
         since_ns = max(self._newest_arrived_ns - self._start_ns, packet.due_ns)
         self._awaited.append((packet.shot, since_ns))
 

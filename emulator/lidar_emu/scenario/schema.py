@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.bench_pattern import BenchPattern
+from lidar_emu.scenario.device import Device
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.part import Part, Switch, unusable
@@ -84,12 +85,19 @@ class Scenario(Part):
     """Rate and latency."""
     wire: Wire = Wire()
     """Identity on the wire."""
+    device: Device = Device()
+    """The device around the lidar: modes, clock, housekeeping."""
     faults: Annotated[list[Fault], Field(min_length=0, max_length=256)] = []
     """What goes wrong, in this order: each acts on what those before it have left."""
 
     @property
     def live(self) -> Live | None:
         """Where the truth of a simulator comes from; None if the scenario itself says how it is flown."""
+        return None
+
+    @property
+    def laser_power_w(self) -> float | None:
+        """Of the laser while it is on; None where there is none."""
         return None
 
 
@@ -116,6 +124,11 @@ class FlightScenario(Scenario):
     def live(self) -> Live | None:
         """See `Scenario`."""
         return self.trajectory if isinstance(self.trajectory, Live) else None
+
+    @property
+    def laser_power_w(self) -> float | None:
+        """See `Scenario`."""
+        return self.instrument.optics.laser_power_w
 
     @property
     def cycle_time_s(self) -> float:

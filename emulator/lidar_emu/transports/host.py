@@ -1,4 +1,4 @@
-"""The host's end of a link: what `listen` reads."""
+"""The host's end of a link: what `listen` reads, and `send` writes to."""
 
 from __future__ import annotations
 
@@ -29,6 +29,18 @@ class _Host:
         if self._channel is not None:
             self._channel.close()
             self._channel = None
+
+    def write(self, payload: bytes) -> bool:
+        """Hand over a whole command (CAN: frame records); False while the line is full or broken."""
+        if self._channel is None and not self._reopen():
+            return False
+        assert self._channel is not None
+        try:
+            return self._channel.send(payload)
+        except LinkLostError:
+            self.times_lost += 1
+            self.close()
+            return False
 
     def _receive(self, timeout_s: float) -> bytes:
         """What has arrived within `timeout_s`; empty where nothing came or the link is broken."""

@@ -3,6 +3,7 @@ typedef struct {
     size_t length, used;
     const uint8_t *packet;
     size_t packet_length;
+    uint32_t bad_frames; /* sync words without a good packet behind them: damage, or chance */
 } lidar_receiver;
 
 static inline void lidar_drop(lidar_receiver *receiver, size_t count) {
@@ -41,6 +42,14 @@ static inline bool lidar_next(lidar_receiver *receiver) {
                 return true;
             }
         }
-        lidar_drop(receiver, LIDAR_SYNC_BYTES); /* chance, or damage: a real frame may follow */
+        receiver->bad_frames++;
+        lidar_drop(receiver, LIDAR_SYNC_BYTES); /* a real frame may follow */
     }
+}
+
+/* The packet in a frame; returns the number of bytes. */
+static inline size_t lidar_frame(uint8_t *to, const uint8_t *packet, size_t length) {
+    lidar_head(to, length);
+    memcpy(to + LIDAR_SYNC_BYTES + LIDAR_LENGTH_BYTES, packet, length);
+    return LIDAR_SYNC_BYTES + LIDAR_LENGTH_BYTES + length;
 }

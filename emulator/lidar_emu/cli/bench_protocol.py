@@ -1,0 +1,32 @@
+"""`lidar-emu bench protocol`: what packets and frames cost."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+_ROUNDS = 200
+
+
+@click.command(short_help="What packets, CAN frames and CRCs cost, beside a slow exact path.")
+@click.option("--json", "as_json", is_flag=True, help="For machines.")
+def protocol(as_json: bool) -> None:
+    """Build and decode a shot of four beams, every field of it, with the default interface.
+
+    Medians of calls that take turns. The slow path walks through the definition field by field, in exact fractions, and
+    computes CRCs bit by bit; that both come to the same is what the tests are for.
+
+    \b
+    lidar-emu bench protocol
+    lidar-emu bench protocol --json
+    """
+    from lidar_emu.bench.protocol import measure_protocol
+
+    costs = measure_protocol(_ROUNDS)
+    if as_json:
+        click.echo(json.dumps([cost._asdict() for cost in costs], indent=2))
+        return
+    click.echo(f"{'':30}{'us':>8}{'times faster than field by field':>36}")
+    for cost in costs:
+        click.echo(f"{cost.name:30}{cost.time_s * 1e6:8.2f}{cost.exact_s / cost.time_s:36.0f}")

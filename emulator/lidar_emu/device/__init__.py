@@ -1,0 +1,1 @@
+"""The instrument as a device: modes, commands, clock and temperature, as functions of scenario time."""

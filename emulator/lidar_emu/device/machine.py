@@ -1,0 +1,135 @@
+"""The device's modes: what it does by itself, and what power, interlock and restarts do to it.
+
+    off --power--> boot --> self_test --> standby <--> acquire --> track
+                    ^                        ^            |          |
+    reset ----------+ (warm: no self-test)   +-- command -+----------+
+    open interlock, too hot: --> fault, left by reset         command: --> safe, left by command or reset
+
+Everything here is a function of the state before and of scenario time.
+"""
+
+from __future__ import annotations
+
+from lidar_emu.device.clock import powered_up
+from lidar_emu.device.heat import Heat
+from lidar_emu.device.rules import Rules
+from lidar_emu.device.state import GUARDED, MEASURING, DeviceState, Due, Mode
+
+
+def initial(rules: Rules) -> DeviceState:
+    """At the beginning of the scenario: off, or what the device starts with."""
+    power_on_ns = rules.power_on_ns
+    chain = _boot(rules, power_on_ns) if rules.start is Mode.BOOT else (Due(power_on_ns, rules.start),)
+    off = DeviceState(
+        mode=Mode.OFF,
+        agenda=chain,
+        settings=rules.defaults,
+        clock=powered_up(rules.clock, power_on_ns),
+        heat=Heat(power_on_ns, 0.0, laser_on=False),
+        interlock_closed=True,
+        restarted_ns=power_on_ns,
+        restarts=0,
+        events_passed=0,
+        until_ns=None,
+    )
+    return advance(rules, timed(rules, off), 0)
+
+
+def advance(rules: Rules, state: DeviceState, time_ns: int) -> DeviceState:
+    """The state at a time, if nothing is commanded until then; a time that is past changes nothing."""
+    while state.until_ns is not None and state.until_ns <= time_ns:
+        state = timed(rules, _next(rules, state, state.until_ns))
+    return state
+
+
+def timed(rules: Rules, state: DeviceState) -> DeviceState:
+    """The state with the instant of its next change; to be called after whatever could have moved that."""
+    instants = (
+        state.agenda[0].at_ns if state.agenda else None,
+        _event_ns(rules, state),
+        _unlocks_ns(rules, state),
+        state.heat.reaches_limit_ns(rules.heating),
+    )
+    until_ns = min((instant for instant in instants if instant is not None), default=None)
+    return state._replace(until_ns=until_ns)
+
+
+def enter(
+    rules: Rules, state: DeviceState, mode: Mode, time_ns: int, agenda: tuple[Due, ...] = ()
+) -> DeviceState:
+    """The state in another mode, from which others follow; with an open interlock that is mode fault."""
+    if mode in GUARDED and not state.interlock_closed:
+        mode, agenda = Mode.FAULT, ()
+    heat = state.heat.switched(rules.heating, mode in MEASURING, time_ns)
+    return state._replace(mode=mode, agenda=agenda, heat=heat)
+
+
+def acquire(rules: Rules, state: DeviceState, time_ns: int) -> DeviceState:
+    """The state in mode acquire, which mode track follows."""
+    track = Due(time_ns + state.settings.acquisition_ns, Mode.TRACK)
+    return enter(rules, state, Mode.ACQUIRE, time_ns, (track,))
+
+
+def restart(rules: Rules, state: DeviceState, time_ns: int, cold: bool) -> DeviceState:
+    """The state that a reset leads to: boot, then standby; if cold, with a self-test and all as at power-up."""
+    state = state._replace(restarts=state.restarts + 1, restarted_ns=time_ns)
+    if not cold:
+        return enter(rules, state, Mode.BOOT, time_ns, (Due(time_ns + rules.warm_restart_ns, Mode.STANDBY),))
+    clock = powered_up(rules.clock, time_ns, state.clock.epoch_ns)
+    boot, *rest = _boot(rules, time_ns)
+    return enter(rules, state._replace(settings=rules.defaults, clock=clock), boot.mode, time_ns, tuple(rest))
+
+
+def counted_from(rules: Rules, state: DeviceState, zero_ns: int) -> DeviceState:
+    """The same state with times counted from another instant, and under rules whose events count from there."""
+    moved = state._replace(
+        agenda=tuple(Due(due.at_ns - zero_ns, due.mode) for due in state.agenda),
+        clock=state.clock.counted_from(zero_ns),
+        heat=state.heat._replace(since_ns=state.heat.since_ns - zero_ns),
+        restarted_ns=state.restarted_ns - zero_ns,
+    )
+    return timed(rules, moved)
+
+
+def _boot(rules: Rules, time_ns: int) -> tuple[Due, ...]:
+    self_test_ns = time_ns + rules.boot_ns
+    return (
+        Due(time_ns, Mode.BOOT),
+        Due(self_test_ns, Mode.SELF_TEST),
+        Due(self_test_ns + rules.self_test_ns, Mode.STANDBY),
+    )
+
+
+def _next(rules: Rules, state: DeviceState, time_ns: int) -> DeviceState:
+    """The state after the change that is due at this instant; of several, the first of these."""
+    if _event_ns(rules, state) == time_ns:
+        what = rules.events[state.events_passed].what
+        return _happened(rules, state._replace(events_passed=state.events_passed + 1), what, time_ns)
+    if state.agenda and state.agenda[0].at_ns == time_ns:
+        due, *rest = state.agenda
+        return enter(rules, state, due.mode, time_ns, tuple(rest))
+    if _unlocks_ns(rules, state) == time_ns:
+        return state._replace(clock=state.clock._replace(synced_ns=None))
+    return enter(rules, state, Mode.FAULT, time_ns)
+
+
+def _happened(rules: Rules, state: DeviceState, what: str, time_ns: int) -> DeviceState:
+    match what:
+        case "interlock_opens" | "interlock_closes":
+            state = state._replace(interlock_closed=what == "interlock_closes")
+            return enter(rules, state, state.mode, time_ns, state.agenda)
+        case "power_off":
+            return enter(rules, state, Mode.OFF, time_ns)
+        case "power_on" if state.mode is Mode.OFF:
+            return restart(rules, state, time_ns, cold=True)
+    return state
+
+
+def _event_ns(rules: Rules, state: DeviceState) -> int | None:
+    left = rules.events[state.events_passed :]
+    return left[0].at_ns if left else None
+
+
+def _unlocks_ns(rules: Rules, state: DeviceState) -> int | None:
+    synced_ns = state.clock.synced_ns
+    return None if synced_ns is None or rules.holdover_ns is None else synced_ns + rules.holdover_ns

@@ -1,0 +1,69 @@
+"""How this device behaves: the scenario's part in whole nanoseconds, with what of the rest concerns it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lidar_emu.device.heat import Heating
+from lidar_emu.device.state import Mode, Settings
+from lidar_emu.scenario.device import Device, DeviceClock
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that is done to the device."""
+
+    at_ns: int
+    what: str
+    """As in the scenario."""
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What changes of state follow from."""
+
+    start: Mode
+    power_on_ns: int
+    boot_ns: int
+    self_test_ns: int
+    warm_restart_ns: int
+    defaults: Settings
+    """After power-up and a cold restart."""
+    clock: DeviceClock
+    holdover_ns: int | None
+    heating: Heating
+    events: tuple[Event, ...]
+    rate_hz: float
+    """Of the scenario's shots."""
+    beam_count: int
+    pattern_count: int
+    """How many patterns a command can choose from."""
+
+
+def device_rules(part: Device, rate_hz: float, beam_count: int, pattern_count: int) -> Rules:
+    """The rules of a scenario's device."""
+    thermal, clock = part.thermal, part.clock
+    return Rules(
+        start=Mode(part.start),
+        power_on_ns=_ns(part.power_on_s),
+        boot_ns=_ns(part.boot_s),
+        self_test_ns=_ns(part.self_test_s),
+        warm_restart_ns=_ns(part.warm_restart_s),
+        defaults=Settings(
+            beams=(1 << beam_count) - 1,
+            housekeeping_rate_hz=part.housekeeping_rate_hz,
+            settling_ns=_ns(part.settling_s),
+            acquisition_ns=_ns(part.acquisition_s),
+        ),
+        clock=clock,
+        holdover_ns=None if clock.holdover_s is None else _ns(clock.holdover_s),
+        heating=Heating(thermal.ambient_c, thermal.rise_k, thermal.time_constant_s, thermal.limit_c),
+        events=tuple(Event(_ns(event.at_s), event.what) for event in part.events),
+        rate_hz=rate_hz,
+        beam_count=beam_count,
+        pattern_count=pattern_count,
+    )
+
+
+def _ns(time_s: float) -> int:
+    return round(time_s * 1e9)

@@ -1,0 +1,39 @@
+"""Beams that have just been pointed elsewhere: they do not fire until they have settled."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lidar_emu.arrays import BoolArray, IntArray
+
+
+class Settling(NamedTuple):
+    """What is carried from shot to shot."""
+
+    pattern: int | None = None
+    """Of the last shot; None: not known."""
+    changed_ns: int | None = None
+    """When the first shot with that pattern began; None: nobody knows, long ago."""
+
+    def settled(
+        self, patterns: IntArray, first: int, period_ns: int, settling_ns: int
+    ) -> tuple[BoolArray, Settling]:
+        """(shots,) In which of consecutive shots the beams have settled; and what is carried on.
+
+        Args:
+            patterns: (shots,) number of each shot's pattern.
+            first: number of the first shot.
+            period_ns: from shot to shot.
+            settling_ns: how long it takes, from the beginning of the first shot.
+        """
+        pattern, changed_ns = self
+        settled = np.ones(len(patterns), dtype=np.bool_)
+        for row, chosen in enumerate(patterns.tolist()):
+            begins_ns = (first + row) * period_ns
+            if pattern is not None and chosen != pattern:
+                changed_ns = begins_ns
+            pattern = chosen
+            settled[row] = changed_ns is None or begins_ns - changed_ns >= settling_ns
+        return settled, Settling(pattern, changed_ns)

@@ -1,0 +1,27 @@
+"""What `lidar-emu bench protocol` compares comes to the same, and it says what it measured."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from lidar_emu.bench.protocol import Job, protocol_jobs
+from lidar_emu.cli import cli
+
+
+@pytest.mark.parametrize("job", protocol_jobs(), ids=lambda job: job.name)
+def test_the_exact_path_comes_to_the_same(job: Job) -> None:
+    assert job.fast() == job.exact() == job.fast()
+    assert job.fast()
+
+
+def test_every_cost_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lidar_emu.cli.bench_protocol._ROUNDS", 1)
+    told = CliRunner().invoke(cli, ["bench", "protocol", "--json"], standalone_mode=False)
+    costs = json.loads(told.output)
+    assert [cost["name"] for cost in costs] == [job.name for job in protocol_jobs()]
+    assert all(0.0 < cost["time_s"] < cost["exact_s"] for cost in costs)
+    lines = CliRunner().invoke(cli, ["bench", "protocol"], standalone_mode=False).output.splitlines()
+    assert len(lines) == len(costs) + 1

@@ -1,0 +1,49 @@
+"""Devices of these tests, and commands to them; times in milliseconds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lidar_emu.device.machine import advance, initial
+from lidar_emu.device.obey import Order, obey
+from lidar_emu.device.rules import Rules, device_rules
+from lidar_emu.device.state import DeviceState
+from lidar_emu.scenario.device import Device
+
+MS = 1_000_000
+TIMES = {
+    "boot_s": 2.0,
+    "self_test_s": 1.0,
+    "warm_restart_s": 0.5,
+    "acquisition_s": 0.25,
+}
+
+
+def rules(**part: Any) -> Rules:
+    """Of a device at 20 shots a second with four beams and two patterns."""
+    return device_rules(Device.model_validate({**TIMES, **part}), 20.0, 4, 2)
+
+
+class Unit:
+    """A device that is told what happens, in the order of time."""
+
+    def __init__(self, **part: Any) -> None:
+        self.rules = rules(**part)
+        self.state = initial(self.rules)
+
+    def at(self, time_ms: float) -> DeviceState:
+        """Let time pass."""
+        self.state = advance(self.rules, self.state, round(time_ms * MS))
+        return self.state
+
+    def command(self, time_ms: float, name: str, **values: Any) -> str:
+        """Give a command; returns the verdict."""
+        time_ns = round(time_ms * MS)
+        self.at(time_ms)
+        self.state, verdict = obey(self.rules, self.state, Order(name, values, time_ns, time_ns))
+        return verdict
+
+    @property
+    def mode(self) -> str:
+        """In the interface's words."""
+        return str(self.state.mode)

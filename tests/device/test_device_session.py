@@ -1,0 +1,244 @@
+"""A session with a device: which shots are fired, how they are numbered and dated, however they are grouped."""
+
+from __future__ import annotations
+
+import struct
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from devices import MS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import lidar_emu
+from lidar_emu.device.machine import initial
+from lidar_emu.device.now import DeviceNow
+from lidar_emu.device.obey import Order
+from lidar_emu.device.rules import Rules, device_rules
+from lidar_emu.faulty_packets import faulty_packets
+from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.scenario.device import Device
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.session import Block, Session
+from lidar_emu.shots import FlightModel, Model, build_model
+from lidar_emu.wire import Encoder
+from lidar_protocol import Message, SerialReceiver, default_interface
+
+PERIOD_MS = 50
+FAULTS = "[{kind: frozen_counter, from_s: 0.4, to_s: 0.9}, {kind: stuck, from_s: 0.6, to_s: 1.2, beams: [1]}]"
+
+
+@cache
+def flown(faults: str) -> tuple[FlightScenario, Model]:
+    options = {"level": "geometric", "site": "flat", "duration_s": "4", "faults": faults}
+    scenario = lidar_emu.load("descent.yaml", options)
+    assert isinstance(scenario, FlightScenario)
+    return scenario, build_model(scenario)
+
+
+def begun(faults: str = "[]", **part: Any) -> tuple[Session, Rules]:
+    scenario, model = flown(faults)
+    rules = device_rules(Device.model_validate(part), 20.0, 4, 2)
+    encoder = Encoder(scenario.wire, False, False, 4)
+    faulty = faulty_packets(scenario, encoder, False)
+    return Session(model, encoder, 100, faulty, rules), rules
+
+
+def all_of(session: Session, most: int = 100) -> list[Block]:
+    blocks = []
+    while (block := session.shoot(most)) is not None:
+        blocks.append(block)
+    return blocks
+
+
+def packets_of(blocks: list[Block]) -> list[Any]:
+    return [packet for block in blocks for packet in block.packets]
+
+
+def decoded(blocks: list[Block]) -> dict[int, Message]:
+    """What was sent, by the number of the shot in the scenario."""
+    receiver = SerialReceiver(default_interface())
+    found: dict[int, Message] = {}
+    for block in blocks:
+        for shot, packet in zip(block.measurement.shot.tolist(), block.packets, strict=True):
+            for message in receiver.receive(packet):
+                assert isinstance(message, Message)
+                found[shot] = message
+    assert receiver.counters.bad_crc == receiver.counters.sequence_gaps == 0
+    return found
+
+
+def after(rules: Rules, *orders: tuple[float, str, dict[str, Any]]) -> Any:
+    """The state after commands, each at a time in milliseconds."""
+    device, state = DeviceNow(rules, initial(rules)), None
+    for time_ms, name, values in orders:
+        changed, verdict = device.obey(Order(name, values, round(time_ms * MS), round(time_ms * MS)))
+        assert verdict == "accepted"
+        state = changed or state
+    return state
+
+
+def test_nothing_is_sent_before_the_first_measurement_and_then_shots_count_from_0() -> None:
+    session, rules = begun(start="boot", boot_s=0.5, self_test_s=0.52, acquisition_s=0.2)
+    early = [session.shoot(100) for _ in range(2)]
+    assert [len(block.packets) for block in early if block] == [
+        10,
+        11,
+    ]  # self-test until 1.02 s: shot 21 at 1.05
+    session.use_device(after(rules, (1100, "set_mode", {"mode": "track"})))
+    blocks = all_of(session)
+    sent = decoded(blocks)
+    assert list(sent) == list(range(21, 80))
+    assert [message.shot for message in sent.values()] == list(range(59))
+    modes = {1: "standby", 3: "acquire", 4: "track"}
+    assert [modes[int(message.header["mode"] or 0)] for message in sent.values()] == ["acquire"] * 5 + [
+        "track"
+    ] * 54
+    assert all(message.header["laser_on"] for message in sent.values())
+    idle = early[0]
+    assert idle is not None
+    assert idle.silent
+    assert set(idle.packets) == {b""}
+    assert np.isnan(idle.measurement.range_m).all()
+    assert set(idle.measurement.reason.ravel()) == {Reason.NOT_FIRED}
+    assert np.isfinite(idle.measurement.position_site_m).all(), "where the vehicle is, is known in any mode"
+
+
+def test_what_is_fired_is_measured_as_ever() -> None:
+    """Standing by, a lower rate, and other shots before change nothing of a shot but its number."""
+    plain = decoded(all_of(begun()[0]))
+    session, rules = begun(start="standby", acquisition_s=0.0)
+    session.use_device(
+        after(rules, (300, "set_mode", {"mode": "track"}), (400, "set_rate_hz", {"rate_hz": 20 / 3}))
+    )
+    sent = decoded(all_of(session))
+    assert list(sent) == list(range(0, 80, 3))
+    assert [message.shot for message in sent.values()] == list(range(27))
+    for shot, message in sent.items():
+        assert message.beams == plain[shot].beams
+        assert dict(message.header) | {"shot": shot, "mode": 4} == dict(plain[shot].header)
+
+
+def test_beams_that_are_switched_off_do_not_fire() -> None:
+    plain, (session, rules) = decoded(all_of(begun()[0])), begun()
+    session.use_device(after(rules, (0, "enable_beams", {"beams": 0b1010})))
+    sent = decoded(all_of(session))
+    for shot, message in sent.items():
+        assert [beam["fired"] for beam in message.beams] == [False, True, False, True]
+        assert message.beams[1::2] == plain[shot].beams[1::2]
+        assert message.beams[0]["range_m"] is None
+        assert message.beams[0]["reason"] == Reason.NOT_FIRED
+
+
+@pytest.mark.parametrize(("settling_s", "unsettled"), [(0.0, 0), (0.001, 1), (0.1, 2), (0.12, 3)])
+def test_beams_settle_after_a_change_of_pattern(settling_s: float, unsettled: int) -> None:
+    session, rules = begun(settling_s=settling_s)
+    session.shoot(10)
+    session.use_device(after(rules, (480, "set_pattern", {"pattern": 1})))
+    blocks = all_of(session, 3)
+    fired = [bool(message.beams[0]["fired"]) for message in decoded(blocks).values()]
+    assert fired == [False] * unsettled + [True] * (70 - unsettled)
+    angles = [message.beams[0]["beam_angle_deg"] for message in decoded(blocks).values()]
+    assert angles == [None] * unsettled + [7.5] * (70 - unsettled)
+
+
+def test_the_scanner_s_own_switches_need_settling_too() -> None:
+    switches = "[{kind: time, at_s: 0.3, pattern: {kind: square, angle_deg: 5}}]"
+    options = {"level": "geometric", "site": "flat", "scanner.switches": switches}
+    scenario = lidar_emu.load("descent.yaml", options)
+    model = build_model(scenario)
+    assert isinstance(model, FlightModel)
+    rules = device_rules(Device(settling_s=0.1), 20.0, 4, 2)
+    block = Session(model, Encoder(scenario.wire, False, False, 4), 10, None, rules).shoot(12)
+    assert block is not None
+    assert block.measurement.fired[:, 0].tolist() == [True] * 6 + [False] * 2 + [True] * 4
+
+
+def test_a_restart_counts_shots_anew() -> None:
+    session, rules = begun(warm_restart_s=0.2, acquisition_s=0.0)
+    session.shoot(20)
+    session.use_device(
+        after(rules, (990, "reset", {"restart": "warm"}), (1300, "set_mode", {"mode": "track"}))
+    )
+    sent = decoded(all_of(session))
+    # Commanded at 1.3 s, which the state knows from the beginning: the session is told in time in a run.
+    assert [message.shot for message in sent.values()] == list(range(len(sent)))
+    assert next(iter(sent)) == 20
+
+
+def test_times_in_packets_are_the_device_s_and_the_record_keeps_the_true_ones() -> None:
+    """Read by struct: CUC is seconds u32 and a fraction of 2^-24 s, behind the COBS code byte and six of header."""
+    session, _ = begun(clock={"offset_s": 100.25, "drift_ppm": 1000.0})
+    plain, _ = begun()
+    blocks, right = all_of(session), all_of(plain)
+    for skewed, true in zip(packets_of(blocks), packets_of(right), strict=True):
+        shown_s, true_s = (_validity_s(packet) for packet in (skewed, true))
+        assert shown_s == pytest.approx(true_s * 1.001 + 100.25, abs=2e-7)
+    assert blocks[0].measurement.time_ns.tolist() == right[0].measurement.time_ns.tolist()
+    assert [block.due_ns for block in blocks] == [block.due_ns for block in right]
+
+
+def _validity_s(frame: bytes) -> float:
+    packet, code, rest = b"", frame[0], frame[1:]
+    while rest:
+        packet, rest = packet + rest[: code - 1], rest[code - 1 :]
+        if not rest or rest[0] == 0:
+            break
+        packet, code, rest = packet + (b"\0" if code < 255 else b""), rest[0], rest[1:]
+    seconds, fraction = struct.unpack(">IxxxxI", packet[6:10] + b"\0" * 4 + b"\0" + packet[10:13])
+    return float(seconds + fraction * 2.0**-24)
+
+
+PARTS = st.fixed_dictionaries(
+    {
+        "start": st.sampled_from(["track", "boot", "standby"]),
+        "power_on_s": st.sampled_from([0.0, 0.33]),
+        "boot_s": st.just(0.4),
+        "self_test_s": st.just(0.21),
+        "acquisition_s": st.sampled_from([0.0, 0.17]),
+        "settling_s": st.sampled_from([0.0, 0.12]),
+        "clock": st.sampled_from([{}, {"offset_s": 1.0, "drift_ppm": 50.0, "holdover_s": 0.9}]),
+        "events": st.sampled_from([
+            [], [{"at_s": 1.3, "what": "power_off"}, {"at_s": 1.7, "what": "power_on"}],
+            [{"at_s": 0.95, "what": "interlock_opens"}],
+        ]),
+    }
+)  # fmt: skip
+STEPS = st.lists(st.integers(1, 25), min_size=80, max_size=80)
+
+
+@settings(max_examples=40, deadline=None)
+@given(PARTS, STEPS, st.sampled_from([1, 3]), st.sampled_from(["[]", FAULTS]))
+def test_grouping_changes_no_packet(part: Any, steps: list[int], divisor: int, faults: str) -> None:
+    def session() -> Session:
+        made, _ = begun(faults, **part)
+        state = made.device
+        made.use_device(state._replace(settings=state.settings._replace(divisor=divisor, pattern=1)))
+        return made
+
+    one_by_one, grouped = session(), session()
+    blocks = []
+    for step in steps:
+        if (block := grouped.shoot(step)) is not None:
+            blocks.append(block)
+    assert packets_of(blocks) == packets_of(all_of(one_by_one, 1))
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    PARTS,
+    st.lists(st.integers(0, 79), min_size=1, max_size=4),
+    st.sampled_from([1, 3]),
+    st.sampled_from(["[]", FAULTS]),
+)
+def test_going_back_gives_the_same_packets(part: Any, back: list[int], divisor: int, faults: str) -> None:
+    session, _ = begun(faults, **part)
+    state = session.device
+    session.use_device(state._replace(settings=state.settings._replace(divisor=divisor)))
+    whole = packets_of(all_of(session, 30))
+    for shot in back:
+        session.rewind(shot)
+        assert session.next_shot == shot
+        assert packets_of(all_of(session, 30)) == whole[shot:]
