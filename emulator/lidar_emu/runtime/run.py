@@ -13,7 +13,7 @@ from lidar_emu.runtime.child import PortChild
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.loopback_end import LoopbackEnd
 from lidar_emu.runtime.pacing import Pace, WhenLate
-from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.runtime.packets import ALERT, NEWS, Outgoing, Report
 from lidar_emu.runtime.port_story import PortStory
 from lidar_emu.runtime.ring import Ring
 from lidar_emu.transports.spec import Kind, PortSpec
@@ -121,6 +121,10 @@ class PortRunner:
         self._ring()
         return True
 
+    def alert(self) -> None:
+        """A packet that is due will be pushed within a millisecond: the process had better be awake by then."""
+        self._ring(ALERT)
+
     def supersede(self, generation: int, from_shot: int) -> None:
         """Packets of earlier generations are not to be sent any more, from this shot on; they are reported as such.
 
@@ -168,18 +172,23 @@ class PortRunner:
         """The port process; None before `start`."""
         return None if self._child is None else self._child.pid
 
-    def wait(self, until_ns: int, readable: Sequence[int] = ()) -> None:
+    def wait(self, until_ns: int, readable: Sequence[int] = (), awake: bool = False) -> None:
         """Sleep until an instant of the monotonic clock, or until the process says something, the loopback delivers
         or one of the descriptors is ready.
+
+        Args:
+            awake: see `Clock.wait`.
 
         Raises:
             RunError: the process died.
         """
-        descriptors = [self._running().descriptor, *readable]
+        descriptors = [*readable, self._running().descriptor]
         if self._far_end is not None:
             descriptors.append(self._far_end.fileno())
-        self._clock.wait(until_ns, descriptors)
-        self._collect()
+        ready, _ = self._clock.wait(until_ns, descriptors, awake=awake)
+        # What the caller waits for comes first; what the process says is heard at the latest with its reports.
+        if not set(readable).intersection(ready):
+            self._collect()
 
     def last_packet_pushed(self) -> None:
         """No more packets will come: `finished` turns true once the process is through with them.
@@ -268,8 +277,8 @@ class PortRunner:
             raise RunError("the port is not open")
         return self._child
 
-    def _ring(self) -> None:
+    def _ring(self, what: bytes = NEWS) -> None:
         try:
-            os.write(self._doorbell, b"\0")
+            os.write(self._doorbell, what)
         except BlockingIOError:
             return  # it has rung often enough to be heard
