@@ -92,6 +92,12 @@ class Session:
             injected = [*injected, *more]
         return Block(measurement, packets, due_ns, tuple(injected))
 
+    def rehearse(self) -> None:
+        """Compute the next shot and forget it: what that takes is then at hand in the processor's caches."""
+        kept = self.next_shot, self._state, self._before.copy()
+        self.shoot(1)
+        self.next_shot, self._state, self._before = kept
+
     def pass_over(self, shot: int) -> None:
         """Go on with this shot; those before it are never computed."""
         self.next_shot = max(shot, self.next_shot)

@@ -21,6 +21,7 @@ from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.outbox import Outbox, payload_of
 from lidar_emu.runtime.pacing import Pace, WhenLate
+from lidar_emu.runtime.realtime import available_cores
 from lidar_emu.runtime.rehearsal import rehearse
 from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.run_options import RunOptions, live_part
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
 
 LOOK_AHEAD_S = 2.0
 _BLOCK_S = 0.25
+_AWAKE_SHARE, _CORES_TO_WAKE = 0.2, 3
+"""What may be spent on truth's being waited for awake; a simulator, the model and the port need a core each for it."""
 _LEAD_NS = 100_000_000
 _PACKET_ROOM_BYTES = 8192
 _STUFFING_BYTES = 256
@@ -195,7 +198,15 @@ class Run:
             return LockstepFeed(desk, source, self._flight)
         start = self._options.start
         start_ns = None if start is None else self._start_ns(start)
-        return LiveFeed(desk, source, self._flight, self._live, start_ns, self._scenario.timing.late_after_ns)
+        return LiveFeed(
+            desk,
+            source,
+            self._flight,
+            self._live,
+            start_ns,
+            self._scenario.timing.late_after_ns,
+            _AWAKE_SHARE if available_cores() >= _CORES_TO_WAKE else 0.0,
+        )
 
     @property
     def _flight(self) -> Flight:
