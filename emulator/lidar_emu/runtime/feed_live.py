@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 from lidar_emu.flight import Flight
 from lidar_emu.runtime.anticipation import Anticipation
 from lidar_emu.runtime.command_post import Change
@@ -23,7 +25,7 @@ class LiveFeed:
             arrives.
         late_after_ns: a shot that is later than this before it is computed is not computed.
         awake_share: of the time from shot to shot that may be spent awake before truth comes, and after it should have
-            come. 0 where simulator, model and port have less than a core each.
+            come. 0 where simulator, model and port have less than a core each: then nobody is kept off.
     """
 
     def __init__(
@@ -55,7 +57,7 @@ class LiveFeed:
         if first is None:
             return
         self._begin(first)
-        with prompt():
+        with prompt() if self._may_wake else nullcontext():
             self._fly()
         self._source.tell()
         desk.finish()
