@@ -14,6 +14,7 @@ beam and exp(-(π w0 θ/λ)²) for one that turned by θ, at any range, and the 
 from __future__ import annotations
 
 from math import pi, sqrt
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -36,6 +37,43 @@ _LEAST_COSINE = 1e-3
 """A beamlet at 89.94 degrees of incidence or more slides no faster than there: it would leave its facet at once."""
 
 
+class _Room(NamedTuple):
+    """Arrays of one shape of block, filled again for each block."""
+
+    footprint: Footprint
+    starts_site_m: FloatArray
+    rays_site: FloatArray
+    """(rays, 3) The same as the footprint's, one beam after another."""
+    hits: Hits
+    """(rays,) Of the beamlets."""
+    echoes: Echoes
+
+    @classmethod
+    def of(cls, shape: tuple[int, int], beamlets: int) -> Self:
+        """For (shots, beams)."""
+        shots, beams = shape
+        each = (shots, beams, beamlets)
+        footprint, hits = Footprint.unfilled(shots * beams, beamlets), Hits.empty(shots * beams * beamlets)
+        return cls(
+            footprint,
+            footprint.start_site_m.reshape(-1, 3),
+            footprint.ray_site.reshape(-1, 3),
+            hits,
+            Echoes(
+                range_m=hits.range_m.reshape(each),
+                closing_speed_mps=np.empty(each),
+                power_w=np.empty(each),
+                range_rate_mps=np.empty(each),
+                closing_acceleration_mps2=np.empty(shape),
+                smear_acceleration_mps2=np.empty(shape),
+                speckle_place=np.empty((*shape, 2)),
+                speckle_drift_per_s=np.empty((*shape, 2)),
+                fired=np.empty(shape, dtype=np.bool_),
+                inside=np.empty(shape, dtype=np.bool_),
+            ),
+        )
+
+
 class Light:
     """What echoes need of instrument, site and flight, in the numbers of the kernel."""
 
@@ -44,31 +82,33 @@ class Light:
         self._flight, self._beamlets = flight, beamlets
         self._waist_m, self._wavelength_m = instrument.optics.waist_radius_m, instrument.waveform.wavelength_m
         self._law = echo_law(instrument, site.surface, site.atmosphere)
+        self._swing_radps = np.empty(3)
+        self._room = _Room.of((0, 0), beamlets)
 
     def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
-        """Echoes of beams (shots, beams) whose axes met the ground at `axis_hits`."""
-        shape = axis_hits.range_m.shape
-        footprint = sample_footprint(
+        """Echoes of beams (shots, beams) whose axes met the ground at `axis_hits`. They hold until the next ones."""
+        shots, beams = axis_hits.range_m.shape
+        room = self._room
+        if room.echoes.fired.shape != (shots, beams):
+            self._room = room = _Room.of((shots, beams), self._beamlets)
+        footprint, echoes = room.footprint, room.echoes
+        sample_footprint(
             pointing.sensor_site_m.reshape(-1, 3),
             pointing.true_site.reshape(-1, 3),
             axis_hits.range_m.reshape(-1),
             self._beamlets,
             self._waist_m,
             self._wavelength_m,
+            footprint,
         )
-        range_m, normal_site = self._cast_beamlets(footprint, axis_hits)
-        echoes = Echoes(
-            range_m=range_m.reshape(*shape, self._beamlets),
-            closing_speed_mps=np.empty((*shape, self._beamlets)),
-            power_w=np.empty((*shape, self._beamlets)),
-            range_rate_mps=np.empty((*shape, self._beamlets)),
-            closing_acceleration_mps2=np.empty(shape),
-            smear_acceleration_mps2=np.empty(shape),
-            speckle_place=np.empty((*shape, 2)),
-            speckle_drift_per_s=np.empty((*shape, 2)),
-            fired=pointing.fired,
-            inside=axis_hits.inside,
-        )
+        if self._beamlets == 1:
+            room.hits.range_m[:], room.hits.normal_site[:] = (
+                axis_hits.range_m.reshape(-1),
+                axis_hits.normal_site.reshape(-1, 3),
+            )
+        else:
+            self._flight.scene.cast(room.starts_site_m, room.rays_site, room.hits)
+        echoes.fired[:], echoes.inside[:] = pointing.fired, axis_hits.inside
         _receive(
             *self._law,
             self._waist_m,
@@ -79,8 +119,8 @@ class Light:
             footprint.doppler_site,
             footprint.across_site,
             footprint.doppler_start_m,
-            normal_site,
-            np.empty(3),
+            room.hits.normal_site,
+            self._swing_radps,
             echoes.range_m,
             echoes.closing_speed_mps,
             echoes.power_w,
@@ -91,15 +131,6 @@ class Light:
             echoes.speckle_drift_per_s,
         )
         return echoes
-
-    def _cast_beamlets(self, footprint: Footprint, axis_hits: Hits) -> tuple[FloatArray, FloatArray]:
-        """Ranges (rays,) and normals (rays, 3) of all beamlets, one beam after another."""
-        if self._beamlets == 1:
-            return axis_hits.range_m.reshape(-1), axis_hits.normal_site.reshape(-1, 3)
-        hits = self._flight.scene.cast(
-            footprint.start_site_m.reshape(-1, 3), footprint.ray_site.reshape(-1, 3)
-        )
-        return hits.range_m, hits.normal_site
 
 
 def receive_light(

@@ -139,6 +139,12 @@ class Session:
             fires = settled[:, None] if fires is None else fires & settled[:, None]
         return self._fire(count, fires, settling, silent)
 
+    def rehearse(self) -> None:
+        """Compute the next shot and forget it: what that takes is then at hand in the processor's caches."""
+        kept = self.next_shot, self._state, self._before.copy()
+        self.shoot(1)
+        self.next_shot, self._state, self._before = kept
+
     def pass_over(self, shot: int) -> None:
         """Go on with this shot; those before it are never computed."""
         self.next_shot = max(shot, self.next_shot)

@@ -54,7 +54,8 @@ _SAME_ON_THE_WIRE = (
 )
 _columns = attrgetter(*_SAME_ON_THE_WIRE)
 _REASON = _SAME_ON_THE_WIRE.index("reason")
-_OF_A_BEAM = frozenset({*_SAME_ON_THE_WIRE, "time_offset_s"})
+_BEAM_FIELDS = (*_SAME_ON_THE_WIRE, "time_offset_s")
+_OF_A_BEAM = frozenset(_BEAM_FIELDS)
 _OF_A_SHOT = frozenset({"time_ns", "time_s", "due_ns", "due_s", "mode", "laser_on", "clock_locked", "shot"})
 _REASONS = tuple(reason.name.lower() for reason in Reason)
 
@@ -143,12 +144,14 @@ class Encoder:
         columns[_REASON] = [[self._reasons[code] for code in row] for row in columns[_REASON]]
         times_ns = measurement.time_ns.tolist()
         first_ns = [min(row) for row in times_ns]
-        offsets_s = [
-            [(time_ns - first) * 1e-9 for time_ns in row]
-            for row, first in zip(times_ns, first_ns, strict=True)
-        ]
-        times = zip(measurement.shot.tolist(), first_ns, measurement.due_ns.tolist(), offsets_s, strict=True)
-        for row, (shot, time_ns, due_ns, offset_s) in enumerate(times):
+        columns.append(
+            [
+                [(time_ns - first) * 1e-9 for time_ns in row]
+                for row, first in zip(times_ns, first_ns, strict=True)
+            ]
+        )
+        times = zip(measurement.shot.tolist(), first_ns, measurement.due_ns.tolist(), strict=True)
+        for row, (shot, time_ns, due_ns) in enumerate(times):
             header = {
                 "time_ns": time_ns,
                 "time_s": time_ns * 1e-9,
@@ -159,10 +162,8 @@ class Encoder:
                 "clock_locked": status.clock_locked,
                 "shot": shot,
             }
-            beams = [
-                dict(zip(_SAME_ON_THE_WIRE, values, strict=True), time_offset_s=beam_offset_s)
-                for *values, beam_offset_s in zip(*(column[row] for column in columns), offset_s, strict=True)
-            ]
+            of_beams = zip(*[column[row] for column in columns], strict=True)
+            beams = [dict(zip(_BEAM_FIELDS, values, strict=True)) for values in of_beams]
             yield header, beams
 
 

@@ -52,6 +52,19 @@ def test_a_wait_is_taken_up_again_until_its_time_has_come(monkeypatch: pytest.Mo
     assert clock.times_ns == []
 
 
+def test_awake_it_asks_again_without_sleeping(monkeypatch: pytest.MonkeyPatch) -> None:
+    timeouts: list[float] = []
+
+    def select(_: object, __: object, ___: object, timeout: float) -> tuple[list[int], list[int], list[int]]:
+        timeouts.append(timeout)
+        return [], [], []
+
+    monkeypatch.setattr(clock_module.select, "select", select)
+    clock = SteppedClock(0, 3_000, 6_000, 10_000)
+    assert clock.wait(10_000, awake=True) == ([], [])
+    assert timeouts == [0.0, 0.0, 0.0]
+
+
 def test_an_instant_in_another_century_is_waited_for_by_the_hour(monkeypatch: pytest.MonkeyPatch) -> None:
     eight_thousand_years_ns = 8000 * 365 * 86_400 * 10**9
     waited = select.select

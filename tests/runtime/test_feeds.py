@@ -37,6 +37,10 @@ class World:
         self.stalls: dict[int, int] = {}
         self.news: deque[int] = deque()
         self.room = 40
+        self.shot_takes_ns = 0
+        self.rehearsed: list[tuple[int, int]] = []
+        self.alerts: list[int] = []
+        self.awake: list[tuple[int, int]] = []
         self._pattern = 0
         self._patterns: dict[int, int] = {}
         self._ring: deque[tuple[int, int]] = deque()
@@ -64,8 +68,12 @@ class World:
         shots = range(self.next_shot, self.next_shot + count)
         self.next_shot += count
         self.computed += [(shot, self.now, fired) for shot in shots]
-        self.now += sum(self.stalls.pop(shot, 0) for shot in shots)
+        self.now += sum(self.stalls.pop(shot, self.shot_takes_ns) for shot in shots)
         return [(shot, self._pattern) for shot in shots]
+
+    def rehearse(self) -> None:
+        self.rehearsed.append((self.next_shot, self.now))
+        self.now += self.shot_takes_ns
 
     def pass_over(self, shot: int) -> None:
         self.next_shot = max(shot, self.next_shot)
@@ -100,8 +108,14 @@ class World:
         assert now_ns > due_ns
         self.never.append(shot)
 
-    def wait(self, until_ns: int, readable: Sequence[int] = ()) -> None:
+    def alert(self) -> None:
+        self.alerts.append(self.now)
+
+    def wait(self, until_ns: int, readable: Sequence[int] = (), awake: bool = False) -> None:
+        began_ns = self.now
         self.now = max(self.now, min(until_ns, self.news[0]) if readable and self.news else until_ns)
+        if awake:
+            self.awake.append((began_ns, self.now))
 
     def arrivals(self) -> list[Any]:
         return []
@@ -125,9 +139,9 @@ class Socket:
     def fileno(self) -> int:
         return 3
 
-    def receive(self) -> list[tuple[bytes, int, str]]:
-        arrived = []
-        while self._truths and self._truths[0][0] <= self._world.now:
+    def receive(self, most: int = 64) -> list[tuple[bytes, int, str]]:
+        arrived: list[tuple[bytes, int, str]] = []
+        while len(arrived) < most and self._truths and self._truths[0][0] <= self._world.now:
             arrives_ns, truth = self._truths.popleft()
             self._world.news.popleft()
             arrived.append((truth.to_bytes(), arrives_ns, "simulator"))
@@ -159,12 +173,14 @@ def desk(world: World, changes: list[tuple[int, Change]] | None = None) -> Any:
     )
 
 
-def fly_live(world: World, truths: list[tuple[int, Truth]], **part: Any) -> TruthSource:
+def fly_live(
+    world: World, truths: list[tuple[int, Truth]], awake_share: float = 0.1, **part: Any
+) -> TruthSource:
     socket: Any = Socket(world, truths)
     source = TruthSource(socket, LiveTrajectory(10.0), 100 * MS, [])
     flight: Any = world
     live = Live(kind="live", **part)
-    LiveFeed(desk(world), source, flight, live, START_NS, PERIOD_NS).fly()
+    LiveFeed(desk(world), source, flight, live, START_NS, PERIOD_NS, awake_share).fly()
     return source
 
 
@@ -202,6 +218,59 @@ def test_after_a_stall_no_burst_follows() -> None:
     after = [(shot, at_ns) for shot, at_ns, _ in world.computed if shot > 10]
     assert [shot for shot, _ in after] == list(range(18, 40))
     assert all(at_ns - START_NS <= world.due_ns(shot) + PERIOD_NS for shot, at_ns in after)
+
+
+def test_truth_is_expected_awake_and_after_a_rehearsal() -> None:
+    """It comes 1.5 ms before each packet is due, once 0.2 ms sooner and once not at all."""
+    world = World(60)
+    world.shot_takes_ns = MS // 4
+    usual_ns = [START_NS + world.due_ns(k) - 3 * MS // 2 for k in range(60)]
+    arrives_ns = dict(enumerate(usual_ns)) | {40: usual_ns[40] - MS // 5}
+    del arrives_ns[50]
+    truths = [(at_ns, truth(k, 1)._replace(time_ns=world.seen_ns(k))) for k, at_ns in arrives_ns.items()]
+    fly_live(world, [(START_NS - MS, truth(0, MS)), *truths], lead_s=0)
+    assert [at_ns for shot, at_ns, _ in world.computed if shot != 50] == list(arrives_ns.values())
+    # From the second shot on: twice what a shot takes before truth, and a rehearsal first.
+    opened_ns = dict(world.rehearsed)
+    assert list(opened_ns) == list(range(1, 60))
+    assert all(at_ns == usual_ns[shot] - MS // 2 for shot, at_ns in opened_ns.items() if shot <= 40)
+    assert all(abs(at_ns - usual_ns[shot] + MS // 2) <= MS // 20 for shot, at_ns in opened_ns.items())
+    # As long after it, where truth does not come: the rest is slept through.
+    ended_ns = [end_ns for _, end_ns in world.awake]
+    assert set(arrives_ns.values()) - {arrives_ns[0]} <= set(ended_ns)
+    (given_up_ns,) = set(ended_ns) - set(arrives_ns.values())
+    assert abs(given_up_ns - usual_ns[50] - MS // 2) <= MS // 20
+
+
+def test_on_a_slow_machine_no_more_than_the_share_is_spent_awake() -> None:
+    """And what a rehearsal would take is not there."""
+    world = World(50)
+    world.shot_takes_ns = 20 * MS
+    truths = [(START_NS + world.due_ns(k), truth(k, 1)._replace(time_ns=world.seen_ns(k))) for k in range(50)]
+    fly_live(world, [(START_NS - MS, truth(0, MS)), *truths], lead_s=0)
+    assert len(world.computed) == 50
+    assert world.rehearsed == []
+    assert max(end_ns - began_ns for began_ns, end_ns in world.awake) == PERIOD_NS // 10
+
+
+def test_where_cores_are_few_nobody_stays_awake() -> None:
+    world = World(10)
+    truths = [(START_NS + world.due_ns(k), truth(k, 1)._replace(time_ns=world.seen_ns(k))) for k in range(10)]
+    fly_live(world, [(START_NS - MS, truth(0, MS)), *truths], awake_share=0, lead_s=0)
+    assert len(world.computed) == 10
+    assert (world.awake, world.rehearsed, world.alerts) == ([], [], [])
+
+
+def test_the_port_is_alerted_where_the_packet_is_due_as_soon_as_it_is_made() -> None:
+    for after_seen_ns, alerted in ((MS // 2, False), (2 * MS, True)):
+        world = World(10)
+        truths = [
+            (START_NS + world.seen_ns(k) + after_seen_ns, truth(k, 1)._replace(time_ns=world.seen_ns(k)))
+            for k in range(10)
+        ]
+        fly_live(world, [(START_NS - MS, truth(0, MS)), *truths], lead_s=0)
+        assert [at_ns for _, at_ns, _ in world.computed] == [at_ns for at_ns, _ in truths]
+        assert world.alerts == ([at_ns for at_ns, _ in truths] if alerted else [])
 
 
 def test_the_flight_ends_with_the_last_truth() -> None:

@@ -82,6 +82,21 @@ def test_what_comes_too_late_is_skipped_and_said(runner: PortRunner) -> None:
     assert (runner.far_end(), runner.told.sent_bytes) == (b"", 0)
 
 
+def test_after_an_alert_packets_go_their_usual_way(runner: PortRunner) -> None:
+    """Whether they come at once, in vain is waited for, or are not due yet."""
+    runner.start(LOOPBACK)
+    runner.begin(Clock().now_ns(), 60 * SECOND_NS, Pace.WALL)
+    sent = packets(30, SECOND_NS // 200)
+    for packet in sent:
+        runner.alert()
+        assert runner.push(packet)
+    runner.alert()
+    runner.finish()
+    reports = runner.reports()
+    assert [(report.shot, report.fate) for report in reports] == [(k, Fate.SENT) for k in range(30)]
+    assert all(report.sent_ns >= report.due_ns for report in reports)
+
+
 def test_packets_pushed_before_the_beginning_wait_for_it(runner: PortRunner) -> None:
     runner.start(LOOPBACK)
     sent = packets(64)

@@ -95,3 +95,23 @@ def test_isolated_cores_are_read(tmp_path: Path, text: str, cores: list[int]) ->
 
 def test_a_system_that_does_not_tell_has_none(tmp_path: Path) -> None:
     assert isolated_cores(tmp_path / "isolated") == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="schedulers are the system's own")
+def test_a_prompt_process_is_an_ordinary_one_again_afterwards() -> None:
+    code = """
+import json, os
+from lidar_emu.runtime.realtime import become_punctual, prompt
+scheduler = [os.sched_getscheduler(0)]
+try:
+    with prompt():
+        scheduler.append(os.sched_getscheduler(0))
+        raise KeyError
+except KeyError:
+    scheduler.append(os.sched_getscheduler(0))
+print(json.dumps({"scheduler": scheduler, "granted": become_punctual().granted}))
+"""
+    told = ask(code)
+    assert isinstance(told["granted"], list)
+    meanwhile = os.SCHED_FIFO if "fifo" in told["granted"] else os.SCHED_OTHER
+    assert told["scheduler"] == [os.SCHED_OTHER, meanwhile, os.SCHED_OTHER]

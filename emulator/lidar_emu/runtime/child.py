@@ -17,6 +17,7 @@ from lidar_emu.runtime.ring import anonymous_file
 
 _READ_BYTES = 65536
 _FIRST_NOT_STANDARD = 3
+_STANDARD_ERROR = 2
 
 
 class PortDiedError(RunError):
@@ -111,3 +112,12 @@ class PortChild:
         self._lifeline.close()
         self._answers.close()
         os.close(self._errors)
+
+
+def complaints() -> dict[str, int]:
+    """Standard error, where there is one: a process that survives ours can say so there."""
+    try:
+        os.fstat(_STANDARD_ERROR)
+    except OSError:
+        return {}
+    return {"complaints": _STANDARD_ERROR}

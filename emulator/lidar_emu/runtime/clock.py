@@ -29,15 +29,22 @@ class Clock:
         return datetime.now(UTC)
 
     def wait(
-        self, until_ns: int | None, readable: Sequence[int] = (), writable: Sequence[int] = ()
+        self,
+        until_ns: int | None,
+        readable: Sequence[int] = (),
+        writable: Sequence[int] = (),
+        awake: bool = False,
     ) -> tuple[list[int], list[int]]:
         """Sleep until an instant, or until one of the descriptors is ready; returns those that are.
 
         Never returns early without a ready descriptor. None as instant waits for descriptors alone.
+
+        Args:
+            awake: ask again and again instead of sleeping, for what must not wait until the process has woken up.
         """
         left_ns = None if until_ns is None else max(0, until_ns - self.now_ns())
         while True:
-            ready, roomy, _ = select.select(readable, writable, (), _timeout_s(left_ns))
+            ready, roomy, _ = select.select(readable, writable, (), 0.0 if awake else _timeout_s(left_ns))
             if ready or roomy:
                 return ready, roomy
             if until_ns is not None and (left_ns := until_ns - self.now_ns()) <= 0:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 from lidar_emu.flight import Flight
+from lidar_emu.runtime.anticipation import Anticipation
 from lidar_emu.runtime.command_post import Change
 from lidar_emu.runtime.feed import POLL_NS, Desk
+from lidar_emu.runtime.realtime import prompt
 from lidar_emu.runtime.truth_source import Arrival, TruthSource
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.trajectory.live_datagram import Verdict
+
+_AT_ONCE_NS = 1_000_000
+"""A packet that is due within this time is sent as soon as it is made."""
 
 
 class LiveFeed:
@@ -17,6 +24,8 @@ class LiveFeed:
         start_ns: instant of the monotonic clock at scenario time 0; None: the first truth says, by its own time, as it
             arrives.
         late_after_ns: a shot that is later than this before it is computed is not computed.
+        awake_share: of the time from shot to shot that may be spent awake before truth comes, and after it should have
+            come. 0 where simulator, model and port have less than a core each: then nobody is kept off.
     """
 
     def __init__(
@@ -27,6 +36,7 @@ class LiveFeed:
         part: Live,
         start_ns: int | None,
         late_after_ns: int,
+        awake_share: float,
     ) -> None:
         self._desk = desk
         self._source = source
@@ -35,6 +45,8 @@ class LiveFeed:
         self._start_ns = start_ns
         self._late_after_ns = late_after_ns
         self._later: Change | None = None
+        self._may_wake = awake_share > 0
+        self._anticipation = Anticipation(round(awake_share * flight.period_ns))
 
     def fly(self) -> None:
         """See `Feed`."""
@@ -45,6 +57,13 @@ class LiveFeed:
         if first is None:
             return
         self._begin(first)
+        with prompt() if self._may_wake else nullcontext():
+            self._fly()
+        self._source.tell()
+        desk.finish()
+
+    def _fly(self) -> None:
+        desk = self._desk
         while desk.session.next_shot < self._flight.shot_count:
             shot = desk.session.next_shot
             self._await(shot)
@@ -53,7 +72,6 @@ class LiveFeed:
             ):
                 break
             self._fire(shot)
-        desk.finish()
 
     def _await_first(self) -> Arrival | None:
         while not self._desk.interrupted():
@@ -79,15 +97,26 @@ class LiveFeed:
         desk, source = self._desk, self._source
         seen_ns = self._flight.seen_ns(shot)
         latest_ns = self._due_ns(shot) - round(self._part.lead_s * 1e9)
+        window = self._anticipation.window(self._due_ns(shot))
+        rehearsed = not self._anticipation.has_time_to_rehearse
         # What is left of earlier shots is done first: once truth is there, nothing is but the shot.
+        source.tell()
         desk.outbox.settle()
         source.receive()
         while not (source.covers(seen_ns) or source.ended or desk.interrupted()):
             now_ns = desk.clock.now_ns()
             if now_ns >= latest_ns:
                 break
-            desk.outbox.wait(min(latest_ns, now_ns + POLL_NS), [source.fileno()])
-            source.receive()
+            if not (awake := window.holds(now_ns)):
+                source.tell()
+            elif not rehearsed:
+                desk.session.rehearse()
+                source.rehearse()
+                rehearsed = True
+            edges_ns = (edge_ns for edge_ns in window if edge_ns > now_ns)
+            until_ns = min(latest_ns, now_ns + POLL_NS, *edges_ns)
+            desk.outbox.wait(until_ns, [source.fileno()], awake)
+            source.receive_one()
 
     def _fire(self, shot: int) -> None:
         desk, source = self._desk, self._source
@@ -101,11 +130,16 @@ class LiveFeed:
         if not fresh and self._part.when_stale == "abort":
             desk.fail(f"truth is stale at shot {shot}, and trajectory.when_stale is abort")
             return
+        if self._may_wake and self._due_ns(shot) - now_ns < _AT_ONCE_NS:
+            desk.outbox.alert()
         block = desk.session.shoot(1, fired=fresh or self._part.when_stale == "coast")
         assert block is not None
         for packet in desk.outbox.announce(block):
             desk.push(packet)
             source.used_for(packet, self._flight.seen_ns(shot))
+        if source.covers(self._flight.seen_ns(shot)):
+            took_ns = desk.clock.now_ns() - now_ns
+            self._anticipation.learn(self._due_ns(shot), source.newest_arrived_ns, took_ns)
 
     def _follow_commands(self, shot: int) -> None:
         """Those that came before the shot began."""

@@ -39,6 +39,7 @@ class LockstepFeed:
             desk.outbox.settle()
         if self._begun:
             self._linger()
+            self._source.tell()
             desk.finish()
 
     def _linger(self) -> None:
@@ -66,6 +67,7 @@ class LockstepFeed:
             self._desk.begin(self._desk.clock.now_ns())
             self._source.begin(None)
             self._desk.session.pass_over(-(-truth.time_ns // self._flight.period_ns))
+        self._source.tell()
         self._compute(truth.time_ns)
         self._ended = self._source.ended or self._desk.session.next_shot >= self._flight.shot_count
         packets = self._send(None if self._ended else truth.time_ns)

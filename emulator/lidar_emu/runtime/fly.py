@@ -12,6 +12,7 @@ from lidar_emu.device.machine import initial
 from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.rules import device_rules
 from lidar_emu.flight import Flight
+from lidar_emu.runtime.anticipation import awake_share
 from lidar_emu.runtime.child import PortDiedError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.events import EventLog, told
@@ -226,7 +227,7 @@ class Run:
             if self._options.pace is Pace.LOCKSTEP:
                 return LockstepFeed(desk, source, self._flight)
             late_after_ns = self._scenario.timing.late_after_ns
-            return LiveFeed(desk, source, self._flight, self._live, start_ns, late_after_ns)
+            return LiveFeed(desk, source, self._flight, self._live, start_ns, late_after_ns, awake_share())
         if not self._options.on_command:
             return self._ahead(desk, start_ns)
         self._announce("set_mode acquire or track")

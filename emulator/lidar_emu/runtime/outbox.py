@@ -50,6 +50,10 @@ class Outbox:
         self._in_flight.append((packet, *self._announced.pop((packet.generation, packet.shot))))
         return True
 
+    def alert(self) -> None:
+        """A packet that is due will be pushed at once, see `PortRunner.alert`."""
+        self._port.alert()
+
     def supersede(self, from_shot: int) -> None:
         """From this shot on, what was announced is not to be sent: shots from there on will be announced anew.
 
@@ -105,9 +109,10 @@ class Outbox:
         """Whether the port is through with the last packet, see `PortRunner.finished`."""
         return self._port.finished
 
-    def wait(self, until_ns: int, readable: Sequence[int] = ()) -> None:
-        """Sleep until an instant of the monotonic clock, or until the port or one of the descriptors has news."""
-        self._port.wait(until_ns, readable)
+    def wait(self, until_ns: int, readable: Sequence[int] = (), awake: bool = False) -> None:
+        """Sleep, or wait `awake`, until an instant of the monotonic clock, or until the port or one of the descriptors
+        has news."""
+        self._port.wait(until_ns, readable, awake)
 
     def arrivals(self) -> list[tuple[int, bytes]]:
         """What arrived on the port since the last call, see `PortRunner.arrivals`."""

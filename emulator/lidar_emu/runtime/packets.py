@@ -9,7 +9,10 @@ from typing import Self
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import Fate
 
-__all__ = ["Fate", "Frame", "Outgoing", "Report", "pack_frames", "unpack_frames"]
+__all__ = ["ALERT", "NEWS", "Fate", "Frame", "Outgoing", "Report", "pack_frames", "unpack_frames"]
+
+NEWS, ALERT = b"\0", b"\1"
+"""What the doorbell of the port's process says: something has changed; a packet that is due will follow at once."""
 
 _PACKET_HEAD = struct.Struct("<qqI")
 _REPORT = struct.Struct("<qqqBq")

@@ -35,6 +35,7 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.lifeline import Lifeline
 from lidar_emu.runtime.orphan import complain, say_last_words, told_of
 from lidar_emu.runtime.pacing import Pace, Pacing, WhenLate
+from lidar_emu.runtime.packets import ALERT
 from lidar_emu.runtime.realtime import become_punctual
 from lidar_emu.runtime.ring import Ring
 from lidar_emu.runtime.sender import Sender, Wait
@@ -52,6 +53,8 @@ _DRAIN_NS = 2_000_000_000
 _HASTY_DRAIN_NS = 500_000_000
 _SETTLE_NS = 20_000_000
 _LOOK_AGAIN_NS = 5_000_000
+_ALERT_NS = 1_000_000
+"""How long the packet that was announced is waited for without sleeping."""
 
 
 def main() -> None:
@@ -118,6 +121,7 @@ class _Port:
         self._lockstep = False
         self._told_settled = 0
         self._event_count = 0
+        self._alert_until_ns = 0
         self._finishing = False
         self._drain: _Drain | None = None
         self._last_words = b""
@@ -153,13 +157,16 @@ class _Port:
         until_ns = min((wake_ns for wake_ns in wakes_ns if wake_ns is not None), default=None)
         doorbells = [self._doorbell] if wait.for_packets else []
         wants_room = wait.for_room or self._link.pending
+        alert = wait.for_packets and self._alert_until_ns > self._clock.now_ns()
         ready, _ = self._clock.wait(
-            until_ns,
+            self._alert_until_ns if alert else until_ns,
             [_LIFELINE, *doorbells, *self._link.readable],
             [*self._answers.writable, *(self._link.writable if wants_room else [])],
+            awake=alert,
         )
         if self._doorbell in ready:
-            os.read(self._doorbell, _PIPE_BYTES)
+            alerted = os.read(self._doorbell, _PIPE_BYTES).endswith(ALERT)
+            self._alert_until_ns = self._clock.now_ns() + _ALERT_NS if alerted else 0
         # Without a descriptor to watch, arrivals are looked for on every round.
         if not self._link.readable or self._link.readable[0] in ready:
             self._receive()

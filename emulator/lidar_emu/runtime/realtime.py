@@ -6,8 +6,8 @@ import ctypes
 import gc
 import os
 import resource
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -57,6 +57,27 @@ def become_punctual(place: int = 0) -> Punctuality:
         [wish.name for wish, given in asked if given],
         {wish.name: wish.remedy for wish, given in asked if not given},
     )
+
+
+@contextmanager
+def prompt() -> Iterator[None]:
+    """Before all ordinary processes for a while, where that is permitted.
+
+    For a process that computes when something arrives. The port's process, which it wakes, has the same priority, and
+    so goes to another core instead of taking this one.
+    """
+    before = (os.sched_getscheduler(0), os.sched_getparam(0)) if hasattr(os, "sched_getscheduler") else None
+    _enter_fifo()
+    try:
+        yield
+    finally:
+        if before is not None:
+            os.sched_setscheduler(0, *before)
+
+
+def available_cores() -> int:
+    """How many processes of ours can run at a time."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _reduce_timer_slack() -> bool:

@@ -9,11 +9,11 @@ from types import TracebackType
 from typing import Any, Self
 
 from lidar_emu.errors import InputError, RunError
-from lidar_emu.runtime.child import PortChild
+from lidar_emu.runtime.child import PortChild, complaints
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.loopback_end import LoopbackEnd
 from lidar_emu.runtime.pacing import Pace, WhenLate
-from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.runtime.packets import ALERT, NEWS, Outgoing, Report
 from lidar_emu.runtime.port_story import PortStory
 from lidar_emu.runtime.ring import Ring
 from lidar_emu.runtime.watch import Notice, Watch
@@ -23,7 +23,6 @@ _START_LIMIT_NS = 30_000_000_000
 _STOP_LIMIT_NS = 2_000_000_000  # the process itself takes half a second for what is still unread
 _POLL_NS = 2_000_000
 _OPENING_POLL_NS = 100_000_000
-_STANDARD_ERROR = 2
 
 
 class PortRunner:
@@ -77,7 +76,7 @@ class PortRunner:
             InputError: the port cannot be opened.
             RunError: the process did not start.
         """
-        passed = self._passed | _complaints()
+        passed = self._passed | complaints()
         if spec.kind is Kind.LOOPBACK:
             self._far_end = LoopbackEnd()
             with self._far_end.device_end as device_end:
@@ -127,6 +126,10 @@ class PortRunner:
         self._ring()
         return True
 
+    def alert(self) -> None:
+        """A packet that is due will be pushed within a millisecond: the process had better be awake by then."""
+        self._ring(ALERT)
+
     def supersede(self, generation: int, from_shot: int) -> None:
         """Packets of earlier generations are not to be sent any more, from this shot on; they are reported as such."""
         self._running().tell(supersede=[generation, from_shot, self._packets.written])
@@ -174,18 +177,23 @@ class PortRunner:
         """The port process; None before `start`."""
         return None if self._child is None else self._child.pid
 
-    def wait(self, until_ns: int, readable: Sequence[int] = ()) -> None:
+    def wait(self, until_ns: int, readable: Sequence[int] = (), awake: bool = False) -> None:
         """Sleep until an instant of the monotonic clock, or until the process says something, the loopback delivers
         or one of the descriptors is ready.
+
+        Args:
+            awake: see `Clock.wait`.
 
         Raises:
             PortDiedError: the process died. What it had reported before can still be fetched, after `close`.
         """
-        descriptors = [self._running().descriptor, *readable]
+        descriptors = [*readable, self._running().descriptor]
         if self._far_end is not None:
             descriptors.append(self._far_end.fileno())
-        self._clock.wait(until_ns, descriptors)
-        self._collect()
+        ready, _ = self._clock.wait(until_ns, descriptors, awake=awake)
+        # What the caller waits for comes first; what the process says is heard at the latest with its reports.
+        if not set(readable).intersection(ready):
+            self._collect()
 
     def last_packet_pushed(self) -> None:
         """No more packets will come: `finished` turns true once the process is through with them.
@@ -279,17 +287,8 @@ class PortRunner:
             raise RunError("the port is not open")
         return self._child
 
-    def _ring(self) -> None:
+    def _ring(self, what: bytes = NEWS) -> None:
         try:
-            os.write(self._doorbell, b"\0")
+            os.write(self._doorbell, what)
         except BlockingIOError:
             return  # it has rung often enough to be heard
-
-
-def _complaints() -> dict[str, int]:
-    """Standard error, where there is one: a process that survives ours can say so there."""
-    try:
-        os.fstat(_STANDARD_ERROR)
-    except OSError:
-        return {}
-    return {"complaints": _STANDARD_ERROR}

@@ -55,11 +55,11 @@ class TruthSocket:
         """Ready when there is something to receive."""
         return self._socket.fileno()
 
-    def receive(self) -> list[tuple[bytes, int, Any]]:
-        """Datagrams that have arrived, a bounded number at a time, with the instants of the monotonic clock at
-        which they were taken, and the addresses that they came from."""
+    def receive(self, most: int = _AT_ONCE) -> list[tuple[bytes, int, Any]]:
+        """Datagrams that have arrived, so many at most, with the instants of the monotonic clock at which they were
+        taken, and the addresses that they came from."""
         arrived: list[tuple[bytes, int, Any]] = []
-        while len(arrived) < _AT_ONCE:
+        while len(arrived) < most:
             try:
                 data, sender = self._socket.recvfrom(_LONGEST_BYTES)
             except BlockingIOError:

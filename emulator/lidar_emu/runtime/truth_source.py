@@ -14,6 +14,7 @@ from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict, sequence_of
 
 _UNTOLD = 1000
+"""Datagrams before the run that observers hear of once it has begun."""
 
 
 class Arrival(NamedTuple):
@@ -56,8 +57,10 @@ class TruthSource(Observer):
         self.ended = False
         """Whether a truth has said that the flight ends with it."""
         self._start_ns: int | None = None
-        self._untold: list[tuple[bytes, int]] | None = []
-        self._newest_arrived_ns = 0
+        self._begun = False
+        self._untold: list[tuple[bytes, int, int]] = []
+        self.newest_arrived_ns = 0
+        """Instant of the monotonic clock."""
 
     def fileno(self) -> int:
         """Ready when something arrived."""
@@ -67,20 +70,37 @@ class TruthSource(Observer):
         """Take what arrived into account."""
         return [self._judged(*arrived) for arrived in self._socket.receive()]
 
+    def receive_one(self) -> None:
+        """The same for the first datagram only: asking in vain for another one would take the time of a shot's tenth
+        part."""
+        for arrived in self._socket.receive(1):
+            self._judged(*arrived)
+
+    def rehearse(self) -> None:
+        """Go through the newest truth once more, without any consequence."""
+        newest = None if self.newest is None else Truth.from_bytes(self.newest.to_bytes())
+        if newest is not None:
+            self._trajectory.rehearse(newest)
+
     def expect(self, start_ns: int) -> None:
         """Scenario time 0 is at this instant of the monotonic clock, as is known before the first truth."""
         self._start_ns = start_ns
 
     def begin(self, start_ns: int | None) -> None:
-        """The run begins; observers hear of truth from now on, and of what has come before.
+        """The run begins.
 
         Args:
             start_ns: instant of the monotonic clock at scenario time 0; None in lockstep.
         """
-        self._start_ns = start_ns
-        untold, self._untold = self._untold or [], None
-        for data, arrived_ns in untold:
-            self._tell(data, arrived_ns)
+        self._start_ns, self._begun = start_ns, True
+
+    def tell(self) -> None:
+        """Let observers hear of what has come since the last time. The run has begun; no shot waits for it."""
+        untold, self._untold = self._untold, []
+        for data, arrived_ns, lockstep_ns in untold:
+            time_ns = lockstep_ns if self._start_ns is None else arrived_ns - self._start_ns
+            for observer in self._observers:
+                observer.truth(data, max(0, time_ns))
 
     def answer(self, parts: Sequence[Answer], receiver: Any) -> None:
         """To the sender of a datagram; an answer that cannot be delivered is counted."""
@@ -109,7 +129,7 @@ class TruthSource(Observer):
         assert self._start_ns is not None
         for observer in self._observers:
             observer.truth_used(packet.shot, age_ns)
-        since_ns = max(self._newest_arrived_ns - self._start_ns, packet.due_ns)
+        since_ns = max(self.newest_arrived_ns - self._start_ns, packet.due_ns)
         self._awaited.append((packet.shot, since_ns))
 
     def _age_ns(self, time_ns: int) -> int:
@@ -143,19 +163,11 @@ class TruthSource(Observer):
             truth, None if self._start_ns is None else arrived_ns - self._start_ns
         )
         if verdict is Verdict.ACCEPTED:
-            self._newest_arrived_ns = arrived_ns
+            self.newest_arrived_ns = arrived_ns
         # The last truth may say again what the one before it said.
         if truth is not None and verdict in (Verdict.ACCEPTED, Verdict.DUPLICATE):
             self.ended |= truth.last
-        if self._untold is None:
-            self._tell(data, arrived_ns)
-        elif len(self._untold) < _UNTOLD:
-            self._untold.append((data, arrived_ns))
+        if self._begun or len(self._untold) < _UNTOLD:
+            newest = self.newest
+            self._untold.append((data, arrived_ns, 0 if newest is None else newest.time_ns))
         return Arrival(truth, verdict, sequence_of(data), arrived_ns, sender)
-
-    def _tell(self, data: bytes, arrived_ns: int) -> None:
-        newest = self.newest
-        lockstep_ns = 0 if newest is None else newest.time_ns
-        time_ns = lockstep_ns if self._start_ns is None else arrived_ns - self._start_ns
-        for observer in self._observers:
-            observer.truth(data, max(0, time_ns))

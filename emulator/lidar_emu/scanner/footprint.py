@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from functools import cache
 from math import hypot, sqrt
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -46,6 +46,19 @@ class Footprint(NamedTuple):
     along `across_site`. When the sensor turns, the phase sees the velocity of this point: of a footprint point at
     the offset x it is x (1 - R/Rc), x in the near field and 0 in the far."""
 
+    @classmethod
+    def unfilled(cls, beams: int, count: int) -> Self:
+        """Arrays for a kernel to fill, of beams of so many beamlets each."""
+        shape = (beams, count, 3)
+        return cls(
+            weight=beamlet_pattern(count)[1],
+            start_site_m=np.empty(shape),
+            ray_site=np.empty(shape),
+            doppler_site=np.empty(shape),
+            across_site=np.empty((2, beams, 3)),
+            doppler_start_m=np.empty((2, beams, count)),
+        )
+
 
 def sample_footprint(
     sensor_site_m: FloatArray,
@@ -54,6 +67,7 @@ def sample_footprint(
     count: int,
     waist_radius_m: float,
     wavelength_m: float,
+    footprint: Footprint | None = None,
 ) -> Footprint:
     """Beamlets of beams.
 
@@ -64,21 +78,14 @@ def sample_footprint(
         count: of beamlets, as in `beamlet_pattern`.
         waist_radius_m: 1/e² radius at the sensor.
         wavelength_m: of the light.
+        footprint: to be filled and returned; None: a new one.
 
     A ray joins the points of the aperture and of the footprint with the same share of the beam's power
     inside. Its slope (w - w0)/R and that of the phase w/Rc, per radius, are written in z/R, as is w (1 - R/Rc) =
     w0²/w: none cancels nor divides by zero, from a range of 0 to infinity.
     """
-    offset_w, weight = beamlet_pattern(count)
-    shape = (len(range_m), count, 3)
-    footprint = Footprint(
-        weight=weight,
-        start_site_m=np.empty(shape),
-        ray_site=np.empty(shape),
-        doppler_site=np.empty(shape),
-        across_site=np.empty((2, len(range_m), 3)),
-        doppler_start_m=np.empty((2, len(range_m), count)),
-    )
+    footprint = footprint or Footprint.unfilled(len(range_m), count)
+    offset_w, _ = beamlet_pattern(count)
     rayleigh_m = rayleigh_range_m(waist_radius_m, wavelength_m)
     _sample(offset_w, waist_radius_m, rayleigh_m, sensor_site_m, axis_site, range_m, *footprint[1:])
     return footprint

@@ -89,10 +89,10 @@ class GridGround:
         numbers[grid_cast.RADIUS_M] = radius_m
         return numbers
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
+    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
         """First contact with the surface or the ground beyond; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
-        hits = Hits.empty(len(origin))
+        hits = hits or Hits.empty(len(origin))
         grid_cast.cast_rays(
             origin,
             direction,

@@ -46,12 +46,13 @@ class Scene(Protocol):
     def origin_altitude_m(self) -> float:
         """Height of the site frame's origin above the body's sphere."""
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
+    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
         """First contact of rays with the ground.
 
         Args:
             origin_site_m: (n, 3) starting points.
             direction_site: (n, 3) unit vectors; a row with NaN hits nothing.
+            hits: to be filled and returned; None: new ones.
         """
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:

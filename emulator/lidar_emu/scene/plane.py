@@ -70,10 +70,10 @@ class PlaneGround:
             slope_deg, azimuth_deg = math.degrees(slope_rad), math.degrees(downhill_azimuth_rad)
             self.description = f"plane, falling {slope_deg:g}° toward azimuth {azimuth_deg:g}°"
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
+    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
         """First contact with the plane; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
-        hits = Hits.empty(len(origin))
+        hits = hits or Hits.empty(len(origin))
         _cast(origin, direction, self.normal_site, hits.range_m, hits.normal_site, hits.inside)
         return hits
 

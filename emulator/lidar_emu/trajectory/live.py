@@ -57,6 +57,12 @@ class LiveTrajectory:
             self._take(truth)
         return verdict
 
+    def rehearse(self, truth: Truth) -> None:
+        """What it takes to accept a truth, without any consequence."""
+        with self.pretending(truth):
+            self._judge(truth, None)
+            self._take(truth)
+
     @contextmanager
     def pretending(self, truth: Truth) -> Iterator[None]:
         """As if this were all that is known."""

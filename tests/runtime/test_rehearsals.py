@@ -1,0 +1,99 @@
+"""Rehearsals leave no trace: what is computed for nothing changes neither packets nor what truth is told of."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from typing import Any
+
+import lidar_emu
+from lidar_emu.faulty_packets import faulty_packets
+from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.truth_source import TruthSource
+from lidar_emu.session import Session
+from lidar_emu.shots import build_model
+from lidar_emu.trajectory.live import LiveTrajectory
+from lidar_emu.trajectory.live_datagram import Truth
+from lidar_emu.wire import Encoder
+
+STILL = (0.0, 0.0, 0.0)
+MS = 1_000_000
+
+
+def session() -> Session:
+    """With beams that switch in flight, and faults that carry something from shot to shot."""
+    faults = [
+        {"kind": "stuck", "from_s": 0.2, "probability": 0.3},
+        {"kind": "drift", "range_mps": 1.0},
+        {"kind": "frozen_counter", "probability": 0.2},
+        {"kind": "reordered", "probability": 0.3},
+    ]
+    settings = {"level": "geometric", "timing.rate_hz": "20", "duration_s": "5", "faults": json.dumps(faults)}
+    scenario = lidar_emu.load("descent.yaml", settings)
+    encoder = Encoder(scenario.wire, False, False, 4)
+    return Session(build_model(scenario), encoder, 200, faulty_packets(scenario, encoder, False))
+
+
+def packets(one: Session, rehearsing: bool) -> list[Any]:
+    sent: list[Any] = []
+    rewound = False
+    while True:
+        if rehearsing:
+            one.rehearse()
+        block = one.shoot(1)
+        if block is None:
+            return sent
+        sent += zip(block.packets, block.due_ns, strict=True)
+        if rehearsing and len(sent) == 40 and not rewound:
+            rewound = True
+            one.rewind(25)
+            del sent[25:]
+
+
+def test_packets_are_the_same_with_and_without() -> None:
+    plain = packets(session(), rehearsing=False)
+    assert len(plain) == 100
+    assert packets(session(), rehearsing=True) == plain
+
+
+class Socket:
+    def __init__(self, *datagrams: tuple[bytes, int]) -> None:
+        self._waiting = deque(datagrams)
+
+    def receive(self, most: int = 64) -> list[tuple[bytes, int, str]]:
+        count = min(most, len(self._waiting))
+        return [(*self._waiting.popleft(), "simulator") for _ in range(count)]
+
+
+class Listener(Observer):
+    def __init__(self) -> None:
+        self.heard: list[tuple[bytes, int]] = []
+
+    def truth(self, datagram: bytes, time_ns: int) -> None:
+        self.heard.append((datagram, time_ns))
+
+
+def test_observers_hear_of_each_datagram_once_and_when_there_is_time() -> None:
+    truths = [
+        Truth(k, k * 10 * MS, (0.0, 0.0, 900.0), STILL, STILL, (1.0, 0.0, 0.0, 0.0), STILL) for k in range(3)
+    ]
+    datagrams = [*(truth.to_bytes() for truth in truths), b"no truth"]
+    socket: Any = Socket(*((data, 500 * MS + k * 10 * MS) for k, data in enumerate(datagrams)))
+    listener = Listener()
+    source = TruthSource(socket, LiveTrajectory(10.0), 100 * MS, [listener])
+    source.rehearse()
+    source.receive_one()
+    source.begin(500 * MS)
+    source.rehearse()
+    assert listener.heard == []
+    source.tell()
+    assert listener.heard == [(datagrams[0], 0)]
+    source.receive_one()
+    source.rehearse()
+    source.receive()
+    source.tell()
+    source.tell()
+    assert listener.heard == [(data, k * 10 * MS) for k, data in enumerate(datagrams)]
+    assert source.newest == truths[-1]
+    counted = source.to_json()["datagrams"]
+    assert {name: count for name, count in counted.items() if count} == {"accepted": 3, "malformed": 1}
