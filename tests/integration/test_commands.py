@@ -97,7 +97,7 @@ def test_commands_that_cannot_be_followed_are_answered_and_counted(
         command("no_op", 5),
         command("no_op", 5),
         command("set_pattern", 6, pattern=77),
-        command("reset", 7, restart=0),
+        command("set_mode", 7, mode=2),
         unknown[:-3] + b"\x55" + unknown[-2:],  # damaged: neither followed nor answered
         command("no_op", 8),
     ):
