@@ -203,3 +203,18 @@ def test_on_command_needs_a_planned_flight(start: Start) -> None:
         run = start("run", *more, "--start", "on-command")
         assert run.wait() == 2
         assert "on-command with" in run.err
+
+
+def test_a_host_that_commands_without_end(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
+    """What it says beyond what can be listened to is not heard, and the shots go on."""
+    run = start("run", "descent.yaml", *QUICK, "--duration", "3", "--port", far_end.path, *LINK)
+    far_end.wait_for(144)
+    commands = [HOST.encode_command("set_pattern", sequence=k, pattern=k % 2) for k in range(256)]
+    for _ in range(40):
+        far_end.say(b"".join(commands))
+    run.succeed()
+    told = read_summary(tmp_path / "s.json")
+    assert told["commands"]["accepted"] > 0
+    assert told["commands"]["ignored_bytes"] + told["wire"]["unheard_bytes"] > 50_000
+    assert told["shots"]["due"] == 60
+    assert told["shots"]["sent"] > 50
