@@ -147,7 +147,10 @@ class Session:
 
     def pass_over(self, shot: int) -> None:
         """Go on with this shot; those before it are never computed."""
-        self.next_shot = max(shot, self.next_shot)
+        passed = max(0, shot - self.next_shot)
+        if not self.device.measures:  # it would not have counted them
+            self._state = self._state._replace(unnumbered=self._state.unnumbered + passed)
+        self.next_shot += passed
 
     def rewind(self, shot: int) -> None:
         """Go back to a shot that is kept, and compute it and those after it again.

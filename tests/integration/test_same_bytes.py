@@ -140,6 +140,7 @@ def test_a_stall_is_counted_and_changes_no_byte(start: Start, far_end: FarEnd, t
         "due": SHOTS,
         "sent": len(sent),
         "late": len(late),
+        "withheld": 0,
         "dropped": {"full": 0, "nobody_connected": 0, "broken": 0},
     }
     # What was due in the half second is skipped, but for the period within which nothing is late.

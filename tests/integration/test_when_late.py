@@ -12,6 +12,7 @@ from lidar_emu.errors import RunError
 
 # Nobody wakes up, decides and writes within a microsecond: every packet is late.
 ALWAYS_LATE = ["--duration", "1", "--set", "level=geometric", "--set", "timing.late_after_s=1e-6"]
+SHOTS_ALONE = ["--set", "device.housekeeping_rate_hz=0"]
 
 
 @pytest.fixture
@@ -20,7 +21,7 @@ def run(tmp_path):
         summary = tmp_path / "summary.json"
         done = CliRunner().invoke(
             cli,
-            ["run", "descent.yaml", *ALWAYS_LATE, "--summary", str(summary), *arguments],
+            ["run", "descent.yaml", *ALWAYS_LATE, *SHOTS_ALONE, "--summary", str(summary), *arguments],
             standalone_mode=False,
         )
         return done, json.loads(summary.read_text())

@@ -82,6 +82,7 @@ def scenario_of(options: RealtimeOptions) -> FlightScenario:
         {
             "name": "bench realtime",
             "timing.rate_hz": repr(options.rate_hz),
+            "device.housekeeping_rate_hz": "0",
             "duration_s": repr(options.duration_s),
             "instrument.optics.beamlets": repr(options.beamlets),
             "trajectory.waypoints": f"[{legs}]",

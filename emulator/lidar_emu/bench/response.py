@@ -90,6 +90,7 @@ def _scenario(rate_hz: float, duration_s: float, beamlets: int, address: Path) -
             "name": "bench response",
             "timing.rate_hz": repr(rate_hz),
             "timing.processing_latency_s": "0",
+            "device.housekeeping_rate_hz": "0",
             "duration_s": repr(duration_s),
             "instrument.optics.beamlets": repr(beamlets),
             "trajectory.listen": f"unix:{address}",

@@ -10,6 +10,7 @@ from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.obey import OUT_OF_RANGE, Order, Value
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.heard import Heard
+from lidar_emu.runtime.intake import Intake
 from lidar_emu.runtime.lateness import LatenessHistogram
 from lidar_emu.runtime.voice import Voice
 from lidar_emu.session import Session
@@ -69,6 +70,7 @@ class CommandPost:
         self._verdicts: Counter[str] = Counter()
         self._changes: deque[Change] = deque()
         self._delay = LatenessHistogram()
+        self._intake = Intake()
         self._unanswerable = self._ignored_bytes = 0
         for verdict in _VERDICTS:  # an interface that cannot say them is refused before the run
             self._check_answer(verdict)
@@ -85,7 +87,7 @@ class CommandPost:
         if not state.answers:
             self._ignored_bytes += len(data)
             return
-        for command in self._read(data):
+        for command in self._read(data, arrived_ns):
             if state.restarts != self._life:  # a device that has restarted knows of no command before
                 self._life, self._sequence = state.restarts, None
             heard, change = self._obey(command, time_ns, pulse_ns)
@@ -134,7 +136,7 @@ class CommandPost:
             "rejected": {word: n for word, n in sorted(self._verdicts.items()) if word != "accepted"},
             "unanswerable": self._unanswerable,
             "skipped_bytes": self._reader.counters.skipped_bytes,
-            "ignored_bytes": self._ignored_bytes,
+            "ignored_bytes": self._ignored_bytes + self._intake.refused_bytes,
             "delay": self._delay.summary(),
         }
 
@@ -144,12 +146,16 @@ class CommandPost:
         assert reader is not None
         return reader
 
-    def _read(self, data: bytes) -> list[Command | BadCommand]:
+    def _read(self, data: bytes, arrived_ns: int) -> list[Command | BadCommand]:
         if self._bytes is not None:
-            return self._bytes.feed(data)
+            return self._bytes.feed(data[: self._intake.take(len(data), arrived_ns)])
         assert self._frames is not None
-        frames = (frame for frame in unpack_frames(data) if not frame.is_extended)
-        return [command for f in frames for command in self._frames.feed(f.can_id, f.data, f.is_fd)]
+        commands = []
+        for frame in unpack_frames(data):
+            size = 1 + len(frame.data)
+            if not frame.is_extended and self._intake.take(size, arrived_ns) == size:
+                commands += self._frames.feed(frame.can_id, frame.data, frame.is_fd)
+        return commands
 
     def _obey(
         self, command: Command | BadCommand, time_ns: int, pulse_ns: int | None

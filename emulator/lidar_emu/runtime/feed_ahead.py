@@ -76,9 +76,9 @@ class AheadFeed:
             desk.hear(desk.clock.now_ns() - self._start_ns, self._start_ns)
         else:
             desk.hear(self._next_to_push() * self._period_ns)
-        if self._later is None and (change := desk.next_change()) is not None:
+        while self._later is None and (change := desk.next_change()) is not None:
             self._change(change)
-        elif self._waiting:
+        if self._waiting:
             if desk.outbox.push(self._waiting[0]):
                 self._waiting.popleft()
             else:

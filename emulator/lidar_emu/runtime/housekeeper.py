@@ -19,7 +19,6 @@ from lidar_emu.runtime.voice import Voice, housekeeping_layouts
 from lidar_protocol import EncodeError
 
 _SILENT_COUNTS = {"commands_accepted": 0, "commands_rejected": 0, "bad_bytes": 0}
-_WHEN_OFF_NS = 100_000_000
 
 
 class Housekeeper(Observer):
@@ -83,7 +82,7 @@ class Housekeeper(Observer):
         state = self._device.at(time_ns)
         rate_hz = state.settings.housekeeping_rate_hz
         if rate_hz == 0 or not state.answers:
-            self._next_ns = time_ns + _WHEN_OFF_NS
+            self._next_ns = None
             return
         period_ns = round(1e9 / rate_hz)
         self._next_ns = (time_ns // period_ns + 1) * period_ns

@@ -50,10 +50,6 @@ class ScannerModel:
         """Beams of the largest set."""
         return len(self.firing_cycle)
 
-    def commanded(self, state: ScannerState, pattern: int) -> ScannerState | None:
-        """The state after a command to use a set; None if there is no such set."""
-        return replace(state, commanded=pattern) if pattern < len(self.angle_deg) else None
-
     @property
     def needs_ground_altitude(self) -> bool:
         """Whether any switch counts its altitude from the ground."""

@@ -1,0 +1,242 @@
+"""What a host hears back: verdicts, sequence numbers, housekeeping, and what is told of each command."""
+
+from __future__ import annotations
+
+import struct
+from binascii import crc_hqx
+from typing import Any
+
+import pytest
+from devices import MS, rules
+
+from lidar_emu.device.machine import initial
+from lidar_emu.device.now import DeviceNow
+from lidar_emu.errors import InputError
+from lidar_emu.runtime.command_post import CommandPost
+from lidar_emu.runtime.heard import Heard
+from lidar_emu.runtime.housekeeper import Housekeeper
+from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.summary import Tally
+from lidar_emu.runtime.voice import Voice
+from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
+from lidar_protocol import (
+    Acknowledge,
+    CanReceiver,
+    Host,
+    Housekeeping,
+    Interface,
+    SerialReceiver,
+    default_interface,
+    load,
+    shipped_interface,
+)
+
+DEFAULT = default_interface()
+S = 1000 * MS
+
+
+class Line:
+    """A host and a device, and what was said."""
+
+    def __init__(self, interface: Interface = DEFAULT, can: bool = False, **part: Any) -> None:
+        self.interface, self.can = interface, can
+        self.said: list[bytes] = []
+        self.told: list[tuple[Heard, int | None]] = []
+        self.kept: list[tuple[bytes, int]] = []
+        behaviour = rules(**part)
+        self.device = DeviceNow(behaviour, initial(behaviour))
+        voice = Voice(interface, 0, can, self.said.append)
+        self.post = CommandPost(voice, self.device, lambda shown_ns: shown_ns < 1 << 61, self._tell)
+        self.tally = Tally(Pace.WALL)
+        self.housekeeper = Housekeeper(voice, self.device, 1.5, self.tally, self.post, self._keep)
+
+    def _tell(self, heard: Heard, shot: int | None) -> None:
+        self.told.append((heard, shot))
+
+    def _keep(self, payload: bytes, time_ns: int) -> None:
+        self.kept.append((payload, time_ns))
+
+    def command(self, name: str, sequence: int, **arguments: Any) -> bytes:
+        host = Host(self.interface)
+        if not self.can:
+            return host.encode_command(name, sequence=sequence, **arguments)
+        frame = host.encode_command_frame(name, sequence=sequence, **arguments)
+        return pack_frames([Frame(frame.can_id, frame.data)])
+
+    def send(self, time_ms: float, name: str, sequence: int, **arguments: Any) -> str:
+        """Give a command; returns the verdict that comes back."""
+        self.post.hear(self.command(name, sequence, **arguments), 0, round(time_ms * MS))
+        answer = self.heard()[-1]
+        assert isinstance(answer, Acknowledge)
+        assert answer.sequence == sequence
+        return answer.verdict
+
+    def heard(self) -> list[Any]:
+        """All that the host has received."""
+        if not self.can:
+            return list(SerialReceiver(self.interface).receive(b"".join(self.said)))
+        receiver = CanReceiver(self.interface)
+        frames = [frame for payload in self.said for frame in unpack_frames(payload)]
+        return [message for f in frames for message in receiver.receive(f.can_id, f.data, f.is_fd)]
+
+
+@pytest.mark.parametrize("can", [False, True])
+def test_numbers_of_commands(can: bool) -> None:
+    line = Line(can=can)
+    for sequence, verdict in (
+        (200, "accepted"),
+        (201, "accepted"),
+        (201, "bad_sequence"),
+        (203, "bad_sequence"),
+    ):
+        assert line.send(1, "set_pattern", sequence, pattern=1) == verdict
+    assert line.send(2, "set_pattern", 202, pattern=9) == "out_of_range"
+    assert line.send(3, "set_mode", 203, mode="self_test") == "out_of_state"
+    assert line.send(4, "enable_beams", 204, beams=1) == "accepted", "a number counts whatever the verdict"
+    assert line.post.counts == {"commands_accepted": 3, "commands_rejected": 4, "bad_bytes": 0}
+
+
+def test_a_host_that_does_not_know_the_number_begins_anew_with_a_no_op() -> None:
+    line = Line()
+    assert line.send(0, "no_op", 255) == "accepted"
+    assert line.send(0, "set_pattern", 17, pattern=1) == "bad_sequence"
+    assert line.send(0, "no_op", 16) == "accepted"
+    assert line.send(0, "no_op", 16) == "bad_sequence", "the very command again"
+    assert line.send(0, "set_pattern", 17, pattern=1) == "accepted"
+
+
+def test_a_command_that_cannot_be_read_counts_too() -> None:
+    line = Line()
+    assert line.send(0, "no_op", 3) == "accepted"
+    # By hand: primary header, code 99, sequence number 4, CRC; COBS of a packet without zeros but in the header.
+    packet = struct.pack(">HHHBB", 0x12A0, 0xC004, 3, 99, 4)
+    packet += crc_hqx(packet, 0xFFFF).to_bytes(2, "big")
+    cut = packet.split(b"\0")
+    line.post.hear(b"\0" + b"".join(bytes([len(piece) + 1]) + piece for piece in cut) + b"\0", 0, 0)
+    assert [message.verdict for message in line.heard()] == ["accepted", "unknown"]
+    assert line.send(0, "no_op", 5) == "accepted"
+    assert line.send(0, "set_pattern", 6, pattern=1) == "accepted"
+
+
+@pytest.mark.parametrize("restart", ["warm", "cold"])
+def test_after_a_restart_any_number_may_come_first(restart: str) -> None:
+    line = Line()
+    assert line.send(0, "no_op", 3) == "accepted"
+    assert line.send(1, "reset", 4, restart=restart) == "accepted"
+    said = len(line.said)
+    line.post.hear(line.command("no_op", 5), 0, 100 * MS)
+    assert len(line.said) == said, "who boots hears nothing"
+    assert line.post.to_json()["ignored_bytes"] == len(line.command("no_op", 5))
+    assert line.send(4000, "set_mode", 77, mode="track") == "accepted"
+
+
+def test_what_follows_a_reset_in_one_breath_is_not_heard() -> None:
+    line = Line()
+    line.post.hear(line.command("reset", 0, restart="warm") + line.command("no_op", 1), 0, 0)
+    assert [message.command for message in line.heard()] == ["reset"]
+
+
+def test_a_change_waits_for_the_shots_and_is_told_with_the_first_that_follows() -> None:
+    line = Line()
+    line.send(10, "no_op", 0)
+    line.send(20, "set_pattern", 1, pattern=1)
+    line.send(30, "set_pattern", 2, pattern=1)
+    line.send(40, "set_pattern", 3, pattern=0)
+    assert [(heard.command, shot) for heard, shot in line.told] == [("no_op", None), ("set_pattern", None)]
+    change = line.post.next_change()
+    assert change is not None
+    line.post.followed(change, 4, 1234)
+    assert line.told[-1] == (Heard(20 * MS, "set_pattern", {"pattern": 1}, 1, "accepted"), 4)
+    line.post.close()
+    assert line.told[-1] == (Heard(40 * MS, "set_pattern", {"pattern": 0}, 3, "accepted"), None)
+    assert line.post.next_change() is None
+
+
+def test_answers_are_dated_by_the_device_s_clock() -> None:
+    line = Line(clock={"offset_s": 50.0})
+    line.send(1000, "no_op", 0)
+    line.send(2000, "time_at_tone", 1, tone_ns=7 * S)
+    line.send(2500, "no_op", 2)
+    assert [message.values["time_ns"] for message in line.heard()] == [51 * S, 7 * S, 7 * S + S // 2]
+
+
+def test_a_time_that_packets_cannot_tell_is_refused() -> None:
+    line = Line()
+    line.post._can_date = lambda shown_ns: shown_ns < 100 * S
+    assert line.send(0, "time_at_tone", 0, tone_ns=100 * S) == "out_of_range"
+    assert line.send(0, "time_at_tone", 1, tone_ns=99 * S) == "accepted"
+
+
+def test_housekeeping_bit_by_bit() -> None:
+    """Read by struct from INTERFACE.md, an hour after power-up."""
+    line = Line(thermal={"ambient_c": 20.0, "rise_k": 12.0, "time_constant_s": 240.0})
+    line.tally.fates.update({})
+    line.housekeeper.truth_used(3, 12_345_000)
+    line.housekeeper.tick(3_600 * S)
+    (payload,) = line.said
+    assert line.kept == [(payload, 3_600 * S)]
+    body = _unstuffed(payload)[6:-2]
+    time_s, fraction = struct.unpack(">II", body[:4] + b"\0" + body[4:7])
+    assert (time_s, fraction) == (3600, 0)
+    assert body[7:11] == bytes([1, 0, 1, 0])  # interface 1, software 0.1.0
+    mode, flags, temperature, power, uptime_s = struct.unpack(">BBhHI", body[11:21])
+    assert (mode, flags, power, uptime_s) == (4, 0b111, 1500, 3600)
+    assert temperature == 3200  # 20 + 12 degrees, in 0.01
+    assert struct.unpack(">IIHHII", body[21:]) == (0, 0, 0, 0, 0, 12_345)
+
+
+def _unstuffed(frame: bytes) -> bytes:
+    packet, rest = b"", frame.strip(b"\0")
+    while rest:
+        packet, rest = packet + rest[1 : rest[0]] + b"\0", rest[rest[0] :]
+    return packet[:-1]
+
+
+def test_housekeeping_comes_at_its_rate_however_shots_come() -> None:
+    line = Line(start="boot", boot_s=0.5, self_test_s=1.0, housekeeping_rate_hz=2.0)
+    for time_ms in range(0, 4000, 7):
+        line.housekeeper.tick(time_ms * MS)
+    times_s = [message.values["time_ns"] / S for message in line.heard()]
+    assert times_s == pytest.approx([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5], abs=0.008)
+    modes = [DEFAULT.word("mode", message.values["mode"]) for message in line.heard()]
+    assert modes == ["self_test"] * 2 + ["standby"] * 5
+    assert line.send(4000, "set_parameter", 0, parameter=0, number=0) == "accepted"
+    line.housekeeper.commanded(Heard(0, "set_parameter", {}, 0, "accepted"), None)
+    count = len(line.kept)
+    for time_ms in range(4000, 9000, 7):
+        line.housekeeper.tick(time_ms * MS)
+    assert len(line.kept) == count
+
+
+def test_housekeeping_tells_of_its_own_time_not_of_commands_to_come() -> None:
+    line = Line(start="standby")
+    line.send(2000, "set_mode", 0, mode="track")
+    line.housekeeper.tick(1000 * MS)
+    line.housekeeper.tick(3000 * MS)
+    told = [message for message in line.heard() if isinstance(message, Housekeeping)]
+    assert [message.values["mode"] for message in told] == [1, 4]
+
+
+def test_housekeeping_on_can_is_five_frames() -> None:
+    line = Line(can=True)
+    line.housekeeper.tick(0)
+    assert [frame.can_id for frame in unpack_frames(line.said[0])] == [0x139, 0x13A, 0x13B, 0x13C, 0x13D]
+    assert all(isinstance(message, Housekeeping) for message in line.heard())
+
+
+def test_an_interface_with_fewer_words_says_the_nearest() -> None:
+    altimeter = shipped_interface("altimeter")
+    line = Line(altimeter, start="boot", boot_s=0.5, self_test_s=1.0)
+    line.housekeeper.tick(1000 * MS)
+    (told,) = line.heard()
+    assert altimeter.word("state", told.values["mode"]) == "standby"
+
+
+def test_housekeeping_that_cannot_be_filled_is_refused() -> None:
+    from importlib.resources import files
+
+    text = files("lidar_protocol").joinpath("default.toml").read_text()
+    strange = text.replace('[[housekeeping]]\nname = "uptime_s"', '[[housekeeping]]\nname = "mood"')
+    strange = strange.replace('{ name = "uptime_s" }, ', "")
+    with pytest.raises(InputError, match="mood"):
+        Line(load(strange, "mine.toml"))

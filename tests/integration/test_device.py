@@ -1,0 +1,220 @@
+"""The device from the host's end: it boots, takes commands, restarts, keeps time, and begins a flight on command."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable
+from itertools import groupby, pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+from programs import FarEnd, Program, eventually, read_summary
+
+from lidar_protocol import Acknowledge, Host, Housekeeping, Message, SerialReceiver, default_interface
+
+Start = Callable[..., Program]
+INTERFACE = default_interface()
+HOST = Host(INTERFACE)
+QUICK = ["--set", "level=geometric", "--set", "site=flat", "--summary", "s.json"]
+LINK = ["--baud", "3000000"]
+
+
+def settings(**values: Any) -> list[str]:
+    return [word for key, value in values.items() for word in ("--set", f"{key.replace('__', '.')}={value}")]
+
+
+class Ear:
+    """What a host has received so far."""
+
+    def __init__(self, far_end: FarEnd) -> None:
+        self._far_end = far_end
+        self._sequence = 0
+
+    @property
+    def received(self) -> list[Any]:
+        return list(SerialReceiver(INTERFACE).receive(bytes(self._far_end.data)))
+
+    def all(self, kind: type) -> list[Any]:
+        return [message for message in self.received if isinstance(message, kind)]
+
+    def command(self, name: str, **arguments: Any) -> str:
+        """Returns the verdict."""
+        count = len(self.all(Acknowledge))
+        self._far_end.say(HOST.encode_command(name, sequence=self._sequence, **arguments))
+        eventually(lambda: len(self.all(Acknowledge)) > count)
+        (answer,) = self.all(Acknowledge)[count:]
+        assert (answer.command, answer.sequence) == (name, self._sequence)
+        self._sequence += 1
+        return str(answer.verdict)
+
+    def wait_for_mode(self, mode: str) -> None:
+        """In housekeeping."""
+        eventually(lambda: mode in [INTERFACE.word("mode", m.values["mode"]) for m in self.all(Housekeeping)])
+
+    def wait_for_shots(self, count: int) -> None:
+        """So many more."""
+        before = len(self.all(Message))
+        eventually(lambda: len(self.all(Message)) >= before + count)
+
+
+def modes_of(messages: list[Any]) -> list[str]:
+    """Without repetitions, of shots and housekeeping as they came."""
+    numbers = [
+        message.header["mode"] if isinstance(message, Message) else message.values["mode"]
+        for message in messages
+        if not isinstance(message, Acknowledge)
+    ]
+    return [str(INTERFACE.word("mode", int(number))) for number, _ in groupby(numbers)]
+
+
+def test_from_power_up_to_track_and_back(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
+    run = start("run", "descent.yaml", *QUICK, "--port", far_end.path, *LINK, "--record", "flight.mcap",
+                *settings(device__start="boot", device__boot_s=0.4, device__self_test_s=0.4, timing__rate_hz=100,
+                          device__acquisition_s=0.5, device__housekeeping_rate_hz=10))  # fmt: skip
+    ear = Ear(far_end)
+    ear.wait_for_mode("standby")
+    assert ear.all(Message) == []
+    assert ear.command("set_mode", mode="track") == "accepted"
+    ear.wait_for_mode("track")
+    ear.wait_for_shots(30)
+    assert ear.command("set_rate_hz", rate_hz=25) == "accepted"
+    ear.wait_for_shots(20)
+    assert ear.command("enable_beams", beams=0b0110) == "accepted"
+    ear.wait_for_shots(20)
+    assert ear.command("set_mode", mode="safe") == "accepted"
+    ear.wait_for_mode("safe")
+    run.signal(signal.SIGINT)
+    run.succeed()
+    assert modes_of(ear.received) == ["self_test", "standby", "acquire", "track", "safe"]
+    shots = ear.all(Message)
+    assert [shot.shot for shot in shots] == list(range(len(shots))), "the device counts what it fires"
+    steps_ms = [round((b.time_ns - a.time_ns) / 1e6) for a, b in pairwise(shots)]
+    assert [step for step, _ in groupby(steps_ms) if step in (10, 40)] == [10, 40]
+    fired = [tuple(beam["fired"] for beam in shot.beams) for shot in shots]
+    assert [each for each, _ in groupby(fired)] == [(True,) * 4, (False, True, True, False)]
+    told = read_summary(tmp_path / "s.json")
+    assert told["shots"]["sent"] == len(shots)
+    assert told["shots"]["sent"] + told["shots"]["withheld"] + told["shots"]["late"] == told["shots"]["due"]
+    assert told["faults"]["withheld"] == 0
+    assert told["housekeeping"]["sent"] == len(ear.all(Housekeeping))
+    _check_recording(tmp_path / "flight.mcap", ear)
+
+
+def _check_recording(path: Path, ear: Ear) -> None:
+    with path.open("rb") as file:
+        messages = [
+            (channel.topic, message.data) for _, channel, message in make_reader(file).iter_messages()
+        ]
+    commands = [json.loads(data) for topic, data in messages if topic == "/command"]
+    assert [each["command"] for each in commands] == ["set_mode", "set_rate_hz", "enable_beams", "set_mode"]
+    assert commands[0]["values"] == {"mode": "track"}
+    fates = [json.loads(data) for topic, data in messages if topic == "/fate"]
+    sent = [fate["shot"] for fate in fates if fate["fate"] == "sent"]
+    assert commands[0]["first_shot"] == sent[0]
+    kept = b"".join(data for topic, data in messages if topic == "/housekeeping")
+    assert list(SerialReceiver(INTERFACE).receive(kept)) == ear.all(Housekeeping)
+
+
+@pytest.mark.parametrize("restart", ["warm", "cold"])
+def test_a_reset_in_flight(restart: str, start: Start, far_end: FarEnd) -> None:
+    run = start("run", "descent.yaml", *QUICK, "--port", far_end.path, *LINK,
+                *settings(timing__rate_hz=100, device__boot_s=0.3, device__self_test_s=0.3, device__acquisition_s=0.1,
+                          device__warm_restart_s=0.3, device__housekeeping_rate_hz=10))  # fmt: skip
+    ear = Ear(far_end)
+    ear.wait_for_shots(20)
+    assert ear.command("set_pattern", pattern=1) == "accepted"
+    ear.wait_for_shots(20)
+    assert ear.command("reset", restart=restart) == "accepted"
+    ear.wait_for_mode("standby")
+    assert ear.command("set_mode", mode="track") == "accepted"
+    ear.wait_for_shots(20)
+    run.signal(signal.SIGINT)
+    run.succeed()
+    shots = ear.all(Message)
+    again = next(k for k, (a, b) in enumerate(pairwise(shots)) if b.shot < a.shot) + 1
+    assert [shot.shot for shot in shots[again:]] == list(range(len(shots) - again))
+    assert shots[again].time_ns - shots[again - 1].time_ns > 3e8
+    assert shots[again - 1].beams[0]["beam_angle_deg"] == 7.5
+    assert shots[again].beams[0]["beam_angle_deg"] == (7.5 if restart == "warm" else 22.5)
+
+
+def test_send_again_and_again_from_new_processes(start: Start, tmp_path: Path) -> None:
+    run = start("run", "descent.yaml", *QUICK, "--port", "pty", *LINK, *settings(device__start="standby"))
+    path = run.word_after("descent on ")
+    for words, code, said in (
+        (["set_mode", "mode=acquire"], 0, ["set_mode mode=acquire: accepted at "]),
+        (["set_rate_hz", "rate_hz=10", "set_pattern", "pattern=1"], 0, ["accepted", "accepted"]),
+        (["set_pattern", "pattern=9", "no_op"], 1, ["out of range"]),
+        (["enable_beams", "beams=0b0011"], 0, ["enable_beams beams=3: accepted"]),
+        (["--sequence", "77", "enable_beams", "beams=1"], 1, ["bad sequence"]),
+        (["--json", "no_op"], 0, ['"verdict": "accepted"']),
+        (["--sequence", "0", "no_op"], 0, ["no_op: accepted"]),
+        (["set_mode", "mode=standby"], 0, ["accepted"]),  # its own no_op has number 0, too
+    ):
+        send = start("send", "--port", path, *words)
+        assert send.wait() == code, send.err
+        lines = send.out.splitlines()
+        assert len(lines) == len(said)
+        assert all(part in line for part, line in zip(said, lines, strict=True))
+    run.signal(signal.SIGINT)
+    run.succeed()
+    told = read_summary(tmp_path / "s.json")["commands"]
+    assert told["rejected"] == {"bad_sequence": 2, "out_of_range": 1}
+
+
+def test_send_says_when_nobody_answers(start: Start, far_end: FarEnd) -> None:
+    send = start("send", "--port", far_end.path, "--timeout", "0.2", "set_mode", "mode=track")
+    assert send.wait() == 1
+    assert send.out == "no_op: no answer\n"
+
+
+def test_a_flight_on_command(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
+    run = start("run", "descent.yaml", *QUICK, "--duration", "2", "--start", "on-command",
+                "--port", far_end.path, *LINK,
+                *settings(timing__rate_hz=50, device__housekeeping_rate_hz=10, device__acquisition_s=0.3))  # fmt: skip
+    ear = Ear(far_end)
+    ear.wait_for_mode("standby")
+    assert "waits for set_mode acquire or track" in run.out
+    assert ear.command("set_pattern", pattern=1) == "accepted"
+    eventually(lambda: len(ear.all(Housekeeping)) > 4)
+    assert ear.all(Message) == []
+    assert ear.command("set_mode", mode="track") == "accepted"
+    run.succeed()
+    shots, answers = ear.all(Message), ear.all(Acknowledge)
+    told = read_summary(tmp_path / "s.json")
+    assert len(shots) == 100 - told["shots"]["late"]
+    assert shots[0].beams[0]["range_m"] == pytest.approx(2000 / 0.99144, rel=1e-3), (
+        "from where the descent begins"
+    )
+    assert shots[0].beams[0]["beam_angle_deg"] == 7.5
+    # The device's clock has run since power-up: it goes on.
+    began_s = (shots[0].time_ns - answers[-1].values["time_ns"]) * 1e-9
+    assert 0.09 < began_s < 0.4
+    times_ns = [m.values["time_ns"] for m in ear.all(Housekeeping)]
+    assert times_ns == sorted(times_ns)
+    assert modes_of(ear.received) == ["standby", "acquire", "track"]
+
+
+def test_on_command_needs_a_planned_flight(start: Start) -> None:
+    for more in (["live.yaml"], ["descent.yaml", "--pace", "max"]):
+        run = start("run", *more, "--start", "on-command")
+        assert run.wait() == 2
+        assert "on-command with" in run.err
+
+
+def test_a_host_that_commands_without_end(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
+    """What it says beyond what can be listened to is not heard, and the shots go on."""
+    run = start("run", "descent.yaml", *QUICK, "--duration", "3", "--port", far_end.path, *LINK)
+    far_end.wait_for(144)
+    commands = [HOST.encode_command("set_pattern", sequence=k, pattern=k % 2) for k in range(256)]
+    for _ in range(40):
+        far_end.say(b"".join(commands))
+    run.succeed()
+    told = read_summary(tmp_path / "s.json")
+    assert told["commands"]["accepted"] > 0
+    assert told["commands"]["ignored_bytes"] + told["wire"]["unheard_bytes"] > 50_000
+    assert told["shots"]["due"] == 60
+    assert told["shots"]["sent"] > 50
