@@ -193,6 +193,16 @@ class Session:
         self._state = _State(model, state.conduct, state.unnumbered + silent * count, settling, wire)
         return Block(measurement, packets, due_ns, tuple(injected), silent)
 
+    def use_faults(self, model: Model, faulty: FaultyPackets | None) -> None:
+        """From the next shot on, have the faults of these: those that there were, and more after them.
+
+        What repeats something from before it, such as a value that is stuck, knows of no shot before this one.
+        """
+        self._model, self._faulty = model, faulty
+        held = () if model.faults is None else model.faults.resumed(self._state.model.faults)
+        wire = None if faulty is None else faulty.resumed(self._state.wire)
+        self._state = self._state._replace(model=self._state.model._replace(faults=held), wire=wire)
+
     def _catch_up(self, shot: int) -> None:
         """From the beginning of the block, which stays kept, to a shot in it."""
         if self._model.faults or self._faulty or self.device.settings.settling_ns:

@@ -7,8 +7,9 @@ of a shot do not depend on the block that it came in.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,8 @@ from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.bench_model import BenchModel
 from lidar_emu.echoes import Light
 from lidar_emu.errors import InputError
-from lidar_emu.faults.build import beam_faults
+from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight import Flight, Pointing
-from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.kernels import kernel
 from lidar_emu.levels import build_level
@@ -28,11 +28,13 @@ from lidar_emu.plan import Plan, plan_flight
 from lidar_emu.pointing import PUBLISHED, SENSOR, TRUE, VELOCITY
 from lidar_emu.rotations import dot_3
 from lidar_emu.scanner.model import ScannerState
+from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scene.hits import Hits
 
 if TYPE_CHECKING:
     from lidar_emu.faults.measured import BeamFaults, Held
+    from lidar_emu.faults.physics import PhysicsFaults
     from lidar_emu.faults.schedule import Injected
 
 BLOCK_SHOTS = 128
@@ -47,10 +49,19 @@ class Model(Protocol):
     pattern_count: int
     plan: Plan
     initial_state: ScannerState
+    physics: PhysicsFaults | None
     faults: BeamFaults | None
 
+    def with_faults(self, faults: list[Fault]) -> Self:
+        """The same model with other faults.
+
+        Raises:
+            InputError: one of them is none of this scenario.
+        """
+        ...
+
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """Shots `first` to `first + count - 1` without faults, given the scanner's state before them."""
+        """Shots `first` to `first + count - 1` without faults of beams, given the scanner's state before them."""
         ...
 
     def unlit(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
@@ -83,21 +94,43 @@ class FlightModel:
         self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
         self.initial_state = self.flight.scanner.initial
         self.pattern_count = len(self.flight.scanner.angle_deg)
+        self._order(scenario)
+
+    def with_faults(self, faults: list[Fault]) -> Self:
+        """The same model with other faults.
+
+        Raises:
+            InputError: one of them is none of this scenario.
+        """
+        twin = copy(self)
+        twin._order(self.scenario.model_copy(update={"faults": faults}))
+        return twin
+
+    def _order(self, scenario: FlightScenario) -> None:
+        self.scenario = scenario
+        self.physics = physics_faults(scenario, self.flight, self.level, self.plan.beamlets)
         self.faults = beam_faults(scenario, self.beam_count)
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """Shots `first` to `first + count - 1` without faults, given the scanner's state before them."""
+        """Shots `first` to `first + count - 1` without faults of beams, given the scanner's state before them."""
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.flight.point(shot, state)
+        if self.physics is not None:
+            pointing = self.physics.tilted(pointing, shot)
         axis_hits = self.flight.cast(pointing.sensor_site_m, pointing.true_site)
-        returns = self.level(self.light.echoes(pointing, axis_hits), shot)
+        echoes = self.light.echoes(pointing, axis_hits)
+        if self.physics is None:
+            returns = self.level(echoes, shot)
+        else:
+            returns = self.physics.returns(echoes, pointing, axis_hits, shot)
         return self._measurement(shot, pointing, axis_hits, returns), state
 
     def unlit(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         """The same shots without light, and little computed but where the vehicle is."""
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.flight.point(shot, state)
-        return _unlit(shot, self.flight.due_ns(shot), pointing), state
+        vehicle = pointing.position_site_m, pointing.velocity_site_mps
+        return Measurement.of_nothing(shot, pointing.time_ns, self.flight.due_ns(shot), *vehicle), state
 
     def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:
         """(shots,) Which pattern of beams each of these shots uses."""
@@ -145,37 +178,6 @@ class FlightModel:
             position_site_m=pointing.position_site_m,
             velocity_site_mps=pointing.velocity_site_mps,
         )
-
-
-def _unlit(shot: NDArray[np.int64], due_ns: NDArray[np.int64], pointing: Pointing) -> Measurement:
-    """Nothing was measured, and of the ground nothing is known."""
-    unknown = np.full(pointing.fired.shape, np.nan)
-    nothing = np.zeros_like(pointing.fired)
-    return Measurement(
-        shot=shot,
-        time_ns=pointing.time_ns,
-        due_ns=due_ns,
-        fired=nothing,
-        beam_angle_deg=unknown,
-        range_m=unknown,
-        closing_speed_mps=unknown,
-        range_valid=nothing,
-        speed_valid=nothing,
-        sign_resolved=nothing,
-        reason=np.full(nothing.shape, Reason.NOT_FIRED, dtype=np.int8),
-        segments=nothing.astype(np.uint8),
-        snr_db=unknown,
-        residual_mps=unknown,
-        sigma_range_m=unknown,
-        sigma_speed_mps=unknown,
-        returns=nothing.astype(np.uint8),
-        second_range_m=unknown,
-        true_range_m=unknown,
-        true_closing_speed_mps=unknown,
-        point_site_m=np.full((*nothing.shape, 3), np.nan),
-        position_site_m=pointing.position_site_m,
-        velocity_site_mps=pointing.velocity_site_mps,
-    )
 
 
 @kernel(outermost=True)
@@ -231,7 +233,7 @@ def measure(
     fires: BoolArray | None = None,
     unlit: bool = False,
 ) -> tuple[Measurement, ModelState, list[Injected]]:
-    """Shots `first` to `first + count - 1` with their faults of beams; the state after them; and which faults acted.
+    """Shots `first` to `first + count - 1` with their faults; the state after them; and which faults acted.
 
     Args:
         fires: (shots, beams) or (1, beams), which of its beams the device fires; None: all.
@@ -240,12 +242,15 @@ def measure(
     measurement, scanner = (model.unlit if unlit else model.measure)(first, count, state.scanner)
     if fires is not None and not unlit:
         measurement = measurement.firing_only(fires)
+    in_light: list[Injected] = []
+    if model.physics is not None:
+        in_light = model.physics.injected(measurement.shot, measurement.fired)
     if model.faults is None:
-        return measurement, ModelState(scanner), []
+        return measurement, ModelState(scanner), in_light
     faulty, held, injected = model.faults.apply(measurement, state.faults)
     if injected:
         faulty = replace(faulty, point_site_m=model.points_site_m(faulty, state.scanner))
-    return faulty, ModelState(scanner, held), injected
+    return faulty, ModelState(scanner, held), in_light + injected
 
 
 def measure_in_blocks(model: Model, block_shots: int = BLOCK_SHOTS) -> Iterator[Measurement]:

@@ -48,7 +48,7 @@ class Line:
         voice = Voice(interface, 0, can, self.said.append)
         self.post = CommandPost(voice, self.device, lambda shown_ns: shown_ns < 1 << 61, self._tell)
         self.tally = Tally(Pace.WALL)
-        self.housekeeper = Housekeeper(voice, self.device, 1.5, self.tally, self.post, self._keep)
+        self.housekeeper = Housekeeper(voice, self.device, self.tally, self.post, self._keep)
 
     def _tell(self, heard: Heard, shot: int | None) -> None:
         self.told.append((heard, shot))

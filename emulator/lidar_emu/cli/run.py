@@ -35,6 +35,9 @@ _FAILURES = ("late", "dropped")
 @click.option("--start", default=None, metavar="now|on-truth|on-command|UTC",
               help="When scenario time 0 is, e.g. 2030-01-01T12:00:00Z, or as the first live truth says, or once a "
                    "command makes the device acquire.")  # fmt: skip
+@click.option(
+    "--control", metavar="PATH", help="Take faults in flight on this Unix socket: lidar-emu inject PATH."
+)
 @click.option("--record", metavar="FILE", help="Keep truth, measurements and packets (MCAP).")
 @click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
 @click.option("--fail-on", metavar="LIST", default="",
@@ -49,6 +52,7 @@ def run(
     port: PortSpec,
     pace: str,
     start: str | None,
+    control: str | None,
     record: str | None,
     summary_file: str | None,
     fail_on: str,
@@ -66,6 +70,7 @@ def run(
     lidar-emu run live.yaml --port /dev/ttyUSB0 --start on-truth
     lidar-emu run live.yaml --pace lockstep
     lidar-emu run descent.yaml --port pty --start on-command
+    lidar-emu run descent.yaml --port /dev/ttyUSB0 --control /tmp/lidar.sock
     lidar-emu run my.yaml --pace max --fail-on late,dropped --summary out.json --set timing.rate_hz=100
     """
     failures = _failures(fail_on)
@@ -91,9 +96,8 @@ def run(
     observers: list[Observer] = [view] if as_json else [Announcer(flown.name, pace), view]
     with busy(COMPILING):
         model = build_model(flown)
-        this_run = Run(
-            flown, model, RunOptions(port, Pace(pace), start_utc, start == "on-command"), observers
-        )
+        options = RunOptions(port, Pace(pace), start_utc, start == "on-command", control)
+        this_run = Run(flown, model, options, observers)
     if port.kind is not Kind.LOOPBACK and sys.stderr is not None and sys.stderr.isatty():
         observers.append(Progress(this_run.tally))
     if this_run.warning is not None:
@@ -102,7 +106,7 @@ def run(
     if record is not None:
         from lidar_emu.recording.write import Recorder
 
-        recorder = Recorder(Path(record), flown)
+        recorder = Recorder(Path(record), flown, control is not None)
         observers.append(recorder)
     with recorder or nullcontext():
         outcome = this_run.fly()

@@ -24,6 +24,7 @@ from lidar_emu.runtime.front import Front, open_front
 from lidar_emu.runtime.late_ends import LateEnds
 from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.on_order import injector, packets_on_order, port_on_order
 from lidar_emu.runtime.outbox import Outbox, payload_of
 from lidar_emu.runtime.pacing import Pace, WhenLate
 from lidar_emu.runtime.rehearsal import rehearse
@@ -34,7 +35,7 @@ from lidar_emu.runtime.summary import Tally, expectation
 from lidar_emu.runtime.truth_socket import TruthSocket
 from lidar_emu.runtime.truth_source import TruthSource
 from lidar_emu.runtime.voice import Voice
-from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block, Session
 from lidar_emu.shots import FlightModel, Model
 from lidar_emu.trajectory.live import LiveTrajectory
@@ -43,7 +44,7 @@ from lidar_emu.transports.wire_load import check_wire_load, wire_load
 from lidar_emu.wire import Encoder
 
 if TYPE_CHECKING:
-    from lidar_emu.faulty_packets import FaultyPackets
+    from lidar_emu.runtime.injector import Injector
 
 LOOK_AHEAD_S = 2.0
 _BLOCK_S = 0.25
@@ -99,15 +100,19 @@ class Run:
         port = options.port
         self._encoder = encoder = Encoder(scenario.wire, port.kind is Kind.CAN, port.fd, model.beam_count)
         self._slots = max(2 * self._block_shots, round(rate_hz * LOOK_AHEAD_S))
-        faulty = _faulty_packets(scenario, encoder, port.kind is Kind.CAN)
-        self._rules = rules = device_rules(scenario.device, rate_hz, model.beam_count, model.pattern_count)
+        faulty = packets_on_order(scenario, encoder, options)
+        beams, patterns = model.beam_count, model.pattern_count
+        self._rules = rules = device_rules(scenario.device, rate_hz, beams, patterns, scenario.laser_power_w)
         self._device = waiting_device(rules) if options.on_command else DeviceNow(rules, initial(rules))
         self._session = Session(model, encoder, self._slots + 1, faulty, rules)
+        self._port_faults = port_on_order(scenario, model, options)
         # The first block is computed before the run: kernels are compiled, and the packets' length is known.
         self._first = self._first_block(encoder)
         longest = max((payload_of(packet) for packet in encoder.packets(self._first.measurement)), key=len)
         faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
         self._packet_room_bytes = max(_PACKET_ROOM_BYTES, faulty_bytes + _STUFFING_BYTES)
+        self._packet_bytes = len(longest), self._packet_room_bytes - _STUFFING_BYTES
+        self._injector: Injector | None = None
         self.warning = check_wire_load(port, longest, rate_hz)
         self._wire_load = wire_load(port, longest, rate_hz)
         self._opening = True
@@ -134,12 +139,21 @@ class Run:
             truth_address as socket,
             on_signals(self._interrupt),
             PortRunner(2 * self._slots, self._packet_room_bytes) as port,
+            injector(
+                self._scenario,
+                self._model,
+                self._encoder,
+                self._options,
+                self._packet_bytes,
+                port,
+                self._observers,
+            ) as self._injector,
         ):
             watching = list(self._observers)
             source = self._source(socket, watching)
             front, outbox = self._front(port, source, watching)
             with suppress(KeyboardInterrupt):
-                self._description = port.start(self._options.port)
+                self._description = port.start(self._options.port, self._port_faults)
                 self._opening = False
                 self._feed(port, outbox, source, front).fly()
             port.close()
@@ -153,21 +167,16 @@ class Run:
         """What the device hears and says, and the shots' way out; whoever is to know of them watches from now on."""
         outbox, can = Outbox(port, watching, self.tally, self._slots), self._options.port.kind is Kind.CAN
         wire = Voice(self._encoder.interface, self._scenario.wire.unit, can, outbox.send_now)
-        front = open_front(
-            wire, self._device, self._can_date, self._scenario.laser_power_w, self.tally, watching
-        )
-        watching += [
-            each for each in (source, self._judge_of_lateness(), front.housekeeper) if each is not None
-        ]
+        front = open_front(wire, self._device, self._can_date, self.tally, watching)
+        judge = LateEnds(self._fail) if self._scenario.timing.when_late == "abort" else None
+        ours = (source, judge, front.housekeeper)
+        watching += [observer for observer in ours if observer is not None]
         return front, outbox
 
     def _can_date(self, shown_ns: int) -> bool:
         """Whether packets can tell the time to the end of the run, once the clock has been set to this."""
         run_ns = self._model.shot_count * self._model.period_ns
         return self._encoder.can_date(self._first.measurement, shown_ns + run_ns)
-
-    def _judge_of_lateness(self) -> Observer | None:
-        return LateEnds(self._fail) if self._scenario.timing.when_late == "abort" else None
 
     def _first_block(self, encoder: Encoder) -> Block:
         if self._live is not None or self._options.on_command:
@@ -185,7 +194,9 @@ class Run:
         if socket is None or self._live is None:
             return None
         stale_after_ns = round(self._live.stale_after_s * 1e9)
-        return TruthSource(socket, _live_trajectory(self._flight), stale_after_ns, watching)
+        trajectory = self._flight.trajectory
+        assert isinstance(trajectory, LiveTrajectory)
+        return TruthSource(socket, trajectory, stale_after_ns, watching)
 
     def _feed(self, port: PortRunner, outbox: Outbox, source: TruthSource | None, front: Front) -> Feed:
         desk = Desk(
@@ -196,6 +207,7 @@ class Run:
             self._fail,
             lambda start_ns: self._begin(port, start_ns),
             front.commands,
+            self._injector,
         )
         if source is None or self._live is None:
             return self._planned_feed(desk, front)
@@ -276,6 +288,7 @@ class Run:
             "steal_ticks": None if stolen is None or stolen_now is None else stolen_now - stolen,
             **port.told.to_json(self._wire_load),
             **front.to_json(),
+            "faults_in_flight": None if self._injector is None else self._injector.to_json(),
             "truth": None if source is None else source.to_json(),
             **self._expected,
             "left_out": [row for row in self._model.plan.rows() if not row["computed"]],
@@ -285,16 +298,3 @@ class Run:
     def _planned_shots(self) -> int | None:
         """None where the simulator decides."""
         return None if self._live and self._scenario.duration_s is None else self._model.shot_count
-
-
-def _faulty_packets(scenario: Scenario, encoder: Encoder, can: bool) -> FaultyPackets | None:
-    if not scenario.faults:
-        return None
-    from lidar_emu.faulty_packets import faulty_packets
-
-    return faulty_packets(scenario, encoder, can)
-
-
-def _live_trajectory(flight: Flight) -> LiveTrajectory:
-    assert isinstance(flight.trajectory, LiveTrajectory)
-    return flight.trajectory

@@ -6,6 +6,7 @@ from datetime import datetime
 
 from lidar_emu.runtime.heard import Heard
 from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.session import Block
 
 
@@ -29,6 +30,9 @@ class Observer:
 
     def kept_house(self, payload: bytes, time_ns: int) -> None:
         """The device told how it was at this scenario time."""
+
+    def ordered(self, number: int, fault: ScheduledFault | LinkFault, shot: int) -> None:
+        """A fault was ordered in flight: its place in the list; its times, in scenario time; the first shot with it."""
 
     def computed(self, block: Block) -> None:
         """Shots are on their way to the port; a command may yet change them."""

@@ -4,8 +4,10 @@ Started by `PortRunner` with a pipe as standard input, which is its lifeline: at
 port and ends, however the parent ended; in mid-run the other end has half a second to fetch what was sent.
 Both pipes carry one JSON object per line:
 
-    in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "loopback": fd or null}     once
+    in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "loopback": fd or null,
+          "faults": [a LinkOrder] or null}           once
          {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ..., "when_late": ...}}    monotonic clock
+         {"fault": a LinkOrder}                      one more, if there was a list at the start
          {"finish": true}                            no more packets will come
          {"supersede": [generation, shot, number]}   older packets from this shot, before that entry: not to be sent
          {"send": hex}                               at once; it is no shot
@@ -24,7 +26,7 @@ import json
 import os
 import signal
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.answers import Answers
@@ -34,9 +36,12 @@ from lidar_emu.runtime.realtime import become_punctual
 from lidar_emu.runtime.ring import Ring
 from lidar_emu.runtime.sender import Sender, Wait
 from lidar_emu.transports.link import COUNTED, Fate, Link
-from lidar_emu.transports.opening import opener
+from lidar_emu.transports.opening import Opener, opener
 from lidar_emu.transports.spec import PortSpec
 from lidar_emu.transports.wire_load import drain_time_s
+
+if TYPE_CHECKING:
+    from lidar_emu.transports.faulty_link import FaultyPort
 
 _LIFELINE, _PARENT = 0, 1
 _PIPE_BYTES = 65536
@@ -57,8 +62,10 @@ def main() -> None:
     clock = Clock()
     answers = Answers(_PARENT, clock)
     spec = PortSpec.from_json(settings["port"])
+    open_port = opener(spec, settings["loopback"])
+    faulty = None if settings["faults"] is None else _faulty(open_port, spec, settings["faults"], clock)
     try:
-        link = Link(opener(spec, settings["loopback"]))
+        link = Link(faulty or open_port)
     except InputError as error:
         answers.say(refused=[error.where, error.key, _plain(error.value), error.allowed])
         answers.end()
@@ -67,7 +74,7 @@ def main() -> None:
     answers.say(ready=link.description)
     try:
         with Ring(settings["packets"]) as packets, Ring(settings["reports"]) as reports:
-            _Port(spec, link, packets, reports, settings["doorbell"], lines, answers, clock).run()
+            _Port(spec, link, packets, reports, settings["doorbell"], lines, answers, clock, faulty).run()
     finally:
         link.close()
 
@@ -85,6 +92,7 @@ class _Port:
         lines: _Lines,
         answers: Answers,
         clock: Clock,
+        faulty: FaultyPort | None,
     ) -> None:
         self._spec = spec
         self._link = link
@@ -94,6 +102,7 @@ class _Port:
         self._lines = lines
         self._answers = answers
         self._clock = clock
+        self._faulty = faulty
         self._sender: Sender | None = None
         self._received_bytes = 0
         self._unheard_bytes = 0
@@ -144,6 +153,8 @@ class _Port:
     def _obey(self, order: dict[str, Any]) -> None:
         if "begin" in order:
             begin = order["begin"]
+            if self._faulty is not None:
+                self._faulty.begin(begin["start_ns"])
             pacing = Pacing(Pace(begin["pace"]), begin["late_after_ns"], WhenLate(begin["when_late"]))
             self._lockstep = pacing.pace is Pace.LOCKSTEP
             if pacing.pace is Pace.WALL:
@@ -152,6 +163,8 @@ class _Port:
             self._sender = Sender(
                 self._packets, self._reports, self._link, self._clock, begin["start_ns"], pacing
             )
+        if "fault" in order and self._faulty is not None:
+            self._faulty.order(order["fault"])
         if "finish" in order:
             self._finishing = True
         if "send" in order:
@@ -262,6 +275,15 @@ class _Lines:
         line, _, self._buffer = self._buffer.partition(b"\n")
         order: dict[str, Any] = json.loads(line)
         return order
+
+
+def _faulty(open_port: Opener, spec: PortSpec, faults: list[dict[str, Any]], clock: Clock) -> FaultyPort:
+    from lidar_emu.transports.faulty_link import FaultyPort
+
+    port = FaultyPort(open_port, spec, clock.now_ns)
+    for fault in faults:
+        port.order(fault)
+    return port
 
 
 def _plain(value: object) -> object:

@@ -6,7 +6,7 @@ import os
 from collections import deque
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from lidar_emu.errors import RunError
 from lidar_emu.runtime.child import PortChild
@@ -61,8 +61,12 @@ class PortRunner:
     ) -> None:
         self.close()
 
-    def start(self, spec: PortSpec) -> str:
+    def start(self, spec: PortSpec, faults: list[dict[str, Any]] | None = None) -> str:
         """Start the process and open the port; returns its description.
+
+        Args:
+            spec: the port.
+            faults: of the port, each a `LinkOrder` as a mapping; None: there are none, nor will be.
 
         Raises:
             InputError: the port cannot be opened.
@@ -81,6 +85,7 @@ class PortRunner:
             reports=reports_fd,
             doorbell=doorbell_fd,
             loopback=next(iter(loopback_fds), None),
+            faults=faults,
         )
         deadline_ns = self._clock.now_ns() + _START_LIMIT_NS
         while not self.told.description:
@@ -136,6 +141,14 @@ class PortRunner:
             RunError: the process died.
         """
         self._running().tell(send=payload.hex())
+
+    def order_fault(self, order: dict[str, Any]) -> None:
+        """One more fault of the port, if there was a list of them at the start.
+
+        Raises:
+            RunError: the process died.
+        """
+        self._running().tell(fault=order)
 
     def arrivals(self) -> list[tuple[int, bytes]]:
         """What arrived on the port since the last call: instants of the monotonic clock, and bytes (CAN: frame

@@ -23,6 +23,8 @@ class RunOptions:
     first datagram says."""
     on_command: bool = False
     """Scenario time 0 follows the command that makes the device acquire."""
+    control: str | None = None
+    """Path of the socket on which faults are ordered in flight; None: none are."""
 
 
 def live_part(scenario: FlightScenario | BenchScenario, options: RunOptions) -> Live | None:
