@@ -88,6 +88,27 @@ class Measurement:
         blank["point_site_m"] = np.where(fires[..., None], self.point_site_m, np.nan)
         return replace(self, **blank)
 
+    @classmethod
+    def of_nothing(
+        cls,
+        shot: NDArray[np.int64],
+        time_ns: NDArray[np.int64],
+        due_ns: NDArray[np.int64],
+        position_site_m: FloatArray,
+        velocity_site_mps: FloatArray,
+    ) -> Measurement:
+        """Shots in which no beam fires, and nothing is known but where the vehicle is."""
+        blank = {f.name: np.full(time_ns.shape, np.nan) for f in fields(cls) if f.name in _TABLE_FIELDS}
+        blank |= {name: np.zeros(time_ns.shape, dtype=kind) for name, kind in _WHOLE.items()}
+        blank["reason"] = np.full(time_ns.shape, Reason.NOT_FIRED, dtype=np.int8)
+        nowhere = np.full((*time_ns.shape, 3), np.nan)
+        where: dict[str, Any] = {
+            "point_site_m": nowhere,
+            "position_site_m": position_site_m,
+            "velocity_site_mps": velocity_site_mps,
+        }
+        return cls(shot=shot, time_ns=time_ns, due_ns=due_ns, **blank, **where)
+
     def _rows(self, rows: slice) -> Measurement:
         return Measurement(*(getattr(self, f.name)[rows] for f in fields(self)))
 
@@ -109,6 +130,11 @@ class Measurement:
     def joined(cls, blocks: Sequence[Measurement]) -> Measurement:
         """Blocks of shots, one after another."""
         return cls(*(np.concatenate([getattr(b, f.name) for b in blocks]) for f in fields(cls)))
+
+
+_FLAGS = ("fired", "range_valid", "speed_valid", "sign_resolved")
+_WHOLE = {**dict.fromkeys(_FLAGS, np.bool_), "segments": np.uint8, "returns": np.uint8}
+"""What is no number with a fraction, but the reason."""
 
 
 def _of_nothing(name: str, values: NDArray[Any]) -> float:

@@ -20,7 +20,6 @@ from lidar_emu.echoes import Light
 from lidar_emu.errors import InputError
 from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight import Flight, Pointing
-from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.kernels import kernel
 from lidar_emu.levels import build_level
@@ -130,7 +129,8 @@ class FlightModel:
         """The same shots without light, and little computed but where the vehicle is."""
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.flight.point(shot, state)
-        return _unlit(shot, self.flight.due_ns(shot), pointing), state
+        vehicle = pointing.position_site_m, pointing.velocity_site_mps
+        return Measurement.of_nothing(shot, pointing.time_ns, self.flight.due_ns(shot), *vehicle), state
 
     def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:
         """(shots,) Which pattern of beams each of these shots uses."""
@@ -178,37 +178,6 @@ class FlightModel:
             position_site_m=pointing.position_site_m,
             velocity_site_mps=pointing.velocity_site_mps,
         )
-
-
-def _unlit(shot: NDArray[np.int64], due_ns: NDArray[np.int64], pointing: Pointing) -> Measurement:
-    """Nothing was measured, and of the ground nothing is known."""
-    unknown = np.full(pointing.fired.shape, np.nan)
-    nothing = np.zeros_like(pointing.fired)
-    return Measurement(
-        shot=shot,
-        time_ns=pointing.time_ns,
-        due_ns=due_ns,
-        fired=nothing,
-        beam_angle_deg=unknown,
-        range_m=unknown,
-        closing_speed_mps=unknown,
-        range_valid=nothing,
-        speed_valid=nothing,
-        sign_resolved=nothing,
-        reason=np.full(nothing.shape, Reason.NOT_FIRED, dtype=np.int8),
-        segments=nothing.astype(np.uint8),
-        snr_db=unknown,
-        residual_mps=unknown,
-        sigma_range_m=unknown,
-        sigma_speed_mps=unknown,
-        returns=nothing.astype(np.uint8),
-        second_range_m=unknown,
-        true_range_m=unknown,
-        true_closing_speed_mps=unknown,
-        point_site_m=np.full((*nothing.shape, 3), np.nan),
-        position_site_m=pointing.position_site_m,
-        velocity_site_mps=pointing.velocity_site_mps,
-    )
 
 
 @kernel(outermost=True)

@@ -21,7 +21,7 @@ TIMES = {
 
 def rules(**part: Any) -> Rules:
     """Of a device at 20 shots a second with four beams and two patterns."""
-    return device_rules(Device.model_validate({**TIMES, **part}), 20.0, 4, 2)
+    return device_rules(Device.model_validate({**TIMES, **part}), 20.0, 4, 2, 1.5)
 
 
 class Unit:

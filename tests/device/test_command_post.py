@@ -48,7 +48,7 @@ class Line:
         voice = Voice(interface, 0, can, self.said.append)
         self.post = CommandPost(voice, self.device, lambda shown_ns: shown_ns < 1 << 61, self._tell)
         self.tally = Tally(Pace.WALL)
-        self.housekeeper = Housekeeper(voice, self.device, 1.5, self.tally, self.post, self._keep)
+        self.housekeeper = Housekeeper(voice, self.device, self.tally, self.post, self._keep)
 
     def _tell(self, heard: Heard, shot: int | None) -> None:
         self.told.append((heard, shot))
@@ -240,3 +240,13 @@ def test_housekeeping_that_cannot_be_filled_is_refused() -> None:
     strange = strange.replace('{ name = "uptime_s" }, ', "")
     with pytest.raises(InputError, match="mood"):
         Line(load(strange, "mine.toml"))
+
+
+def test_others_on_the_bus_do_not_drown_a_command_and_a_flood_of_commands_is_not_all_heard() -> None:
+    line = Line(can=True)
+    others = pack_frames([Frame(0x700, bytes(8))]) * 10_000
+    line.post.hear(others + line.command("no_op", 0), 0, 0)
+    assert [message.command for message in line.heard()] == ["no_op"]
+    line.post.hear(b"".join(line.command("no_op", k % 256) for k in range(1, 20_000)), 0, 0)
+    assert 1_000 < len(line.heard()) < 5_000
+    assert line.post.to_json()["ignored_bytes"] > 10_000

@@ -38,9 +38,13 @@ class Rules:
     beam_count: int
     pattern_count: int
     """How many patterns a command can choose from."""
+    laser_power_w: float | None
+    """Of the laser while it is on; None: unknown."""
 
 
-def device_rules(part: Device, rate_hz: float, beam_count: int, pattern_count: int) -> Rules:
+def device_rules(
+    part: Device, rate_hz: float, beam_count: int, pattern_count: int, laser_power_w: float | None = None
+) -> Rules:
     """The rules of a scenario's device."""
     thermal, clock = part.thermal, part.clock
     return Rules(
@@ -62,6 +66,7 @@ def device_rules(part: Device, rate_hz: float, beam_count: int, pattern_count: i
         rate_hz=rate_hz,
         beam_count=beam_count,
         pattern_count=pattern_count,
+        laser_power_w=laser_power_w,
     )
 
 

@@ -152,9 +152,10 @@ class CommandPost:
         assert self._frames is not None
         commands = []
         for frame in unpack_frames(data):
-            size = 1 + len(frame.data)
-            if not frame.is_extended and self._intake.take(size, arrived_ns) == size:
-                commands += self._frames.feed(frame.can_id, frame.data, frame.is_fd)
+            heard = [] if frame.is_extended else self._frames.feed(frame.can_id, frame.data, frame.is_fd)
+            # What others say to each other on the bus takes no room.
+            if heard and self._intake.take(len(frame.data), arrived_ns) == len(frame.data):
+                commands += heard
         return commands
 
     def _obey(

@@ -89,7 +89,8 @@ class Run:
         self._encoder = encoder = Encoder(scenario.wire, port.kind is Kind.CAN, port.fd, model.beam_count)
         self._slots = max(2 * self._block_shots, round(rate_hz * LOOK_AHEAD_S))
         faulty = packets_on_order(scenario, encoder, options)
-        self._rules = rules = device_rules(scenario.device, rate_hz, model.beam_count, model.pattern_count)
+        beams, patterns = model.beam_count, model.pattern_count
+        self._rules = rules = device_rules(scenario.device, rate_hz, beams, patterns, scenario.laser_power_w)
         self._device = waiting_device(rules) if options.on_command else DeviceNow(rules, initial(rules))
         self._session = Session(model, encoder, self._slots + 1, faulty, rules)
         self._port_faults = port_on_order(scenario, model, options)
@@ -161,12 +162,11 @@ class Run:
         """What the device hears and says, and the shots' way out; whoever is to know of them watches from now on."""
         outbox, can = Outbox(port, watching, self.tally, self._slots), self._options.port.kind is Kind.CAN
         voice = Voice(self._encoder.interface, self._scenario.wire.unit, can, outbox.send_now)
-        front = open_front(
-            voice, self._device, self._can_date, self._scenario.laser_power_w, self.tally, watching
-        )
+        front = open_front(voice, self._device, self._can_date, self.tally, watching)
         if self._says_last_words:
             self._last_words = LastWords(voice, front.housekeeper, port.prepare)
-        ours = source, self._judge_of_lateness(), front.housekeeper, self._last_words
+        judge = LateEnds(self._fail) if self._scenario.timing.when_late == "abort" else None
+        ours = source, judge, front.housekeeper, self._last_words
         watching += [each for each in ours if each is not None]
         return front, outbox
 
@@ -189,9 +189,6 @@ class Run:
         for observer in self._observers:
             observer.noticed(time_ns, what)
 
-    def _judge_of_lateness(self) -> Observer | None:
-        return LateEnds(self._fail) if self._scenario.timing.when_late == "abort" else None
-
     def _first_block(self, encoder: Encoder) -> Block:
         if self._live is not None or self._options.on_command:
             return rehearse(self._model, encoder)
@@ -208,7 +205,9 @@ class Run:
         if socket is None or self._live is None:
             return None
         stale_after_ns = round(self._live.stale_after_s * 1e9)
-        return TruthSource(socket, _live_trajectory(self._flight), stale_after_ns, watching)
+        trajectory = self._flight.trajectory
+        assert isinstance(trajectory, LiveTrajectory)
+        return TruthSource(socket, trajectory, stale_after_ns, watching)
 
     def _feed(self, port: PortRunner, outbox: Outbox, source: TruthSource | None, front: Front) -> Feed:
         desk = Desk(
@@ -291,8 +290,3 @@ class Run:
             "faults_in_flight": None if self._injector is None else self._injector.to_json(),
             "truth": None if source is None else source.to_json(),
         }
-
-
-def _live_trajectory(flight: Flight) -> LiveTrajectory:
-    assert isinstance(flight.trajectory, LiveTrajectory)
-    return flight.trajectory

@@ -38,7 +38,6 @@ def open_front(
     voice: Voice,
     device: DeviceNow,
     can_date: Callable[[int], bool],
-    laser_power_w: float | None,
     tally: Tally,
     observers: Sequence[Observer],
 ) -> Front:
@@ -48,7 +47,6 @@ def open_front(
         voice: by which the device talks.
         device: that is commanded and told of.
         can_date: see `CommandPost`.
-        laser_power_w: see `Housekeeper`.
         tally: counts shots.
         observers: told of commands and housekeeping.
 
@@ -67,4 +65,4 @@ def open_front(
     commands = CommandPost(voice, device, can_date, commanded) if voice.has_commands else None
     if not housekeeping_layouts(voice.interface, voice.can):
         return Front(commands, None)
-    return Front(commands, Housekeeper(voice, device, laser_power_w, tally, commands, kept_house))
+    return Front(commands, Housekeeper(voice, device, tally, commands, kept_house))

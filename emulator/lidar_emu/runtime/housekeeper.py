@@ -27,7 +27,6 @@ class Housekeeper(Observer):
     Args:
         voice: by which it is said, and the interface of which has housekeeping.
         device: that is told of.
-        laser_power_w: of the laser while it is on; None: unknown.
         tally: counts shots.
         commands: counts commands; None where the device hears none.
         tell: told of what was sent, and of the scenario time that it is about.
@@ -40,14 +39,12 @@ class Housekeeper(Observer):
         self,
         voice: Voice,
         device: DeviceNow,
-        laser_power_w: float | None,
         tally: Tally,
         commands: CommandPost | None,
         tell: Callable[[bytes, int], None],
     ) -> None:
         self._voice = voice
         self._device, self._tally, self._commands = device, tally, commands
-        self._laser_power_w = laser_power_w
         self._tell = tell
         self._next_ns: int | None = None
         self._truth_age_s: float | None = None
@@ -124,7 +121,7 @@ class Housekeeper(Observer):
             "laser_on": state.measures,
             "clock_locked": state.clock_locked,
             "temperature_c": state.heat.temperature_c(self._device.rules.heating, time_ns),
-            "laser_power_w": self._laser_power_w if state.measures else 0.0,
+            "laser_power_w": self._device.rules.laser_power_w if state.measures else 0.0,
             "uptime_s": max(0, time_ns - state.restarted_ns) // 10**9,
             "shots_dropped": self._tally.dropped,
             "shots_late": self._tally.late,
