@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from copy import copy
+from typing import TYPE_CHECKING, Self
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.faults.build import beam_faults
+from lidar_emu.faults.build import beam_faults, refuse_physics
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.plan import Plan, plan_bench
 from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.bench_pattern import Level, Ramp
+from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.schema import BenchScenario
+
+if TYPE_CHECKING:
+    from lidar_emu.faults.physics import PhysicsFaults
 
 
 class BenchModel:
@@ -26,6 +33,22 @@ class BenchModel:
         self.beam_count = len(self.pattern.beams)
         self.plan: Plan = plan_bench(scenario)
         self.initial_state = ScannerState(())
+        self.physics: PhysicsFaults | None = None
+        self._order(scenario)
+
+    def with_faults(self, faults: list[Fault]) -> Self:
+        """The same pattern with other faults.
+
+        Raises:
+            InputError: one of them is none of a bench pattern.
+        """
+        twin = copy(self)
+        twin._order(self.scenario.model_copy(update={"faults": faults}))
+        return twin
+
+    def _order(self, scenario: BenchScenario) -> None:
+        refuse_physics(scenario)
+        self.scenario = scenario
         self.faults = beam_faults(scenario, self.beam_count)
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:

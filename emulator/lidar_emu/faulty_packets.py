@@ -9,9 +9,12 @@ from lidar_emu.faults.packets import PacketFaults, PacketState
 from lidar_emu.faults.schedule import Injected
 from lidar_emu.faults.stamps import StampFaults, StampState
 from lidar_emu.measurement import Measurement
-from lidar_emu.scenario.faults import PacketFault, StampFault
+from lidar_emu.scenario.faults import LinkFault, PacketFault, StampFault
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.wire import Encoder, Packet
+
+_OF_PACKETS = PacketFault | LinkFault
+"""Those of the port act elsewhere; here they are only told of."""
 
 
 class WireState(NamedTuple):
@@ -33,7 +36,7 @@ class FaultyPackets:
         self._encoder = encoder
         self._stamps = StampFaults(numbered(scenario, StampFault), seed, period_ns)
         self._packets = PacketFaults(
-            numbered(scenario, PacketFault), seed, period_ns, encoder.interface, can, scenario.name
+            numbered(scenario, _OF_PACKETS), seed, period_ns, encoder.interface, can, scenario.name
         )
         self.initial = WireState(self._stamps.initial, self._packets.initial)
         """What is carried before shot 0."""
@@ -43,11 +46,21 @@ class FaultyPackets:
     ) -> tuple[list[Packet], list[int], WireState, list[Injected]]:
         """The packet of each of consecutive shots, perhaps empty; when each is due; what is carried on; and which
         faults acted."""
-        stamped, stamps, by_stamp = self._stamps.apply(measurement, state.stamps)
+        stamped, stamps, by_stamp = self._stamps.apply(measurement.shot, measurement, state.stamps)
         packets, due_ns, after, by_packet = self._packets.apply(
             measurement.shot, measurement.due_ns, list(self._encoder.packets(stamped)), state.packets
         )
         return packets, due_ns, WireState(stamps, after), by_stamp + by_packet
+
+    def resumed(self, state: WireState | None) -> WireState:
+        """What fewer of these faults have carried so far, for all of them."""
+        if state is None:
+            return self.initial
+        initial = self.initial
+        held = state.packets.held + initial.packets.held[len(state.packets.held) :]
+        return WireState(
+            state.stamps + initial.stamps[len(state.stamps) :], state.packets._replace(held=held)
+        )
 
     def longest(self, packet_bytes: int) -> int:
         """Of a packet, as the port takes it, that was so long before faults."""
@@ -60,5 +73,5 @@ def faulty_packets(scenario: Scenario, encoder: Encoder, can: bool) -> FaultyPac
     Raises:
         InputError: a fault is none of this link.
     """
-    ordered = numbered(scenario, StampFault) + numbered(scenario, PacketFault)
+    ordered = numbered(scenario, StampFault) + numbered(scenario, _OF_PACKETS)
     return FaultyPackets(scenario, encoder, can) if ordered else None

@@ -122,6 +122,16 @@ class Session:
         if scanner is not None:
             self._state = self._state._replace(model=self._state.model._replace(scanner=scanner))
 
+    def use_faults(self, model: Model, faulty: FaultyPackets | None) -> None:
+        """From the next shot on, have the faults of these: those that there were, and more after them.
+
+        What repeats something from before it, such as a value that is stuck, knows of no shot before this one.
+        """
+        self._model, self._faulty = model, faulty
+        held = () if model.faults is None else model.faults.resumed(self._state.model.faults)
+        wire = None if faulty is None else faulty.resumed(self._state.wire)
+        self._state = self._state._replace(model=self._state.model._replace(faults=held), wire=wire)
+
     def _catch_up(self, shot: int) -> None:
         """From the beginning of the block, which stays kept, to a shot in it."""
         count, scanner = shot - self.next_shot, self._state.model.scanner

@@ -7,8 +7,9 @@ of a shot do not depend on the block that it came in.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from lidar_emu.arrays import FloatArray
 from lidar_emu.bench_model import BenchModel
 from lidar_emu.echoes import Light
 from lidar_emu.errors import InputError
-from lidar_emu.faults.build import beam_faults
+from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight import Flight, Pointing
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.kernels import kernel
@@ -27,11 +28,13 @@ from lidar_emu.plan import Plan, plan_flight
 from lidar_emu.pointing import PUBLISHED, SENSOR, TRUE, VELOCITY
 from lidar_emu.rotations import dot_3
 from lidar_emu.scanner.model import ScannerState
+from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scene.hits import Hits
 
 if TYPE_CHECKING:
     from lidar_emu.faults.measured import BeamFaults, Held
+    from lidar_emu.faults.physics import PhysicsFaults
     from lidar_emu.faults.schedule import Injected
 
 BLOCK_SHOTS = 128
@@ -44,10 +47,19 @@ class Model(Protocol):
     shot_count: int
     plan: Plan
     initial_state: ScannerState
+    physics: PhysicsFaults | None
     faults: BeamFaults | None
 
+    def with_faults(self, faults: list[Fault]) -> Self:
+        """The same model with other faults.
+
+        Raises:
+            InputError: one of them is none of this scenario.
+        """
+        ...
+
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """Shots `first` to `first + count - 1` without faults, given the scanner's state before them."""
+        """Shots `first` to `first + count - 1` without faults of beams, given the scanner's state before them."""
         ...
 
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
@@ -75,14 +87,35 @@ class FlightModel:
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count = self.flight.shot_count
         self.initial_state = self.flight.scanner.initial
+        self._order(scenario)
+
+    def with_faults(self, faults: list[Fault]) -> Self:
+        """The same model with other faults.
+
+        Raises:
+            InputError: one of them is none of this scenario.
+        """
+        twin = copy(self)
+        twin._order(self.scenario.model_copy(update={"faults": faults}))
+        return twin
+
+    def _order(self, scenario: FlightScenario) -> None:
+        self.scenario = scenario
+        self.physics = physics_faults(scenario, self.flight, self.level, self.plan.beamlets)
         self.faults = beam_faults(scenario, self.beam_count)
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """Shots `first` to `first + count - 1` without faults, given the scanner's state before them."""
+        """Shots `first` to `first + count - 1` without faults of beams, given the scanner's state before them."""
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.flight.point(shot, state)
+        if self.physics is not None:
+            pointing = self.physics.tilted(pointing, shot)
         axis_hits = self.flight.cast(pointing.sensor_site_m, pointing.true_site)
-        returns = self.level(self.light.echoes(pointing, axis_hits), shot)
+        echoes = self.light.echoes(pointing, axis_hits)
+        if self.physics is None:
+            returns = self.level(echoes, shot)
+        else:
+            returns = self.physics.returns(echoes, pointing, axis_hits, shot)
         return self._measurement(shot, pointing, axis_hits, returns), state
 
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
@@ -181,7 +214,7 @@ def initial_state(model: Model) -> ModelState:
 def measure(
     model: Model, first: int, count: int, state: ModelState, fired: bool = True
 ) -> tuple[Measurement, ModelState, list[Injected]]:
-    """Shots `first` to `first + count - 1` with their faults of beams; the state after them; and which faults acted.
+    """Shots `first` to `first + count - 1` with their faults; the state after them; and which faults acted.
 
     Args:
         fired: whether the beams fire at all.
@@ -189,12 +222,15 @@ def measure(
     measurement, scanner = model.measure(first, count, state.scanner)
     if not fired:
         measurement = measurement.unfired()
+    in_light: list[Injected] = []
+    if model.physics is not None:
+        in_light = model.physics.injected(measurement.shot, measurement.fired)
     if model.faults is None:
-        return measurement, ModelState(scanner), []
+        return measurement, ModelState(scanner), in_light
     faulty, held, injected = model.faults.apply(measurement, state.faults)
     if injected:
         faulty = replace(faulty, point_site_m=model.points_site_m(faulty, state.scanner))
-    return faulty, ModelState(scanner, held), injected
+    return faulty, ModelState(scanner, held), in_light + injected
 
 
 def measure_in_blocks(model: Model, block_shots: int = BLOCK_SHOTS) -> Iterator[Measurement]:

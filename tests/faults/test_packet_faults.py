@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import binascii
+import struct
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from lidar_emu.faulty_packets import FaultyPackets
 from lidar_emu.session import Block
 from lidar_emu.shots import build_model
 from lidar_emu.wire import Encoder
-from lidar_protocol import SerialReceiver, shipped_interface
+from lidar_protocol import SerialReceiver, cobs, shipped_interface
 
 WINDOW = {"from_s": 0.4, "to_s": 0.6}
 FIRST, END, SHOTS = 20, 30, 100
@@ -195,6 +197,109 @@ def test_frozen_counter(sent: Any) -> None:
     assert [m.beams for m in bad] == [m.beams for m in good]
 
 
+def test_wrong_unit(sent: Any) -> None:
+    good, bad = (messages(stream) for stream in sent(kind="wrong_unit"))
+    for shot, (before, after) in enumerate(zip(good, bad, strict=True)):
+        feet = 1 / 0.3048 if FIRST <= shot < END else 1
+        for a, b in zip(before.beams[:3], after.beams[:3], strict=True):
+            assert b["range_m"] == pytest.approx(feet * a["range_m"], abs=2e-3)
+            assert b["closing_speed_mps"] == pytest.approx(feet * a["closing_speed_mps"], abs=2e-4)
+            assert b["snr_db"] == a["snr_db"]
+
+
+def unframed(packet: bytes) -> bytes:
+    return cobs.decode(packet.rstrip(b"\0"))
+
+
+def body_of(packet: bytes) -> bytes:
+    """Of a space packet, whose CRC is right."""
+    data = unframed(packet)
+    assert binascii.crc_hqx(data[:-2], 0xFFFF) == int.from_bytes(data[-2:], "big")
+    return data[6:-2]
+
+
+def test_other_unit(sent: Any) -> None:
+    good, bad = sent(kind="other_unit", unit=5)
+    for before, after in zip(good[FIRST:END], bad[FIRST:END], strict=True):
+        assert int.from_bytes(unframed(after)[:2], "big") & 0x7FF == 0x2A0 + 5
+        assert unframed(after)[2:6] == unframed(before)[2:6]
+        assert body_of(after) == body_of(before)
+    good, bad = sent(kind="other_unit", unit=5, can=True)
+    for before, after in zip(good[FIRST:END], bad[FIRST:END], strict=True):
+        assert [frame._replace(can_id=frame.can_id - 5 * 0x40) for frame in after] == before
+
+
+def test_wrong_endian(sent: Any) -> None:
+    header = ">7s7sBBBB4s"
+    beam = ">BB2s4s4s4s2s2s2s2s4s"
+    good, bad = sent(kind="wrong_endian")
+    for before, after in zip(good[FIRST:END], bad[FIRST:END], strict=True):
+        one, other = body_of(before), body_of(after)
+        assert len(one) == len(other) == struct.calcsize(header) + 4 * struct.calcsize(beam)
+        blocks = [
+            (header, 0),
+            *((beam, struct.calcsize(header) + k * struct.calcsize(beam)) for k in range(4)),
+        ]
+        for layout, start in blocks:
+            for a, b in zip(
+                struct.unpack_from(layout, one, start), struct.unpack_from(layout, other, start), strict=True
+            ):
+                assert b == (a[::-1] if isinstance(a, bytes) else a)
+    assert not received(b"".join(bad)).counters.bad_crc
+    good, bad = sent(kind="wrong_endian", can=True)
+    for before, after in zip(good[FIRST:END], bad[FIRST:END], strict=True):
+        assert [(frame.can_id, len(frame.data)) for frame in after] == [
+            (f.can_id, len(f.data)) for f in before
+        ]
+        assert all(sorted(a.data) == sorted(b.data) for a, b in zip(before, after, strict=True))
+        assert before != after
+
+
+@pytest.mark.parametrize("interface", ["default", "altimeter"])
+def test_wrong_endian_twice_is_right(bench: Any, shoot: Any, interface: str) -> None:
+    keys = ALTIMETER if interface == "altimeter" else {}
+    good = packets(shoot(bench(**keys)))
+    once, twice = (packets(shoot(bench(*[{"kind": "wrong_endian"}] * n, **keys))) for n in (1, 2))
+    assert good == twice
+    assert all(a != b for a, b in zip(good, once, strict=True))
+
+
+def test_other_version(sent: Any) -> None:
+    good, bad = sent(kind="other_version", version=9)
+    for before, after in zip(good[FIRST:END], bad[FIRST:END], strict=True):
+        assert (body_of(before)[14], body_of(after)[14]) == (1, 9)
+        assert body_of(before)[:14] + body_of(before)[15:] == body_of(after)[:14] + body_of(after)[15:]
+    counters = received(b"".join(bad)).counters
+    assert (counters.foreign, counters.messages) == (10, 90)
+
+
+def test_brown_out_begins_anew(bench: Any, shoot: Any) -> None:
+    good, bad = (packets(shoot(scenario)) for scenario in (bench(), bench({"kind": "brown_out", **WINDOW})))
+    assert bad[:FIRST] == good[:FIRST]
+    assert bad[FIRST:END] == [b""] * 10
+    after = messages(bad[END:])
+    assert [message.sequence for message in after] == list(range(SHOTS - END))
+    assert [message.shot for message in after] == list(range(SHOTS - END))
+    assert [message.beams for message in after] == [message.beams for message in messages(good[END:])]
+
+
+@pytest.mark.parametrize(
+    ("fault", "interface", "said"),
+    [
+        ({"kind": "other_unit", "unit": 4}, "altimeter", "allowed: units 0 to 3, those of the interface"),
+        (
+            {"kind": "other_version", "version": 2},
+            "altimeter",
+            "allowed: an interface that sends interface_version",
+        ),
+    ],
+)
+def test_what_an_interface_does_not_say_is_refused(bench: Any, fault: Any, interface: str, said: str) -> None:
+    scenario = bench(fault, wire={"interface": interface})
+    with pytest.raises(InputError, match=said):
+        FaultyPackets(scenario, Encoder(scenario.wire, False, False, 4), False)
+
+
 def test_a_crc_that_there_is_not_is_refused(bench: Any) -> None:
     scenario = bench({"kind": "wrong_crc"})
     encoder = Encoder(scenario.wire, True, False, 4)
@@ -221,6 +326,11 @@ PACKET_FAULTS = st.sampled_from(
         {"kind": "garbage", "bytes": 30},
         {"kind": "time_jump", "jump_s": 1.0},
         {"kind": "frozen_counter"},
+        {"kind": "other_unit", "unit": 3},
+        {"kind": "wrong_endian"},
+        {"kind": "other_version", "version": 7},
+        {"kind": "wrong_unit"},
+        {"kind": "brown_out"},
     ]
 )
 

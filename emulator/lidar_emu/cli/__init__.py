@@ -11,6 +11,7 @@ from lidar_emu import __version__
 from lidar_emu.cli.bench import bench
 from lidar_emu.cli.detection import detection
 from lidar_emu.cli.documents import icd, scenarios, schema
+from lidar_emu.cli.inject import inject
 from lidar_emu.cli.listen import listen
 from lidar_emu.cli.output import silence
 from lidar_emu.cli.plan import plan
@@ -45,7 +46,7 @@ def cli(context: click.Context) -> None:
         click.echo(context.get_help())
 
 
-for command in (run, listen, simulate, detection, plan, bench, scenarios, schema, icd):
+for command in (run, listen, inject, simulate, detection, plan, bench, scenarios, schema, icd):
     cli.add_command(command)
 
 

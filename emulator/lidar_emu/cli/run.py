@@ -19,8 +19,8 @@ from lidar_emu.report.whole_file import check_destination
 from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
-    from lidar_emu.runtime.fly import Outcome
     from lidar_emu.runtime.observer import Observer
+    from lidar_emu.runtime.outcome import Outcome
     from lidar_emu.scenario.schema import BenchScenario, FlightScenario
     from lidar_emu.transports.spec import PortSpec
 
@@ -34,10 +34,13 @@ _FAILURES = ("late", "dropped")
               help="With the clock, as fast as the link takes it, or step by step with a simulator.")  # fmt: skip
 @click.option("--start", default=None, metavar="now|on-truth|UTC",
               help="When scenario time 0 is, e.g. 2030-01-01T12:00:00Z, or as the first live truth says.")  # fmt: skip
+@click.option(
+    "--control", metavar="PATH", help="Take faults in flight on this Unix socket: lidar-emu inject PATH."
+)
 @click.option("--record", metavar="FILE", help="Keep truth, measurements and packets (MCAP).")
 @click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
-@click.option("--fail-on", metavar="LIST", default="",
-              help="Exit 1 if shots were late or dropped (late,dropped), or the run was cut short.")  # fmt: skip
+@click.option("--fail-on", metavar="WHAT", default="",
+              help="Exit 1 if shots were late, or dropped (late,dropped: either), or Ctrl-C cut it short.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON, nothing else.")
 def run(
     scenario: str,
@@ -48,6 +51,7 @@ def run(
     port: PortSpec,
     pace: str,
     start: str | None,
+    control: str | None,
     record: str | None,
     summary_file: str | None,
     fail_on: str,
@@ -64,6 +68,7 @@ def run(
     lidar-emu run descent.yaml -i slcan -c /dev/ttyACM0 --bitrate 1000000
     lidar-emu run live.yaml --port /dev/ttyUSB0 --start on-truth
     lidar-emu run live.yaml --pace lockstep
+    lidar-emu run descent.yaml --port /dev/ttyUSB0 --control /tmp/lidar.sock
     lidar-emu run my.yaml --pace max --fail-on late,dropped --summary out.json --set timing.rate_hz=100
     """
     failures = _failures(fail_on)
@@ -89,16 +94,16 @@ def run(
     observers: list[Observer] = [view] if as_json else [Announcer(flown.name, pace), view]
     with busy(COMPILING):
         model = build_model(flown)
-        this_run = Run(flown, model, RunOptions(port, Pace(pace), start_utc), observers)
+        this_run = Run(flown, model, RunOptions(port, Pace(pace), start_utc, control), observers)
     if port.kind is not Kind.LOOPBACK and sys.stderr is not None and sys.stderr.isatty():
         observers.append(Progress(this_run.tally))
-    if this_run.warning is not None:
-        click.echo(f"lidar-emu: warning: {this_run.warning}", err=True)
+    for warning in this_run.warnings:
+        click.echo(f"lidar-emu: warning: {warning}", err=True)
     recorder = None
     if record is not None:
         from lidar_emu.recording.write import Recorder
 
-        recorder = Recorder(Path(record), flown)
+        recorder = Recorder(Path(record), flown, control is not None)
         observers.append(recorder)
     with recorder or nullcontext():
         outcome = this_run.fly()

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
-from lidar_emu.errors import InputError
 from lidar_emu.faults.chance import Chance
 from lidar_emu.faults.hold import Row, hold
 from lidar_emu.faults.schedule import Injected, Schedule
@@ -54,10 +53,7 @@ class _Act:
 
     def size(self, block: Measurement) -> FloatArray:
         """(shots, 1) Part of its full size that a growing fault has."""
-        if self.fault.ramp_s == 0:
-            return np.ones((len(block), 1))
-        grown: FloatArray = np.minimum(1.0, self.schedule.since_s(block.shot) / self.fault.ramp_s)
-        return grown[:, None]
+        return self.schedule.grown(block.shot, self.fault.ramp_s)
 
     def with_columns(self, block: Measurement, **columns: Any) -> Measurement:
         """The block with these values where the fault acts."""
@@ -78,10 +74,6 @@ class BeamFaults:
         seed: of the run.
         period_ns: from shot to shot.
         beam_count: beams of a shot.
-        name: of the scenario, for complaints.
-
-    Raises:
-        InputError: a fault is of a beam that there is not.
     """
 
     def __init__(
@@ -90,18 +82,18 @@ class BeamFaults:
         seed: int,
         period_ns: int,
         beam_count: int,
-        name: str,
     ) -> None:
         self._beam_count = beam_count
         self._faults: list[tuple[int, kinds.BeamFault, Schedule, Chance]] = []
         for number, fault in numbered:
-            if any(beam >= beam_count for beam in fault.beams or ()):
-                allowed = f"allowed: 0 to {beam_count - 1}, the scenario's beams"
-                raise InputError(name, f"faults.{number}.beams", list(fault.beams or ()), allowed)
             chance = Chance(seed, number)
             self._faults.append((number, fault, Schedule(fault, chance, period_ns), chance))
         self.initial: tuple[Held | None, ...] = (None,) * len(self._faults)
         """What is carried before shot 0."""
+
+    def resumed(self, held: tuple[Held | None, ...]) -> tuple[Held | None, ...]:
+        """What fewer of these faults have carried so far, for all of them."""
+        return held + self.initial[len(held) :]
 
     def apply(
         self, block: Measurement, held: tuple[Held | None, ...]

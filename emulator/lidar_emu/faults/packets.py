@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.chance import Chance
+from lidar_emu.faults.rewritten import REWRITING, Rewriter
 from lidar_emu.faults.schedule import Injected, Schedule
 from lidar_emu.scenario import faults as kinds
 from lidar_protocol import CanFrame, DecodeError, Interface
@@ -48,11 +49,12 @@ class _Act:
     chance: Chance
     shot: int
     interface: Interface
+    rewriter: Rewriter
     can: bool
 
 
 class PacketFaults:
-    """All faults of packets and of the link.
+    """All faults of packets; those of the port are told of only.
 
     Args:
         numbered: the faults, with their places in the scenario's list.
@@ -68,7 +70,7 @@ class PacketFaults:
 
     def __init__(
         self,
-        numbered: Sequence[tuple[int, kinds.PacketFault]],
+        numbered: Sequence[tuple[int, kinds.PacketFault | kinds.LinkFault]],
         seed: int,
         period_ns: int,
         interface: Interface,
@@ -76,13 +78,17 @@ class PacketFaults:
         name: str,
     ) -> None:
         self._interface = interface
+        self._rewriter = Rewriter(interface)
         self._can = can
-        self._faults: list[tuple[int, kinds.PacketFault, Schedule, Chance]] = []
+        self._faults: list[tuple[int, kinds.PacketFault | kinds.LinkFault, Schedule, Chance]] = []
         for number, fault in numbered:
             if isinstance(fault, kinds.WrongCrc) and (can or interface.link.crc is None):
                 found = Finding("wrong_crc on CAN" if can else "no CRC in this interface")
                 allowed = "allowed: on a byte link with an interface that has a CRC"
                 raise InputError(name, f"faults.{number}.kind", found, allowed)
+            if (allowed_here := self._rewriter.refusal(fault, can)) is not None:
+                found = Finding(f"{fault.kind} with interface {interface.name}")
+                raise InputError(name, f"faults.{number}", found, f"allowed: {allowed_here}")
             chance = Chance(seed, number)
             self._faults.append((number, fault, Schedule(fault, chance, period_ns), chance))
         doubling = sum(isinstance(fault, _DOUBLING) for _, fault, *_ in self._faults)
@@ -147,7 +153,8 @@ class PacketFaults:
                 pieces = before if now and before else pieces
                 kept = pieces
             elif now and type(fault) in _EFFECTS:
-                pieces = _EFFECTS[type(fault)](pieces, _Act(fault, chance, shot, self._interface, self._can))
+                act = _Act(fault, chance, shot, self._interface, self._rewriter, self._can)
+                pieces = _EFFECTS[type(fault)](pieces, act)
             held.append(kept)
         return pieces, state._replace(held=tuple(held))
 
@@ -224,6 +231,15 @@ def _last_inverted(data: bytes) -> bytes:
     return data[:-1] + bytes(byte ^ 0xFF for byte in data[-1:])
 
 
+def _rewritten(pieces: Pieces, act: _Act) -> Pieces:
+    return tuple(
+        act.rewriter.frame(piece, act.fault)
+        if isinstance(piece, CanFrame)
+        else act.rewriter.packet(piece, act.fault)
+        for piece in pieces
+    )
+
+
 def _garbage(pieces: Pieces, act: _Act) -> Pieces:
     count = act.fault.bytes
     noise = bytes(int(u * 256) for u in act.chance.run_of(act.shot, 0, count).tolist())
@@ -243,5 +259,7 @@ _EFFECTS: dict[type, Callable[[Pieces, _Act], Pieces]] = {
     kinds.WrongCrc: _wrong_crc,
     kinds.Silence: _nothing,
     kinds.Garbage: _garbage,
+    kinds.BrownOut: _nothing,
+    **dict.fromkeys(REWRITING, _rewritten),
 }
 """Of faults that carry nothing from shot to shot."""

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.faults.chance import Chance
-from lidar_emu.scenario.faults import BeamFault, PacketFault, StampFault
+from lidar_emu.scenario.faults import LinkFault, ScheduledFault
+from lidar_emu.scenario.faults.when import OfBeams
 
 _Draw = Callable[[NDArray[np.int64]], FloatArray]
 
@@ -35,7 +36,7 @@ class Schedule:
         period_ns: from shot to shot.
     """
 
-    def __init__(self, fault: BeamFault | StampFault | PacketFault, chance: Chance, period_ns: int) -> None:
+    def __init__(self, fault: ScheduledFault | LinkFault, chance: Chance, period_ns: int) -> None:
         self._chance = chance
         self._period_ns = period_ns
         self._probability = fault.probability
@@ -69,6 +70,12 @@ class Schedule:
         """(shots,) Time since the first shot of the window began."""
         return np.asarray((shot - self._first) * (self._period_ns * 1e-9), dtype=np.float64)
 
+    def grown(self, shot: NDArray[np.int64], ramp_s: float) -> FloatArray:
+        """(shots, 1) Part of its full size that it has, if it grows so long from the start of the window."""
+        if ramp_s == 0:
+            return np.ones((len(shot), 1))
+        return np.minimum(1.0, self.since_s(shot) / ramp_s)[:, None]
+
     def _shot_at(self, time_s: float) -> int:
         """The first shot that begins then or later."""
         return -(-round(time_s * 1e9) // self._period_ns)
@@ -84,3 +91,38 @@ class Schedule:
         total = np.concatenate([np.zeros((1, sets_in.shape[1]), dtype=np.int64), sets_in.cumsum(axis=0)])
         last = shot - asked[0] + 1
         return np.asarray(inside & (total[last] > total[np.maximum(0, last - self._lasts)]))
+
+
+class Ordered:
+    """A fault of light or of the receiver, with when it acts.
+
+    Args:
+        number: its place in the scenario's list.
+        fault: what the scenario says.
+        seed: of the run.
+        period_ns: from shot to shot.
+        beam_count: beams of a shot.
+    """
+
+    def __init__(
+        self, number: int, fault: ScheduledFault, seed: int, period_ns: int, beam_count: int
+    ) -> None:
+        self.number = number
+        self.fault: Any = fault
+        self._schedule = Schedule(fault, Chance(seed, number), period_ns)
+        self._beams = np.ones(beam_count, dtype=np.bool_)
+        if isinstance(fault, OfBeams) and fault.beams is not None:
+            self._beams[:] = False
+            self._beams[fault.beams] = True
+
+    def hit(self, shot: NDArray[np.int64], fired: BoolArray) -> BoolArray:
+        """(shots, beams) Beams that have fired and on which it acts."""
+        if not self._schedule.begins_by(int(shot[-1])) or self._schedule.is_over(int(shot[0])):
+            return np.zeros_like(fired)
+        if isinstance(self.fault, OfBeams):
+            return self._schedule.beams(shot, len(self._beams)) & fired & self._beams
+        return self._schedule.shots(shot)[:, None] & fired
+
+    def grown(self, shot: NDArray[np.int64]) -> FloatArray:
+        """(shots, 1) Part of its full size that it has, if it is one that grows."""
+        return self._schedule.grown(shot, getattr(self.fault, "ramp_s", 0.0))

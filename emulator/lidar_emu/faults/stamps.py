@@ -1,9 +1,10 @@
-"""Faults of clock and counter: what packets are stamped with. What was measured, and when, stays."""
+"""Faults of clock, counter and units: what stands in packets. What was measured, and when, stays."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,21 @@ from lidar_emu.faults.schedule import Injected, Schedule
 from lidar_emu.measurement import Measurement
 from lidar_emu.scenario import faults as kinds
 
+_IN_METRES = (
+    "range_m",
+    "closing_speed_mps",
+    "second_range_m",
+    "sigma_range_m",
+    "sigma_speed_mps",
+    "residual_mps",
+)
+
 StampState = tuple[Row | None, ...]
 """By each fault: the last number of a shot from before it."""
 
 
 class StampFaults:
-    """All faults of clock and counter.
+    """All faults of clock, counter and units.
 
     Args:
         numbered: the faults, with their places in the scenario's list.
@@ -34,22 +44,51 @@ class StampFaults:
         self.initial: StampState = (None,) * len(self._faults)
         """What is carried before shot 0."""
 
-    def apply(self, block: Measurement, state: StampState) -> tuple[Measurement, StampState, list[Injected]]:
-        """The shots as they are stamped, what is carried on, and which faults acted."""
-        time_ns, counter = block.time_ns, block.shot
-        injected: list[Injected] = []
-        after: list[Row | None] = []
+    def apply(
+        self, shot: NDArray[np.int64], block: Measurement, state: StampState
+    ) -> tuple[Measurement, StampState, list[Injected]]:
+        """The shots as they are stamped, what is carried on, and which faults acted.
+
+        Args:
+            shot: (shots,) the scenario's numbers of the shots; those in `block` are the device's.
+            block: as the device would stamp them.
+            state: carried from the shots before.
+        """
+        injected, after = list[Injected](), list[Row | None]()
         for (number, fault, schedule), before in zip(self._faults, state, strict=True):
-            acts = schedule.shots(block.shot)
-            carried = None
-            if isinstance(fault, kinds.FrozenCounter):
-                counter, carried = _frozen(counter, acts, before)
-            else:
-                shifted_ns = np.maximum(0, time_ns + round(fault.jump_s * 1e9))
-                time_ns = np.where(acts[:, None], shifted_ns, time_ns)
+            acts, carried = schedule.shots(shot), None
+            match fault:
+                case kinds.FrozenCounter():
+                    counter, carried = _frozen(block.shot, acts, before)
+                    block = replace(block, shot=counter)
+                case kinds.BrownOut():
+                    counter, carried = _restarted(block.shot, shot, acts, before)
+                    block = replace(block, shot=counter)
+                case kinds.TimeJump():
+                    shifted_ns = np.maximum(0, block.time_ns + round(fault.jump_s * 1e9))
+                    block = replace(block, time_ns=np.where(acts[:, None], shifted_ns, block.time_ns))
+                case kinds.WrongUnit():
+                    block = _in_other_units(block, acts, fault.metres)
             after.append(carried)
-            injected += [Injected(int(shot), number, fault.kind, ()) for shot in block.shot[acts]]
-        return replace(block, time_ns=time_ns, shot=counter), tuple(after), injected
+            if not isinstance(fault, kinds.BrownOut):  # that one is told of where packets are withheld
+                injected += [Injected(int(k), number, fault.kind, ()) for k in shot[acts]]
+        return block, tuple(after), injected
+
+
+def _in_other_units(block: Measurement, acts: NDArray[np.bool_], metres: float) -> Measurement:
+    if not acts.any():
+        return block
+    factor = np.where(acts, 1 / metres, 1.0)[:, None]
+    columns: dict[str, Any] = {name: factor * getattr(block, name) for name in _IN_METRES}
+    return replace(block, **columns)
+
+
+def _restarted(
+    counter: NDArray[np.int64], shot: NDArray[np.int64], acts: NDArray[np.bool_], before: Row | None
+) -> tuple[NDArray[np.int64], Row]:
+    """Counted from the last shot of the device's being off; `before` holds the shot after it."""
+    begun = np.maximum.accumulate(np.where(acts, shot + 1, 0 if before is None else before[0]))
+    return np.where(begun > 0, np.maximum(0, shot - begun), counter), begun[-1:]
 
 
 def _frozen(

@@ -81,7 +81,7 @@ def build_receiver(
         window_side=window.side,
         noise_power=window.noise_power,
         # Averaging looks makes a peak's neighbours no likelier than chance, nearly.
-        independent_share=1.0 - _followed(window, threshold) if detection.looks == 1 else 1.0,
+        independent_share=1.0 - followed(window, threshold) if detection.looks == 1 else 1.0,
         threshold=threshold,
         group_power_share=detection.group_fraction**2,
         peak_method=METHODS[detection.peak],
@@ -93,6 +93,9 @@ def build_receiver(
         least_line_drift=0.0 if exact else LEAST_LINE_DRIFT,
         least_line_scatter_bins=0.0 if exact else LEAST_LINE_SCATTER_BINS,
         least_false_alarm=0.0 if exact else LEAST_FALSE_ALARM,
+        sampled_length=float(waveform.fft_length),
+        lost_segments=0,
+        wrong_branch=False,
     )
 
 
@@ -163,7 +166,7 @@ def _haze(instrument: Instrument, site: Site | None, snr_per_w: float) -> Haze:
     )
 
 
-def _followed(window: Window, threshold: float) -> float:
+def followed(window: Window, threshold: float) -> float:
     """Probability that a bin of noise above the threshold is followed by another: windows correlate neighbours.
 
     Of two circular Gaussians with squared correlation ρ² the one's power, given the other's p, is noncentral

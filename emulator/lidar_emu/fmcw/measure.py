@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.beam_filter import widest_filter
+from lidar_emu.fmcw.branch import other_branch
 from lidar_emu.fmcw.estimate import DOWN, UP, Estimate, chirp_minus_doppler, least_squares
 from lidar_emu.fmcw.limits import GROSS_RESIDUAL_BINS
 from lidar_emu.fmcw.model import ReceiverModel, Workspace
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.records import set_spectrum
 from lidar_emu.fmcw.speckle import forget
+from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.fmcw.statistical import draw_targets
 from lidar_emu.fmcw.targets import find_targets
 from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS, gather_beamlets
@@ -141,7 +143,8 @@ def measure_spectra(
                     b,
                     seed,
                 )
-                _count_targets(row, segment, find_targets(model, work, bins, segment, shot[s], b, seed))
+                targets = find_targets(model, work, bins, segment, shot[s], b, seed)
+                _count_targets(model, row, segment, targets, work.targets[segment])
             _conclude(model, work.targets, row)
 
 
@@ -196,15 +199,21 @@ def measure_statistically(
                     b,
                     seed,
                 )
-                _count_targets(row, segment, targets)
+                _count_targets(model, row, segment, targets, work.targets[segment])
             _conclude(model, work.targets, row)
 
 
 @kernel(forceinline=True)
-def _count_targets(row: Any, segment: int, targets: int) -> None:
-    if targets > 0:
+def _count_targets(model: ReceiverModel, row: Any, segment: int, count: int, targets: FloatArray) -> None:
+    """Note the `count` targets of a segment, as far as a faulty receiver has them."""
+    if model.lost_segments & (1 << segment):
+        count = 0
+    if model.sampled_length < model.fft_length:
+        for t in range(count):
+            targets[t, 0], _, _ = fold(targets[t, 0], model.sampled_length)
+    if count > 0:
         row.segments |= 1 << segment
-    row.returns = targets if segment == 0 else min(row.returns, targets)
+    row.returns = count if segment == 0 else min(row.returns, count)
 
 
 @kernel
@@ -246,15 +255,19 @@ def _conclude(model: ReceiverModel, targets: FloatArray, row: Any) -> None:
 
 @kernel
 def _estimate(model: ReceiverModel, segments: int, targets: FloatArray) -> Estimate:
-    """One target of each segment, (3, 3), combined."""
+    """One target of each segment, (3, 4), combined."""
     up, constant, down = targets[0, 0], targets[1, 0], targets[2, 0]
     up_var, constant_var, down_var = targets[0, 1], targets[1, 1], targets[2, 1]
     if model.joint_estimate:
         farthest_bin = model.record_edge_range_m / model.range_bin_m
-        return least_squares(
+        estimate = least_squares(
             segments, up, constant, down, up_var, constant_var, down_var, model.fft_length, farthest_bin
         )
-    return chirp_minus_doppler(up, constant, down, up_var, constant_var, down_var)
+    else:
+        estimate = chirp_minus_doppler(up, constant, down, up_var, constant_var, down_var)
+    if model.wrong_branch:
+        return other_branch(estimate, segments, up, constant, down, up_var, constant_var, down_var)
+    return estimate
 
 
 @kernel

@@ -82,6 +82,12 @@ class ReceiverModel(NamedTuple):
     """Where both are smaller the laser's line is left out."""
     least_false_alarm: float
     """Smaller probabilities that noise elsewhere matters are left out."""
+    sampled_length: float
+    """N, or less where samples are missing: then beats are folded again at half of it."""
+    lost_segments: int
+    """Bits of the segments of which nothing is seen."""
+    wrong_branch: bool
+    """Take the other sign of the Doppler shift."""
 
 
 @lru_cache(maxsize=16)

@@ -29,6 +29,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block
 
@@ -43,11 +44,18 @@ class Recorder(Observer):
     The file is begun once the port is open: a run that is refused leaves none, and an older one as it was. If
     it cannot be written any more the flight goes on without it, and `error` says why.
 
+    Args:
+        path: of the file.
+        scenario: what is flown.
+        controlled: whether faults may be ordered in flight.
+
     Raises:
         InputError: the epoch lies before 1970, where MCAP's times begin.
     """
 
-    def __init__(self, path: Path, scenario: FlightScenario | BenchScenario) -> None:
+    def __init__(
+        self, path: Path, scenario: FlightScenario | BenchScenario, controlled: bool = False
+    ) -> None:
         self._path = path
         self._epoch_ns = (scenario.timing.epoch - _UNIX_EPOCH) // timedelta(microseconds=1) * 1000
         if self._epoch_ns < 0:
@@ -58,7 +66,9 @@ class Recorder(Observer):
             "seed": str(scenario.seed),
             "scenario": scenario.model_dump_json(),
         }
-        self._topics = _JSON_TOPICS + ("/fault",) * bool(scenario.faults)
+        self._topics = _JSON_TOPICS + ("/fault",) * bool(scenario.faults or controlled)
+        self._topics += ("/ordered_fault",) * controlled
+        self._period_ns = scenario.timing.period_ns
         self._writer: Writer | None = None
         self._file: BinaryIO
         self.error: str | None = None
@@ -105,6 +115,11 @@ class Recorder(Observer):
     def truth(self, datagram: bytes, time_ns: int) -> None:
         """Keep what a simulator sent."""
         self._write("/live_truth", 0, time_ns, datagram)
+
+    def ordered(self, number: int, fault: ScheduledFault | LinkFault, shot: int) -> None:
+        """Keep a fault that was ordered in flight, as a scenario would state it."""
+        told = {"fault": number, "first_shot": shot, "order": fault.model_dump(mode="json")}
+        self._write("/ordered_fault", shot, shot * self._period_ns, _json(told))
 
     def settled(self, block: Block) -> None:
         """Keep truth and measurements, shot by shot."""

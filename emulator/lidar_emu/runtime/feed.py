@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.command_post import Change, CommandPost
 from lidar_emu.runtime.outbox import Outbox
 from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.session import Session
+
+if TYPE_CHECKING:
+    from lidar_emu.runtime.injector import Injector
 
 POLL_NS = 20_000_000
 """How long an interruption may go unseen."""
@@ -28,6 +31,8 @@ class Desk(NamedTuple):
     """Tell the port that scenario time 0 is at this instant of the monotonic clock."""
     commands: CommandPost | None
     """Where a host is heard; None where the interface has no commands."""
+    injector: Injector | None = None
+    """Where faults are ordered in flight."""
 
     def push(self, packet: Outgoing) -> bool:
         """Hand a packet over, waiting for room; False if the run was interrupted meanwhile."""
@@ -48,10 +53,13 @@ class Desk(NamedTuple):
         for arrived_ns, data in arrivals if self.commands is not None else ():
             assert self.commands is not None
             self.commands.hear(data, arrived_ns, time_ns)
+        if self.injector is not None:
+            self.injector.hear()
 
     def next_change(self) -> Change | None:
-        """The oldest of the changes that were commanded and have not been taken."""
-        return None if self.commands is None else self.commands.next_change()
+        """The oldest of the changes that were commanded or ordered and have not been taken."""
+        sources = (self.commands, self.injector)
+        return next((change for each in sources if each and (change := each.next_change())), None)
 
     def follow(self, change: Change, begins_ns: int | None) -> None:
         """Let the next shot be the first to follow a change.

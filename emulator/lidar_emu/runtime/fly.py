@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import gc
-from contextlib import nullcontext, suppress
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.errors import InputError
 from lidar_emu.flight import Flight
+from lidar_emu.runtime.child import PortDiedError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.command_post import CommandPost, has_commands_on_can
+from lidar_emu.runtime.events import EventLog, told
 from lidar_emu.runtime.feed import Desk, Feed
 from lidar_emu.runtime.feed_ahead import AheadFeed
 from lidar_emu.runtime.feed_live import LiveFeed
 from lidar_emu.runtime.feed_lockstep import LockstepFeed
+from lidar_emu.runtime.last_words import last_words_of
 from lidar_emu.runtime.late_ends import LateEnds
 from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.on_order import injector, packets_on_order, port_on_order
 from lidar_emu.runtime.outbox import Outbox, payload_of
+from lidar_emu.runtime.outcome import Outcome
 from lidar_emu.runtime.pacing import Pace, WhenLate
-from lidar_emu.runtime.realtime import available_cores
+from lidar_emu.runtime.realtime import awake_share
 from lidar_emu.runtime.rehearsal import rehearse
 from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.run_options import RunOptions, live_part
@@ -29,7 +34,7 @@ from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import Tally, expectation
 from lidar_emu.runtime.truth_socket import TruthSocket
 from lidar_emu.runtime.truth_source import TruthSource
-from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block, Session
 from lidar_emu.shots import FlightModel, Model
 from lidar_emu.trajectory.live import LiveTrajectory
@@ -38,29 +43,12 @@ from lidar_emu.transports.wire_load import check_wire_load, wire_load
 from lidar_emu.wire import Encoder
 
 if TYPE_CHECKING:
-    from lidar_emu.faulty_packets import FaultyPackets
+    from lidar_emu.runtime.injector import Injector
 
 LOOK_AHEAD_S = 2.0
 _BLOCK_S = 0.25
-_AWAKE_SHARE, _CORES_TO_WAKE = 0.2, 3
-"""What may be spent on truth's being waited for awake; a simulator, the model and the port need a core each for it."""
-_LEAD_NS = 100_000_000
 _PACKET_ROOM_BYTES = 8192
 _STUFFING_BYTES = 256
-
-
-@dataclass
-class Outcome:
-    """What is known at the end of a run."""
-
-    tally: Tally
-    details: dict[str, Any]
-    error: str | None
-    """Why the run ended early, if that is an error."""
-
-    def to_json(self) -> dict[str, Any]:
-        """The summary file."""
-        return {**self.details, **self.tally.to_json()}
 
 
 class Run:
@@ -96,14 +84,16 @@ class Run:
         port = options.port
         self._encoder = encoder = Encoder(scenario.wire, port.kind is Kind.CAN, port.fd, model.beam_count)
         self._slots = max(2 * self._block_shots, round(rate_hz * LOOK_AHEAD_S))
-        faulty = _faulty_packets(scenario, encoder, port.kind is Kind.CAN)
+        faulty = packets_on_order(scenario, encoder, options)
         self._session = Session(model, encoder, self._slots + 1, faulty)
+        self._port_faults = port_on_order(scenario, model, options)
         # The first block is computed before the run: kernels are compiled, and the packets' length is known.
         self._first = self._first_block(encoder)
         longest = max((payload_of(packet) for packet in encoder.packets(self._first.measurement)), key=len)
         faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
         self._packet_room_bytes = max(_PACKET_ROOM_BYTES, faulty_bytes + _STUFFING_BYTES)
-        self.warning = check_wire_load(port, longest, rate_hz)
+        self._packet_bytes = len(longest), self._packet_room_bytes - _STUFFING_BYTES
+        self._injector: Injector | None = None
         self._wire_load = wire_load(port, longest, rate_hz)
         self._opening = True
         self._interrupted = False
@@ -114,13 +104,18 @@ class Run:
         self._error: str | None = None
         self.tally = Tally(options.pace)
         self._expected = expectation(scenario, model)
+        self._process_events = EventLog()
+        self._last_words = last_words_of(scenario, encoder.interface, port, self.tally)
+        warnings = check_wire_load(port, longest, rate_hz), self._last_words and self._last_words.warning
+        self.warnings = [warning for warning in warnings if warning]
+        """What the user should know before the run."""
 
     def fly(self) -> Outcome:
         """Run to the end, or until SIGINT (Ctrl-C), SIGTERM or SIGHUP, which end the run as cleanly.
 
         Raises:
             InputError: the port or the truth's address cannot be opened, or the start lies in the past.
-            RunError: the port's process died.
+            RunError: the port's process did not start. If it dies later, the run ends with its summary.
         """
         stolen = steal_ticks()
         gc.freeze()  # a collection in mid-flight need not look at all that was built for it
@@ -128,19 +123,44 @@ class Run:
         with (
             truth_address as socket,
             on_signals(self._interrupt),
-            PortRunner(2 * self._slots, self._packet_room_bytes) as port,
+            PortRunner(2 * self._slots, self._packet_room_bytes, self._noticed) as port,
+            injector(
+                self._scenario,
+                self._model,
+                self._encoder,
+                self._options,
+                self._packet_bytes,
+                port,
+                self._observers,
+            ) as self._injector,
         ):
             source = self._source(socket)
-            ours = [observer for observer in (source, self._judge_of_lateness()) if observer is not None]
-            outbox = Outbox(port, [*self._observers, *ours], self.tally, self._slots)
+            ours = (source, self._judge_of_lateness(), self._last_words)
+            observers = [*self._observers, *(observer for observer in ours if observer is not None)]
+            outbox = Outbox(port, observers, self.tally, self._slots)
             commands = self._command_post(outbox)
             with suppress(KeyboardInterrupt):
-                self._description = port.start(self._options.port)
+                self._description = port.start(self._options.port, self._port_faults)
                 self._opening = False
-                self._feed(port, outbox, source, commands).fly()
+                with self._outliving_the_port():
+                    self._feed(port, outbox, source, commands).fly()
             port.close()
             outbox.close()
         return Outcome(self.tally, self._details(port, source, commands, stolen), self._error)
+
+    @contextmanager
+    def _outliving_the_port(self) -> Iterator[None]:
+        try:
+            yield
+        except PortDiedError as death:
+            self._fail(str(death))
+            if self._last_words is not None:
+                self._last_words.say(self._options.port, self._clock)
+
+    def _noticed(self, time_ns: int, what: str) -> None:
+        self._process_events.add(self._process_events.count + 1, time_ns, what)
+        for observer in self._observers:
+            observer.noticed(time_ns, what)
 
     def _judge_of_lateness(self) -> Observer | None:
         return LateEnds(self._fail) if self._scenario.timing.when_late == "abort" else None
@@ -182,13 +202,14 @@ class Run:
             self._fail,
             lambda start_ns: self._begin(port, start_ns),
             commands,
+            self._injector,
         )
         if source is None or self._live is None:
             return AheadFeed(
                 desk,
                 self._first,
                 self._block_shots,
-                self._start_ns(self._options.start),
+                self._start_ns,
                 self._scenario.timing.period_ns,
                 self._options.pace,
             )
@@ -196,17 +217,8 @@ class Run:
             observer.awaiting(self._description, f"truth on {self._live.listen}")
         if self._options.pace is Pace.LOCKSTEP:
             return LockstepFeed(desk, source, self._flight)
-        start = self._options.start
-        start_ns = None if start is None else self._start_ns(start)
-        return LiveFeed(
-            desk,
-            source,
-            self._flight,
-            self._live,
-            start_ns,
-            self._scenario.timing.late_after_ns,
-            _AWAKE_SHARE if available_cores() >= _CORES_TO_WAKE else 0.0,
-        )
+        late_after_ns = self._scenario.timing.late_after_ns
+        return LiveFeed(desk, source, self._flight, self._live, self._start_ns, late_after_ns, awake_share())
 
     @property
     def _flight(self) -> Flight:
@@ -233,12 +245,15 @@ class Run:
             observer.opened(self._description, self._start_utc)
         timing = self._scenario.timing
         port.begin(start_ns, timing.late_after_ns, self._options.pace, WhenLate(timing.when_late))
+        if self._last_words is not None:
+            self._last_words.begin(port.prepare)
 
-    def _start_ns(self, start: datetime | None) -> int:
-        """The start of the run on the monotonic clock."""
-        now_ns, now = self._clock.now_ns(), self._clock.utc_now()
+    @property
+    def _start_ns(self) -> int | None:
+        """The start of the run on the monotonic clock; None if that is for the feed to say."""
+        start, now_ns, now = self._options.start, self._clock.now_ns(), self._clock.utc_now()
         if start is None:
-            return now_ns + _LEAD_NS
+            return None
         if start < now:
             raise InputError("--start", None, start.isoformat(), "allowed: now, or an instant to come")
         return now_ns + (start - now) // timedelta(microseconds=1) * 1000
@@ -261,19 +276,12 @@ class Run:
             "granted": port.told.granted,
             "missing": port.told.missing,
             "steal_ticks": None if stolen is None or stolen_now is None else stolen_now - stolen,
-            "wire": {
-                "load": self._wire_load,
-                "sent_bytes": port.told.sent_bytes,
-                "received_bytes": port.told.received_bytes,
-                "unheard_bytes": port.told.unheard_bytes,
-                "unsent_answers": port.told.unsent,
-                **port.told.noticed,
-            },
-            "link_event_count": port.told.event_count,
-            "link_events": [
-                {"time_s": event.time_ns * 1e-9, "what": event.text} for event in port.told.events
-            ],
+            "wire": {"load": self._wire_load, **port.told.wire()},
+            **told("link", port.told.event_count, port.told.events),
+            **told("process", self._process_events.count, self._process_events.since(0)),
+            "last_words": None if self._last_words is None else self._last_words.told,
             "commands": None if commands is None else commands.to_json(),
+            "faults_in_flight": None if self._injector is None else self._injector.to_json(),
             "truth": None if source is None else source.to_json(),
             **self._expected,
             "left_out": [row for row in self._model.plan.rows() if not row["computed"]],
@@ -283,14 +291,6 @@ class Run:
     def _planned_shots(self) -> int | None:
         """None where the simulator decides."""
         return None if self._live and self._scenario.duration_s is None else self._model.shot_count
-
-
-def _faulty_packets(scenario: Scenario, encoder: Encoder, can: bool) -> FaultyPackets | None:
-    if not scenario.faults:
-        return None
-    from lidar_emu.faulty_packets import faulty_packets
-
-    return faulty_packets(scenario, encoder, can)
 
 
 def _live_trajectory(flight: Flight) -> LiveTrajectory:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 
 from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.session import Block
 
 
@@ -20,6 +21,9 @@ class Observer:
     def truth(self, datagram: bytes, time_ns: int) -> None:
         """A simulator's datagram arrived, at this scenario time; good or not."""
 
+    def ordered(self, number: int, fault: ScheduledFault | LinkFault, shot: int) -> None:
+        """A fault was ordered in flight: its place in the list; its times, in scenario time; the first shot with it."""
+
     def computed(self, block: Block) -> None:
         """Shots are on their way to the port; a command may yet change them."""
 
@@ -28,6 +32,9 @@ class Observer:
 
     def report(self, packet: Outgoing, report: Report) -> None:
         """A packet met its fate."""
+
+    def noticed(self, time_ns: int, what: str) -> None:
+        """One of the run's two processes stands still, stood still, or goes on; time from the start of the run."""
 
     def arrived(self, data: bytes) -> None:
         """Bytes at the far end of the in-memory loopback."""

@@ -47,6 +47,16 @@ class PortStory:
         """How many events there were, with those that `events` leaves out."""
         return self._events.count
 
+    def wire(self) -> dict[str, int | None]:
+        """What went over the wire, under the names of the summary file."""
+        return {
+            "sent_bytes": self.sent_bytes,
+            "received_bytes": self.received_bytes,
+            "unheard_bytes": self.unheard_bytes,
+            "unsent_answers": self.unsent,
+            **self.noticed,
+        }
+
     def understand(self, answers: list[dict[str, Any]]) -> None:
         """Take in what it said.
 

@@ -21,6 +21,8 @@ class RunOptions:
     start: datetime | None = None
     """UTC instant of scenario time 0; None as soon as the first shots are computed, or, where truth is live, as its
     first datagram says."""
+    control: str | None = None
+    """Path of the socket on which faults are ordered in flight; None: none are."""
 
 
 def live_part(scenario: FlightScenario | BenchScenario, options: RunOptions) -> Live | None:

@@ -147,6 +147,7 @@ class Link:
         try:
             if self._is_connected(self._channel, now_ns):
                 self._channel.flush()
+            self._take_noticed(self._channel, now_ns)
         except LinkLostError as lost:
             self._lose(str(lost), now_ns)
 

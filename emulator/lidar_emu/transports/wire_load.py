@@ -8,7 +8,7 @@ from lidar_emu.transports.spec import Kind, PortSpec
 
 _WARN_ABOVE = 0.7
 _ROUNDING = 1e-9
-_SERIAL_BITS_PER_BYTE = 10  # start, eight data bits, stop; no parity
+SERIAL_BITS_PER_BYTE = 10  # start, eight data bits, stop; no parity
 _FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 
@@ -25,7 +25,7 @@ def wire_load(spec: PortSpec, payload: bytes, rate_hz: float) -> float:
     if spec.kind is Kind.CAN:
         time_s = sum(frame_time_s(frame, spec) for frame in unpack_frames(payload))
     else:
-        time_s = _SERIAL_BITS_PER_BYTE * len(payload) / spec.baud
+        time_s = SERIAL_BITS_PER_BYTE * len(payload) / spec.baud
     return time_s * rate_hz
 
 
@@ -57,7 +57,7 @@ def drain_time_s(spec: PortSpec, unread: int) -> float:
     """How long the port takes for bytes that it was given and that have not left it; 0 where no bit rate tells."""
     if spec.kind is not Kind.SERIAL or not spec.has_bit_rate:
         return 0.0
-    return _SERIAL_BITS_PER_BYTE * unread / spec.baud
+    return SERIAL_BITS_PER_BYTE * unread / spec.baud
 
 
 def frame_time_s(frame: Frame, spec: PortSpec) -> float:

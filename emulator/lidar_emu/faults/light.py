@@ -1,0 +1,130 @@
+"""Faults of light: what they do to beams on their way out, and to echoes on their way back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.faults.schedule import Ordered
+from lidar_emu.flight import Flight, Pointing
+from lidar_emu.fmcw.echo import coherent_power_w
+from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.pointing import TRUE
+from lidar_emu.rotations import from_rotation_vector, rotate
+from lidar_emu.scanner.footprint import sample_footprint
+from lidar_emu.scanner.model import mounting_rotation
+from lidar_emu.scenario import faults as kinds
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.scene.hits import Hits
+
+
+@dataclass(frozen=True)
+class _Act:
+    """A fault in a block of shots."""
+
+    fault: Any
+    hit: BoolArray
+    """(shots, beams) Beams that have fired and on which it acts."""
+    size: FloatArray
+    """(shots, 1) Part of its full size that a growing fault has."""
+    pointing: Pointing
+    axis_hits: Hits
+
+
+class LightFaults:
+    """All faults of light of a scenario.
+
+    Args:
+        ordered: the faults with their schedules, in the order in which they act.
+        flight: of the scenario.
+        beamlets: of each beam.
+    """
+
+    def __init__(
+        self, ordered: Sequence[Ordered], scenario: FlightScenario, flight: Flight, beamlets: int
+    ) -> None:
+        self._tilts = [each for each in ordered if isinstance(each.fault, kinds.Misalignment)]
+        self._others = [each for each in ordered if not isinstance(each.fault, kinds.Misalignment)]
+        self._scenario, self._flight, self._beamlets = scenario, flight, beamlets
+        self._body_from_sensor = mounting_rotation(scenario.mounting)
+        self._effects: dict[type, Callable[[Echoes, _Act], Echoes]] = {
+            kinds.LaserFade: _faded,
+            kinds.ReflectancePatch: self._patched,
+            kinds.Clutter: self._cluttered,
+        }
+
+    def tilted(self, pointing: Pointing, shot: NDArray[np.int64]) -> Pointing:
+        """Where the beams go. Published directions stay."""
+        for each in self._tilts:
+            hit = each.hit(shot, pointing.fired)
+            if hit.any():
+                pointing = self._with_tilt(pointing, hit, each.grown(shot), each.fault.tilt_mrad)
+        return pointing
+
+    def lit(self, echoes: Echoes, pointing: Pointing, axis_hits: Hits, shot: NDArray[np.int64]) -> Echoes:
+        """What comes back of beams whose axes met the ground at `axis_hits`."""
+        for each in self._others:
+            hit = each.hit(shot, echoes.fired)
+            if hit.any():
+                act = _Act(each.fault, hit, each.grown(shot), pointing, axis_hits)
+                echoes = self._effects[type(each.fault)](echoes, act)
+        return echoes
+
+    def _with_tilt(
+        self, pointing: Pointing, hit: BoolArray, size: FloatArray, tilt_mrad: tuple[float, float]
+    ) -> Pointing:
+        vehicle = self._flight.trajectory.state(pointing.time_ns.reshape(-1).astype(np.float64) * 1e-9)
+        sensor_rad = np.array([*tilt_mrad, 0.0]) * 1e-3
+        axis_site = rotate(vehicle.site_from_body, rotate(self._body_from_sensor, sensor_rad))
+        turn = from_rotation_vector(size[..., None] * axis_site.reshape(*hit.shape, 3))
+        beams = pointing.beams.copy()
+        beams[TRUE] = np.where(hit[..., None], rotate(turn, pointing.true_site), pointing.true_site)
+        return pointing._replace(beams=beams)
+
+    def _patched(self, echoes: Echoes, act: _Act) -> Echoes:
+        """Beamlets that meet the ground within the disc."""
+        instrument, shape = self._scenario.instrument, echoes.range_m.shape
+        footprint = sample_footprint(
+            act.pointing.sensor_site_m.reshape(-1, 3),
+            act.pointing.true_site.reshape(-1, 3),
+            act.axis_hits.range_m.reshape(-1),
+            self._beamlets,
+            instrument.optics.waist_radius_m,
+            instrument.waveform.wavelength_m,
+        )
+        start_m, ray = (a.reshape(*shape, 3) for a in (footprint.start_site_m, footprint.ray_site))
+        east_m, north_m = (start_m[..., k] + echoes.range_m * ray[..., k] for k in range(2))
+        away_m = np.hypot(east_m - act.fault.centre_m[0], north_m - act.fault.centre_m[1])
+        within = act.hit[..., None] & (away_m <= act.fault.radius_m)
+        ratio = act.fault.reflectance / self._scenario.site.surface.reflectance
+        return replace(echoes, power_w=np.where(within, ratio * echoes.power_w, echoes.power_w))
+
+    def _cluttered(self, echoes: Echoes, act: _Act) -> Echoes:
+        """One more beamlet, which rides along with the sensor. It shares the beam's speckle, and its motion within a
+        measurement: metres per second squared, over less than a millisecond."""
+        fault, site = act.fault, self._scenario.site
+        surface = site.surface.model_copy(update={"reflectance": fault.reflectance})
+        power_w = coherent_power_w(self._scenario.instrument, surface, site.atmosphere, fault.range_m, 1.0)
+        hit = act.hit[..., None]
+
+        def joined(ground: FloatArray, structure: float, elsewhere: float) -> FloatArray:
+            return np.concatenate([ground, np.where(hit, structure, elsewhere)], axis=-1)
+
+        ground_w = np.where(hit, (1.0 - fault.share) * echoes.power_w, echoes.power_w)
+        return replace(
+            echoes,
+            range_m=joined(echoes.range_m, fault.range_m, np.nan),
+            closing_speed_mps=joined(echoes.closing_speed_mps, 0.0, 0.0),
+            power_w=joined(ground_w, fault.share * float(power_w), 0.0),
+            range_rate_mps=joined(echoes.range_rate_mps, 0.0, 0.0),
+        )
+
+
+def _faded(echoes: Echoes, act: _Act) -> Echoes:
+    factor = 10.0 ** (-act.fault.loss_db * act.size / 10.0)
+    return replace(echoes, power_w=np.where(act.hit, factor, 1.0)[..., None] * echoes.power_w)

@@ -1,0 +1,89 @@
+"""Faults of the receiver: beams that they hit are measured by another one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.arrays import BoolArray
+from lidar_emu.faults.schedule import Ordered
+from lidar_emu.fmcw.build import build_receiver
+from lidar_emu.fmcw.model import ReceiverModel
+from lidar_emu.fmcw.receiver import Receiver
+from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.fmcw.variants import decimated, noisier, on_wrong_branch, without_segments
+from lidar_emu.levels import Level
+from lidar_emu.scenario import faults as kinds
+from lidar_emu.scenario.schema import FlightScenario
+
+
+class FaultyReceivers:
+    """A level of the receiver in which things go wrong.
+
+    All receivers share one set of kernels, and chance: a beam that no fault hits is measured as without any.
+
+    Args:
+        ordered: the faults with their schedules, in the order in which they act.
+        scenario: of level `statistical` or `spectral`.
+        sound: the level without faults.
+    """
+
+    def __init__(self, ordered: Sequence[Ordered], scenario: FlightScenario, sound: Level) -> None:
+        self._ordered = ordered
+        self._scenario = scenario
+        statistical = scenario.level == "statistical"
+        self._model = build_receiver(scenario.instrument, scenario.site, scenario.exact, statistical)
+        self._receivers: dict[int, Level] = {0: sound}
+        # Built before the run, as far as faults act one by one.
+        for bit in range(len(ordered)):
+            self._receiver(1 << bit)
+
+    def __call__(self, echoes: Echoes, shot: NDArray[np.int64]) -> Returns:
+        """The returns of echoes (shots, beams, beamlets) of shots with these numbers, (shots,)."""
+        acting = np.zeros(echoes.fired.shape, dtype=np.int64)
+        for bit, each in enumerate(self._ordered):
+            acting |= each.hit(shot, echoes.fired).astype(np.int64) << bit
+        returns = self._receivers[0](self._only(echoes, acting == 0), shot)
+        for which in np.unique(acting[acting > 0]).tolist():
+            here = acting == which
+            returns = _merged(returns, self._receiver(which)(self._only(echoes, here), shot), here)
+        return returns
+
+    def _only(self, echoes: Echoes, beams: BoolArray) -> Echoes:
+        return echoes if beams.all() else replace(echoes, fired=echoes.fired & beams)
+
+    def _receiver(self, acting: int) -> Level:
+        """The receiver with the faults of these bits."""
+        if acting not in self._receivers:
+            model = self._model
+            for bit, each in enumerate(self._ordered):
+                if acting >> bit & 1:
+                    model = _faulty(model, each.fault, self._scenario)
+            self._receivers[acting] = Receiver(model, self._scenario.seed)
+        return self._receivers[acting]
+
+
+def _faulty(model: ReceiverModel, fault: Any, scenario: FlightScenario) -> ReceiverModel:
+    match fault:
+        case kinds.MissingSegment():
+            return without_segments(model, fault.segments)
+        case kinds.WrongBranch():
+            return on_wrong_branch(model)
+        case kinds.Alias():
+            return decimated(model, fault.decimation)
+        case kinds.FalseAlarms():
+            return noisier(model, scenario.instrument.detection, fault.noise_db)
+    raise ValueError(f"{fault} is no fault of a receiver")
+
+
+def _merged(returns: Returns, others: Returns, where: BoolArray) -> Returns:
+    """The others' beams where they are theirs."""
+    columns: dict[str, Any] = {}
+    for name in (field.name for field in fields(Returns)):
+        own, other = getattr(returns, name), getattr(others, name)
+        columns[name] = np.where(where.reshape(*where.shape, *(1,) * (own.ndim - 2)), other, own)
+    return Returns(**columns)

@@ -1,0 +1,52 @@
+"""Receivers in which something is wrong, as numbers of the same kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from lidar_emu.fmcw.build import followed
+from lidar_emu.fmcw.model import ReceiverModel
+from lidar_emu.fmcw.spectrum import WINDOWS
+from lidar_emu.scenario.instrument import Detection
+
+_SEGMENTS = ("up", "constant", "down")
+
+
+def without_segments(model: ReceiverModel, names: Iterable[str]) -> ReceiverModel:
+    """One that never sees these segments: `up`, `constant`, `down`."""
+    lost = sum(1 << _SEGMENTS.index(name) for name in set(names))
+    return model._replace(lost_segments=model.lost_segments | lost)
+
+
+def on_wrong_branch(model: ReceiverModel) -> ReceiverModel:
+    """One that takes the sign of the Doppler shift for the other one, see `other_branch`."""
+    return model._replace(wrong_branch=True)
+
+
+def decimated(model: ReceiverModel, factor: int) -> ReceiverModel:
+    """One that takes every so-manieth sample, and does not know it.
+
+    The noise of all folds lies in what is left of the band: a tone's SNR falls by the factor, as does the number of
+    bins in which noise can be taken for an echo.
+    """
+    return model._replace(
+        sampled_length=model.sampled_length / factor,
+        snr_per_w=model.snr_per_w / factor,
+        signal_shot_per_w=model.signal_shot_per_w / factor,
+        independent_share=model.independent_share / factor,
+    )
+
+
+def noisier(model: ReceiverModel, detection: Detection, noise_db: float) -> ReceiverModel:
+    """One with so much more noise in all bins, under the threshold that was set before."""
+    ratio = 10.0 ** (noise_db / 10.0)
+    threshold = model.threshold / ratio
+    single = detection.looks == 1
+    return model._replace(
+        threshold=threshold,
+        independent_share=1.0 - followed(WINDOWS[detection.window], threshold) if single else 1.0,
+        snr_per_w=model.snr_per_w / ratio,
+        signal_shot_per_w=model.signal_shot_per_w / ratio,
+        haze=model.haze._replace(snr_per_m=model.haze.snr_per_m / ratio),
+        response=model.response._replace(full_scale=model.response.full_scale / ratio**0.5),
+    )

@@ -1,0 +1,66 @@
+"""What a run has where things are to go wrong; what that needs is imported only there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, Any
+
+from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.run import PortRunner
+from lidar_emu.runtime.run_options import RunOptions
+from lidar_emu.scenario.schema import Scenario
+from lidar_emu.shots import Model
+from lidar_emu.transports.spec import Kind
+from lidar_emu.wire import Encoder
+
+if TYPE_CHECKING:
+    from lidar_emu.faulty_packets import FaultyPackets
+    from lidar_emu.runtime.injector import Injector
+
+
+def packets_on_order(scenario: Scenario, encoder: Encoder, options: RunOptions) -> FaultyPackets | None:
+    """None where no packets go wrong.
+
+    Raises:
+        InputError: a fault is none of this link.
+    """
+    if not scenario.faults:
+        return None
+    from lidar_emu.faulty_packets import faulty_packets
+
+    return faulty_packets(scenario, encoder, options.port.kind is Kind.CAN)
+
+
+def port_on_order(scenario: Scenario, model: Model, options: RunOptions) -> list[dict[str, Any]] | None:
+    """The faults of the port; None where there are none and none can be ordered.
+
+    Raises:
+        InputError: a fault is none of this link, or its time is not that of the clock.
+    """
+    if not (scenario.faults or options.control):
+        return None
+    from lidar_emu.runtime.link_orders import link_orders
+
+    end_ns = None if scenario.live else model.shot_count * scenario.timing.period_ns
+    orders = link_orders(scenario, end_ns, options.pace, options.port.kind is Kind.CAN)
+    return orders if orders or options.control else None
+
+
+def injector(
+    scenario: Scenario,
+    model: Model,
+    encoder: Encoder,
+    options: RunOptions,
+    packet_bytes: tuple[int, int],
+    port: PortRunner,
+    observers: Sequence[Observer],
+) -> AbstractContextManager[Injector | None]:
+    """Where faults are ordered in flight; arguments and errors as of `Injector`."""
+    if options.control is None:
+        return nullcontext()
+    from lidar_emu.runtime.injector import Injector
+
+    return Injector(
+        options.control, scenario, model, encoder, options, packet_bytes, port.order_fault, observers
+    )

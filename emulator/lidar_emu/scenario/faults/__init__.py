@@ -1,0 +1,73 @@
+"""Faults on order: what goes wrong, when, how often and in which beams."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from lidar_emu.scenario.faults.beams import (
+    BeamFault,
+    Bias,
+    Drift,
+    Dropout,
+    FalseInvalid,
+    FalseValid,
+    Frozen,
+    Interval,
+    Noise,
+    Outlier,
+    Scale,
+    Stuck,
+    SwappedBeams,
+    WrongSign,
+)
+from lidar_emu.scenario.faults.link import Babble, BusOff, Disconnect, ErrorFrames, LinkFault, SlowLine
+from lidar_emu.scenario.faults.packets import (
+    BitErrors,
+    BrownOut,
+    Delayed,
+    Doubled,
+    FrozenCounter,
+    Garbage,
+    Lost,
+    OtherUnit,
+    OtherVersion,
+    PacketFault,
+    Reordered,
+    Silence,
+    StalePacket,
+    StampFault,
+    TimeJump,
+    Truncated,
+    WrongCrc,
+    WrongEndian,
+    WrongUnit,
+)
+from lidar_emu.scenario.faults.physics import (
+    Alias,
+    Clutter,
+    FalseAlarms,
+    LaserFade,
+    LightFault,
+    Misalignment,
+    MissingSegment,
+    ReceiverFault,
+    ReflectancePatch,
+    WrongBranch,
+)
+
+__all__ = [
+    "Alias", "Babble", "BeamFault", "Bias", "BitErrors", "BrownOut", "BusOff", "Clutter", "Delayed", "Disconnect",
+    "Doubled", "Drift", "Dropout", "ErrorFrames", "FalseAlarms", "FalseInvalid", "FalseValid", "Fault", "Frozen",
+    "FrozenCounter", "Garbage", "Interval", "LaserFade", "LightFault", "LinkFault", "Lost", "Misalignment",
+    "MissingSegment", "Noise", "OtherUnit", "OtherVersion", "Outlier", "PacketFault", "ReceiverFault",
+    "ReflectancePatch", "Reordered", "Scale", "ScheduledFault", "Silence", "SlowLine", "StalePacket", "StampFault",
+    "Stuck", "SwappedBeams", "TimeJump", "Truncated", "WrongBranch", "WrongCrc", "WrongEndian", "WrongSign",
+    "WrongUnit",
+]  # fmt: skip
+
+ScheduledFault = LightFault | ReceiverFault | BeamFault | StampFault | PacketFault
+"""Those that act on shots; the others act on the port."""
+
+Fault = Annotated[ScheduledFault | LinkFault, Field(discriminator="kind")]

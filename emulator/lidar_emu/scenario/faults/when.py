@@ -1,0 +1,51 @@
+"""When a fault acts, and on which beams: what all kinds have in common."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from lidar_emu.scenario.part import Fraction, NonNegative, Part, unusable
+
+BeamNumber = Annotated[int, Field(ge=0, le=63)]
+
+
+class Ordered(Part):
+    """When a fault acts: in shots that begin within a window, in all of them or by chance."""
+
+    at_s: NonNegative | None = None
+    """Only the first shot that begins at this scenario time or later, in place of a window."""
+    from_s: NonNegative = 0.0
+    """Start of the window, scenario time."""
+    to_s: Annotated[float, Field(gt=0)] | None = None
+    """End of the window: shots that begin then are spared. Left out: the end of the run."""
+    probability: Fraction = 1.0
+    """Of setting in, for each shot (and each beam, where the fault is one of beams) in the window."""
+    lasts_s: Annotated[float, Field(ge=0, le=60)] = 0.0
+    """How long it lasts once it has set in by chance; 0: one shot. It ends with the window."""
+
+    @model_validator(mode="after")
+    def _when_is_clear(self) -> Self:
+        window = self.from_s != 0 or self.to_s is not None
+        if self.at_s is not None and window:
+            raise unusable("at_s", self.at_s, "either at_s, or from_s and to_s")
+        if self.to_s is not None and self.to_s <= self.from_s:
+            raise unusable("to_s", self.to_s, f"more than from_s, {self.from_s:g}")
+        if self.lasts_s > 0 and (self.probability == 1 or self.at_s is not None):
+            raise unusable("lasts_s", self.lasts_s, "only with a probability below 1, and without at_s")
+        return self
+
+
+class OfBeams(Ordered):
+    """A fault of beams, each by its own chance."""
+
+    beams: Annotated[list[BeamNumber], Field(min_length=1)] | None = None
+    """Numbers of the beams, from 0. Left out: all."""
+
+
+class Ramped(OfBeams):
+    """A fault of beams that grows."""
+
+    ramp_s: NonNegative = 0.0
+    """Time from the start of the window in which it grows, evenly, to its full size."""

@@ -1,0 +1,69 @@
+"""Faults of the port in its own process: real processes, real descriptors, a real clock."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.run import PortRunner
+from lidar_emu.transports.faulty_link import LinkOrder
+from lidar_emu.transports.spec import PortSpec
+
+MS = 1_000_000
+PACKETS = [Outgoing(k, 10 * k * MS, bytes([k]) * 20) for k in range(60)]
+
+
+def flown(*orders: dict[str, Any], later: bool = False) -> tuple[list[Report], bytes, PortRunner]:
+    """Sixty packets in 0.6 s through the loopback; what became of them, and what came out."""
+    with PortRunner(slots=64) as runner:
+        runner.start(PortSpec(), [] if later else list(orders))
+        runner.begin(Clock().now_ns() + 20 * MS, 1000 * MS, Pace.WALL)
+        for order in orders if later else ():
+            runner.order_fault(order)
+        for packet in PACKETS:
+            assert runner.push(packet)
+        runner.finish()
+        return runner.reports(), runner.far_end(), runner
+
+
+def order(kind: str, **more: Any) -> dict[str, Any]:
+    return {"number": 0, "kind": kind, "from_ns": 205 * MS, "to_ns": 405 * MS, **more}
+
+
+def joined(reports: list[Report]) -> bytes:
+    return b"".join(PACKETS[report.shot].payload for report in reports if report.fate is Fate.SENT)
+
+
+@pytest.mark.parametrize("later", [False, True])
+def test_disconnect(later: bool) -> None:
+    reports, out, runner = flown(order("disconnect"), later=later)
+    fates = [report.fate for report in reports]
+    assert len(fates) == len(PACKETS)
+    assert set(fates[:20]) == {Fate.SENT}
+    assert set(fates[22:40]) == {Fate.DROPPED_BROKEN}
+    assert out == joined(reports)
+    assert next(event.text for event in runner.told.events) == "link broken: disconnected, as ordered"
+
+
+def test_slow_line_delivers_all_that_it_took() -> None:
+    # 200 bits to a packet, 50 packets a second: half of what comes, until the buffer is full.
+    reports, out, _ = flown(order("slow_line", rate=10_000.0, buffer_bytes=100))
+    assert {report.fate for report in reports} == {Fate.SENT, Fate.DROPPED_FULL}
+    assert out == joined(reports)
+
+
+def test_babble_is_between_whole_packets() -> None:
+    babble = order("babble", rate=3000.0, seed=4)
+    reports, out, _ = flown(babble)
+    noise = LinkOrder(**babble).noise(0, 600)
+    assert {report.fate for report in reports} == {Fate.SENT}
+    for packet in PACKETS:
+        place = out.index(packet.payload)
+        out = out[:place] + out[place + len(packet.payload) :]
+    # The last look within the window may have been some time before its end.
+    assert 300 < len(out) <= 600
+    assert noise.startswith(out)
