@@ -4,21 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from lidar_emu.runtime.realtime import available_cores
-
-_AWAKE_SHARE, _CORES_TO_WAKE = 0.2, 3
-"""What may be spent on truth's being waited for awake; a simulator, the model and the port need a core each for it."""
-
 _SHOTS_AROUND = 2
 """The window opens so many times the time of a shot before truth: room for a rehearsal, and for truth that is early."""
 
 _INERTIA = 8
 """A truth moves the expectation by one part in so many of what it is off by."""
-
-
-def awake_share() -> float:
-    """What share of the time this machine can spare for waiting awake."""
-    return _AWAKE_SHARE if available_cores() >= _CORES_TO_WAKE else 0.0
 
 
 class Window(NamedTuple):

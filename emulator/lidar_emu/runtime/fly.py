@@ -12,7 +12,6 @@ from lidar_emu.device.machine import initial
 from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.rules import device_rules
 from lidar_emu.flight import Flight
-from lidar_emu.runtime.anticipation import awake_share
 from lidar_emu.runtime.child import PortDiedError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.events import EventLog, told
@@ -30,6 +29,7 @@ from lidar_emu.runtime.on_order import injector, packets_on_order, port_on_order
 from lidar_emu.runtime.outbox import Outbox, payload_of
 from lidar_emu.runtime.outcome import Outcome
 from lidar_emu.runtime.pacing import Pace, WhenLate
+from lidar_emu.runtime.realtime import awake_share
 from lidar_emu.runtime.rehearsal import rehearse
 from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.run_options import RunOptions, live_part, start_instant_ns

@@ -15,6 +15,7 @@ from typing import NamedTuple
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _FIFO_PRIORITY = 10
+_AWAKE_SHARE, _CORES_TO_STAY_AWAKE = 0.2, 3
 _ISOLATED = Path("/sys/devices/system/cpu/isolated")
 
 
@@ -75,9 +76,11 @@ def prompt() -> Iterator[None]:
             os.sched_setscheduler(0, *before)
 
 
-def available_cores() -> int:
-    """How many processes of ours can run at a time."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def awake_share() -> float:
+    """Of the time, how much a process may stay awake for what it expects: none where a simulator, the model and the
+    port have less than a core each."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return _AWAKE_SHARE if cores >= _CORES_TO_STAY_AWAKE else 0.0
 
 
 def _reduce_timer_slack() -> bool:

@@ -178,11 +178,8 @@ class PortRunner:
         return None if self._child is None else self._child.pid
 
     def wait(self, until_ns: int, readable: Sequence[int] = (), awake: bool = False) -> None:
-        """Sleep until an instant of the monotonic clock, or until the process says something, the loopback delivers
-        or one of the descriptors is ready.
-
-        Args:
-            awake: see `Clock.wait`.
+        """Sleep, or stay awake, until an instant of the monotonic clock, or until the process says something, the
+        loopback delivers or one of the descriptors is ready. Who stays awake is in a hurry: the process is heard later.
 
         Raises:
             PortDiedError: the process died. What it had reported before can still be fetched, after `close`.
@@ -191,8 +188,7 @@ class PortRunner:
         if self._far_end is not None:
             descriptors.append(self._far_end.fileno())
         ready, _ = self._clock.wait(until_ns, descriptors, awake=awake)
-        # What the caller waits for comes first; what the process says is heard at the latest with its reports.
-        if not set(readable).intersection(ready):
+        if not (awake and set(readable).intersection(ready)):
             self._collect()
 
     def last_packet_pushed(self) -> None:
