@@ -15,7 +15,8 @@ SOURCES = sorted([*(ROOT / "emulator").rglob("*.py"), *(ROOT / "protocol").rglob
 CLOCK_FILE = ROOT / "emulator" / "lidar_emu" / "runtime" / "clock.py"
 CLOCK_READERS = {
     "time.time", "time.time_ns", "time.monotonic", "time.monotonic_ns", "time.perf_counter", "time.perf_counter_ns",
-    "time.sleep", "datetime.now", "datetime.utcnow", "datetime.today", "date.today",
+    "time.process_time", "time.process_time_ns", "time.sleep",
+    "datetime.now", "datetime.utcnow", "datetime.today", "date.today",
 }  # fmt: skip
 GLOBAL_CHANCE = {
     "random.random",

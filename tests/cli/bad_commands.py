@@ -30,6 +30,8 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
     ("set of broken YAML", "run my.yaml --set name=[", ("--set name: line 1", "YAML 1.2")),
     ("set of an endless key", f"run my.yaml --set {_ENDLESS}=1", ("--set: a.a.a", "1000 steps", "32")),
     ("set of a site for a pattern", "run my.yaml --set site=flat", ("--set: site: 'flat'", "bench_pattern")),
+    ("set of an address without host", "run live.yaml --set trajectory.listen=udp::5600",
+     ("--set: trajectory.listen: 'udp::5600'", "allowed: udp:HOST:PORT, e.g. udp:127.0.0.1:5600", "unix:PATH")),
     ("duration below zero", "run my.yaml --duration -1", ("--duration: -1 ", "greater than 0")),
     ("duration nan", "run my.yaml --duration nan", ("--duration: 'nan'", "a number")),
     ("broken duration", "run my.yaml --duration [", ("--duration: ", "YAML 1.2")),

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from lidar_emu.cli.far_end import Decoder, Screen
+from lidar_emu.cli.plan import plan
 from lidar_emu.scenario.load import load
 from lidar_emu.shots import simulate
 from lidar_emu.wire import Encoder
@@ -73,3 +74,31 @@ def test_an_interrupted_run_proves_nothing(tmp_path: Path) -> None:
     run.communicate()
     assert run.returncode == 1
     assert json.loads((tmp_path / "s.json").read_text())["interrupted"] is True
+
+
+@pytest.mark.parametrize(
+    ("settings", "late", "dies"),
+    [
+        ([], "100 ms late is skipped", "the other one ends the run"),
+        (
+            ["timing.when_late=abort", "timing.late_after_s=0.002"],
+            "2 ms late ends the run",
+            "the other one ends the run",
+        ),
+        (["timing.when_process_dies=safe"], "100 ms late is skipped", "by mode safe, and ends the run"),
+    ],
+)
+def test_a_plan_tells_what_a_run_does_when_something_goes_wrong(
+    settings: list[str], late: str, dies: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = [word for setting in settings for word in ("--set", setting)]
+    for as_json in ([], ["--json"]):
+        plan.main(["bench.yaml", *options, *as_json], standalone_mode=False)
+        told = capsys.readouterr().out
+        policies = (
+            json.loads(told)["policies"]
+            if as_json
+            else dict(line.split(": ") for line in told.splitlines()[-2:])
+        )
+        assert policies["timing.when_late"].endswith(late)
+        assert policies["timing.when_process_dies"].endswith(dies)

@@ -1,8 +1,7 @@
-"""How runs end before their time: by the user, by the system, by the death of one of the two processes."""
+"""How runs end before their time: by the user, or by the system."""
 
 from __future__ import annotations
 
-import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import handwritten
 import pytest
 from comparison import assert_equal
-from programs import FarEnd, Program, eventually, is_running, read_summary
+from programs import FarEnd, Program, is_running, read_summary
 
 from lidar_emu.measurement import Measurement
 
@@ -57,26 +56,6 @@ def test_a_signal_while_the_start_is_awaited(start: Start, tmp_path: Path) -> No
     run.signal(signal.SIGINT)
     run.succeed()
     assert read_summary(tmp_path / "s.json")["shots"]["due"] == 0
-
-
-@pytest.mark.parametrize("options", [[], ["--port", "pty"]])
-def test_the_death_of_the_port_process_is_one_line(options: list[str], start: Start, tmp_path: Path) -> None:
-    run = start("run", "descent.yaml", *options, "--record", "r.mcap")
-    port = run.port_process()
-    run.word_after("descent on ")
-    os.kill(port, signal.SIGKILL)
-    assert run.wait() == 1
-    assert run.err == "lidar-emu: the port process ended (signal 9)\n"
-    assert (tmp_path / "r.mcap").stat().st_size > 0
-
-
-def test_the_port_process_does_not_outlive_a_killed_run(start: Start, far_end: FarEnd) -> None:
-    run = start("run", "descent.yaml", "--port", far_end.path, "--baud", "921600")
-    port = run.port_process()
-    far_end.wait_for(144)
-    run.process.kill()
-    assert run.wait() == -signal.SIGKILL
-    eventually(lambda: not is_running(port), 10)
 
 
 def test_a_port_that_is_not_there(start: Start) -> None:

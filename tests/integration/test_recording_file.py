@@ -22,6 +22,7 @@ from programs import Program, eventually
 from lidar_emu.measurement import Measurement
 
 TOPICS = {"/truth", "/measurement", "/packet", "/fate"}
+README = Path(__file__).resolve().parents[2] / "README.md"
 MAGIC_BYTES = 8
 MESSAGE = 0x05
 
@@ -93,6 +94,28 @@ def test_a_cut_recording_holds_everything_before_the_cut(recording: bytes, share
     count = sum(end <= cut for end in message_ends(recording))
     assert count > 0.05 * len(whole)
     assert read == whole[:count]
+
+
+def test_a_recording_that_was_cut_by_kill_9_opens_as_the_readme_says(
+    start: Start, simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flight = tmp_path / "flight.mcap"
+    run = start("run", "descent.yaml", "--record", "flight.mcap")
+    eventually(lambda: flight.exists() and flight.read_bytes().count(b'"range_m"') > 20)
+    run.process.kill()
+    run.wait()
+    with pytest.raises(McapError), flight.open("rb") as stream:
+        list(make_reader(stream).iter_messages())
+    (snippet,) = (code for code in README.read_text().split("```") if "NonSeekingReader" in code)
+    monkeypatch.chdir(tmp_path)
+    told: dict[str, Any] = {}
+    exec(snippet.removeprefix("python\n"), told)
+    shots = [message["shot"][0] for message in told["messages"]]
+    assert len(shots) > 20
+    expected = simulated("descent.yaml")
+    assert shots == expected.shot[: len(shots)].tolist()
+    ranges_m = np.array([message["range_m"] for message in told["messages"]], dtype=np.float64)
+    np.testing.assert_array_equal(ranges_m, expected.range_m[: len(shots)])
 
 
 def test_a_recording_of_a_run_that_died_is_whole(start: Start, tmp_path: Path) -> None:

@@ -117,7 +117,7 @@ def test_a_killed_port_process_ends_the_parent_with_an_error(start: Start) -> No
     os.kill(child, signal.SIGKILL)
     _, errors = parent.communicate()
     assert parent.returncode == 1
-    assert "RunError: the port process ended (signal 9)" in errors
+    assert "PortDiedError: the port process ended (signal 9)" in errors
 
 
 @pytest.mark.parametrize("closed", [(0,), (1,), (0, 1), (0, 1, 2)])

@@ -236,6 +236,21 @@ def test_a_command_is_followed_from_the_next_shot_that_can_be_made(commanded_ms:
     assert arrived_ns <= begins_ns <= arrived_ns + PERIOD_NS + 23 * MS
 
 
+@pytest.mark.parametrize(("room", "computed"), [(100, 1 + 1 + 2 + 4 + 8 + 16), (10, 1 + 1 + 2 + 4 + 8)])
+def test_without_a_given_start_the_run_begins_once_shots_are_there(room: int, computed: int) -> None:
+    """A model that needs 10 ms for a shot, in blocks of 1, 2, 4, ...: until 250 ms are over, or the ring is full."""
+    world = World(200)
+    world.room = room
+    world.stalls = dict.fromkeys(range(1, 200), 10 * MS)
+    begun: list[tuple[int, int]] = []
+    at_work = desk(world)._replace(begin=lambda start_ns: begun.append((start_ns, len(world.computed))))
+    first = block_of(world, 1)
+    asked_ns = world.now
+    AheadFeed(at_work, first, 30, None, PERIOD_NS, Pace.WALL).fly()
+    assert begun == [(asked_ns + 10 * MS * (computed - 1) + 100 * MS, computed)]
+    assert [shot for shot, _ in world.sent] == list(range(200))
+
+
 def test_two_commands_at_once_and_one_at_the_end() -> None:
     world = World(200)
     instants = [START_NS + t * MS for t in (1000, 1001, 9990)]

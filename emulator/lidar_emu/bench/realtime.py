@@ -220,18 +220,17 @@ class _Beside(Observer):
         self.packet_bytes = 0
         self.delimiters = 1
 
+    def computed(self, block: Block) -> None:
+        """With the first shots it is known what the control has to write."""
+        if self._first_due_ns is None:
+            payload = payload_of(block.packets[0])
+            self.packet_bytes, self.delimiters = len(payload), payload.count(0)
+            self._first_due_ns = int(block.measurement.due_ns[0])
+
     def opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
-        """Open the far end of the emulator's pty."""
+        """Open the far end of the emulator's pty; the start is known, and so is when the control has to write."""
         self._reader.tell(path=port)
         self._reader.hear()
-
-    def computed(self, block: Block) -> None:
-        """With the first shots it is known what the control has to write, and when."""
-        if self._first_due_ns is not None:
-            return
-        payload = payload_of(block.packets[0])
-        self.packet_bytes, self.delimiters = len(payload), payload.count(0)
-        self._first_due_ns = int(block.measurement.due_ns[0])
         self._control.tell(
             packet_bytes=self.packet_bytes,
             start_ns=self._run.start_ns,
@@ -243,7 +242,7 @@ class _Beside(Observer):
 
     def received_ns(self) -> IntArray:
         """Instants of the emulator's delimiters at the far end, on the monotonic clock."""
-        return self._reader.finish()[0] if self._first_due_ns is not None else _NOTHING
+        return self._reader.finish()[0] if self._run.start_ns is not None else _NOTHING
 
     def control_side(self) -> Side:
         """What the control and its reader noted."""

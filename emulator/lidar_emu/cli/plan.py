@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+from typing import TYPE_CHECKING
 
 import click
 
 from lidar_emu.cli.options import load_scenario, scenario_options
+
+if TYPE_CHECKING:
+    from lidar_emu.scenario.schema import Timing
 
 
 @click.command(short_help="What a run computes and what it leaves out, with reasons.")
@@ -30,12 +34,12 @@ def plan(
 
     flown = load_scenario(scenario, duration, seed, settings, exact)
     decisions = build_model(flown).plan.decisions
+    policies = _policies(flown.timing)
     if as_json:
         from dataclasses import asdict
 
-        click.echo(
-            json.dumps({"scenario": flown.name, "decisions": [asdict(d) for d in decisions]}, indent=2)
-        )
+        told = {"scenario": flown.name, "decisions": [asdict(d) for d in decisions], "policies": policies}
+        click.echo(json.dumps(told, indent=2))
         return
     from rich.console import Console
     from rich.table import Table
@@ -46,3 +50,19 @@ def plan(
     for d in decisions:
         table.add_row(d.stage, "yes" if d.computed else "left out", d.how, d.reason, d.bound)
     Console().print(table)
+    click.echo("\n".join(f"{key}: {meaning}" for key, meaning in policies.items()))
+
+
+def _policies(timing: Timing) -> dict[str, str]:
+    """What `lidar-emu run` does when something goes wrong, by the key of the scenario that says so."""
+    late = f"a packet that is {timing.late_after_ns * 1e-6:g} ms late "
+    when_late = {"skip": f"{late}is skipped", "abort": f"{late}ends the run"}
+    dies = "if the process of the model or of the port dies, the other one "
+    when_process_dies = {
+        "end": f"{dies}ends the run",
+        "safe": f"{dies}says so by mode safe, and ends the run",
+    }
+    return {
+        "timing.when_late": when_late[timing.when_late],
+        "timing.when_process_dies": when_process_dies[timing.when_process_dies],
+    }

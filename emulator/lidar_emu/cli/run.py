@@ -19,8 +19,8 @@ from lidar_emu.report.whole_file import check_destination
 from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
-    from lidar_emu.runtime.fly import Outcome
     from lidar_emu.runtime.observer import Observer
+    from lidar_emu.runtime.outcome import Outcome
     from lidar_emu.scenario.schema import BenchScenario, FlightScenario
     from lidar_emu.transports.spec import PortSpec
 
@@ -40,8 +40,8 @@ _FAILURES = ("late", "dropped")
 )
 @click.option("--record", metavar="FILE", help="Keep truth, measurements and packets (MCAP).")
 @click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
-@click.option("--fail-on", metavar="LIST", default="",
-              help="Exit 1 if shots were late or dropped (late,dropped), or the run was cut short.")  # fmt: skip
+@click.option("--fail-on", metavar="WHAT", default="",
+              help="Exit 1 if shots were late, or dropped (late,dropped: either), or Ctrl-C cut it short.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON, nothing else.")
 def run(
     scenario: str,
@@ -100,8 +100,8 @@ def run(
         this_run = Run(flown, model, options, observers)
     if port.kind is not Kind.LOOPBACK and sys.stderr is not None and sys.stderr.isatty():
         observers.append(Progress(this_run.tally))
-    if this_run.warning is not None:
-        click.echo(f"lidar-emu: warning: {this_run.warning}", err=True)
+    for warning in this_run.warnings:
+        click.echo(f"lidar-emu: warning: {warning}", err=True)
     recorder = None
     if record is not None:
         from lidar_emu.recording.write import Recorder

@@ -32,6 +32,14 @@ class Announcer(Observer):
         """The port is open under this name."""
         say(f"{self._name} on {port}, pace {self._pace}, from {start:%Y-%m-%d %H:%M:%S} UTC; Ctrl-C ends it")
 
+    def noticed(self, time_ns: int, what: str) -> None:
+        """A process stands still, or goes on."""
+        say(_at(time_ns * 1e-9, what))
+
+
+def _at(time_s: float, what: str) -> str:
+    return f"{time_s:.3f} s: {what}"
+
 
 class Progress(Observer):
     """A line on the terminal that says how far the run is."""
@@ -104,13 +112,21 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
         lines.append(f"wire       {told['wire']['sent_bytes']} bytes{load}")
     if any(told["far_end"].values()):
         lines.append(f"far end    {counter_line(told['far_end'])}")
-    lines += [f"link       {event['time_s']:.3f} s: {event['what']}" for event in told["link_events"]]
-    if told["link_event_count"] > len(told["link_events"]):
-        lines.append(f"link       {told['link_event_count']} events in all: the first and the last are shown")
+    lines += _events("link", told) + _events("process", told)
+    if told["last_words"] is not None:
+        lines.append(f"last words {told['last_words']}")
     left_out = ", ".join(row["stage"] for row in told["left_out"])
     lines.append(f"left out   {left_out or 'nothing'} (lidar-emu plan says why)")
     if told["interrupted"]:
         lines.append("the run was interrupted")
+    return lines
+
+
+def _events(whose: str, told: dict[str, Any]) -> list[str]:
+    events, count = told[f"{whose}_events"], told[f"{whose}_event_count"]
+    lines = [f"{whose:<10} {_at(event['time_s'], event['what'])}" for event in events]
+    if count > len(events):
+        lines.append(f"{whose:<10} {count} events in all: the first and the last are shown")
     return lines
 
 

@@ -8,6 +8,8 @@ import os
 import select
 import subprocess
 import sys
+from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from lidar_emu.errors import RunError, one_line
@@ -17,20 +19,27 @@ _READ_BYTES = 65536
 _FIRST_NOT_STANDARD = 3
 
 
+class PortDiedError(RunError):
+    """The process that owned the port is no more."""
+
+
 class PortChild:
     """`lidar_emu.runtime.port_process` in a session of its own, where no terminal's Ctrl-C reaches it.
 
     Args:
-        descriptors: what it inherits besides its three standard ones; they stay the caller's.
+        descriptors: what it inherits besides its three standard ones, by name; they stay the caller's.
     """
 
-    def __init__(self, descriptors: tuple[int, ...]) -> None:
+    def __init__(self, descriptors: Mapping[str, int]) -> None:
         self.ended = False
         """Whether it has said its last."""
         self._heard = b""
         self._errors = anonymous_file()
         # In a process that was started without standard descriptors ours may have taken their numbers.
-        copies = tuple(fcntl.fcntl(fd, fcntl.F_DUPFD_CLOEXEC, _FIRST_NOT_STANDARD) for fd in descriptors)
+        copies = {
+            name: fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, _FIRST_NOT_STANDARD)
+            for name, descriptor in descriptors.items()
+        }
         self.inherited = copies
         """The numbers under which it knows `descriptors`."""
         try:
@@ -39,12 +48,12 @@ class PortChild:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._errors,
-                pass_fds=copies,
+                pass_fds=tuple(copies.values()),
                 start_new_session=True,
                 bufsize=0,
             )
         finally:
-            for copy in copies:
+            for copy in copies.values():
                 os.close(copy)
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -62,15 +71,9 @@ class PortChild:
         return self._answers.fileno()
 
     def tell(self, **order: object) -> None:
-        """Give it a line.
-
-        Raises:
-            RunError: it died.
-        """
-        try:
+        """Give it a line. Of its death one hears (`ended`): who tells may be in the middle of something else."""
+        with suppress(BrokenPipeError):
             self._lifeline.write(json.dumps(order).encode() + b"\n")
-        except BrokenPipeError:
-            raise self.death() from None
 
     def hear(self) -> list[dict[str, Any]]:
         """What it has said since the last call; sets `ended` at the end."""
@@ -82,15 +85,23 @@ class PortChild:
             answers += (json.loads(line) for line in lines)
         return answers
 
-    def death(self) -> RunError:
+    def death(self) -> PortDiedError:
         """How it came to its end, with the last line that it wrote about it."""
         status = self._process.wait()
         how = f"signal {-status}" if status < 0 else f"exit code {status}"
         errors = os.pread(self._errors, _READ_BYTES, 0).decode(errors="replace")
-        return RunError(one_line(": ".join([f"the port process ended ({how})", *errors.splitlines()[-1:]])))
+        return PortDiedError(
+            one_line(": ".join([f"the port process ended ({how})", *errors.splitlines()[-1:]]))
+        )
 
-    def hang_up(self) -> None:
-        """Cut the lifeline: it closes the port and ends."""
+    def hang_up(self, in_order: bool) -> None:
+        """Cut the lifeline: it closes the port and ends.
+
+        Args:
+            in_order: False: first it says its last words.
+        """
+        os.set_blocking(self._lifeline.fileno(), False)  # it may hang, with a full pipe
+        self.tell(end=in_order)
         self._lifeline.close()
 
     def kill(self) -> None:

@@ -20,6 +20,10 @@ class Clock:
         """The monotonic clock."""
         return time.monotonic_ns()
 
+    def computed_ns(self) -> int:
+        """How long this process has had a processor, all its threads together."""
+        return time.process_time_ns()
+
     def utc_now(self) -> datetime:
         """The wall clock, with its time zone UTC."""
         return datetime.now(UTC)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 _KEPT_AT_EACH_END = 10
 
@@ -15,6 +17,14 @@ class LinkEvent:
     time_ns: int
     """From the start of the run."""
     text: str
+
+
+def told(whose: str, count: int, events: Sequence[LinkEvent]) -> dict[str, Any]:
+    """Events under the names of the summary file."""
+    return {
+        f"{whose}_event_count": count,
+        f"{whose}_events": [{"time_s": event.time_ns * 1e-9, "what": event.text} for event in events],
+    }
 
 
 class EventLog:

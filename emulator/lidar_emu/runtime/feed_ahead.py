@@ -10,6 +10,8 @@ from lidar_emu.runtime.pacing import Pace
 from lidar_emu.runtime.packets import Outgoing
 from lidar_emu.session import Block
 
+_LEAD_NS = 100_000_000
+_HEAD_START_NS = 250_000_000
 _REACTION_NS = 3_000_000
 """What it takes to compute the first shot after a command, and to tell the port: no packet that is due sooner is
 changed."""
@@ -21,17 +23,18 @@ class AheadFeed:
     Args:
         first: the block that has been computed already.
         block_shots: the longest further one.
-        start_ns: instant of the monotonic clock at scenario time 0.
+        start_ns: instant of the monotonic clock at scenario time 0; None: once some shots are computed.
         period_ns: from shot to shot.
     """
 
     def __init__(
-        self, desk: Desk, first: Block, block_shots: int, start_ns: int, period_ns: int, pace: Pace
+        self, desk: Desk, first: Block, block_shots: int, start_ns: int | None, period_ns: int, pace: Pace
     ) -> None:
         self._desk = desk
         self._first = first
         self._longest = self._next_length = block_shots
-        self._start_ns = start_ns
+        self._start_ns = 0 if start_ns is None else start_ns
+        self._starts_soon = start_ns is None
         self._period_ns = period_ns
         self._pace = pace
         self._latency_ns = int(first.measurement.due_ns[0])
@@ -41,11 +44,30 @@ class AheadFeed:
     def fly(self) -> None:
         """See `Feed`."""
         desk = self._desk
-        desk.begin(self._start_ns)
         self._waiting.extend(desk.outbox.announce(self._first))
+        if self._starts_soon:
+            self._get_ahead()
+            self._start_ns = desk.clock.now_ns() + _LEAD_NS
+        desk.begin(self._start_ns)
         while not desk.interrupted() and self._go_on():
             desk.outbox.settle()
         desk.finish()
+
+    def _get_ahead(self) -> None:
+        """So that the run does not begin with a model that is just about as fast as its shots are due."""
+        if self._pace is not Pace.WALL:
+            return
+        until_ns, self._next_length = self._desk.clock.now_ns() + _HEAD_START_NS, 1
+        while not self._desk.interrupted():
+            while self._waiting and self._desk.outbox.push(self._waiting[0]):
+                self._waiting.popleft()
+            if (
+                self._waiting
+                or self._desk.clock.now_ns() >= until_ns
+                or (block := self._next_block()) is None
+            ):
+                return
+            self._waiting.extend(self._desk.outbox.announce(block))
 
     def _go_on(self) -> bool:
         """Do the next thing; False if there is nothing left to do."""

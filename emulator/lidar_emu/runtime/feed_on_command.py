@@ -13,6 +13,9 @@ from lidar_emu.errors import InputError
 from lidar_emu.runtime.feed import POLL_NS, Desk, Feed
 from lidar_emu.runtime.housekeeper import Housekeeper
 
+_LEAD_NS = 100_000_000
+"""From the command to scenario time 0."""
+
 
 def waiting_device(rules: Rules) -> DeviceNow:
     """The device before the flight: times count from power-up, and nothing happens to it that the scenario dates."""
@@ -27,7 +30,6 @@ class OnCommandFeed:
     Args:
         device: see `waiting_device`.
         rules: of the device in flight.
-        lead_ns: from the command to scenario time 0.
         flight: given scenario time 0 on the monotonic clock, the feed of the shots from there on.
 
     Raises:
@@ -40,7 +42,6 @@ class OnCommandFeed:
         device: DeviceNow,
         rules: Rules,
         housekeeper: Housekeeper | None,
-        lead_ns: int,
         flight: Callable[[int], Feed],
     ) -> None:
         if desk.commands is None:
@@ -50,7 +51,6 @@ class OnCommandFeed:
         self._device = device
         self._rules = rules
         self._housekeeper = housekeeper
-        self._lead_ns = lead_ns
         self._flight = flight
 
     def fly(self) -> None:
@@ -58,7 +58,7 @@ class OnCommandFeed:
         powered_ns = self._desk.clock.now_ns()
         if not self._wait_for_command(powered_ns):
             return
-        start_ns = self._desk.clock.now_ns() + self._lead_ns
+        start_ns = self._desk.clock.now_ns() + _LEAD_NS
         state = self._device.begin_flight(self._rules, start_ns - powered_ns)
         if self._housekeeper is not None:
             self._housekeeper.begin_flight()

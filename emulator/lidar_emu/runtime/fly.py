@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import gc
-from contextlib import nullcontext, suppress
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from datetime import datetime, timedelta
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -14,29 +14,32 @@ from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.rules import device_rules
 from lidar_emu.errors import InputError
 from lidar_emu.flight import Flight
+from lidar_emu.runtime.child import PortDiedError
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.events import EventLog, told
 from lidar_emu.runtime.feed import Desk, Feed
-from lidar_emu.runtime.feed_ahead import AheadFeed
 from lidar_emu.runtime.feed_live import LiveFeed
 from lidar_emu.runtime.feed_lockstep import LockstepFeed
 from lidar_emu.runtime.feed_on_command import OnCommandFeed, waiting_device
 from lidar_emu.runtime.front import Front, open_front
+from lidar_emu.runtime.last_words import last_words_of
 from lidar_emu.runtime.late_ends import LateEnds
 from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.on_order import injector, packets_on_order, port_on_order
 from lidar_emu.runtime.outbox import Outbox, payload_of
+from lidar_emu.runtime.outcome import Outcome
 from lidar_emu.runtime.pacing import Pace, WhenLate
-from lidar_emu.runtime.rehearsal import rehearse
 from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.run_options import RunOptions, live_part
+from lidar_emu.runtime.shots_ahead import ShotsAhead
 from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import Tally, expectation
 from lidar_emu.runtime.truth_socket import TruthSocket
 from lidar_emu.runtime.truth_source import TruthSource
 from lidar_emu.runtime.voice import Voice
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.session import Block, Session
+from lidar_emu.session import Session
 from lidar_emu.shots import FlightModel, Model
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.transports.spec import Kind
@@ -48,23 +51,8 @@ if TYPE_CHECKING:
 
 LOOK_AHEAD_S = 2.0
 _BLOCK_S = 0.25
-_LEAD_NS = 100_000_000
 _PACKET_ROOM_BYTES = 8192
 _STUFFING_BYTES = 256
-
-
-@dataclass
-class Outcome:
-    """What is known at the end of a run."""
-
-    tally: Tally
-    details: dict[str, Any]
-    error: str | None
-    """Why the run ended early, if that is an error."""
-
-    def to_json(self) -> dict[str, Any]:
-        """The summary file."""
-        return {**self.details, **self.tally.to_json()}
 
 
 class Run:
@@ -96,10 +84,10 @@ class Run:
         self._clock = clock or Clock()
         self._live = live_part(scenario, options)
         rate_hz = scenario.timing.rate_hz
-        self._block_shots = max(1, min(128, round(rate_hz * _BLOCK_S)))
+        block_shots = max(1, min(128, round(rate_hz * _BLOCK_S)))
         port = options.port
         self._encoder = encoder = Encoder(scenario.wire, port.kind is Kind.CAN, port.fd, model.beam_count)
-        self._slots = max(2 * self._block_shots, round(rate_hz * LOOK_AHEAD_S))
+        self._slots = max(2 * block_shots, round(rate_hz * LOOK_AHEAD_S))
         faulty = packets_on_order(scenario, encoder, options)
         beams, patterns = model.beam_count, model.pattern_count
         self._rules = rules = device_rules(scenario.device, rate_hz, beams, patterns, scenario.laser_power_w)
@@ -107,13 +95,15 @@ class Run:
         self._session = Session(model, encoder, self._slots + 1, faulty, rules)
         self._port_faults = port_on_order(scenario, model, options)
         # The first block is computed before the run: kernels are compiled, and the packets' length is known.
-        self._first = self._first_block(encoder)
-        longest = max((payload_of(packet) for packet in encoder.packets(self._first.measurement)), key=len)
+        known = self._live is None and not options.on_command
+        self._ahead = ShotsAhead(self._session, model, encoder, block_shots, options.pace, known)
+        longest = max(
+            (payload_of(packet) for packet in encoder.packets(self._ahead.first.measurement)), key=len
+        )
         faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
         self._packet_room_bytes = max(_PACKET_ROOM_BYTES, faulty_bytes + _STUFFING_BYTES)
         self._packet_bytes = len(longest), self._packet_room_bytes - _STUFFING_BYTES
         self._injector: Injector | None = None
-        self.warning = check_wire_load(port, longest, rate_hz)
         self._wire_load = wire_load(port, longest, rate_hz)
         self._opening = True
         self._interrupted = False
@@ -124,13 +114,18 @@ class Run:
         self._error: str | None = None
         self.tally = Tally(options.pace)
         self._expected = expectation(scenario, model)
+        self._process_events = EventLog()
+        self._last_words = last_words_of(scenario, encoder.interface, port, self.tally)
+        warnings = check_wire_load(port, longest, rate_hz), self._last_words and self._last_words.warning
+        self.warnings = [warning for warning in warnings if warning]
+        """What the user should know before the run."""
 
     def fly(self) -> Outcome:
         """Run to the end, or until SIGINT (Ctrl-C), SIGTERM or SIGHUP, which end the run as cleanly.
 
         Raises:
             InputError: the port or the truth's address cannot be opened, or the start lies in the past.
-            RunError: the port's process died.
+            RunError: the port's process did not start. If it dies later, the run ends with its summary.
         """
         stolen = steal_ticks()
         gc.freeze()  # a collection in mid-flight need not look at all that was built for it
@@ -138,7 +133,7 @@ class Run:
         with (
             truth_address as socket,
             on_signals(self._interrupt),
-            PortRunner(2 * self._slots, self._packet_room_bytes) as port,
+            PortRunner(2 * self._slots, self._packet_room_bytes, self._noticed) as port,
             injector(
                 self._scenario,
                 self._model,
@@ -155,7 +150,8 @@ class Run:
             with suppress(KeyboardInterrupt):
                 self._description = port.start(self._options.port, self._port_faults)
                 self._opening = False
-                self._feed(port, outbox, source, front).fly()
+                with self._outliving_the_port():
+                    self._feed(port, outbox, source, front).fly()
             port.close()
             outbox.close()
             front.close()
@@ -169,26 +165,28 @@ class Run:
         wire = Voice(self._encoder.interface, self._scenario.wire.unit, can, outbox.send_now)
         front = open_front(wire, self._device, self._can_date, self.tally, watching)
         judge = LateEnds(self._fail) if self._scenario.timing.when_late == "abort" else None
-        ours = (source, judge, front.housekeeper)
+        ours = (source, judge, self._last_words, front.housekeeper)
         watching += [observer for observer in ours if observer is not None]
         return front, outbox
 
     def _can_date(self, shown_ns: int) -> bool:
         """Whether packets can tell the time to the end of the run, once the clock has been set to this."""
         run_ns = self._model.shot_count * self._model.period_ns
-        return self._encoder.can_date(self._first.measurement, shown_ns + run_ns)
+        return self._encoder.can_date(self._ahead.first.measurement, shown_ns + run_ns)
 
-    def _first_block(self, encoder: Encoder) -> Block:
-        if self._live is not None or self._options.on_command:
-            return rehearse(self._model, encoder)
-        if not self._session.device.measures:
-            rehearse(self._model, encoder)
-        return self._computed()
+    @contextmanager
+    def _outliving_the_port(self) -> Iterator[None]:
+        try:
+            yield
+        except PortDiedError as death:
+            self._fail(str(death))
+            if self._last_words is not None:
+                self._last_words.say(self._options.port, self._clock)
 
-    def _computed(self) -> Block:
-        block = self._session.shoot(self._block_shots)
-        assert block is not None
-        return block
+    def _noticed(self, time_ns: int, what: str) -> None:
+        self._process_events.add(self._process_events.count + 1, time_ns, what)
+        for observer in self._observers:
+            observer.noticed(time_ns, what)
 
     def _source(self, socket: TruthSocket | None, watching: list[Observer]) -> TruthSource | None:
         if socket is None or self._live is None:
@@ -214,22 +212,16 @@ class Run:
         self._announce(f"truth on {self._live.listen}")
         if self._options.pace is Pace.LOCKSTEP:
             return LockstepFeed(desk, source, self._flight)
-        start = self._options.start
-        start_ns = None if start is None else self._start_ns(start)
-        return LiveFeed(desk, source, self._flight, self._live, start_ns, self._scenario.timing.late_after_ns)
+        late_after_ns = self._scenario.timing.late_after_ns
+        return LiveFeed(desk, source, self._flight, self._live, self._start_ns, late_after_ns)
 
     def _planned_feed(self, desk: Desk, front: Front) -> Feed:
-        fly_from = partial(self._ahead, desk)
+        fly_from = partial(self._ahead.feed, desk)
         if not self._options.on_command:
-            return fly_from(self._start_ns(self._options.start))
-        feed = OnCommandFeed(desk, self._device, self._rules, front.housekeeper, _LEAD_NS, fly_from)
+            return fly_from(self._start_ns)
+        feed = OnCommandFeed(desk, self._device, self._rules, front.housekeeper, fly_from)
         self._announce("set_mode acquire or track")
         return feed
-
-    def _ahead(self, desk: Desk, start_ns: int) -> Feed:
-        first = self._computed() if self._options.on_command else self._first
-        period_ns = self._scenario.timing.period_ns
-        return AheadFeed(desk, first, self._block_shots, start_ns, period_ns, self._options.pace)
 
     def _announce(self, what: str) -> None:
         for observer in self._observers:
@@ -260,12 +252,15 @@ class Run:
             observer.opened(self._description, self._start_utc)
         timing = self._scenario.timing
         port.begin(start_ns, timing.late_after_ns, self._options.pace, WhenLate(timing.when_late))
+        if self._last_words is not None:
+            self._last_words.begin(port.prepare)
 
-    def _start_ns(self, start: datetime | None) -> int:
-        """The start of the run on the monotonic clock."""
-        now_ns, now = self._clock.now_ns(), self._clock.utc_now()
+    @property
+    def _start_ns(self) -> int | None:
+        """The start of the run on the monotonic clock; None if that is for the feed to say."""
+        start, now_ns, now = self._options.start, self._clock.now_ns(), self._clock.utc_now()
         if start is None:
-            return now_ns + _LEAD_NS
+            return None
         if start < now:
             raise InputError("--start", None, start.isoformat(), "allowed: now, or an instant to come")
         return now_ns + (start - now) // timedelta(microseconds=1) * 1000
@@ -286,7 +281,12 @@ class Run:
             "port": port.told.description or str(self._options.port),
             "pace": str(self._options.pace),
             "steal_ticks": None if stolen is None or stolen_now is None else stolen_now - stolen,
-            **port.told.to_json(self._wire_load),
+            "wire": {"load": self._wire_load, **port.told.wire()},
+            "granted": port.told.granted,
+            "missing": port.told.missing,
+            **told("link", port.told.event_count, port.told.events),
+            **told("process", self._process_events.count, self._process_events.since(0)),
+            "last_words": None if self._last_words is None else self._last_words.told,
             **front.to_json(),
             "faults_in_flight": None if self._injector is None else self._injector.to_json(),
             "truth": None if source is None else source.to_json(),

@@ -37,15 +37,6 @@ class LatenessHistogram:
         self.count += 1
         self.max_ns = lateness_ns if self.max_ns is None else max(self.max_ns, lateness_ns)
 
-    def merge(self, other: LatenessHistogram) -> None:
-        """Add the counts of another histogram."""
-        for bucket, count in enumerate(other._counts):
-            if count:
-                self._counts[bucket] += count
-        self.count += other.count
-        if other.max_ns is not None:
-            self.max_ns = other.max_ns if self.max_ns is None else max(self.max_ns, other.max_ns)
-
     def quantile_ns(self, fraction: float) -> int | None:
         """The smallest value that at least `fraction` of all values do not exceed, rounded up to its bucket's
         end (by less than 1/128); None without values."""

@@ -43,5 +43,8 @@ class Observer:
     def report(self, packet: Outgoing, report: Report) -> None:
         """A packet met its fate."""
 
+    def noticed(self, time_ns: int, what: str) -> None:
+        """One of the run's two processes stands still, stood still, or goes on; time from the start of the run."""
+
     def arrived(self, data: bytes) -> None:
         """Bytes at the far end of the in-memory loopback."""

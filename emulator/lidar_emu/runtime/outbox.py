@@ -69,7 +69,7 @@ class Outbox:
         reports = self._port.reports()
         for report in reports:
             if report.fate is Fate.SUPERSEDED:
-                for _ in range(report.sent_ns):
+                for _ in range(report.packets):
                     self._in_flight.popleft()
                 continue
             packet, block, row = self._in_flight.popleft()

@@ -55,6 +55,11 @@ class Report:
 
     SIZE_BYTES = _REPORT.size
 
+    @property
+    def packets(self) -> int:
+        """Of how many packets this tells."""
+        return self.sent_ns if self.fate is Fate.SUPERSEDED else 1
+
     def to_bytes(self) -> bytes:
         """As a ring entry."""
         return _REPORT.pack(self.shot, self.due_ns, self.sent_ns, self.fate, self.woke_ns)

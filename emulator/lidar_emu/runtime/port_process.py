@@ -1,16 +1,19 @@
 """The process that owns the port. It sends what is due and counts what arrives; it imports little.
 
 Started by `PortRunner` with a pipe as standard input, which is its lifeline: at the end of file it closes the
-port and ends, however the parent ended; in mid-run the other end has half a second to fetch what was sent.
+port and ends, however the parent ended; in mid-run the other end has half a second to fetch what was sent. Unless the
+parent had hung up in order, it sends nothing more of what it was given but last words, if it has any.
 Both pipes carry one JSON object per line:
 
-    in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "loopback": fd or null,
-          "faults": [a LinkOrder] or null}           once
+    in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "faults": [a LinkOrder] or null}
+                                                     once; also "loopback": fd, "complaints": fd
          {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ..., "when_late": ...}}    monotonic clock
          {"fault": a LinkOrder}                      one more, if there was a list at the start
          {"finish": true}                            no more packets will come
          {"supersede": [generation, shot, number]}   older packets from this shot, before that entry: not to be sent
          {"send": hex}                               at once; it is no shot
+         {"last_words": hex}                         to be sent if the parent dies
+         {"end": in order}                           before the end of file, unless the parent died; or false: it fails
     out  {"ready": description} or {"refused": [where, key, value, allowed]}
          {"granted": [name], "missing": {name: command}}     what the system gave towards punctuality
          {"arrived": [time_ns, hex]}                 received on the port; lost while the parent does not listen
@@ -22,15 +25,15 @@ Both pipes carry one JSON object per line:
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.answers import Answers
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.lifeline import Lifeline
+from lidar_emu.runtime.orphan import complain, say_last_words, told_of
 from lidar_emu.runtime.pacing import Pace, Pacing, WhenLate
 from lidar_emu.runtime.realtime import become_punctual
 from lidar_emu.runtime.ring import Ring
@@ -55,14 +58,14 @@ def main() -> None:
     """Run until the lifeline ends."""
     # Ctrl-C in a terminal goes to the whole group; what it means is the parent's business.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    lines = _Lines()
-    settings = lines.next_blocking()
+    lifeline = Lifeline(_LIFELINE)
+    settings = lifeline.next_blocking()
     if settings is None:
         return
     clock = Clock()
     answers = Answers(_PARENT, clock)
     spec = PortSpec.from_json(settings["port"])
-    open_port = opener(spec, settings["loopback"])
+    open_port = opener(spec, settings.get("loopback"))
     faulty = None if settings["faults"] is None else _faulty(open_port, spec, settings["faults"], clock)
     try:
         link = Link(faulty or open_port)
@@ -74,9 +77,13 @@ def main() -> None:
     answers.say(ready=link.description)
     try:
         with Ring(settings["packets"]) as packets, Ring(settings["reports"]) as reports:
-            _Port(spec, link, packets, reports, settings["doorbell"], lines, answers, clock, faulty).run()
+            complaint = _Port(
+                spec, link, packets, reports, settings["doorbell"], lifeline, answers, clock, faulty
+            ).run()
     finally:
         link.close()
+    if complaint is not None and "complaints" in settings:
+        complain(settings["complaints"], complaint, clock)
 
 
 class _Port:
@@ -89,7 +96,7 @@ class _Port:
         packets: Ring,
         reports: Ring,
         doorbell: int,
-        lines: _Lines,
+        lifeline: Lifeline,
         answers: Answers,
         clock: Clock,
         faulty: FaultyPort | None,
@@ -99,7 +106,7 @@ class _Port:
         self._packets = packets
         self._reports = reports
         self._doorbell = doorbell
-        self._lines = lines
+        self._lifeline = lifeline
         self._answers = answers
         self._clock = clock
         self._faulty = faulty
@@ -113,9 +120,11 @@ class _Port:
         self._event_count = 0
         self._finishing = False
         self._drain: _Drain | None = None
+        self._last_words = b""
+        self._ends_in_order: bool | None = None
 
-    def run(self) -> None:
-        """Until the lifeline ends."""
+    def run(self) -> str | None:
+        """Until the lifeline ends; returns what the user is to be told if the parent has died."""
         alive = True
         while alive:
             # First what the process woke up for. Whether somebody is at the other end was seen before it slept, and
@@ -127,10 +136,16 @@ class _Port:
             drain_ns = self._drained_or_look_again(wait)
             self._answers.flush()
             alive = self._sleep(wait, drain_ns)
-        if self._sender is not None and (self._drain is None or self._finishing):
+        complaint = "the model's process died: the run has ended" if self._ends_in_order is None else None
+        if self._last_words and not self._ends_in_order:
+            fate = say_last_words(self._link, self._last_words, self._clock)
+            complaint = complaint and f"{complaint}, last words {told_of(fate)}"
+            self._drain_in_haste()
+        elif self._sender is not None and (self._drain is None or self._finishing):
             self._drain_in_haste()
         self._answers.say(stopped=self._counts())
         self._answers.end()
+        return complaint
 
     def _sleep(self, wait: Wait, drain_ns: int | None) -> bool:
         """Sleep until something is to be done, and take what arrived; False at the end of the lifeline."""
@@ -148,7 +163,7 @@ class _Port:
         # Without a descriptor to watch, arrivals are looked for on every round.
         if not self._link.readable or self._link.readable[0] in ready:
             self._receive()
-        return _LIFELINE not in ready or self._lines.obey(self._obey)
+        return _LIFELINE not in ready or self._lifeline.obey(self._obey)
 
     def _obey(self, order: dict[str, Any]) -> None:
         if "begin" in order:
@@ -167,6 +182,8 @@ class _Port:
             self._faulty.order(order["fault"])
         if "finish" in order:
             self._finishing = True
+        self._last_words = bytes.fromhex(order.get("last_words", "")) or self._last_words
+        self._ends_in_order = order.get("end", self._ends_in_order)
         if "send" in order:
             self._say(bytes.fromhex(order["send"]))
         if "supersede" in order and self._sender is not None:
@@ -246,35 +263,6 @@ class _Drain:
             self._busy_ns = now_ns
         # Bytes on their way through a pty are counted nowhere for a moment: it must look empty for a while.
         return now_ns - self._busy_ns >= _SETTLE_NS or now_ns >= self._ends_ns
-
-
-class _Lines:
-    """JSON lines from the lifeline."""
-
-    def __init__(self) -> None:
-        self._buffer = b""
-
-    def next_blocking(self) -> dict[str, Any] | None:
-        """The first line; None at the end of file."""
-        while b"\n" not in self._buffer:
-            data = os.read(_LIFELINE, _PIPE_BYTES)
-            if not data:
-                return None
-            self._buffer += data
-        return self._take()
-
-    def obey(self, act: Callable[[dict[str, Any]], None]) -> bool:
-        """Pass on all lines that have arrived; False at the end of file."""
-        data = os.read(_LIFELINE, _PIPE_BYTES)
-        self._buffer += data
-        while b"\n" in self._buffer:
-            act(self._take())
-        return bool(data)
-
-    def _take(self) -> dict[str, Any]:
-        line, _, self._buffer = self._buffer.partition(b"\n")
-        order: dict[str, Any] = json.loads(line)
-        return order
 
 
 def _faulty(open_port: Opener, spec: PortSpec, faults: list[dict[str, Any]], clock: Clock) -> FaultyPort:

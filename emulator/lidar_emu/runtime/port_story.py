@@ -47,25 +47,14 @@ class PortStory:
         """How many events there were, with those that `events` leaves out."""
         return self._events.count
 
-    def to_json(self, load: float | None) -> dict[str, Any]:
-        """What became of port and link, under the names of the summary file.
-
-        Args:
-            load: how much of the link the shots take.
-        """
+    def wire(self) -> dict[str, int | None]:
+        """What went over the wire, under the names of the summary file."""
         return {
-            "granted": self.granted,
-            "missing": self.missing,
-            "wire": {
-                "load": load,
-                "sent_bytes": self.sent_bytes,
-                "received_bytes": self.received_bytes,
-                "unheard_bytes": self.unheard_bytes,
-                "unsent_answers": self.unsent,
-                **self.noticed,
-            },
-            "link_event_count": self.event_count,
-            "link_events": [{"time_s": event.time_ns * 1e-9, "what": event.text} for event in self.events],
+            "sent_bytes": self.sent_bytes,
+            "received_bytes": self.received_bytes,
+            "unheard_bytes": self.unheard_bytes,
+            "unsent_answers": self.unsent,
+            **self.noticed,
         }
 
     def understand(self, answers: list[dict[str, Any]]) -> None:

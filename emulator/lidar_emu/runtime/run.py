@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Self
 
-from lidar_emu.errors import RunError
+from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.child import PortChild
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.loopback_end import LoopbackEnd
@@ -16,26 +16,31 @@ from lidar_emu.runtime.pacing import Pace, WhenLate
 from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.runtime.port_story import PortStory
 from lidar_emu.runtime.ring import Ring
+from lidar_emu.runtime.watch import Notice, Watch
 from lidar_emu.transports.spec import Kind, PortSpec
 
 _START_LIMIT_NS = 30_000_000_000
 _STOP_LIMIT_NS = 2_000_000_000  # the process itself takes half a second for what is still unread
 _POLL_NS = 2_000_000
 _OPENING_POLL_NS = 100_000_000
+_STANDARD_ERROR = 2
 
 
 class PortRunner:
-    """A port in a process of its own. Leaving its context ends the process, whatever happened.
+    """A port in a process of its own. Leaving its context ends the process, whatever happened; where that is an error
+    of ours, after its last words (see `prepare`).
 
     Order of use: `start`; `begin`, before or after the first `push`; `push` and `reports`; `finish`.
 
     Args:
         slots: packets that the ring holds: the longest look-ahead.
         packet_bytes: the longest packet.
+        notice: told when one of the two processes stood still; see `Watch`.
     """
 
-    def __init__(self, slots: int = 1024, packet_bytes: int = 4096) -> None:
+    def __init__(self, slots: int = 1024, packet_bytes: int = 4096, notice: Notice | None = None) -> None:
         self._clock = Clock()
+        self._watch = Watch(self._clock, notice)
         self._child: PortChild | None = None
         packets_fd = Ring.create(slots, Outgoing.HEAD_BYTES + packet_bytes)
         # Reports are fetched at least once in `slots` packets, and as many can be under way: twice that is never full.
@@ -46,7 +51,7 @@ class PortRunner:
         self._slots, self._uncollected = slots, 0
         doorbell_fd, self._doorbell = os.pipe()
         os.set_blocking(self._doorbell, False)
-        self._passed = (packets_fd, reports_fd, doorbell_fd)
+        self._passed = {"packets": packets_fd, "reports": reports_fd, "doorbell": doorbell_fd}
         self._far_end: LoopbackEnd | None = None
         self._begun = False
         self._closed = False
@@ -59,7 +64,7 @@ class PortRunner:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        self.close(in_order=kind is None or issubclass(kind, InputError | KeyboardInterrupt))
 
     def start(self, spec: PortSpec, faults: list[dict[str, Any]] | None = None) -> str:
         """Start the process and open the port; returns its description.
@@ -72,21 +77,14 @@ class PortRunner:
             InputError: the port cannot be opened.
             RunError: the process did not start.
         """
+        passed = self._passed | _complaints()
         if spec.kind is Kind.LOOPBACK:
             self._far_end = LoopbackEnd()
             with self._far_end.device_end as device_end:
-                self._child = PortChild((*self._passed, device_end.fileno()))
+                self._child = PortChild(passed | {"loopback": device_end.fileno()})
         else:
-            self._child = PortChild(self._passed)
-        packets_fd, reports_fd, doorbell_fd, *loopback_fds = self._child.inherited
-        self._child.tell(
-            port=spec.to_json(),
-            packets=packets_fd,
-            reports=reports_fd,
-            doorbell=doorbell_fd,
-            loopback=next(iter(loopback_fds), None),
-            faults=faults,
-        )
+            self._child = PortChild(passed)
+        self._child.tell(port=spec.to_json(), faults=faults, **self._child.inherited)
         deadline_ns = self._clock.now_ns() + _START_LIMIT_NS
         while not self.told.description:
             if self._clock.now_ns() > deadline_ns:
@@ -108,13 +106,15 @@ class PortRunner:
         self.told.start_ns, self._begun = start_ns, True
         begin = {"start_ns": start_ns, "late_after_ns": late_after_ns, "pace": pace, "when_late": when_late}
         self._running().tell(begin=begin)
+        if pace is Pace.WALL:
+            self._watch.begin(start_ns)
 
     def push(self, packet: Outgoing) -> bool:
         """Hand over a packet, in the order of the due times; False if the ring is full (see `wait`).
 
         Raises:
             ValueError: the packet is longer than `packet_bytes`.
-            RunError: the process died.
+            PortDiedError: as `wait`.
         """
         self._running()
         self._uncollected += 1
@@ -123,31 +123,24 @@ class PortRunner:
         if not self._packets.push(packet.to_bytes()):
             self._collect()
             return False
+        self._watch.pushed(packet.due_ns)
         self._ring()
         return True
 
     def supersede(self, generation: int, from_shot: int) -> None:
-        """Packets of earlier generations are not to be sent any more, from this shot on; they are reported as such.
-
-        Raises:
-            RunError: the process died.
-        """
+        """Packets of earlier generations are not to be sent any more, from this shot on; they are reported as such."""
         self._running().tell(supersede=[generation, from_shot, self._packets.written])
 
     def send_now(self, payload: bytes) -> None:
-        """Send what is no shot, between shots; there is no report.
-
-        Raises:
-            RunError: the process died.
-        """
+        """Send what is no shot, between shots; there is no report."""
         self._running().tell(send=payload.hex())
 
-    def order_fault(self, order: dict[str, Any]) -> None:
-        """One more fault of the port, if there was a list of them at the start.
+    def prepare(self, last_words: bytes) -> None:
+        """What the process is to send, instead of whatever it was given, should ours die; each time anew."""
+        self._running().tell(last_words=last_words.hex())
 
-        Raises:
-            RunError: the process died.
-        """
+    def order_fault(self, order: dict[str, Any]) -> None:
+        """One more fault of the port, if there was a list of them at the start."""
         self._running().tell(fault=order)
 
     def arrivals(self) -> list[tuple[int, bytes]]:
@@ -160,7 +153,7 @@ class PortRunner:
         """What became of packets since the last call, in the order of `push`; also after `close`.
 
         Raises:
-            RunError: the process died.
+            PortDiedError: as `wait`.
         """
         if not self._closed:
             self._collect()
@@ -186,7 +179,7 @@ class PortRunner:
         or one of the descriptors is ready.
 
         Raises:
-            RunError: the process died.
+            PortDiedError: the process died. What it had reported before can still be fetched, after `close`.
         """
         descriptors = [self._running().descriptor, *readable]
         if self._far_end is not None:
@@ -198,7 +191,7 @@ class PortRunner:
         """No more packets will come: `finished` turns true once the process is through with them.
 
         Raises:
-            RunError: the run has not begun, or the process died.
+            RunError: the run has not begun.
         """
         if not self._begun:
             raise RunError("the run has not begun")
@@ -221,29 +214,32 @@ class PortRunner:
         while not self.told.finished:
             self.wait(self._clock.now_ns() + _POLL_NS)
 
-    def close(self) -> None:
+    def close(self, in_order: bool = True) -> None:
         """End the process and give everything back; may be called again.
 
         In mid-run the other end still has half a second to fetch what counts as sent.
+
+        Args:
+            in_order: False: the run fails, and the process says its last words.
         """
         if self._closed:
             return
         self._closed = True
         try:
             if self._child is not None:
-                self._stop(self._child)
+                self._stop(self._child, in_order)
             self._fetch()
         finally:
             self._packets.close()
             self._reports.close()
-            for descriptor in (*self._passed, self._doorbell):
+            for descriptor in (*self._passed.values(), self._doorbell):
                 os.close(descriptor)
             if self._far_end is not None:
                 self._far_end.close()
 
-    def _stop(self, child: PortChild) -> None:
+    def _stop(self, child: PortChild, in_order: bool) -> None:
         try:
-            child.hang_up()
+            child.hang_up(in_order)
             deadline_ns = self._clock.now_ns() + _STOP_LIMIT_NS
             while not child.ended and self._clock.now_ns() < deadline_ns:
                 self._clock.wait(self._clock.now_ns() + _POLL_NS, [child.descriptor])
@@ -258,18 +254,20 @@ class PortRunner:
 
         Raises:
             InputError: it could not open the port.
-            RunError: it died.
+            PortDiedError: it died.
         """
         child = self._running()
         self._fetch()
         self.told.understand(child.hear())
         if child.ended:
             raise child.death()
+        self._watch.look()
 
     def _fetch(self) -> None:
         self._uncollected = 0
         while (entry := self._reports.pop()) is not None:
-            self._fetched.append(Report.from_bytes(entry))
+            self._fetched.append(report := Report.from_bytes(entry))
+            self._watch.reported(report.packets)
         self._drain()
 
     def _drain(self) -> None:
@@ -286,3 +284,12 @@ class PortRunner:
             os.write(self._doorbell, b"\0")
         except BlockingIOError:
             return  # it has rung often enough to be heard
+
+
+def _complaints() -> dict[str, int]:
+    """Standard error, where there is one: a process that survives ours can say so there."""
+    try:
+        os.fstat(_STANDARD_ERROR)
+    except OSError:
+        return {}
+    return {"complaints": _STANDARD_ERROR}

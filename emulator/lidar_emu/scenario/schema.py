@@ -42,6 +42,9 @@ class Timing(Part):
     """A packet later than this is late: not sent, but counted. Left out: one period."""
     when_late: Literal["skip", "abort"] = "skip"
     """After a late packet: `skip` goes on with the next one when that is due; `abort` ends the run (exit code 1)."""
+    when_process_dies: Literal["end", "safe"] = "end"
+    """If the process of the model or of the port dies, the other one ends the run; `safe`: its last packet is
+    housekeeping that says mode safe and laser off, where the interface has that."""
 
     @property
     def period_ns(self) -> int:

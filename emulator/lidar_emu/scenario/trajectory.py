@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 from typing import Annotated, Literal, Self
 
@@ -170,12 +171,15 @@ class Table(Part):
         return self
 
 
+_ADDRESS = r"^(udp:.+:\d{1,5}|unix:.+)$"
+
+
 class Live(Part):
     """Truth from a dynamics simulator, datagram by datagram; see docs/live-truth.md."""
 
     kind: Literal["live"]
     """Chooses this kind of trajectory."""
-    listen: Annotated[str, Field(pattern=r"^(udp:.+:\d{1,5}|unix:.+)$")] = "udp:127.0.0.1:5600"
+    listen: Annotated[str, Field(json_schema_extra={"pattern": _ADDRESS})] = "udp:127.0.0.1:5600"
     """Where truth arrives: `udp:HOST:PORT` or `unix:PATH`, a datagram socket."""
     lead_s: Annotated[float, Field(ge=0, le=10)] = 1e-3
     """How long before its packet is due a shot is computed at the latest, from the truth that is there."""
@@ -186,6 +190,13 @@ class Live(Part):
     Each is counted."""
     jump_m: Positive = 10.0
     """Truth further than this from where the last one was heading is a jump: counted, and not interpolated across."""
+
+    @model_validator(mode="after")
+    def _address_is_one(self) -> Self:
+        if not re.search(_ADDRESS, self.listen):
+            allowed = "udp:HOST:PORT, e.g. udp:127.0.0.1:5600 for this machine alone, or unix:PATH"
+            raise unusable("listen", self.listen, allowed)
+        return self
 
 
 Trajectory = Annotated[Profile | Table | Live, Field(discriminator="kind")]

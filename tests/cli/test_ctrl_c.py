@@ -1,0 +1,71 @@
+"""Ctrl-C before there is a run to end: nothing is printed, and the shell hears 130."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lidar_emu.cli.progress import busy
+
+CTRL_C = "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n"
+# Where Python itself ends by the signal, a shell says 130 as well.
+QUIETLY = {130, -signal.SIGINT}
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments"),
+    [
+        ("click", ["--help"]),
+        ("pydantic", ["run", "bench.yaml"]),
+        ("numba", ["run", "descent.yaml", "--json"]),
+    ],
+)
+def test_while_a_module_is_imported(module: str, arguments: list[str], tmp_path: Path) -> None:
+    (tmp_path / f"{module}.py").write_text(CTRL_C)
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    command = [sys.executable, "-m", "lidar_emu", *arguments]
+    done = subprocess.run(
+        command, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.returncode in QUIETLY
+    assert (done.stdout, done.stderr.strip()) == ("", "")
+
+
+def test_where_ctypes_swallows_it(capfd: pytest.CaptureFixture[str]) -> None:
+    prepared = []
+
+    @ctypes.CFUNCTYPE(None)
+    def called_back() -> None:
+        raise KeyboardInterrupt
+
+    def prepare() -> None:
+        with busy("preparing"):
+            called_back()
+            prepared.append("everything")
+
+    with pytest.raises(KeyboardInterrupt):
+        prepare()
+    assert prepared == ["everything"]
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_else_goes_wrong_in_a_callback_is_told_as_ever() -> None:
+    told: list[object] = []
+
+    @ctypes.CFUNCTYPE(None)
+    def called_back() -> None:
+        raise LookupError("lost")
+
+    before, sys.unraisablehook = sys.unraisablehook, lambda unraisable: told.append(unraisable.exc_type)
+    try:
+        with busy("preparing"):
+            called_back()
+    finally:
+        sys.unraisablehook = before
+    assert told == [LookupError]

@@ -1,0 +1,147 @@
+"""Last words by the interface's own description, read with `struct`; and the ends of the processes that say them."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import struct
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lidar_emu.errors import RunError
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.last_words import LastWords, last_words
+from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.packets import Fate, Outgoing, Report, unpack_frames
+from lidar_emu.runtime.run import PortRunner
+from lidar_emu.runtime.summary import Tally
+from lidar_emu.transports.spec import Kind, PortSpec
+from lidar_protocol import default_interface, shipped_interface
+
+SECOND_NS = 1_000_000_000
+WORDS = b"these are the last words"
+
+
+def unstuffed(frame: bytes) -> bytes:
+    """COBS by its definition: each code byte says how far it is to the next zero."""
+    data, place = b"", 0
+    while place < len(frame):
+        code = frame[place]
+        data += frame[place + 1 : place + code] + (b"\0" if code < 0xFF else b"")
+        place += code
+    return data[:-1]
+
+
+def words_of(tally: Tally, can: bool = False) -> LastWords:
+    return LastWords(default_interface(), 3, can, tally)
+
+
+def test_they_are_a_housekeeping_packet_with_mode_safe_and_the_laser_off() -> None:
+    tally = Tally(Pace.WALL)
+    for fate in (Fate.LATE, Fate.LATE, Fate.DROPPED_FULL):
+        tally.report(Report(0, 0, -1, fate))
+    said = words_of(tally)
+    prepared: list[bytes] = []
+    said.begin(prepared.append)
+    for tenth in range(26):
+        said.report(
+            Outgoing(tenth, tenth * SECOND_NS // 10, b""),
+            Report(tenth, tenth * SECOND_NS // 10, 0, Fate.SENT),
+        )
+    assert len(prepared) == 1 + 2, "once a second"
+    *_, frame, rest = prepared[-1].split(b"\0")
+    assert rest == b""
+    packet = unstuffed(frame)
+    (first,) = struct.unpack_from(">H", packet)
+    assert first & 0x7FF == 0x2B0 + 3
+    # Seconds and fraction of the time code, versions, mode, flags, temperature, power, uptime, lost shots.
+    body = struct.unpack_from(">IBHBBBBBBhHIII", packet, 6)
+    assert body[0] - struct.unpack_from(">I", unstuffed(prepared[0].split(b"\0")[-2]), 6)[0] == 2
+    mode, flags, temperature, power, uptime_s, dropped, late = body[7:]
+    assert (mode, flags) == (6, 0b101), "safe; interlock closed, laser off, clock locked"
+    assert (temperature, power) == (-32768, 0)
+    assert (uptime_s, dropped, late) == (2, 1, 2)
+
+
+def test_on_can_they_are_frames() -> None:
+    frames = unpack_frames(words_of(Tally(Pace.WALL), can=True).words())
+    assert {frame.can_id for frame in frames} == {0x100 + 3 * 0x40 + k for k in range(0x39, 0x3E)}
+    assert next(frame.data[0] for frame in frames if frame.can_id & 0x3F == 0x39) == 6
+
+
+@pytest.mark.parametrize("can", [False, True])
+def test_an_interface_without_such_a_mode_says_nothing(can: bool) -> None:
+    assert last_words(shipped_interface("altimeter"), 0, can, {"temperature_c": 20, "uptime_s": 1.0}) == b""
+
+
+@pytest.fixture
+def line() -> Any:
+    """A serial line: the far end's descriptor, and the device's name."""
+    master, slave = os.openpty()
+    yield master, os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
+
+
+def begun(path: str, runner: PortRunner) -> None:
+    """One packet is sent, one is due in an hour."""
+    runner.start(PortSpec(Kind.SERIAL, path))
+    runner.begin(Clock().now_ns(), 60 * SECOND_NS, Pace.WALL)
+    runner.prepare(b"first draft")
+    runner.prepare(WORDS)
+    runner.push(Outgoing(0, 0, b"now"))
+    runner.push(Outgoing(1, 3600 * SECOND_NS, b"in an hour"))
+    while not runner.reports():
+        runner.wait(Clock().now_ns() + SECOND_NS)
+
+
+@pytest.mark.parametrize(("error", "said"), [(MemoryError, WORDS), (KeyboardInterrupt, b""), (None, b"")])
+def test_a_run_that_fails_by_itself_says_them_too(
+    error: type[BaseException] | None, said: bytes, line: Any
+) -> None:
+    master, path = line
+
+    def run() -> None:
+        with PortRunner(slots=8) as runner:
+            begun(path, runner)
+            if error is not None:
+                raise error
+
+    if error is None:
+        run()
+    else:
+        with pytest.raises(error):
+            run()
+    data = b""
+    # A second for what was written before the process ended; afterwards nobody writes any more.
+    while len(data) < len(b"now" + said) and select.select([master], [], [], 1)[0]:
+        data += os.read(master, 100)
+    while select.select([master], [], [], 0)[0]:
+        data += os.read(master, 100)
+    assert data == b"now" + said
+
+
+def open_descriptors() -> list[str]:
+    links = sorted(Path("/proc/self/fd").iterdir(), key=lambda link: int(link.name))
+    return [os.readlink(link) for link in links if link.exists()]  # noqa: PTH115
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_whatever_becomes_of_the_process_no_descriptor_and_no_memory_is_left(
+    number: signal.Signals, line: Any
+) -> None:
+    _, path = line
+    before = open_descriptors()
+    with PortRunner(slots=8) as runner:
+        begun(path, runner)
+        assert any("memfd:lidar-emu" in name for name in open_descriptors())
+        assert runner.pid is not None
+        os.kill(runner.pid, number)
+        if number is signal.SIGKILL:
+            with pytest.raises(RunError, match="signal 9"):
+                runner.finish()
+    assert open_descriptors() == before
+    assert not Path(f"/proc/{runner.pid}").exists()
