@@ -61,13 +61,15 @@ class Ear:
 
 
 def modes_of(messages: list[Any]) -> list[str]:
-    """Without repetitions, of shots and housekeeping as they came."""
-    numbers = [
-        message.header["mode"] if isinstance(message, Message) else message.values["mode"]
-        for message in messages
-        if not isinstance(message, Acknowledge)
+    """Without repetitions, in the order of the times that shots and housekeeping state.
+
+    Housekeeping tells of its instant, but waits for its turn: a shot of a later one may be out before it.
+    """
+    told = [(m.time_ns, m.header["mode"]) for m in messages if isinstance(m, Message)]
+    told += [(m.values["time_ns"], m.values["mode"]) for m in messages if isinstance(m, Housekeeping)]
+    return [
+        str(INTERFACE.word("mode", int(number))) for number, _ in groupby(mode for _, mode in sorted(told))
     ]
-    return [str(INTERFACE.word("mode", int(number))) for number, _ in groupby(numbers)]
 
 
 def test_from_power_up_to_track_and_back(start: Start, far_end: FarEnd, tmp_path: Path) -> None:

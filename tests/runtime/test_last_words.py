@@ -45,7 +45,7 @@ def unstuffed(frame: bytes) -> bytes:
 def words_of(tally: Tally, prepare: Callable[[bytes], None], can: bool = False) -> LastWords:
     voice = Voice(default_interface(), 3, can, say=prepare)
     rules = device_rules(Device(), 10.0, 4, 1)
-    keeper = Housekeeper(voice, DeviceNow(rules, initial(rules)), 0.5, tally, None, lambda *_: None)
+    keeper = Housekeeper(voice, DeviceNow(rules, initial(rules)), tally, None, lambda *_: None)
     return LastWords(voice, keeper, prepare)
 
 

@@ -6,6 +6,7 @@ import gc
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from datetime import datetime, timedelta
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.device.machine import initial
@@ -16,7 +17,6 @@ from lidar_emu.runtime.child import PortDiedError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.events import EventLog, told
 from lidar_emu.runtime.feed import Desk, Feed
-from lidar_emu.runtime.feed_ahead import AheadFeed
 from lidar_emu.runtime.feed_live import LiveFeed
 from lidar_emu.runtime.feed_lockstep import LockstepFeed
 from lidar_emu.runtime.feed_on_command import OnCommandFeed, waiting_device
@@ -30,16 +30,16 @@ from lidar_emu.runtime.outbox import Outbox, payload_of
 from lidar_emu.runtime.outcome import Outcome
 from lidar_emu.runtime.pacing import Pace, WhenLate
 from lidar_emu.runtime.realtime import awake_share
-from lidar_emu.runtime.rehearsal import rehearse
 from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.run_options import RunOptions, live_part, start_instant_ns
+from lidar_emu.runtime.shots_ahead import ShotsAhead
 from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import Tally, of_scenario
 from lidar_emu.runtime.truth_socket import TruthSocket
 from lidar_emu.runtime.truth_source import TruthSource
 from lidar_emu.runtime.voice import Voice
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.session import Block, Session
+from lidar_emu.session import Session
 from lidar_emu.shots import FlightModel, Model
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.transports.spec import Kind
@@ -84,10 +84,10 @@ class Run:
         self._clock = clock or Clock()
         self._live = live_part(scenario, options)
         rate_hz = scenario.timing.rate_hz
-        self._block_shots = max(1, min(128, round(rate_hz * _BLOCK_S)))
+        block_shots = max(1, min(128, round(rate_hz * _BLOCK_S)))
         port = options.port
         self._encoder = encoder = Encoder(scenario.wire, port.kind is Kind.CAN, port.fd, model.beam_count)
-        self._slots = max(2 * self._block_shots, round(rate_hz * LOOK_AHEAD_S))
+        self._slots = max(2 * block_shots, round(rate_hz * LOOK_AHEAD_S))
         faulty = packets_on_order(scenario, encoder, options)
         beams, patterns = model.beam_count, model.pattern_count
         self._rules = rules = device_rules(scenario.device, rate_hz, beams, patterns, scenario.laser_power_w)
@@ -95,8 +95,11 @@ class Run:
         self._session = Session(model, encoder, self._slots + 1, faulty, rules)
         self._port_faults = port_on_order(scenario, model, options)
         # The first block is computed before the run: kernels are compiled, and the packets' length is known.
-        self._first = self._first_block(encoder)
-        longest = max((payload_of(packet) for packet in encoder.packets(self._first.measurement)), key=len)
+        known = self._live is None and not options.on_command
+        self._ahead = ShotsAhead(self._session, model, encoder, block_shots, options.pace, known)
+        longest = max(
+            (payload_of(packet) for packet in encoder.packets(self._ahead.first.measurement)), key=len
+        )
         faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
         self._packet_room_bytes = max(_PACKET_ROOM_BYTES, faulty_bytes + _STUFFING_BYTES)
         self._packet_bytes = len(longest), self._packet_room_bytes - _STUFFING_BYTES
@@ -173,7 +176,7 @@ class Run:
     def _can_date(self, shown_ns: int) -> bool:
         """Whether packets can tell the time to the end of the run, once the clock has been set to this."""
         run_ns = self._model.shot_count * self._model.period_ns
-        return self._encoder.can_date(self._first.measurement, shown_ns + run_ns)
+        return self._encoder.can_date(self._ahead.first.measurement, shown_ns + run_ns)
 
     @contextmanager
     def _outliving_the_port(self) -> Iterator[None]:
@@ -188,18 +191,6 @@ class Run:
         self._process_events.add(self._process_events.count + 1, time_ns, what)
         for observer in self._observers:
             observer.noticed(time_ns, what)
-
-    def _first_block(self, encoder: Encoder) -> Block:
-        if self._live is not None or self._options.on_command:
-            return rehearse(self._model, encoder)
-        if not self._session.device.measures:
-            rehearse(self._model, encoder)
-        return self._computed()
-
-    def _computed(self) -> Block:
-        block = self._session.shoot(self._block_shots)
-        assert block is not None
-        return block
 
     def _source(self, socket: TruthSocket | None, watching: list[Observer]) -> TruthSource | None:
         if socket is None or self._live is None:
@@ -227,17 +218,11 @@ class Run:
                 return LockstepFeed(desk, source, self._flight)
             late_after_ns = self._scenario.timing.late_after_ns
             return LiveFeed(desk, source, self._flight, self._live, start_ns, late_after_ns, awake_share())
+        fly_from = partial(self._ahead.feed, desk)
         if not self._options.on_command:
-            return self._ahead(desk, start_ns)
+            return fly_from(start_ns)
         self._announce("set_mode acquire or track")
-        return OnCommandFeed(
-            desk, self._device, self._rules, front.housekeeper, lambda start_ns: self._ahead(desk, start_ns)
-        )
-
-    def _ahead(self, desk: Desk, start_ns: int | None) -> Feed:
-        first = self._computed() if self._options.on_command else self._first
-        period_ns = self._scenario.timing.period_ns
-        return AheadFeed(desk, first, self._block_shots, start_ns, period_ns, self._options.pace)
+        return OnCommandFeed(desk, self._device, self._rules, front.housekeeper, fly_from)
 
     def _announce(self, what: str) -> None:
         for observer in self._observers:
