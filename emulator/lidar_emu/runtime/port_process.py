@@ -147,7 +147,10 @@ class _Port:
             self._lockstep = pacing.pace is Pace.LOCKSTEP
             if pacing.pace is Pace.WALL:
                 had = become_punctual()
-                self._answers.say(granted=had.granted, missing=had.missing)
+                extras = self._link.extras
+                self._answers.say(
+                    granted=[*had.granted, *extras.granted], missing={**had.missing, **extras.missing}
+                )
             self._sender = Sender(
                 self._packets, self._reports, self._link, self._clock, begin["start_ns"], pacing
             )

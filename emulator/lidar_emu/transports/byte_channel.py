@@ -11,7 +11,7 @@ import tty
 from collections.abc import Callable
 from contextlib import suppress
 
-from lidar_emu.transports.link import LinkLostError, Noticed
+from lidar_emu.transports.link import NO_EXTRAS, NOTHING, LinkLostError, Noticed
 
 _READ_BYTES = 65536
 _INT = struct.Struct("i")
@@ -25,6 +25,8 @@ class DescriptorChannel:
         description: how to name the link to the user.
         close: gives the descriptor back.
     """
+
+    extras = NO_EXTRAS
 
     def __init__(self, descriptor: int, description: str, close: Callable[[], None]) -> None:
         os.set_blocking(descriptor, False)
@@ -80,13 +82,13 @@ class DescriptorChannel:
         return b""
 
     def take_noticed(self) -> Noticed:
-        """Nothing: a byte link has no news of its own."""
-        return Noticed()
+        """Nothing: bytes have no news of their own."""
+        return NOTHING
 
     def unread(self) -> int:
         """Bytes that wait in the system for a serial line, or for the other end of a socket (there counted
         with the system's overhead)."""
-        return len(self._rest) + _queued(self._descriptor, termios.TIOCOUTQ)
+        return len(self._rest) + queued_bytes(self._descriptor)
 
     def close(self) -> None:
         """Give the descriptor back; never raises."""
@@ -133,6 +135,11 @@ class PtyChannel(DescriptorChannel):
         self._had_reader = not hung_up
         return not hung_up
 
+    def send(self, payload: bytes) -> bool:
+        """Take the whole packet (True) or nothing of it (False: the line is full, or nobody is there)."""
+        # Somebody who was there is not asked for again before each packet.
+        return (self._had_reader or self.connected()) and super().send(payload)
+
     def receive(self) -> bytes:
         """What has arrived; empty if nothing, or nobody is there."""
         ready = self._poll.poll(0)
@@ -146,7 +153,7 @@ class PtyChannel(DescriptorChannel):
     def unread(self) -> int:
         """Bytes that the reader has not fetched: closing the master throws them away."""
         counts = [0]
-        self._on_slave(lambda slave: counts.append(_queued(slave, termios.FIONREAD)))
+        self._on_slave(lambda slave: counts.append(queued_bytes(slave, termios.FIONREAD)))
         return len(self._rest) + counts[-1]
 
     def _write(self, data: bytes) -> int:
@@ -164,8 +171,8 @@ class PtyChannel(DescriptorChannel):
                 os.close(slave)
 
 
-def _queued(descriptor: int, request: int) -> int:
-    """Bytes in a queue of the descriptor; 0 where it has no such queue, or is gone."""
+def queued_bytes(descriptor: int, request: int = termios.TIOCOUTQ) -> int:
+    """Bytes in a queue of the descriptor, that of output unless said otherwise; 0 where it has none, or is gone."""
     count = bytearray(_INT.size)
     with suppress(OSError):
         fcntl.ioctl(descriptor, request, count)

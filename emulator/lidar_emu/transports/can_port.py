@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from lidar_emu.errors import InputError, one_line
 from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
-from lidar_emu.transports.link import LinkLostError, Noticed
+from lidar_emu.transports.link import NO_EXTRAS, NOTHING, LinkLostError, Noticed
 from lidar_emu.transports.socketcan import controller_state, is_bus_off, lost_frames, prepare_socket
 from lidar_emu.transports.spec import PortSpec
 
@@ -26,6 +26,8 @@ _FULL_ERRNOS = (errno.ENOBUFS, errno.EAGAIN)
 
 class CanChannel:
     """An open bus. A set of frames that did not fit in whole is completed before the next one."""
+
+    extras = NO_EXTRAS
 
     def __init__(self, bus: can.BusABC, description: str, lines: DescriptorChannel | None = None) -> None:
         self.description = description
@@ -95,6 +97,8 @@ class CanChannel:
 
     def take_noticed(self) -> Noticed:
         """Error frames, frames that make no sense, frames lost on the way in; since the last call."""
+        if self._noticed == NOTHING:
+            return NOTHING
         noticed, self._noticed = self._noticed, Noticed()
         return noticed
 
