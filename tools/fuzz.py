@@ -108,7 +108,9 @@ def can(data: bytes) -> None:
     interface = default_interface()
     assert interface.can is not None
     receiver, source = CanReceiver(interface), _Bytes(data)
-    sets = {name: Device(interface).can_frames(name, example.HEADER, example.BEAMS) for name in interface.can.sets}
+    sets = {
+        name: Device(interface).can_frames(name, example.HEADER, example.BEAMS) for name in interface.can.sets
+    }
     most = sum(len(frames) for frames in sets.values())
     while source.rest:
         receiver.receive(*_frame(source))

@@ -9,6 +9,8 @@ from __future__ import annotations
 import os
 import select
 import socket
+import subprocess
+import sys
 import threading
 import tty
 from contextlib import suppress
@@ -38,8 +40,6 @@ class FarEnd:
     """Whether the device can know that the far end is gone."""
     comes_back = True
     outlives_device = True
-    one_process = False
-    """Whether the line ends with its process."""
     _number_at = 0
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ class FarEnd:
         raise AssertionError
 
     def say(self, data: bytes) -> None:
-        raise AssertionError
+        raise AssertionError(data)
 
     def leave(self) -> None:
         """As a process that is killed: without a word."""
@@ -83,7 +83,6 @@ class FarEnd:
 
 class Loopback(FarEnd):
     comes_back = False
-    one_process = True
 
     def __init__(self) -> None:
         super().__init__()
@@ -354,10 +353,36 @@ class Bus(CanFarEnd):
 
 
 class Virtual(Bus):
-    one_process = True
-
     def __init__(self) -> None:
         super().__init__("virtual", f"bus {id(self)}")
+
+
+class Remote(Bus):
+    """Another client of python-can-remote's server, which is a process of its own."""
+
+    tells_of_loss = True
+
+    def __init__(self) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self._port = free.getsockname()[1]
+        super().__init__("remote", f"127.0.0.1:{self._port}")
+
+    def leave(self) -> None:
+        self._server.kill()
+        self._server.wait()
+        self._bus.socket.close()  # its own farewell waits for the server
+        self._bus._is_shutdown = True
+        self.read_so_far = b""
+
+    def come_back(self) -> None:
+        where = ["-H", "127.0.0.1", "-p", str(self._port)]
+        command = [sys.executable, "-m", "can_remote", "-i", "virtual", "-c", "bus", *where]
+        self._server = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        for _ in range(1000):
+            with suppress(ConnectionRefusedError):
+                super().come_back()
+                return
+            threading.Event().wait(0.02)
 
 
 def _all_of(read: Any) -> bytes:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Protocol
 
 from far_ends import FarEnd
@@ -36,6 +36,10 @@ class Device(Protocol):
 
     def events(self) -> list[str]: ...
     def close(self) -> None: ...
+
+
+Place = Callable[[FarEnd], Device]
+"""Makes a device on the far end's line."""
 
 
 class InThisProcess:
@@ -99,7 +103,7 @@ class InAnother:
 
 
 @contextmanager
-def opened(place: Callable[[FarEnd], Device], far: FarEnd) -> Iterator[Device]:
+def opened(place: Place, far: FarEnd) -> Iterator[Device]:
     """A device on the far end's line, closed at the end."""
     device = place(far)
     try:
@@ -127,23 +131,21 @@ def gets_through(device: Device, far: FarEnd, number: int) -> bool:
 class EveryLine:
     """The tests. `place` makes the device."""
 
-    def test_packets_arrive_whole_and_in_order(self, place: Callable[[FarEnd], Device], far: FarEnd) -> None:
+    def test_packets_arrive_whole_and_in_order(self, place: Place, far: FarEnd) -> None:
         with opened(place, far) as device:
             far.attach(device.description)
             for number in range(3):  # what the narrowest of them holds without being read
                 assert device.send(far.packet(number)) is Fate.SENT
             until(device, lambda: far.numbers() == [0, 1, 2])
 
-    def test_what_the_far_end_says_arrives(self, place: Callable[[FarEnd], Device], far: FarEnd) -> None:
+    def test_what_the_far_end_says_arrives(self, place: Place, far: FarEnd) -> None:
         with opened(place, far) as device:
             far.attach(device.description)
             until(device, lambda: gets_through(device, far, 0))  # some know their device by what it sends
             far.say(far.command())
             until(device, lambda: device.received == far.command())
 
-    def test_a_slow_reader_costs_the_newest_packets_whole(
-        self, place: Callable[[FarEnd], Device], far: FarEnd
-    ) -> None:
+    def test_a_slow_reader_costs_the_newest_packets_whole(self, place: Place, far: FarEnd) -> None:
         with opened(place, far) as device:
             far.attach(device.description)
             taken, dropped = [], 0
@@ -162,9 +164,7 @@ class EveryLine:
             arrived = [number for number in far.numbers() if number != after]
             assert arrived == taken if far.fills else arrived == sorted(set(arrived))
 
-    def test_a_late_reader_starts_with_a_whole_packet(
-        self, place: Callable[[FarEnd], Device], far: FarEnd
-    ) -> None:
+    def test_a_late_reader_starts_with_a_whole_packet(self, place: Place, far: FarEnd) -> None:
         with opened(place, far) as device:
             for number in range(3):
                 device.send(far.packet(number))
@@ -173,7 +173,7 @@ class EveryLine:
             until(device, lambda: gets_through(device, far, 3))
             assert far.numbers() == sorted(far.numbers())
 
-    def test_a_far_end_may_be_killed_and_come_back(self, place: Callable[[FarEnd], Device], far: FarEnd) -> None:
+    def test_a_far_end_may_be_killed_and_come_back(self, place: Place, far: FarEnd) -> None:
         with opened(place, far) as device:
             far.attach(device.description)
             until(device, lambda: gets_through(device, far, 0))
@@ -193,14 +193,17 @@ class EveryLine:
             until(device, lambda: gets_through(device, far, 2))
 
     def test_close_gives_everything_back(
-        self, place: Callable[[FarEnd], Device], far: FarEnd, eventually: Callable[[Callable[[], object]], None]
+        self,
+        place: Place,
+        far: FarEnd,
+        eventually: Callable[[Callable[[], object]], None],
     ) -> None:
-        before = set(os.listdir("/proc/self/fd"))
+        before = open_descriptors()
         with opened(place, far) as device:
             far.attach(device.description)
             device.send(far.packet(0))
         far.leave()
-        eventually(lambda: set(os.listdir("/proc/self/fd")) <= before)
+        eventually(lambda: open_descriptors() <= before)
         if not far.comes_back:
             return
         if far.outlives_device:
@@ -208,6 +211,11 @@ class EveryLine:
         with opened(place, far) as device:
             far.attach(device.description)
             until(device, lambda: gets_through(device, far, 1))
+
+
+def open_descriptors() -> set[str]:
+    """Of this process."""
+    return {entry.name for entry in Path("/proc/self/fd").iterdir()}
 
 
 def closing(far: FarEnd) -> Iterator[FarEnd]:

@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # far_ends.py and lines.py are m
 
 import far_ends
 from far_ends import FarEnd
-from lines import EveryLine, InAnother, InThisProcess, closing
+from lines import EveryLine, InAnother, InThisProcess, Place, closing
 
 LINES: dict[str, Callable[[Path], FarEnd]] = {
     "loopback": lambda _: far_ends.Loopback(),
@@ -25,17 +25,28 @@ LINES: dict[str, Callable[[Path], FarEnd]] = {
     "udp6": lambda _: far_ends.Udp("::1"),
     "slcan": far_ends.Slcan,
     "virtual": lambda _: far_ends.Virtual(),
+    "remote": lambda _: far_ends.Remote(),
 }
+
+
+IN_ONE_PROCESS = {"loopback", "virtual"}
+CASES = [(InThisProcess, line) for line in LINES] + [
+    (InAnother, line) for line in LINES if line not in IN_ONE_PROCESS
+]
 
 
 @pytest.mark.filterwarnings(r"ignore:set\w+\(\) is deprecated:DeprecationWarning")  # of pyserial's own
 class TestEveryLine(EveryLine):
-    @pytest.fixture(params=LINES)
-    def far(self, request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[FarEnd]:
-        yield from closing(LINES[request.param](tmp_path))
-
-    @pytest.fixture(params=[InThisProcess, InAnother])
-    def place(self, request: pytest.FixtureRequest, far: FarEnd) -> Any:
-        if request.param is InAnother and far.one_process:
-            pytest.skip("it ends with its process")
+    @pytest.fixture(params=CASES, ids=lambda case: f"{case[1]}-{case[0].__name__}")
+    def case(self, request: pytest.FixtureRequest) -> Any:
         return request.param
+
+    @pytest.fixture
+    def place(self, case: tuple[Place, str]) -> Place:
+        return case[0]
+
+    @pytest.fixture
+    def far(self, case: tuple[Place, str], tmp_path: Path) -> Iterator[FarEnd]:
+        if case[1] == "remote":
+            pytest.importorskip("can_remote", reason="python-can-remote is not installed")
+        yield from closing(LINES[case[1]](tmp_path))

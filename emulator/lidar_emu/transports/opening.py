@@ -45,7 +45,9 @@ def _open_loopback(descriptor: int | None) -> Channel:
     from lidar_emu.transports.serial_port import open_loopback
 
     if descriptor is None:
-        raise InputError("--port", None, "nothing", "allowed: a device, a URL, udp:PORT or pty; or a CAN interface")
+        raise InputError(
+            "--port", None, "nothing", "allowed: a device, a URL, udp:PORT or pty; or a CAN interface"
+        )
     return open_loopback(descriptor)
 
 

@@ -20,7 +20,9 @@ Command = Callable[..., Any]
 _OPTIONS = (
     click.option("--port", metavar="PORT", help="Serial device, pyserial URL, udp:[HOST:]PORT, or pty."),
     click.option("--baud", type=int, metavar="N", help=f"Serial bit rate.  [default: {DEFAULT_BAUD}]"),
-    click.option("--rs485", is_flag=True, help="Let the serial driver enable the transmitter while it sends."),
+    click.option(
+        "--rs485", is_flag=True, help="Let the serial driver enable the transmitter while it sends."
+    ),
     click.option("-i", "--interface", metavar="NAME", help="CAN interface, in python-can's words."),
     click.option("-c", "--channel", metavar="NAME", help="CAN channel, e.g. vcan0."),
     click.option("--bitrate", type=int, metavar="N", help=f"CAN bit rate.  [default: {DEFAULT_BITRATE}]"),

@@ -46,7 +46,9 @@ class SerialChannel(DescriptorChannel):
         if self._settings is not None and _settings_of(self._tty) not in (self._settings, None):
             with suppress(OSError):
                 fcntl.ioctl(self._tty, _TCSETS2, self._settings)
-            self._noticed.events.append("another program has changed the settings of the port; they were set again")
+            self._noticed.events.append(
+                "another program has changed the settings of the port; they were set again"
+            )
         if not self._noticed.events:
             return NOTHING
         noticed, self._noticed = self._noticed, Noticed()
@@ -82,15 +84,17 @@ def modem_lines(descriptor: int) -> list[str]:
     except OSError:
         return []
     bits = int.from_bytes(state, "little")
-    return ["modem lines: " + ", ".join(f"{name} {'on' if bits & bit else 'off'}" for name, bit in _LINES.items())]
+    return [
+        "modem lines: " + ", ".join(f"{name} {'on' if bits & bit else 'off'}" for name, bit in _LINES.items())
+    ]
 
 
 def users_of(path: str) -> str:
     """Which processes have a device open, as far as this user may know: "cat (process 42)"; empty if none."""
-    device, found = os.path.realpath(path), []
+    device, found = Path(path).resolve(), []
     for folder in Path("/proc").glob("[0-9]*/fd"):
         with suppress(OSError):
-            if any(link.is_symlink() and os.readlink(link) == device for link in folder.iterdir()):
+            if any(link.is_symlink() and link.readlink() == device for link in folder.iterdir()):
                 name = (folder.parent / "comm").read_text().strip()
                 found.append(f"{name} (process {folder.parent.name})")
     return ", ".join(found[:_NAMED_AT_MOST])

@@ -136,7 +136,9 @@ def _bytes(port: str | None, baud: int | None, rs485: bool) -> PortSpec:
 def _udp_address(port: str) -> str:
     host, _, number = port.removeprefix(_UDP).rpartition(":")
     if not (number.isascii() and number.isdigit() and 0 < int(number) < 1 << 16):
-        raise InputError("--port", None, port, "allowed: udp:PORT on this machine, udp:HOST:PORT; ports 1 to 65535")
+        raise InputError(
+            "--port", None, port, "allowed: udp:PORT on this machine, udp:HOST:PORT; ports 1 to 65535"
+        )
     return f"{host or _THIS_MACHINE}:{number}"
 
 

@@ -106,7 +106,9 @@ class UdpChannel:
         if lost:
             self._lost += lost
             text = f"{lost} received datagrams lost: they came faster than they were read"
-            self._noticed = Noticed([*self._noticed.events, text], self._noticed.counts + Counter(lost_frames=lost))
+            self._noticed = Noticed(
+                [*self._noticed.events, text], self._noticed.counts + Counter(lost_frames=lost)
+            )
 
     def _put(self, payload: bytes) -> None:
         self._socket.send(payload)
@@ -165,7 +167,9 @@ def open_udp_host(spec: PortSpec) -> UdpHostChannel:
 def _socket(spec: PortSpec, join: Callable[[socket.socket, Any], None]) -> socket.socket:
     host, _, number = spec.path.rpartition(":")
     try:
-        (family, _, _, _, address), *_ = socket.getaddrinfo(host.strip("[]"), int(number), type=socket.SOCK_DGRAM)
+        (family, _, _, _, address), *_ = socket.getaddrinfo(
+            host.strip("[]"), int(number), type=socket.SOCK_DGRAM
+        )
         sock = socket.socket(family, socket.SOCK_DGRAM)
         try:
             join(sock, address)
