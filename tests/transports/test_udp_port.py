@@ -82,9 +82,7 @@ def test_the_device_hears_nobody_but_its_peer(spec: PortSpec, link: Link) -> Non
         assert link.receive(0) == b"the peer's command"
 
 
-def test_nothing_but_loopback_is_reached_unless_it_is_named(
-    spec: PortSpec, link: Link, host: ByteHost
-) -> None:
+def test_nothing_but_loopback_is_reached_unless_it_is_named(link: Link, host: ByteHost) -> None:
     link.send(b"hello", 0)
     for channel in (link._channel, host._channel):
         sock: Any = channel

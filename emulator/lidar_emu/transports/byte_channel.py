@@ -13,7 +13,7 @@ from contextlib import suppress
 
 from lidar_emu.transports.link import NO_EXTRAS, NOTHING, LinkLostError, Noticed
 
-_READ_BYTES = 65536
+_READ_BYTES = 4096
 _INT = struct.Struct("i")
 
 

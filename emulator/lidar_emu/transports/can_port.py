@@ -21,7 +21,7 @@ from lidar_emu.transports.spec import PortSpec
 if TYPE_CHECKING:
     import can
 
-_RECEIVE_AT_MOST = 256
+_RECEIVE_AT_MOST = 16  # what python-can takes for more would make a shot late
 _FULL_ERRNOS = (errno.ENOBUFS, errno.EAGAIN)
 _PATIENT = {"slcan": patient_slcan, "remote": patient_remote}
 

@@ -19,7 +19,7 @@ from lidar_emu.transports.socketcan import enlarge_receive_buffer, lost_frames
 from lidar_emu.transports.spec import PortSpec
 
 _LONGEST_BYTES = 65536
-_AT_ONCE = 64
+_AT_ONCE = 16
 _FULL = (errno.EAGAIN, errno.ENOBUFS)
 _NOBODY = (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.EHOSTDOWN)
 
