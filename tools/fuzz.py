@@ -3,8 +3,9 @@
     pip install atheris
     python tools/fuzz.py serial -max_total_time=600
 
-Targets: serial, can, command, can_command, truth (fuzz_targets.py, which needs no atheris: the tests run them on bytes of
-hypothesis). Everything behind the target's name goes to libFuzzer. What was found in ten minutes: docs/robustness.md.
+Targets: serial, can, command, can_command, truth. They are in fuzz_targets.py, which needs no atheris: the tests run
+them on bytes of hypothesis. Everything behind the target's name goes to libFuzzer. What ten minutes of each have found:
+docs/robustness.md.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""What everything that reads bytes from outside is held to, whatever the bytes: it must not raise, must not keep more than
-the longest frame, and must read the good frame that follows. Each target is a function of the fuzzer's bytes.
+"""What everything that reads bytes from outside is held to, whatever the bytes: it must not raise, must not keep more
+than the longest frame, and must read the good frame that follows. Each target is a function of the fuzzer's bytes.
 """
 
 from __future__ import annotations

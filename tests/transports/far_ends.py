@@ -328,6 +328,7 @@ class Bus(CanFarEnd):
         super().__init__()
         self.spec = PortSpec(Kind.CAN, interface=interface, channel=channel)
         self._joined = interface, channel
+        self._bus: Any = None
         self.come_back()
 
     def read(self) -> bytes:

@@ -44,8 +44,8 @@ _DRAIN_NS = 2_000_000_000
 _HASTY_DRAIN_NS = 500_000_000
 _SETTLE_NS = 20_000_000
 _LOOK_AGAIN_NS = 5_000_000
-# A host that floods the port is heard no faster than a line of 2.5 Mbit/s would bring it, and the rest of the time is the
-# shots': a process that never sleeps is one that the system makes wait.
+# A host that floods the port is heard no faster than a line of 2.5 Mbit/s would bring it. The rest of the time belongs
+# to the shots, and a process that never sleeps is one that the system makes wait.
 _LISTEN_NS_PER_BYTE = 4_000
 
 
