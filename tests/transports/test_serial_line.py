@@ -115,8 +115,8 @@ def test_a_device_that_is_no_pty_is_marked_as_taken_and_given_back(
 ) -> None:
     """The pty stands for a device: an exclusive one is refused to all but the privileged, as TIOCGEXCL tells."""
     monkeypatch.setattr("lidar_emu.transports.serial_line._is_pty", lambda _: False)
+    slave = os.open(raw_pty.path, os.O_RDWR | os.O_NOCTTY)
     channel = open_byte_channel(spec(raw_pty.path))
-    slave = os.dup(channel.readable or 0)
     assert is_exclusive(slave)
     channel.close()
     assert not is_exclusive(slave)

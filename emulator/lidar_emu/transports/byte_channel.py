@@ -24,18 +24,27 @@ class DescriptorChannel:
         descriptor: open for reading and writing; set non-blocking here.
         description: how to name the link to the user.
         close: gives the descriptor back.
+        input_descriptor: where to read, if it is another one.
     """
 
     extras = NO_EXTRAS
 
-    def __init__(self, descriptor: int, description: str, close: Callable[[], None]) -> None:
-        os.set_blocking(descriptor, False)
+    def __init__(
+        self,
+        descriptor: int,
+        description: str,
+        close: Callable[[], None],
+        input_descriptor: int | None = None,
+    ) -> None:
         self.description = description
         self._descriptor = descriptor
+        self._input = descriptor if input_descriptor is None else input_descriptor
+        for each in (self._descriptor, self._input):
+            os.set_blocking(each, False)
         self._close = close
         self._rest = b""
         self._poll = select.poll()
-        self._poll.register(descriptor, select.POLLIN)
+        self._poll.register(self._input, select.POLLIN)
 
     @property
     def pending(self) -> bool:
@@ -45,7 +54,7 @@ class DescriptorChannel:
     @property
     def readable(self) -> int | None:
         """Descriptor to wait on for something to `receive`."""
-        return self._descriptor
+        return self._input
 
     @property
     def writable(self) -> int | None:
@@ -105,7 +114,7 @@ class DescriptorChannel:
 
     def _read(self) -> bytes:
         try:
-            return os.read(self._descriptor, _READ_BYTES)
+            return os.read(self._input, _READ_BYTES)
         except BlockingIOError:
             return b""
         except OSError as error:

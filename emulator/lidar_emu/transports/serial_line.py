@@ -16,6 +16,7 @@ from typing import Any
 from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.link import NOTHING, Extras, Noticed
 from lidar_emu.transports.spec import PortSpec
+from lidar_emu.transports.tty_reader import TtyReader
 
 _TCGETS2, _TCSETS2, _SETTINGS_BYTES = 0x802C542A, 0x402C542B, 44
 _LINES = {"CTS": termios.TIOCM_CTS, "DSR": termios.TIOCM_DSR, "CD": termios.TIOCM_CD}
@@ -34,7 +35,9 @@ class SerialChannel(DescriptorChannel):
 
     def __init__(self, port: Any, spec: PortSpec) -> None:
         self._tty = port.fileno()
-        super().__init__(self._tty, spec.path, port.close)
+        os.set_blocking(self._tty, False)
+        self._reader = TtyReader(self._tty)
+        super().__init__(self._tty, spec.path, port.close, self._reader.descriptor)
         self.extras = ask_driver(port, spec)
         self._settings = _settings_of(self._tty)
         self._noticed = Noticed(modem_lines(self._tty))
@@ -58,6 +61,7 @@ class SerialChannel(DescriptorChannel):
         """Give the device back, to everybody; never raises."""
         if self._marked:
             _ask(self._tty, termios.TIOCNXCL)
+        self._reader.close()
         super().close()
 
 
