@@ -59,6 +59,8 @@ _PORTS: list[tuple[str, str, tuple[str, ...]]] = [
     ("no such port", "run my.yaml --port /dev/nowhere --record out.mcap --summary out.json",
      ("--port: '/dev/nowhere'", "no such port")),
     ("no port at all", "run my.yaml --port my.yaml", ("--port: 'my.yaml'", "not a serial device")),
+    ("no UDP port", "run my.yaml --port udp:bench", ("--port: 'udp:bench'", "udp:HOST:PORT")),
+    ("RS-485 on a pty", "run my.yaml --port pty --rs485", ("--rs485", "only with a serial device")),
     ("unknown URL", "run my.yaml --port carrier://pigeon", ("--port: 'carrier://pigeon'", "pyserial's URLs")),
     ("two ports", "run my.yaml --port /dev/ttyS0 -i socketcan -c vcan0", ("--port: '/dev/ttyS0'", "allowed: one port")),
     ("baud without port", "run my.yaml --baud 9600", ("--baud: 9600", "together with --port")),

@@ -133,7 +133,7 @@ class FarEnd:
         self._forward_to: int | None = None
         self._opened: int | None = None
         # The slave stays open: without it the master would report a hang-up between two programs.
-        self._master, self._slave = os.openpty()
+        self.master, self._slave = os.openpty()
         tty.setraw(self._slave)
         self.path = os.ttyname(self._slave)
         self._stop_out, self._stop = os.pipe()
@@ -147,21 +147,21 @@ class FarEnd:
 
     def deliver_to(self, other: FarEnd) -> None:
         """From now on pass everything on to the program that has the other cable's `path` open."""
-        self._forward_to = other._master
+        self._forward_to = other.master
 
     def say(self, data: bytes) -> None:
         """Write to the program that has `path` open."""
         while data:
-            data = data[os.write(self._master, data) :]
+            data = data[os.write(self.master, data) :]
 
     def wait_for(self, count: int) -> None:
         """Wait until so many bytes have come."""
         eventually(lambda: len(self.data) >= count)
 
     def _carry(self) -> None:
-        while self._stop_out not in (ready := select.select([self._master, self._stop_out], [], [])[0]):
+        while self._stop_out not in (ready := select.select([self.master, self._stop_out], [], [])[0]):
             assert ready
-            data = os.read(self._master, 65536)
+            data = os.read(self.master, 65536)
             self.data += data
             while self._forward_to is not None and data:
                 data = data[os.write(self._forward_to, data) :]
@@ -170,7 +170,7 @@ class FarEnd:
         """Stop reading and give everything back."""
         os.write(self._stop, b"\0")
         self._thread.join()
-        descriptors = [self._master, self._slave, self._stop_out, self._stop]
+        descriptors = [self.master, self._slave, self._stop_out, self._stop]
         if self._opened is not None:
             descriptors.append(self._opened)
         for descriptor in descriptors:

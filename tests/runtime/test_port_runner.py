@@ -10,7 +10,6 @@ import sys
 import threading
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,7 +17,7 @@ import pytest
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Fate, Frame, Outgoing, Report, pack_frames
+from lidar_emu.runtime.packets import Fate, Outgoing, Report
 from lidar_emu.runtime.run import PortRunner
 from lidar_emu.transports.spec import Kind, PortSpec
 
@@ -120,14 +119,6 @@ def test_a_pty_reader_gets_every_byte_even_the_last(runner: PortRunner, pty_read
     assert Counter(report.fate for report in reports) == {Fate.SENT: 2000}
 
 
-def test_without_a_reader_a_pty_drops_and_says_so_once(runner: PortRunner) -> None:
-    runner.start(PTY)
-    reports = fly(runner, packets(100), Pace.WALL, late_after_ns=60 * SECOND_NS)
-    assert Counter(report.fate for report in reports) == {Fate.DROPPED_NOBODY: 100}
-    assert [event.text for event in runner.told.events] == ["nobody connected"]
-    assert runner.told.event_count == 1
-
-
 def test_at_full_speed_a_pty_waits_for_its_first_reader(
     runner: PortRunner, pty_reader: Any, eventually: Any
 ) -> None:
@@ -185,32 +176,6 @@ def test_what_the_host_sends_is_counted(runner: PortRunner, pty_reader: Any, eve
     runner.close()
     assert runner.told.received_bytes == 1000
     reader.stop()
-
-
-def test_a_device_that_vanishes_does_not_end_the_run(runner: PortRunner, tmp_path: Path) -> None:
-    master, slave = os.openpty()
-    path = tmp_path / "port"
-    path.symlink_to(os.ttyname(slave))
-    runner.start(PortSpec(Kind.SERIAL, str(path)))
-    path.unlink()  # the next pty of anybody may get the same number
-    os.close(slave)
-    os.close(master)
-    reports = fly(runner, packets(50), Pace.MAX)
-    assert Counter(report.fate for report in reports) == {Fate.DROPPED_BROKEN: 50}
-    assert len(runner.told.events) == 1
-    assert runner.told.events[0].text.startswith("link broken")
-
-
-def test_slcan_carries_frame_records(runner: PortRunner) -> None:
-    master, slave = os.openpty()
-    frames = [Frame(0x100, b"\1\2"), Frame(0x101, b"")]
-    assert runner.start(PortSpec(Kind.CAN, interface="slcan", channel=os.ttyname(slave))).startswith("slcan")
-    reports = fly(runner, [Outgoing(0, 0, pack_frames(frames))], Pace.MAX)
-    assert [report.fate for report in reports] == [Fate.SENT]
-    runner.close()
-    assert b"t10020102\rt1010\r" in os.read(master, 65536)
-    os.close(slave)
-    os.close(master)
 
 
 @pytest.mark.parametrize(

@@ -183,25 +183,15 @@ def test_a_port_without_a_queue_has_nothing_unread() -> None:
     assert channel.unread() == 0
 
 
-def test_a_device_is_opened_raw_and_for_one_alone(raw_pty: Any) -> None:
+def test_a_device_is_opened_raw_and_for_one_alone(raw_pty: Any, eventually: Any) -> None:
     path, master = raw_pty.path, raw_pty.master
     channel = open_byte_channel(PortSpec(Kind.SERIAL, path))
     assert channel.send(ALL_BYTES)
     assert raw_pty.read() == ALL_BYTES
     os.write(master, ALL_BYTES)
-    assert channel.receive() == ALL_BYTES
+    eventually(lambda: channel.receive() == ALL_BYTES)
     with pytest.raises(InputError, match="in use by another program"):
         open_byte_channel(PortSpec(Kind.SERIAL, path))
-    channel.close()
-
-
-def test_a_device_that_vanishes_is_a_lost_link(raw_pty: Any) -> None:
-    channel = open_byte_channel(PortSpec(Kind.SERIAL, raw_pty.path))
-    os.close(raw_pty.master)
-    with pytest.raises(LinkLostError):
-        channel.send(b"x")
-    with pytest.raises(LinkLostError):
-        channel.receive()
     channel.close()
 
 
@@ -230,14 +220,3 @@ def test_a_url_without_a_descriptor_works() -> None:
     channel.close()
     with pytest.raises(LinkLostError):
         channel.send(b"x")
-
-
-def test_a_socket_url_carries_packets() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        host, port = server.getsockname()
-        channel = open_byte_channel(PortSpec(Kind.SERIAL, f"socket://{host}:{port}"))
-        far, _ = server.accept()
-        with far:
-            assert channel.send(ALL_BYTES)
-            assert far.recv(1000) == ALL_BYTES
-        channel.close()

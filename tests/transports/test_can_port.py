@@ -69,33 +69,6 @@ def test_slcan_receives_and_passes_over_what_is_no_frame(raw_pty: Any) -> None:
     channel.close()
 
 
-def test_a_full_line_drops_whole_sets_and_tears_no_line(raw_pty: Any) -> None:
-    channel = open_can(slcan(raw_pty.path))
-    raw_pty.read()
-    taken = 0
-    for _ in range(2000):  # twice what a pty holds; python-can alone would wait for ever here
-        taken += channel.send(pack_frames(SHOT))
-    assert 200 < taken < 1900
-    assert channel.pending
-    data = raw_pty.read()
-    while not channel.flush():
-        data += raw_pty.read()
-    data += raw_pty.read()
-    assert data_lines(data) == SHOT_LINES * taken
-    assert channel.send(pack_frames(SHOT))
-    channel.close()
-
-
-def test_a_vanished_adapter_is_a_lost_link(raw_pty: Any) -> None:
-    channel = open_can(slcan(raw_pty.path))
-    os.close(raw_pty.master)
-    with pytest.raises(LinkLostError):
-        channel.send(pack_frames(SHOT))
-    with pytest.raises(LinkLostError):
-        channel.receive()
-    channel.close()
-
-
 def test_two_ends_of_a_bus(pty_pair: tuple[str, str]) -> None:
     channel, host = open_can(slcan(pty_pair[0])), open_host(slcan(pty_pair[1]))
     assert isinstance(host, CanHost)

@@ -95,5 +95,5 @@ def test_a_url_is_looked_at_from_time_to_time() -> None:
 
 
 def test_a_host_needs_a_port() -> None:
-    with pytest.raises(InputError, match="a device, a URL or pty"):
+    with pytest.raises(InputError, match="a device, a URL, udp:PORT or pty"):
         open_host(PortSpec())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from lidar_emu.errors import InputError
-from lidar_emu.transports.link import Fate, Link, LinkLostError, Noticed
+from lidar_emu.transports.link import Extras, Fate, Link, LinkLostError, Noticed
 
 MS = 1_000_000
 
@@ -33,6 +33,7 @@ class Plug:
     """The channel of a `Cable`."""
 
     description = "cable"
+    extras = Extras(("low_latency",))
     pending = False
     readable: int | None = 7
     writable: int | None = 7
@@ -49,9 +50,10 @@ class Plug:
 
     def send(self, payload: bytes) -> bool:
         self._check()
-        if self._cable.room:
+        taken = self._cable.room and self._cable.somebody
+        if taken:
             self._cable.carried.append(payload)
-        return self._cable.room
+        return taken
 
     def flush(self) -> bool:
         return True

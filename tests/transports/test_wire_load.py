@@ -58,7 +58,18 @@ def test_frames_of_a_shot_add_up() -> None:
     assert wire_load(CAN_FD, fd_payload, 100) == pytest.approx(100 * 2 * (33 / 500e3 + 679 / 2e6))
 
 
-@pytest.mark.parametrize("spec", [PortSpec(), PortSpec(Kind.SERIAL, "socket://localhost:7000", baud=9600)])
+def test_behind_a_bridge_is_the_line_that_was_named() -> None:
+    assert wire_load(PortSpec(Kind.UDP, "bridge:5600", baud=115_200), bytes(64), 180) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        PortSpec(),
+        PortSpec(Kind.UDP, "bridge:5600", baud=0),
+        PortSpec(Kind.SERIAL, "socket://localhost:7000", baud=9600),
+    ],
+)
 def test_what_has_no_bit_rate_is_never_full(spec: PortSpec) -> None:
     assert wire_load(spec, bytes(1000), 1e6) == 0
     assert check_wire_load(spec, bytes(1000), 1e6) is None

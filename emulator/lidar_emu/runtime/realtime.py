@@ -93,9 +93,10 @@ def _reduce_timer_slack() -> bool:
 
 
 def _enter_fifo() -> bool:
-    """Before all ordinary processes, where that is permitted."""
+    """Before all ordinary processes, where that is permitted; all threads, for each may hold the interpreter's lock."""
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_FIFO_PRIORITY))
+        for thread in Path("/proc/self/task").iterdir():
+            os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(_FIFO_PRIORITY))
     except (OSError, AttributeError):
         return False
     return True

@@ -11,9 +11,9 @@ import tty
 from collections.abc import Callable
 from contextlib import suppress
 
-from lidar_emu.transports.link import LinkLostError, Noticed
+from lidar_emu.transports.link import NO_EXTRAS, NOTHING, LinkLostError, Noticed
 
-_READ_BYTES = 65536
+_READ_BYTES = 4096
 _INT = struct.Struct("i")
 
 
@@ -24,16 +24,27 @@ class DescriptorChannel:
         descriptor: open for reading and writing; set non-blocking here.
         description: how to name the link to the user.
         close: gives the descriptor back.
+        input_descriptor: where to read, if it is another one.
     """
 
-    def __init__(self, descriptor: int, description: str, close: Callable[[], None]) -> None:
-        os.set_blocking(descriptor, False)
+    extras = NO_EXTRAS
+
+    def __init__(
+        self,
+        descriptor: int,
+        description: str,
+        close: Callable[[], None],
+        input_descriptor: int | None = None,
+    ) -> None:
         self.description = description
         self._descriptor = descriptor
+        self._input = descriptor if input_descriptor is None else input_descriptor
+        for each in (self._descriptor, self._input):
+            os.set_blocking(each, False)
         self._close = close
         self._rest = b""
         self._poll = select.poll()
-        self._poll.register(descriptor, select.POLLIN)
+        self._poll.register(self._input, select.POLLIN)
 
     @property
     def pending(self) -> bool:
@@ -43,7 +54,7 @@ class DescriptorChannel:
     @property
     def readable(self) -> int | None:
         """Descriptor to wait on for something to `receive`."""
-        return self._descriptor
+        return self._input
 
     @property
     def writable(self) -> int | None:
@@ -80,13 +91,13 @@ class DescriptorChannel:
         return b""
 
     def take_noticed(self) -> Noticed:
-        """Nothing: a byte link has no news of its own."""
-        return Noticed()
+        """Nothing: bytes have no news of their own."""
+        return NOTHING
 
     def unread(self) -> int:
         """Bytes that wait in the system for a serial line, or for the other end of a socket (there counted
         with the system's overhead)."""
-        return len(self._rest) + _queued(self._descriptor, termios.TIOCOUTQ)
+        return len(self._rest) + queued_bytes(self._descriptor)
 
     def close(self) -> None:
         """Give the descriptor back; never raises."""
@@ -103,7 +114,7 @@ class DescriptorChannel:
 
     def _read(self) -> bytes:
         try:
-            return os.read(self._descriptor, _READ_BYTES)
+            return os.read(self._input, _READ_BYTES)
         except BlockingIOError:
             return b""
         except OSError as error:
@@ -133,6 +144,11 @@ class PtyChannel(DescriptorChannel):
         self._had_reader = not hung_up
         return not hung_up
 
+    def send(self, payload: bytes) -> bool:
+        """Take the whole packet (True) or nothing of it (False: the line is full, or nobody is there)."""
+        # Somebody who was there is not asked for again before each packet.
+        return (self._had_reader or self.connected()) and super().send(payload)
+
     def receive(self) -> bytes:
         """What has arrived; empty if nothing, or nobody is there."""
         ready = self._poll.poll(0)
@@ -146,7 +162,7 @@ class PtyChannel(DescriptorChannel):
     def unread(self) -> int:
         """Bytes that the reader has not fetched: closing the master throws them away."""
         counts = [0]
-        self._on_slave(lambda slave: counts.append(_queued(slave, termios.FIONREAD)))
+        self._on_slave(lambda slave: counts.append(queued_bytes(slave, termios.FIONREAD)))
         return len(self._rest) + counts[-1]
 
     def _write(self, data: bytes) -> int:
@@ -164,8 +180,8 @@ class PtyChannel(DescriptorChannel):
                 os.close(slave)
 
 
-def _queued(descriptor: int, request: int) -> int:
-    """Bytes in a queue of the descriptor; 0 where it has no such queue, or is gone."""
+def queued_bytes(descriptor: int, request: int = termios.TIOCOUTQ) -> int:
+    """Bytes in a queue of the descriptor, that of output unless said otherwise; 0 where it has none, or is gone."""
     count = bytearray(_INT.size)
     with suppress(OSError):
         fcntl.ioctl(descriptor, request, count)

@@ -12,20 +12,24 @@ from typing import TYPE_CHECKING, Any
 
 from lidar_emu.errors import InputError, one_line
 from lidar_emu.transports.byte_channel import DescriptorChannel
+from lidar_emu.transports.can_adapters import patient_remote, patient_slcan
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
-from lidar_emu.transports.link import LinkLostError, Noticed
+from lidar_emu.transports.link import NO_EXTRAS, NOTHING, LinkLostError, Noticed
 from lidar_emu.transports.socketcan import controller_state, is_bus_off, lost_frames, prepare_socket
 from lidar_emu.transports.spec import PortSpec
 
 if TYPE_CHECKING:
     import can
 
-_RECEIVE_AT_MOST = 256
+_RECEIVE_AT_MOST = 16  # what python-can takes for more would make a shot late
 _FULL_ERRNOS = (errno.ENOBUFS, errno.EAGAIN)
+_PATIENT = {"slcan": patient_slcan, "remote": patient_remote}
 
 
 class CanChannel:
     """An open bus. A set of frames that did not fit in whole is completed before the next one."""
+
+    extras = NO_EXTRAS
 
     def __init__(self, bus: can.BusABC, description: str, lines: DescriptorChannel | None = None) -> None:
         self.description = description
@@ -95,6 +99,8 @@ class CanChannel:
 
     def take_noticed(self) -> Noticed:
         """Error frames, frames that make no sense, frames lost on the way in; since the last call."""
+        if self._noticed == NOTHING:
+            return NOTHING
         noticed, self._noticed = self._noticed, Noticed()
         return noticed
 
@@ -106,19 +112,19 @@ class CanChannel:
         """Give the bus back; never raises."""
         try:
             self._bus.shutdown()
-        except Exception:  # a broken adapter raises what it likes
+        except Exception:
             port = getattr(self._bus, "serialPortOrig", None)
             if port is not None:
                 port.close()
 
     def _send_first_of(self, messages: deque[can.Message]) -> None:
         """Send messages and remove them from the left, until none is left or the queue is full."""
-        from can import CanError
-
         while messages:
             try:
                 self._bus.send(messages[0], timeout=0)
-            except (CanError, OSError, ValueError) as error:
+            except LinkLostError:
+                raise
+            except Exception as error:  # an adapter raises what it likes
                 if _is_full(error):
                     return
                 raise LinkLostError(_text_of(error)) from None
@@ -144,35 +150,13 @@ class CanChannel:
             self._noticed.events.append(f"{lost} received frames lost: they came faster than they were read")
 
     def _receive_one(self) -> can.Message | None:
-        from can import CanError
-
         try:
             return self._bus.recv(timeout=0)
         except (ValueError, LookupError):  # a line that is not slcan
             self._noticed.counts["ignored_frames"] += 1
             return None
-        except (CanError, OSError) as error:
+        except Exception as error:
             raise LinkLostError(_text_of(error)) from None
-
-
-class _PatientPort:
-    """Stands in for the serial port of python-can's slcan: its own would wait for a full line, or spin."""
-
-    def __init__(self, port: Any, lines: DescriptorChannel) -> None:
-        self._port = port
-        self._lines = lines
-        self.write_timeout: float | None = None
-
-    def write(self, line: bytes) -> int:
-        if not self._lines.send(line):
-            raise BlockingIOError(errno.EAGAIN, "the line is full")
-        return len(line)
-
-    def flush(self) -> None:
-        self._lines.flush()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._port, name)
 
 
 def open_can(spec: PortSpec) -> CanChannel:
@@ -190,7 +174,7 @@ def open_can(spec: PortSpec) -> CanChannel:
         raise InputError("--interface", None, spec.interface, f"allowed: {known}")
     try:
         bus = can.Bus(interface=spec.interface, channel=spec.channel, ignore_config=True, **_settings(spec))
-        lines = _prepare_slcan(bus, spec) if spec.interface == "slcan" else None
+        lines = _PATIENT[spec.interface](bus, spec) if spec.interface in _PATIENT else None
     except Exception as error:  # without its vendor's driver an interface raises what it likes
         reason = f"it cannot be opened: {_kind_of(error)}{_text_of(error)}"
         raise InputError("--channel", None, f"{spec.interface} {spec.channel}", reason) from None
@@ -212,15 +196,6 @@ def _settings(spec: PortSpec) -> dict[str, Any]:
     if spec.interface == "slcan":
         settings |= {"sleep_after_open": 0, "timeout": 0}
     return settings
-
-
-def _prepare_slcan(bus: Any, spec: PortSpec) -> DescriptorChannel:
-    if spec.fd:
-        bus.set_bitrate(spec.bitrate, spec.data_bitrate)
-    port = bus.serialPortOrig
-    lines = DescriptorChannel(port.fileno(), str(spec), port.close)
-    bus.serialPortOrig = _PatientPort(port, lines)
-    return lines
 
 
 def _socket_of(bus: object) -> socket.socket | None:

@@ -93,11 +93,15 @@ class CanHost(_Host):
 
 
 def open_host(spec: PortSpec) -> ByteHost | CanHost:
-    """Open the host's end; of a pty, make it: `description` is the path for the device's `--port`.
+    """Open the host's end; of a pty, make it: `description` is the path for the device's `--port`. Of UDP, bind it.
 
     Raises:
         InputError: it cannot be opened, or `spec` names no port.
     """
+    if spec.kind is Kind.UDP:
+        from lidar_emu.transports.udp_port import open_udp_host
+
+        return ByteHost(lambda: open_udp_host(spec))
     return CanHost(opener(spec)) if spec.kind is Kind.CAN else ByteHost(opener(spec))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Protocol
@@ -40,7 +40,7 @@ class LinkLostError(Exception):
 
 
 COUNTED = ("error_frames", "ignored_frames", "lost_frames")
-"""What a CAN bus counts besides data: error frames, frames without data of ours, frames that came too fast."""
+"""What is counted besides data: error frames, frames without data of ours, frames (or datagrams) that came too fast."""
 
 
 @dataclass
@@ -52,10 +52,26 @@ class Noticed:
     """Under the names of `COUNTED`."""
 
 
+NOTHING = Noticed()
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What a port's driver was asked for that a link can do without."""
+
+    granted: tuple[str, ...] = ()
+    missing: Mapping[str, str] = field(default_factory=dict)
+    """What it does not have, each with what would have it."""
+
+
+NO_EXTRAS = Extras()
+
+
 class Channel(Protocol):
     """An open port. No call waits; every call but `close` may raise LinkLostError."""
 
     description: str
+    extras: Extras
 
     @property
     def pending(self) -> bool:
@@ -73,7 +89,7 @@ class Channel(Protocol):
         """Whether somebody is at the other end, as far as can be known."""
 
     def send(self, payload: bytes) -> bool:
-        """Take the whole packet (True) or nothing of it (False: the line is full)."""
+        """Take the whole packet (True) or nothing of it (False: the line is full, or nobody is `connected`)."""
 
     def flush(self) -> bool:
         """Complete a packet that was partly written; True if none is left."""
@@ -82,7 +98,7 @@ class Channel(Protocol):
         """What has arrived (CAN: frame records), also from one who left since; empty if nothing."""
 
     def take_noticed(self) -> Noticed:
-        """What was noticed by `receive` since the last call; does not raise."""
+        """What was noticed since the last call; does not raise."""
 
     def unread(self) -> int:
         """Bytes taken that have not left the line or, on a pty, were not fetched by its reader."""
@@ -110,18 +126,19 @@ class Link:
         """Under the names of `COUNTED`, over all times that the link was open."""
 
     def send(self, payload: bytes, now_ns: int) -> Fate:
-        """Send a packet or drop it. Whether somebody is at the other end is as the last `service` saw it."""
+        """Send a packet or drop it."""
         channel = self._channel
         if channel is None:
             return Fate.DROPPED_BROKEN
         try:
-            if not (self._somebody or self._is_connected(channel, now_ns)):
-                return Fate.DROPPED_NOBODY
-            if not channel.send(payload):
-                return Fate.DROPPED_FULL
+            taken = channel.send(payload)
+            if not (taken and self._somebody):
+                self._is_connected(channel, now_ns)
         except LinkLostError as lost:
             self._lose(str(lost), now_ns)
             return Fate.DROPPED_BROKEN
+        if not taken:
+            return Fate.DROPPED_FULL if self._somebody else Fate.DROPPED_NOBODY
         self._back_off_ns = _FIRST_RETRY_NS
         return Fate.SENT
 
@@ -150,6 +167,11 @@ class Link:
             self._take_noticed(self._channel, now_ns)
         except LinkLostError as lost:
             self._lose(str(lost), now_ns)
+
+    @property
+    def extras(self) -> Extras:
+        """What the port's driver was asked for besides, as it is now."""
+        return NO_EXTRAS if self._channel is None else self._channel.extras
 
     @property
     def pending(self) -> bool:
@@ -209,6 +231,8 @@ class Link:
 
     def _take_noticed(self, channel: Channel, now_ns: int) -> None:
         noticed = channel.take_noticed()
+        if noticed is NOTHING:
+            return
         self.counts += noticed.counts
         for text in noticed.events:
             self.note(text, now_ns)

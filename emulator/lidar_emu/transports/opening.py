@@ -23,7 +23,7 @@ def opener(spec: PortSpec, loopback_descriptor: int | None = None) -> Opener:
     """
     if spec.kind is Kind.LOOPBACK:
         return _once(lambda: _open_loopback(loopback_descriptor), spec)
-    open_port = _open_can if spec.kind is Kind.CAN else _open_bytes
+    open_port = _OPENERS.get(spec.kind, _open_bytes)
     # The number of a pty that vanished is given to the next terminal that somebody opens.
     if (spec.path or spec.channel).startswith("/dev/pts/"):
         return _once(lambda: open_port(spec), spec)
@@ -45,7 +45,9 @@ def _open_loopback(descriptor: int | None) -> Channel:
     from lidar_emu.transports.serial_port import open_loopback
 
     if descriptor is None:
-        raise InputError("--port", None, "nothing", "allowed: a device, a URL or pty; or a CAN interface")
+        raise InputError(
+            "--port", None, "nothing", "allowed: a device, a URL, udp:PORT or pty; or a CAN interface"
+        )
     return open_loopback(descriptor)
 
 
@@ -55,7 +57,16 @@ def _open_can(spec: PortSpec) -> Channel:
     return open_can(spec)
 
 
+def _open_udp(spec: PortSpec) -> Channel:
+    from lidar_emu.transports.udp_port import open_udp
+
+    return open_udp(spec)
+
+
 def _open_bytes(spec: PortSpec) -> Channel:
     from lidar_emu.transports.serial_port import open_byte_channel
 
     return open_byte_channel(spec)
+
+
+_OPENERS = {Kind.CAN: _open_can, Kind.UDP: _open_udp}

@@ -18,8 +18,11 @@ from lidar_emu.transports.spec import (
 Command = Callable[..., Any]
 
 _OPTIONS = (
-    click.option("--port", metavar="PORT", help="Serial device, pyserial URL, or pty."),
+    click.option("--port", metavar="PORT", help="Serial device, pyserial URL, udp:[HOST:]PORT, or pty."),
     click.option("--baud", type=int, metavar="N", help=f"Serial bit rate.  [default: {DEFAULT_BAUD}]"),
+    click.option(
+        "--rs485", is_flag=True, help="Let the serial driver enable the transmitter while it sends."
+    ),
     click.option("-i", "--interface", metavar="NAME", help="CAN interface, in python-can's words."),
     click.option("-c", "--channel", metavar="NAME", help="CAN channel, e.g. vcan0."),
     click.option("--bitrate", type=int, metavar="N", help=f"CAN bit rate.  [default: {DEFAULT_BITRATE}]"),
@@ -45,6 +48,7 @@ def port_options(command: Command) -> Command:
         *args: Any,
         port: str | None,
         baud: int | None,
+        rs485: bool,
         interface: str | None,
         channel: str | None,
         bitrate: int | None,
@@ -52,7 +56,7 @@ def port_options(command: Command) -> Command:
         data_bitrate: int | None,
         **others: Any,
     ) -> Any:
-        spec = parse_port(port, baud, interface, channel, bitrate, fd, data_bitrate)
+        spec = parse_port(port, baud, interface, channel, bitrate, fd, data_bitrate, rs485)
         return command(*args, port=spec, **others)
 
     for option in reversed(_OPTIONS):

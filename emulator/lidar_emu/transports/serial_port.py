@@ -6,24 +6,29 @@ import errno
 import os
 import socket
 import termios
+import threading
 from contextlib import suppress
 from typing import Any
 
 from lidar_emu.errors import InputError, one_line
 from lidar_emu.transports.byte_channel import DescriptorChannel, PtyChannel
-from lidar_emu.transports.link import Channel, LinkLostError, Noticed
+from lidar_emu.transports.link import NO_EXTRAS, NOTHING, Channel, LinkLostError, Noticed
+from lidar_emu.transports.serial_line import SerialChannel, users_of
 from lidar_emu.transports.spec import Kind, PortSpec
 
 _LOOPBACK_BUFFER_BYTES = 4 << 20
 _URL_WRITE_TIMEOUT_S = 0.1
-# pyserial URLs behind which os.write on the descriptor is what write() does; spy:// and rfc2217:// are not.
-_PLAIN_SCHEMES = ("", "hwgrep", "alt", "socket")
+_CONNECT_TIMEOUT_S = 1.0
+_WRAPPING_SCHEMES = ("loop", "spy", "cp2110")
+_IAC = b"\xff"  # what a telnet stream doubles
+_RECEIVE_AT_MOST_BYTES = 1024
+_IN_USE = "in use by another program"
 _REASONS = {
     errno.ENOENT: "there is no such port",
     errno.ENXIO: "there is no such device",
     errno.EACCES: "permission denied (on Debian the group dialout may open serial ports)",
-    errno.EBUSY: "in use by another program",
-    errno.EAGAIN: "in use by another program",
+    errno.EBUSY: _IN_USE,
+    errno.EAGAIN: _IN_USE,
     errno.EISDIR: "a folder is not a port",
 }
 
@@ -52,40 +57,92 @@ def open_byte_channel(spec: PortSpec) -> Channel:
 
 
 def _open_serial(spec: PortSpec) -> Channel:
+    if spec.scheme == "socket":
+        return _open_tcp(spec)
     import serial
 
-    plain = spec.scheme in _PLAIN_SCHEMES
+    patience_s = _URL_WRITE_TIMEOUT_S if spec.scheme in _WRAPPING_SCHEMES else None
     try:
         port = serial.serial_for_url(
-            spec.path,
-            baudrate=spec.baud,
-            timeout=0,
-            write_timeout=None if plain else _URL_WRITE_TIMEOUT_S,
-            exclusive=True,
+            spec.path, baudrate=spec.baud, timeout=0, write_timeout=patience_s, exclusive=True
         )
     except (OSError, termios.error) as error:  # SerialException is an OSError
-        raise InputError("--port", None, spec.path, _reason(error)) from None
+        raise InputError("--port", None, spec.path, _reason(error, spec.path)) from None
     except (ValueError, OverflowError) as error:
         if spec.scheme:
-            allowed = f"{_reason(error)}; allowed: pyserial's URLs"
+            allowed = f"{_reason(error, spec.path)}; allowed: pyserial's URLs"
             raise InputError("--port", None, spec.path, allowed) from None
         raise InputError("--baud", None, spec.baud, "allowed: a bit rate that the port can do") from None
-    return DescriptorChannel(port.fileno(), spec.path, port.close) if plain else UrlChannel(port, spec.path)
+    if spec.scheme == "rfc2217":
+        return TelnetChannel(port, spec.path)
+    return UrlChannel(port, spec.path) if spec.scheme in _WRAPPING_SCHEMES else SerialChannel(port, spec)
 
 
-def _reason(error: Exception) -> str:
+def _open_tcp(spec: PortSpec) -> Channel:
+    """Bytes as they are over TCP. pyserial can do that, too, but waits 0.3 s whenever it closes such a port."""
+    host, _, number = spec.path.partition("://")[2].rpartition(":")
+    try:
+        if not number.isdecimal():
+            raise ValueError("allowed: socket://HOST:PORT")
+        sock = socket.create_connection((host.strip("[]"), int(number)), _CONNECT_TIMEOUT_S)
+    except (OSError, ValueError, OverflowError) as error:
+        raise InputError("--port", None, spec.path, _reason(error, spec.path)) from None
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return DescriptorChannel(sock.fileno(), spec.path, sock.close)
+
+
+def _reason(error: Exception, path: str) -> str:
     if os.strerror(errno.ENOTTY) in str(error):
         return "it is not a serial device"
     number: object = error.args[0] if error.args else None  # termios.error is no OSError
-    return next((text for known, text in _REASONS.items() if known == number), one_line(str(error)))
+    reason = next((text for known, text in _REASONS.items() if known == number), one_line(str(error)))
+    users = users_of(path) if reason is _IN_USE else ""
+    return f"{reason}: {users}" if users else reason
+
+
+class TelnetChannel(DescriptorChannel):
+    """A port behind a terminal server (RFC 2217): pyserial reads and negotiates, packets are written here, since its
+    own `write` waits for seconds where the other end does not read."""
+
+    readable = None
+
+    def __init__(self, port: Any, description: str) -> None:
+        self._port, self._socket = port, port._socket
+        super().__init__(self._socket.fileno(), description, self._hang_up)
+
+    def send(self, payload: bytes) -> bool:
+        """Take the whole packet (True) or nothing of it (False: the line is full)."""
+        return super().send(payload.replace(_IAC, 2 * _IAC))
+
+    def receive(self) -> bytes:
+        """What has arrived, a bounded number of bytes; empty if nothing."""
+        data = b""
+        try:
+            # It hands out one at a time where it must not wait.
+            while len(data) < _RECEIVE_AT_MOST_BYTES and (byte := self._port.read(1)):
+                data += byte
+        except (OSError, termios.error) as error:
+            if not data:
+                raise LinkLostError(one_line(str(error))) from None
+        return data
+
+    def _hang_up(self) -> None:
+        """pyserial's farewell takes 0.3 s, for which nobody waits, and leaves a broken socket open."""
+
+        def take_leave() -> None:
+            self._port.close()
+            self._socket.close()
+
+        threading.Thread(target=take_leave, daemon=True).start()
 
 
 class UrlChannel:
-    """A pyserial port that has no descriptor of its own to write to (loop://, rfc2217://, spy://).
+    """A pyserial port that has no descriptor of its own to write to (loop://, spy://).
 
     Its `write` may wait for a short while; a packet that did not fit in that time counts as dropped.
     """
 
+    extras = NO_EXTRAS
     pending = False
     readable = None
     writable = None
@@ -122,8 +179,8 @@ class UrlChannel:
             raise LinkLostError(one_line(str(error))) from None
 
     def take_noticed(self) -> Noticed:
-        """Nothing: a byte link has no news of its own."""
-        return Noticed()
+        """Nothing: bytes have no news of their own."""
+        return NOTHING
 
     def unread(self) -> int:
         """Not known."""

@@ -12,6 +12,8 @@ DEFAULT_BAUD = 115_200
 DEFAULT_BITRATE = 500_000
 DEFAULT_DATA_BITRATE = 2_000_000
 _URLS_WITHOUT_A_BIT_RATE = ("socket", "loop")
+_UDP = "udp:"
+_THIS_MACHINE = "127.0.0.1"
 
 
 class Kind(StrEnum):
@@ -20,6 +22,7 @@ class Kind(StrEnum):
     LOOPBACK = "loopback"
     SERIAL = "serial"
     PTY = "pty"
+    UDP = "udp"
     CAN = "can"
 
 
@@ -29,9 +32,12 @@ class PortSpec:
 
     kind: Kind = Kind.LOOPBACK
     path: str = ""
-    """Device path or pyserial URL (serial)."""
+    """Device path or pyserial URL (serial); HOST:PORT of the other end (UDP)."""
     baud: int = DEFAULT_BAUD
-    """Bits per second on a serial line; on a pty, which has none, of the line that it stands for."""
+    """Bits per second on a serial line; on a pty, which has none, of the line that it stands for. On UDP of the line
+    behind the bridge, or 0."""
+    rs485: bool = False
+    """Whether the driver is to enable the transmitter while it sends (serial)."""
     interface: str = ""
     """python-can's name of the adapter's kind (CAN), and so the following."""
     channel: str = ""
@@ -49,6 +55,8 @@ class PortSpec:
     @property
     def has_bit_rate(self) -> bool:
         """Whether bits take time on this link."""
+        if self.kind is Kind.UDP:
+            return self.baud > 0
         return self.kind is not Kind.LOOPBACK and self.scheme not in _URLS_WITHOUT_A_BIT_RATE
 
     def __str__(self) -> str:
@@ -59,6 +67,8 @@ class PortSpec:
                 return "pty"
             case Kind.SERIAL:
                 return self.path
+            case Kind.UDP:
+                return f"{_UDP}{self.path}"
             case Kind.CAN:
                 return f"{self.interface} {self.channel}"
 
@@ -80,6 +90,7 @@ def parse_port(
     bitrate: int | None = None,
     fd: bool = False,
     data_bitrate: int | None = None,
+    rs485: bool = False,
 ) -> PortSpec:
     """The port that these options name together; None stands for an option that was not given.
 
@@ -95,8 +106,8 @@ def parse_port(
     if interface is None:
         can_options = {"--channel": channel, "--fd": fd or None, **rates, "--baud": None}
         _refuse_given(can_options, "allowed: only together with --interface")
-        return _serial(port, baud)
-    _refuse_given({"--baud": baud}, "allowed: only together with --port")
+        return _bytes(port, baud, rs485)
+    _refuse_given({"--baud": baud, "--rs485": rs485 or None}, "allowed: only together with --port")
     return _can(interface, channel, bitrate, fd, data_bitrate)
 
 
@@ -106,16 +117,29 @@ def _refuse_given(options: dict[str, Any], allowed: str) -> None:
             raise InputError(option, None, value, allowed)
 
 
-def _serial(port: str | None, baud: int | None) -> PortSpec:
+def _bytes(port: str | None, baud: int | None, rs485: bool) -> PortSpec:
     if port is None:
-        _refuse_given({"--baud": baud}, "allowed: only together with --port")
+        _refuse_given({"--baud": baud, "--rs485": rs485 or None}, "allowed: only together with --port")
         return PortSpec()
     if not port:
-        raise InputError("--port", None, port, "allowed: a device, a pyserial URL, or pty")
+        raise InputError("--port", None, port, "allowed: a device, a pyserial URL, udp:[HOST:]PORT, or pty")
+    if port == "pty" or port.startswith(_UDP):
+        _refuse_given({"--rs485": rs485 or None}, "allowed: only with a serial device")
     speed = DEFAULT_BAUD if baud is None else baud
     if port == "pty":
         return PortSpec(Kind.PTY, baud=speed)
-    return PortSpec(Kind.SERIAL, path=port, baud=speed)
+    if port.startswith(_UDP):
+        return PortSpec(Kind.UDP, path=_udp_address(port), baud=baud or 0)
+    return PortSpec(Kind.SERIAL, path=port, baud=speed, rs485=rs485)
+
+
+def _udp_address(port: str) -> str:
+    host, _, number = port.removeprefix(_UDP).rpartition(":")
+    if not (number.isascii() and number.isdigit() and 0 < int(number) < 1 << 16):
+        raise InputError(
+            "--port", None, port, "allowed: udp:PORT on this machine, udp:HOST:PORT; ports 1 to 65535"
+        )
+    return f"{host or _THIS_MACHINE}:{number}"
 
 
 def _can(

@@ -1,0 +1,127 @@
+"""A serial device: besides bytes it has settings, a driver with gifts, and other programs that want it.
+
+Sources: ioctl_tty(2), termios(3), linux/serial.h, asm-generic/ioctls.h.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import termios
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from lidar_emu.transports.byte_channel import DescriptorChannel
+from lidar_emu.transports.link import NOTHING, Extras, Noticed
+from lidar_emu.transports.spec import PortSpec
+from lidar_emu.transports.tty_reader import TtyReader
+
+_TCGETS2, _TCSETS2, _SETTINGS_BYTES = 0x802C542A, 0x402C542B, 44
+_LINES = {"CTS": termios.TIOCM_CTS, "DSR": termios.TIOCM_DSR, "CD": termios.TIOCM_CD}
+_NAMED_AT_MOST = 3
+_REMEDIES = {"low_latency": "a serial driver that has it", "rs485": "a serial driver that has it"}
+
+
+class SerialChannel(DescriptorChannel):
+    """An open device. Nobody else may open it from here on; whoever had it open already can still change its settings,
+    which are then set again.
+
+    Args:
+        port: of pyserial, open and set up.
+        spec: the port as the user named it.
+    """
+
+    def __init__(self, port: Any, spec: PortSpec) -> None:
+        self._tty = port.fileno()
+        os.set_blocking(self._tty, False)
+        self._reader = TtyReader(self._tty)
+        super().__init__(self._tty, spec.path, port.close, self._reader.descriptor)
+        self.extras = ask_driver(port, spec)
+        self._settings = _settings_of(self._tty)
+        self._noticed = Noticed(modem_lines(self._tty))
+        # A pty outlives us: to whoever holds its other end the mark would stay.
+        self._marked = not _is_pty(self._tty) and _ask(self._tty, termios.TIOCEXCL)
+
+    def take_noticed(self) -> Noticed:
+        """The modem lines as they were found, and whether another program has changed the settings."""
+        if self._settings is not None and _settings_of(self._tty) not in (self._settings, None):
+            with suppress(OSError):
+                fcntl.ioctl(self._tty, _TCSETS2, self._settings)
+            self._noticed.events.append(
+                "another program has changed the settings of the port; they were set again"
+            )
+        if not self._noticed.events:
+            return NOTHING
+        noticed, self._noticed = self._noticed, Noticed()
+        return noticed
+
+    def close(self) -> None:
+        """Give the device back, to everybody; never raises."""
+        if self._marked:
+            _ask(self._tty, termios.TIOCNXCL)
+        self._reader.close()
+        super().close()
+
+
+def ask_driver(port: Any, spec: PortSpec) -> Extras:
+    """Ask the driver of a pyserial port for what a link can do without."""
+    from serial.rs485 import RS485Settings
+
+    wishes: dict[str, Callable[[], None]] = {"low_latency": lambda: port.set_low_latency_mode(True)}
+    if spec.rs485:
+        wishes["rs485"] = lambda: setattr(port, "rs485_mode", RS485Settings())
+    granted = []
+    for name, wish in wishes.items():
+        with suppress(OSError, ValueError, NotImplementedError):
+            wish()
+            granted.append(name)
+    return Extras(tuple(granted), {name: _REMEDIES[name] for name in wishes if name not in granted})
+
+
+def modem_lines(descriptor: int) -> list[str]:
+    """A line of text on the modem lines that come in; none where the port has none."""
+    state = bytearray(4)
+    try:
+        fcntl.ioctl(descriptor, termios.TIOCMGET, state)
+    except OSError:
+        return []
+    bits = int.from_bytes(state, "little")
+    return [
+        "modem lines: " + ", ".join(f"{name} {'on' if bits & bit else 'off'}" for name, bit in _LINES.items())
+    ]
+
+
+def users_of(path: str) -> str:
+    """Which processes have a device open, as far as this user may know: "cat (process 42)"; empty if none."""
+    device, found = Path(path).resolve(), []
+    for folder in Path("/proc").glob("[0-9]*/fd"):
+        with suppress(OSError):
+            if any(link.is_symlink() and link.readlink() == device for link in folder.iterdir()):
+                name = (folder.parent / "comm").read_text().strip()
+                found.append(f"{name} (process {folder.parent.name})")
+    return ", ".join(found[:_NAMED_AT_MOST])
+
+
+def _settings_of(descriptor: int) -> bytes | None:
+    """The settings as the system keeps them, with any bit rate; None where it does not tell."""
+    try:
+        return fcntl.ioctl(descriptor, _TCGETS2, bytes(_SETTINGS_BYTES))
+    except OSError:
+        return None
+
+
+def _is_pty(descriptor: int) -> bool:
+    try:
+        return os.ttyname(descriptor).startswith("/dev/pts/")
+    except OSError:
+        return False
+
+
+def _ask(descriptor: int, request: int) -> bool:
+    try:
+        fcntl.ioctl(descriptor, request)
+    except OSError:
+        return False
+    return True

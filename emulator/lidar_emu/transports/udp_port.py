@@ -1,0 +1,182 @@
+"""UDP: a datagram per packet, framed as on a byte link, so that a bridge can pass it on to a UART as it is.
+
+The device talks to one address and hears nobody else; the host binds that address and answers whom it heard last.
+Sources: udp(7), ip(7), socket(7).
+"""
+
+from __future__ import annotations
+
+import errno
+import socket
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from lidar_emu.errors import InputError
+from lidar_emu.transports.byte_channel import queued_bytes
+from lidar_emu.transports.link import NO_EXTRAS, NOTHING, LinkLostError, Noticed
+from lidar_emu.transports.socketcan import enlarge_receive_buffer, lost_frames
+from lidar_emu.transports.spec import PortSpec
+
+_LONGEST_BYTES = 65536
+_AT_ONCE = 16
+_FULL = (errno.EAGAIN, errno.ENOBUFS)
+_NOBODY = (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.EHOSTDOWN)
+
+
+class UdpChannel:
+    """The device's end: a socket that is connected to its peer, so that the system keeps all others away.
+
+    A datagram that nobody takes is known where the other machine says so: at once on this machine, by the next packet
+    across a network, never through a firewall that is silent. Each packet is tried all the same.
+    """
+
+    pending = False
+    extras = NO_EXTRAS
+
+    def __init__(self, sock: socket.socket, description: str) -> None:
+        self.description = description
+        self._socket = sock
+        self._somebody = True
+        self._noticed = NOTHING
+        self._lost = 0
+        sock.setblocking(False)
+        enlarge_receive_buffer(sock)
+
+    @property
+    def readable(self) -> int | None:
+        """Descriptor to wait on for something to `receive`."""
+        return self._socket.fileno()
+
+    @property
+    def writable(self) -> int | None:
+        """Descriptor to wait on for room."""
+        return self._socket.fileno()
+
+    def connected(self) -> bool:
+        """Whether the last packet was not refused, as far as is known."""
+        self._somebody &= not self._refused()
+        return self._somebody
+
+    def send(self, payload: bytes) -> bool:
+        """Take the whole packet (True) or nothing of it (False: no room, or nobody there)."""
+        refused_before = self._refused()
+        try:
+            self._put(payload)
+        except OSError as error:
+            return self._not_sent(error)
+        refused_now = self._refused()
+        self._somebody = not (refused_before or refused_now)
+        return not refused_now
+
+    def flush(self) -> bool:
+        """Nothing is ever left: a datagram goes whole or not at all."""
+        return True
+
+    def receive(self) -> bytes:
+        """What has arrived, a bounded number of datagrams; empty if nothing."""
+        arrived: list[bytes] = []
+        for _ in range(_AT_ONCE):
+            try:
+                arrived.append(self._get())
+            except BlockingIOError:
+                break
+            except OSError as error:
+                self._not_sent(error)
+        if arrived:  # be it an empty one
+            self._somebody = True
+            self._notice_losses()
+        return b"".join(arrived)
+
+    def take_noticed(self) -> Noticed:
+        """Datagrams that came faster than they were read."""
+        noticed, self._noticed = self._noticed, NOTHING
+        return noticed
+
+    def unread(self) -> int:
+        """Bytes that have not left this machine, with the system's overhead."""
+        return queued_bytes(self._socket.fileno())
+
+    def close(self) -> None:
+        """Give the address back."""
+        self._socket.close()
+
+    def _notice_losses(self) -> None:
+        lost = (lost_frames(self._socket) - self._lost) % 2**32
+        if lost:
+            self._lost += lost
+            text = f"{lost} received datagrams lost: they came faster than they were read"
+            self._noticed = Noticed(
+                [*self._noticed.events, text], self._noticed.counts + Counter(lost_frames=lost)
+            )
+
+    def _put(self, payload: bytes) -> None:
+        self._socket.send(payload)
+
+    def _get(self) -> bytes:
+        return self._socket.recv(_LONGEST_BYTES)
+
+    def _refused(self) -> bool:
+        """Whether the system has heard, since it was last asked, that a packet found nobody."""
+        return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) in _NOBODY
+
+    def _not_sent(self, error: OSError) -> bool:
+        """False, where a packet is lost and the link is not."""
+        if error.errno in _NOBODY:
+            self._somebody = False
+        elif error.errno not in _FULL:
+            raise LinkLostError(error.strerror or str(error)) from None
+        return False
+
+
+class UdpHostChannel(UdpChannel):
+    """The host's end: hears everybody who knows its address, and answers the last."""
+
+    def __init__(self, sock: socket.socket, description: str) -> None:
+        super().__init__(sock, description)
+        self._peer: Any = None
+
+    def _put(self, payload: bytes) -> None:
+        if self._peer is None:
+            raise ConnectionRefusedError(errno.ECONNREFUSED, "nobody has been heard")
+        self._socket.sendto(payload, self._peer)
+
+    def _get(self) -> bytes:
+        data, self._peer = self._socket.recvfrom(_LONGEST_BYTES)
+        return data
+
+
+def open_udp(spec: PortSpec) -> UdpChannel:
+    """The device's end: sends to the address that `spec` names.
+
+    Raises:
+        InputError: there is no such address, or no way to it.
+    """
+    return UdpChannel(_socket(spec, socket.socket.connect), str(spec))
+
+
+def open_udp_host(spec: PortSpec) -> UdpHostChannel:
+    """The host's end: binds the address that `spec` names.
+
+    Raises:
+        InputError: it is not one of this machine's, or in use.
+    """
+    return UdpHostChannel(_socket(spec, socket.socket.bind), str(spec))
+
+
+def _socket(spec: PortSpec, join: Callable[[socket.socket, Any], None]) -> socket.socket:
+    host, _, number = spec.path.rpartition(":")
+    try:
+        (family, _, _, _, address), *_ = socket.getaddrinfo(
+            host.strip("[]"), int(number), type=socket.SOCK_DGRAM
+        )
+        sock = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            join(sock, address)
+        except BaseException:
+            sock.close()
+            raise
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError("--port", None, str(spec), f"it cannot be opened: {reason}") from None
+    return sock

@@ -1,0 +1,395 @@
+"""The other ends of every kind of line, held by the test: what a host is to the device.
+
+A far end names the port that the device opens (`spec`), reads, speaks, leaves without a word and comes back. Packets
+are numbered, and what was read is told as the numbers of whole packets; a torn one stops the test.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import subprocess
+import sys
+import threading
+import tty
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import serial
+from serial.rfc2217 import PortManager
+
+from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
+from lidar_emu.transports.serial_port import loopback_pair
+from lidar_emu.transports.spec import Kind, PortSpec
+
+ALL_BYTES = bytes(range(256))
+_FRAMES = 3
+_READ_BYTES = 65536
+
+
+class FarEnd:
+    """What all have in common; packets of a byte link."""
+
+    spec = PortSpec()
+    loopback_fd: int | None = None
+    fills = True
+    """Whether a line that nobody reads takes no more at some time."""
+    tells_of_loss = True
+    """Whether the device can know that the far end is gone."""
+    comes_back = True
+    outlives_device = True
+    _number_at = 0
+
+    def __init__(self) -> None:
+        self.read_so_far = b""
+
+    def attach(self, description: str) -> None:
+        """The device has opened its port, and calls it so."""
+
+    def packet(self, number: int) -> bytes:
+        return number.to_bytes(4, "big") + 15 * ALL_BYTES
+
+    def numbers(self) -> list[int]:
+        """The packets read so far, of which all are whole but perhaps one that is on its way."""
+        self.read_so_far += self.read()
+        size = len(self.packet(0))
+        whole = len(self.read_so_far) // size
+        pieces = [self.read_so_far[size * k : size * (k + 1)] for k in range(whole)]
+        found = [int.from_bytes(piece[self._number_at :][:4], "big") for piece in pieces]
+        assert pieces == [self.packet(number) for number in found], "torn"
+        return found
+
+    def command(self) -> bytes:
+        """Something that the far end may say."""
+        return ALL_BYTES
+
+    def read(self) -> bytes:
+        """What has arrived since the last call."""
+        raise AssertionError
+
+    def say(self, data: bytes) -> None:
+        raise AssertionError(data)
+
+    def leave(self) -> None:
+        """As a process that is killed: without a word."""
+
+    def come_back(self) -> None: ...
+
+    def close(self) -> None:
+        self.leave()
+
+
+class Loopback(FarEnd):
+    comes_back = False
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._near, self._far = loopback_pair()
+        self._far.setblocking(False)
+        self.loopback_fd = os.dup(self._near.fileno())
+        self._near.close()
+
+    def read(self) -> bytes:
+        return _all_of(lambda: self._far.recv(_READ_BYTES))
+
+    def say(self, data: bytes) -> None:
+        self._far.send(data)
+
+    def leave(self) -> None:
+        self._far.close()
+
+
+class Pty(FarEnd):
+    """The device makes the pty; the far end is whoever opens its path."""
+
+    spec = PortSpec(Kind.PTY)
+    outlives_device = False
+
+    def attach(self, description: str) -> None:
+        self._path = description
+        self.come_back()
+
+    def read(self) -> bytes:
+        return _all_of(lambda: os.read(self._descriptor, _READ_BYTES))
+
+    def say(self, data: bytes) -> None:
+        os.write(self._descriptor, data)
+
+    def leave(self) -> None:
+        os.close(self._descriptor)
+        self.read_so_far = b""
+
+    def come_back(self) -> None:
+        self._descriptor = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+
+
+class Serial(FarEnd):
+    """A serial device that can be unplugged: a link to a pty, whose master is the far end."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self._link = folder / "port"
+        self.come_back()
+        self.spec = self.named(str(self._link))
+
+    def named(self, path: str) -> PortSpec:
+        return PortSpec(Kind.SERIAL, path)
+
+    def read(self) -> bytes:
+        return _all_of(lambda: os.read(self._master, _READ_BYTES))
+
+    def say(self, data: bytes) -> None:
+        os.write(self._master, data)
+
+    def leave(self) -> None:
+        self._link.unlink()  # the number of the pty is given to the next that is made
+        os.close(self._slave)
+        os.close(self._master)
+        self.read_so_far = b""
+
+    def come_back(self) -> None:
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self._link.symlink_to(os.ttyname(self._slave))
+
+
+class Socket(FarEnd):
+    """A terminal server that passes bytes on as they are."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._port = 0
+        self.come_back()
+        self.spec = PortSpec(Kind.SERIAL, f"socket://127.0.0.1:{self._port}")
+
+    def attach(self, description: str) -> None:  # noqa: ARG002
+        self._accept(10.0)
+
+    def read(self) -> bytes:
+        self._accept(0.0)
+        return b"" if self._connection is None else _all_of(lambda: self._received(self._connection))
+
+    def say(self, data: bytes) -> None:
+        assert self._connection is not None
+        self._connection.sendall(data)
+
+    def leave(self) -> None:
+        for sock in (self._connection, self._server):
+            if sock is not None:
+                sock.close()
+        self._connection = None
+        self.read_so_far = b""
+
+    def come_back(self) -> None:
+        self._connection: socket.socket | None = None
+        self._server = socket.create_server(("127.0.0.1", self._port))
+        self._port = self._server.getsockname()[1]
+
+    def _received(self, connection: Any) -> bytes:
+        data = bytes(connection.recv(_READ_BYTES))
+        if not data:  # the device has closed it
+            connection.close()
+            self._connection = None
+        return data
+
+    def _accept(self, timeout_s: float) -> None:
+        if self._connection is None and select.select([self._server], [], [], timeout_s)[0]:
+            self._connection, _ = self._server.accept()
+            self._connection.setblocking(False)
+
+
+class Telnet(Socket):
+    """A terminal server of RFC 2217, as pyserial has one. A thread answers the device's negotiation; of what it says
+    besides, the thread takes no more while `read` has not fetched the last."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.spec = PortSpec(Kind.SERIAL, f"rfc2217://127.0.0.1:{self._port}")
+
+    def attach(self, description: str) -> None:
+        """It has been negotiated with already."""
+
+    def read(self) -> bytes:
+        data, self._unread = self._unread, b""
+        return data
+
+    def say(self, data: bytes) -> None:
+        super().say(b"".join(self._manager.escape(data)))
+
+    def leave(self) -> None:
+        self._leaving.set()
+        self._thread.join()
+        super().leave()
+
+    def come_back(self) -> None:
+        super().come_back()
+        self._unread = b""
+        self._leaving = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def write(self, data: bytes) -> None:
+        """For the manager."""
+        if self._connection is not None:
+            self._connection.sendall(data)
+
+    def _serve(self) -> None:
+        while not self._leaving.is_set():
+            if self._connection is None:
+                self._accept(0.02)
+                self._manager = PortManager(serial.serial_for_url("loop://"), self)
+            elif self._unread or not select.select([self._connection], [], [], 0.02)[0]:
+                self._leaving.wait(0.002)
+            else:
+                with suppress(ConnectionResetError):
+                    self._unread = b"".join(self._manager.filter(self._received(self._connection)))
+
+
+class Udp(FarEnd):
+    fills = False
+
+    def __init__(self, host: str = "127.0.0.1") -> None:
+        super().__init__()
+        self._address: Any = (host, 0)
+        self._family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        self._peer: Any = None
+        self.come_back()
+        self._address = self._socket.getsockname()
+        self.spec = PortSpec(Kind.UDP, f"{f'[{host}]' if ':' in host else host}:{self._address[1]}", baud=0)
+
+    def read(self) -> bytes:
+        return _all_of(self._one)
+
+    def say(self, data: bytes) -> None:
+        self._socket.sendto(data, self._peer)
+
+    def leave(self) -> None:
+        self._socket.close()
+
+    def come_back(self) -> None:
+        self._socket = socket.socket(self._family, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._socket.bind(self._address)
+
+    def _one(self) -> bytes:
+        data, self._peer = self._socket.recvfrom(_READ_BYTES)
+        assert len(data) == len(self.packet(0)), "one packet, one datagram"
+        return data
+
+
+class CanFarEnd(FarEnd):
+    """Packets of three frames."""
+
+    _number_at = 6  # behind the head of the first frame's record
+
+    def packet(self, number: int) -> bytes:
+        return pack_frames(
+            Frame(0x100 + part, number.to_bytes(4, "big") + bytes(4)) for part in range(_FRAMES)
+        )
+
+    def command(self) -> bytes:
+        return pack_frames([Frame(0x130, b"\x01\x02")])
+
+
+class Slcan(CanFarEnd, Serial):
+    """An slcan adapter by its lines of text."""
+
+    def __init__(self, folder: Path) -> None:
+        self._lines = b""
+        super().__init__(folder)
+
+    def named(self, path: str) -> PortSpec:
+        return PortSpec(Kind.CAN, interface="slcan", channel=path)
+
+    def read(self) -> bytes:
+        *lines, self._lines = (self._lines + super().read()).split(b"\r")
+        frames = [line.decode("ascii") for line in lines if line[:1] == b"t"]
+        return pack_frames(Frame(int(line[1:4], 16), bytes.fromhex(line[5:])) for line in frames)
+
+    def say(self, data: bytes) -> None:
+        lines = [f"t{frame.can_id:03X}{len(frame.data)}{frame.data.hex()}\r" for frame in unpack_frames(data)]
+        super().say("".join(lines).encode())
+
+    def leave(self) -> None:
+        super().leave()
+        self._lines = b""
+
+
+class Bus(CanFarEnd):
+    """Another program on a bus of python-can's; nobody knows of it."""
+
+    fills = False
+    tells_of_loss = False
+
+    def __init__(self, interface: str, channel: str) -> None:
+        super().__init__()
+        self.spec = PortSpec(Kind.CAN, interface=interface, channel=channel)
+        self._joined = interface, channel
+        self._bus: Any = None
+        self.come_back()
+
+    def read(self) -> bytes:
+        frames = []
+        while (message := self._bus.recv(timeout=0)) is not None:
+            frames.append(Frame(message.arbitration_id, bytes(message.data)))
+        return pack_frames(frames)
+
+    def say(self, data: bytes) -> None:
+        import can
+
+        for frame in unpack_frames(data):
+            self._bus.send(can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False))
+
+    def leave(self) -> None:
+        self._bus.shutdown()
+
+    def come_back(self) -> None:
+        import can
+
+        interface, channel = self._joined
+        self._bus = can.Bus(interface=interface, channel=channel, ignore_config=True)
+
+
+class Virtual(Bus):
+    def __init__(self) -> None:
+        super().__init__("virtual", f"bus {id(self)}")
+
+
+class Remote(Bus):
+    """Another client of python-can-remote's server, which is a process of its own."""
+
+    tells_of_loss = True
+
+    def __init__(self) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self._port = free.getsockname()[1]
+        super().__init__("remote", f"127.0.0.1:{self._port}")
+
+    def leave(self) -> None:
+        self._server.kill()
+        self._server.wait()
+        self._bus.socket.close()  # its own farewell waits for the server
+        self._bus._is_shutdown = True
+        self.read_so_far = b""
+
+    def come_back(self) -> None:
+        where = ["-H", "127.0.0.1", "-p", str(self._port)]
+        command = [sys.executable, "-m", "can_remote", "-i", "virtual", "-c", "bus", *where]
+        self._server = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        for _ in range(1000):
+            with suppress(ConnectionRefusedError):
+                super().come_back()
+                return
+            threading.Event().wait(0.02)
+
+
+def _all_of(read: Any) -> bytes:
+    """Everything that is there, from a descriptor that does not wait."""
+    pieces = []
+    with suppress(BlockingIOError, ConnectionResetError):
+        while piece := read():
+            pieces.append(piece)
+    return b"".join(pieces)

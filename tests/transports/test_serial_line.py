@@ -1,0 +1,129 @@
+"""What a serial device has besides bytes: owners, settings, a driver. The driver is faked, for a pty has none."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import termios
+from typing import Any
+
+import pytest
+
+from lidar_emu.errors import InputError
+from lidar_emu.transports.link import Link
+from lidar_emu.transports.opening import opener
+from lidar_emu.transports.serial_line import ask_driver, modem_lines, users_of
+from lidar_emu.transports.serial_port import open_byte_channel
+from lidar_emu.transports.spec import Kind, PortSpec
+
+NOT_A_DRIVER_OF_OURS = OSError(25, "Inappropriate ioctl for device")
+
+
+def spec(path: str, **settings: Any) -> PortSpec:
+    return PortSpec(Kind.SERIAL, path, **settings)
+
+
+class Driver:
+    """A port of pyserial's, whose driver can do some things."""
+
+    def __init__(self, *can: str) -> None:
+        self.can, self.done = can, list[str]()
+
+    def set_low_latency_mode(self, on: bool) -> None:
+        if "low_latency" not in self.can:
+            raise ValueError("Failed to update ASYNC_LOW_LATENCY flag to True")
+        self.done.append(f"low_latency {on}")
+
+    @property
+    def rs485_mode(self) -> object:
+        return None
+
+    @rs485_mode.setter
+    def rs485_mode(self, settings: Any) -> None:
+        if "rs485" not in self.can:
+            raise ValueError("Failed to set RS485 mode")
+        self.done.append(f"rs485, RTS while sending: {settings.rts_level_for_tx}")
+
+
+def test_a_driver_that_can_is_asked_for_low_latency_and_for_rs485_where_it_is_wanted() -> None:
+    driver = Driver("low_latency", "rs485")
+    assert ask_driver(driver, spec("x")).granted == ("low_latency",)
+    extras = ask_driver(driver, spec("x", rs485=True))
+    assert extras.granted == ("low_latency", "rs485")
+    assert not extras.missing
+    assert driver.done == ["low_latency True", "low_latency True", "rs485, RTS while sending: True"]
+
+
+def test_what_a_driver_cannot_do_is_said_and_no_error(raw_pty: Any) -> None:
+    assert list(ask_driver(Driver(), spec("x", rs485=True)).missing) == ["low_latency", "rs485"]
+    link = Link(opener(spec(raw_pty.path, rs485=True)))
+    assert list(link.extras.missing) == ["low_latency", "rs485"]
+    link.service(0)
+    assert link.take_events() == []
+    link.close()
+    assert not link.extras.missing
+
+
+@pytest.mark.parametrize(
+    ("bits", "told"),
+    [(0x20, "modem lines: CTS on, DSR off, CD off"), (0x140, "modem lines: CTS off, DSR on, CD on")],
+)
+def test_modem_lines_are_told_as_they_were_found(
+    bits: int, told: str, raw_pty: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert modem_lines(raw_pty.master) == [], "a pty has none"
+
+    def answer(_: int, request: int, state: bytearray) -> int:
+        assert request == termios.TIOCMGET
+        state[:] = bits.to_bytes(4, "little")
+        return 0
+
+    monkeypatch.setattr("fcntl.ioctl", answer)
+    assert modem_lines(3) == [told]
+
+
+def test_settings_that_another_program_changes_are_set_again_and_told(raw_pty: Any) -> None:
+    link = Link(opener(spec(raw_pty.path, baud=230_400)))
+    before = termios.tcgetattr(raw_pty.master)
+    subprocess.run(["stty", "-F", raw_pty.path, "9600", "echo", "icanon", "onlcr"], check=True)
+    assert termios.tcgetattr(raw_pty.master) != before
+    link.service(7)
+    assert link.take_events() == [
+        (7, "another program has changed the settings of the port; they were set again")
+    ]
+    assert termios.tcgetattr(raw_pty.master) == before
+    link.service(8)
+    assert link.take_events() == []
+    link.close()
+
+
+def test_who_uses_a_port_is_named(raw_pty: Any) -> None:
+    own = f"(process {os.getpid()})"
+    assert own in users_of(raw_pty.path)
+    assert users_of("/dev/nothing-of-the-kind") == ""
+    first = open_byte_channel(spec(raw_pty.path))
+    with pytest.raises(InputError) as refused:
+        open_byte_channel(spec(raw_pty.path))
+    assert refused.value.allowed.startswith("in use by another program: ")
+    assert own in refused.value.allowed
+    first.close()
+    open_byte_channel(spec(raw_pty.path)).close()
+
+
+def test_a_device_that_is_no_pty_is_marked_as_taken_and_given_back(
+    raw_pty: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The pty stands for a device: an exclusive one is refused to all but the privileged, as TIOCGEXCL tells."""
+    monkeypatch.setattr("lidar_emu.transports.serial_line._is_pty", lambda _: False)
+    slave = os.open(raw_pty.path, os.O_RDWR | os.O_NOCTTY)
+    channel = open_byte_channel(spec(raw_pty.path))
+    assert is_exclusive(slave)
+    channel.close()
+    assert not is_exclusive(slave)
+    os.close(slave)
+
+
+def is_exclusive(descriptor: int) -> bool:
+    import fcntl
+
+    return bool(int.from_bytes(fcntl.ioctl(descriptor, 0x80045440, bytes(4)), "little"))  # TIOCGEXCL
