@@ -72,7 +72,7 @@ def test_they_are_a_housekeeping_packet_with_mode_safe_and_the_laser_off() -> No
     assert body[0] - struct.unpack_from(">I", unstuffed(prepared[0].split(b"\0")[-2]), 6)[0] == 2
     mode, flags, temperature, power, uptime_s, dropped, late = body[7:]
     assert (mode, flags) == (6, 0b101), "safe; interlock closed, laser off, clock locked"
-    assert (temperature, power) == (-32768, 0)
+    assert (2000 <= temperature < 2050, power) == (True, 0), "hundredths of a degree; mW"
     assert (uptime_s, dropped, late) == (2, 1, 2)
 
 

@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, Any
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.answers import Answers
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.drain import SETTLE_NS, Drain
 from lidar_emu.runtime.lifeline import Lifeline
 from lidar_emu.runtime.orphan import complain, say_last_words, told_of
 from lidar_emu.runtime.pacing import Pace, Pacing, WhenLate
@@ -51,7 +52,6 @@ _LIFELINE, _PARENT = 0, 1
 _PIPE_BYTES = 65536
 _DRAIN_NS = 2_000_000_000
 _HASTY_DRAIN_NS = 500_000_000
-_SETTLE_NS = 20_000_000
 _LOOK_AGAIN_NS = 5_000_000
 _ALERT_NS = 1_000_000
 """How long the packet that was announced is waited for without sleeping."""
@@ -127,7 +127,7 @@ class _Port:
         self._event_count = 0
         self._alert_until_ns = 0
         self._finishing = False
-        self._drain: _Drain | None = None
+        self._drain: Drain | None = None
         self._last_words = b""
         self._ends_in_order: bool | None = None
 
@@ -221,9 +221,9 @@ class _Port:
         now_ns = self._clock.now_ns()
         unread = self._link.unread
         if self._drain is None:
-            self._drain = _Drain(now_ns, _DRAIN_NS + round(drain_time_s(self._spec, unread) * 1e9))
+            self._drain = Drain(now_ns, _DRAIN_NS + round(drain_time_s(self._spec, unread) * 1e9))
         if not self._drain.is_over(bool(self._link.pending or unread), now_ns):
-            return now_ns + _SETTLE_NS
+            return now_ns + SETTLE_NS
         self._finishing = False
         self._answers.say(finished=self._counts())
         return None
@@ -231,7 +231,7 @@ class _Port:
     def _drain_in_haste(self) -> None:
         """What counts as sent should arrive, even where nobody cares for the rest of the run."""
         now_ns = self._clock.now_ns()
-        drain = _Drain(now_ns, _HASTY_DRAIN_NS)
+        drain = Drain(now_ns, _HASTY_DRAIN_NS)
         while not drain.is_over(bool(self._link.pending or self._link.unread), now_ns):
             self._clock.wait(now_ns + _LOOK_AGAIN_NS)
             now_ns = self._clock.now_ns()
@@ -267,21 +267,6 @@ class _Port:
             "unsent": self._unsent,
             **{name: self._link.counts[name] for name in COUNTED},
         }
-
-
-class _Drain:
-    """The time at the end in which the other end still reads what was sent; it begins at once."""
-
-    def __init__(self, now_ns: int, limit_ns: int) -> None:
-        self._ends_ns = now_ns + limit_ns
-        self._busy_ns = now_ns
-
-    def is_over(self, busy: bool, now_ns: int) -> bool:
-        """Whether nothing is on its way any more, or the other end was given long enough."""
-        if busy:
-            self._busy_ns = now_ns
-        # Bytes on their way through a pty are counted nowhere for a moment: it must look empty for a while.
-        return now_ns - self._busy_ns >= _SETTLE_NS or now_ns >= self._ends_ns
 
 
 def _faulty(open_port: Opener, spec: PortSpec, faults: list[dict[str, Any]], clock: Clock) -> FaultyPort:
