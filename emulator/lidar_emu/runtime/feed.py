@@ -53,13 +53,16 @@ class Desk(NamedTuple):
         Args:
             time_ns: scenario time.
             start_ns: instant of the monotonic clock at scenario time 0, where that clock sets the pace: commands then
-                count from when they came.
+                count from when they came, and the time at the tone from the last pulse.
         """
         arrivals = self.outbox.arrivals()
-        for arrived_ns, data in arrivals if self.commands is not None else ():
+        for at_ns, data, pulse_ns in arrivals if self.commands is not None else ():
             assert self.commands is not None
-            came_ns = time_ns if start_ns is None else arrived_ns - start_ns
-            self.commands.hear(data, arrived_ns, came_ns)
+            if start_ns is None:
+                self.commands.hear(data, at_ns, time_ns)
+            else:
+                tone_ns = None if pulse_ns is None else pulse_ns - start_ns
+                self.commands.hear(data, at_ns, at_ns - start_ns, tone_ns)
         if self.injector is not None:
             self.injector.hear()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import replace
 from datetime import datetime, timedelta
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -150,7 +151,9 @@ class Run:
             source = self._source(socket, watching)
             front, outbox = self._front(port, source, watching)
             with suppress(KeyboardInterrupt):
-                self._description = port.start(self._options.port, self._port_faults)
+                pulse_line = self._scenario.device.clock.pulse_line or ""
+                spec = replace(self._options.port, pulse_line=pulse_line)
+                self._description = port.start(spec, self._port_faults)
                 self._opening = False
                 with self._outliving_the_port():
                     self._feed(port, outbox, source, front).fly()

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port_story import Arrival
 from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block
@@ -114,8 +115,8 @@ class Outbox:
         has news."""
         self._port.wait(until_ns, readable, awake)
 
-    def arrivals(self) -> list[tuple[int, bytes]]:
-        """What arrived on the port since the last call, see `PortRunner.arrivals`."""
+    def arrivals(self) -> list[Arrival]:
+        """What arrived on the port since the last call."""
         return self._port.arrivals()
 
     def last_packet_pushed(self) -> None:

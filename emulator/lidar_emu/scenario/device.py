@@ -29,6 +29,9 @@ class DeviceClock(Part):
     """Whether the lock flag is set at power-up; a synchronisation sets it in any case."""
     holdover_s: Positive | None = None
     """So long after power-up or the last synchronisation the lock is lost. Left out: never."""
+    pulse_line: Literal["cd", "cts", "dsr"] | None = None
+    """Modem line of the serial port whose rising edges are the pulses that `time_at_tone` speaks of. Left out: the
+    arrival of the command counts."""
 
 
 class Thermal(Part):
