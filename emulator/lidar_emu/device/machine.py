@@ -24,7 +24,7 @@ def initial(rules: Rules) -> DeviceState:
         mode=Mode.OFF,
         agenda=chain,
         settings=rules.defaults,
-        clock=powered_up(rules.clock, power_on_ns),
+        clock=powered_up(rules.clock, power_on_ns, wander=rules.wander),
         heat=Heat(power_on_ns, 0.0, laser_on=False),
         interlock_closed=True,
         restarted_ns=power_on_ns,
@@ -75,7 +75,7 @@ def restart(rules: Rules, state: DeviceState, time_ns: int, cold: bool) -> Devic
     state = state._replace(restarts=state.restarts + 1, restarted_ns=time_ns)
     if not cold:
         return enter(rules, state, Mode.BOOT, time_ns, (Due(time_ns + rules.warm_restart_ns, Mode.STANDBY),))
-    clock = powered_up(rules.clock, time_ns, state.clock.epoch_ns)
+    clock = powered_up(rules.clock, time_ns, state.clock.epoch_ns, rules.wander)
     boot, *rest = _boot(rules, time_ns)
     return enter(rules, state._replace(settings=rules.defaults, clock=clock), boot.mode, time_ns, tuple(rest))
 

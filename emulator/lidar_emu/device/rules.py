@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from lidar_emu.device.heat import Heating
 from lidar_emu.device.state import Mode, Settings
+from lidar_emu.device.wander import Wander
 from lidar_emu.scenario.device import Device, DeviceClock
 
 
@@ -30,6 +31,8 @@ class Rules:
     defaults: Settings
     """After power-up and a cold restart."""
     clock: DeviceClock
+    wander: Wander | None
+    """Of the clock."""
     holdover_ns: int | None
     heating: Heating
     events: tuple[Event, ...]
@@ -43,9 +46,14 @@ class Rules:
 
 
 def device_rules(
-    part: Device, rate_hz: float, beam_count: int, pattern_count: int, laser_power_w: float | None = None
+    part: Device,
+    rate_hz: float,
+    beam_count: int,
+    pattern_count: int,
+    laser_power_w: float | None = None,
+    seed: int = 0,
 ) -> Rules:
-    """The rules of a scenario's device."""
+    """The rules of a scenario's device; `seed` is that of its clock's wander."""
     thermal, clock = part.thermal, part.clock
     return Rules(
         start=Mode(part.start),
@@ -60,6 +68,7 @@ def device_rules(
             acquisition_ns=_ns(part.acquisition_s),
         ),
         clock=clock,
+        wander=Wander.drawn(clock.wander_ppm * 1e-6, seed),
         holdover_ns=None if clock.holdover_s is None else _ns(clock.holdover_s),
         heating=Heating(thermal.ambient_c, thermal.rise_k, thermal.time_constant_s, thermal.limit_c),
         events=tuple(Event(_ns(event.at_s), event.what) for event in part.events),

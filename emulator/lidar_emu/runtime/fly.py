@@ -91,7 +91,9 @@ class Run:
         self._slots = max(2 * block_shots, round(rate_hz * LOOK_AHEAD_S))
         faulty = packets_on_order(scenario, encoder, options)
         beams, patterns = model.beam_count, model.pattern_count
-        self._rules = rules = device_rules(scenario.device, rate_hz, beams, patterns, scenario.laser_power_w)
+        self._rules = rules = device_rules(
+            scenario.device, rate_hz, beams, patterns, scenario.laser_power_w, scenario.seed
+        )
         self._device = waiting_device(rules) if options.on_command else DeviceNow(rules, initial(rules))
         self._session = Session(model, encoder, self._slots + 1, faulty, rules)
         self._port_faults = port_on_order(scenario, model, options)

@@ -25,6 +25,8 @@ class DeviceClock(Part):
     """How much too fast it runs at power-up."""
     ageing_ppm_per_day: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
     """How `drift_ppm` changes."""
+    wander_ppm: Annotated[float, Field(ge=0, le=1e4)] = 0.0
+    """Besides, the rate comes and goes by chance, over tens of seconds to hours: root mean square."""
     locked_at_start: Switch = True
     """Whether the lock flag is set at power-up; a synchronisation sets it in any case."""
     holdover_s: Positive | None = None
