@@ -54,9 +54,12 @@ class FaultyPackets:
             status: of the device through these shots.
             state: carried from the shots before.
         """
-        wrong, stamps, by_stamp = self._stamps.apply(measurement.shot, stamped, state.stamps)
+        wrong, stamps, by_stamp = stamped, state.stamps, list[Injected]()
+        if not status.silent:
+            wrong, stamps, by_stamp = self._stamps.apply(measurement.shot, stamped, stamps)
+        finished = list(self._encoder.packets(wrong, status))
         packets, due_ns, after, by_packet = self._packets.apply(
-            measurement.shot, measurement.due_ns, list(self._encoder.packets(wrong, status)), state.packets
+            measurement.shot, measurement.due_ns, finished, state.packets, status.silent
         )
         return packets, due_ns, WireState(stamps, after), by_stamp + by_packet
 

@@ -15,6 +15,7 @@ from lidar_emu.device.rules import Rules, device_rules
 from lidar_emu.device.settling import Settling
 from lidar_emu.device.state import DeviceState
 from lidar_emu.measurement import Measurement
+from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.device import Device
 from lidar_emu.shots import Model, ModelState, initial_state, measure
 from lidar_emu.wire import Encoder, Packet
@@ -105,6 +106,11 @@ class Session:
         """As the last shot has left it, or the last command after that."""
         return self._state.conduct.device
 
+    @property
+    def is_over(self) -> bool:
+        """Whether there are no more shots."""
+        return self.next_shot >= self._model.shot_count
+
     def use_device(self, device: DeviceState) -> None:
         """From the next shot on, let the device be as it is after a command."""
         state, settings = self._state, device.settings
@@ -147,10 +153,9 @@ class Session:
 
     def pass_over(self, shot: int) -> None:
         """Go on with this shot; those before it are never computed."""
-        passed = max(0, shot - self.next_shot)
-        if not self.device.measures:  # it would not have counted them
-            self._state = self._state._replace(unnumbered=self._state.unnumbered + passed)
-        self.next_shot += passed
+        while self.next_shot < shot:
+            count, silent = self._advance(shot - self.next_shot)
+            self._skip(count, silent, self._state.model.scanner)
 
     def rewind(self, shot: int) -> None:
         """Go back to a shot that is kept, and compute it and those after it again.
@@ -217,12 +222,14 @@ class Session:
             self.shoot(shot - self.next_shot)
             return
         count, silent = self._advance(shot - self.next_shot)
+        self._skip(count, silent, self._model.state_after(self.next_shot, count, self._state.model.scanner))
+
+    def _skip(self, count: int, silent: bool, scanner: ScannerState) -> None:
+        """So many shots without measuring them, after which the scanner is in this state."""
         state = self._state
-        scanner = self._model.state_after(self.next_shot, count, state.model.scanner)
-        self._state = state._replace(
-            model=state.model._replace(scanner=scanner), unnumbered=state.unnumbered + silent * count
-        )
-        self.next_shot = shot
+        model, unnumbered = state.model._replace(scanner=scanner), state.unnumbered + silent * count
+        self._state = state._replace(model=model, unnumbered=unnumbered)
+        self.next_shot += count
 
 
 def _stamped(measurement: Measurement, state: _State) -> Measurement:

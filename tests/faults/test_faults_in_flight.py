@@ -20,6 +20,7 @@ from mcap.reader import make_reader
 import lidar_emu
 from lidar_emu.errors import InputError
 from lidar_emu.faulty_packets import faulty_packets
+from lidar_emu.runtime.changes import Changes
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.injector import Injector
 from lidar_emu.runtime.observer import Observer
@@ -185,6 +186,7 @@ class Controlled:
         self.path, self.told = path, Told()
         model = build_model(scenario)
         self.session = Session(model, encoder, 10, faulty_packets(scenario, encoder, False))
+        self.changes = Changes()
         self.port_orders: list[dict[str, Any]] = []
         self.injector = Injector(
             str(path / "control"),
@@ -194,6 +196,7 @@ class Controlled:
             RunOptions(PortSpec(), pace),
             (200, room_bytes),
             self.port_orders.append,
+            self.changes,
             [self.told],
         )
 
@@ -207,8 +210,8 @@ class Controlled:
         return answer
 
     def follow(self) -> None:
-        while (change := self.injector.next_change()) is not None:
-            change.apply(self.session)
+        while self.changes.first is not None:
+            self.changes.follow(self.session, None)
 
 
 def test_an_order_is_answered_followed_and_told(bench: Any, shoot: Any, tmp_path: Path) -> None:
@@ -256,13 +259,13 @@ def test_what_this_run_cannot_do_is_refused(
         answer = controlled.order(text)
         assert not answer["accepted"]
         assert said in answer["reason"]
-        assert controlled.injector.next_change() is None
+        assert controlled.changes.first is None
 
 
 def test_it_is_not_expected_of_a_shot_before_it_can_be_built(bench: Any, tmp_path: Path) -> None:
     with (controlled := Controlled(bench(), tmp_path)).injector:
         controlled.order(EACH[0])
-        change = controlled.injector.next_change()
+        change = controlled.changes.first
         assert change is not None
         assert change.arrived_ns <= Clock().now_ns() + 1_000_000_000
 

@@ -101,15 +101,32 @@ class PacketFaults:
         """What is carried before shot 0."""
 
     def apply(
-        self, shot: NDArray[np.int64], due_ns: NDArray[np.int64], packets: list[Packet], state: PacketState
+        self,
+        shot: NDArray[np.int64],
+        due_ns: NDArray[np.int64],
+        packets: list[Packet],
+        state: PacketState,
+        silent: bool = False,
     ) -> tuple[list[Packet], list[int], PacketState, list[Injected]]:
         """What becomes of the packets of consecutive shots.
+
+        Args:
+            shot: (shots,) their numbers.
+            due_ns: (shots,) when they are due.
+            packets: of each, empty ones if `silent`.
+            state: carried from the shots before.
+            silent: whether the device sends none, so that there is nothing for faults of packets to act on. What was
+                held back follows all the same.
 
         Returns:
             for each shot what is sent, perhaps nothing; and when, in ascending order; what is carried on; and which
             faults acted.
         """
-        acts = [schedule.shots(shot).tolist() for _, _, schedule, _ in self._faults]
+        nowhere = [False] * len(shot)
+        acts = [
+            nowhere if silent and not isinstance(fault, kinds.LinkFault) else schedule.shots(shot).tolist()
+            for _, fault, schedule, _ in self._faults
+        ]
         sent: list[Packet] = []
         due: list[int] = []
         injected: list[Injected] = []
@@ -151,7 +168,7 @@ class PacketFaults:
                 pieces, kept = ((), pieces) if now and not before else (pieces + before, ())
             elif isinstance(fault, kinds.StalePacket):
                 pieces = before if now and before else pieces
-                kept = pieces
+                kept = pieces if any(pieces) else before
             elif now and type(fault) in _EFFECTS:
                 act = _Act(fault, chance, shot, self._interface, self._rewriter, self._can)
                 pieces = _EFFECTS[type(fault)](pieces, act)

@@ -71,8 +71,8 @@ class OnCommandFeed:
         while not desk.interrupted():
             now_ns = desk.clock.now_ns() - powered_ns
             desk.hear(now_ns, powered_ns)
-            while (change := desk.next_change()) is not None:
-                desk.follow(change, None)
+            while desk.changes.first is not None:
+                desk.follow(None)
             if self._device.at(now_ns).measures:
                 return True
             if self._housekeeper is not None:

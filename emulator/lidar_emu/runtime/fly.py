@@ -13,6 +13,7 @@ from lidar_emu.device.machine import initial
 from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.rules import device_rules
 from lidar_emu.flight import Flight
+from lidar_emu.runtime.changes import Changes
 from lidar_emu.runtime.child import PortDiedError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.events import EventLog, told
@@ -103,6 +104,7 @@ class Run:
         faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
         self._packet_room_bytes = max(_PACKET_ROOM_BYTES, faulty_bytes + _STUFFING_BYTES)
         self._packet_bytes = len(longest), self._packet_room_bytes - _STUFFING_BYTES
+        self._changes = Changes()
         self._injector: Injector | None = None
         self._wire_load = wire_load(port, longest, rate_hz)
         self._opening = True
@@ -143,6 +145,7 @@ class Run:
                 self._options,
                 self._packet_bytes,
                 port,
+                self._changes,
                 self._observers,
             ) as self._injector,
         ):
@@ -156,7 +159,7 @@ class Run:
                     self._feed(port, outbox, source, front).fly()
             port.close()
             outbox.close()
-            front.close()
+            self._changes.close()
         return Outcome(self.tally, self._details(port, source, front, stolen), self._error)
 
     def _front(
@@ -165,7 +168,7 @@ class Run:
         """What the device hears and says, and the shots' way out; whoever is to know of them watches from now on."""
         outbox, can = Outbox(port, watching, self.tally, self._slots), self._options.port.kind is Kind.CAN
         voice = Voice(self._encoder.interface, self._scenario.wire.unit, can, outbox.send_now)
-        front = open_front(voice, self._device, self._can_date, self.tally, watching)
+        front = open_front(voice, self._device, self._can_date, self.tally, self._changes, watching)
         if self._says_last_words:
             self._last_words = LastWords(voice, front.housekeeper, port.prepare)
         judge = LateEnds(self._fail) if self._scenario.timing.when_late == "abort" else None
@@ -208,6 +211,7 @@ class Run:
             self._cut_short,
             self._fail,
             lambda start_ns: self._begin(port, start_ns),
+            self._changes,
             front.commands,
             self._injector,
         )

@@ -1,10 +1,9 @@
-"""Faults ordered in flight: read from a socket, checked, answered, and kept until the shots can follow them."""
+"""Faults ordered in flight: read from a socket, checked, answered, and passed on to the shots."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
@@ -12,8 +11,8 @@ from typing import Any, Self
 
 from lidar_emu.errors import Finding, InputError, one_line
 from lidar_emu.faulty_packets import FaultyPackets, faulty_packets
+from lidar_emu.runtime.changes import Change, Changes
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.command_post import Change
 from lidar_emu.runtime.link_orders import link_order
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.run_options import RunOptions
@@ -48,6 +47,7 @@ class Injector:
         options: how it is run.
         packet_bytes: the longest packet without faults, as the port takes it, and the longest that it can take.
         order_of_port: takes the port's own faults.
+        changes: where shots find what they are to follow.
         observers: told of every fault, once shots have it.
 
     Raises:
@@ -63,14 +63,14 @@ class Injector:
         options: RunOptions,
         packet_bytes: tuple[int, int],
         order_of_port: Callable[[dict[str, Any]], None],
+        changes: Changes,
         observers: Sequence[Observer],
     ) -> None:
         self._scenario = self._asked = scenario
         self._model, self._encoder = model, encoder
         self._pace, self._can = options.pace, options.port.kind is Kind.CAN
         self._packet_bytes, self._room_bytes = packet_bytes
-        self._order_of_port, self._observers = order_of_port, observers
-        self._changes: deque[Change] = deque()
+        self._order_of_port, self._changes, self._observers = order_of_port, changes, observers
         self._ordered: list[dict[str, Any]] = []
         self._refused = 0
         self._clock = Clock()
@@ -89,10 +89,6 @@ class Injector:
             answer = self._answer(data, arrived_ns)
             self._refused += not answer["accepted"]
             self._socket.answer(json.dumps(answer).encode(), sender)
-
-    def next_change(self) -> Change | None:
-        """The oldest fault that no shot has yet."""
-        return self._changes.popleft() if self._changes else None
 
     def to_json(self) -> dict[str, Any]:
         """Under the names of the summary file; faults as a scenario would state them, to fly them again."""
@@ -113,7 +109,7 @@ class Injector:
         # What has been built here once will be built again before the first shot that has it.
         now_ns = self._clock.now_ns()
         ready_ns = now_ns + _MARGIN * (now_ns - begun_ns)
-        self._changes.append(Change(partial(self._apply, number, fault), max(arrived_ns, ready_ns)))
+        self._changes.add(Change(partial(self._apply, number, fault), max(arrived_ns, ready_ns)))
         return {"accepted": True, "fault": number, "kind": fault.kind}
 
     def _apply(self, number: int, fault: Order, session: Session) -> None:

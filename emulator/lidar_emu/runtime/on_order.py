@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
 
+from lidar_emu.runtime.changes import Changes
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.run_options import RunOptions
@@ -54,6 +55,7 @@ def injector(
     options: RunOptions,
     packet_bytes: tuple[int, int],
     port: PortRunner,
+    changes: Changes,
     observers: Sequence[Observer],
 ) -> AbstractContextManager[Injector | None]:
     """Where faults are ordered in flight; arguments and errors as of `Injector`."""
@@ -62,5 +64,5 @@ def injector(
     from lidar_emu.runtime.injector import Injector
 
     return Injector(
-        options.control, scenario, model, encoder, options, packet_bytes, port.order_fault, observers
+        options.control, scenario, model, encoder, options, packet_bytes, port.order_fault, changes, observers
     )
