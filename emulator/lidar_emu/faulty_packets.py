@@ -10,12 +10,12 @@ from lidar_emu.faults.packets import PacketFaults, PacketState
 from lidar_emu.faults.schedule import Injected
 from lidar_emu.faults.stamps import StampFaults, StampState
 from lidar_emu.measurement import Measurement
-from lidar_emu.scenario.faults import LinkFault, PacketFault, StampFault
+from lidar_emu.scenario.faults import DeviceFault, LinkFault, PacketFault, StampFault
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.wire import Encoder, Packet
 
-_OF_PACKETS = PacketFault | LinkFault
-"""Those of the port act elsewhere; here they are only told of."""
+_OF_PACKETS = PacketFault | LinkFault | DeviceFault
+"""Those of the port and of the device act elsewhere; here they are only told of."""
 
 
 class WireState(NamedTuple):

@@ -25,6 +25,8 @@ Pieces = tuple[Piece, ...]
 
 Packet = bytes | list[CanFrame]
 
+_Fault = kinds.PacketFault | kinds.LinkFault | kinds.DeviceFault
+
 _CAN_DATA_BYTES = 8
 _CAN_IDS = 0x800
 _RECORD_BYTES = 14
@@ -54,7 +56,7 @@ class _Act:
 
 
 class PacketFaults:
-    """All faults of packets; those of the port are told of only.
+    """All faults of packets; those of the port and of the device are told of only.
 
     Args:
         numbered: the faults, with their places in the scenario's list.
@@ -70,7 +72,7 @@ class PacketFaults:
 
     def __init__(
         self,
-        numbered: Sequence[tuple[int, kinds.PacketFault | kinds.LinkFault]],
+        numbered: Sequence[tuple[int, _Fault]],
         seed: int,
         period_ns: int,
         interface: Interface,
@@ -80,7 +82,7 @@ class PacketFaults:
         self._interface = interface
         self._rewriter = Rewriter(interface)
         self._can = can
-        self._faults: list[tuple[int, kinds.PacketFault | kinds.LinkFault, Schedule, Chance]] = []
+        self._faults: list[tuple[int, _Fault, Schedule, Chance]] = []
         for number, fault in numbered:
             if isinstance(fault, kinds.WrongCrc) and (can or interface.link.crc is None):
                 found = Finding("wrong_crc on CAN" if can else "no CRC in this interface")
@@ -124,7 +126,7 @@ class PacketFaults:
         """
         nowhere = [False] * len(shot)
         acts = [
-            nowhere if silent and not isinstance(fault, kinds.LinkFault) else schedule.shots(shot).tolist()
+            nowhere if silent and isinstance(fault, kinds.PacketFault) else schedule.shots(shot).tolist()
             for _, fault, schedule, _ in self._faults
         ]
         sent: list[Packet] = []
@@ -276,7 +278,6 @@ _EFFECTS: dict[type, Callable[[Pieces, _Act], Pieces]] = {
     kinds.WrongCrc: _wrong_crc,
     kinds.Silence: _nothing,
     kinds.Garbage: _garbage,
-    kinds.BrownOut: _nothing,
     **dict.fromkeys(REWRITING, _rewritten),
 }
 """Of faults that carry nothing from shot to shot."""

@@ -9,6 +9,7 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, Self
 
+from lidar_emu.device.rules import Event, all_events
 from lidar_emu.errors import Finding, InputError, one_line
 from lidar_emu.faulty_packets import FaultyPackets, faulty_packets
 from lidar_emu.runtime.changes import Change, Changes
@@ -47,6 +48,7 @@ class Injector:
         options: how it is run.
         packet_bytes: the longest packet without faults, as the port takes it, and the longest that it can take.
         order_of_port: takes the port's own faults.
+        order_of_device: takes what is done to the device, all of it, whenever that changes.
         changes: where shots find what they are to follow.
         observers: told of every fault, once shots have it.
 
@@ -63,6 +65,7 @@ class Injector:
         options: RunOptions,
         packet_bytes: tuple[int, int],
         order_of_port: Callable[[dict[str, Any]], None],
+        order_of_device: Callable[[tuple[Event, ...]], None],
         changes: Changes,
         observers: Sequence[Observer],
     ) -> None:
@@ -70,7 +73,8 @@ class Injector:
         self._model, self._encoder = model, encoder
         self._pace, self._can = options.pace, options.port.kind is Kind.CAN
         self._packet_bytes, self._room_bytes = packet_bytes
-        self._order_of_port, self._changes, self._observers = order_of_port, changes, observers
+        self._order_of_port, self._order_of_device = order_of_port, order_of_device
+        self._changes, self._observers = changes, observers
         self._ordered: list[dict[str, Any]] = []
         self._refused = 0
         self._clock = Clock()
@@ -116,7 +120,9 @@ class Injector:
         shot = session.next_shot
         ordered = shifted(fault, shot * self._scenario.timing.period_ns * 1e-9)
         self._scenario = _with_fault(self._scenario, ordered)
-        session.use_faults(*self._prepared(self._scenario))
+        events = all_events(self._scenario.device, self._scenario.faults)
+        session.use_faults(*self._prepared(self._scenario), events)
+        self._order_of_device(events)
         order = self._link_order(self._scenario, number, ordered)
         if order is not None:
             self._order_of_port(order)
