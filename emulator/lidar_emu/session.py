@@ -112,6 +112,10 @@ class Session:
         """Whether there are no more shots."""
         return self.next_shot >= self._model.shot_count
 
+    def next_is_silent(self) -> bool:
+        """Whether the device sends nothing in the next shot."""
+        return self._advance(1)[1]
+
     def use_device(self, device: DeviceState) -> None:
         """From the next shot on, let the device be as it is after a command."""
         device = timed(self.rules, device)  # it may have been commanded before a fault was ordered

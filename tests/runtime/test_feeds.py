@@ -34,6 +34,7 @@ class World:
         self.computed: list[tuple[int, int, bool]] = []
         self.never: list[int] = []
         self.sent: list[tuple[int, int]] = []
+        self.silent: set[int] = set()
         self.stalls: dict[int, int] = {}
         self.news: deque[int] = deque()
         self.room = 40
@@ -70,6 +71,9 @@ class World:
         self.computed += [(shot, self.now, fired) for shot in shots]
         self.now += sum(self.stalls.pop(shot, self.shot_takes_ns) for shot in shots)
         return [(shot, self._pattern) for shot in shots]
+
+    def next_is_silent(self) -> bool:
+        return self.next_shot in self.silent
 
     def rehearse(self) -> None:
         self.rehearsed.append((self.next_shot, self.now))
@@ -388,3 +392,12 @@ def test_live_shots_follow_what_came_before_they_began() -> None:
     assert [(number, shot) for number, shot, _ in followed] == [(0, 5), (1, 6), (2, 6)]
     at_work.changes.close()
     assert followed[-1] == (3, None, None)
+
+
+def test_what_a_silent_device_does_not_send_is_not_late() -> None:
+    world = World(40)
+    world.stalls, world.silent = {10: 420 * MS}, {13, 14, 15}
+    truths = [(START_NS + k * 10 * MS, truth(k, 10 * MS)) for k in range(1, 300)]
+    fly_live(world, [(START_NS - MS, truth(0, MS)), *truths])
+    assert world.never == [11, 12, 16, 17]
+    assert sorted([shot for shot, _, _ in world.computed] + world.never) == list(range(40))

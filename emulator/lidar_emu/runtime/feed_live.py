@@ -120,7 +120,8 @@ class LiveFeed:
         desk, source = self._desk, self._source
         self._follow_changes(shot)
         now_ns = desk.clock.now_ns()
-        if now_ns > self._due_ns(shot) + self._late_after_ns:
+        too_late = now_ns > self._due_ns(shot) + self._late_after_ns
+        if too_late and not desk.session.next_is_silent():
             desk.session.pass_over(shot + 1)
             desk.outbox.missed(shot, self._flight.due_ns(shot), now_ns - self._start_ns_known())
             return
