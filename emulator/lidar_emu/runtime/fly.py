@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import replace
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from datetime import datetime, timedelta
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.device.machine import initial
 from lidar_emu.device.now import DeviceNow
-from lidar_emu.device.rules import device_rules
+from lidar_emu.device.rules import Event, device_rules
 from lidar_emu.flight import Flight
+from lidar_emu.runtime.changes import Changes
 from lidar_emu.runtime.child import PortDiedError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.events import EventLog, told
@@ -26,13 +26,13 @@ from lidar_emu.runtime.last_words import LastWords, unsayable
 from lidar_emu.runtime.late_ends import LateEnds
 from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.on_order import injector, packets_on_order, port_on_order
+from lidar_emu.runtime.on_order import packets_on_order, port_on_order
 from lidar_emu.runtime.outbox import Outbox, payload_of
 from lidar_emu.runtime.outcome import Outcome
 from lidar_emu.runtime.pacing import Pace, WhenLate
 from lidar_emu.runtime.realtime import awake_share
 from lidar_emu.runtime.run import PortRunner
-from lidar_emu.runtime.run_options import RunOptions, live_part, start_instant_ns
+from lidar_emu.runtime.run_options import RunOptions, live_part, port_of, start_instant_ns
 from lidar_emu.runtime.shots_ahead import ShotsAhead
 from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import Tally, of_scenario
@@ -91,8 +91,8 @@ class Run:
         self._slots = max(2 * block_shots, round(rate_hz * LOOK_AHEAD_S))
         faulty = packets_on_order(scenario, encoder, options)
         beams, patterns = model.beam_count, model.pattern_count
-        self._rules = rules = device_rules(
-            scenario.device, rate_hz, beams, patterns, scenario.laser_power_w, scenario.seed
+        rules = device_rules(
+            scenario.device, rate_hz, beams, patterns, scenario.laser_power_w, scenario.faults, scenario.seed
         )
         self._device = waiting_device(rules) if options.on_command else DeviceNow(rules, initial(rules))
         self._session = Session(model, encoder, self._slots + 1, faulty, rules)
@@ -106,6 +106,7 @@ class Run:
         faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
         self._packet_room_bytes = max(_PACKET_ROOM_BYTES, faulty_bytes + _STUFFING_BYTES)
         self._packet_bytes = len(longest), self._packet_room_bytes - _STUFFING_BYTES
+        self._changes = Changes()
         self._injector: Injector | None = None
         self._wire_load = wire_load(port, longest, rate_hz)
         self._opening = True
@@ -139,30 +140,39 @@ class Run:
             truth_address as socket,
             on_signals(self._interrupt),
             PortRunner(2 * self._slots, self._packet_room_bytes, self._noticed) as port,
-            injector(
-                self._scenario,
-                self._model,
-                self._encoder,
-                self._options,
-                self._packet_bytes,
-                port,
-                self._observers,
-            ) as self._injector,
+            self._open_injector(port) as self._injector,
         ):
             watching = list(self._observers)
             source = self._source(socket, watching)
             front, outbox = self._front(port, source, watching)
             with suppress(KeyboardInterrupt):
-                pulse_line = self._scenario.device.clock.pulse_line or ""
-                spec = replace(self._options.port, pulse_line=pulse_line)
-                self._description = port.start(spec, self._port_faults)
+                self._description = port.start(port_of(self._scenario, self._options), self._port_faults)
                 self._opening = False
                 with self._outliving_the_port():
                     self._feed(port, outbox, source, front).fly()
             port.close()
             outbox.close()
-            front.close()
+            self._changes.close()
         return Outcome(self.tally, self._details(port, source, front, stolen), self._error)
+
+    def _open_injector(self, port: PortRunner) -> AbstractContextManager[Injector | None]:
+        """Where faults are ordered in flight."""
+        if self._options.control is None:
+            return nullcontext()
+        from lidar_emu.runtime.injector import Injector
+
+        return Injector(
+            self._options.control,
+            self._scenario,
+            self._model,
+            self._encoder,
+            self._options,
+            self._packet_bytes,
+            port.order_fault,
+            self._expect,
+            self._changes,
+            self._observers,
+        )
 
     def _front(
         self, port: PortRunner, source: TruthSource | None, watching: list[Observer]
@@ -170,7 +180,7 @@ class Run:
         """What the device hears and says, and the shots' way out; whoever is to know of them watches from now on."""
         outbox, can = Outbox(port, watching, self.tally, self._slots), self._options.port.kind is Kind.CAN
         voice = Voice(self._encoder.interface, self._scenario.wire.unit, can, outbox.send_now)
-        front = open_front(voice, self._device, self._can_date, self.tally, watching)
+        front = open_front(voice, self._device, self._can_date, self.tally, self._changes, watching)
         if self._says_last_words:
             self._last_words = LastWords(voice, front.housekeeper, port.prepare)
         judge = LateEnds(self._fail) if self._scenario.timing.when_late == "abort" else None
@@ -182,6 +192,11 @@ class Run:
         """Whether packets can tell the time to the end of the run, once the clock has been set to this."""
         run_ns = self._model.shot_count * self._model.period_ns
         return self._encoder.can_date(self._ahead.first.measurement, shown_ns + run_ns)
+
+    def _expect(self, events: tuple[Event, ...]) -> None:
+        """Of a flight to come, nothing is known to the device before."""
+        if self.start_ns is not None:
+            self._device.expect(events)
 
     @contextmanager
     def _outliving_the_port(self) -> Iterator[None]:
@@ -213,6 +228,7 @@ class Run:
             self._cut_short,
             self._fail,
             lambda start_ns: self._begin(port, start_ns),
+            self._changes,
             front.commands,
             self._injector,
         )
@@ -227,7 +243,7 @@ class Run:
         if not self._options.on_command:
             return fly_from(start_ns)
         self._announce("set_mode acquire or track")
-        return OnCommandFeed(desk, self._device, self._rules, front.housekeeper, fly_from)
+        return OnCommandFeed(desk, self._device, front.housekeeper, fly_from)
 
     def _announce(self, what: str) -> None:
         for observer in self._observers:

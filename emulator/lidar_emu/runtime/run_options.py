@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 from lidar_emu.errors import Finding, InputError
@@ -51,6 +51,11 @@ def live_part(scenario: FlightScenario | BenchScenario, options: RunOptions) -> 
             "--start", None, Finding(f"on-command with {found}"), "allowed: a planned flight at pace wall"
         )
     return live
+
+
+def port_of(scenario: FlightScenario | BenchScenario, options: RunOptions) -> PortSpec:
+    """The port, with the pulse line that the scenario names."""
+    return replace(options.port, pulse_line=scenario.device.clock.pulse_line or "")
 
 
 def start_instant_ns(options: RunOptions, clock: Clock) -> int | None:
