@@ -13,6 +13,7 @@ from lidar_emu.cli.commander import SENT, UNANSWERED, Commander
 from lidar_emu.device.machine import initial
 from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.rules import device_rules
+from lidar_emu.runtime.changes import Changes
 from lidar_emu.runtime.command_post import CommandPost
 from lidar_emu.runtime.heard import Heard
 from lidar_emu.runtime.voice import Voice
@@ -35,7 +36,8 @@ class Unit:
         voice = Voice(INTERFACE, unit, True, self._channel.send)
         self.heard: list[Heard] = []
         device = DeviceNow(rules, initial(rules))
-        self._post = CommandPost(voice, device, lambda _: True, self._tell)
+        self._changes = Changes()
+        self._post = CommandPost(voice, device, lambda _: True, self._changes, self._tell)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._listen)
         self._thread.start()
@@ -49,8 +51,7 @@ class Unit:
                 return
             if data := self._channel.receive():
                 self._post.hear(data, now_ns, now_ns)
-            while (change := self._post.next_change()) is not None:
-                self._post.followed(change, 0, None)
+            self._changes.close()
 
     def close(self) -> None:
         self._over.set()
