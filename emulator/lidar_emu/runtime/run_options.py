@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.pacing import Pace
-from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.transports.spec import PortSpec
 
@@ -28,7 +28,7 @@ class RunOptions:
     """Path of the socket on which faults are ordered in flight; None: none are."""
 
 
-def live_part(scenario: FlightScenario | BenchScenario, options: RunOptions) -> Live | None:
+def live_part(scenario: Scenario, options: RunOptions) -> Live | None:
     """The live trajectory of a scenario; None if it has another.
 
     Raises:
