@@ -213,7 +213,8 @@ def receiver(request: pytest.FixtureRequest) -> list[str]:
 def test_a_whole_descent_with_commands_and_faults(receiver: list[str], start: Start, tmp_path: Path) -> None:
     run = start(
         "run", "descent.yaml", "--pace", "max", "--port", "pty", "--baud", "921600",
-        "--set", f"faults={FAULTS}", "--record", "r.mcap", "--summary", "s.json",
+        "--set", f"faults={FAULTS}", "--set", "device.housekeeping_rate_hz=1",
+        "--record", "r.mcap", "--summary", "s.json",
     )  # fmt: skip
     path = run.word_after("descent on ")
     following = subprocess.run(
