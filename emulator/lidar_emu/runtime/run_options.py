@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.pacing import Pace
-from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.transports.spec import PortSpec
 
@@ -28,7 +28,7 @@ class RunOptions:
     """Path of the socket on which faults are ordered in flight; None: none are."""
 
 
-def live_part(scenario: FlightScenario | BenchScenario, options: RunOptions) -> Live | None:
+def live_part(scenario: Scenario, options: RunOptions) -> Live | None:
     """The live trajectory of a scenario; None if it has another.
 
     Raises:
@@ -53,7 +53,7 @@ def live_part(scenario: FlightScenario | BenchScenario, options: RunOptions) -> 
     return live
 
 
-def port_of(scenario: FlightScenario | BenchScenario, options: RunOptions) -> PortSpec:
+def port_of(scenario: Scenario, options: RunOptions) -> PortSpec:
     """The port, with the pulse line that the scenario names."""
     return replace(options.port, pulse_line=scenario.device.clock.pulse_line or "")
 
