@@ -34,7 +34,8 @@ class PortStory:
     arrived: list[tuple[int, bytes]] = field(default_factory=list)
     """What arrived on the port, with instants of the monotonic clock."""
     start_ns: int = 0
-    """The instant from which the times of events count."""
+    """The instant from which the times of events count: the beginning of the flight, or as long as there is none the
+    opening of the port."""
     _events: EventLog = field(default_factory=EventLog)
 
     @property
