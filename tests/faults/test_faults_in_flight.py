@@ -83,6 +83,8 @@ def test_times_count_from_when_it_takes_effect() -> None:
         ("{kind: dropout, beam: 2}", "fault: beam: 2 is not usable; no such key; allowed: "),
         ("{kind: bias, range_m: x}", "fault: range_m: 'x' is not usable; allowed: a number"),
         ("{kind: dropout, lasts_s: [1]}", "fault: to_s: "),
+        ("{kind: dropout, lasts_s: -1}", "fault: lasts_s: -1 is not usable; allowed: greater than 0"),
+        ("{kind: dropout, lasts_s: .nan, from_s: 1}", "fault: lasts_s: nan is not usable"),
         ("{kind: [", "fault"),
         ("{}", "fault: kind: missing"),
         ("\ud800".encode("utf-8", "replace").decode(), "fault"),

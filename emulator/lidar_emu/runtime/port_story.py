@@ -43,7 +43,8 @@ class PortStory:
     finished: bool = False
     arrived: list[Arrival] = field(default_factory=list)
     start_ns: int = 0
-    """The instant from which the times of events count."""
+    """The instant from which the times of events count: the beginning of the flight, or as long as there is none the
+    opening of the port."""
     _events: EventLog = field(default_factory=EventLog)
 
     @property

@@ -89,6 +89,7 @@ class PortRunner:
             if self._clock.now_ns() > deadline_ns:
                 raise RunError(f"opening {spec} took more than {_START_LIMIT_NS // 10**9} s")
             self.wait(self._clock.now_ns() + _OPENING_POLL_NS)
+        self.told.start_ns = self._clock.now_ns()
         return self.told.description
 
     def begin(

@@ -10,7 +10,7 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.pacing import Pace
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
-from lidar_emu.transports.spec import PortSpec
+from lidar_emu.transports.spec import Kind, PortSpec
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,13 @@ def live_part(scenario: Scenario, options: RunOptions) -> Live | None:
         found = "trajectory.kind live" if live is not None else f"pace {options.pace}"
         raise InputError(
             "--start", None, Finding(f"on-command with {found}"), "allowed: a planned flight at pace wall"
+        )
+    if options.on_command and options.port.kind is Kind.LOOPBACK:
+        raise InputError(
+            "--start",
+            None,
+            Finding("on-command, and nobody to command"),
+            "allowed with --port or --interface",
         )
     return live
 
