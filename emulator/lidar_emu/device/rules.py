@@ -35,6 +35,8 @@ class Rules:
     boot_ns: int
     self_test_ns: int
     warm_restart_ns: int
+    waits_for_commands: bool
+    """Whether it stands by after a start, or goes on to measure by itself."""
     defaults: Settings
     """After power-up and a cold restart."""
     clock: DeviceClock
@@ -69,6 +71,7 @@ def device_rules(
         boot_ns=_ns(part.boot_s),
         self_test_ns=_ns(part.self_test_s),
         warm_restart_ns=_ns(part.warm_restart_s),
+        waits_for_commands=part.after_boot == "standby",
         defaults=Settings(
             beams=(1 << beam_count) - 1,
             housekeeping_rate_hz=part.housekeeping_rate_hz,

@@ -63,7 +63,10 @@ class Device(Part):
 
     start: Literal["track", "standby", "boot"] = "track"
     """What the device does from power-up on: `track` measures from the first shot on; `boot` boots, tests itself and
-    waits in `standby` for a command."""
+    goes on as `after_boot` says."""
+    after_boot: Literal["standby", "track"] = "standby"
+    """After boot: wait in `standby` for a command, or acquire and track at once, as a device does that nobody
+    commands."""
     power_on_s: NonNegative = 0.0
     """Scenario time of power-up; before it there is nothing on the wire."""
     boot_s: Step = 2.0
