@@ -12,7 +12,7 @@ run: $(VENV)/.ready
 # The flight fills the cache of compiled kernels once, where the test workers would each fill it for themselves.
 test: $(VENV)/.ready-dev check
 	$(BIN)/lidar-emu run paper_fig4.yaml --pace max > /dev/null
-	$(BIN)/pytest -n auto
+	$(BIN)/pytest -n auto --dist worksteal
 
 check: $(VENV)/.ready-dev
 	$(BIN)/ruff check
