@@ -8,6 +8,8 @@ Gaussian of variance 2 κ t per axis, so that a crater's state is one number, κ
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from lidar_emu.arrays import FloatArray, IntArray
@@ -20,7 +22,7 @@ RIM_SHARE = 0.18
 _LAST_BLUR_RADII = 0.62
 """Standard deviation at wear 1: a fifth of the depth is left, and the eye loses the crater."""
 _LEVELS = 32
-_STEP = 1 / 64
+_STEP = 1 / 32
 _EJECTA_END = 3.0
 
 
@@ -53,6 +55,7 @@ def depth_left(wear: FloatArray) -> FloatArray:
     return np.asarray(heights[level, rim] - heights[level, 0], dtype=np.float64)
 
 
+@cache
 def _table() -> tuple[FloatArray, FloatArray]:
     radii = np.arange(0.0, REACH_RADII + _STEP / 2, _STEP)
     blur = _LAST_BLUR_RADII * np.sqrt(np.arange(1, _LEVELS + 1) / _LEVELS)

@@ -55,8 +55,8 @@ def _npz(ground: Generated, elevation_m: Elevation) -> bytes:
 
 
 def _tif(ground: Generated, elevation_m: Elevation) -> bytes:
+    from rasterio import Affine
     from rasterio.io import MemoryFile
-    from rasterio.transform import from_origin
 
     # A sample stands for the centre of its pixel; a GeoTIFF says where the first one's corner is.
     corner_m = (ground.size_m + ground.spacing_m) / 2
@@ -70,9 +70,8 @@ def _tif(ground: Generated, elevation_m: Elevation) -> bytes:
             dtype="float32",
             compress="deflate",
             predictor=3,
-            # A local map in metres around the origin of the site frame, on no body's projection.
-            crs='LOCAL_CS["site",UNIT["metre",1],AXIS["east",EAST],AXIS["north",NORTH]]',
-            transform=from_origin(-corner_m, corner_m, ground.spacing_m, ground.spacing_m),
+            # In metres around the origin of the site frame; that map is on no body, and has no projection to state.
+            transform=Affine(ground.spacing_m, 0.0, -corner_m, 0.0, -ground.spacing_m, corner_m),
         ) as file:
             file.write(elevation_m, 1)
             file.set_band_description(1, "elevation")
