@@ -27,7 +27,13 @@ def test_json_compares_and_names_the_file(monkeypatch, capsys, cache):
     assert run(monkeypatch, *SMALL, "--json") == 0
     document = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert document["ground"]["size_m"] == 512
-    assert document["lowest_m"] < 0 < document["highest_m"]
+    whole = document["whole_ground"]
+    assert whole["lowest_m"] < 0 < whole["highest_m"]
+    # Craters add slope to the relief's 2 degrees over 20 m, and the ground is smoother over longer baselines.
+    slope_deg = {row["baseline_m"]: row["slope_deg"] for row in whole["rms_slope"]}
+    assert list(slope_deg) == [2, 4, 8, 16, 32, 64]
+    assert 2.5 < slope_deg[16] < 12
+    assert slope_deg[64] < slope_deg[2]
     assert document["kept_in"] == str(next(cache.iterdir()))
     assert all(row["within"] for row in document["statistics"])
     hurst = document["statistics"][0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,6 +12,7 @@ from lidar_emu.cli.options import load_scenario, scenario_argument, settings_opt
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
+    from lidar_emu.arrays import FloatArray
     from lidar_emu.ground.compare import Comparison
     from lidar_emu.scenario.generated_ground import Generated
 
@@ -37,6 +38,8 @@ def ground(
     """
     _check_paths(plot, out)
     asked = _generated(scenario, settings)
+    import numpy as np
+
     from lidar_emu.ground.compare import compare
     from lidar_emu.ground.generate import generate
     from lidar_emu.ground.kept import keep
@@ -45,6 +48,7 @@ def ground(
     elevation_m = layers.elevation_m(asked)
     kept = keep(asked, elevation_m)
     found = compare(asked, layers)
+    whole = _whole(asked, elevation_m.astype(np.float64))
     if out is not None:
         from lidar_emu.report.ground_export import export_ground
 
@@ -57,13 +61,12 @@ def ground(
         document = {
             "ground": asked.model_dump(),
             "kept_in": None if kept is None else str(kept),
-            "lowest_m": float(elevation_m.min()),
-            "highest_m": float(elevation_m.max()),
+            "whole_ground": whole,
             "statistics": [{**vars(row), "within": row.within} for row in found],
         }
         click.echo(json.dumps(document, indent=2))
         return
-    _print(asked, found)
+    _print(asked, found, whole)
     for path in (out, plot):
         if path is not None:
             click.echo(path)
@@ -97,7 +100,26 @@ def _title(asked: Generated) -> str:
     return f"generated ground, {asked.size_m:g} m, a sample every {asked.spacing_m:g} m, seed {asked.seed}"
 
 
-def _print(asked: Generated, found: list[Comparison]) -> None:
+def _whole(asked: Generated, elevation_m: FloatArray) -> dict[str, Any]:
+    """What nobody asked for by itself, since relief, craters and rocks all have a share in it."""
+    import numpy as np
+
+    from lidar_emu.ground.statistics import doubling_lags, structure_function
+
+    lags = doubling_lags(len(elevation_m), 1 / 8)
+    distance_m = lags * asked.spacing_m
+    slope_deg = np.degrees(np.arctan(np.sqrt(structure_function(elevation_m, lags)) / distance_m))
+    return {
+        "lowest_m": float(elevation_m.min()),
+        "highest_m": float(elevation_m.max()),
+        "rms_slope": [
+            {"baseline_m": baseline_m, "slope_deg": slope}
+            for baseline_m, slope in zip(distance_m.tolist(), slope_deg.tolist(), strict=True)
+        ],
+    }
+
+
+def _print(asked: Generated, found: list[Comparison], whole: dict[str, Any]) -> None:
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -110,4 +132,10 @@ def _print(asked: Generated, found: list[Comparison]) -> None:
     for row in found:
         numbers = (f"{value:.4g}" for value in (row.asked, row.found, row.low, row.high))
         table.add_row(row.quantity, *numbers, "" if row.within else "outside")
-    Console().print(table)
+    console = Console()
+    console.print(table)
+    slopes = ", ".join(f"{row['slope_deg']:.3g}° over {row['baseline_m']:g} m" for row in whole["rms_slope"])
+    console.print(
+        f"The whole ground lies between {whole['lowest_m']:.1f} and {whole['highest_m']:.1f} m; rms slope {slopes}.",
+        highlight=False,
+    )

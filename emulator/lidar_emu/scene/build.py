@@ -84,7 +84,7 @@ def _generated_terrain(ground: Generated) -> Terrain:
         first_y_m=half_m,
         pixel_x_m=spacing_m,
         pixel_y_m=spacing_m,
-        source=f"generated of seed {ground.seed}",
+        source=f"generated (seed {ground.seed})",
     )
 
 
