@@ -10,6 +10,7 @@ from lidar_emu.echoes import receive_light
 from lidar_emu.flight import Flight, Pointing
 from lidar_emu.plan_faults import planned_faults
 from lidar_emu.plan_receiver import Decision, plan_receiver
+from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.site import Grid
 from lidar_emu.scene.hits import Hits
@@ -101,7 +102,7 @@ def _trajectory(flight: Flight) -> Decision:
 
 def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
     ground = scenario.site.ground
-    if not isinstance(ground, Grid):
+    if not isinstance(ground, Grid | Generated):
         return [
             Decision("ground", True, flight.scene.description, f"a {ground.kind} is a formula", "exact"),
             Decision("grid traversal", False, "-", "the site has no elevation grid", "exact"),
@@ -142,7 +143,7 @@ def _footprint(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> tupl
         return Decision("footprint", False, "1 beamlet", "the beam's axis is reported", "exact"), 1
     if asked == 1:
         return Decision("footprint", False, "1 beamlet", "the instrument asks for one", "as asked"), 1
-    if isinstance(scenario.site.ground, Grid):
+    if isinstance(scenario.site.ground, Grid | Generated):
         return Decision("footprint", True, f"{asked} beamlets", "slopes of a grid vary", "sampled"), asked
     spread = float(np.nanmax(spread_bins(scenario.instrument, pointing, hits).widest(), initial=0.0))
     reason = f"rms spread at most {spread:.3f} bin"

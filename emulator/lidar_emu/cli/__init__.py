@@ -11,6 +11,7 @@ from lidar_emu import __version__
 from lidar_emu.cli.bench import bench
 from lidar_emu.cli.detection import detection
 from lidar_emu.cli.documents import icd, scenarios, schema
+from lidar_emu.cli.ground import ground
 from lidar_emu.cli.inject import inject
 from lidar_emu.cli.listen import listen
 from lidar_emu.cli.output import silence
@@ -40,6 +41,7 @@ def cli(context: click.Context) -> None:
     lidar-emu send --port /dev/ttyUSB1 set_mode mode=track
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
     lidar-emu detection descent.yaml                  what the instrument will detect, by altitude
+    lidar-emu ground descent.yaml --set site=cratered --plot ground.png
     lidar-emu plan descent.yaml                       what the run computes and what it leaves out
     lidar-emu bench accuracy descent.yaml             error and time of every level
     lidar-emu bench realtime                          how late packets are on this machine
@@ -48,7 +50,7 @@ def cli(context: click.Context) -> None:
         click.echo(context.get_help())
 
 
-for command in (run, listen, send, inject, simulate, detection, plan, bench, scenarios, schema, icd):
+for command in (run, listen, send, inject, simulate, detection, ground, plan, bench, scenarios, schema, icd):
     cli.add_command(command)
 
 

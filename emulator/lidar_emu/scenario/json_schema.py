@@ -67,9 +67,9 @@ def target(node: Node) -> str:
 
 
 def choices(node: Node) -> list[Node]:
-    """What a node may be: the alternatives of a union, or the node alone."""
-    alternatives: list[Node] = node.get("anyOf") or node.get("oneOf") or [node]
-    return alternatives
+    """What a node may be: the alternatives of a union and of those within it, or the node alone."""
+    alternatives: list[Node] = node.get("anyOf") or node.get("oneOf") or []
+    return [choice for alternative in alternatives for choice in choices(alternative)] or [node]
 
 
 def _or_reference(part: str, node: Node, definitions: Node) -> Node:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from lidar_emu.errors import Finding
+from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.part import NonNegative, Part, Positive, unusable
 
 Latitude = Annotated[float, Field(ge=-90, le=90)]
@@ -117,7 +118,7 @@ class Site(Part):
     """Shown in plans and summaries."""
     body: Body = Body()
     """The body and its altitude datum."""
-    ground: Annotated[Plane | Sphere | Grid, Field(discriminator="kind")]
+    ground: Annotated[Plane | Sphere | Grid | Generated, Field(discriminator="kind")]
     """What the beams hit."""
     origin_altitude_m: float | None = None
     """Height of the site frame's origin above the body's sphere. Left out: the ground's own height at the origin

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario import site
+from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scene.hits import Scene
 
 if TYPE_CHECKING:
@@ -23,7 +24,11 @@ def build_scene(part: site.Site) -> Scene:
         InputError: an elevation file cannot be used as the site asks.
     """
     if isinstance(part.ground, site.Grid):
-        return _grid(part, part.ground)
+        return _grid(part, part.ground, read_terrain(part.ground))
+    if isinstance(part.ground, Generated):
+        # What was made is a grid like any other, with the origin at its centre.
+        as_grid = site.Grid(kind="grid", file="generated", beyond=part.ground.beyond)
+        return _grid(part, as_grid, _generated_terrain(part.ground))
     if isinstance(part.ground, site.Plane):
         return _plane(part.ground, part.origin_altitude_m or 0.0)
     return _sphere(part.body.radius_m, part.origin_altitude_m or 0.0)
@@ -42,11 +47,10 @@ def _sphere(radius_m: float, origin_altitude_m: float) -> SphereGround:
     return SphereGround(radius_m, origin_altitude_m)
 
 
-def _grid(part: site.Site, ground: site.Grid) -> Scene:
+def _grid(part: site.Site, ground: site.Grid, terrain: Terrain) -> Scene:
     from lidar_emu.scene.grid import GridGround, Samples
     from lidar_emu.scene.terrain_origin import origin_of
 
-    terrain = read_terrain(ground)
     origin = origin_of(terrain, ground)
     altitude_m = origin.elevation_m if part.origin_altitude_m is None else part.origin_altitude_m
     samples = Samples(
@@ -65,6 +69,23 @@ def _grid(part: site.Site, ground: site.Grid) -> Scene:
     }
     description = f"{terrain.description}; beyond: {ground.beyond}"
     return GridGround(samples, around[ground.beyond], description, altitude_m)
+
+
+def _generated_terrain(ground: Generated) -> Terrain:
+    import numpy as np
+
+    from lidar_emu.ground.kept import elevation_m
+    from lidar_emu.scene.terrain import Terrain
+
+    half_m, spacing_m = ground.size_m / 2, ground.size_m / ground.cells
+    return Terrain(
+        elevation_m=elevation_m(ground).astype(np.float64),
+        first_x_m=-half_m,
+        first_y_m=half_m,
+        pixel_x_m=spacing_m,
+        pixel_y_m=spacing_m,
+        source=f"generated (seed {ground.seed})",
+    )
 
 
 def read_terrain(ground: site.Grid) -> Terrain:

@@ -1,0 +1,145 @@
+"""Generated ground: fractal relief, craters and rocks from a few seeded parameters."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from lidar_emu.scenario.part import Part, Positive, unusable
+
+LEAST_CELLS, MOST_CELLS = 32, 4096
+CRATER_SAMPLES, ROCK_SAMPLES = 4, 2
+"""Grid spacings across the smallest crater and the smallest rock that the grid shows."""
+
+HeightRatio = Annotated[float, Field(ge=0.01, le=1)]
+
+
+class Relief(Part):
+    """Fractional Brownian relief: the rms difference of height between points r apart grows as r^H."""
+
+    hurst: Annotated[float, Field(ge=0.05, le=0.99)] = 0.76
+    """Hurst exponent H: 0.5 is a random walk, near 1 smooth. The lunar maria have about 0.76, the highlands 0.95."""
+    rms_slope_deg: Annotated[float, Field(gt=0, lt=60)]
+    """Arc tangent of the rms difference of height over the baseline. This ground has it, whatever the seed."""
+    baseline_m: Positive
+    """Distance over which that slope is taken: from `spacing_m` to a quarter of `size_m`."""
+
+
+class Craters(Part):
+    """Simple craters. The lunar production function for an age, held down to equilibrium where small ones are worn
+    away as fast as they form."""
+
+    age_gyr: Annotated[float, Field(ge=1e-6, le=4.4)]
+    """Age of the surface; the production and the chronology are those of Neukum et al. (2001) for the Moon."""
+    equilibrium_density: Annotated[float, Field(ge=1e-4, le=0.3)] = 0.079
+    """C in the equilibrium's C / D² craters larger than D per area, with D in the area's unit (Trask 1966)."""
+    depth_to_diameter: Annotated[float, Field(ge=0.02, le=0.3)] = 0.2
+    """Of a fresh crater, from rim crest to floor. The rim of a fresh crater is 0.18 times as high as that."""
+    smallest_diameter_m: Positive | None = None
+    """Left out: four times `spacing_m`, which is also the least that the grid can show."""
+    largest_diameter_m: Positive | None = None
+    """Left out: a quarter of `size_m`."""
+
+
+class MarsRocks(Part):
+    """Rocks as on Mars: those larger than D cover the share k exp(-q D) of the ground, q = 1.79 + 0.152 / k per metre
+    (Golombek and Rapp 1997)."""
+
+    kind: Literal["golombek"]
+    """Chooses this law."""
+    abundance: Annotated[float, Field(ge=0.005, le=0.4)]
+    """k, the share of the ground that rocks of all sizes cover; 0.05 to 0.1 where landers go, 0.2 is rocky."""
+    height_to_diameter: HeightRatio = 0.5
+    """Height above ground over diameter."""
+    smallest_diameter_m: Positive | None = None
+    """Left out: twice `spacing_m`, which is also the least that the grid can show."""
+    largest_diameter_m: Positive | None = None
+    """Left out: 10 m, or a tenth of `size_m` where that is less."""
+
+
+class PowerLawRocks(Part):
+    """Rocks as on the Moon: N D^-b rocks per square metre are larger than D metres."""
+
+    kind: Literal["power_law"]
+    """Chooses this law."""
+    per_m2_over_1_m: Annotated[float, Field(gt=0, le=0.1)]
+    """N, the rocks larger than 1 m per square metre."""
+    exponent: Annotated[float, Field(gt=0, le=6)] = 2.6
+    """b."""
+    height_to_diameter: HeightRatio = 0.5
+    """Height above ground over diameter."""
+    smallest_diameter_m: Positive | None = None
+    """Left out: twice `spacing_m`, which is also the least that the grid can show."""
+    largest_diameter_m: Positive | None = None
+    """Left out: 10 m, or a tenth of `size_m` where that is less."""
+
+
+Rocks = MarsRocks | PowerLawRocks
+
+
+class Generated(Part):
+    """Ground made from these numbers: an elevation grid with the origin of the site frame at its centre. It is made
+    once and kept. `lidar-emu ground` shows it, measures it and exports it."""
+
+    kind: Literal["generated"]
+    """Chooses this kind of ground."""
+    size_m: Annotated[float, Field(gt=0, le=1e6)]
+    """Side of the square, a whole number of spacings."""
+    spacing_m: Annotated[float, Field(ge=1e-3)]
+    """From sample to sample. At least 32 and at most 4096 fit into `size_m`."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    """Another seed is another ground with the same statistics. The scenario's own seed does not change the ground."""
+    relief: Relief | None = None
+    """Left out: level."""
+    craters: Craters | None = None
+    """Left out: none."""
+    rocks: Annotated[Rocks, Field(discriminator="kind")] | None = None
+    """Left out: none."""
+    beyond: Literal["none", "plane", "sphere"] = "none"
+    """What lies outside the grid: nothing, the level plane through the origin, or the body's sphere through it."""
+
+    @property
+    def cells(self) -> int:
+        """Spacings along a side."""
+        return round(self.size_m / self.spacing_m)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        ratio = self.size_m / self.spacing_m
+        if not LEAST_CELLS - 0.5 <= ratio <= MOST_CELLS + 0.5 or abs(ratio - self.cells) > 1e-6 * ratio:
+            allowed = f"a size_m of {LEAST_CELLS} to {MOST_CELLS} whole spacings; it has {ratio:.9g}"
+            raise unusable("spacing_m", self.spacing_m, allowed)
+        if self.relief is not None and not self.spacing_m <= self.relief.baseline_m <= self.size_m / 4:
+            allowed = f"spacing_m to a quarter of size_m, {self.spacing_m:g} to {self.size_m / 4:g}"
+            raise unusable("relief.baseline_m", self.relief.baseline_m, allowed)
+        for name, samples in (("craters", CRATER_SAMPLES), ("rocks", ROCK_SAMPLES)):
+            if getattr(self, name) is not None:
+                self._check_diameters(name, samples * self.spacing_m)
+        return self
+
+    def _check_diameters(self, name: str, resolved_m: float) -> None:
+        part: Craters | Rocks = getattr(self, name)
+        smallest_m, largest_m = diameter_range_m(self, name)
+        if smallest_m < resolved_m * (1 - 1e-9):
+            allowed = f"what the grid can show, from {resolved_m:g}"
+            raise unusable(f"{name}.smallest_diameter_m", smallest_m, allowed)
+        if not smallest_m < largest_m <= self.size_m / 2:
+            allowed = f"above the smallest, {smallest_m:g}, to half of size_m, {self.size_m / 2:g}"
+            key = "smallest" if part.largest_diameter_m is None else "largest"
+            value = smallest_m if part.largest_diameter_m is None else largest_m
+            raise unusable(f"{name}.{key}_diameter_m", value, allowed)
+
+
+def diameter_range_m(ground: Generated, name: str) -> tuple[float, float]:
+    """Smallest and largest diameter of the `craters` or the `rocks` of a ground that has some."""
+    part: Craters | Rocks = getattr(ground, name)
+    if name == "craters":
+        default_m = CRATER_SAMPLES * ground.spacing_m, ground.size_m / 4
+    else:
+        default_m = ROCK_SAMPLES * ground.spacing_m, min(10.0, ground.size_m / 10)
+    smallest_m, largest_m = part.smallest_diameter_m, part.largest_diameter_m
+    return (
+        default_m[0] if smallest_m is None else smallest_m,
+        default_m[1] if largest_m is None else largest_m,
+    )
