@@ -12,6 +12,7 @@ from lidar_emu.plan_faults import planned_faults
 from lidar_emu.plan_receiver import Decision, plan_receiver
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.scene.hits import Hits
 from lidar_emu.spread import spread_bins
 
@@ -51,7 +52,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     echoes = receive_light(scenario.instrument, scenario.site, flight, 1, pointing, hits)
     footprint, beamlets = _footprint(scenario, pointing, hits)
     decisions = (
-        _trajectory(flight),
+        _trajectory(scenario, flight),
         *_ground(scenario, flight, pointing, hits),
         _air(scenario),
         footprint,
@@ -88,7 +89,9 @@ def _look(flight: Flight) -> tuple[Pointing, Hits]:
     return pointing, flight.cast(pointing.sensor_site_m, pointing.true_site)
 
 
-def _trajectory(flight: Flight) -> Decision:
+def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:
+    if isinstance(scenario.trajectory, PoweredDescent):
+        return _powered_descent(flight)
     gaps = ", ".join(f"{g.column} {g.length_s:.1f} s from {g.start_s:.1f} s" for g in flight.trajectory.gaps)
     return Decision(
         "trajectory",
@@ -97,6 +100,17 @@ def _trajectory(flight: Flight) -> Decision:
         f"gaps bridged: {gaps}" if gaps else "no gaps",
         "as interpolated" if gaps else "exact",
     )
+
+
+def _powered_descent(flight: Flight) -> Decision:
+    from lidar_emu.trajectory.descent import DescentTrajectory
+
+    descent = flight.trajectory
+    assert isinstance(descent, DescentTrajectory)
+    course, used_kg = descent.course, descent.propellant_kg
+    how = f"{course.steps} steps in {course.end_s:.3f} s, {flight.shot_count} shots"
+    reason = f"cut-off at {course.cut_off_s:.3f} s, touchdown at {course.touchdown_s:.3f} s, {used_kg:.1f} kg burnt"
+    return Decision("trajectory", True, how, reason, "fourth order in the step")
 
 
 def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
