@@ -185,6 +185,18 @@ def test_a_mode_shortens_the_steps() -> None:
     assert stiff.mesh.longest_s < 0.2 / (2 * np.pi * 20)
 
 
+def test_a_spin_at_the_start_is_followed_and_taken_out() -> None:
+    """5 rad/s about an axis between the principal ones: steps of 0.2 rad / 5 rad/s do, and lose no length."""
+    spin = {"attitude": {"body_rate_radps": [3.0, -2.5, 3.1]}, "position_site_m": [0, 0, 900]}
+    start = spin | {"velocity_site_mps": [0, 0, -20]}
+    flight = prepare(descent(start=start, step_s=0.1), MOON_M)
+    assert flight.mesh.longest_s == pytest.approx(0.2 / np.linalg.norm([3.0, -2.5, 3.1]))
+    course, record = solve(flight)
+    assert course.outcome == ENDED
+    np.testing.assert_allclose(np.sum(record.state[:, 6:10] ** 2, axis=1), 1, atol=1e-5)
+    assert np.abs(record.state[-1, 10:13]).max() < 0.05
+
+
 @pytest.mark.parametrize(
     ("vehicle", "keys", "line"),
     [
