@@ -10,12 +10,12 @@ from lidar_emu.faults.packets import PacketFaults, PacketState
 from lidar_emu.faults.schedule import Injected
 from lidar_emu.faults.stamps import StampFaults, StampState
 from lidar_emu.measurement import Measurement
-from lidar_emu.scenario.faults import LinkFault, PacketFault, StampFault
+from lidar_emu.scenario.faults import DeviceFault, LinkFault, PacketFault, StampFault
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.wire import Encoder, Packet
 
-_OF_PACKETS = PacketFault | LinkFault
-"""Those of the port act elsewhere; here they are only told of."""
+_OF_PACKETS = PacketFault | LinkFault | DeviceFault
+"""Those of the port and of the device act elsewhere; here they are only told of."""
 
 
 class WireState(NamedTuple):
@@ -54,9 +54,12 @@ class FaultyPackets:
             status: of the device through these shots.
             state: carried from the shots before.
         """
-        wrong, stamps, by_stamp = self._stamps.apply(measurement.shot, stamped, state.stamps)
+        wrong, stamps, by_stamp = stamped, state.stamps, list[Injected]()
+        if not status.silent:
+            wrong, stamps, by_stamp = self._stamps.apply(measurement.shot, stamped, stamps)
+        finished = list(self._encoder.packets(wrong, status))
         packets, due_ns, after, by_packet = self._packets.apply(
-            measurement.shot, measurement.due_ns, list(self._encoder.packets(wrong, status)), state.packets
+            measurement.shot, measurement.due_ns, finished, state.packets, status.silent
         )
         return packets, due_ns, WireState(stamps, after), by_stamp + by_packet
 

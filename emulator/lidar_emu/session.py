@@ -10,11 +10,12 @@ import numpy as np
 
 from lidar_emu.arrays import BoolArray
 from lidar_emu.device.conduct import Conduct, conduct
-from lidar_emu.device.machine import advance, initial
-from lidar_emu.device.rules import Rules, device_rules
+from lidar_emu.device.machine import advance, initial, timed
+from lidar_emu.device.rules import Event, Rules, device_rules
 from lidar_emu.device.settling import Settling
 from lidar_emu.device.state import DeviceState
 from lidar_emu.measurement import Measurement
+from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.device import Device
 from lidar_emu.shots import Model, ModelState, initial_state, measure
 from lidar_emu.wire import Encoder, Packet
@@ -88,10 +89,11 @@ class Session:
         self._model = model
         self._encoder = encoder
         self._faulty = faulty
-        self._rules = rules or device_rules(Device(), 1e9 / model.period_ns, model.beam_count, 1)
+        self.rules = rules or device_rules(Device(), 1e9 / model.period_ns, model.beam_count, 1)
+        """Of the device."""
         self._state = _State(
             initial_state(model),
-            conduct(initial(self._rules), model.beam_count),
+            conduct(initial(self.rules), model.beam_count),
             0,
             _NOT_SETTLING,
             None if faulty is None else faulty.initial,
@@ -105,8 +107,18 @@ class Session:
         """As the last shot has left it, or the last command after that."""
         return self._state.conduct.device
 
+    @property
+    def is_over(self) -> bool:
+        """Whether there are no more shots."""
+        return self.next_shot >= self._model.shot_count
+
+    def next_is_silent(self) -> bool:
+        """Whether the device sends nothing in the next shot."""
+        return self._advance(1)[1]
+
     def use_device(self, device: DeviceState) -> None:
         """From the next shot on, let the device be as it is after a command."""
+        device = timed(self.rules, device)  # it may have been commanded before a fault was ordered
         state, settings = self._state, device.settings
         scanner, unnumbered = state.model.scanner, state.unnumbered
         if scanner.commanded != settings.pattern:
@@ -147,10 +159,9 @@ class Session:
 
     def pass_over(self, shot: int) -> None:
         """Go on with this shot; those before it are never computed."""
-        passed = max(0, shot - self.next_shot)
-        if not self.device.measures:  # it would not have counted them
-            self._state = self._state._replace(unnumbered=self._state.unnumbered + passed)
-        self.next_shot += passed
+        while self.next_shot < shot:
+            count, silent = self._advance(shot - self.next_shot)
+            self._skip(count, silent, self._state.model.scanner)
 
     def rewind(self, shot: int) -> None:
         """Go back to a shot that is kept, and compute it and those after it again.
@@ -169,7 +180,7 @@ class Session:
     def _advance(self, most: int) -> tuple[int, bool]:
         """Take the device to the next shot; through how many shots it is then as it is, and whether it is silent."""
         shot, period_ns = self.next_shot, self._model.period_ns
-        device = advance(self._rules, self.device, shot * period_ns)
+        device = advance(self.rules, self.device, shot * period_ns)
         if device is not self.device:
             self.use_device(device)
         return self._state.conduct.steady(shot, most, period_ns)
@@ -199,11 +210,21 @@ class Session:
         self._state = _State(model, state.conduct, state.unnumbered + silent * count, settling, wire)
         return Block(measurement, packets, due_ns, tuple(injected), silent)
 
-    def use_faults(self, model: Model, faulty: FaultyPackets | None) -> None:
+    def use_faults(
+        self, model: Model, faulty: FaultyPackets | None, events: tuple[Event, ...] | None = None
+    ) -> None:
         """From the next shot on, have the faults of these: those that there were, and more after them.
 
         What repeats something from before it, such as a value that is stuck, knows of no shot before this one.
+
+        Args:
+            model: with faults.
+            faulty: with faults.
+            events: that are done to the device, by faults too; None: as before.
         """
+        if events is not None:
+            self.rules = replace(self.rules, events=events)
+            self.use_device(self.device)
         self._model, self._faulty = model, faulty
         held = () if model.faults is None else model.faults.resumed(self._state.model.faults)
         wire = None if faulty is None else faulty.resumed(self._state.wire)
@@ -217,12 +238,14 @@ class Session:
             self.shoot(shot - self.next_shot)
             return
         count, silent = self._advance(shot - self.next_shot)
+        self._skip(count, silent, self._model.state_after(self.next_shot, count, self._state.model.scanner))
+
+    def _skip(self, count: int, silent: bool, scanner: ScannerState) -> None:
+        """So many shots without measuring them, after which the scanner is in this state."""
         state = self._state
-        scanner = self._model.state_after(self.next_shot, count, state.model.scanner)
-        self._state = state._replace(
-            model=state.model._replace(scanner=scanner), unnumbered=state.unnumbered + silent * count
-        )
-        self.next_shot = shot
+        model, unnumbered = state.model._replace(scanner=scanner), state.unnumbered + silent * count
+        self._state = state._replace(model=model, unnumbered=unnumbered)
+        self.next_shot += count
 
 
 def _stamped(measurement: Measurement, state: _State) -> Measurement:

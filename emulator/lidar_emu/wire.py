@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -73,6 +74,8 @@ def interface_named(name: str, where: str, key: str | None = None) -> Interface:
         return shipped_interface(name)
     if not name.endswith(".toml"):
         raise InputError(where, key, name, f"allowed: {', '.join(SHIPPED)}, or the name of a file, FILE.toml")
+    if not Path(name).exists():
+        raise InputError(name, None, Finding("no such file"), "allowed: a TOML file")
     try:
         return load_file(name)
     except DefinitionError as error:

@@ -133,8 +133,12 @@ static int64_t now_ms(void) {
 }
 
 static bool read_order(const char *text, order *to) {
+    int used = 0;
     to->value = 0.0;
-    return sscanf(text, "%" SCNu64 ":%31[a-z_]=%lf", &to->shot, to->name, &to->value) >= 2;
+    if (text[0] == '-' || sscanf(text, "%" SCNu64 ":%31[a-z_]%n", &to->shot, to->name, &used) != 2)
+        return false;
+    text += used;
+    return *text == '\0' || (sscanf(text, "=%lf%n", &to->value, &used) == 1 && text[used] == '\0');
 }
 
 /* The bytes of a command, and their number; 0 if there is no such command, or its value cannot be sent. */

@@ -333,7 +333,10 @@ def main() -> None:
     if len(sys.argv) < 3 or not hasattr(termios, f"B{sys.argv[2]}"):
         sys.exit("usage: receiver.py PORT BAUD [SHOT:COMMAND[=VALUE]]...")
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
-    port = opened(*sys.argv[1:3])
+    try:
+        port = opened(*sys.argv[1:3])
+    except (OSError, termios.error) as error:
+        sys.exit(f"{sys.argv[1]}: {error.args[-1]}")
     commander = Commander(port, sys.argv[3:])
     follower = Follower(commander)
     while True:

@@ -75,7 +75,7 @@ def _checked(
     numbers = as_numbers(interface, layout, values)
     back = layout.unpack(layout.pack(numbers, {"command": command.code}))
     for name in known:
-        problem = _out_of_range(interface, layout, back, name)
+        problem = _out_of_range(interface, layout, back, name) or _broken(layout, back, numbers[name], name)
         if problem is not None:
             raise EncodeError(f"{problem} of {values[name]!r}")
     return numbers
@@ -109,6 +109,15 @@ def _out_of_range(interface: Interface, layout: Layout, values: Mapping[str, Val
     if field.enumeration and interface.word(field.enumeration, int(value)) is None:
         return f"{name} has no such value"
     return None
+
+
+def _broken(layout: Layout, back: Mapping[str, Value], sent: Value, name: str) -> str | None:
+    """A number of things, or of one thing, that is between two: rounding it would command something else."""
+    (field,) = (placed.field for placed in layout.placed if placed.field.name == name)
+    between = isinstance(sent, float) and not sent.is_integer()
+    return (
+        f"{name} has to be a whole number instead" if between and isinstance(back[field.key], int) else None
+    )
 
 
 @dataclass(slots=True)

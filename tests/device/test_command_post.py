@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from binascii import crc_hqx
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -11,7 +12,9 @@ from devices import MS, rules
 
 from lidar_emu.device.machine import initial
 from lidar_emu.device.now import DeviceNow
+from lidar_emu.device.state import DeviceState
 from lidar_emu.errors import InputError
+from lidar_emu.runtime.changes import Changes
 from lidar_emu.runtime.command_post import CommandPost
 from lidar_emu.runtime.heard import Heard
 from lidar_emu.runtime.housekeeper import Housekeeper
@@ -46,7 +49,10 @@ class Line:
         behaviour = rules(**part)
         self.device = DeviceNow(behaviour, initial(behaviour))
         voice = Voice(interface, 0, can, self.said.append)
-        self.post = CommandPost(voice, self.device, lambda shown_ns: shown_ns < 1 << 61, self._tell)
+        self.changes = Changes()
+        self.post = CommandPost(
+            voice, self.device, lambda shown_ns: shown_ns < 1 << 61, self.changes, self._tell
+        )
         self.tally = Tally(Pace.WALL)
         self.housekeeper = Housekeeper(voice, self.device, self.tally, self.post, self._keep)
 
@@ -142,14 +148,17 @@ def test_a_change_waits_for_the_shots_and_is_told_with_the_first_that_follows() 
     line.send(20, "set_pattern", 1, pattern=1)
     line.send(30, "set_pattern", 2, pattern=1)
     line.send(40, "set_pattern", 3, pattern=0)
+    states: list[DeviceState] = []
     assert [(heard.command, shot) for heard, shot in line.told] == [("no_op", None), ("set_pattern", None)]
-    change = line.post.next_change()
-    assert change is not None
-    line.post.followed(change, 4, 1234)
+    assert line.changes.first is not None
+    session: Any = SimpleNamespace(next_shot=4, use_device=lambda device: states.append(device))
+    line.changes.follow(session, 1234)
+    assert [state.settings.pattern for state in states] == [1]
     assert line.told[-1] == (Heard(20 * MS, "set_pattern", {"pattern": 1}, 1, "accepted"), 4)
-    line.post.close()
+    line.changes.close()
     assert line.told[-1] == (Heard(40 * MS, "set_pattern", {"pattern": 0}, 3, "accepted"), None)
-    assert line.post.next_change() is None
+    assert line.changes.first is None
+    assert line.post.to_json()["delay"]["count"] == 1
 
 
 def test_answers_are_dated_by_the_device_s_clock() -> None:
@@ -201,11 +210,20 @@ def test_housekeeping_comes_at_its_rate_however_shots_come() -> None:
     modes = [DEFAULT.word("mode", message.values["mode"]) for message in line.heard()]
     assert modes == ["self_test"] * 2 + ["standby"] * 5
     assert line.send(4000, "set_parameter", 0, parameter=0, number=0) == "accepted"
-    line.housekeeper.commanded(Heard(0, "set_parameter", {}, 0, "accepted"), None)
     count = len(line.kept)
     for time_ms in range(4000, 9000, 7):
         line.housekeeper.tick(time_ms * MS)
     assert len(line.kept) == count
+
+
+def test_another_rate_counts_at_once_whoever_sets_it() -> None:
+    """Every 20 s by command; a cold restart, after 2 s of boot and 1 s of self-test, is back at one a second."""
+    line = Line(start="standby", boot_s=2.0, self_test_s=1.0, housekeeping_rate_hz=1.0)
+    assert line.send(500, "set_parameter", 0, parameter=0, number=0.05) == "accepted"
+    assert line.send(3000, "reset", 1, restart="cold") == "accepted"
+    for time_ms in range(0, 8000, 10):
+        line.housekeeper.tick(time_ms * MS)
+    assert [time_ns // MS for _, time_ns in line.kept] == [0, 500, 5000, 6000, 7000]
 
 
 def test_housekeeping_tells_of_its_own_time_not_of_commands_to_come() -> None:

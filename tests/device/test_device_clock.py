@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lidar_emu.device.clock import powered_up
+from lidar_emu.device.wander import Wander
 from lidar_emu.scenario.device import DeviceClock
 
 S = 1000 * MS
@@ -75,3 +76,45 @@ def test_the_tone_may_lie_before_the_command() -> None:
     state, verdict = obey(unit.rules, unit.state, pulse)
     assert verdict == "accepted"
     assert state.clock.reads_ns(1_020 * MS) == 100 * S + 20 * MS
+
+
+SEEDS = range(20)
+
+
+def wandering(seed: int, rms: float = 1e-6) -> Wander:
+    wander = Wander.drawn(rms, seed)
+    assert wander is not None
+    return wander
+
+
+def test_a_rate_wanders_as_far_as_it_is_told_to_and_its_allan_deviation_is_nearly_the_same_at_all_times() -> (
+    None
+):
+    """Flicker noise of the same power per octave: h ln(20000 s / 20 s) = rms^2, and 2 ln(2) h its Allan variance."""
+    time_s = np.arange(0.0, 200_000.0)
+    gained = np.stack([wandering(seed).gained_ns(0.0, 1e9 * time_s) for seed in SEEDS]) * 1e-9
+    assert np.sqrt(np.mean(np.diff(gained) ** 2)) == pytest.approx(1e-6, rel=0.05)
+    expected = 1e-6 * np.sqrt(2 * np.log(2) / np.log(1000))
+    for span in (10, 30, 100, 300, 1000):
+        second = gained[:, 2 * span :] - 2 * gained[:, span:-span] + gained[:, : -2 * span]
+        assert np.sqrt(np.mean(second**2) / 2) / span == pytest.approx(expected, rel=0.3)
+
+
+def test_another_seed_wanders_otherwise_and_the_same_one_alike() -> None:
+    assert wandering(1) == wandering(1) != wandering(2)
+    assert Wander.drawn(0.0, 1) is None
+
+
+@given(st.integers(0, 10**13), st.integers(0, 10**13), st.lists(st.integers(0, 10**13), min_size=1))
+def test_a_wandering_clock_gains_from_when_it_was_set(
+    powered_ns: int, set_ns: int, times_ns: list[int]
+) -> None:
+    clock = powered_up(DeviceClock(), powered_ns, wander=wandering(3)).set_to(5 * S, powered_ns + set_ns)
+    assert not clock.is_right
+    assert clock.reads_ns(powered_ns + set_ns) == 5 * S
+    later_ns = [powered_ns + set_ns + time_ns for time_ns in times_ns]
+    read = clock.reads_ns(np.array(later_ns, dtype=np.int64))
+    assert read.tolist() == [clock.reads_ns(time_ns) for time_ns in later_ns]
+    gained_ns = read - 5 * S - np.array(times_ns)
+    # Ten sines of half a turn each, all at their worst: each gains its amplitude times its period over pi.
+    assert np.abs(gained_ns).max() <= np.sqrt(0.2) * 1e-6 * 37_308e9 / np.pi

@@ -17,6 +17,7 @@ from lidar_emu.device.machine import initial
 from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.obey import Order
 from lidar_emu.device.rules import Rules, device_rules
+from lidar_emu.device.state import Mode
 from lidar_emu.faulty_packets import faulty_packets
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.scenario.device import Device
@@ -242,3 +243,64 @@ def test_going_back_gives_the_same_packets(part: Any, back: list[int], divisor: 
         session.rewind(shot)
         assert session.next_shot == shot
         assert packets_of(all_of(session, 30)) == whole[shot:]
+
+
+@pytest.mark.parametrize("steps", [[41, 80], [7, 8, 9, 30, 44, 80], list(range(1, 81))])
+def test_shots_that_are_passed_over_are_counted_as_the_device_would_have_fired_them(steps: list[int]) -> None:
+    """At a third of the rate, and off for a while: numbers after a stall are those without one."""
+    events = [{"at_s": 1.3, "what": "interlock_opens"}, {"at_s": 1.7, "what": "interlock_closes"}]
+    for part in ({"events": events}, {"start": "boot", "boot_s": 0.4, "self_test_s": 0.21}):
+        session, whole = begun(**part)[0], begun(**part)[0]
+        for each in (session, whole):
+            settings_at_a_third = each.device.settings._replace(divisor=3)
+            each.use_device(each.device._replace(settings=settings_at_a_third))
+        all_of(whole)
+        for step in steps:
+            session.pass_over(step)
+            assert session.next_shot == step
+        assert _unnumbered(session) == _unnumbered(whole)
+
+
+def _unnumbered(session: Session) -> int:
+    return session._state.unnumbered
+
+
+SILENT = [
+    "{kind: stale_packet, from_s: 0.9, to_s: 1.7}",
+    "{kind: garbage, bytes: 9}",
+    "{kind: doubled}",
+    "{kind: wrong_crc}",
+    "{kind: bit_errors, rate: 0.01}",
+    "{kind: frozen_counter, from_s: 0.9, to_s: 1.7}",
+    "{kind: lost}",
+    "{kind: time_jump, jump_s: 1}",
+]
+
+
+@pytest.mark.parametrize("fault", SILENT)
+def test_faults_of_packets_find_nothing_to_act_on_where_none_is_sent(fault: str) -> None:
+    session, _ = begun(f"[{fault}]", start="standby")
+    blocks = all_of(session)
+    assert set(packets_of(blocks)) == {b""}
+    assert [block.faults for block in blocks] == [()] * len(blocks)
+
+
+def test_what_repeats_the_last_packet_repeats_one_that_was_sent() -> None:
+    """Standing by until 1 s; no packet and no number of then is repeated after."""
+    for kind in ("stale_packet", "frozen_counter"):
+        session, rules = begun(
+            f"[{{kind: {kind}, from_s: 1.1, to_s: 1.15}}]", start="standby", acquisition_s=0.0
+        )
+        session.shoot(20)
+        session.use_device(after(rules, (1000, "set_mode", {"mode": "track"})))
+        session.shoot(1)
+        silent = session.device._replace(mode=Mode.STANDBY, agenda=())
+        tracking = session.device
+        session.use_device(silent)
+        session.shoot(1)
+        session.use_device(tracking)
+        block = session.shoot(2)
+        assert block is not None
+        receiver = SerialReceiver(default_interface())
+        messages = [message for packet in block.packets for message in receiver.receive(packet)]
+        assert [message.shot for message in messages if isinstance(message, Message)] == [0, 2]

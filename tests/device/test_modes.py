@@ -45,6 +45,27 @@ def test_a_device_boots_and_tests_itself_when_it_is_switched_on() -> None:
     assert unit.state.restarts == 0
 
 
+@pytest.mark.parametrize(("restart", "measures_again_ms"), [("warm", 500), ("cold", 3000)])
+def test_a_device_that_nobody_commands_goes_on_by_itself(restart: str, measures_again_ms: int) -> None:
+    unit = Unit(
+        start="boot", after_boot="track", boot_s=2.0, self_test_s=1.0, warm_restart_s=0.5, acquisition_s=0.25
+    )
+    assert unit.at(2999.9).mode is Mode.SELF_TEST
+    assert unit.at(3000).mode is Mode.ACQUIRE
+    assert unit.at(3249.9).mode is Mode.ACQUIRE
+    assert unit.at(3250).mode is Mode.TRACK
+    assert unit.state.until_ns is None
+    assert unit.command(5000, "reset", restart=restart) == "accepted"
+    assert not unit.at(4999.9 + measures_again_ms).measures
+    assert unit.at(5000 + measures_again_ms).mode is Mode.ACQUIRE
+    assert unit.at(5250 + measures_again_ms).mode is Mode.TRACK
+
+
+def test_an_open_interlock_keeps_it_from_going_on_by_itself() -> None:
+    unit = Unit(start="boot", after_boot="track", events=[{"at_s": 1.0, "what": "interlock_opens"}])
+    assert unit.at(60_000).mode is Mode.FAULT
+
+
 def test_to_track_by_way_of_acquire() -> None:
     unit = Unit(start="standby")
     assert unit.command(1000, "set_mode", mode="track") == "accepted"

@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
+from lidar_emu.device.rules import Rules, device_rules
 from lidar_emu.faulty_packets import faulty_packets
 from lidar_emu.scenario.schema import BenchScenario, Scenario
 from lidar_emu.session import Block, Session
-from lidar_emu.shots import build_model
+from lidar_emu.shots import Model, build_model
 from lidar_emu.wire import Encoder
 
 RATE_HZ = 50
@@ -19,6 +20,7 @@ SHOTS = 100
 
 Bench = Callable[..., BenchScenario]
 Shoot = Callable[..., list[Block]]
+RulesOf = Callable[[Scenario, Model], Rules]
 
 
 @pytest.fixture
@@ -49,14 +51,26 @@ def bench() -> Bench:
 
 
 @pytest.fixture
-def shoot() -> Shoot:
+def rules_of() -> RulesOf:
+    """The rules of a scenario's device."""
+
+    def rules(scenario: Scenario, model: Model) -> Rules:
+        counts = model.beam_count, model.pattern_count
+        return device_rules(scenario.device, scenario.timing.rate_hz, *counts, None, scenario.faults)
+
+    return rules
+
+
+@pytest.fixture
+def shoot(rules_of: RulesOf) -> Shoot:
     """All shots of a scenario, in blocks of so many."""
 
     def run(scenario: Scenario, block_shots: int = 128, can: bool = False, fd: bool = False) -> list[Block]:
         model = build_model(scenario)  # type: ignore[arg-type]
         encoder = Encoder(scenario.wire, can, fd, model.beam_count)
         faulty = faulty_packets(scenario, encoder, can)
-        session = Session(model, encoder, faulty=faulty)
+        rules = rules_of(scenario, model)
+        session = Session(model, encoder, faulty=faulty, rules=rules)
         blocks = []
         while (block := session.shoot(block_shots)) is not None:
             blocks.append(block)

@@ -18,8 +18,12 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 import lidar_emu
+from lidar_emu.device.machine import initial
+from lidar_emu.device.now import DeviceNow
+from lidar_emu.device.rules import all_events
 from lidar_emu.errors import InputError
 from lidar_emu.faulty_packets import faulty_packets
+from lidar_emu.runtime.changes import Changes
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.injector import Injector
 from lidar_emu.runtime.observer import Observer
@@ -79,6 +83,8 @@ def test_times_count_from_when_it_takes_effect() -> None:
         ("{kind: dropout, beam: 2}", "fault: beam: 2 is not usable; no such key; allowed: "),
         ("{kind: bias, range_m: x}", "fault: range_m: 'x' is not usable; allowed: a number"),
         ("{kind: dropout, lasts_s: [1]}", "fault: to_s: "),
+        ("{kind: dropout, lasts_s: -1}", "fault: lasts_s: -1 is not usable; allowed: greater than 0"),
+        ("{kind: dropout, lasts_s: .nan, from_s: 1}", "fault: lasts_s: nan is not usable"),
         ("{kind: [", "fault"),
         ("{}", "fault: kind: missing"),
         ("\ud800".encode("utf-8", "replace").decode(), "fault"),
@@ -111,6 +117,8 @@ EACH = [
     "{kind: delayed, delay_s: 0.05, lasts_s: 0.1}",
     "{kind: garbage, bytes: 9}",
     "{kind: brown_out, lasts_s: 0.1}",
+    "{kind: brown_out, from_s: 0.2, to_s: 0.25}",
+    "{kind: interlock, lasts_s: 0.2}",
 ]
 """All but those that repeat what was before them, of which an order in flight knows nothing."""
 
@@ -130,11 +138,13 @@ def sent(blocks: list[Block]) -> list[Any]:
 )
 @settings(deadline=None, max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_what_was_ordered_in_flight_can_be_flown_again(
-    bench: Any, shoot: Any, orders: Any, block_shots: int, at_the_start: list[str]
+    bench: Any, shoot: Any, rules_of: Any, orders: Any, block_shots: int, at_the_start: list[str]
 ) -> None:
     scenario = bench(*(json.loads(read_fault(text).model_dump_json()) for text in at_the_start))
     encoder = Encoder(scenario.wire, False, False, 4)
-    session = Session(build_model(scenario), encoder, 10, faulty_packets(scenario, encoder, False))
+    model = build_model(scenario)
+    faulty, rules = faulty_packets(scenario, encoder, False), rules_of(scenario, model)
+    session = Session(model, encoder, 10, faulty, rules)
     blocks: list[Block] = []
     for wait, text in orders:
         for count in [block_shots] * (wait // block_shots) + [wait % block_shots]:
@@ -143,7 +153,9 @@ def test_what_was_ordered_in_flight_can_be_flown_again(
         fault = shifted(read_fault(text), session.next_shot * PERIOD_S)
         scenario = scenario.model_copy(update={"faults": [*scenario.faults, fault]})
         session.use_faults(
-            build_model(scenario).with_faults(scenario.faults), faulty_packets(scenario, encoder, False)
+            model.with_faults(scenario.faults),
+            faulty_packets(scenario, encoder, False),
+            all_events(scenario.device, scenario.faults),
         )
     while (block := session.shoot(block_shots)) is not None:
         blocks.append(block)
@@ -185,6 +197,8 @@ class Controlled:
         self.path, self.told = path, Told()
         model = build_model(scenario)
         self.session = Session(model, encoder, 10, faulty_packets(scenario, encoder, False))
+        self.device = DeviceNow(self.session.rules, initial(self.session.rules))
+        self.changes = Changes()
         self.port_orders: list[dict[str, Any]] = []
         self.injector = Injector(
             str(path / "control"),
@@ -194,6 +208,8 @@ class Controlled:
             RunOptions(PortSpec(), pace),
             (200, room_bytes),
             self.port_orders.append,
+            self.device.expect,
+            self.changes,
             [self.told],
         )
 
@@ -207,8 +223,8 @@ class Controlled:
         return answer
 
     def follow(self) -> None:
-        while (change := self.injector.next_change()) is not None:
-            change.apply(self.session)
+        while self.changes.first is not None:
+            self.changes.follow(self.session, None)
 
 
 def test_an_order_is_answered_followed_and_told(bench: Any, shoot: Any, tmp_path: Path) -> None:
@@ -256,13 +272,13 @@ def test_what_this_run_cannot_do_is_refused(
         answer = controlled.order(text)
         assert not answer["accepted"]
         assert said in answer["reason"]
-        assert controlled.injector.next_change() is None
+        assert controlled.changes.first is None
 
 
 def test_it_is_not_expected_of_a_shot_before_it_can_be_built(bench: Any, tmp_path: Path) -> None:
     with (controlled := Controlled(bench(), tmp_path)).injector:
         controlled.order(EACH[0])
-        change = controlled.injector.next_change()
+        change = controlled.changes.first
         assert change is not None
         assert change.arrived_ns <= Clock().now_ns() + 1_000_000_000
 

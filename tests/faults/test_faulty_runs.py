@@ -22,6 +22,7 @@ from lidar_emu.runtime.link_orders import link_orders
 from lidar_emu.runtime.pacing import Pace
 from lidar_emu.scenario.faults import (
     BeamFault,
+    DeviceFault,
     LightFault,
     LinkFault,
     PacketFault,
@@ -72,7 +73,6 @@ EACH: list[dict[str, Any]] = [
     {"kind": "other_unit", "unit": 2},
     {"kind": "wrong_endian"},
     {"kind": "other_version", "version": 3},
-    {"kind": "brown_out"},
 ]
 WHENS = st.one_of(
     st.fixed_dictionaries({"at_s": st.floats(0, 2)}),
@@ -119,10 +119,6 @@ def test_shots_that_no_fault_concerns_are_as_without_it(bench: Any, shoot: Any, 
     assert concerned <= windows
     # A packet that is held back follows the next one, wherever that stands.
     concerned |= {fault.shot + 1 for fault in bad.faults if fault.kind == "reordered"}
-    # A device that begins anew counts from there.
-    concerned |= {
-        later for fault in bad.faults if fault.kind == "brown_out" for later in range(fault.shot, SHOTS)
-    }
     for shot in set(range(SHOTS)) - concerned:
         assert bad.packets[shot] == good.packets[shot]
         for name in ("range_m", "closing_speed_mps", "reason", "snr_db"):
@@ -258,7 +254,7 @@ def examples() -> list[list[dict[str, Any]]]:
 
 def test_each_fault_has_an_example() -> None:
     described = {fault["kind"] for example in examples() for fault in example}
-    assert described == KINDS | kinds_of(LightFault, ReceiverFault, LinkFault)
+    assert described == KINDS | kinds_of(LightFault, ReceiverFault, LinkFault, DeviceFault)
 
 
 @pytest.mark.parametrize("example", examples(), ids=lambda example: example[0]["kind"])

@@ -273,16 +273,6 @@ def test_other_version(sent: Any) -> None:
     assert (counters.foreign, counters.messages) == (10, 90)
 
 
-def test_brown_out_begins_anew(bench: Any, shoot: Any) -> None:
-    good, bad = (packets(shoot(scenario)) for scenario in (bench(), bench({"kind": "brown_out", **WINDOW})))
-    assert bad[:FIRST] == good[:FIRST]
-    assert bad[FIRST:END] == [b""] * 10
-    after = messages(bad[END:])
-    assert [message.sequence for message in after] == list(range(SHOTS - END))
-    assert [message.shot for message in after] == list(range(SHOTS - END))
-    assert [message.beams for message in after] == [message.beams for message in messages(good[END:])]
-
-
 @pytest.mark.parametrize(
     ("fault", "interface", "said"),
     [
@@ -330,7 +320,6 @@ PACKET_FAULTS = st.sampled_from(
         {"kind": "wrong_endian"},
         {"kind": "other_version", "version": 7},
         {"kind": "wrong_unit"},
-        {"kind": "brown_out"},
     ]
 )
 

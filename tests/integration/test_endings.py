@@ -17,6 +17,16 @@ Start = Callable[..., Program]
 Simulated = Callable[..., Measurement]
 
 
+def test_a_flight_that_never_began_counts_from_the_opening_of_the_port(start: Start, tmp_path: Path) -> None:
+    run = start("run", "descent.yaml", "--port", "pty", "--start", "on-command", "--summary", "s.json")
+    run.word_after("descent on ")
+    run.signal(signal.SIGINT)
+    run.succeed()
+    (event,) = read_summary(tmp_path / "s.json")["link_events"]
+    assert event["what"] == "nobody connected"
+    assert abs(event["time_s"]) < 60
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_a_run_with_its_summary(
     number: signal.Signals, start: Start, far_end: FarEnd, simulated: Simulated, tmp_path: Path

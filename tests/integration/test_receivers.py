@@ -307,7 +307,19 @@ def test_both_say_the_same_of_anything(in_c: list[str], start: Start, far_end: F
     assert end["measurements"] > 100
 
 
-@pytest.mark.parametrize("order", ["5:set_pattern=256", "5:jump=1", "set_pattern=1", "5:set_rate_hz=-1"])
+@pytest.mark.parametrize(
+    "order",
+    [
+        "5:set_pattern=256",
+        "5:jump=1",
+        "set_pattern=1",
+        "5:set_rate_hz=-1",
+        "5:set_mode=abc",
+        "5:set_mode=1x",
+        "-1:no_op",
+        "5:",
+    ],
+)
 def test_orders_that_cannot_be_sent_are_refused(receiver: list[str], order: str) -> None:
     refused = subprocess.run([*receiver, "-", "9600", order], stdin=subprocess.DEVNULL, capture_output=True)
     assert refused.returncode in (1, 2)

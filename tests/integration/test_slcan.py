@@ -112,3 +112,34 @@ def test_listen_at_the_other_end_of_the_bus(
         numbered = [{**row, "shot": k // BEAMS} for k, row in enumerate(rows)]
         assert_complete(numbered, summary, BEAMS)
         assert_equal(numbered, simulated("descent.yaml"), CORE_STEPS, CORE_HELD, CORE_EXACT)
+
+
+def test_listen_and_send_by_slcan(start: Start, far_end: FarEnd, other_end: FarEnd, tmp_path: Path) -> None:
+    """An adapter has one host: one after the other, each hears what the device says meanwhile."""
+    far_end.deliver_to(other_end)
+    other_end.deliver_to(far_end)
+    unit = [
+        "--set",
+        "wire.unit=3",
+        "--set",
+        "device.start=standby",
+        "--set",
+        "device.housekeeping_rate_hz=10",
+    ]
+    run = start("run", "bench.yaml", *slcan(far_end.path), *unit, "--summary", "s.json")
+    eventually(lambda: b"t1F9" in far_end.data)
+    send = start(
+        "send", *slcan(other_end.path), "--unit", "3", "set_mode", "mode=track", "set_mode", "mode=fault"
+    )
+    assert send.wait() == 1, send.err
+    assert send.out == "set_mode mode=track: accepted\nset_mode mode=fault: out of range\n"
+    eventually(lambda: b"t1C0" in far_end.data)
+    listener = start("listen", *slcan(other_end.path), "--count", "20")
+    assert listener.wait() == 0
+    run.signal(signal.SIGINT)
+    run.succeed()
+    assert "unit 3 mode=track interlock_closed=yes laser_on=yes" in listener.out
+    assert listener.out.count(" unit 3 shot ") == 20
+    assert "acknowledgements" not in listener.err, "they were the other host's"
+    commands = read_summary(tmp_path / "s.json")["commands"]
+    assert (commands["accepted"], commands["rejected"]) == (2, {"out_of_range": 1})

@@ -195,6 +195,8 @@ def test_a_command_that_is_wrong_on_can():
         ("set_rate_hz", {"rate_hz": 0.0}, "rate_hz is out of range"),
         ("set_parameter", {"parameter": 1, "number": float("inf")}, "number is out of range"),
         ("no_op", {"mode": 1}, "has no mode"),
+        ("set_mode", {"mode": 3.5}, "mode has to be a whole number instead of 3.5"),
+        ("enable_beams", {"beams": 2.6}, "beams has to be a whole number"),
     ],
 )
 def test_a_host_refuses_what_a_device_would(name, values, complaint):

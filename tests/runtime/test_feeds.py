@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from lidar_emu.runtime.command_post import Change
+from lidar_emu.runtime.changes import Change, Changes
 from lidar_emu.runtime.feed import Desk
 from lidar_emu.runtime.feed_ahead import AheadFeed
 from lidar_emu.runtime.feed_live import LiveFeed
@@ -34,6 +34,7 @@ class World:
         self.computed: list[tuple[int, int, bool]] = []
         self.never: list[int] = []
         self.sent: list[tuple[int, int]] = []
+        self.silent: set[int] = set()
         self.stalls: dict[int, int] = {}
         self.news: deque[int] = deque()
         self.room = 40
@@ -71,6 +72,9 @@ class World:
         self.now += sum(self.stalls.pop(shot, self.shot_takes_ns) for shot in shots)
         return [(shot, self._pattern) for shot in shots]
 
+    def next_is_silent(self) -> bool:
+        return self.next_shot in self.silent
+
     def rehearse(self) -> None:
         self.rehearsed.append((self.next_shot, self.now))
         self.now += self.shot_takes_ns
@@ -80,6 +84,10 @@ class World:
 
     def rewind(self, shot: int) -> None:
         self.next_shot = shot
+
+    @property
+    def is_over(self) -> bool:
+        return self.next_shot >= self.shot_count
 
     def use_pattern(self, pattern: int) -> None:
         self._pattern = pattern
@@ -154,22 +162,35 @@ def truth(k: int, period_ns: int, last: bool = False) -> Truth:
     )
 
 
-def to_pattern(number: int, arrived_ns: int) -> Change:
-    return Change(lambda session: session.use_pattern(number), arrived_ns)
+def to_pattern(number: int, arrived_ns: int, followed: list[Any] | None = None) -> Change:
+    def settled(shot: int | None, begins_ns: int | None) -> None:
+        if followed is not None:
+            followed.append((number, shot, begins_ns))
+
+    any_session: Any = lambda session: session.use_pattern(number)  # noqa: E731
+    return Change(any_session, arrived_ns, settled)
 
 
 def desk(world: World, changes: list[tuple[int, Change]] | None = None) -> Any:
     """With commands that can be heard from given instants on."""
-    waiting = changes if changes is not None else []
+    waiting, heard = list(changes or ()), Changes()
 
-    class Heard(Desk):
-        def next_change(self) -> Change | None:
-            return waiting.pop(0)[1] if waiting and waiting[0][0] <= world.now else None
+    class Hearing(Desk):
+        def hear(self, time_ns: int, start_ns: int | None = None) -> None:  # noqa: ARG002
+            while waiting and waiting[0][0] <= world.now:
+                heard.add(waiting.pop(0)[1])
 
     failed: list[str] = []
     any_world: Any = world
-    return Heard(
-        any_world, any_world, any_world, lambda: bool(failed), failed.append, lambda _start_ns: None, None
+    return Hearing(
+        any_world,
+        any_world,
+        any_world,
+        lambda: bool(failed),
+        failed.append,
+        lambda _start_ns: None,
+        heard,
+        None,
     )
 
 
@@ -331,3 +352,52 @@ def test_two_commands_at_once_and_one_at_the_end() -> None:
     assert sorted(patterns) == patterns
     assert patterns[-2] == 2
     assert patterns[15:20] == [0] * 5 or patterns[15:20] == [0] * 4 + [1]
+
+
+@pytest.mark.parametrize("slow", [False, True])
+def test_no_change_takes_effect_before_one_that_was_heard_earlier(slow: bool) -> None:
+    """What needs time to prepare, and a command right after it: going back beyond the first would undo it."""
+    world, followed = World(200), list[Any]()
+    world.room = 5 if slow else 100
+    ready_ns, at_ns = START_NS + 1300 * MS, START_NS + 1000 * MS
+    changes = [(at_ns, to_pattern(1, ready_ns, followed)), (at_ns, to_pattern(2, at_ns, followed))]
+    first = block_of(world, 5)
+    AheadFeed(desk(world, changes), first, 5, START_NS, PERIOD_NS, Pace.WALL).fly()
+    assert followed == [(1, 26, ready_ns), (2, 26, ready_ns)]
+    assert [pattern for _, pattern in world.sent] == [0] * 26 + [2] * 174
+
+
+def test_what_no_shot_follows_any_more_is_told_of_at_the_end() -> None:
+    """The last shot begins at 9950 ms; its packet is due 3 ms later."""
+    world, followed = World(200), list[Any]()
+    times_ns = [START_NS + t * MS for t in (9951, 9952)]
+    changes = [(at_ns, to_pattern(k, at_ns, followed)) for k, at_ns in enumerate(times_ns)]
+    at_work = desk(world, [(at_ns - 3 * MS, change) for at_ns, change in changes])
+    AheadFeed(at_work, block_of(world, 30), 30, START_NS, PERIOD_NS, Pace.WALL).fly()
+    assert followed == []
+    at_work.changes.close()
+    assert followed == [(0, None, None), (1, None, None)]
+
+
+def test_live_shots_follow_what_came_before_they_began() -> None:
+    world, followed = World(40), list[Any]()
+    truths = [(START_NS + k * 10 * MS, truth(k, 10 * MS)) for k in range(1, 300)]
+    socket: Any = Socket(world, [(START_NS - MS, truth(0, MS)), *truths])
+    source = TruthSource(socket, LiveTrajectory(10.0), 100 * MS, [])
+    times_ns = [START_NS + t * MS for t in (240, 251, 270, 2500)]
+    changes = [(START_NS + 200 * MS, to_pattern(k, at_ns, followed)) for k, at_ns in enumerate(times_ns)]
+    flight: Any = world
+    at_work = desk(world, changes)
+    LiveFeed(at_work, source, flight, Live(kind="live"), START_NS, PERIOD_NS, 0.1).fly()
+    assert [(number, shot) for number, shot, _ in followed] == [(0, 5), (1, 6), (2, 6)]
+    at_work.changes.close()
+    assert followed[-1] == (3, None, None)
+
+
+def test_what_a_silent_device_does_not_send_is_not_late() -> None:
+    world = World(40)
+    world.stalls, world.silent = {10: 420 * MS}, {13, 14, 15}
+    truths = [(START_NS + k * 10 * MS, truth(k, 10 * MS)) for k in range(1, 300)]
+    fly_live(world, [(START_NS - MS, truth(0, MS)), *truths])
+    assert world.never == [11, 12, 16, 17]
+    assert sorted([shot for shot, _, _ in world.computed] + world.never) == list(range(40))

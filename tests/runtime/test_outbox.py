@@ -119,6 +119,28 @@ def test_shots_that_a_command_changes_are_told_once_as_they_were_sent() -> None:
     assert tally.range_error_m.count == 28
 
 
+def test_what_is_told_never_keeps_changed_shots_waiting() -> None:
+    session, port, kept, _, outbox = begun()
+    for _ in range(4):
+        post(session, outbox, 10)
+    port.meet(9)
+    outbox.settle()
+    assert kept.shots == list(range(8)), "a long block is told of in parts"
+    port.meet(8)
+    outbox.settle()
+    assert kept.shots == list(range(10))
+    session.rewind(18)
+    outbox.supersede(18)
+    post(session, outbox, 10)
+    port.meet(1 + 22 + 1)
+    outbox.settle()
+    assert kept.shots == list(range(10)), "changed shots come first"
+    for _ in range(5):
+        post(session, outbox, 10)
+    outbox.settle()
+    assert kept.shots == list(range(18)), "and once they are ahead the others are made up for"
+
+
 def test_going_back_computes_the_same_again() -> None:
     session, *_ = begun()
     whole = session.shoot(8)

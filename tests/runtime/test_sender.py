@@ -145,6 +145,17 @@ def test_an_empty_packet_meets_its_fate_at_its_time_and_the_line_sees_nothing(wa
     assert [int.from_bytes(payload, "big") for _, payload in wall.line.taken] == [0, 2]
 
 
+def test_an_empty_packet_is_never_late() -> None:
+    """Nor does it end a run that may have no late packet."""
+    rig = Rig(Pace.WALL, late_after_ns=1000, when_late=WhenLate.ABORT)
+    assert rig.packets.push(Outgoing(0, 0, b"").to_bytes())
+    rig.push(1, SECOND_NS)
+    rig.clock.time_ns = START_NS + SECOND_NS // 2
+    rig.run_until_empty()
+    assert [report.fate for report in rig.seen] == [Fate.WITHHELD, Fate.SENT]
+    rig.close()
+
+
 def test_a_stall_of_ten_seconds_is_skipped_without_a_burst(wall: Rig) -> None:
     period_ns = SECOND_NS // 1111
     stalls_at, wakes_ns = 500, 500 * period_ns + 10 * SECOND_NS

@@ -93,7 +93,7 @@ class InAnother:
 
     def pump(self) -> None:
         self._runner.wait(Clock().now_ns() + _TICK_NS)
-        self.received += b"".join(data for _, data in self._runner.arrivals())
+        self.received += b"".join(arrival.data for arrival in self._runner.arrivals())
 
     def events(self) -> list[str]:
         return [event.text for event in self._runner.told.events]

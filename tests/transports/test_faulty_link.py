@@ -9,7 +9,7 @@ import pytest
 
 from lidar_emu.transports.faulty_link import FaultyPort, LinkOrder
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
-from lidar_emu.transports.link import Fate, Link, Noticed
+from lidar_emu.transports.link import NOTHING, Fate, Link, Noticed
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_emu.transports.wire_load import frame_bits
 
@@ -55,7 +55,7 @@ class Line:
         return self.arrived.pop(0) if self.arrived else b""
 
     def take_noticed(self) -> Noticed:
-        return Noticed()
+        return NOTHING
 
     def unread(self) -> int:
         return 0

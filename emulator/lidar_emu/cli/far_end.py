@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
@@ -10,7 +11,16 @@ from typing import Any
 from lidar_emu.cli.output import say
 from lidar_emu.transports.frames import Frame
 from lidar_emu.wire import rows
-from lidar_protocol import CanReceiver, Interface, Message, Received, SerialReceiver, default_interface
+from lidar_protocol import (
+    Acknowledge,
+    CanReceiver,
+    Housekeeping,
+    Interface,
+    Message,
+    Received,
+    SerialReceiver,
+    default_interface,
+)
 
 
 class Decoder:
@@ -20,25 +30,34 @@ class Decoder:
         self.interface = interface or default_interface()
         self._serial = SerialReceiver(self.interface)
         self._can = CanReceiver(self.interface) if self.interface.can else None
-        self.messages = 0
+        self._kinds: Counter[type] = Counter()
 
     def decode(self, arrived: bytes | Iterable[Frame]) -> list[Message]:
-        """The messages that are complete with what arrived."""
+        """The measurements that are complete with what arrived."""
+        return [message for message in self.receive(arrived) if isinstance(message, Message)]
+
+    def receive(self, arrived: bytes | Iterable[Frame]) -> list[Received]:
+        """All that is complete with what arrived."""
         received: list[Received] = []
         if isinstance(arrived, bytes):
             received = self._serial.receive(arrived)
         elif self._can is not None:
             for frame in arrived:
                 received += self._can.receive(frame.can_id, frame.data, frame.is_fd)
-        messages = [message for message in received if isinstance(message, Message)]
-        self.messages += len(messages)
-        return messages
+        self._kinds.update(type(message) for message in received)
+        return received
+
+    @property
+    def messages(self) -> int:
+        """How many measurements came."""
+        return self._kinds[Message]
 
     def counters(self) -> dict[str, int]:
-        """All that was counted, good and bad."""
-        if self._can is not None and self._can.counters.frames:
-            return asdict(self._can.counters)
-        return asdict(self._serial.counters)
+        """All that was counted, good and bad. On CAN each frame of housekeeping counts."""
+        is_can = self._can is not None and self._can.counters.frames > 0
+        counters = self._can.counters if self._can is not None and is_can else self._serial.counters
+        kinds = {"acknowledgements": self._kinds[Acknowledge], "housekeeping": self._kinds[Housekeeping]}
+        return {**asdict(counters), **kinds}
 
 
 def json_lines(message: Message) -> Iterable[str]:

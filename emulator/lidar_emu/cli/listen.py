@@ -3,29 +3,38 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.output import silence
+from lidar_emu.cli.output import say, silence
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
     from lidar_emu.transports.spec import PortSpec
+    from lidar_protocol import Interface, Received
 
 _READ_S = 0.2
 
 
 @click.command(short_help="Decode what arrives at the other end of the line.")
 @port_options
-@click.option("--json", "as_json", is_flag=True, help="One JSON object per beam and line.")
+@click.option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="A line of JSON per beam, acknowledgement and housekeeping.",
+)
 @click.option(
     "--wire-interface", metavar="FILE", default="default", help="Message definitions: a name, or FILE.toml."
 )
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N shots.")
 def listen(port: PortSpec, as_json: bool, wire_interface: str, count: int | None) -> None:
     """Decode what arrives, and count gaps and bad bytes.
+
+    Shots line by line; acknowledgements of commands; and of housekeeping what has changed: mode, flags, counters.
 
     `--port pty` opens a pseudo-terminal and prints the path for `lidar-emu run --port PATH`. Ctrl-C ends it.
 
@@ -35,10 +44,11 @@ def listen(port: PortSpec, as_json: bool, wire_interface: str, count: int | None
     lidar-emu listen -i socketcan -c vcan0 --count 100
     lidar-emu listen --port /dev/ttyUSB1 --wire-interface my.toml
     """
-    from lidar_emu.cli.far_end import Decoder, Screen, counter_line, json_lines
+    from lidar_emu.cli.far_end import Decoder, counter_line
     from lidar_emu.transports.host import open_host
     from lidar_emu.transports.spec import Kind
     from lidar_emu.wire import interface_named
+    from lidar_protocol import Message
 
     interface = interface_named(wire_interface, "--wire-interface")
     if port.kind is Kind.CAN and interface.can is None:
@@ -52,17 +62,16 @@ def listen(port: PortSpec, as_json: bool, wire_interface: str, count: int | None
         signal.signal(number, signal.default_int_handler)
     host = open_host(port)
     click.echo(f"listening on {host.description}", err=True)
-    decoder, screen = Decoder(interface), Screen(0.0, interface)
+    decoder = Decoder(interface)
+    show = _json_view(interface) if as_json else _text_view(interface)
+    left = count
     try:
-        while count is None or decoder.messages < count:
-            messages = decoder.decode(host.read(_READ_S))
-            if count is not None and decoder.messages > count:
-                messages = messages[: count - decoder.messages]
-            if as_json:
-                for message in messages:
-                    click.echo("\n".join(json_lines(message)))
-            else:
-                screen.show(messages)
+        while left != 0:
+            for message in decoder.receive(host.read(_READ_S)):
+                if left != 0:
+                    show(message)
+                if left and isinstance(message, Message):
+                    left -= 1
     except KeyboardInterrupt:
         pass
     except BrokenPipeError:
@@ -71,3 +80,33 @@ def listen(port: PortSpec, as_json: bool, wire_interface: str, count: int | None
         host.close()
         lost = f"; the link broke {host.times_lost} times" if host.times_lost else ""
         click.echo(f"received: {counter_line(decoder.counters())}{lost}", err=True)
+
+
+def _json_view(interface: Interface) -> Callable[[Received], None]:
+    from lidar_emu.cli.device_lines import DeviceLines
+    from lidar_emu.cli.far_end import json_lines
+    from lidar_protocol import Message
+
+    device = DeviceLines(interface)
+
+    def show(message: Received) -> None:
+        lines = json_lines(message) if isinstance(message, Message) else [device.json_line(message)]
+        click.echo("\n".join(lines))
+
+    return show
+
+
+def _text_view(interface: Interface) -> Callable[[Received], None]:
+    from lidar_emu.cli.device_lines import DeviceLines
+    from lidar_emu.cli.far_end import Screen
+    from lidar_protocol import Message
+
+    screen, device = Screen(0.0, interface), DeviceLines(interface)
+
+    def show(message: Received) -> None:
+        if isinstance(message, Message):
+            screen.show([message])
+        elif (line := device.text_line(message)) is not None:
+            say(line)
+
+    return show

@@ -74,6 +74,8 @@ def run(
     lidar-emu run my.yaml --pace max --fail-on late,dropped --summary out.json --set timing.rate_hz=100
     """
     failures = _failures(fail_on)
+    if control == "":  # the system would make up a name, open to everybody
+        raise InputError("--control", None, control, "allowed: a path where nothing is")
     start_utc = _start(start)
     for option, file in (("--record", record), ("--summary", summary_file)):
         if file is not None:

@@ -200,6 +200,7 @@ def _expected(statistics: dict[str, Any] | None, factor: float, unit: str) -> li
     if statistics is None or statistics["rms"] is None:
         return []
     rms, mean = factor * statistics["rms"], factor * statistics["mean"]
+    mean = mean if abs(mean) > 1e-9 * rms else 0.0  # what rounding leaves of nothing
     return [f"{'':10} expected {rms:.4g} {unit} rms, {mean:+.3g} {unit} mean, false locks aside"]
 
 

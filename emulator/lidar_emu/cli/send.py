@@ -121,6 +121,8 @@ def _orders(words: tuple[str, ...], commands: Commands) -> list[_Order]:
             orders.append((name, {}))
         elif not orders:
             raise InputError("send", None, word, "allowed first: a command")
+        elif name in orders[-1][1]:
+            raise InputError("send", None, word, f"{orders[-1][0]} has {name} already")
         else:
             orders[-1][1][name] = _value(text)
     return orders

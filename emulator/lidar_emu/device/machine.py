@@ -3,6 +3,7 @@
     off --power--> boot --> self_test --> standby <--> acquire --> track
                     ^                        ^            |          |
     reset ----------+ (warm: no self-test)   +-- command -+----------+
+                                     or, after a start, by itself
     open interlock, too hot: --> fault, left by reset         command: --> safe, left by command or reset
 
 Everything here is a function of the state before and of scenario time.
@@ -19,12 +20,12 @@ from lidar_emu.device.state import GUARDED, MEASURING, DeviceState, Due, Mode
 def initial(rules: Rules) -> DeviceState:
     """At the beginning of the scenario: off, or what the device starts with."""
     power_on_ns = rules.power_on_ns
-    chain = _boot(rules, power_on_ns) if rules.start is Mode.BOOT else (Due(power_on_ns, rules.start),)
+    chain = _cold_start(rules, power_on_ns) if rules.start is Mode.BOOT else (Due(power_on_ns, rules.start),)
     off = DeviceState(
         mode=Mode.OFF,
         agenda=chain,
         settings=rules.defaults,
-        clock=powered_up(rules.clock, power_on_ns),
+        clock=powered_up(rules.clock, power_on_ns, wander=rules.wander),
         heat=Heat(power_on_ns, 0.0, laser_on=False),
         interlock_closed=True,
         restarted_ns=power_on_ns,
@@ -74,9 +75,10 @@ def restart(rules: Rules, state: DeviceState, time_ns: int, cold: bool) -> Devic
     """The state that a reset leads to: boot, then standby; if cold, with a self-test and all as at power-up."""
     state = state._replace(restarts=state.restarts + 1, restarted_ns=time_ns)
     if not cold:
-        return enter(rules, state, Mode.BOOT, time_ns, (Due(time_ns + rules.warm_restart_ns, Mode.STANDBY),))
-    clock = powered_up(rules.clock, time_ns, state.clock.epoch_ns)
-    boot, *rest = _boot(rules, time_ns)
+        started = _started(rules, time_ns + rules.warm_restart_ns, state.settings.acquisition_ns)
+        return enter(rules, state, Mode.BOOT, time_ns, started)
+    clock = powered_up(rules.clock, time_ns, state.clock.epoch_ns, rules.wander)
+    boot, *rest = _cold_start(rules, time_ns)
     return enter(rules, state._replace(settings=rules.defaults, clock=clock), boot.mode, time_ns, tuple(rest))
 
 
@@ -91,13 +93,16 @@ def counted_from(rules: Rules, state: DeviceState, zero_ns: int) -> DeviceState:
     return timed(rules, moved)
 
 
-def _boot(rules: Rules, time_ns: int) -> tuple[Due, ...]:
+def _cold_start(rules: Rules, time_ns: int) -> tuple[Due, ...]:
     self_test_ns = time_ns + rules.boot_ns
-    return (
-        Due(time_ns, Mode.BOOT),
-        Due(self_test_ns, Mode.SELF_TEST),
-        Due(self_test_ns + rules.self_test_ns, Mode.STANDBY),
-    )
+    started = _started(rules, self_test_ns + rules.self_test_ns, rules.defaults.acquisition_ns)
+    return (Due(time_ns, Mode.BOOT), Due(self_test_ns, Mode.SELF_TEST), *started)
+
+
+def _started(rules: Rules, time_ns: int, acquisition_ns: int) -> tuple[Due, ...]:
+    if rules.waits_for_commands:
+        return (Due(time_ns, Mode.STANDBY),)
+    return Due(time_ns, Mode.ACQUIRE), Due(time_ns + acquisition_ns, Mode.TRACK)
 
 
 def _next(rules: Rules, state: DeviceState, time_ns: int) -> DeviceState:

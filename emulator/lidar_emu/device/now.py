@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from typing import NamedTuple
 
-from lidar_emu.device.machine import advance, counted_from
+from lidar_emu.device.machine import advance, counted_from, timed
 from lidar_emu.device.obey import Order, obey
-from lidar_emu.device.rules import Rules
+from lidar_emu.device.rules import Event, Rules
 from lidar_emu.device.state import DeviceState
 
 _REMEMBERED = 256
@@ -41,6 +42,13 @@ class DeviceNow:
             return None, verdict
         self._since.append(_Since(order.time_ns, after))
         return after, verdict
+
+    def expect(self, events: tuple[Event, ...]) -> None:
+        """From now on these will be done to it, instead of what was to be: the same until now, and others later."""
+        self.rules = replace(self.rules, events=events)
+        self._first = timed(self.rules, self._first)
+        since = [each._replace(state=timed(self.rules, each.state)) for each in self._since]
+        self._since = deque(since, maxlen=_REMEMBERED)
 
     def begin_flight(self, rules: Rules, zero_ns: int) -> DeviceState:
         """From now on times count from what was `zero_ns`, and these rules hold; returns the state then."""

@@ -25,6 +25,8 @@ Pieces = tuple[Piece, ...]
 
 Packet = bytes | list[CanFrame]
 
+_Fault = kinds.PacketFault | kinds.LinkFault | kinds.DeviceFault
+
 _CAN_DATA_BYTES = 8
 _CAN_IDS = 0x800
 _RECORD_BYTES = 14
@@ -54,7 +56,7 @@ class _Act:
 
 
 class PacketFaults:
-    """All faults of packets; those of the port are told of only.
+    """All faults of packets; those of the port and of the device are told of only.
 
     Args:
         numbered: the faults, with their places in the scenario's list.
@@ -70,7 +72,7 @@ class PacketFaults:
 
     def __init__(
         self,
-        numbered: Sequence[tuple[int, kinds.PacketFault | kinds.LinkFault]],
+        numbered: Sequence[tuple[int, _Fault]],
         seed: int,
         period_ns: int,
         interface: Interface,
@@ -80,7 +82,7 @@ class PacketFaults:
         self._interface = interface
         self._rewriter = Rewriter(interface)
         self._can = can
-        self._faults: list[tuple[int, kinds.PacketFault | kinds.LinkFault, Schedule, Chance]] = []
+        self._faults: list[tuple[int, _Fault, Schedule, Chance]] = []
         for number, fault in numbered:
             if isinstance(fault, kinds.WrongCrc) and (can or interface.link.crc is None):
                 found = Finding("wrong_crc on CAN" if can else "no CRC in this interface")
@@ -101,15 +103,32 @@ class PacketFaults:
         """What is carried before shot 0."""
 
     def apply(
-        self, shot: NDArray[np.int64], due_ns: NDArray[np.int64], packets: list[Packet], state: PacketState
+        self,
+        shot: NDArray[np.int64],
+        due_ns: NDArray[np.int64],
+        packets: list[Packet],
+        state: PacketState,
+        silent: bool = False,
     ) -> tuple[list[Packet], list[int], PacketState, list[Injected]]:
         """What becomes of the packets of consecutive shots.
+
+        Args:
+            shot: (shots,) their numbers.
+            due_ns: (shots,) when they are due.
+            packets: of each, empty ones if `silent`.
+            state: carried from the shots before.
+            silent: whether the device sends none, so that there is nothing for faults of packets to act on. What was
+                held back follows all the same.
 
         Returns:
             for each shot what is sent, perhaps nothing; and when, in ascending order; what is carried on; and which
             faults acted.
         """
-        acts = [schedule.shots(shot).tolist() for _, _, schedule, _ in self._faults]
+        nowhere = [False] * len(shot)
+        acts = [
+            nowhere if silent and isinstance(fault, kinds.PacketFault) else schedule.shots(shot).tolist()
+            for _, fault, schedule, _ in self._faults
+        ]
         sent: list[Packet] = []
         due: list[int] = []
         injected: list[Injected] = []
@@ -151,7 +170,7 @@ class PacketFaults:
                 pieces, kept = ((), pieces) if now and not before else (pieces + before, ())
             elif isinstance(fault, kinds.StalePacket):
                 pieces = before if now and before else pieces
-                kept = pieces
+                kept = pieces if any(pieces) else before
             elif now and type(fault) in _EFFECTS:
                 act = _Act(fault, chance, shot, self._interface, self._rewriter, self._can)
                 pieces = _EFFECTS[type(fault)](pieces, act)
@@ -259,7 +278,6 @@ _EFFECTS: dict[type, Callable[[Pieces, _Act], Pieces]] = {
     kinds.WrongCrc: _wrong_crc,
     kinds.Silence: _nothing,
     kinds.Garbage: _garbage,
-    kinds.BrownOut: _nothing,
     **dict.fromkeys(REWRITING, _rewritten),
 }
 """Of faults that carry nothing from shot to shot."""

@@ -61,17 +61,13 @@ class StampFaults:
                 case kinds.FrozenCounter():
                     counter, carried = _frozen(block.shot, acts, before)
                     block = replace(block, shot=counter)
-                case kinds.BrownOut():
-                    counter, carried = _restarted(block.shot, shot, acts, before)
-                    block = replace(block, shot=counter)
                 case kinds.TimeJump():
                     shifted_ns = np.maximum(0, block.time_ns + round(fault.jump_s * 1e9))
                     block = replace(block, time_ns=np.where(acts[:, None], shifted_ns, block.time_ns))
                 case kinds.WrongUnit():
                     block = _in_other_units(block, acts, fault.metres)
             after.append(carried)
-            if not isinstance(fault, kinds.BrownOut):  # that one is told of where packets are withheld
-                injected += [Injected(int(k), number, fault.kind, ()) for k in shot[acts]]
+            injected += [Injected(int(k), number, fault.kind, ()) for k in shot[acts]]
         return block, tuple(after), injected
 
 
@@ -81,14 +77,6 @@ def _in_other_units(block: Measurement, acts: NDArray[np.bool_], metres: float) 
     factor = np.where(acts, 1 / metres, 1.0)[:, None]
     columns: dict[str, Any] = {name: factor * getattr(block, name) for name in _IN_METRES}
     return replace(block, **columns)
-
-
-def _restarted(
-    counter: NDArray[np.int64], shot: NDArray[np.int64], acts: NDArray[np.bool_], before: Row | None
-) -> tuple[NDArray[np.int64], Row]:
-    """Counted from the last shot of the device's being off; `before` holds the shot after it."""
-    begun = np.maximum.accumulate(np.where(acts, shot + 1, 0 if before is None else before[0]))
-    return np.where(begun > 0, np.maximum(0, shot - begun), counter), begun[-1:]
 
 
 def _frozen(

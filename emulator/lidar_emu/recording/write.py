@@ -9,6 +9,7 @@ every reader gets all that was written before a cut):
     /live_truth    bytes a simulator's datagrams as they came, good or not; log time when they came
     /packet        bytes what went onto the wire; on CAN, frame records
     /fault         JSON  a fault that acted on a shot: its place in the scenario's list, its kind, and beams
+    /ordered_fault JSON  a fault ordered in flight, as a scenario would state it, and the first shot that has it
     /command       JSON  a command: name, values, sequence, verdict, and the first shot that follows it
     /housekeeping  bytes as /packet, what the device told of itself
     /fate          JSON  due and sent times from the start, and what became of the packet
@@ -179,7 +180,7 @@ class Recorder(Observer):
             return
         if self.error is not None:
             return
-        instant_ns = self._epoch_ns + time_ns
+        instant_ns = max(0, self._epoch_ns + time_ns)  # a command may come before an epoch of 1970
         with self._trying():
             self._writer.add_message(self._channels[topic], instant_ns, data, instant_ns, shot & 0xFFFFFFFF)
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.obey import OUT_OF_RANGE, Order, Value
+from lidar_emu.device.state import DeviceState
 from lidar_emu.errors import InputError
+from lidar_emu.runtime.changes import Change, Changes
 from lidar_emu.runtime.heard import Heard
 from lidar_emu.runtime.intake import Intake
 from lidar_emu.runtime.lateness import LatenessHistogram
 from lidar_emu.runtime.voice import Voice
-from lidar_emu.session import Session
 from lidar_emu.transports.frames import unpack_frames
 from lidar_protocol import (
     BadCommand,
@@ -27,17 +29,6 @@ _UNKNOWN = 255
 _VERDICTS = ("accepted", "unknown", "malformed", "bad_sequence", "out_of_state", "out_of_range")
 
 
-class Change(NamedTuple):
-    """Something that shots are to follow."""
-
-    apply: Callable[[Session], None]
-    """Lets the session's next shot be the first to follow it."""
-    arrived_ns: int
-    """When the command came, on the monotonic clock."""
-    heard: Heard | None = None
-    """The command, if it was one."""
-
-
 class CommandPost:
     """The device's ears and mouth on a link.
 
@@ -45,6 +36,7 @@ class CommandPost:
         voice: by which it answers, and the interface of which has commands.
         device: that is commanded.
         can_date: whether packets can tell a time that the clock may be set to, in nanoseconds since the epoch.
+        changes: where shots find what they are to follow.
         tell: told of every command, with the number of the first shot that follows it, if one does.
 
     Raises:
@@ -56,19 +48,19 @@ class CommandPost:
         voice: Voice,
         device: DeviceNow,
         can_date: Callable[[int], bool],
+        changes: Changes,
         tell: Callable[[Heard, int | None], None],
     ) -> None:
         self._voice, self._interface = voice, voice.interface
         self._bytes = None if voice.can else CommandReader(voice.interface, voice.unit)
         self._frames = CanCommandReader(voice.interface, voice.unit) if voice.can else None
         self._device, self._can_date = device, can_date
-        self._tell = tell
+        self._changes, self._tell = changes, tell
         assert voice.interface.commands is not None
         self._commands = voice.interface.commands
         self._sequence: int | None = None
         self._life = 0
         self._verdicts: Counter[str] = Counter()
-        self._changes: deque[Change] = deque()
         self._delay = LatenessHistogram()
         self._intake = Intake()
         self._unanswerable = self._ignored_bytes = 0
@@ -83,41 +75,23 @@ class CommandPost:
             time_ns: scenario time.
             pulse_ns: scenario time of the last synchronisation pulse before them; None: there was none.
         """
-        state = self._device.at(time_ns)
-        if not state.answers:
+        before = self._device.at(time_ns)
+        if not before.answers:
             self._ignored_bytes += len(data)
             return
         for command in self._read(data, arrived_ns):
-            if state.restarts != self._life:  # a device that has restarted knows of no command before
-                self._life, self._sequence = state.restarts, None
-            heard, change = self._obey(command, time_ns, pulse_ns)
-            if change is not None:
-                self._changes.append(change._replace(arrived_ns=arrived_ns))
+            if before.restarts != self._life:  # a device that has restarted knows of no command before
+                self._life, self._sequence = before.restarts, None
+            heard, after = self._obey(command, time_ns, pulse_ns)
+            if after is not None:
+                self._changes.add(self._change(after, heard, arrived_ns))
             else:
                 self._tell(heard, None)
             self._verdicts[heard.verdict] += 1
             self._reply(heard)
-            state = self._device.at(time_ns)
-            if not state.answers:  # it has restarted
+            before = self._device.at(time_ns)
+            if not before.answers:  # it has restarted
                 break
-
-    def next_change(self) -> Change | None:
-        """The oldest change that has not been taken."""
-        return self._changes.popleft() if self._changes else None
-
-    def followed(self, change: Change, shot: int, begins_ns: int | None) -> None:
-        """This shot is the first that follows a change; it begins at this instant of the monotonic clock, if that sets
-        the pace."""
-        if change.heard is not None:
-            self._tell(change.heard, shot)
-        if begins_ns is not None:
-            self._delay.add(max(0, begins_ns - change.arrived_ns))
-
-    def close(self) -> None:
-        """Tell of the commands that no shot follows any more."""
-        while (change := self.next_change()) is not None:
-            if change.heard is not None:
-                self._tell(change.heard, None)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -160,8 +134,8 @@ class CommandPost:
 
     def _obey(
         self, command: Command | BadCommand, time_ns: int, pulse_ns: int | None
-    ) -> tuple[Heard, Change | None]:
-        """The command as it was heard, and what it changes."""
+    ) -> tuple[Heard, DeviceState | None]:
+        """The command as it was heard, and the state that it leads to; None where it changes nothing."""
         in_turn = self._in_turn(command)
         if in_turn:
             self._sequence = command.sequence
@@ -176,10 +150,17 @@ class CommandPost:
             return heard._replace(verdict=OUT_OF_RANGE), None
         order = Order(command.name, values, time_ns, time_ns if pulse_ns is None else pulse_ns)
         state, verdict = self._device.obey(order)
-        heard = heard._replace(verdict=verdict)
-        if state is None:
-            return heard, None
-        return heard, Change(lambda session: session.use_device(state), 0, heard)
+        return heard._replace(verdict=verdict), state
+
+    def _change(self, after: DeviceState, heard: Heard, arrived_ns: int) -> Change:
+        return Change(
+            lambda session: session.use_device(after), arrived_ns, partial(self._settled, heard, arrived_ns)
+        )
+
+    def _settled(self, heard: Heard, arrived_ns: int, shot: int | None, begins_ns: int | None) -> None:
+        self._tell(heard, shot)
+        if begins_ns is not None:
+            self._delay.add(max(0, begins_ns - arrived_ns))
 
     def _in_turn(self, command: Command | BadCommand) -> bool:
         """Whether it has the number after the last; `no_op` may have any but the last: the count goes on from it."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from lidar_emu.runtime.changes import Changes
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.command_post import Change, CommandPost
+from lidar_emu.runtime.command_post import CommandPost
 from lidar_emu.runtime.outbox import Outbox
 from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.session import Session
@@ -29,6 +30,8 @@ class Desk(NamedTuple):
     """End the run with an error."""
     begin: Callable[[int], None]
     """Tell the port that scenario time 0 is at this instant of the monotonic clock."""
+    changes: Changes
+    """What shots are to follow."""
     commands: CommandPost | None
     """Where a host is heard; None where the interface has no commands."""
     injector: Injector | None = None
@@ -53,30 +56,26 @@ class Desk(NamedTuple):
         Args:
             time_ns: scenario time.
             start_ns: instant of the monotonic clock at scenario time 0, where that clock sets the pace: commands then
-                count from when they came.
+                count from when they came, and the time at the tone from the last pulse.
         """
-        arrivals = self.outbox.arrivals()
-        for arrived_ns, data in arrivals if self.commands is not None else ():
-            assert self.commands is not None
-            came_ns = time_ns if start_ns is None else arrived_ns - start_ns
-            self.commands.hear(data, arrived_ns, came_ns)
+        for at_ns, data, pulse_ns in self.outbox.arrivals():
+            if self.commands is None:
+                continue
+            if start_ns is None:
+                self.commands.hear(data, at_ns, time_ns)
+            else:
+                tone_ns = None if pulse_ns is None else pulse_ns - start_ns
+                self.commands.hear(data, at_ns, at_ns - start_ns, tone_ns)
         if self.injector is not None:
             self.injector.hear()
 
-    def next_change(self) -> Change | None:
-        """The oldest of the changes that were commanded or ordered and have not been taken."""
-        sources = (self.commands, self.injector)
-        return next((change for each in sources if each and (change := each.next_change())), None)
-
-    def follow(self, change: Change, begins_ns: int | None) -> None:
-        """Let the next shot be the first to follow a change.
+    def follow(self, begins_ns: int | None) -> None:
+        """Let the next shot be the first to follow the oldest change.
 
         Args:
             begins_ns: when it begins, on the monotonic clock; None where that clock does not set the pace.
         """
-        change.apply(self.session)
-        if self.commands is not None:
-            self.commands.followed(change, self.session.next_shot, begins_ns)
+        self.changes.follow(self.session, begins_ns)
 
     def finish(self) -> None:
         """Say that no more packets will come, and wait until the port is through with them."""

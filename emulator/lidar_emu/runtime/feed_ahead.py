@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from lidar_emu.runtime.command_post import Change
+from lidar_emu.runtime.changes import Change
 from lidar_emu.runtime.feed import Desk
 from lidar_emu.runtime.pacing import Pace
 from lidar_emu.runtime.packets import Outgoing
@@ -39,7 +39,9 @@ class AheadFeed:
         self._pace = pace
         self._latency_ns = int(first.measurement.due_ns[0])
         self._waiting: deque[Outgoing] = deque()
-        self._later: tuple[int, Change] | None = None
+        self._until: int | None = None
+        """The shot that is to be the first to follow what was heard, if it is still to come."""
+        self._last_followed = 0
 
     def fly(self) -> None:
         """See `Feed`."""
@@ -76,8 +78,7 @@ class AheadFeed:
             desk.hear(desk.clock.now_ns() - self._start_ns, self._start_ns)
         else:
             desk.hear(self._next_to_push() * self._period_ns)
-        while self._later is None and (change := desk.next_change()) is not None:
-            self._change(change)
+        self._follow_changes()
         if self._waiting:
             if desk.outbox.push(self._waiting[0]):
                 self._waiting.popleft()
@@ -96,33 +97,35 @@ class AheadFeed:
         session = self._desk.session
         length = self._next_length
         self._next_length = min(2 * length, self._longest)
-        if self._later is not None:
-            shot, change = self._later
-            if session.next_shot == shot:
-                self._later = None
-                self._desk.follow(change, self._begins_ns(shot))
-            else:
-                length = min(length, shot - session.next_shot)
+        if self._until is not None:
+            length = min(length, self._until - session.next_shot)
         return session.shoot(length)
 
-    def _change(self, change: Change) -> None:
-        session, shot = self._desk.session, self._first_to_follow(change)
-        self._next_length = 1
-        if shot > session.next_shot:
-            self._later = shot, change
-            return
-        if shot < session.next_shot:
-            self._desk.outbox.supersede(shot)
-            session.rewind(shot)
-            self._waiting = deque(packet for packet in self._waiting if packet.shot < shot)
-        self._desk.follow(change, self._begins_ns(shot))
+    def _follow_changes(self) -> None:
+        """Compute anew the shots that were computed before something was heard that they are to follow."""
+        desk, session = self._desk, self._desk.session
+        while (change := desk.changes.first) is not None:
+            shot = self._until = self._first_to_follow(change)
+            if shot > session.next_shot or (shot == session.next_shot and session.is_over):
+                return
+            if shot < session.next_shot:
+                desk.outbox.supersede(shot)
+                session.rewind(shot)
+                self._waiting = deque(packet for packet in self._waiting if packet.shot < shot)
+            desk.follow(self._begins_ns(shot))
+            self._last_followed, self._next_length = shot, 1
+        self._until = None
 
     def _first_to_follow(self, change: Change) -> int:
-        """The first shot to begin after the command, and late enough that its packet can still be made."""
+        """The first shot to begin after the command, and late enough that its packet can still be made.
+
+        None before the one that followed the change before: going back beyond that would undo it.
+        """
         if self._pace is not Pace.WALL:
             return self._next_to_push()
         ready_ns = self._desk.clock.now_ns() + _REACTION_NS - self._latency_ns
-        return max(0, -((self._start_ns - max(change.arrived_ns, ready_ns)) // self._period_ns))
+        begins_ns = max(change.arrived_ns, ready_ns) - self._start_ns
+        return max(self._last_followed, -(-begins_ns // self._period_ns))
 
     def _next_to_push(self) -> int:
         return self._waiting[0].shot if self._waiting else self._desk.session.next_shot

@@ -6,7 +6,6 @@ from contextlib import nullcontext
 
 from lidar_emu.flight import Flight
 from lidar_emu.runtime.anticipation import Anticipation
-from lidar_emu.runtime.command_post import Change
 from lidar_emu.runtime.feed import POLL_NS, Desk
 from lidar_emu.runtime.realtime import prompt
 from lidar_emu.runtime.truth_source import Arrival, TruthSource
@@ -44,7 +43,6 @@ class LiveFeed:
         self._part = part
         self._start_ns = start_ns
         self._late_after_ns = late_after_ns
-        self._later: Change | None = None
         self._may_wake = awake_share > 0
         self._anticipation = Anticipation(round(awake_share * flight.period_ns))
 
@@ -120,9 +118,10 @@ class LiveFeed:
 
     def _fire(self, shot: int) -> None:
         desk, source = self._desk, self._source
-        self._follow_commands(shot)
+        self._follow_changes(shot)
         now_ns = desk.clock.now_ns()
-        if now_ns > self._due_ns(shot) + self._late_after_ns:
+        too_late = now_ns > self._due_ns(shot) + self._late_after_ns
+        if too_late and not desk.session.next_is_silent():
             desk.session.pass_over(shot + 1)
             desk.outbox.missed(shot, self._flight.due_ns(shot), now_ns - self._start_ns_known())
             return
@@ -141,15 +140,13 @@ class LiveFeed:
             took_ns = desk.clock.now_ns() - now_ns
             self._anticipation.learn(self._due_ns(shot), source.newest_arrived_ns, took_ns)
 
-    def _follow_commands(self, shot: int) -> None:
+    def _follow_changes(self, shot: int) -> None:
         """Those that came before the shot began."""
+        desk = self._desk
         begins_ns = self._start_ns_known() + shot * self._flight.period_ns
-        self._desk.hear(self._desk.clock.now_ns() - self._start_ns_known(), self._start_ns_known())
-        while (change := self._later or self._desk.next_change()) is not None:
-            self._later = change if change.arrived_ns > begins_ns else None
-            if self._later is not None:
-                return
-            self._desk.follow(change, begins_ns)
+        desk.hear(desk.clock.now_ns() - self._start_ns_known(), self._start_ns_known())
+        while (change := desk.changes.first) is not None and change.arrived_ns <= begins_ns:
+            desk.follow(begins_ns)
 
     def _due_ns(self, shot: int) -> int:
         return self._start_ns_known() + self._flight.due_ns(shot)

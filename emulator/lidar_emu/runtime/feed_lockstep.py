@@ -76,11 +76,11 @@ class LockstepFeed:
     def _compute(self, time_ns: int) -> None:
         """Every shot that truth covers by now; one that could also be covered sooner never depends on it."""
         session = self._desk.session
-        while (change := self._desk.next_change()) is not None:
-            self._desk.follow(change, None)
         while (
             session.next_shot < self._flight.shot_count and self._flight.seen_ns(session.next_shot) <= time_ns
         ):
+            while self._desk.changes.first is not None:
+                self._desk.follow(None)
             block = session.shoot(1)
             assert block is not None
             self._computed.extend(self._desk.outbox.announce(block))

@@ -29,7 +29,6 @@ class OnCommandFeed:
 
     Args:
         device: see `waiting_device`.
-        rules: of the device in flight.
         flight: given scenario time 0 on the monotonic clock, the feed of the shots from there on.
 
     Raises:
@@ -40,7 +39,6 @@ class OnCommandFeed:
         self,
         desk: Desk,
         device: DeviceNow,
-        rules: Rules,
         housekeeper: Housekeeper | None,
         flight: Callable[[int], Feed],
     ) -> None:
@@ -49,7 +47,6 @@ class OnCommandFeed:
             raise InputError("--start", None, "on-command", allowed)
         self._desk = desk
         self._device = device
-        self._rules = rules
         self._housekeeper = housekeeper
         self._flight = flight
 
@@ -59,7 +56,7 @@ class OnCommandFeed:
         if not self._wait_for_command(powered_ns):
             return
         start_ns = self._desk.clock.now_ns() + _LEAD_NS
-        state = self._device.begin_flight(self._rules, start_ns - powered_ns)
+        state = self._device.begin_flight(self._desk.session.rules, start_ns - powered_ns)
         if self._housekeeper is not None:
             self._housekeeper.begin_flight()
         self._desk.session.use_device(state)
@@ -71,8 +68,8 @@ class OnCommandFeed:
         while not desk.interrupted():
             now_ns = desk.clock.now_ns() - powered_ns
             desk.hear(now_ns, powered_ns)
-            while (change := desk.next_change()) is not None:
-                desk.follow(change, None)
+            while desk.changes.first is not None:
+                desk.follow(None)
             if self._device.at(now_ns).measures:
                 return True
             if self._housekeeper is not None:

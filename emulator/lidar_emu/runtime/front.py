@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from lidar_emu.device.now import DeviceNow
+from lidar_emu.runtime.changes import Changes
 from lidar_emu.runtime.command_post import CommandPost
 from lidar_emu.runtime.heard import Heard
 from lidar_emu.runtime.housekeeper import Housekeeper
@@ -28,17 +29,13 @@ class Front(NamedTuple):
             "housekeeping": None if told is None else {"sent": told.sent, "unsayable": told.unsayable},
         }
 
-    def close(self) -> None:
-        """At the end of the run."""
-        if self.commands is not None:
-            self.commands.close()
-
 
 def open_front(
     voice: Voice,
     device: DeviceNow,
     can_date: Callable[[int], bool],
     tally: Tally,
+    changes: Changes,
     observers: Sequence[Observer],
 ) -> Front:
     """The front of a run.
@@ -48,6 +45,7 @@ def open_front(
         device: that is commanded and told of.
         can_date: see `CommandPost`.
         tally: counts shots.
+        changes: where shots find what they are to follow.
         observers: told of commands and housekeeping.
 
     Raises:
@@ -62,7 +60,7 @@ def open_front(
         for observer in observers:
             observer.kept_house(payload, time_ns)
 
-    commands = CommandPost(voice, device, can_date, commanded) if voice.has_commands else None
+    commands = CommandPost(voice, device, can_date, changes, commanded) if voice.has_commands else None
     if not housekeeping_layouts(voice.interface, voice.can):
         return Front(commands, None)
     return Front(commands, Housekeeper(voice, device, tally, commands, kept_house))

@@ -11,7 +11,6 @@ from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.state import Mode
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.command_post import CommandPost
-from lidar_emu.runtime.heard import Heard
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.packets import Outgoing, Report
 from lidar_emu.runtime.summary import Tally
@@ -46,7 +45,7 @@ class Housekeeper(Observer):
         self._voice = voice
         self._device, self._tally, self._commands = device, tally, commands
         self._tell = tell
-        self._next_ns: int | None = None
+        self._told: tuple[int, int] | None = None
         self._truth_age_s: float | None = None
         self.sent = 0
         """How many times the device has told how it is."""
@@ -63,31 +62,27 @@ class Housekeeper(Observer):
         """A shot has met its fate, or none was sent: time goes by."""
         self.tick(packet.due_ns)
 
-    def commanded(self, heard: Heard, shot: int | None) -> None:  # noqa: ARG002
-        """Another rate counts at once."""
-        if heard.command == "set_parameter":
-            self._next_ns = None
-
     def truth_used(self, shot: int, age_ns: int) -> None:  # noqa: ARG002
         """Remember how old the truth of the last shot was."""
         self._truth_age_s = age_ns * 1e-9
 
     def tick(self, time_ns: int) -> None:
         """Send what is due by this scenario time; of several missed instants the last one."""
-        if self._next_ns is not None and time_ns < self._next_ns:
-            return
         state = self._device.at(time_ns)
         rate_hz = state.settings.housekeeping_rate_hz
         if rate_hz == 0 or not state.answers:
-            self._next_ns = None
+            self._told = None
             return
+        # The period that the instant is in, by its length and number: another rate counts at once.
         period_ns = round(1e9 / rate_hz)
-        self._next_ns = (time_ns // period_ns + 1) * period_ns
-        self._send(time_ns)
+        period = period_ns, time_ns // period_ns
+        if period != self._told:
+            self._told = period
+            self._send(time_ns)
 
     def begin_flight(self) -> None:
         """Scenario time begins anew."""
-        self._next_ns = None
+        self._told = None
 
     def _send(self, time_ns: int) -> None:
         payload = self.composed(time_ns)

@@ -1,19 +1,19 @@
-"""Faults ordered in flight: read from a socket, checked, answered, and kept until the shots can follow them."""
+"""Faults ordered in flight: read from a socket, checked, answered, and passed on to the shots."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any, Self
 
+from lidar_emu.device.rules import Event, all_events
 from lidar_emu.errors import Finding, InputError, one_line
 from lidar_emu.faulty_packets import FaultyPackets, faulty_packets
+from lidar_emu.runtime.changes import Change, Changes
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.command_post import Change
 from lidar_emu.runtime.link_orders import link_order
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.run_options import RunOptions
@@ -48,6 +48,8 @@ class Injector:
         options: how it is run.
         packet_bytes: the longest packet without faults, as the port takes it, and the longest that it can take.
         order_of_port: takes the port's own faults.
+        order_of_device: takes what is done to the device, all of it, whenever that changes.
+        changes: where shots find what they are to follow.
         observers: told of every fault, once shots have it.
 
     Raises:
@@ -63,14 +65,16 @@ class Injector:
         options: RunOptions,
         packet_bytes: tuple[int, int],
         order_of_port: Callable[[dict[str, Any]], None],
+        order_of_device: Callable[[tuple[Event, ...]], None],
+        changes: Changes,
         observers: Sequence[Observer],
     ) -> None:
         self._scenario = self._asked = scenario
         self._model, self._encoder = model, encoder
         self._pace, self._can = options.pace, options.port.kind is Kind.CAN
         self._packet_bytes, self._room_bytes = packet_bytes
-        self._order_of_port, self._observers = order_of_port, observers
-        self._changes: deque[Change] = deque()
+        self._order_of_port, self._order_of_device = order_of_port, order_of_device
+        self._changes, self._observers = changes, observers
         self._ordered: list[dict[str, Any]] = []
         self._refused = 0
         self._clock = Clock()
@@ -89,10 +93,6 @@ class Injector:
             answer = self._answer(data, arrived_ns)
             self._refused += not answer["accepted"]
             self._socket.answer(json.dumps(answer).encode(), sender)
-
-    def next_change(self) -> Change | None:
-        """The oldest fault that no shot has yet."""
-        return self._changes.popleft() if self._changes else None
 
     def to_json(self) -> dict[str, Any]:
         """Under the names of the summary file; faults as a scenario would state them, to fly them again."""
@@ -113,14 +113,16 @@ class Injector:
         # What has been built here once will be built again before the first shot that has it.
         now_ns = self._clock.now_ns()
         ready_ns = now_ns + _MARGIN * (now_ns - begun_ns)
-        self._changes.append(Change(partial(self._apply, number, fault), max(arrived_ns, ready_ns)))
+        self._changes.add(Change(partial(self._apply, number, fault), max(arrived_ns, ready_ns)))
         return {"accepted": True, "fault": number, "kind": fault.kind}
 
     def _apply(self, number: int, fault: Order, session: Session) -> None:
         shot = session.next_shot
         ordered = shifted(fault, shot * self._scenario.timing.period_ns * 1e-9)
         self._scenario = _with_fault(self._scenario, ordered)
-        session.use_faults(*self._prepared(self._scenario))
+        events = all_events(self._scenario.device, self._scenario.faults)
+        session.use_faults(*self._prepared(self._scenario), events)
+        self._order_of_device(events)
         order = self._link_order(self._scenario, number, ordered)
         if order is not None:
             self._order_of_port(order)

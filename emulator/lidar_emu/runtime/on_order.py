@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
 
-from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.run_options import RunOptions
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.shots import Model
@@ -16,7 +12,6 @@ from lidar_emu.wire import Encoder
 
 if TYPE_CHECKING:
     from lidar_emu.faulty_packets import FaultyPackets
-    from lidar_emu.runtime.injector import Injector
 
 
 def packets_on_order(scenario: Scenario, encoder: Encoder, options: RunOptions) -> FaultyPackets | None:
@@ -45,22 +40,3 @@ def port_on_order(scenario: Scenario, model: Model, options: RunOptions) -> list
     end_ns = None if scenario.live else model.shot_count * scenario.timing.period_ns
     orders = link_orders(scenario, end_ns, options.pace, options.port.kind is Kind.CAN)
     return orders if orders or options.control else None
-
-
-def injector(
-    scenario: Scenario,
-    model: Model,
-    encoder: Encoder,
-    options: RunOptions,
-    packet_bytes: tuple[int, int],
-    port: PortRunner,
-    observers: Sequence[Observer],
-) -> AbstractContextManager[Injector | None]:
-    """Where faults are ordered in flight; arguments and errors as of `Injector`."""
-    if options.control is None:
-        return nullcontext()
-    from lidar_emu.runtime.injector import Injector
-
-    return Injector(
-        options.control, scenario, model, encoder, options, packet_bytes, port.order_fault, observers
-    )

@@ -7,11 +7,19 @@ from collections.abc import Iterator, Sequence
 
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port_story import Arrival
 from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block
 from lidar_emu.transports.frames import Frame, pack_frames
 from lidar_emu.wire import Packet
+
+_TOLD_AT_ONCE = 8
+"""Shots: a recorder is busy with as many for milliseconds."""
+_AHEAD = 64
+"""Packets in the port's hands, or half of the room, with which shots that a command changed are no longer urgent."""
+_PUT_OFF_AT_MOST = 32
+"""Parts of blocks."""
 
 
 class Outbox:
@@ -30,6 +38,8 @@ class Outbox:
         self._announced: dict[tuple[int, int], tuple[Block, int]] = {}
         self._in_flight: deque[tuple[Outgoing, Block, int]] = deque()
         self._settling: tuple[Block, int, int] | None = None
+        self._settled: deque[Block] = deque()
+        self._is_urgent = False
         self._generation = 0
         self._room = self._left = room
 
@@ -47,6 +57,7 @@ class Outbox:
         if self._left <= 0 or not self._port.push(packet):
             return False
         self._left -= 1
+        self._is_urgent = self._is_urgent and self._room - self._left < min(_AHEAD, self._room // 2)
         self._in_flight.append((packet, *self._announced.pop((packet.generation, packet.shot))))
         return True
 
@@ -60,6 +71,7 @@ class Outbox:
         A packet that the port has sent before it hears of it stays sent, and that of the new announcement is not.
         """
         self._generation += 1
+        self._is_urgent = True
         self._port.supersede(self._generation, from_shot)
         self._left = self._room - sum(packet.shot < from_shot for packet, _, _ in self._in_flight)
         self._announced = {key: value for key, value in self._announced.items() if key[1] < from_shot}
@@ -69,7 +81,10 @@ class Outbox:
         self._port.send_now(payload)
 
     def settle(self) -> list[Report]:
-        """Count what became of packets and pass on what arrived; returns the packets' reports."""
+        """Count what became of packets and pass on what arrived; returns the packets' reports.
+
+        While shots that a command has changed are urgent, observers hear of settled ones later.
+        """
         reports = self._port.reports()
         for report in reports:
             if report.fate is Fate.SUPERSEDED:
@@ -85,11 +100,14 @@ class Outbox:
         if data := self._port.far_end():
             for observer in self._observers:
                 observer.arrived(data)
+        if not self._is_urgent or len(self._settled) > _PUT_OFF_AT_MOST:
+            self._tell_settled()
         return reports
 
     def close(self) -> None:
         """After the last report: the shots of a block that was cut off."""
         self.settle()
+        self._part_settled()
         self._tell_settled()
 
     def missed(self, shot: int, due_ns: int, now_ns: int) -> None:
@@ -114,8 +132,8 @@ class Outbox:
         has news."""
         self._port.wait(until_ns, readable, awake)
 
-    def arrivals(self) -> list[tuple[int, bytes]]:
-        """What arrived on the port since the last call, see `PortRunner.arrivals`."""
+    def arrivals(self) -> list[Arrival]:
+        """What arrived on the port since the last call."""
         return self._port.arrivals()
 
     def last_packet_pushed(self) -> None:
@@ -123,23 +141,27 @@ class Outbox:
         self._port.last_packet_pushed()
 
     def _met_fate(self, block: Block, row: int) -> None:
-        """Shots are told of block by block; of one that a command cut, those that were sent."""
+        """Shots are told of a few at a time; of a block that a command cut, those that were sent."""
         if self._settling is None or self._settling[0] is not block:
-            self._tell_settled()
+            self._part_settled()
             self._settling = block, row, row
-        self._settling = block, self._settling[1], row + 1
-        if row + 1 == len(block.packets):
-            self._tell_settled()
+        first = self._settling[1]
+        self._settling = block, first, row + 1
+        if row + 1 in (len(block.packets), first + _TOLD_AT_ONCE):
+            self._part_settled()
+
+    def _part_settled(self) -> None:
+        if self._settling is not None:
+            self._settled.append(self._settling[0].part(*self._settling[1:]))
+            self._settling = None
 
     def _tell_settled(self) -> None:
-        if self._settling is None:
-            return
-        part = self._settling[0].part(*self._settling[1:])
-        self._settling = None
-        self._tally.measured(part.measurement)
-        self._tally.faults.update(fault.kind for fault in part.faults)
-        for observer in self._observers:
-            observer.settled(part)
+        while self._settled:
+            part = self._settled.popleft()
+            self._tally.measured(part.measurement)
+            self._tally.faults.update(fault.kind for fault in part.faults)
+            for observer in self._observers:
+                observer.settled(part)
 
 
 def outgoing(block: Block, generation: int = 0) -> Iterator[Outgoing]:

@@ -16,7 +16,8 @@ Both pipes carry one JSON object per line:
          {"end": in order}                           before the end of file, unless the parent died; or false: it fails
     out  {"ready": description} or {"refused": [where, key, value, allowed]}
          {"granted": [name], "missing": {name: command}}     what the system gave towards punctuality
-         {"arrived": [time_ns, hex]}                 received on the port; lost while the parent does not listen
+         {"arrived": [time_ns, hex, pulse_ns]}       received on the port, and when the last pulse came, or null; lost
+                                                     while the parent does not listen
          {"settled": count}                          in lockstep: so many packets have met their fate
          {"event": [number, time_ns, text]}          counted from 1; lost while the parent does not listen
          {"finished": counts}                        every packet has its report
@@ -71,7 +72,7 @@ def main() -> None:
     clock = Clock()
     answers = Answers(_PARENT, clock)
     spec = PortSpec.from_json(settings["port"])
-    open_port = opener(spec, settings.get("loopback"))
+    open_port = opener(spec, settings.get("loopback"), clock.now_ns)
     faulty = None if settings["faults"] is None else _faulty(open_port, spec, settings["faults"], clock)
     try:
         link = Link(faulty or open_port)
@@ -244,7 +245,7 @@ class _Port:
         data = self._link.receive(now_ns)
         self._listens_again_ns = now_ns + _LISTEN_NS_PER_BYTE * len(data)
         self._received_bytes += len(data)
-        if data and not self._answers.mention(arrived=[now_ns, data.hex()]):
+        if data and not self._answers.mention(arrived=[now_ns, data.hex(), self._link.pulse_ns]):
             self._unheard_bytes += len(data)
 
     def _tell_events(self) -> None:

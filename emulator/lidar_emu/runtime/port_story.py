@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.events import EventLog, LinkEvent, told
 from lidar_emu.transports.link import COUNTED
+
+
+class Arrival(NamedTuple):
+    """What arrived on the port. Instants are those of the monotonic clock."""
+
+    at_ns: int
+    data: bytes
+    """On CAN, frame records."""
+    pulse_ns: int | None
+    """When the last pulse before it came; None: there was none, or the port has no pulse line."""
 
 
 @dataclass
@@ -31,10 +41,10 @@ class PortStory:
     missing: dict[str, str] = field(default_factory=dict)
     """What it refused, each with the command that would give it."""
     finished: bool = False
-    arrived: list[tuple[int, bytes]] = field(default_factory=list)
-    """What arrived on the port, with instants of the monotonic clock."""
+    arrived: list[Arrival] = field(default_factory=list)
     start_ns: int = 0
-    """The instant from which the times of events count."""
+    """The instant from which the times of events count: the beginning of the flight, or as long as there is none the
+    opening of the port."""
     _events: EventLog = field(default_factory=EventLog)
 
     @property
@@ -82,8 +92,8 @@ class PortStory:
                     self.description = description
                 case {"granted": granted, "missing": missing}:
                     self.granted, self.missing = granted, missing
-                case {"arrived": [time_ns, data]}:
-                    self.arrived.append((time_ns, bytes.fromhex(data)))
+                case {"arrived": [time_ns, data, pulse_ns]}:
+                    self.arrived.append(Arrival(time_ns, bytes.fromhex(data), pulse_ns))
                 case {"event": [number, time_ns, text]}:
                     self._events.add(number, time_ns, text)
                 case {"finished": counts} | {"stopped": counts}:

@@ -14,7 +14,7 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.loopback_end import LoopbackEnd
 from lidar_emu.runtime.pacing import Pace, WhenLate
 from lidar_emu.runtime.packets import ALERT, NEWS, Outgoing, Report
-from lidar_emu.runtime.port_story import PortStory
+from lidar_emu.runtime.port_story import Arrival, PortStory
 from lidar_emu.runtime.ring import Ring
 from lidar_emu.runtime.watch import Notice, Watch
 from lidar_emu.transports.spec import Kind, PortSpec
@@ -89,6 +89,7 @@ class PortRunner:
             if self._clock.now_ns() > deadline_ns:
                 raise RunError(f"opening {spec} took more than {_START_LIMIT_NS // 10**9} s")
             self.wait(self._clock.now_ns() + _OPENING_POLL_NS)
+        self.told.start_ns = self._clock.now_ns()
         return self.told.description
 
     def begin(
@@ -146,9 +147,8 @@ class PortRunner:
         """One more fault of the port, if there was a list of them at the start."""
         self._running().tell(fault=order)
 
-    def arrivals(self) -> list[tuple[int, bytes]]:
-        """What arrived on the port since the last call: instants of the monotonic clock, and bytes (CAN: frame
-        records)."""
+    def arrivals(self) -> list[Arrival]:
+        """What arrived on the port since the last call."""
         arrived, self.told.arrived = self.told.arrived, []
         return arrived
 

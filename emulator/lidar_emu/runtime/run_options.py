@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.pacing import Pace
-from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
-from lidar_emu.transports.spec import PortSpec
+from lidar_emu.transports.spec import Kind, PortSpec
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class RunOptions:
     """Path of the socket on which faults are ordered in flight; None: none are."""
 
 
-def live_part(scenario: FlightScenario | BenchScenario, options: RunOptions) -> Live | None:
+def live_part(scenario: Scenario, options: RunOptions) -> Live | None:
     """The live trajectory of a scenario; None if it has another.
 
     Raises:
@@ -50,7 +50,19 @@ def live_part(scenario: FlightScenario | BenchScenario, options: RunOptions) -> 
         raise InputError(
             "--start", None, Finding(f"on-command with {found}"), "allowed: a planned flight at pace wall"
         )
+    if options.on_command and options.port.kind is Kind.LOOPBACK:
+        raise InputError(
+            "--start",
+            None,
+            Finding("on-command, and nobody to command"),
+            "allowed with --port or --interface",
+        )
     return live
+
+
+def port_of(scenario: Scenario, options: RunOptions) -> PortSpec:
+    """The port, with the pulse line that the scenario names."""
+    return replace(options.port, pulse_line=scenario.device.clock.pulse_line or "")
 
 
 def start_instant_ns(options: RunOptions, clock: Clock) -> int | None:

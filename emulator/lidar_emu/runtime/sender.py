@@ -72,11 +72,11 @@ class Sender:
             match self._pacing.action(now_ns - self._start_ns, packet.due_ns):
                 case Action.WAIT:
                     return Wait(until_ns=self._start_ns + packet.due_ns)
+                case _ if not packet.payload:  # what is not sent is not late either
+                    self._finish(packet, Fate.WITHHELD, now_ns)
                 case Action.SKIP:
                     self._finish(packet, Fate.LATE, now_ns)
                     self._given_up = self._pacing.when_late is WhenLate.ABORT
-                case Action.SEND if not packet.payload:
-                    self._finish(packet, Fate.WITHHELD, now_ns)
                 case Action.SEND:
                     fate = self._link.send(packet.payload, now_ns)
                     until_ns = self._patience_ends_ns(fate, now_ns)

@@ -25,10 +25,15 @@ class DeviceClock(Part):
     """How much too fast it runs at power-up."""
     ageing_ppm_per_day: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
     """How `drift_ppm` changes."""
+    wander_ppm: Annotated[float, Field(ge=0, le=1e4)] = 0.0
+    """Besides, the rate comes and goes by chance, over tens of seconds to hours: root mean square."""
     locked_at_start: Switch = True
     """Whether the lock flag is set at power-up; a synchronisation sets it in any case."""
     holdover_s: Positive | None = None
     """So long after power-up or the last synchronisation the lock is lost. Left out: never."""
+    pulse_line: Literal["cd", "cts", "dsr"] | None = None
+    """Modem line of the serial port whose rising edges are the pulses that `time_at_tone` speaks of. Left out: the
+    arrival of the command counts."""
 
 
 class Thermal(Part):
@@ -58,7 +63,10 @@ class Device(Part):
 
     start: Literal["track", "standby", "boot"] = "track"
     """What the device does from power-up on: `track` measures from the first shot on; `boot` boots, tests itself and
-    waits in `standby` for a command."""
+    goes on as `after_boot` says."""
+    after_boot: Literal["standby", "track"] = "standby"
+    """After boot: wait in `standby` for a command, or acquire and track at once, as a device does that nobody
+    commands."""
     power_on_s: NonNegative = 0.0
     """Scenario time of power-up; before it there is nothing on the wire."""
     boot_s: Step = 2.0

@@ -6,9 +6,9 @@ would of a real fault: a port that is lost, cannot be opened, or is full.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import blake2b
 from typing import Any
 
@@ -192,11 +192,13 @@ class FaultyChannel:
     def take_noticed(self) -> Noticed:
         """What was noticed since the last call, ordered error frames among it."""
         noticed = self._channel.take_noticed()
+        errors = 0
         for order in self._port.orders:
             if order.kind == "error_frames" and self._port.time_ns >= 0:
                 before, now = self._port.news(order)
-                noticed.counts["error_frames"] += now - before
-        return noticed
+                errors += now - before
+        # Not added to what the channel gave: NOTHING is everybody's.
+        return replace(noticed, counts=noticed.counts + Counter(error_frames=errors)) if errors else noticed
 
     def unread(self) -> int:
         """Bytes taken that have not left the line or, on a pty, were not fetched by its reader."""

@@ -50,6 +50,8 @@ class Noticed:
     events: list[str] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
     """Under the names of `COUNTED`."""
+    pulse_ns: int | None = None
+    """When the last pulse came, on the monotonic clock; None: none has."""
 
 
 NOTHING = Noticed()
@@ -124,6 +126,8 @@ class Link:
         self._events: list[tuple[int, str]] = []
         self.counts: Counter[str] = Counter()
         """Under the names of `COUNTED`, over all times that the link was open."""
+        self.pulse_ns: int | None = None
+        """When the last pulse came on the port's pulse line, on the monotonic clock; None: none has."""
 
     def send(self, payload: bytes, now_ns: int) -> Fate:
         """Send a packet or drop it."""
@@ -234,6 +238,8 @@ class Link:
         if noticed is NOTHING:
             return
         self.counts += noticed.counts
+        if noticed.pulse_ns is not None:
+            self.pulse_ns = noticed.pulse_ns
         for text in noticed.events:
             self.note(text, now_ns)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from lidar_emu.errors import InputError
 from lidar_emu.transports.link import Channel
@@ -11,19 +12,22 @@ from lidar_emu.transports.spec import Kind, PortSpec
 Opener = Callable[[], Channel]
 
 
-def opener(spec: PortSpec, loopback_descriptor: int | None = None) -> Opener:
+def opener(
+    spec: PortSpec, loopback_descriptor: int | None = None, now_ns: Callable[[], int] | None = None
+) -> Opener:
     """A function that opens the port, and opens it again after it was lost.
 
     Args:
         spec: the port.
         loopback_descriptor: one end of the in-memory link; needed for that kind alone.
+        now_ns: instant of the monotonic clock; needed for pulses alone.
 
     The function raises:
         InputError: the port cannot be opened.
     """
     if spec.kind is Kind.LOOPBACK:
         return _once(lambda: _open_loopback(loopback_descriptor), spec)
-    open_port = _OPENERS.get(spec.kind, _open_bytes)
+    open_port = _OPENERS.get(spec.kind) or partial(_open_bytes, now_ns)
     # The number of a pty that vanished is given to the next terminal that somebody opens.
     if (spec.path or spec.channel).startswith("/dev/pts/"):
         return _once(lambda: open_port(spec), spec)
@@ -63,10 +67,10 @@ def _open_udp(spec: PortSpec) -> Channel:
     return open_udp(spec)
 
 
-def _open_bytes(spec: PortSpec) -> Channel:
+def _open_bytes(now_ns: Callable[[], int] | None, spec: PortSpec) -> Channel:
     from lidar_emu.transports.serial_port import open_byte_channel
 
-    return open_byte_channel(spec)
+    return open_byte_channel(spec, now_ns)
 
 
 _OPENERS = {Kind.CAN: _open_can, Kind.UDP: _open_udp}

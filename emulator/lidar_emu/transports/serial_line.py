@@ -15,6 +15,7 @@ from typing import Any
 
 from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.link import NOTHING, Extras, Noticed
+from lidar_emu.transports.pulse_line import PulseLine
 from lidar_emu.transports.spec import PortSpec
 from lidar_emu.transports.tty_reader import TtyReader
 
@@ -31,9 +32,10 @@ class SerialChannel(DescriptorChannel):
     Args:
         port: of pyserial, open and set up.
         spec: the port as the user named it.
+        now_ns: instant of the monotonic clock; without it no pulses are told of.
     """
 
-    def __init__(self, port: Any, spec: PortSpec) -> None:
+    def __init__(self, port: Any, spec: PortSpec, now_ns: Callable[[], int] | None = None) -> None:
         self._tty = port.fileno()
         os.set_blocking(self._tty, False)
         self._reader = TtyReader(self._tty)
@@ -43,16 +45,20 @@ class SerialChannel(DescriptorChannel):
         self._noticed = Noticed(modem_lines(self._tty))
         # A pty outlives us: to whoever holds its other end the mark would stay.
         self._marked = not _is_pty(self._tty) and _ask(self._tty, termios.TIOCEXCL)
+        self._pulses = PulseLine(self._tty, spec.pulse_line, now_ns) if spec.pulse_line and now_ns else None
 
     def take_noticed(self) -> Noticed:
-        """The modem lines as they were found, and whether another program has changed the settings."""
+        """The modem lines as they were found, pulses, and whether another program has changed the settings."""
         if self._settings is not None and _settings_of(self._tty) not in (self._settings, None):
             with suppress(OSError):
                 fcntl.ioctl(self._tty, _TCSETS2, self._settings)
             self._noticed.events.append(
                 "another program has changed the settings of the port; they were set again"
             )
-        if not self._noticed.events:
+        if self._pulses is not None:
+            self._noticed.pulse_ns = self._pulses.last_ns
+            self._noticed.events += self._pulses.take_failure()
+        if self._noticed == NOTHING:
             return NOTHING
         noticed, self._noticed = self._noticed, Noticed()
         return noticed
@@ -61,6 +67,8 @@ class SerialChannel(DescriptorChannel):
         """Give the device back, to everybody; never raises."""
         if self._marked:
             _ask(self._tty, termios.TIOCNXCL)
+        if self._pulses is not None:
+            self._pulses.close()
         self._reader.close()
         super().close()
 

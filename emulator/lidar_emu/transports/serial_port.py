@@ -7,6 +7,7 @@ import os
 import socket
 import termios
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -47,16 +48,16 @@ def open_loopback(descriptor: int) -> Channel:
     return DescriptorChannel(descriptor, str(PortSpec()), lambda: os.close(descriptor))
 
 
-def open_byte_channel(spec: PortSpec) -> Channel:
-    """Open a serial device, a pyserial URL or a new pty.
+def open_byte_channel(spec: PortSpec, now_ns: Callable[[], int] | None = None) -> Channel:
+    """Open a serial device, a pyserial URL or a new pty; without a clock it tells of no pulses.
 
     Raises:
         InputError: it cannot be opened.
     """
-    return PtyChannel() if spec.kind is Kind.PTY else _open_serial(spec)
+    return PtyChannel() if spec.kind is Kind.PTY else _open_serial(spec, now_ns)
 
 
-def _open_serial(spec: PortSpec) -> Channel:
+def _open_serial(spec: PortSpec, now_ns: Callable[[], int] | None) -> Channel:
     if spec.scheme == "socket":
         return _open_tcp(spec)
     import serial
@@ -75,7 +76,9 @@ def _open_serial(spec: PortSpec) -> Channel:
         raise InputError("--baud", None, spec.baud, "allowed: a bit rate that the port can do") from None
     if spec.scheme == "rfc2217":
         return TelnetChannel(port, spec.path)
-    return UrlChannel(port, spec.path) if spec.scheme in _WRAPPING_SCHEMES else SerialChannel(port, spec)
+    if spec.scheme in _WRAPPING_SCHEMES:
+        return UrlChannel(port, spec.path)
+    return SerialChannel(port, spec, now_ns)
 
 
 def _open_tcp(spec: PortSpec) -> Channel:

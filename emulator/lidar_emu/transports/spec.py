@@ -38,6 +38,8 @@ class PortSpec:
     behind the bridge, or 0."""
     rs485: bool = False
     """Whether the driver is to enable the transmitter while it sends (serial)."""
+    pulse_line: str = ""
+    """Modem line whose rising edges are pulses (serial), named as in `pulse_line`; empty: none is."""
     interface: str = ""
     """python-can's name of the adapter's kind (CAN), and so the following."""
     channel: str = ""

@@ -6,6 +6,7 @@ import re
 import signal
 import threading
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -110,3 +111,39 @@ def test_a_dead_interface_is_refused_before_the_run(set_interface: SetInterface)
     with pytest.raises(InputError, match="classic frames only"):
         open_can(PortSpec(Kind.CAN, interface="socketcan", channel="vcan1", fd=True))
     open_can(PortSpec(Kind.CAN, interface="socketcan", channel="vcan1")).close()
+
+
+def test_errors_and_bus_off_on_order(start: Start, tmp_path: Path) -> None:
+    faults = (
+        "[{kind: error_frames, rate_hz: 50, from_s: 0.5, to_s: 1.5}, {kind: bus_off, from_s: 2, to_s: 2.5}]"
+    )
+    control = str(tmp_path / "control")
+    with candump(tmp_path) as dump:
+        run = start(
+            "run",
+            "bench.yaml",
+            *BUS,
+            "--set",
+            f"faults={faults}",
+            "--control",
+            control,
+            "--summary",
+            "s.json",
+        )
+        eventually(lambda: gaps(dump.frames()) >= 1)
+        inject = start("inject", control, "{kind: bus_off, lasts_s: 0.5}")
+        assert inject.wait() == 0, inject.err
+        eventually(lambda: gaps(dump.frames()) >= 2)
+        run.signal(signal.SIGINT)
+        run.succeed()
+    summary = read_summary(tmp_path / "s.json")
+    assert events(summary) == ["link broken: bus off, as ordered", "reopened"] * 2
+    assert summary["wire"]["error_frames"] == 50
+    assert summary["shots"]["dropped"]["broken"] > 0
+    assert len(slcan_lines.shots(dump.frames())) == summary["shots"]["sent"], "whole or not at all"
+
+
+def gaps(frames: list[slcan_lines.Line]) -> int:
+    """How often shots are missing between others."""
+    counters = [frame.data[0] >> 4 for frame in frames if frame.can_id == 0x100]
+    return sum((after - before) % 16 != 1 for before, after in pairwise(counters))

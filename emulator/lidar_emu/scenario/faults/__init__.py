@@ -22,10 +22,10 @@ from lidar_emu.scenario.faults.beams import (
     SwappedBeams,
     WrongSign,
 )
+from lidar_emu.scenario.faults.device import BrownOut, DeviceFault, Interlock
 from lidar_emu.scenario.faults.link import Babble, BusOff, Disconnect, ErrorFrames, LinkFault, SlowLine
 from lidar_emu.scenario.faults.packets import (
     BitErrors,
-    BrownOut,
     Delayed,
     Doubled,
     FrozenCounter,
@@ -58,16 +58,16 @@ from lidar_emu.scenario.faults.physics import (
 )
 
 __all__ = [
-    "Alias", "Babble", "BeamFault", "Bias", "BitErrors", "BrownOut", "BusOff", "Clutter", "Delayed", "Disconnect",
-    "Doubled", "Drift", "Dropout", "ErrorFrames", "FalseAlarms", "FalseInvalid", "FalseValid", "Fault", "Frozen",
-    "FrozenCounter", "Garbage", "Interval", "LaserFade", "LightFault", "LinkFault", "Lost", "Misalignment",
-    "MissingSegment", "Noise", "OtherUnit", "OtherVersion", "Outlier", "PacketFault", "ReceiverFault",
+    "Alias", "Babble", "BeamFault", "Bias", "BitErrors", "BrownOut", "BusOff", "Clutter", "Delayed", "DeviceFault",
+    "Disconnect", "Doubled", "Drift", "Dropout", "ErrorFrames", "FalseAlarms", "FalseInvalid", "FalseValid", "Fault",
+    "Frozen", "FrozenCounter", "Garbage", "Interlock", "Interval", "LaserFade", "LightFault", "LinkFault", "Lost",
+    "Misalignment", "MissingSegment", "Noise", "OtherUnit", "OtherVersion", "Outlier", "PacketFault", "ReceiverFault",
     "ReflectancePatch", "Reordered", "Scale", "ScheduledFault", "Silence", "SlowLine", "StalePacket", "StampFault",
     "Stuck", "SwappedBeams", "TimeJump", "Truncated", "WrongBranch", "WrongCrc", "WrongEndian", "WrongSign",
     "WrongUnit",
 ]  # fmt: skip
 
-ScheduledFault = LightFault | ReceiverFault | BeamFault | StampFault | PacketFault
+ScheduledFault = LightFault | ReceiverFault | BeamFault | StampFault | PacketFault | DeviceFault
 """Those that act on shots; the others act on the port."""
 
 Fault = Annotated[ScheduledFault | LinkFault, Field(discriminator="kind")]

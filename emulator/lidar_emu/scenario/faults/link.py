@@ -2,33 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from lidar_emu.scenario.part import NonNegative, Part, unusable
-
-
-class _OfPort(Part):
-    """A fault of the port: a window of scenario time, and no chance."""
-
-    from_s: NonNegative = 0.0
-    """Start of the window, scenario time."""
-    to_s: Annotated[float, Field(gt=0)] | None = None
-    """End of the window. Left out: the end of the run."""
-
-    at_s: ClassVar[None] = None
-    probability: ClassVar[float] = 1.0
-    lasts_s: ClassVar[float] = 0.0
-
-    @model_validator(mode="after")
-    def _window_is_one(self) -> Self:
-        if self.to_s is not None and self.to_s <= self.from_s:
-            raise unusable("to_s", self.to_s, f"more than from_s, {self.from_s:g}")
-        return self
+from lidar_emu.scenario.faults.when import Window
 
 
-class Disconnect(_OfPort):
+class Disconnect(Window):
     """The port is closed, and opened again after the window. The other end sees what it sees when a cable is pulled:
     of a pty, that everybody has left."""
 
@@ -36,7 +17,7 @@ class Disconnect(_OfPort):
     """Chooses this fault."""
 
 
-class SlowLine(_OfPort):
+class SlowLine(Window):
     """The line takes longer: packets wait in the transmitter's buffer and leave it whole, one after another. A packet
     that finds no room is dropped."""
 
@@ -48,7 +29,7 @@ class SlowLine(_OfPort):
     """Of the transmitter."""
 
 
-class Babble(_OfPort):
+class Babble(Window):
     """A transmitter that will not be silent: random bytes between packets, at a rate; on CAN frames of eight bytes with
     random identifiers."""
 
@@ -58,7 +39,7 @@ class Babble(_OfPort):
     """On average over the window, evenly."""
 
 
-class ErrorFrames(_OfPort):
+class ErrorFrames(Window):
     """Somebody on the CAN bus destroys frames: the controller counts error frames. On CAN alone; ordered ones are
     counted and not sent."""
 
@@ -68,7 +49,7 @@ class ErrorFrames(_OfPort):
     """So many in a second."""
 
 
-class BusOff(_OfPort):
+class BusOff(Window):
     """The CAN controller has seen too many errors and is off: nothing is sent or heard until the window ends and it is
     restarted. On CAN alone."""
 

@@ -141,15 +141,7 @@ class OtherVersion(Ordered):
     """What they say."""
 
 
-class BrownOut(Ordered):
-    """The supply dips and the device starts anew: no measurements in the window, and after it the counter of shots, and
-    with it the sequence count, begins at 0."""
-
-    kind: Literal["brown_out"]
-    """Chooses this fault."""
-
-
-StampFault = TimeJump | FrozenCounter | WrongUnit | BrownOut
+StampFault = TimeJump | FrozenCounter | WrongUnit
 PacketFault = (
     Lost | Doubled | Reordered | StalePacket | BitErrors | Truncated | WrongCrc | Delayed | Silence | Garbage
-) | (OtherUnit | WrongEndian | OtherVersion | BrownOut)
+) | (OtherUnit | WrongEndian | OtherVersion)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
@@ -49,3 +49,22 @@ class Ramped(OfBeams):
 
     ramp_s: NonNegative = 0.0
     """Time from the start of the window in which it grows, evenly, to its full size."""
+
+
+class Window(Part):
+    """A fault without chance: it acts throughout a window."""
+
+    from_s: NonNegative = 0.0
+    """Start of the window, scenario time."""
+    to_s: Annotated[float, Field(gt=0)] | None = None
+    """End of the window. Left out: the end of the run."""
+
+    at_s: ClassVar[None] = None
+    probability: ClassVar[float] = 1.0
+    lasts_s: ClassVar[float] = 0.0
+
+    @model_validator(mode="after")
+    def _window_is_one(self) -> Self:
+        if self.to_s is not None and self.to_s <= self.from_s:
+            raise unusable("to_s", self.to_s, f"more than from_s, {self.from_s:g}")
+        return self

@@ -1,0 +1,42 @@
+"""The part of a clock's rate that comes and goes: a few slow sines, with phases left to chance."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+_PERIODS_NS = tuple(1e9 * period_s for period_s in np.geomspace(20.0, 20_000.0, 10).tolist())
+"""Equal parts on a logarithmic scale: as flicker noise of frequency, whose Allan deviation is the same at all times."""
+
+_Time = TypeVar("_Time", float, NDArray[np.floating[Any]])
+
+
+@dataclass(frozen=True)
+class Wander:
+    """A rate that is off by `amplitude` times the sum of the sines."""
+
+    amplitude: float
+    """Of each sine, as a fraction."""
+    phases: tuple[float, ...]
+    """At power-up, in radians."""
+
+    @classmethod
+    def drawn(cls, rms: float, seed: int) -> Self | None:
+        """The one of this seed, whose rate is off by `rms` in the long run; None for 0."""
+        if rms == 0.0:
+            return None
+        phases = np.random.default_rng(seed).uniform(0.0, math.tau, len(_PERIODS_NS))
+        return cls(rms * math.sqrt(2 / len(_PERIODS_NS)), tuple(phases.tolist()))
+
+    def gained_ns(self, from_ns: float, to_ns: _Time) -> _Time:
+        """The rate's error, integrated between two times from power-up."""
+        gained_ns = 0.0 * to_ns
+        for period_ns, phase in zip(_PERIODS_NS, self.phases, strict=True):
+            turn = math.tau / period_ns
+            before, after = np.cos(turn * from_ns + phase), np.cos(turn * to_ns + phase)
+            gained_ns = gained_ns + self.amplitude / turn * (before - after)
+        return gained_ns

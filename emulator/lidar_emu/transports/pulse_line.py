@@ -1,0 +1,68 @@
+"""Pulses on a modem line that comes in: when the last one began.
+
+Source: serial_core.c and usb-serial.c of Linux, where TIOCMIWAIT waits until one of the lines changes.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import termios
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+
+_BITS = {"cd": termios.TIOCM_CD, "cts": termios.TIOCM_CTS, "dsr": termios.TIOCM_DSR}
+
+
+class PulseLine:
+    """Watches a line in a thread of its own, which notes the time at once, whatever else the process does.
+
+    A pulse begins with a rising edge. One that is over before the thread has looked is none: milliseconds are enough.
+
+    Args:
+        terminal: descriptor of the port; it must stay open until `close`.
+        line: `cd`, `cts` or `dsr`.
+        now_ns: instant of the monotonic clock.
+    """
+
+    def __init__(self, terminal: int, line: str, now_ns: Callable[[], int]) -> None:
+        self.last_ns: int | None = None
+        """When the last pulse began, on the monotonic clock; None: there was none."""
+        self._port, self._line, self._now_ns = terminal, line, now_ns
+        # Nothing but an edge, or the end of the process, frees a thread that waits for one. With a descriptor of its
+        # own it never waits on what the number stands for later.
+        self._terminal = os.dup(terminal)
+        self._failure: list[str] = []
+        self._closed = False
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def take_failure(self) -> list[str]:
+        """Why no pulses will be told of, once; nothing while they are."""
+        failure, self._failure = self._failure, []
+        return failure
+
+    def close(self) -> None:
+        """Tell of no more pulses, and let others open the port though the thread may still have it open."""
+        self._closed = True
+        with suppress(OSError):
+            fcntl.flock(self._port, fcntl.LOCK_UN)
+
+    def _watch(self) -> None:
+        bit = _BITS[self._line]
+        try:
+            while not self._closed:
+                fcntl.ioctl(self._terminal, termios.TIOCMIWAIT, bit)
+                edge_ns = self._now_ns()
+                if _lines_of(self._terminal) & bit:
+                    self.last_ns = edge_ns
+        except OSError as error:
+            self._failure = [f"no pulses from line {self._line}: {error.strerror}"]
+        finally:
+            os.close(self._terminal)
+
+
+def _lines_of(terminal: int) -> int:
+    state = bytearray(4)
+    fcntl.ioctl(terminal, termios.TIOCMGET, state)
+    return int.from_bytes(state, "little")

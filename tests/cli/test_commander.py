@@ -1,0 +1,129 @@
+"""Commands by `send`'s own means, to devices on a bus in memory."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import count
+
+import pytest
+
+from lidar_emu.cli.commander import SENT, UNANSWERED, Commander
+from lidar_emu.device.machine import initial
+from lidar_emu.device.now import DeviceNow
+from lidar_emu.device.rules import device_rules
+from lidar_emu.runtime.changes import Changes
+from lidar_emu.runtime.command_post import CommandPost
+from lidar_emu.runtime.heard import Heard
+from lidar_emu.runtime.voice import Voice
+from lidar_emu.scenario.device import Device
+from lidar_emu.transports.can_port import open_can
+from lidar_emu.transports.host import CanHost
+from lidar_emu.transports.spec import Kind, PortSpec
+from lidar_protocol import default_interface
+
+INTERFACE = default_interface()
+_buses = count()
+
+
+class Unit:
+    """A device on a bus, that hears and answers; and what it has heard."""
+
+    def __init__(self, spec: PortSpec, unit: int) -> None:
+        self._channel = open_can(spec)
+        rules = device_rules(Device(), 20.0, 4, 2, 1.0)
+        voice = Voice(INTERFACE, unit, True, self._channel.send)
+        self.heard: list[Heard] = []
+        device = DeviceNow(rules, initial(rules))
+        self._changes = Changes()
+        self._post = CommandPost(voice, device, lambda _: True, self._changes, self._tell)
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._listen)
+        self._thread.start()
+
+    def _tell(self, heard: Heard, _shot: int | None) -> None:
+        self.heard.append(heard)
+
+    def _listen(self) -> None:
+        for now_ns in count(0, 1_000_000):
+            if self._over.wait(0.0005):
+                return
+            if data := self._channel.receive():
+                self._post.hear(data, now_ns, now_ns)
+            self._changes.close()
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join()
+        self._channel.close()
+
+
+@pytest.fixture
+def spec() -> PortSpec:
+    return PortSpec(Kind.CAN, interface="virtual", channel=f"commander{next(_buses)}")
+
+
+@pytest.fixture
+def unit(spec: PortSpec) -> Iterator[Callable[[int], Unit]]:
+    """Put one more unit on the bus."""
+    units: list[Unit] = []
+
+    def add(number: int) -> Unit:
+        units.append(Unit(spec, number))
+        return units[-1]
+
+    yield add
+    for each in units:
+        each.close()
+
+
+@pytest.fixture
+def commander(spec: PortSpec) -> Iterator[Callable[..., Commander]]:
+    hosts: list[CanHost] = []
+
+    def connect(number: int, timeout_s: float = 20.0) -> Commander:
+        hosts.append(CanHost(lambda: open_can(spec)))
+        return Commander(hosts[-1], INTERFACE, number, timeout_s)
+
+    yield connect
+    for host in hosts:
+        host.close()
+
+
+def test_units_on_one_bus_each_hear_their_own(
+    unit: Callable[[int], Unit], commander: Callable[..., Commander]
+) -> None:
+    units = {number: unit(number) for number in (0, 3)}
+    hosts = {number: commander(number) for number in units}
+    for host in hosts.values():
+        greeting = host.begin_anew()
+        assert greeting is not None
+        assert greeting.verdict == "accepted"
+    assert hosts[3].ask("set_rate_hz", {"rate_hz": 10}).verdict == "accepted"
+    assert hosts[0].ask("enable_beams", {"beams": 5}).verdict == "accepted"
+    assert hosts[3].ask("set_pattern", {"pattern": 7}).verdict == "out_of_range"
+    told = {
+        number: [(heard.command, heard.sequence) for heard in each.heard] for number, each in units.items()
+    }
+    assert told == {
+        0: [("no_op", 0), ("enable_beams", 1)],
+        3: [("no_op", 0), ("set_rate_hz", 1), ("set_pattern", 2)],
+    }
+
+
+def test_a_unit_that_is_not_there_does_not_answer(
+    unit: Callable[[int], Unit], commander: Callable[..., Commander]
+) -> None:
+    present = unit(0)
+    assert commander(5, timeout_s=0.2).ask("no_op", {}).verdict == UNANSWERED
+    assert commander(0).ask("no_op", {}).verdict == "accepted"
+    assert len(present.heard) == 1
+
+
+def test_where_the_bus_has_no_answers_a_command_counts_as_sent(spec: PortSpec) -> None:
+    assert INTERFACE.can is not None
+    silent = replace(INTERFACE, can=replace(INTERFACE.can, acknowledge=None))
+    host = CanHost(lambda: open_can(spec))
+    assert Commander(host, silent, 0, 20.0).ask("no_op", {}).verdict == SENT
+    host.close()

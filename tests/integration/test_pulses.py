@@ -1,0 +1,84 @@
+"""Time at the tone by a pulse line: the port's process runs with a driver that a FIFO stands for."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from time import monotonic_ns
+
+import pytest
+from programs import FarEnd, Program, eventually, read_summary
+
+from lidar_protocol import Acknowledge, Host, SerialReceiver, default_interface
+
+Start = Callable[..., Program]
+HOST = Host(default_interface())
+TONE_NS = 500_000_000_000
+BETWEEN_S = 0.3
+
+DRIVER = """
+import fcntl, os, pathlib, termios
+here, real, level = pathlib.Path(__file__).parent, fcntl.ioctl, [0]
+def ioctl(descriptor, request, argument=0, *more):
+    if request == termios.TIOCMIWAIT:
+        with open(here / "edges", "rb") as edges:
+            level[0] = int(edges.read(1) or 0)
+        return 0
+    if request == termios.TIOCMGET:
+        argument[:] = (termios.TIOCM_CD * level[0]).to_bytes(4, "little")
+        if level[0]:
+            (here / "seen").touch()
+        return 0
+    return real(descriptor, request, argument, *more)
+fcntl.ioctl = ioctl
+"""
+
+
+@pytest.fixture
+def driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Folder of the driver: what is written to `edges` there is the level after an edge."""
+    (tmp_path / "sitecustomize.py").write_text(DRIVER)
+    os.mkfifo(tmp_path / "edges")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
+    return tmp_path
+
+
+def answers(far_end: FarEnd) -> list[Acknowledge]:
+    received = SerialReceiver(default_interface()).receive(bytes(far_end.data))
+    return [message for message in received if isinstance(message, Acknowledge)]
+
+
+@pytest.mark.parametrize("line", ["cd", None])
+def test_the_time_is_that_at_the_last_pulse(
+    line: str | None, start: Start, far_end: FarEnd, driver: Path
+) -> None:
+    settings = ["--set", f"device.clock.pulse_line={line or 'null'}"]
+    run = start(
+        "run", "bench.yaml", *settings, "--port", far_end.path, "--baud", "921600", "--summary", "s.json"
+    )
+    far_end.wait_for(144)
+    far_end.say(HOST.encode_command("no_op", sequence=0))
+    eventually(lambda: len(answers(far_end)) == 1)
+    before_edge_ns = monotonic_ns()
+    if line:
+        (driver / "edges").write_bytes(b"1")
+        eventually((driver / "seen").exists)
+    after_edge_ns = monotonic_ns()
+    threading.Event().wait(BETWEEN_S)
+    before_command_ns = monotonic_ns()
+    far_end.say(HOST.encode_command("time_at_tone", sequence=1, tone_ns=TONE_NS))
+    eventually(lambda: len(answers(far_end)) == 2)
+    heard_ns = monotonic_ns()
+    answer = answers(far_end)[1]
+    assert answer.verdict == "accepted"
+    since_tone_ns = answer.values["time_ns"] - TONE_NS
+    if line:
+        assert before_command_ns - after_edge_ns <= since_tone_ns <= heard_ns - before_edge_ns
+    else:
+        assert since_tone_ns == 0, "the command's arrival, at which it is answered"
+    run.process.terminate()
+    run.succeed()
+    told = [event["what"] for event in read_summary(driver / "s.json")["link_events"]]
+    assert told == ["modem lines: CTS off, DSR off, CD off"]
