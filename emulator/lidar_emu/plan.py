@@ -91,7 +91,7 @@ def _look(flight: Flight) -> tuple[Pointing, Hits]:
 
 def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:
     if isinstance(scenario.trajectory, PoweredDescent):
-        return _powered_descent(flight)
+        return _powered_descent(flight, scenario.trajectory.target.up_m)
     gaps = ", ".join(f"{g.column} {g.length_s:.1f} s from {g.start_s:.1f} s" for g in flight.trajectory.gaps)
     return Decision(
         "trajectory",
@@ -102,15 +102,23 @@ def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:
     )
 
 
-def _powered_descent(flight: Flight) -> Decision:
+def _powered_descent(flight: Flight, ground_m: float) -> Decision:
+    """With how far the level ground of the touchdown is from the scene's own there."""
     from lidar_emu.trajectory.descent import DescentTrajectory
 
     descent = flight.trajectory
     assert isinstance(descent, DescentTrajectory)
-    course, used_kg = descent.course, descent.propellant_kg
+    course, landed = descent.course, descent.state(np.array([descent.course.touchdown_s]))
+    east_m, north_m, _ = landed.position_site_m[0]
+    apart_m = float(flight.scene.height_m(np.array([east_m]), np.array([north_m]))[0]) - ground_m
+    speed_mps = float(np.sqrt(np.sum(landed.velocity_site_mps**2)))
     how = f"{course.steps} steps in {course.end_s:.3f} s, {flight.shot_count} shots"
-    reason = f"cut-off at {course.cut_off_s:.3f} s, touchdown at {course.touchdown_s:.3f} s, {used_kg:.1f} kg burnt"
-    return Decision("trajectory", True, how, reason, "fourth order in the step")
+    reason = (
+        f"cut-off at {course.cut_off_s:.3f} s, touchdown at {course.touchdown_s:.3f} s with {speed_mps:.2f} m/s, "
+        f"{east_m:.1f} m east, {north_m:.1f} m north; {descent.propellant_kg:.1f} kg burnt"
+    )
+    bound = f"fourth order in the step; ground there {apart_m:+.2f} m off target.up_m"
+    return Decision("trajectory", True, how, reason, bound)
 
 
 def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:

@@ -56,7 +56,7 @@ class Gear(Part):
     """Of the vehicle's reference point, along body z."""
     stiffness_npm: Positive = 40_000.0
     """Of one foot."""
-    damping_spm: NonNegative = 0.6
+    damping_spm: NonNegative = 3.0
     """The spring's force is multiplied by 1 + damping · speed of compression, never below 0 (Hunt and Crossley)."""
     friction: NonNegative = 0.5
     """Coulomb's coefficient; below 2 cm/s proportional to the speed."""
