@@ -31,16 +31,20 @@ EPOCH_NS = 1_893_456_000 * 10**9  # 2030-01-01, the default of timing.epoch
 Start = Callable[..., Program]
 
 FAULTS = """[
-    {kind: lost, probability: 0.2, from_s: 4, to_s: 8},
-    {kind: wrong_crc, probability: 0.2, from_s: 9, to_s: 13},
-    {kind: doubled, probability: 0.2, from_s: 14, to_s: 18},
-    {kind: truncated, probability: 0.1, keep: 0.7, from_s: 19, to_s: 23},
-    {kind: time_jump, jump_s: 1.5, from_s: 24, to_s: 26},
-    {kind: frozen_counter, from_s: 27, to_s: 27.5},
-    {kind: dropout, beams: [2], from_s: 28, to_s: 31},
-    {kind: bias, range_m: -2.5, closing_speed_mps: 0.1, from_s: 32, ramp_s: 1},
-    {kind: stale_packet, from_s: 36, to_s: 36.5}
+    {kind: lost, probability: 0.2, from_s: 1.8, to_s: 3.6},
+    {kind: wrong_crc, probability: 0.2, from_s: 4.05, to_s: 5.85},
+    {kind: doubled, probability: 0.2, from_s: 6.3, to_s: 8.1},
+    {kind: truncated, probability: 0.1, keep: 0.7, from_s: 8.55, to_s: 10.35},
+    {kind: time_jump, jump_s: 1.5, from_s: 10.8, to_s: 11.7},
+    {kind: frozen_counter, from_s: 12.15, to_s: 12.38},
+    {kind: dropout, beams: [2], from_s: 12.6, to_s: 13.95},
+    {kind: bias, range_m: -2.5, closing_speed_mps: 0.1, from_s: 14.4, ramp_s: 1},
+    {kind: stale_packet, from_s: 16.2, to_s: 16.43}
 ]"""
+QUICK_DESCENT = (
+    "{kind: profile, waypoints: [{altitude_m: 1500, speed_mps: 160}, {altitude_m: 20, speed_mps: 5}]}"
+)
+"""By the clock: at another pace a device in standby would be through with the flight before it is told to go on."""
 ORDERS = ["300:set_pattern=1", "500:no_op", "650:set_mode=1", "650:set_mode=4", "850:set_pattern=0"]
 
 NUMBERS = {  # typed from INTERFACE.md: step, lowest, highest, whether a value outside is held
@@ -212,9 +216,9 @@ def receiver(request: pytest.FixtureRequest) -> list[str]:
 
 def test_a_whole_descent_with_commands_and_faults(receiver: list[str], start: Start, tmp_path: Path) -> None:
     run = start(
-        "run", "descent.yaml", "--pace", "max", "--port", "pty", "--baud", "921600",
-        "--set", f"faults={FAULTS}", "--set", "device.housekeeping_rate_hz=1",
-        "--record", "r.mcap", "--summary", "s.json",
+        "run", "descent.yaml", "--port", "pty", "--baud", "921600", "--set", f"trajectory={QUICK_DESCENT}",
+        "--set", "timing.rate_hz=60", "--set", "timing.late_after_s=60", "--set", f"faults={FAULTS}",
+        "--set", "device.housekeeping_rate_hz=3", "--record", "r.mcap", "--summary", "s.json",
     )  # fmt: skip
     path = run.word_after("descent on ")
     following = subprocess.run(
@@ -246,7 +250,7 @@ def test_a_whole_descent_with_commands_and_faults(receiver: list[str], start: St
     assert answers == [(2, 0, 0), (0, 1, 0), (1, 2, 0), (1, 3, 0), (2, 4, 0)]
     told = read_summary(tmp_path / "s.json")
     assert told["commands"]["accepted"] == 5
-    assert told["shots"]["due"] == told["planned_shots"] == 1008
+    assert told["shots"]["due"] == told["planned_shots"] > 1000
     assert len(told["faults"]["shots"]) == FAULTS.count("kind:")
     assert [mode for mode, _ in groupby(line["mode"] for line in logged)] == [4, 3, 4]
     angles = [beam["beam_angle_deg"] for beam in (line["beams"][0] for line in logged)]

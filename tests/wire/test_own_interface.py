@@ -118,7 +118,7 @@ def test_what_cannot_be_sent_is_refused_before_the_run(
         (Wire(interface="altimeter", unit=4), False, 3, ["wire.unit: 4", "0 to 3"]),
         (Wire(interface="altimeter"), True, 3, ["altimeter: can: missing", "byte link"]),
         (Wire(interface="nothing"), False, 3, ["wire.interface: 'nothing'", "default, altimeter"]),
-        (Wire(interface="/nowhere/my.toml"), False, 3, ["/nowhere/my.toml", "No such file"]),
+        (Wire(interface="/nowhere/my.toml"), False, 3, ["/nowhere/my.toml", "no such file"]),
         (Wire(), True, 9, ["beams: 9", "at most 8"]),
     ],
 )
