@@ -95,7 +95,7 @@ class Flight:
 
     def __init__(self, scenario: FlightScenario) -> None:
         self.scenario = scenario
-        self.trajectory = build_trajectory(scenario.trajectory)
+        self.trajectory = build_trajectory(scenario.trajectory, scenario.site.body.radius_m)
         self.is_live = scenario.live is not None
         """Whether the vehicle's motion becomes known only as it is flown."""
         self.scanner = build_scanner(scenario.scanner)

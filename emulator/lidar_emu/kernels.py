@@ -24,7 +24,7 @@ __all__ = ["CACHED", "interpreted", "kernel", "njit", "with_fields"]
 
 _ROOMS = ("fmcw", "scene")
 """Every file of these may hold what kernels take in."""
-_OTHERS = (".", "faults", "scanner", "trajectory")
+_OTHERS = (".", "dynamics", "faults", "scanner", "trajectory")
 """Of these, the files that have kernels."""
 
 _OPTIONS = {"error_model": "numpy", "_nrt": False}

@@ -13,6 +13,7 @@ from lidar_emu.plan_receiver import Decision, plan_receiver
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.scene.hits import Hits
 from lidar_emu.spread import spread_bins
 
@@ -52,7 +53,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     echoes = receive_light(scenario.instrument, scenario.site, flight, 1, pointing, hits)
     footprint, beamlets = _footprint(scenario, pointing, hits)
     decisions = (
-        _trajectory(flight),
+        _trajectory(scenario, flight),
         *_ground(scenario, flight, pointing, hits),
         _air(scenario),
         footprint,
@@ -89,7 +90,9 @@ def _look(flight: Flight) -> tuple[Pointing, Hits]:
     return pointing, flight.cast(pointing.sensor_site_m, pointing.true_site)
 
 
-def _trajectory(flight: Flight) -> Decision:
+def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:
+    if isinstance(scenario.trajectory, PoweredDescent):
+        return _powered_descent(flight, scenario.trajectory.target.up_m)
     gaps = ", ".join(f"{g.column} {g.length_s:.1f} s from {g.start_s:.1f} s" for g in flight.trajectory.gaps)
     return Decision(
         "trajectory",
@@ -98,6 +101,25 @@ def _trajectory(flight: Flight) -> Decision:
         f"gaps bridged: {gaps}" if gaps else "no gaps",
         "as interpolated" if gaps else "exact",
     )
+
+
+def _powered_descent(flight: Flight, ground_m: float) -> Decision:
+    """With how far the level ground of the touchdown is from the scene's own there."""
+    from lidar_emu.trajectory.descent import DescentTrajectory
+
+    descent = flight.trajectory
+    assert isinstance(descent, DescentTrajectory)
+    course, landed = descent.course, descent.state(np.array([descent.course.touchdown_s]))
+    east_m, north_m, _ = landed.position_site_m[0]
+    apart_m = float(flight.scene.height_m(np.array([east_m]), np.array([north_m]))[0]) - ground_m
+    speed_mps = float(np.sqrt(np.sum(landed.velocity_site_mps**2)))
+    how = f"{course.steps} steps in {course.end_s:.3f} s, {flight.shot_count} shots"
+    reason = (
+        f"cut-off at {course.cut_off_s:.3f} s, touchdown at {course.touchdown_s:.3f} s with {speed_mps:.2f} m/s, "
+        f"{east_m:.1f} m east, {north_m:.1f} m north; {descent.propellant_kg:.1f} kg burnt"
+    )
+    bound = f"fourth order in the step; ground there {apart_m:+.2f} m off target.up_m"
+    return Decision("trajectory", True, how, reason, bound)
 
 
 def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:

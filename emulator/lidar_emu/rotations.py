@@ -16,6 +16,9 @@ import numpy.typing as npt
 from lidar_emu.arrays import FloatArray
 from lidar_emu.kernels import kernel
 
+SITE_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""East-north-up from the north-east-down in which aerospace angles are counted."""
+
 _NEXT, _AFTER_NEXT = [1, 2, 0], [2, 0, 1]
 
 

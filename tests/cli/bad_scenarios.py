@@ -144,6 +144,16 @@ CASES = [
         "my_site.yaml: ground.h: 3",
         "slope_deg",
     ),
+    Case(
+        "a descent without enough propellant",
+        ("trajectory: vehicle.dry_mass_kg: tanks empty after", "allowed: a flight that lands"),
+        command="simulate powered_descent.yaml --out out.csv --set trajectory.vehicle.dry_mass_kg=1480",
+    ),
+    Case(
+        "a descent that begins below its gate",
+        ("trajectory.start.position_site_m: [0, 0, 20]", "a height above 31.2"),
+        command="simulate powered_descent.yaml --out out.csv --set trajectory.start.position_site_m=[0,0,20]",
+    ),
     _in_part("missing key in a part's file", "name: here", "my_site.yaml: ground: missing", "required"),
     _in_part("duplicate key in a part's file", "name: a\nname: b", "my_site.yaml: line 2", "each key once"),
     _in_part("an empty part's file", "", "my_site.yaml: an empty file", "a mapping"),

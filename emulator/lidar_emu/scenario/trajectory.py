@@ -1,4 +1,4 @@
-"""The trajectory: a constant-deceleration profile or a table, and the attitude of the body along it."""
+"""The trajectory: a constant-deceleration profile, a table, live truth, or a powered descent that is computed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from lidar_emu.errors import Finding
-from lidar_emu.scenario.part import Part, Positive, unusable
+from lidar_emu.scenario.part import NonNegative, Part, Positive, unusable
+from lidar_emu.scenario.vehicle import Vehicle
 
 
 class Waypoint(Part):
@@ -199,4 +200,92 @@ class Live(Part):
         return self
 
 
-Trajectory = Annotated[Profile | Table | Live, Field(discriminator="kind")]
+Coordinate = Annotated[float, Field(ge=-1e7, le=1e7)]
+Velocity = Annotated[float, Field(ge=-1e5, le=1e5)]
+
+
+class Start(Part):
+    """Where a powered descent begins, the engine burning."""
+
+    position_site_m: tuple[Coordinate, Coordinate, Coordinate]
+    """East, north and up from the origin of the site frame."""
+    velocity_site_mps: tuple[Velocity, Velocity, Velocity]
+    """East, north and up; the ground is at rest."""
+    attitude: Attitude | None = None
+    """Left out: the thrust points where guidance asks for it first, and the body does not turn."""
+
+
+class Target(Part):
+    """The place to land at; the ground is taken as level there."""
+
+    east_m: Coordinate = 0.0
+    """From the origin of the site frame. A gravity turn lands where it gets to."""
+    north_m: Coordinate = 0.0
+    """From the origin of the site frame."""
+    up_m: Coordinate = 0.0
+    """Height of the ground that the feet meet."""
+
+
+class GravityTurn(Part):
+    """Thrust against the velocity, just enough to be slow at the gate's height; the path bends down by itself."""
+
+    kind: Literal["gravity_turn"]
+    """Chooses this guidance."""
+
+
+class Polynomial(Part):
+    """Acceleration as a quadratic polynomial of the time to go, which ends over the target, upright and at its pace."""
+
+    kind: Literal["polynomial"]
+    """Chooses this guidance."""
+    time_to_gate_s: Annotated[float, Field(gt=0, le=3600)] | None = None
+    """Left out: what a constant deceleration to the gate would take."""
+
+
+class PoweredDescent(Part):
+    """A descent with six degrees of freedom, from guidance to touchdown; see docs/flights.md."""
+
+    kind: Literal["powered_descent"]
+    """Chooses this kind of trajectory."""
+    vehicle: Vehicle
+    """What flies."""
+    start: Start
+    """From where."""
+    target: Target = Target()
+    """To where."""
+    guidance: Annotated[GravityTurn | Polynomial, Field(discriminator="kind")]
+    """How it gets to the gate, the point from which it descends straight down."""
+    gate_height_m: NonNegative = 30.0
+    """Of the gate above the ground at the target, counted from the feet."""
+    descent_speed_mps: Positive = 1.5
+    """From the gate on, downward."""
+    cut_off_height_m: NonNegative = 0.5
+    """Of the lowest foot above the ground when the engine is cut off; 0: when it touches."""
+    maximum_tilt_deg: Annotated[float, Field(ge=0, le=85)] = 45.0
+    """Of the commanded thrust from the vertical."""
+    heading_deg: float = 0.0
+    """Direction that body x keeps, clockwise from north."""
+    gravity_mps2: Positive = 1.62
+    """At the origin of the site frame. It points to the centre of the site's body and falls off with its square."""
+    control_rate_hz: Annotated[float, Field(ge=1, le=1000)] = 20.0
+    """How often guidance and attitude control command anew."""
+    step_s: Annotated[float, Field(ge=1e-5, le=0.1)] = 0.01
+    """Longest step of the integration; a control period, spin, slosh, a bending mode or stiff feet shorten it."""
+    after_touchdown_s: Annotated[float, Field(ge=0, le=60)] = 0.0
+    """How long the flight goes on, engine and control off, on the feet."""
+    longest_s: Annotated[float, Field(gt=0, le=7200)] = 900.0
+    """A flight that has not landed by then is refused."""
+
+    @model_validator(mode="after")
+    def _starts_above_the_gate(self) -> Self:
+        gate_m = self.target.up_m + self.gate_height_m + self.vehicle.gear.below_m
+        if self.start.position_site_m[2] <= gate_m:
+            allowed = f"a height above {gate_m:g}, the gate's"
+            raise unusable("start.position_site_m", self.start.position_site_m, allowed)
+        if self.cut_off_height_m > self.gate_height_m:
+            allowed = f"at most {self.gate_height_m:g}, gate_height_m"
+            raise unusable("cut_off_height_m", self.cut_off_height_m, allowed)
+        return self
+
+
+Trajectory = Annotated[Profile | Table | Live | PoweredDescent, Field(discriminator="kind")]

@@ -9,11 +9,8 @@ import numpy as np
 
 from lidar_emu.arrays import FloatArray
 from lidar_emu.kernels import kernel
-from lidar_emu.rotations import lead_by, set_yaw_pitch_roll
+from lidar_emu.rotations import SITE_FROM_NED, lead_by, set_yaw_pitch_roll
 from lidar_emu.trajectory.curve import LEVEL, Curve, Curves
-
-SITE_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""East-north-up from the north-east-down in which aerospace angles are counted."""
 
 
 class Attitude(Protocol):

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
-from lidar_emu.scenario.trajectory import Live, Profile, Table
+from math import inf
+
+from lidar_emu.scenario.trajectory import Live, PoweredDescent, Profile, Table
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.trajectory.profile import ProfileTrajectory
 from lidar_emu.trajectory.state import Trajectory
 from lidar_emu.trajectory.table import TableTrajectory
 
 
-def build_trajectory(part: Profile | Table | Live) -> Trajectory:
+def build_trajectory(part: Profile | Table | Live | PoweredDescent, body_radius_m: float = inf) -> Trajectory:
     """The flight that the scenario describes.
 
+    Args:
+        part: of the scenario.
+        body_radius_m: of the body landed on, on which a powered descent's gravity depends.
+
     Raises:
-        InputError: the file of a table cannot be used; names the file, the column and the value.
+        InputError: the file of a table cannot be used; names the file, the column and the value. Or a powered descent
+            does not land.
     """
+    if isinstance(part, PoweredDescent):
+        from lidar_emu.trajectory.descent import DescentTrajectory
+
+        return DescentTrajectory(part, body_radius_m)
     if isinstance(part, Live):
         return LiveTrajectory(part.jump_m)
     return ProfileTrajectory(part) if isinstance(part, Profile) else TableTrajectory(part)

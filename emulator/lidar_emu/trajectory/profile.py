@@ -6,9 +6,8 @@ import numpy as np
 
 from lidar_emu.arrays import FloatArray
 from lidar_emu.kernels import kernel
-from lidar_emu.rotations import chained, from_yaw_pitch_roll, lead_by, set_rotation_vector
+from lidar_emu.rotations import SITE_FROM_NED, chained, from_yaw_pitch_roll, lead_by, set_rotation_vector
 from lidar_emu.scenario.trajectory import Profile
-from lidar_emu.trajectory.attitude import SITE_FROM_NED
 from lidar_emu.trajectory.curve import piece_at
 from lidar_emu.trajectory.state import Gap, VehicleState
 

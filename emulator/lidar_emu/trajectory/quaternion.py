@@ -30,9 +30,15 @@ class QuaternionAttitude:
         The rate is the vector part of 2 q* dq/dt; the change of the curve's length is in the scalar part.
         """
         quaternion, derivative, _ = self._curves.at(time_s)
-        site_from_body, body_rate = np.empty((len(time_s), 3, 3)), np.empty((len(time_s), 3))
-        _from_quaternions(quaternion, derivative, site_from_body, body_rate)
-        return site_from_body, body_rate
+        return rotate_by(quaternion, derivative)
+
+
+def rotate_by(quaternion: FloatArray, derivative: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotations (n, 3, 3) and rates (n, 3) about the source's axes, of quaternions (n, 4) of any length and their
+    derivatives."""
+    rotation, rate = np.empty((len(quaternion), 3, 3)), np.empty((len(quaternion), 3))
+    _from_quaternions(quaternion, derivative, rotation, rate)
+    return rotation, rate
 
 
 @kernel(outermost=True)

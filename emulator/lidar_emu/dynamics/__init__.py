@@ -1,0 +1,1 @@
+"""Powered descent: the equations of motion, what commands them, and their integration."""

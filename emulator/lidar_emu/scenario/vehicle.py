@@ -1,0 +1,122 @@
+"""The vehicle of a powered descent: masses, engine, attitude control, gear, and what swings and bends on it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from lidar_emu.scenario.part import NonNegative, Part, Positive, Vector3, unusable
+
+Lag = Annotated[float, Field(ge=0, le=10)]
+Share = Annotated[float, Field(ge=0, lt=1)]
+
+
+class Engine(Part):
+    """A throttled engine through the centre of mass; it pushes along body -z."""
+
+    maximum_thrust_n: Positive
+    """At full throttle."""
+    minimum_thrust_n: NonNegative = 0.0
+    """At the lowest throttle: between this and 0 it cannot burn."""
+    specific_impulse_s: Positive = 310.0
+    """Thrust per weight of propellant a second, in standard gravity."""
+    valve_lag_s: Lag = 0.02
+    """Time constant with which the thrust follows its command. It is solved in closed form: 5e-5 is as exact as 0.1."""
+
+    @model_validator(mode="after")
+    def _throttle_range(self) -> Self:
+        if self.minimum_thrust_n > self.maximum_thrust_n:
+            allowed = f"at most {self.maximum_thrust_n:g}, maximum_thrust_n"
+            raise unusable("minimum_thrust_n", self.minimum_thrust_n, allowed)
+        return self
+
+
+class AttitudeControl(Part):
+    """Critically damped control of all three axes by thrusters or wheels."""
+
+    bandwidth_radps: Annotated[float, Field(gt=0, le=50)] = 1.5
+    """Natural frequency of the closed loop."""
+    maximum_torque_nm: Positive = 400.0
+    """About each body axis."""
+    maximum_rate_degps: Positive = 15.0
+    """Rate at which it turns the vehicle."""
+    lag_s: Lag = 0.02
+    """Time constant with which the torque follows its command."""
+
+
+class Gear(Part):
+    """Feet in a circle below the vehicle, each a damped spring along the vertical, with friction."""
+
+    feet: Annotated[int, Field(ge=3, le=16)] = 4
+    """How many."""
+    radius_m: Positive = 1.5
+    """Of their circle."""
+    below_m: NonNegative = 1.2
+    """Of the vehicle's reference point, along body z."""
+    stiffness_npm: Positive = 40_000.0
+    """Of one foot."""
+    damping_spm: NonNegative = 3.0
+    """The spring's force is multiplied by 1 + damping · speed of compression, never below 0 (Hunt and Crossley)."""
+    friction: NonNegative = 0.5
+    """Coulomb's coefficient; below 2 cm/s proportional to the speed."""
+
+
+class Slosh(Part):
+    """Propellant that swings: a point mass on a rod from a hinge, free in both directions."""
+
+    mass_kg: Positive
+    """Part of the dry mass as far as the engine is concerned: it stays."""
+    length_m: Positive
+    """Of the rod; it swings at sqrt(acceleration / length)."""
+    hinge_body_m: Vector3 = (0.0, 0.0, 0.0)
+    """Where it hangs, from the reference point."""
+    damping_per_s: Annotated[float, Field(ge=0, le=100)] = 0.02
+    """Friction with the tank's wall, per mass and speed."""
+
+
+class FlexibleMode(Part):
+    """One bending mode of an appendage, moved by the vehicle's angular acceleration and moving it."""
+
+    frequency_hz: Annotated[float, Field(gt=0, le=50)]
+    """With the vehicle's body held still."""
+    damping_ratio: Annotated[float, Field(ge=0, lt=1)] = 0.005
+    """Of the critical damping."""
+    inertia_share: tuple[Share, Share, Share]
+    """Of the dry vehicle's inertia about body x, y and z that swings with it; their sum below 0.9."""
+
+    @model_validator(mode="after")
+    def _leaves_a_body(self) -> Self:
+        if sum(self.inertia_share) > 0.9:
+            raise unusable("inertia_share", self.inertia_share, "shares with a sum of at most 0.9")
+        return self
+
+
+class Vehicle(Part):
+    """A lander. Its reference point is its centre of mass, without what sloshes."""
+
+    mass_kg: Positive
+    """At the start, with all that sloshes."""
+    dry_mass_kg: Positive
+    """When the tanks are empty: a flight that needs more propellant is refused."""
+    inertia_kgm2: tuple[Positive, Positive, Positive]
+    """About body x, y and z at the start; it shrinks with the mass."""
+    engine: Engine
+    """The main engine."""
+    attitude_control: AttitudeControl = AttitudeControl()
+    """What turns it."""
+    gear: Gear = Gear()
+    """What it stands on."""
+    slosh: Slosh | None = None
+    """Left out: none."""
+    flexible_mode: FlexibleMode | None = None
+    """Left out: rigid."""
+
+    @model_validator(mode="after")
+    def _masses_fit(self) -> Self:
+        if self.dry_mass_kg >= self.mass_kg:
+            raise unusable("dry_mass_kg", self.dry_mass_kg, f"less than {self.mass_kg:g}, mass_kg")
+        if self.slosh is not None and self.slosh.mass_kg > 0.9 * self.dry_mass_kg:
+            allowed = f"at most {0.9 * self.dry_mass_kg:g}, nine tenths of dry_mass_kg"
+            raise unusable("slosh.mass_kg", self.slosh.mass_kg, allowed)
+        return self

@@ -1,0 +1,92 @@
+"""A lander for the tests, and means to look at one that is free of guidance."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lidar_emu.dynamics.actuators import Acting, Lags
+from lidar_emu.dynamics.steps import set_slope, set_stepped
+from lidar_emu.dynamics.vehicle import BEND, BENDING, HANG, SIZE, SWAY, Body, body_of
+from lidar_emu.scenario.trajectory import PoweredDescent
+
+Floats = NDArray[np.float64]
+RIGID: dict[str, Any] = {
+    "mass_kg": 1500,
+    "dry_mass_kg": 900,
+    "inertia_kgm2": [1100, 1300, 900],
+    "engine": {"maximum_thrust_n": 5500},
+}
+SLOSH = {"mass_kg": 120, "length_m": 0.5, "hinge_body_m": [0.1, -0.2, -0.3], "damping_per_s": 0.0}
+MODE = {"frequency_hz": 2.0, "inertia_share": [0.2, 0.1, 0.3], "damping_ratio": 0.0}
+EXHAUST_MPS = 310 * 9.80665
+NONE = (0.0, 0.0, 0.0)
+
+
+def descent(vehicle: dict[str, Any] | None = None, **keys: Any) -> PoweredDescent:
+    tree = {
+        "kind": "powered_descent",
+        "vehicle": RIGID | (vehicle or {}),
+        "start": {"position_site_m": [100, -300, 500], "velocity_site_mps": [0, 15, -20]},
+        "guidance": {"kind": "polynomial"},
+        **keys,
+    }
+    return PoweredDescent.model_validate_json(json.dumps(tree))
+
+
+def body(gravity_mps2: float = 0.0, ground_m: float = -1e9, radius_m: float = np.inf, **vehicle: Any) -> Body:
+    return body_of(descent(vehicle).vehicle, gravity_mps2, radius_m, ground_m)
+
+
+def at_rest(turn: Rotation | None = None) -> Floats:
+    """At the origin, as `turn` (site_from_body) says, the slosh along body z."""
+    state = np.zeros(SIZE)
+    turn = turn or Rotation.identity()
+    state[6:10] = np.roll(turn.as_quat(), 1)
+    state[HANG : HANG + 3] = turn.apply([0, 0, 1])
+    return state
+
+
+def coast(
+    of: Body, state: Floats, duration_s: float, steps: int, thrust_n: float = 0.0, kg: float = 1500.0
+) -> Floats:
+    """States (steps + 1, 21) without control, at constant thrust and mass."""
+    acting, lags = Acting(thrust_n, kg, NONE, thrust_n, NONE), Lags(0.0, 0.0, np.inf)
+    slopes, path = np.empty((4, SIZE)), np.empty((steps + 1, SIZE))
+    path[0] = state
+    for k in range(steps):
+        set_slope(of, lags, acting, 0.0, path[k], slopes[0])
+        set_stepped(of, lags, acting, 0.0, duration_s / steps, path[k], slopes, path[k + 1])
+    return path
+
+
+class Sums(NamedTuple):
+    """Of vehicle, slosh and bending mode together, for each state; no gravity."""
+
+    momentum: Floats
+    angular_momentum: Floats
+    energy: Floats
+
+
+def sums(of: Body, path: Floats, kg: float = 1500.0) -> Sums:
+    """Written anew from the definitions, with scipy's rotations."""
+    turn = Rotation.from_quat(np.roll(path[:, 6:10], -1, axis=1))
+    rate, speed = path[:, 10:13], path[:, BENDING]
+    rigid_kg, coupling = kg - of.slosh_kg, np.array(of.bend_coupling)
+    inertia = np.array(of.inertia_kgm2) * kg / of.start_kg
+    hinge = turn.apply(of.hinge_m)
+    place = path[:, :3] + hinge + of.rod_m * path[:, HANG : HANG + 3]
+    velocity = path[:, 3:6] + turn.apply(np.cross(rate, of.hinge_m)) + path[:, SWAY : SWAY + 3]
+    own = turn.apply(inertia * rate + coupling * speed[:, None])
+    energy = rigid_kg * np.sum(path[:, 3:6] ** 2, axis=1) + of.slosh_kg * np.sum(velocity**2, axis=1)
+    energy += np.sum(inertia * rate**2, axis=1) + 2 * speed * (rate @ coupling)
+    energy += speed**2 + (of.bend_radps * path[:, BEND]) ** 2
+    return Sums(
+        rigid_kg * path[:, 3:6] + of.slosh_kg * velocity,
+        own + rigid_kg * np.cross(path[:, :3], path[:, 3:6]) + of.slosh_kg * np.cross(place, velocity),
+        energy / 2,
+    )

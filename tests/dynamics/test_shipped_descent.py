@@ -1,0 +1,42 @@
+"""The shipped powered descent, from its scenario to its measurements and its plan."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import lidar_emu
+from lidar_emu.flight import Flight
+from lidar_emu.plan import plan_flight
+from lidar_emu.scenario.schema import FlightScenario
+
+
+def scenario(**settings: str) -> FlightScenario:
+    loaded = lidar_emu.load("powered_descent.yaml", settings)
+    assert isinstance(loaded, FlightScenario)
+    return loaded
+
+
+def test_speeds_are_those_of_the_flight_at_each_beams_own_time() -> None:
+    """The closing speed of a beam is the vehicle's velocity along it, read at the beam's validity, between steps."""
+    flown = scenario(level="geometric", duration_s="70")
+    run = lidar_emu.simulate(flown, seed=1)
+    flight = Flight(flown)
+    pointing, _ = flight.point(np.arange(flight.shot_count), flight.scanner.initial)
+    state = flight.trajectory.state(pointing.time_ns[:, 0] * 1e-9)
+    along = np.sum(state.velocity_site_mps[:, None] * pointing.true_site, axis=-1)
+    hit = ~np.isnan(run.true_closing_speed_mps)
+    assert hit.mean() > 0.99
+    np.testing.assert_allclose(run.true_closing_speed_mps[hit], along[hit], atol=1e-9)
+    assert np.ptp(run.true_closing_speed_mps[hit]) > 50
+
+
+def test_plan_tells_of_cut_off_touchdown_and_ground() -> None:
+    flown = scenario(**{"trajectory.guidance": "{kind: gravity_turn}"})
+    flight = Flight(flown)
+    told = next(d for d in plan_flight(flown, flight).decisions if d.stage == "trajectory")
+    assert "cut-off at 75.4" in told.reason
+    assert "with 1.94 m/s" in told.reason
+    end = flight.trajectory.state(np.array([flight.trajectory.duration_s])).position_site_m[0]
+    apart_m = flight.scene.height_m(end[:1], end[1:2])[0]
+    assert abs(apart_m) > 0.02
+    assert f"{apart_m:+.2f} m off" in told.bound

@@ -1,0 +1,174 @@
+"""Measure again the table of docs/flights.md: what a descent's accuracy costs, beside scipy's solvers.
+
+python tools/descent_solvers.py            rewrites the table between the two markers; about three minutes
+python tools/descent_solvers.py --print    prints it
+
+Ten seconds of the shipped powered descent with its slosh and bending mode, control at 100 Hz. The solvers of scipy get
+the same compiled equations of motion with thrust, mass and torque as five states more, and begin anew at every command,
+as they must.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import lidar_emu
+from lidar_emu.arrays import FloatArray
+from lidar_emu.dynamics.actuators import Acting, Lags
+from lidar_emu.dynamics.control import asked_at, throttle, turning_torque
+from lidar_emu.dynamics.descent import Descent, prepare, solve
+from lidar_emu.dynamics.motion import gravity_at, inertia_at, set_derivative
+from lidar_emu.dynamics.steps import Mesh
+from lidar_emu.dynamics.vectors import vector_at
+from lidar_emu.dynamics.vehicle import POSITION, SIZE, VELOCITY, Body
+from lidar_emu.kernels import kernel
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "flights.md"
+BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
+FLOWN_S, CONTROL_HZ = 10.0, 100
+VALVE_LAGS_S = (1e-3, 5e-5)
+OWN_FACTORS = (1, 2, 4, 8)
+"""Steps shorter by this than those of the scenario."""
+SOLVERS = (
+    ("RK45", 1e-6),
+    ("RK45", 1e-9),
+    ("DOP853", 1e-9),
+    ("DOP853", 1e-13),
+    ("LSODA", 1e-6),
+    ("LSODA", 1e-9),
+    ("Radau", 1e-6),
+    ("Radau", 1e-9),
+    ("BDF", 1e-6),
+)
+THRUST, MASS, TORQUE = SIZE, SIZE + 1, SIZE + 2
+
+
+class Measured(NamedTuple):
+    """One way to fly it."""
+
+    name: str
+    ms_per_s: float
+    states: FloatArray
+    """(ticks, 21)"""
+
+
+def measure(lag_s: float) -> list[tuple[str, float, float, float]]:
+    """Name, ms per simulated second, errors of velocity (m/s) and position (m) at the ticks, of every way."""
+    flight = flown(lag_s)
+    reference = own(flight, 16).states
+    ways = [own(flight, factor) for factor in OWN_FACTORS] + [scipys(flight, *solver) for solver in SOLVERS]
+    return [(way.name, way.ms_per_s, *errors(way.states, reference)) for way in ways]
+
+
+def flown(lag_s: float) -> Descent:
+    settings = {
+        "trajectory.control_rate_hz": str(CONTROL_HZ),
+        "trajectory.vehicle.engine.valve_lag_s": str(lag_s),
+        "trajectory.longest_s": str(FLOWN_S),
+    }
+    scenario: Any = lidar_emu.load("powered_descent.yaml", settings)
+    return prepare(scenario.trajectory, scenario.site.body.radius_m)
+
+
+def own(flight: Descent, factor: float) -> Measured:
+    first, growth, longest, standing = flight.mesh
+    mesh = Mesh(first / factor, growth / factor, longest / factor, standing / factor)
+    record, taken_s = timed(lambda: solve(flight._replace(mesh=mesh))[1], 5)
+    ticks = np.arange(1, round(FLOWN_S * CONTROL_HZ) + 1) / CONTROL_HZ
+    places = np.searchsorted(record.time_s, ticks - 1e-9)
+    name = f"lidar-emu, steps up to {1e3 * longest / factor:g} ms"
+    return Measured(name, 1e3 * taken_s / FLOWN_S, record.state[places])
+
+
+@kernel(outermost=True)
+def set_slope_with_lags(
+    body: Body, lags: Lags, acting: Acting, y: FloatArray, state: FloatArray, slope: FloatArray
+) -> None:
+    """Of the states with thrust, mass and torque; `state` is room for the first 21."""
+    for i in range(SIZE):
+        state[i] = y[i]
+    set_derivative(body, y[MASS], y[THRUST], vector_at(y, TORQUE), state, slope)
+    slope[THRUST] = (acting.thrust_command_n - y[THRUST]) / lags.valve_s
+    slope[MASS] = -y[THRUST] / lags.exhaust_mps
+    for i in range(3):
+        slope[TORQUE + i] = (acting.torque_command_nm[i] - y[TORQUE + i]) / lags.torque_s
+
+
+def scipys(flight: Descent, method: str, tolerance: float) -> Measured:
+    states, taken_s = timed(lambda: begun_anew(flight, method, tolerance), 1)
+    name = f"scipy {method}, rtol {tolerance:.0e}"
+    return Measured(name, 1e3 * taken_s / FLOWN_S, states)
+
+
+def begun_anew(flight: Descent, method: str, tolerance: float) -> FloatArray:
+    body, lags, guide, acting = flight.body, flight.lags, flight.guide, flight.acting
+    y = np.concatenate([flight.state, [acting.thrust_n, acting.mass_kg], acting.torque_nm])
+    states = np.empty((round(FLOWN_S * CONTROL_HZ), SIZE))
+    room = np.empty(SIZE)
+    for tick in range(len(states)):
+        state = y[:SIZE].copy()
+        asked = asked_at(guide, tick / CONTROL_HZ, gravity_at(body, vector_at(state, POSITION)), state)
+        command = Acting(
+            y[THRUST],
+            y[MASS],
+            vector_at(y, TORQUE),
+            throttle(guide, y[MASS], asked, state),
+            turning_torque(guide, inertia_at(body, y[MASS]), asked, state),
+        )
+
+        def slope(_time_s: float, y: FloatArray, command: Acting = command) -> FloatArray:
+            out = np.empty(len(y))
+            set_slope_with_lags(body, lags, command, y, room, out)
+            return out
+
+        span = tick / CONTROL_HZ, (tick + 1) / CONTROL_HZ
+        y = np.ascontiguousarray(
+            solve_ivp(slope, span, y, method=method, rtol=tolerance, atol=tolerance / 10).y[:, -1]
+        )
+        states[tick] = y[:SIZE]
+    return states
+
+
+def timed(job: Callable[[], Any], rounds: int) -> tuple[Any, float]:
+    """What it returns, and the median of its times; what has to be compiled is compiled before."""
+    times = []
+    for _ in range(rounds):
+        start_s = perf_counter()
+        result = job()
+        times.append(perf_counter() - start_s)
+    return result, float(np.median(times))
+
+
+def errors(states: FloatArray, reference: FloatArray) -> tuple[float, float]:
+    apart = np.abs(states - reference)
+    return float(apart[:, VELOCITY : VELOCITY + 3].max()), float(apart[:, POSITION : POSITION + 3].max())
+
+
+def table() -> str:
+    own(flown(1e-3), 1)
+    begun_anew(flown(1e-3), "RK45", 1e-3)
+    lines = [
+        "| | valve 1 ms: ms per s | velocity m/s | position m | valve 0.05 ms: ms per s | velocity m/s | position m |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for soft, stiff in zip(*(measure(lag_s) for lag_s in VALVE_LAGS_S), strict=True):
+        cells = [f"{ms:.3g} | {speed:.0e} | {place:.0e}" for _, ms, speed, place in (soft, stiff)]
+        lines.append(f"| {soft[0]} | {cells[0]} | {cells[1]} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    measured = table()
+    if sys.argv[1:] == ["--print"]:
+        print(measured)
+    else:
+        page = PAGE.read_text()
+        before, after = page.split(BEGIN)[0], page.split(END)[1]
+        PAGE.write_text(f"{before}{BEGIN}\n{measured}\n{END}{after}")
