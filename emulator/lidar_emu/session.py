@@ -131,6 +131,26 @@ class Session:
             unnumbered=unnumbered,
         )
 
+    def use_faults(
+        self, model: Model, faulty: FaultyPackets | None, events: tuple[Event, ...] | None = None
+    ) -> None:
+        """From the next shot on, have the faults of these: those that there were, and more after them.
+
+        What repeats something from before it, such as a value that is stuck, knows of no shot before this one.
+
+        Args:
+            model: with faults.
+            faulty: with faults.
+            events: that are done to the device, by faults too; None: as before.
+        """
+        if events is not None:
+            self.rules = replace(self.rules, events=events)
+            self.use_device(self.device)
+        self._model, self._faulty = model, faulty
+        held = () if model.faults is None else model.faults.resumed(self._state.model.faults)
+        wire = None if faulty is None else faulty.resumed(self._state.wire)
+        self._state = self._state._replace(model=self._state.model._replace(faults=held), wire=wire)
+
     def shoot(self, most: int, fired: bool = True) -> Block | None:
         """The next shots, at most so many; None after the last. Packets do not depend on how they are grouped.
 
@@ -153,7 +173,8 @@ class Session:
 
     def rehearse(self) -> None:
         """Compute the next shot and forget it: what that takes is then at hand in the processor's caches."""
-        kept = self.next_shot, self._state, self._before.copy()
+        kept = self.next_shot, self._state, self._before
+        self._before = deque()
         self.shoot(1)
         self.next_shot, self._state, self._before = kept
 
@@ -209,26 +230,6 @@ class Session:
         self.next_shot += count
         self._state = _State(model, state.conduct, state.unnumbered + silent * count, settling, wire)
         return Block(measurement, packets, due_ns, tuple(injected), silent)
-
-    def use_faults(
-        self, model: Model, faulty: FaultyPackets | None, events: tuple[Event, ...] | None = None
-    ) -> None:
-        """From the next shot on, have the faults of these: those that there were, and more after them.
-
-        What repeats something from before it, such as a value that is stuck, knows of no shot before this one.
-
-        Args:
-            model: with faults.
-            faulty: with faults.
-            events: that are done to the device, by faults too; None: as before.
-        """
-        if events is not None:
-            self.rules = replace(self.rules, events=events)
-            self.use_device(self.device)
-        self._model, self._faulty = model, faulty
-        held = () if model.faults is None else model.faults.resumed(self._state.model.faults)
-        wire = None if faulty is None else faulty.resumed(self._state.wire)
-        self._state = self._state._replace(model=self._state.model._replace(faults=held), wire=wire)
 
     def _catch_up(self, shot: int) -> None:
         """From the beginning of the block, which stays kept, to a shot in it."""

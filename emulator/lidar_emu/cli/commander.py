@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from lidar_emu.cli.far_end import Decoder, told_at_s
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.transports.frames import Frame, pack_frames
 from lidar_emu.transports.host import ByteHost, CanHost
-from lidar_protocol import Acknowledge, CanReceiver, Host, Interface, Received, SerialReceiver
+from lidar_protocol import Acknowledge, Host, Interface
 from lidar_protocol.commands import Argument
 
 _READ_S = 0.05
@@ -38,11 +39,11 @@ class Commander:
     def __init__(self, host: ByteHost | CanHost, interface: Interface, unit: int, timeout_s: float) -> None:
         self._host, self._unit, self._timeout_s = host, unit, timeout_s
         self._voice = Host(interface, unit)
-        self._serial = SerialReceiver(interface)
-        self._can = CanReceiver(interface) if isinstance(host, CanHost) else None
+        self._decoder = Decoder(interface)
+        self._is_can = isinstance(host, CanHost)
         self._clock = Clock()
         can_acknowledge = interface.can.acknowledge if interface.can else None
-        self._is_answered = bool(interface.acknowledge if self._can is None else can_acknowledge)
+        self._is_answered = bool(can_acknowledge if self._is_can else interface.acknowledge)
         assert interface.commands is not None
         self._steps = interface.commands.sequence_steps
         self._can_begin_anew = "no_op" in interface.commands.by_name
@@ -76,28 +77,17 @@ class Commander:
         while self._clock.now_ns() < ends_ns:
             if is_out and not self._is_answered:
                 return Reply(SENT)
-            for message in self._received():
+            for message in self._decoder.receive(self._host.read(_READ_S)):
                 if isinstance(message, Acknowledge) and self._is_for(message, name, sequence):
-                    return _reply(message)
+                    return Reply(message.verdict, told_at_s(message))
             is_out = is_out or self._host.write(payload)
         return Reply(UNANSWERED)
 
     def _encoded(self, name: str, values: Mapping[str, Argument]) -> bytes:
-        if self._can is None:
+        if not self._is_can:
             return self._voice.encode_command(name, **values)
         frame = self._voice.encode_command_frame(name, **values)
         return pack_frames([Frame(frame.can_id, frame.data)])
-
-    def _received(self) -> list[Received]:
-        if self._can is None:
-            assert isinstance(self._host, ByteHost)
-            return self._serial.receive(self._host.read(_READ_S))
-        assert isinstance(self._host, CanHost)
-        return [
-            message
-            for frame in self._host.read(_READ_S)
-            for message in self._can.receive(frame.can_id, frame.data, frame.is_fd)
-        ]
 
     def _is_for(self, message: Acknowledge, name: str, sequence: int) -> bool:
         """Some interfaces do not say to which command they answer."""
@@ -106,8 +96,3 @@ class Commander:
             and message.sequence in (sequence, None)
             and message.command in (name, None)
         )
-
-
-def _reply(message: Acknowledge) -> Reply:
-    time_ns, time_s = message.values.get("time_ns"), message.values.get("time_s")
-    return Reply(message.verdict, time_s if time_ns is None else time_ns * 1e-9)

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from lidar_emu.cli.far_end import told_at_s
 from lidar_protocol import Acknowledge, Housekeeping, Interface
 from lidar_protocol.fields import Counter, Field, Flag, Value
 
@@ -70,7 +71,5 @@ class DeviceLines:
 
 
 def _begin(message: Acknowledge | Housekeeping) -> str:
-    time_ns, time_s = message.values.get("time_ns"), message.values.get("time_s")
-    if time_ns is not None:
-        time_s = time_ns * 1e-9
+    time_s = told_at_s(message)
     return f"{'-' if time_s is None else f'{time_s:.3f}':>9} s  unit {message.unit}"

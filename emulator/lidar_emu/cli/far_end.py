@@ -60,6 +60,12 @@ class Decoder:
         return {**asdict(counters), **kinds}
 
 
+def told_at_s(message: Acknowledge | Housekeeping) -> float | None:
+    """When it was said, by the device's clock; None where the interface does not say."""
+    time_ns, time_s = message.values.get("time_ns"), message.values.get("time_s")
+    return time_s if time_ns is None else time_ns * 1e-9
+
+
 def json_lines(message: Message) -> Iterable[str]:
     """One JSON object per beam."""
     return (json.dumps(row) for row in rows(message))

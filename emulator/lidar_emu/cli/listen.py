@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from lidar_emu.cli.options import require_port, wire_interface_option
 from lidar_emu.cli.output import say, silence
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import InputError
 from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
@@ -27,9 +28,7 @@ _READ_S = 0.2
     is_flag=True,
     help="A line of JSON per beam, acknowledgement and housekeeping.",
 )
-@click.option(
-    "--wire-interface", metavar="FILE", default="default", help="Message definitions: a name, or FILE.toml."
-)
+@wire_interface_option
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N shots.")
 def listen(port: PortSpec, as_json: bool, wire_interface: str, count: int | None) -> None:
     """Decode what arrives, and count gaps and bad bytes.
@@ -53,10 +52,7 @@ def listen(port: PortSpec, as_json: bool, wire_interface: str, count: int | None
     interface = interface_named(wire_interface, "--wire-interface")
     if port.kind is Kind.CAN and interface.can is None:
         raise InputError("--wire-interface", None, wire_interface, "allowed: one with messages on CAN")
-    if port.kind is Kind.LOOPBACK:
-        raise InputError(
-            "listen", None, Finding("no port"), "allowed: --port PORT, or --interface and --channel"
-        )
+    require_port(port, "listen")
     # A listener is also ended by `timeout` and by a terminal that closes: its counts are told all the same.
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)

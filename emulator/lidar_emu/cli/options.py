@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
     from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+    from lidar_emu.transports.spec import PortSpec
 
 Command = Callable[..., Any]
 
@@ -22,6 +23,9 @@ settings_option = click.option(
     metavar="KEY=VALUE",
     multiple=True,
     help="Replace a key of the scenario, e.g. timing.rate_hz=100 (repeatable).",
+)
+wire_interface_option = click.option(
+    "--wire-interface", metavar="FILE", default="default", help="Message definitions: a name, or FILE.toml."
 )
 _SCENARIO_OPTIONS = (
     scenario_argument,
@@ -37,6 +41,19 @@ def scenario_options(command: Command) -> Command:
     for option in reversed(_SCENARIO_OPTIONS):
         command = option(command)
     return command
+
+
+def require_port(port: PortSpec, command: str) -> None:
+    """Refuse the loopback to a command that needs another program at the other end.
+
+    Raises:
+        InputError: no port was named.
+    """
+    from lidar_emu.transports.spec import Kind
+
+    if port.kind is Kind.LOOPBACK:
+        allowed = "allowed: --port PORT, or --interface and --channel"
+        raise InputError(command, None, Finding("no port"), allowed)
 
 
 def load_scenario(

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import as_number
+from lidar_emu.cli.options import as_number, require_port, wire_interface_option
 from lidar_emu.cli.output import say
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import InputError
 from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
@@ -25,9 +25,7 @@ _Order = tuple[str, dict[str, "Argument"]]
 @click.command(short_help="Command the device at the other end of the line.")
 @port_options
 @click.option("--unit", type=click.IntRange(min=0), metavar="N", default=0, help="Of several on one bus.")
-@click.option(
-    "--wire-interface", metavar="FILE", default="default", help="Message definitions: a name, or FILE.toml."
-)
+@wire_interface_option
 @click.option("--timeout", metavar="S", default="2", show_default=True, help="How long an answer may take.")
 @click.option(
     "--sequence", type=int, metavar="N", help="Number of the first command; else a no_op agrees on one."
@@ -62,10 +60,7 @@ def send(
 
     timeout_s = as_number("--timeout", timeout)
     interface = interface_named(wire_interface, "--wire-interface")
-    if port.kind is Kind.LOOPBACK:
-        raise InputError(
-            "send", None, Finding("no port"), "allowed: --port PORT, or --interface and --channel"
-        )
+    require_port(port, "send")
     orders = _orders(words, _commands(interface, wire_interface, port.kind is Kind.CAN))
     _check(interface, unit, sequence or 0, orders)
     host = open_host(port)
@@ -99,8 +94,11 @@ def _tell(name: str, values: dict[str, Argument], reply: Reply, as_json: bool) -
         say(json.dumps({"command": name, "values": values, "verdict": reply.verdict, "time_s": reply.time_s}))
         return
     at = "" if reply.time_s is None else f" at {reply.time_s:.3f} s"
-    said = " ".join([name, *(f"{key}={value}" for key, value in values.items())])
-    say(f"{said}: {reply.verdict.replace('_', ' ')}{at}")
+    say(f"{_said(name, values)}: {reply.verdict.replace('_', ' ')}{at}")
+
+
+def _said(name: str, values: dict[str, Argument]) -> str:
+    return " ".join([name, *(f"{key}={value}" for key, value in values.items())])
 
 
 def _commands(interface: Interface, where: str, can: bool) -> Commands:
@@ -148,5 +146,4 @@ def _check(interface: Interface, unit: int, sequence: int, orders: list[_Order])
         try:
             Host(interface, unit).encode_command(name, **{**values, "sequence": sequence})
         except EncodeError as error:
-            said = " ".join([name, *(f"{key}={value}" for key, value in values.items())])
-            raise InputError("send", None, said, str(error)) from None
+            raise InputError("send", None, _said(name, values), str(error)) from None

@@ -32,7 +32,7 @@ class Fate(IntEnum):
     SUPERSEDED = 5
     """Never sent: a command has changed the shot, and another packet takes its place."""
     WITHHELD = 6
-    """Nothing was to be sent: a fault that the scenario orders has taken the packet away."""
+    """Nothing was to be sent: the device sends none, or a fault that was ordered has taken the packet away."""
 
 
 class LinkLostError(Exception):

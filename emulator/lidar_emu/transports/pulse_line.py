@@ -12,7 +12,8 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 
-_BITS = {"cd": termios.TIOCM_CD, "cts": termios.TIOCM_CTS, "dsr": termios.TIOCM_DSR}
+MODEM_LINES = {"cts": termios.TIOCM_CTS, "dsr": termios.TIOCM_DSR, "cd": termios.TIOCM_CD}
+"""Those that come in, with their bits."""
 
 
 class PulseLine:
@@ -49,12 +50,12 @@ class PulseLine:
             fcntl.flock(self._port, fcntl.LOCK_UN)
 
     def _watch(self) -> None:
-        bit = _BITS[self._line]
+        bit = MODEM_LINES[self._line]
         try:
             while not self._closed:
                 fcntl.ioctl(self._terminal, termios.TIOCMIWAIT, bit)
                 edge_ns = self._now_ns()
-                if _lines_of(self._terminal) & bit:
+                if modem_bits(self._terminal) & bit:
                     self.last_ns = edge_ns
         except OSError as error:
             self._failure = [f"no pulses from line {self._line}: {error.strerror}"]
@@ -62,7 +63,12 @@ class PulseLine:
             os.close(self._terminal)
 
 
-def _lines_of(terminal: int) -> int:
+def modem_bits(terminal: int) -> int:
+    """The state of all modem lines.
+
+    Raises:
+        OSError: the port has none.
+    """
     state = bytearray(4)
     fcntl.ioctl(terminal, termios.TIOCMGET, state)
     return int.from_bytes(state, "little")

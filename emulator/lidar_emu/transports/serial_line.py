@@ -15,12 +15,11 @@ from typing import Any
 
 from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.link import NOTHING, Extras, Noticed
-from lidar_emu.transports.pulse_line import PulseLine
+from lidar_emu.transports.pulse_line import MODEM_LINES, PulseLine, modem_bits
 from lidar_emu.transports.spec import PortSpec
 from lidar_emu.transports.tty_reader import TtyReader
 
 _TCGETS2, _TCSETS2, _SETTINGS_BYTES = 0x802C542A, 0x402C542B, 44
-_LINES = {"CTS": termios.TIOCM_CTS, "DSR": termios.TIOCM_DSR, "CD": termios.TIOCM_CD}
 _NAMED_AT_MOST = 3
 _REMEDIES = {"low_latency": "a serial driver that has it", "rs485": "a serial driver that has it"}
 
@@ -90,15 +89,12 @@ def ask_driver(port: Any, spec: PortSpec) -> Extras:
 
 def modem_lines(descriptor: int) -> list[str]:
     """A line of text on the modem lines that come in; none where the port has none."""
-    state = bytearray(4)
     try:
-        fcntl.ioctl(descriptor, termios.TIOCMGET, state)
+        bits = modem_bits(descriptor)
     except OSError:
         return []
-    bits = int.from_bytes(state, "little")
-    return [
-        "modem lines: " + ", ".join(f"{name} {'on' if bits & bit else 'off'}" for name, bit in _LINES.items())
-    ]
+    states = (f"{name.upper()} {'on' if bits & bit else 'off'}" for name, bit in MODEM_LINES.items())
+    return ["modem lines: " + ", ".join(states)]
 
 
 def users_of(path: str) -> str:
