@@ -85,13 +85,12 @@ class Light:
         self._swing_radps = np.empty(3)
         self._room = _Room.of((0, 0), beamlets)
 
-    def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
-        """Echoes of beams (shots, beams) whose axes met the ground at `axis_hits`. They hold until the next ones."""
-        shots, beams = axis_hits.range_m.shape
+    def beamlet_hits(self, pointing: Pointing, axis_hits: Hits) -> Hits:
+        """Where the beamlets meet the ground, (rays,), one beam after another. They hold until the next ones."""
+        if self._room.echoes.fired.shape != axis_hits.range_m.shape:
+            shots, beams = axis_hits.range_m.shape
+            self._room = _Room.of((shots, beams), self._beamlets)
         room = self._room
-        if room.echoes.fired.shape != (shots, beams):
-            self._room = room = _Room.of((shots, beams), self._beamlets)
-        footprint, echoes = room.footprint, room.echoes
         sample_footprint(
             pointing.sensor_site_m.reshape(-1, 3),
             pointing.true_site.reshape(-1, 3),
@@ -99,7 +98,7 @@ class Light:
             self._beamlets,
             self._waist_m,
             self._wavelength_m,
-            footprint,
+            room.footprint,
         )
         if self._beamlets == 1:
             room.hits.range_m[:], room.hits.normal_site[:] = (
@@ -107,7 +106,13 @@ class Light:
                 axis_hits.normal_site.reshape(-1, 3),
             )
         else:
-            self._flight.scene.cast(room.starts_site_m, room.rays_site, room.hits)
+            self._flight.set_beamlet_hits(pointing, room.starts_site_m, room.rays_site, room.hits)
+        return room.hits
+
+    def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
+        """Echoes of beams (shots, beams) whose axes met the ground at `axis_hits`. They hold until the next ones."""
+        hits = self.beamlet_hits(pointing, axis_hits)
+        footprint, echoes = self._room.footprint, self._room.echoes
         echoes.fired[:], echoes.inside[:] = pointing.fired, axis_hits.inside
         _receive(
             *self._law,
@@ -119,7 +124,7 @@ class Light:
             footprint.doppler_site,
             footprint.across_site,
             footprint.doppler_start_m,
-            room.hits.normal_site,
+            hits.normal_site,
             self._swing_radps,
             echoes.range_m,
             echoes.closing_speed_mps,
