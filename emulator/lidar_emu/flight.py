@@ -26,7 +26,7 @@ from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotati
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
 from lidar_emu.scenario.site import Grid
 from lidar_emu.scene.build import build_scene
-from lidar_emu.scene.hits import Hits, Scene
+from lidar_emu.scene.hits import Hits, MovingScene, Scene
 from lidar_emu.trajectory.build import build_trajectory
 from lidar_emu.trajectory.state import Trajectory, VehicleState
 
@@ -144,6 +144,15 @@ class Flight:
         """What the beams hit."""
         return build_scene(self.scenario.site)
 
+    @cached_property
+    def _moving_scene(self) -> MovingScene | None:
+        return self.scene if isinstance(self.scene, MovingScene) else None
+
+    @property
+    def has_moving_things(self) -> bool:
+        """Whether hits tell of velocities."""
+        return self._moving_scene is not None
+
     def due_ns(self, shot: _Shot) -> _Shot:
         """When the packets of shots are due, from the start."""
         return shot * self.period_ns + self._latency_ns
@@ -183,23 +192,35 @@ class Flight:
         begins_s = _seconds(shot * self.period_ns)
         return self._choose_patterns(begins_s[:, None], self.trajectory.state(begins_s), state)[0]
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact with the ground of rays in any arrangement: arrays (..., 3), hits shaped (...)."""
-        shape = direction_site.shape
-        hits = self.scene.cast(origin_site_m.reshape(-1, 3), direction_site.reshape(-1, 3))
-        return Hits(
-            hits.range_m.reshape(shape[:-1]), hits.normal_site.reshape(shape), hits.inside.reshape(shape[:-1])
+    def cast(self, pointing: Pointing) -> Hits:
+        """First contact of the beams' axes with the scene: hits shaped (shots, beams)."""
+        hits = self._cast_rays(
+            pointing.time_ns, pointing.sensor_site_m.reshape(-1, 3), pointing.true_site.reshape(-1, 3)
         )
+        return hits.shaped(pointing.time_ns.shape)
 
-    def axis_hits(self, pointing: Pointing) -> Hits:
-        """Where the axes of beams (shots, beams) meet the ground."""
-        return self.cast(pointing.sensor_site_m, pointing.true_site)
+    def _cast_rays(
+        self,
+        time_ns: IntArray,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+    ) -> Hits:
+        """First contact of n rays with the scene.
 
-    def set_beamlet_hits(
-        self, _pointing: Pointing, start_site_m: FloatArray, ray_site: FloatArray, hits: Hits
-    ) -> None:
-        """Fill `hits` (rays,) of the beamlets that these beams consist of, given as rays (rays, 3)."""
-        self.scene.cast(start_site_m, ray_site, hits)
+        Args:
+            time_ns: of m elements, each the time of the next n / m rays.
+            origin_site_m, direction_site, hits: as of `Scene.cast`.
+        """
+        if self._moving_scene is None:
+            return self.scene.cast(origin_site_m, direction_site, hits)
+        return self._moving_scene.cast_at(time_ns.reshape(-1), origin_site_m, direction_site, hits)
+
+    def cast_beamlets(
+        self, pointing: Pointing, start_site_m: FloatArray, ray_site: FloatArray, hits: Hits
+    ) -> Hits:
+        """First contact of the beamlets of these beams, rays (n, 3), one beam after another; `hits` are filled."""
+        return self._cast_rays(pointing.time_ns, start_site_m, ray_site, hits)
 
     def _choose_patterns(
         self, instant_s: FloatArray, vehicle: VehicleState, state: ScannerState

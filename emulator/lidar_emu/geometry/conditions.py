@@ -10,8 +10,8 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.faults import Misalignment
 from lidar_emu.scenario.schema import FlightScenario
 
-_OF_LIGHT = {"name", "surface", "atmosphere", "sunlight_w_per_m2_um"}
-"""Keys of a site that are none of its geometry."""
+_OF_LIGHT = ("name", "surface.lommel_seeliger_share", "atmosphere", "sunlight_w_per_m2_um")
+"""What of a site is none of its geometry. Reflectance is: it belongs to the places that are hit."""
 
 _ABSENT = "nothing"
 
@@ -37,12 +37,13 @@ def conditions(scenario: FlightScenario) -> dict[str, Any]:
         "scanner": tree["scanner"],
         "mounting": tree["mounting"],
         "trajectory": tree["trajectory"],
-        "site": {key: value for key, value in tree["site"].items() if key not in _OF_LIGHT},
+        "site": tree["site"],
         "faults": {str(place): fault.model_dump(mode="json") for place, fault in tilts.items()},
     }
     if any(fault.probability < 1 for fault in tilts.values()):
         parts["seed"] = scenario.seed  # which says when they act
-    return dict(_leaves(parts))
+    of_light = tuple(f"site.{key}" for key in _OF_LIGHT)
+    return {key: value for key, value in _leaves(parts) if not key.startswith(of_light)}
 
 
 def require_same(scenario: FlightScenario, recorded: dict[str, Any], file: str) -> None:

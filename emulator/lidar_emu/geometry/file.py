@@ -8,11 +8,13 @@ table of contents comes last, so that a file that was cut is known as such.
 from __future__ import annotations
 
 import json
+import weakref
 import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from math import prod
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -40,6 +42,8 @@ class About:
     beams: int
     beamlets: int
     """Rays of each beam whose hits are there; 1: the axis alone."""
+    moving: bool
+    """Whether hits tell of velocities."""
     name: str
     """Of the scenario that was flown."""
     conditions: dict[str, Any]
@@ -60,7 +64,7 @@ class GeometryWriter:
         """The next `BLOCK_SHOTS` shots, or what is left; `beamlet_hits` (rays,) of a single beamlet are left out."""
         parts: dict[str, Pointing | Hits] = {"pointing": pointing, "axis": axis_hits}
         if self._about.beamlets > 1:
-            parts["beamlets"] = shaped(beamlet_hits, (*axis_hits.range_m.shape, self._about.beamlets))
+            parts["beamlets"] = beamlet_hits.shaped((*axis_hits.range_m.shape, self._about.beamlets))
         for part, arrays in parts.items():
             for field, array in arrays._asdict().items():
                 self._write(f"{self._blocks}.{part}.{field}", array)
@@ -87,7 +91,9 @@ class GeometryFile:
         if not path.is_file():
             raise InputError(str(path), None, Finding("no such file"), "allowed: what --geometry-out wrote")
         with self._readable():
-            self._archive: Any = np.load(path, allow_pickle=False)
+            stream = path.open("rb")
+            weakref.finalize(self, stream.close)
+            self._archive: Any = np.load(stream, allow_pickle=False)
             told = json.loads(str(self._archive[_ABOUT]))
             if told["format"] != FORMAT:
                 raise ValueError(told["format"])
@@ -119,7 +125,7 @@ class GeometryFile:
         for number in np.unique(shot // self._block_shots).tolist():
             block = self._block(part, number)
             rows = shot[shot // self._block_shots == number] - number * self._block_shots
-            pieces.append([np.take(a, rows, _SHOTS_AXIS.get(f, 0)) for f, a in block._asdict().items()])
+            pieces.append([_taken(field, array, rows) for field, array in block._asdict().items()])
         joined = zip(block._fields, zip(*pieces, strict=True), strict=True)
         return type(block)(*(np.concatenate(each, _SHOTS_AXIS.get(field, 0)) for field, each in joined))
 
@@ -145,7 +151,7 @@ class GeometryFile:
             return Pointing.unfilled(shot, about.beams)
         each = (about.beamlets,) if part == "beamlets" else ()
         shape = (len(shot), about.beams, *each)
-        return shaped(Hits.empty(int(np.prod(shape))), shape)
+        return Hits.empty(prod(shape), about.moving).shaped(shape)
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
@@ -157,7 +163,6 @@ class GeometryFile:
             raise InputError(str(self.path), None, found, allowed) from None
 
 
-def shaped(hits: Hits, shape: tuple[int, ...]) -> Hits:
-    """Hits of (rays,) arranged as (*shape,)."""
-    arranged: Any = (values.reshape(*shape, *values.shape[1:]) for values in hits)
-    return Hits(*arranged)
+def _taken(field: str, array: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
+    """Some of the shots of a field; of one that is left empty nothing."""
+    return np.take(array, rows, _SHOTS_AXIS.get(field, 0)) if array.size else array

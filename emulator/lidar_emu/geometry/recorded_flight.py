@@ -35,6 +35,11 @@ class RecordedFlight(Flight):
             raise InputError(scenario.name, "instrument.optics.beamlets", asked, allowed)
         super().__init__(scenario)
 
+    @property
+    def has_moving_things(self) -> bool:
+        """See `Flight`."""
+        return self.file.about.moving
+
     def point(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
         """See `Flight`; with the misalignment that faults had when it was recorded."""
         return self.file.pointing(shot), state
@@ -43,16 +48,17 @@ class RecordedFlight(Flight):
         """See `Flight`."""
         return self.file.pointing(shot).pattern
 
-    def axis_hits(self, pointing: Pointing) -> Hits:
+    def cast(self, pointing: Pointing) -> Hits:
         """See `Flight`."""
         return self.file.axis_hits(pointing.shot)
 
-    def set_beamlet_hits(
+    def cast_beamlets(
         self, pointing: Pointing, _start_site_m: FloatArray, _ray_site: FloatArray, hits: Hits
-    ) -> None:
+    ) -> Hits:
         """See `Flight`."""
         for values, recorded in zip(hits, self.file.beamlet_hits(pointing.shot), strict=True):
             values[:] = recorded.reshape(values.shape)
+        return hits
 
     def _count_shots(self) -> int:
         shots, duration_s = self.file.about.shots, self.scenario.duration_s

@@ -30,7 +30,14 @@ def record_geometry(scenario: FlightScenario, path: Path) -> About:
     require_known_flight(scenario)
     model, beamlets = FlightModel(scenario), scenario.instrument.optics.beamlets
     flight = model.flight
-    about = About(flight.shot_count, model.beam_count, beamlets, scenario.name, conditions(scenario))
+    about = About(
+        shots=flight.shot_count,
+        beams=model.beam_count,
+        beamlets=beamlets,
+        moving=flight.has_moving_things,
+        name=scenario.name,
+        conditions=conditions(scenario),
+    )
     light = Light(scenario.instrument, scenario.site, flight, beamlets)
     state = model.initial_state
     with whole_file(path) as file:
@@ -38,7 +45,7 @@ def record_geometry(scenario: FlightScenario, path: Path) -> About:
         for first in range(0, flight.shot_count, BLOCK_SHOTS):
             shot = np.arange(first, min(first + BLOCK_SHOTS, flight.shot_count), dtype=np.int64)
             pointing, state = model.aim(shot, state)
-            axis_hits = flight.axis_hits(pointing)
+            axis_hits = flight.cast(pointing)
             writer.add(pointing, axis_hits, light.beamlet_hits(pointing, axis_hits))
         writer.close()
     return about
