@@ -97,6 +97,9 @@ class Outbox:
             for observer in self._observers:
                 observer.report(packet, report)
             self._met_fate(block, row)
+        for event in self._port.link_events():
+            for observer in self._observers:
+                observer.link_noticed(event.time_ns, event.text)
         if data := self._port.far_end():
             for observer in self._observers:
                 observer.arrived(data)
