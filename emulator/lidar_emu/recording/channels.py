@@ -112,6 +112,7 @@ FATE = Channel(
             "When the link had taken it, from the start of the run; null: it did not.",
         ),
         "fate": (_TEXT, "sent, late, dropped_full, dropped_nobody, dropped_broken or withheld."),
+        "overtaken": (_FLAG, "It went out before the device knew of a command that the shot follows."),
     },
 )
 HOUSEKEEPING = Channel("/housekeeping", "What the device told of itself, as /packet.")

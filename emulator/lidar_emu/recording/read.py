@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
@@ -48,6 +48,7 @@ class Said(NamedTuple):
 class Told(NamedTuple):
     """A JSON message."""
 
+    topic: str
     time_ns: int
     """Scenario time, negative before it began."""
     values: dict[str, Any]
@@ -65,6 +66,8 @@ class Packets:
     """When the link had taken it, from the start of the run; -1 if it did not."""
     fate: NDArray[np.int8]
     """A `Fate` each."""
+    overtaken: NDArray[np.bool_]
+    """Which went out before the device knew of a command that their shots follow."""
     payload: list[bytes]
     """As on the link, on CAN as frame records; empty where it was withheld, or too late to be computed."""
 
@@ -146,7 +149,7 @@ class Recording:
     def packets(self) -> Packets:
         """All packets that were due."""
         payloads: list[bytes] = []
-        rows: list[tuple[int, int, int, int]] = []
+        rows: list[tuple[int, int, int, int, int]] = []
         payload = b""
         for topic, _, data in self._file.messages(channels.PACKET.topic, channels.FATE.topic):
             if topic == channels.PACKET.topic:
@@ -154,29 +157,32 @@ class Recording:
                 continue
             told = self._values(data)
             sent_ns = -1 if told["sent_ns"] is None else told["sent_ns"]
-            rows.append((told["shot"], told["due_ns"], sent_ns, Fate[told["fate"].upper()]))
+            rows.append(
+                (told["shot"], told["due_ns"], sent_ns, Fate[told["fate"].upper()], told["overtaken"])
+            )
             payloads.append(payload)
             payload = b""
-        shot, due_ns, sent_ns, fate = np.array(rows, dtype=np.int64).reshape(-1, 4).T
-        return Packets(shot, due_ns, sent_ns, fate.astype(np.int8), payloads)
+        shot, due_ns, sent_ns, fate, overtaken = np.array(rows, dtype=np.int64).reshape(-1, 5).T
+        return Packets(shot, due_ns, sent_ns, fate.astype(np.int8), overtaken.astype(np.bool_), payloads)
 
     def said(self, channel: Channel) -> list[Said]:
         """Messages of a channel of bytes, such as `channels.HOUSEKEEPING`."""
-        return [Said(time_ns, data) for time_ns, data in self._messages(channel)]
+        messages = self._file.messages(channel.topic)
+        return [Said(instant_ns - self.epoch_ns, data) for _, instant_ns, data in messages]
 
-    def told(self, channel: Channel) -> list[Told]:
-        """Messages of a channel of JSON, such as `channels.COMMAND`."""
-        return [Told(time_ns, self._values(data)) for time_ns, data in self._messages(channel)]
+    def told(self, *of: Channel) -> list[Told]:
+        """Messages of channels of JSON, such as `channels.COMMAND`, in the order in which they were written."""
+        topics = [channel.topic for channel in of]
+        return [
+            Told(topic, instant_ns - self.epoch_ns, self._values(data))
+            for topic, instant_ns, data in self._file.messages(*topics)
+        ]
 
     def _values(self, data: bytes) -> dict[str, Any]:
         try:
             return dict(json.loads(data))
         except (ValueError, TypeError):
             raise InputError(str(self.path), None, Finding("a message that is no JSON"), ALLOWED) from None
-
-    def _messages(self, channel: Channel) -> Iterator[tuple[int, bytes]]:
-        for _, instant_ns, data in self._file.messages(channel.topic):
-            yield instant_ns - self.epoch_ns, data
 
     def _scenario(self) -> FlightScenario | BenchScenario:
         text = self.origin["scenario"]

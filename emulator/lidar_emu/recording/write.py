@@ -62,6 +62,7 @@ class Recorder(Observer):
         self._period_ns = scenario.timing.period_ns
         self._writer: Writer | None = None
         self._numbers: dict[str, int] = {}
+        self._superseded: list[tuple[int, int]] = []
         self._truth_used: dict[int, dict[str, Any]] = {}
         self._early: list[tuple[Channel, int, bytes, int]] = []
         self._waited_ns = 0
@@ -143,6 +144,10 @@ class Recorder(Observer):
         told = {"fault": number, "first_shot": shot, "order": fault.model_dump(mode="json")}
         self._write(channels.ORDERED_FAULT, shot * self._period_ns, _json(told), shot)
 
+    def superseded(self, generation: int, from_shot: int) -> None:
+        """Know a packet that is sent all the same."""
+        self._superseded.append((generation, from_shot))
+
     def settled(self, block: Block) -> None:
         """Keep truth and measurements, shot by shot."""
         begins_ns = block.measurement.time_ns.min(axis=1).tolist()
@@ -160,11 +165,14 @@ class Recorder(Observer):
 
     def report(self, packet: Outgoing, report: Report) -> None:
         """Keep the packet and its fate."""
+        # Generations only grow: what a packet knows of concerns no later one either.
+        self._superseded = [mark for mark in self._superseded if mark[0] > packet.generation]
         fate = {
             "shot": report.shot,
             "due_ns": report.due_ns,
             "sent_ns": report.sent_ns if report.sent_ns >= 0 else None,
             "fate": report.fate.name.lower(),
+            "overtaken": any(packet.shot >= from_shot for _, from_shot in self._superseded),
         }
         if packet.payload:  # it has none where the shot was too late to be computed
             self._write(channels.PACKET, packet.due_ns, packet.payload, packet.shot)
