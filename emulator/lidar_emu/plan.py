@@ -16,6 +16,7 @@ from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.site import Grid
 from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.terrain_read import lies_flat
 from lidar_emu.spread import spread_bins
 
 ONE_BEAMLET_BELOW_BINS = 0.1
@@ -144,14 +145,17 @@ def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: 
             Decision("ground", True, flight.scene.description, f"a {ground.kind} is a formula", "exact"),
             Decision("grid traversal", False, "-", "the site has no elevation grid", "exact"),
         ]
+    told = Decision("ground", True, flight.scene.description, "the site has an elevation grid", "exact")
+    if isinstance(ground, Grid) and not lies_flat(ground):
+        return [
+            told,
+            Decision("curvature of the grid", True, "by the map's projection", "the file states it", "exact"),
+        ]
     horizontal_m = (pointing.sensor_site_m + hits.range_m[..., None] * pointing.true_site)[..., :2]
     away_m = float(np.sqrt(np.nanmax((horizontal_m**2).sum(axis=-1), initial=0.0)))
     fall_m = away_m**2 / (2 * scenario.site.body.radius_m)
     bound = f"{fall_m:.2g} m of height, {away_m:.0f} m from the origin"
-    return [
-        Decision("ground", True, flight.scene.description, "the site has an elevation grid", "exact"),
-        Decision("curvature of the grid", False, "map plane", "grids are read on their map plane", bound),
-    ]
+    return [told, Decision("curvature of the grid", False, "map plane", "the grid lies flat", bound)]
 
 
 def _air(scenario: FlightScenario) -> Decision:

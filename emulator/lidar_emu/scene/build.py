@@ -11,12 +11,14 @@ from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scene.hits import Scene
 
 if TYPE_CHECKING:
+    from lidar_emu.arrays import FloatArray
+    from lidar_emu.scene.grid import Samples
     from lidar_emu.scene.plane import PlaneGround
     from lidar_emu.scene.sphere import SphereGround
     from lidar_emu.scene.terrain import Terrain
 
-
 BODY_TOLERANCE = 0.01
+"""Maps of one body are drawn on spheres and ellipsoids that differ by up to 0.6 % (Mars)."""
 
 
 def build_scene(part: site.Site) -> Scene:
@@ -72,7 +74,22 @@ def _grid(part: site.Site, ground: site.Grid, terrain: Terrain) -> Scene:
         "sphere": _sphere(part, part.body.radius_m + altitude_m, 0.0),
     }
     description = f"{terrain.description}; beyond: {ground.beyond}"
-    return GridGround(samples, around[ground.beyond], description, altitude_m, part.surface.reflectance)
+    scene = GridGround(samples, around[ground.beyond], description, altitude_m, part.surface.reflectance)
+    return scene if terrain.reflectance is None else _painted(scene, samples, terrain.reflectance)
+
+
+def _painted(scene: Scene, samples: Samples, reflectance: FloatArray) -> Scene:
+    """With the albedo that the file has for the samples."""
+    from lidar_emu.scene.albedo import Albedo, PaintedGround
+
+    albedo = Albedo(
+        share=reflectance[::-1].copy(),
+        west_m=samples.west_m,
+        south_m=samples.south_m,
+        pixel_east_m=samples.pixel_east_m,
+        pixel_north_m=samples.pixel_north_m,
+    )
+    return PaintedGround(scene, albedo)
 
 
 def _check_body(body: site.Body, terrain: Terrain) -> None:
