@@ -43,6 +43,8 @@ class Pointing(NamedTuple):
     pattern: NDArray[np.int64]
     """(shots,) Which pattern of beams the shot uses."""
     time_ns: NDArray[np.int64]
+    in_gap: BoolArray
+    """Where the vehicle is follows there from a bridge over a gap of its table."""
     fired: BoolArray
     angle_deg: FloatArray
     beams: FloatArray
@@ -58,6 +60,7 @@ class Pointing(NamedTuple):
             shot=shot,
             pattern=np.empty(len(shot), dtype=np.int64),
             time_ns=np.empty(shape, dtype=np.int64),
+            in_gap=np.zeros(shape, dtype=np.bool_),
             fired=np.empty(shape, dtype=np.bool_),
             angle_deg=np.empty(shape),
             beams=np.empty((6, *shape, 3)),
@@ -169,6 +172,9 @@ class Flight:
         set_times(shot, self.period_ns, self._validity_ns, pointing.time_ns, instant_s)
         vehicle = self.trajectory.state(instant_s.reshape(-1))
         pointing.pattern[:], state = self._choose_patterns(instant_s, vehicle, state)
+        for gap in self.trajectory.bridged:
+            since_s = instant_s[:, 1:] - gap.start_s
+            pointing.in_gap[:] |= (since_s > 0) & (since_s < gap.length_s)
         point_beams(
             vehicle.position_site_m,
             vehicle.velocity_site_mps,

@@ -103,7 +103,12 @@ def _flown(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: H
                 "trajectory, ground, casting", False, how, f"the geometry of {about.name} is given", kept
             )
         ]
-    return [_trajectory(scenario, flight), *_ground(scenario, flight, pointing, hits), *_switching(flight)]
+    return [
+        _trajectory(scenario, flight),
+        *_bridges(flight),
+        *_ground(scenario, flight, pointing, hits),
+        *_switching(flight),
+    ]
 
 
 def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:
@@ -117,6 +122,19 @@ def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:
         f"gaps bridged: {gaps}" if gaps else "no gaps",
         "as interpolated" if gaps else "exact",
     )
+
+
+def _bridges(flight: Flight) -> list[Decision]:
+    """The gaps of a table that are longer than it allows, of columns that lack the same rows together."""
+    columns: dict[tuple[float, float], list[str]] = {}
+    for gap in flight.trajectory.bridged:
+        columns.setdefault((gap.start_s, gap.start_s + gap.length_s), []).append(gap.column)
+    return [
+        Decision(
+            "gap", True, f"bridged from {start_s:.1f} s to {end_s:.1f} s", ", ".join(names), "unknown there"
+        )
+        for (start_s, end_s), names in columns.items()
+    ]
 
 
 def _powered_descent(flight: Flight, ground_m: float) -> Decision:

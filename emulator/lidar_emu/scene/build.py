@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from lidar_emu.errors import InputError
 from lidar_emu.scenario import site
 from lidar_emu.scenario.generated_ground import Generated
+from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scene.hits import Scene
 
 if TYPE_CHECKING:
@@ -22,11 +23,20 @@ BODY_TOLERANCE = 0.01
 
 
 def build_scene(part: site.Site) -> Scene:
-    """The ground of a site, in the site frame.
+    """The ground of a site with its objects, in the site frame.
 
     Raises:
-        InputError: an elevation file cannot be used as the site asks.
+        InputError: an elevation file or a mesh cannot be used as the site asks.
     """
+    ground = _ground(part)
+    if not part.objects:
+        return ground
+    from lidar_emu.scene.objects import populated
+
+    return populated(ground, part)
+
+
+def _ground(part: site.Site) -> Scene:
     if isinstance(part.ground, site.Grid):
         from lidar_emu.scene.terrain_read import read_terrain
 
@@ -37,6 +47,11 @@ def build_scene(part: site.Site) -> Scene:
         return _grid(part, as_grid, _generated_terrain(part.ground, as_grid))
     if isinstance(part.ground, site.Plane):
         return _plane(part, part.ground, part.origin_altitude_m or 0.0)
+    if isinstance(part.ground, Mesh):
+        from lidar_emu.scene.mesh_file import read_mesh
+        from lidar_emu.scene.mesh_ground import place_mesh
+
+        return place_mesh(read_mesh(part.ground.file, part.ground.unit), part.ground.origin, part)
     return _sphere(part, part.body.radius_m, part.origin_altitude_m or 0.0)
 
 
