@@ -25,7 +25,7 @@ from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotati
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
 from lidar_emu.scenario.site import Grid
 from lidar_emu.scene.build import build_scene
-from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.hits import Hits, MovingScene
 from lidar_emu.trajectory.build import build_trajectory
 from lidar_emu.trajectory.state import VehicleState
 
@@ -100,6 +100,7 @@ class Flight:
         """Whether the vehicle's motion becomes known only as it is flown."""
         self.scanner = build_scanner(scenario.scanner)
         self.scene = build_scene(scenario.site)
+        self._moving_scene = self.scene if isinstance(self.scene, MovingScene) else None
         timing, instrument = scenario.timing, scenario.instrument
         if not self.trajectory.duration_s <= LONGEST_S:
             lasts = f"{self.trajectory.duration_s:.3g} s"
@@ -125,6 +126,11 @@ class Flight:
         self._needs_ground_altitude = self.scanner.needs_ground_altitude
         self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
         self._refuse_to_leave_the_ground()
+
+    @property
+    def has_moving_things(self) -> bool:
+        """Whether hits tell of velocities."""
+        return self._moving_scene is not None
 
     def due_ns(self, shot: _Shot) -> _Shot:
         """When the packets of shots are due, from the start."""
@@ -172,13 +178,29 @@ class Flight:
         begins_s = _seconds(shot * self.period_ns)
         return self._choose_patterns(begins_s[:, None], self.trajectory.state(begins_s), state)[0]
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact with the ground of rays in any arrangement: arrays (..., 3), hits shaped (...)."""
-        shape = direction_site.shape
-        hits = self.scene.cast(origin_site_m.reshape(-1, 3), direction_site.reshape(-1, 3))
-        return Hits(
-            hits.range_m.reshape(shape[:-1]), hits.normal_site.reshape(shape), hits.inside.reshape(shape[:-1])
+    def cast(self, pointing: Pointing) -> Hits:
+        """First contact of the beams' axes with the scene: hits shaped (shots, beams)."""
+        hits = self.cast_rays(
+            pointing.time_ns, pointing.sensor_site_m.reshape(-1, 3), pointing.true_site.reshape(-1, 3)
         )
+        return hits.shaped(pointing.time_ns.shape)
+
+    def cast_rays(
+        self,
+        time_ns: IntArray,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+    ) -> Hits:
+        """First contact of n rays with the scene.
+
+        Args:
+            time_ns: of m elements, each the time of the next n / m rays.
+            origin_site_m, direction_site, hits: as of `Scene.cast`.
+        """
+        if self._moving_scene is None:
+            return self.scene.cast(origin_site_m, direction_site, hits)
+        return self._moving_scene.cast_at(time_ns.reshape(-1), origin_site_m, direction_site, hits)
 
     def _choose_patterns(
         self, instant_s: FloatArray, vehicle: VehicleState, state: ScannerState

@@ -87,7 +87,7 @@ def _look(flight: Flight) -> tuple[Pointing, Hits]:
     step = max(1, round(_LOOK_EVERY_S * 1e9 / flight.period_ns))
     shot = np.unique(np.append(np.arange(0, flight.shot_count, step, dtype=np.int64), flight.shot_count - 1))
     pointing, _ = flight.point(shot, flight.scanner.initial)
-    return pointing, flight.cast(pointing.sensor_site_m, pointing.true_site)
+    return pointing, flight.cast(pointing)
 
 
 def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:

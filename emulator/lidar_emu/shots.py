@@ -26,7 +26,7 @@ from lidar_emu.levels import build_level
 from lidar_emu.measurement import Measurement
 from lidar_emu.plan import Plan, plan_flight
 from lidar_emu.pointing import PUBLISHED, SENSOR, TRUE, VELOCITY
-from lidar_emu.rotations import dot_3
+from lidar_emu.rotations import dot_3, known
 from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
@@ -108,7 +108,7 @@ class FlightModel:
 
     def _order(self, scenario: FlightScenario) -> None:
         self.scenario = scenario
-        self.physics = physics_faults(scenario, self.flight, self.level, self.plan.beamlets)
+        self.physics = physics_faults(scenario, self.flight, self.level)
         self.faults = beam_faults(scenario, self.beam_count)
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
@@ -117,12 +117,12 @@ class FlightModel:
         pointing, state = self.flight.point(shot, state)
         if self.physics is not None:
             pointing = self.physics.tilted(pointing, shot)
-        axis_hits = self.flight.cast(pointing.sensor_site_m, pointing.true_site)
+        axis_hits = self.flight.cast(pointing)
         echoes = self.light.echoes(pointing, axis_hits)
         if self.physics is None:
             returns = self.level(echoes, shot)
         else:
-            returns = self.physics.returns(echoes, pointing, axis_hits, shot)
+            returns = self.physics.returns(echoes, self.light.spots, shot)
         return self._measurement(shot, pointing, axis_hits, returns), state
 
     def unlit(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
@@ -139,8 +139,8 @@ class FlightModel:
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
         """(shots, beams, 3) Where the ranges of a measurement end, given the scanner's state before it."""
         pointing, _ = self.flight.point(measurement.shot, state)
-        speed_mps, point_site_m = np.empty(pointing.fired.shape), np.empty((*pointing.fired.shape, 3))
-        _locate(pointing.beams, measurement.range_m, speed_mps, point_site_m)
+        point_site_m = np.empty((*pointing.fired.shape, 3))
+        _locate(pointing.beams, measurement.range_m, point_site_m)
         return point_site_m
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
@@ -152,7 +152,8 @@ class FlightModel:
     ) -> Measurement:
         true_closing_mps = np.empty(pointing.fired.shape)
         point_site_m = np.empty((*pointing.fired.shape, 3))
-        _locate(pointing.beams, returns.range_m, true_closing_mps, point_site_m)
+        _approach(pointing.beams, axis_hits.velocity_site_mps, true_closing_mps)
+        _locate(pointing.beams, returns.range_m, point_site_m)
         return Measurement(
             shot=shot,
             time_ns=pointing.time_ns,
@@ -181,13 +182,20 @@ class FlightModel:
 
 
 @kernel(outermost=True)
-def _locate(
-    beams: FloatArray, range_m: FloatArray, true_closing_mps: FloatArray, point_site_m: FloatArray
-) -> None:
-    """The sensor's speed along the true axis, and the measured range along the published one."""
+def _approach(beams: FloatArray, surface_mps: FloatArray, true_closing_mps: FloatArray) -> None:
+    """The sensor's speed along the true axis, less that of what is hit, if it moves."""
+    for s in range(true_closing_mps.shape[0]):
+        for b in range(true_closing_mps.shape[1]):
+            true_closing_mps[s, b] = dot_3(beams[VELOCITY, s, b], beams[TRUE, s, b])
+            if surface_mps.size > 0:
+                true_closing_mps[s, b] -= known(dot_3(surface_mps[s, b], beams[TRUE, s, b]))
+
+
+@kernel(outermost=True)
+def _locate(beams: FloatArray, range_m: FloatArray, point_site_m: FloatArray) -> None:
+    """Where the measured range along the published axis ends."""
     for s in range(range_m.shape[0]):
         for b in range(range_m.shape[1]):
-            true_closing_mps[s, b] = dot_3(beams[VELOCITY, s, b], beams[TRUE, s, b])
             for axis in range(3):
                 along_m = range_m[s, b] * beams[PUBLISHED, s, b, axis]
                 point_site_m[s, b, axis] = beams[SENSOR, s, b, axis] + along_m

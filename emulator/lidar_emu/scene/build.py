@@ -30,21 +30,22 @@ def build_scene(part: site.Site) -> Scene:
         as_grid = site.Grid(kind="grid", file="generated", beyond=part.ground.beyond)
         return _grid(part, as_grid, _generated_terrain(part.ground))
     if isinstance(part.ground, site.Plane):
-        return _plane(part.ground, part.origin_altitude_m or 0.0)
-    return _sphere(part.body.radius_m, part.origin_altitude_m or 0.0)
+        return _plane(part, part.ground, part.origin_altitude_m or 0.0)
+    return _sphere(part, part.body.radius_m, part.origin_altitude_m or 0.0)
 
 
-def _plane(ground: site.Plane, origin_altitude_m: float) -> PlaneGround:
+def _plane(part: site.Site, ground: site.Plane, origin_altitude_m: float) -> PlaneGround:
     from lidar_emu.scene.plane import PlaneGround
 
     azimuth_rad = math.radians(ground.downhill_azimuth_deg)
-    return PlaneGround(math.radians(ground.slope_deg), azimuth_rad, origin_altitude_m)
+    slope_rad = math.radians(ground.slope_deg)
+    return PlaneGround(slope_rad, azimuth_rad, origin_altitude_m, part.surface.reflectance)
 
 
-def _sphere(radius_m: float, origin_altitude_m: float) -> SphereGround:
+def _sphere(part: site.Site, radius_m: float, origin_altitude_m: float) -> SphereGround:
     from lidar_emu.scene.sphere import SphereGround
 
-    return SphereGround(radius_m, origin_altitude_m)
+    return SphereGround(radius_m, origin_altitude_m, part.surface.reflectance)
 
 
 def _grid(part: site.Site, ground: site.Grid, terrain: Terrain) -> Scene:
@@ -63,12 +64,12 @@ def _grid(part: site.Site, ground: site.Grid, terrain: Terrain) -> Scene:
     )
     around = {
         "none": None,
-        "plane": _plane(site.Plane(kind="plane"), altitude_m),
+        "plane": _plane(part, site.Plane(kind="plane"), altitude_m),
         # Through the origin, as the level plane is: the body's sphere at the height of the site.
-        "sphere": _sphere(part.body.radius_m + altitude_m, 0.0),
+        "sphere": _sphere(part, part.body.radius_m + altitude_m, 0.0),
     }
     description = f"{terrain.description}; beyond: {ground.beyond}"
-    return GridGround(samples, around[ground.beyond], description, altitude_m)
+    return GridGround(samples, around[ground.beyond], description, altitude_m, part.surface.reflectance)
 
 
 def _generated_terrain(ground: Generated) -> Terrain:
