@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
+from lidar_emu.scene import seam
 from lidar_emu.scene.grid import GridGround, Samples
 from lidar_emu.scene.plane import PlaneGround
-from lidar_emu.scene.seam import extent, nest
+from lidar_emu.scene.seam import extent
 
 
 def hills_m(east_m, north_m):
@@ -21,15 +22,18 @@ def samples(west_m, south_m, pixel_m, columns, rows, offset_m=0.0, rng=None):
     return Samples(height, west_m, south_m, pixel_m, pixel_m)
 
 
+def nest(samples, outer, feather_m, name):
+    return seam.nest(samples, extent(samples), outer, feather_m, lambda s: GridGround(s, None, name, 0.0))
+
+
 def three_deep(rng):
     """Pixels of 8, 2.5 and 0.7 m, whose edges fall together nowhere; the middle one has holes, and lies too high."""
     widest = GridGround(samples(-160, -160, 8.0, 41, 41), PlaneGround(0.0, 0.0, 0.0), "widest", 0.0)
     middle = samples(-71.3, -63.1, 2.5, 50, 47, 1.5, rng)
     middle.height_m[10:14, 20:23] = np.nan
     middle.height_m[:9, :5] = np.nan
-    wide, seam = nest(middle, widest, 20.0, "middle")
-    whole, _ = nest(samples(-20.7, -11.9, 0.7, 70, 61, 0.3, rng), wide, 5.0, "finest")
-    return whole, seam
+    wide = nest(middle, widest, 20.0, "middle")
+    return nest(samples(-20.7, -11.9, 0.7, 70, 61, 0.3, rng), wide, 5.0, "finest")
 
 
 def rays(rng, count, reach_m=200.0):
@@ -49,7 +53,7 @@ def same(found, expected, atol=1e-9):
 
 def test_equals_the_slow_path():
     rng = np.random.default_rng(1)
-    ground, _ = three_deep(rng)
+    ground = three_deep(rng)
     origin, direction = rays(rng, 400)
     exact = ground.cast_exact(origin, direction)
     same(ground.cast(origin, direction), exact)
@@ -60,7 +64,7 @@ def test_equals_the_slow_path():
 def test_equals_a_march_along_the_composite_surface():
     """Steps of millimetres by scipy's interpolation, which knows neither of stretches nor of cells."""
     rng = np.random.default_rng(2)
-    ground, _ = three_deep(rng)
+    ground = three_deep(rng)
     surfaces = []
     scene = ground
     for _ in range(2):
@@ -103,7 +107,7 @@ def surface_of(ground):
 @pytest.mark.parametrize("aim", ["at the seam", "along the seam", "through a corner"])
 def test_no_ray_to_a_seam_is_lost(aim):
     rng = np.random.default_rng(3)
-    ground, _ = three_deep(rng)
+    ground = three_deep(rng)
     west, east, south, north = ground.rectangle
     count = 20_000
     x, y = rng.uniform(west, east, count), rng.uniform(south, north, count)
@@ -129,7 +133,8 @@ def test_no_ray_to_a_seam_is_lost(aim):
 
 
 def test_datum_offset_is_told_and_no_cliff_is_left():
-    ground, seam = three_deep(np.random.default_rng(4))
+    ground = three_deep(np.random.default_rng(4))
+    seam = ground.outer.seam
     assert seam.offset_m == pytest.approx(1.5, abs=0.2)
     assert 0 < seam.step_m < 0.15
     # Across the seam of the middle grid the height changes no more than where its step is told.
@@ -144,7 +149,7 @@ def test_holes_are_filled_by_the_ground_around():
     wide = GridGround(samples(-40, -40, 4.0, 21, 21), None, "wide", 0.0)
     fine = samples(-10, -10, 1.0, 21, 21, 5.0)
     fine.height_m[8:13, 8:13] = np.nan
-    ground, _ = nest(fine, wide, 3.0, "fine")
+    ground = nest(fine, wide, 3.0, "fine")
     at = np.array([0.0])
     assert ground.height_m(at, at)[0] == wide.height_m(at, at)[0]
     assert ground.height_m(at + 6, at)[0] == pytest.approx(hills_m(6.0, 0.0) + 5.0)
@@ -152,7 +157,7 @@ def test_holes_are_filled_by_the_ground_around():
 
 def test_finer_ground_may_reach_past_the_wider_one():
     wide = GridGround(samples(-40, -40, 4.0, 21, 21), None, "wide", 0.0)
-    ground, _ = nest(samples(20, -10, 1.0, 41, 21), wide, 3.0, "fine")
+    ground = nest(samples(20, -10, 1.0, 41, 21), wide, 3.0, "fine")
     east, north = np.array([30.0, 50.0, 70.0]), np.zeros(3)
     assert np.isfinite(ground.height_m(east, north)).tolist() == [True, True, False]
     np.testing.assert_array_equal(ground.covers(east, north), [True, True, False])
@@ -163,7 +168,7 @@ def test_finer_ground_may_reach_past_the_wider_one():
 
 
 def test_absent_beams_hit_nothing():
-    ground, _ = three_deep(np.random.default_rng(5))
+    ground = three_deep(np.random.default_rng(5))
     origin, direction = np.array([[0.0, 0, 80], [0, 0, 80]]), np.array([[0.0, 0, -1], [np.nan] * 3])
     hits = ground.cast(origin, direction)
     assert np.isfinite(hits.range_m).tolist() == [True, False]

@@ -21,6 +21,10 @@ class Kept(NamedTuple):
     """Of the whole grid; its heights are bounds for all grids of the ground."""
     area: Rectangle
     """Of what is held."""
+    samples: int
+    """Of the whole grid."""
+    held: int
+    """Of these."""
 
 
 class CutGround:
@@ -53,10 +57,7 @@ class CutGround:
         hits = self.held.cast(origin, direction, hits)
         stray = self._strays(origin, direction)
         if stray.any():
-            found = self.whole.cast(origin[stray], direction[stray])
-            for all_rays, some in zip(hits, found, strict=True):
-                if len(all_rays):
-                    all_rays[stray] = some
+            hits.set_rows(np.flatnonzero(stray), self.whole.cast(origin[stray], direction[stray]))
         return hits
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
@@ -78,24 +79,9 @@ class CutGround:
 
     def _strays(self, origin: FloatArray, direction: FloatArray) -> BoolArray:
         stray = [strays(origin, direction, grid.span, grid.area) for grid in self.kept]
-        return np.logical_or.reduce(stray)
+        return np.asarray(np.logical_or.reduce(stray))
 
     def _cut_away(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
         """(n,) Whether there is a grid of which this place has been cut away."""
         cut = [g.span.area.holds(east_m, north_m) & ~g.area.holds(east_m, north_m) for g in self.kept]
-        return np.logical_or.reduce(cut)
-
-
-def window(rectangle: Rectangle, first_m: float, pixel_m: float, count: int, axis: int) -> slice:
-    """Rows (axis 1) or columns (axis 0) of a grid that hold a part of its area, with one more on each side.
-
-    Args:
-        rectangle: the part.
-        first_m: coordinate of the first row or column.
-        pixel_m: from one to the next.
-        count: how many there are.
-    """
-    low_m, high_m = rectangle[2 * axis : 2 * axis + 2]
-    first = min(max(int((low_m - first_m) / pixel_m) - 1, 0), count - 2)
-    end = max(min(int((high_m - first_m) / pixel_m) + 3, count), first + 2)
-    return slice(first, end)
+        return np.asarray(np.logical_or.reduce(cut))

@@ -8,6 +8,7 @@ import numpy as np
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.kernels import kernel
+from lidar_emu.scene.grid import GridGround
 from lidar_emu.scene.hits import Hits, Scene, contiguous
 from lidar_emu.scene.traverse import FACE_DEPTH_M, clip
 
@@ -35,25 +36,39 @@ class Rectangle(NamedTuple):
         )
 
 
+class Seam(NamedTuple):
+    """Between a grid and the ground around it."""
+
+    feather_m: float
+    """Width of the strip in which the one changes into the other."""
+    step_m: float
+    """Largest difference of height left along the edge."""
+    offset_m: float
+    """How much higher the grid lies than the ground that it replaces, as files give them: the median; NaN where they
+    have nothing in common."""
+    scatter_m: float
+    """Of that: half of what the middle 68 % spread over."""
+
+
 class NestedGround:
     """Two grounds, of which the inner one counts over its rectangle.
 
     A ray goes through the parts in the order in which it comes over them. At the seam the two surfaces differ by no
-    more than `step_m`: a ray that comes to the seam by less than that below the surface ahead meets it there, as if
-    it were continuous; none slips through.
+    more than `seam.step_m`: a ray that comes there by less than that below the surface ahead meets it, as if it were
+    continuous; none slips through.
 
     Args:
         outer: the ground around, itself nested as it may be.
         inner: the ground over the rectangle, with nothing beyond.
         rectangle: of the inner one.
-        step_m: largest difference of height between the two along the seam.
+        seam: between the two.
     """
 
-    def __init__(self, outer: Scene, inner: Scene, rectangle: Rectangle, step_m: float) -> None:
-        self.outer, self.inner, self.rectangle = outer, inner, rectangle
+    def __init__(self, outer: Scene, inner: GridGround, rectangle: Rectangle, seam: Seam) -> None:
+        self.outer, self.inner, self.rectangle, self.seam = outer, inner, rectangle, seam
         self.description = f"{inner.description}; in {outer.description}"
         self.origin_altitude_m = inner.origin_altitude_m
-        self._lift_m = step_m + FACE_DEPTH_M
+        self._lift_m = seam.step_m + FACE_DEPTH_M
 
     def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
         """First contact with either ground; see `Scene.cast`."""
@@ -87,8 +102,7 @@ class NestedGround:
                 ground = self.inner if self.rectangle.holds(east, north) else self.outer
                 found = ground.cast_exact(self._at(ground, origin, direction, np.array([start])), direction)
                 if (found.inside[0] and start == 0.0) or found.range_m[0] <= end - start:
-                    for all_rays, one in zip(hits, found, strict=True):
-                        all_rays[ray] = one
+                    hits.set_rows(ray, found)
                     hits.range_m[k] += start
                     break
         return hits
@@ -115,9 +129,7 @@ class NestedGround:
         rows = np.flatnonzero(rays)
         start = self._at(ground, origin[rows], direction[rows], t[rows])
         found = ground.cast(start, direction[rows])
-        for all_rays, some in zip(hits, found, strict=True):
-            if len(all_rays):
-                all_rays[rows] = some
+        hits.set_rows(rows, found)
         hits.range_m[rows] += t[rows]
         # One that comes from afar, and lower than the seam's step explains, came out of a hole without any ground.
         hits.inside[rows] &= t[rows] == 0.0

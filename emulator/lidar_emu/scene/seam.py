@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
 from lidar_emu.scene.grid import GridGround, Samples
 from lidar_emu.scene.hits import Scene
-from lidar_emu.scene.nested import NestedGround, Rectangle
+from lidar_emu.scene.nested import NestedGround, Rectangle, Seam
 
 _COMPARED = 10_000
 """Samples, at most, by which two grids are compared: more tell nothing new."""
@@ -18,38 +18,29 @@ _ROWS_AT_ONCE = 256
 _BESIDE_M = 1e-9
 
 
-class Seam(NamedTuple):
-    """Between a grid and the ground around it."""
-
-    feather_m: float
-    """Width of the strip in which the one changes into the other."""
-    step_m: float
-    """Largest difference of height left along the edge."""
-    offset_m: float
-    """How much higher the grid lies than the ground that it replaces, as files give them: the median; NaN where they
-    have nothing in common."""
-    scatter_m: float
-    """Of that: half of what the middle 68 % spread over."""
-
-
-def nest(samples: Samples, outer: Scene, feather_m: float, description: str) -> tuple[NestedGround, Seam]:
+def nest(
+    samples: Samples,
+    area: Rectangle,
+    outer: Scene,
+    feather_m: float,
+    build: Callable[[Samples], GridGround],
+) -> NestedGround:
     """A grid within a ground.
 
     Over a strip along its edges, and around missing samples, the grid is mixed with the ground that it lies in; at
     its edge and where a sample is missing it is that ground's height. Where there is none it is left as it is.
 
     Args:
-        samples: of the grid.
+        samples: of the grid, or of a part cut from it.
+        area: of the whole grid.
         outer: the ground around.
         feather_m: width of the strip.
-        description: of the grid, for plans.
+        build: from samples to the grid's ground, with nothing beyond.
     """
     offset_m, scatter_m = _compared(samples, outer)
-    height_m = _feathered(samples, outer, feather_m)
-    joined = GridGround(replace(samples, height_m=height_m), None, description, outer.origin_altitude_m)
-    rectangle = extent(samples)
-    step_m = _step_m(joined, outer, rectangle)
-    return NestedGround(outer, joined, rectangle, step_m), Seam(feather_m, step_m, offset_m, scatter_m)
+    inner = build(replace(samples, height_m=_feathered(samples, area, outer, feather_m)))
+    step_m = _step_m(inner, outer, area)
+    return NestedGround(outer, inner, area, Seam(feather_m, step_m, offset_m, scatter_m))
 
 
 def extent(samples: Samples) -> Rectangle:
@@ -71,13 +62,13 @@ def _compared(samples: Samples, outer: Scene) -> tuple[float, float]:
     return float(median_m), float(high_m - low_m) / 2
 
 
-def _feathered(samples: Samples, outer: Scene, feather_m: float) -> FloatArray:
+def _feathered(samples: Samples, area: Rectangle, outer: Scene, feather_m: float) -> FloatArray:
     """(rows, columns) heights, mixed with the ground around as `nest` says."""
     height_m = samples.height_m.copy()
     away_m = _from_holes_m(samples)
     east_m, north_m = samples.east_m, samples.north_m
-    from_sides_m = np.minimum(east_m - east_m[0], east_m[-1] - east_m)
-    from_ends_m = np.minimum(north_m - north_m[0], north_m[-1] - north_m)
+    from_sides_m = np.minimum(east_m - area.west_m, area.east_m - east_m)
+    from_ends_m = np.minimum(north_m - area.south_m, area.north_m - north_m)
     for first in range(0, len(height_m), _ROWS_AT_ONCE):
         rows = slice(first, first + _ROWS_AT_ONCE)
         near_m = np.minimum(from_ends_m[rows, None], from_sides_m)
