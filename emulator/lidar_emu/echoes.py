@@ -107,13 +107,12 @@ class Light:
         starts, rays = (vectors.reshape(*shape, 3) for vectors in (room.starts_site_m, room.rays_site))
         return Spots(starts, rays, self._hits.shaped(shape))
 
-    def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
-        """Echoes of beams (shots, beams) whose axes met the ground at `axis_hits`. They hold until the next ones."""
+    def beamlet_hits(self, pointing: Pointing, axis_hits: Hits) -> Hits:
+        """Where beamlets meet the ground, (rays,), if axes do at `axis_hits`. They hold until the next ones."""
         shots, beams = axis_hits.range_m.shape
+        if self._room.echoes.fired.shape != (shots, beams):
+            self._room = _Room.of((shots, beams), self._beamlets, self._flight.has_moving_things)
         room = self._room
-        if room.echoes.fired.shape != (shots, beams):
-            self._room = room = _Room.of((shots, beams), self._beamlets, self._flight.has_moving_things)
-        footprint, echoes = room.footprint, room.echoes
         sample_footprint(
             pointing.sensor_site_m.reshape(-1, 3),
             pointing.true_site.reshape(-1, 3),
@@ -121,15 +120,19 @@ class Light:
             self._beamlets,
             self._waist_m,
             self._wavelength_m,
-            footprint,
+            room.footprint,
         )
         if self._beamlets == 1:
-            self._hits = hits = axis_hits.shaped((shots * beams,))
-            room.hits.range_m[:] = hits.range_m
+            self._hits = axis_hits.shaped((shots * beams,))
+            room.hits.range_m[:] = self._hits.range_m
         else:
-            self._hits = hits = self._flight.cast_rays(
-                pointing.time_ns, room.starts_site_m, room.rays_site, room.hits
-            )
+            self._hits = self._flight.cast_beamlets(pointing, room.starts_site_m, room.rays_site, room.hits)
+        return self._hits
+
+    def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
+        """Echoes of beams (shots, beams) whose axes met the ground at `axis_hits`. They hold until the next ones."""
+        hits = self.beamlet_hits(pointing, axis_hits)
+        footprint, echoes = self._room.footprint, self._room.echoes
         echoes.fired[:], echoes.inside[:] = pointing.fired, axis_hits.inside
         _receive(
             *self._law,

@@ -8,6 +8,7 @@ import numpy as np
 
 from lidar_emu.echoes import receive_light
 from lidar_emu.flight import Flight, Pointing
+from lidar_emu.geometry.recorded_flight import RecordedFlight
 from lidar_emu.plan_faults import planned_faults
 from lidar_emu.plan_receiver import Decision, plan_receiver
 from lidar_emu.scenario.generated_ground import Generated
@@ -53,11 +54,9 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     echoes = receive_light(scenario.instrument, scenario.site, flight, 1, pointing, hits)
     footprint, beamlets = _footprint(scenario, pointing, hits)
     decisions = (
-        _trajectory(scenario, flight),
-        *_ground(scenario, flight, pointing, hits),
+        *_flown(scenario, flight, pointing, hits),
         _air(scenario),
         footprint,
-        *_switching(flight),
         *plan_receiver(scenario, echoes),
         *planned_faults(scenario),
     )
@@ -88,6 +87,22 @@ def _look(flight: Flight) -> tuple[Pointing, Hits]:
     shot = np.unique(np.append(np.arange(0, flight.shot_count, step, dtype=np.int64), flight.shot_count - 1))
     pointing, _ = flight.point(shot, flight.scanner.initial)
     return pointing, flight.cast(pointing)
+
+
+def _flown(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
+    """What says where the beams are and what they meet."""
+    if isinstance(flight, RecordedFlight):
+        about = flight.file.about
+        how = (
+            f"{flight.file.path.name}: {about.shots} shots of {about.beams} beams, {about.beamlets} rays each"
+        )
+        kept = "as recorded, bit for bit"
+        return [
+            Decision(
+                "trajectory, ground, casting", False, how, f"the geometry of {about.name} is given", kept
+            )
+        ]
+    return [_trajectory(scenario, flight), *_ground(scenario, flight, pointing, hits), *_switching(flight)]
 
 
 def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:

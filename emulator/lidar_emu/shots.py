@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -17,7 +18,6 @@ from numpy.typing import NDArray
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.bench_model import BenchModel
 from lidar_emu.echoes import Light
-from lidar_emu.errors import InputError
 from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight import Flight, Pointing
 from lidar_emu.fmcw.returns import Returns
@@ -29,6 +29,7 @@ from lidar_emu.pointing import PUBLISHED, SENSOR, TRUE, VELOCITY
 from lidar_emu.rotations import dot_3, known
 from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.faults import Fault
+from lidar_emu.scenario.required import require_flight, require_known_flight
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scene.hits import Hits
 
@@ -84,9 +85,10 @@ class Model(Protocol):
 class FlightModel:
     """A flight over ground, measured by the model of the instrument."""
 
-    def __init__(self, scenario: FlightScenario) -> None:
+    def __init__(self, scenario: FlightScenario, flight: Flight | None = None) -> None:
+        """Of a scenario and its flight; None: yet to be built."""
         self.scenario = scenario
-        self.flight = Flight(scenario)
+        self.flight = Flight(scenario) if flight is None else flight
         self.plan = plan_flight(scenario, self.flight)
         self.light = Light(scenario.instrument, scenario.site, self.flight, self.plan.beamlets)
         self.level = build_level(scenario)
@@ -111,12 +113,17 @@ class FlightModel:
         self.physics = physics_faults(scenario, self.flight, self.level)
         self.faults = beam_faults(scenario, self.beam_count)
 
+    def aim(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
+        """Beams of consecutive shots, as misaligned as faults have them."""
+        pointing, state = self.flight.point(shot, state)
+        if self.physics is not None and not self.flight.is_recorded:
+            pointing = self.physics.tilted(pointing, shot)
+        return pointing, state
+
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         """Shots `first` to `first + count - 1` without faults of beams, given the scanner's state before them."""
         shot = np.arange(first, first + count, dtype=np.int64)
-        pointing, state = self.flight.point(shot, state)
-        if self.physics is not None:
-            pointing = self.physics.tilted(pointing, shot)
+        pointing, state = self.aim(shot, state)
         axis_hits = self.flight.cast(pointing)
         echoes = self.light.echoes(pointing, axis_hits)
         if self.physics is None:
@@ -201,24 +208,23 @@ def _locate(beams: FloatArray, range_m: FloatArray, point_site_m: FloatArray) ->
                 point_site_m[s, b, axis] = beams[SENSOR, s, b, axis] + along_m
 
 
-def build_model(scenario: FlightScenario | BenchScenario) -> Model:
+def build_model(scenario: FlightScenario | BenchScenario, geometry: Path | None = None) -> Model:
     """The model that the scenario asks for.
 
+    Args:
+        scenario: as read by `load`.
+        geometry: the flight's, as it was recorded; None: it is computed.
+
     Raises:
-        InputError: a file that the scenario names cannot be used, or the flight leaves the ground.
+        InputError: a file that the scenario names cannot be used, the flight leaves the ground, or the geometry is
+            another one's.
     """
+    if geometry is not None:
+        from lidar_emu.geometry.recorded_flight import RecordedFlight
+
+        flown = require_flight(scenario)
+        return FlightModel(flown, RecordedFlight(flown, geometry))
     return BenchModel(scenario) if isinstance(scenario, BenchScenario) else FlightModel(scenario)
-
-
-def require_known_flight(scenario: FlightScenario | BenchScenario) -> None:
-    """For what cannot wait for a simulator.
-
-    Raises:
-        InputError: the trajectory is live.
-    """
-    if scenario.live is not None:
-        allowed = "allowed here: profile or table; live truth is flown by lidar-emu run"
-        raise InputError(scenario.name, "trajectory.kind", "live", allowed)
 
 
 class ModelState(NamedTuple):

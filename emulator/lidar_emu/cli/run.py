@@ -108,7 +108,7 @@ def run(
     if record is not None:
         from lidar_emu.recording.write import Recorder
 
-        recorder = Recorder(Path(record), flown, control is not None)
+        recorder = Recorder(Path(record), flown, options)
         observers.append(recorder)
     with recorder or nullcontext():
         outcome = this_run.fly()
