@@ -47,7 +47,7 @@ def flown(folder: Path, ground: dict[str, Any], trajectory: str, pattern: str, r
 
 
 def map_of(file: Path, **keys: Any) -> dict[str, Any]:
-    return {"kind": "grid", "file": file, "band": "qts_demstack", **keys}
+    return {"kind": "grid", "file": file, "band": "qts_demstack", "placement": "flat", **keys}
 
 
 @dataclass

@@ -68,13 +68,14 @@ class Origin(Part):
 
 
 class Grid(Part):
-    """An elevation grid, read as the bilinear surface through its samples on the map plane."""
+    """An elevation grid, read as the bilinear surface through its samples."""
 
     kind: Literal["grid"]
     """Chooses this kind of ground."""
     file: str
-    """GeoTIFF or ESRI ASCII (extra `geo`), or `.npz` with `elevation_m` (rows from north to south), `pixel_m`
-    and, as wanted, `map_x_m`, `map_y_m` of the first sample. Relative to the file that names it."""
+    """GeoTIFF, PDS label (`.lbl`, not the `.img` beside it) or ESRI ASCII (extra `geo`), or `.npz` with `elevation_m`
+    (rows from north to south), `pixel_m` and, as wanted, `map_x_m`, `map_y_m` of the first sample. Relative to the
+    file that names it."""
     band: str | Annotated[int, Field(ge=1)] = "elevation"
     """Band by its description, or by number from 1. A file of one band needs neither."""
     registration: Literal["file", "area", "point"] = "file"
@@ -83,12 +84,24 @@ class Grid(Part):
     nodata: float | None = None
     """Value that marks missing samples, where the file does not state it. Infinite and NaN samples are always
     missing."""
-    elevation_scale: Positive = 1.0
-    """Metres per unit of the file."""
+    elevation_scale: Positive | None = None
+    """Metres per unit of the file. Left out: by the unit that the file states, else 1."""
     elevation_offset_m: float = 0.0
     """Added after scaling: shifts the file's vertical datum to the site's sphere."""
     origin: Origin = Origin()
     """The point of the map that becomes the origin of the site frame."""
+    placement: Literal["projected", "flat"] = "projected"
+    """`projected`: where the file's map projection says, in a frame tangent to the body at the origin, north to the
+    pole; samples are taken anew there, and the ground falls away with the body. `flat`: the map's plane is the
+    horizontal plane and its north is north, as of files that state no projection."""
+    half_size_m: Positive | None = None
+    """How far a projected grid reaches from the origin to the east, west, north and south. Left out: to the end of
+    the file, at most 1000 samples and a tenth of the body's radius."""
+    reflectance_band: str | Annotated[int, Field(ge=1)] | None = None
+    """Band with the albedo at the laser's wavelength, 0 to 1, in place of `surface.reflectance`, which stays where
+    samples are missing."""
+    rock_abundance_band: str | Annotated[int, Field(ge=1)] | None = None
+    """Band with the share of the area that rocks cover, 0 to 1; `plan` tells it, nothing else comes of it."""
     beyond: Literal["none", "plane", "sphere"] = "none"
     """What lies outside the grid: nothing (beams that leave it find no surface), the level plane through the
     origin, or the body's sphere through the origin. Missing samples count as outside."""

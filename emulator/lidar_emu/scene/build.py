@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import InputError
 from lidar_emu.scenario import site
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scene.hits import Scene
@@ -17,6 +16,9 @@ if TYPE_CHECKING:
     from lidar_emu.scene.terrain import Terrain
 
 
+BODY_TOLERANCE = 0.01
+
+
 def build_scene(part: site.Site) -> Scene:
     """The ground of a site, in the site frame.
 
@@ -24,11 +26,13 @@ def build_scene(part: site.Site) -> Scene:
         InputError: an elevation file cannot be used as the site asks.
     """
     if isinstance(part.ground, site.Grid):
+        from lidar_emu.scene.terrain_read import read_terrain
+
         return _grid(part, part.ground, read_terrain(part.ground))
     if isinstance(part.ground, Generated):
         # What was made is a grid like any other, with the origin at its centre.
         as_grid = site.Grid(kind="grid", file="generated", beyond=part.ground.beyond)
-        return _grid(part, as_grid, _generated_terrain(part.ground))
+        return _grid(part, as_grid, _generated_terrain(part.ground, as_grid))
     if isinstance(part.ground, site.Plane):
         return _plane(part, part.ground, part.origin_altitude_m or 0.0)
     return _sphere(part, part.body.radius_m, part.origin_altitude_m or 0.0)
@@ -50,17 +54,16 @@ def _sphere(part: site.Site, radius_m: float, origin_altitude_m: float) -> Spher
 
 def _grid(part: site.Site, ground: site.Grid, terrain: Terrain) -> Scene:
     from lidar_emu.scene.grid import GridGround, Samples
-    from lidar_emu.scene.terrain_origin import origin_of
 
-    origin = origin_of(terrain, ground)
-    altitude_m = origin.elevation_m if part.origin_altitude_m is None else part.origin_altitude_m
+    _check_body(part.body, terrain)
+    altitude_m = terrain.origin_elevation_m if part.origin_altitude_m is None else part.origin_altitude_m
     samples = Samples(
         # Files run from north to south, the site frame from south to north.
         height_m=(terrain.elevation_m - altitude_m)[::-1].copy(),
-        west_m=terrain.first_x_m - origin.map_x_m,
-        south_m=terrain.last_y_m - origin.map_y_m,
-        pixel_east_m=terrain.pixel_x_m,
-        pixel_north_m=terrain.pixel_y_m,
+        west_m=terrain.west_m,
+        south_m=terrain.north_m - terrain.pixel_north_m * (len(terrain.elevation_m) - 1),
+        pixel_east_m=terrain.pixel_east_m,
+        pixel_north_m=terrain.pixel_north_m,
     )
     around = {
         "none": None,
@@ -72,14 +75,24 @@ def _grid(part: site.Site, ground: site.Grid, terrain: Terrain) -> Scene:
     return GridGround(samples, around[ground.beyond], description, altitude_m, part.surface.reflectance)
 
 
-def _generated_terrain(ground: Generated) -> Terrain:
+def _check_body(body: site.Body, terrain: Terrain) -> None:
+    """Refuse the map of another body, such as Mars on the Moon that a site is on unless it says otherwise."""
+    if terrain.frame is None:
+        return
+    radius_m = terrain.frame.ellipsoid.equatorial_m
+    if abs(radius_m / body.radius_m - 1) > BODY_TOLERANCE:
+        allowed = f"allowed: that of the map within {BODY_TOLERANCE:.0%}, {radius_m:.10g} m"
+        raise InputError(terrain.source, "site.body.radius_m", body.radius_m, allowed)
+
+
+def _generated_terrain(ground: Generated, as_grid: site.Grid) -> Terrain:
     import numpy as np
 
     from lidar_emu.ground.kept import elevation_m
-    from lidar_emu.scene.terrain import Terrain
+    from lidar_emu.scene.terrain_flat import FlatMap, placed_flat
 
     half_m, spacing_m = ground.size_m / 2, ground.size_m / ground.cells
-    return Terrain(
+    flat = FlatMap(
         elevation_m=elevation_m(ground).astype(np.float64),
         first_x_m=-half_m,
         first_y_m=half_m,
@@ -87,22 +100,4 @@ def _generated_terrain(ground: Generated) -> Terrain:
         pixel_y_m=spacing_m,
         source=f"generated (seed {ground.seed})",
     )
-
-
-def read_terrain(ground: site.Grid) -> Terrain:
-    """The elevation file of a site.
-
-    Raises:
-        InputError: the file is not there, cannot be read, or is no elevation grid in metres with north up.
-    """
-    if not Path(ground.file).is_file():
-        raise InputError(
-            ground.file, None, Finding("no such file"), "allowed: GeoTIFF, ESRI ASCII grid or .npz"
-        )
-    if ground.file.lower().endswith(".npz"):
-        from lidar_emu.scene.terrain_npz import read_npz
-
-        return read_npz(ground)
-    from lidar_emu.scene.terrain_raster import read_raster
-
-    return read_raster(ground)
+    return placed_flat(flat, as_grid)
