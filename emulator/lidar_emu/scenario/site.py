@@ -112,8 +112,8 @@ class Grid(Part):
 
 
 class Nested(Part):
-    """Several grids, of which the first one that has a sample at a place counts there. Each is mixed with those after it
-    over a strip along its edge and around its holes, so that nothing breaks off there."""
+    """Several grids: the first one that has a sample at a place counts there. Each is mixed with those after it over a
+    strip along its edge and around its holes, so that nothing breaks off there."""
 
     kind: Literal["nested"]
     """Chooses this kind of ground."""

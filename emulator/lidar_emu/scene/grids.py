@@ -46,8 +46,7 @@ class Layer:
 
 
 def join_grids(
-    read: Callable[[], Sequence[Layer]],
-    beyond: Beyond,
+    read: Callable[[], tuple[Sequence[Layer], Beyond]],
     feather_m: float | None,
     reach: Reach | None,
     cut: bool = True,
@@ -55,8 +54,8 @@ def join_grids(
     """The ground of some grids.
 
     Args:
-        read: reads them, from the finest to the widest. Read once more if a cut ground must be made whole.
-        beyond: the ground around all of them.
+        read: reads them, from the finest to the widest, and the ground around all of them. Read once more if a cut
+            ground must be made whole.
         feather_m: of the strips along their edges; None: as the scenario's reference says.
         reach: what rays the run has; None: any.
         cut: whether what they cannot reach is left out.
@@ -64,7 +63,7 @@ def join_grids(
     Raises:
         InputError: detail is asked for that would not fit into memory.
     """
-    layers = read()
+    layers, beyond = read()
     spans = _spans(layers, beyond)
     kept: list[Kept] = []
     ground: Scene | None = None
@@ -85,7 +84,8 @@ def join_grids(
     assert ground is not None
     if not kept:
         return ground
-    return CutGround(ground, tuple(kept), partial(join_grids, read, beyond, feather_m, reach, cut=False))
+    build_whole = partial(join_grids, read, feather_m, reach, cut=False)
+    return CutGround(ground, tuple(kept), build_whole)
 
 
 def _spans(layers: Sequence[Layer], beyond: Beyond) -> list[Span]:
