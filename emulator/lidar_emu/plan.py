@@ -10,10 +10,11 @@ from lidar_emu.echoes import receive_light
 from lidar_emu.flight import Flight, Pointing
 from lidar_emu.geometry.recorded_flight import RecordedFlight
 from lidar_emu.plan_faults import planned_faults
+from lidar_emu.plan_ground import plan_parts
 from lidar_emu.plan_receiver import Decision, plan_receiver
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.site import Grid, Nested
 from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.scene.hits import Hits
 from lidar_emu.spread import spread_bins
@@ -139,7 +140,7 @@ def _powered_descent(flight: Flight, ground_m: float) -> Decision:
 
 def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
     ground = scenario.site.ground
-    if not isinstance(ground, Grid | Generated):
+    if not isinstance(ground, Grid | Generated | Nested):
         return [
             Decision("ground", True, flight.scene.description, f"a {ground.kind} is a formula", "exact"),
             Decision("grid traversal", False, "-", "the site has no elevation grid", "exact"),
@@ -151,6 +152,7 @@ def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: 
     return [
         Decision("ground", True, flight.scene.description, "the site has an elevation grid", "exact"),
         Decision("curvature of the grid", False, "map plane", "grids are read on their map plane", bound),
+        *plan_parts(flight.scene),
     ]
 
 
@@ -180,7 +182,7 @@ def _footprint(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> tupl
         return Decision("footprint", False, "1 beamlet", "the beam's axis is reported", "exact"), 1
     if asked == 1:
         return Decision("footprint", False, "1 beamlet", "the instrument asks for one", "as asked"), 1
-    if isinstance(scenario.site.ground, Grid | Generated):
+    if isinstance(scenario.site.ground, Grid | Generated | Nested):
         return Decision("footprint", True, f"{asked} beamlets", "slopes of a grid vary", "sampled"), asked
     spread = float(np.nanmax(spread_bins(scenario.instrument, pointing, hits).widest(), initial=0.0))
     reason = f"rms spread at most {spread:.3f} bin"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,8 @@ PART_FOLDERS = {
     "scanner": "scanners",
     "bench_pattern": "bench_patterns",
 }
-_FILE_KEYS: tuple[tuple[str, ...], ...] = (("ground", "file"), ("file",))
+_FILE_KEYS = (("ground", "file"), ("ground", "grids", "*", "file"), ("file",))
+"""Where parts name files; `*` is every entry of a list."""
 
 
 def shipped(folder: str) -> Path:
@@ -207,16 +208,27 @@ def _merged(base: Any, own: Any, key: str) -> Any:
 def _anchor_files(tree: Tree, folder: Path, where: str, part: str | None) -> None:
     """File names in a part are relative to the file that states them, or name shipped ground."""
     for keys in _FILE_KEYS:
-        node: Any = tree
-        for key in keys[:-1]:
-            node = node.get(key) if isinstance(node, dict) else None
-        if isinstance(node, dict) and isinstance(node.get(keys[-1]), str):
-            name = node[keys[-1]]
-            beside, own = folder / name, shipped("ground") / name
-            try:
-                chosen = own if own.is_file() and not beside.exists() else beside
-            except OSError as error:
-                key = ".".join((*([part] if part else []), *keys))
-                allowed = f"{error.strerror}; allowed: the name of a file"
-                raise InputError(where, key, name, allowed) from None
-            node[keys[-1]] = str(chosen)
+        for node, way in _nodes(tree, keys[:-1]):
+            if isinstance(node, dict) and isinstance(node.get(keys[-1]), str):
+                key = ".".join((*([part] if part else []), *way, keys[-1]))
+                node[keys[-1]] = str(_anchored(node[keys[-1]], folder, where, key))
+
+
+def _nodes(node: Any, keys: tuple[str, ...]) -> Iterator[tuple[Any, tuple[str, ...]]]:
+    """What lies at these keys, `*` being any, and the way to it. Entries of a list may be stated by index."""
+    if not keys:
+        yield node, ()
+        return
+    children = dict(enumerate(node)) if isinstance(node, list) else node if isinstance(node, dict) else {}
+    for name, child in children.items():
+        if keys[0] in ("*", name):
+            yield from ((found, (str(name), *way)) for found, way in _nodes(child, keys[1:]))
+
+
+def _anchored(name: str, folder: Path, where: str, key: str) -> Path:
+    beside, own = folder / name, shipped("ground") / name
+    try:
+        return own if own.is_file() and not beside.exists() else beside
+    except OSError as error:
+        allowed = f"{error.strerror}; allowed: the name of a file"
+        raise InputError(where, key, name, allowed) from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -29,8 +30,21 @@ def read_layers(part: site.Site, grids: list[AnyGrid]) -> tuple[list[Layer], flo
     altitude_m = first.origin_elevation_m if part.origin_altitude_m is None else part.origin_altitude_m
     terrains = [first, *(_read(part, grid, (grids[0], first)) for grid in grids[1:])]
     layers = [_layer(part, grid, terrain, altitude_m) for grid, terrain in zip(grids, terrains, strict=True)]
+    _refuse_disorder(layers)
     widest = f"{layers[-1].description}; beyond: {grids[-1].beyond}"
     return [*layers[:-1], replace(layers[-1], description=widest)], altitude_m
+
+
+def _refuse_disorder(layers: list[Layer]) -> None:
+    """Refuse a grid that is finer than the one before it, below which it would not be seen."""
+    for place, (before, layer) in enumerate(pairwise(layers), start=1):
+        if layer.pixel_m < before.pixel_m * (1 - 1e-6):
+            found = Finding(
+                f"{layer.pixel_m:.6g} m from sample to sample after one of {before.pixel_m:.6g} m"
+            )
+            raise InputError(
+                layer.source, f"ground.grids.{place}", found, "allowed: from the finest to the widest"
+            )
 
 
 def _layer(part: site.Site, grid: AnyGrid, terrain: Terrain, altitude_m: float) -> Layer:
