@@ -26,7 +26,7 @@ from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotati
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
 from lidar_emu.scenario.site import Grid, Nested
-from lidar_emu.scene.build import build_scene
+from lidar_emu.scene.build import build_ground, with_objects
 from lidar_emu.scene.hits import Hits, MovingScene, Scene
 from lidar_emu.scene.reach import Reach
 from lidar_emu.sweep import MOST_SHOTS, slack, sweep
@@ -46,6 +46,8 @@ class Pointing(NamedTuple):
     pattern: NDArray[np.int64]
     """(shots,) Which pattern of beams the shot uses."""
     time_ns: NDArray[np.int64]
+    in_gap: BoolArray
+    """Where the vehicle is follows there from a bridge over a gap of its table."""
     fired: BoolArray
     angle_deg: FloatArray
     beams: FloatArray
@@ -61,6 +63,7 @@ class Pointing(NamedTuple):
             shot=shot,
             pattern=np.empty(len(shot), dtype=np.int64),
             time_ns=np.empty(shape, dtype=np.int64),
+            in_gap=np.zeros(shape, dtype=np.bool_),
             fired=np.empty(shape, dtype=np.bool_),
             angle_deg=np.empty(shape),
             beams=np.empty((6, *shape, 3)),
@@ -144,13 +147,19 @@ class Flight:
         return build_trajectory(self.scenario.trajectory, self.scenario.site.body.radius_m)
 
     @cached_property
-    def scene(self) -> Scene:
-        """What the beams hit, as far as those of this flight can."""
+    def ground(self) -> Scene:
+        """What the beams of this flight can come to, without the objects on it."""
+        site = self.scenario.site
         if self.is_live or self.shot_count > MOST_SHOTS:
-            return build_scene(self.scenario.site)
+            return build_ground(site)
         beams = self._validity_ns, self._lever_arm_body_m, self._true_body
         lines = partial(sweep, self.trajectory, self.shot_count, self.period_ns, *beams)
-        return build_scene(self.scenario.site, Reach(lines, *slack(self.scenario)))
+        return build_ground(site, Reach(lines, *slack(self.scenario)))
+
+    @cached_property
+    def scene(self) -> Scene:
+        """What the beams hit."""
+        return with_objects(self.ground, self.scenario.site)
 
     @cached_property
     def _moving_scene(self) -> MovingScene | None:
@@ -177,6 +186,9 @@ class Flight:
         set_times(shot, self.period_ns, self._validity_ns, pointing.time_ns, instant_s)
         vehicle = self.trajectory.state(instant_s.reshape(-1))
         pointing.pattern[:], state = self._choose_patterns(instant_s, vehicle, state)
+        for gap in self.trajectory.bridged:
+            since_s = instant_s[:, 1:] - gap.start_s
+            pointing.in_gap[:] |= (since_s > 0) & (since_s < gap.length_s)
         point_beams(
             vehicle.position_site_m,
             vehicle.velocity_site_mps,

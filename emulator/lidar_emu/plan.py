@@ -17,6 +17,7 @@ from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.site import Grid, Nested
 from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.terrain_read import lies_flat
 from lidar_emu.spread import spread_bins
 
 ONE_BEAMLET_BELOW_BINS = 0.1
@@ -103,7 +104,12 @@ def _flown(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: H
                 "trajectory, ground, casting", False, how, f"the geometry of {about.name} is given", kept
             )
         ]
-    return [_trajectory(scenario, flight), *_ground(scenario, flight, pointing, hits), *_switching(flight)]
+    return [
+        _trajectory(scenario, flight),
+        *_bridges(flight),
+        *_ground(scenario, flight, pointing, hits),
+        *_switching(flight),
+    ]
 
 
 def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:
@@ -117,6 +123,19 @@ def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:
         f"gaps bridged: {gaps}" if gaps else "no gaps",
         "as interpolated" if gaps else "exact",
     )
+
+
+def _bridges(flight: Flight) -> list[Decision]:
+    """The gaps of a table that are longer than it allows, of columns that lack the same rows together."""
+    columns: dict[tuple[float, float], list[str]] = {}
+    for gap in flight.trajectory.bridged:
+        columns.setdefault((gap.start_s, gap.start_s + gap.length_s), []).append(gap.column)
+    return [
+        Decision(
+            "gap", True, f"bridged from {start_s:.1f} s to {end_s:.1f} s", ", ".join(names), "unknown there"
+        )
+        for (start_s, end_s), names in columns.items()
+    ]
 
 
 def _powered_descent(flight: Flight, ground_m: float) -> Decision:
@@ -145,15 +164,17 @@ def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: 
             Decision("ground", True, flight.scene.description, f"a {ground.kind} is a formula", "exact"),
             Decision("grid traversal", False, "-", "the site has no elevation grid", "exact"),
         ]
+    told = Decision("ground", True, flight.scene.description, "the site has an elevation grid", "exact")
+    parts = list(plan_parts(flight.ground))
+    grids = ground.grids if isinstance(ground, Nested) else [ground]
+    if not any(isinstance(grid, Generated) or lies_flat(grid) for grid in grids):
+        on_body = "by the map's projection"
+        return [told, Decision("curvature of the grid", True, on_body, "the file states it", "exact"), *parts]
     horizontal_m = (pointing.sensor_site_m + hits.range_m[..., None] * pointing.true_site)[..., :2]
     away_m = float(np.sqrt(np.nanmax((horizontal_m**2).sum(axis=-1), initial=0.0)))
     fall_m = away_m**2 / (2 * scenario.site.body.radius_m)
     bound = f"{fall_m:.2g} m of height, {away_m:.0f} m from the origin"
-    return [
-        Decision("ground", True, flight.scene.description, "the site has an elevation grid", "exact"),
-        Decision("curvature of the grid", False, "map plane", "grids are read on their map plane", bound),
-        *plan_parts(flight.scene),
-    ]
+    return [told, Decision("curvature of the grid", False, "map plane", "the grid lies flat", bound), *parts]
 
 
 def _air(scenario: FlightScenario) -> Decision:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from lidar_emu.plan_receiver import Decision
+from lidar_emu.scene.albedo import PaintedGround
 from lidar_emu.scene.cut import CutGround, Kept
 from lidar_emu.scene.hits import Scene
 from lidar_emu.scene.nested import NestedGround
@@ -18,6 +19,8 @@ def plan_parts(ground: Scene) -> Iterator[Decision]:
     if isinstance(ground, CutGround):
         yield from (_cut(grid) for grid in ground.kept)
         ground = ground.held
+    while isinstance(ground, PaintedGround):
+        ground = ground.ground
     while isinstance(ground, NestedGround):
         yield _seam(ground)
         ground = ground.outer

@@ -182,6 +182,7 @@ class FlightModel:
             second_range_m=returns.second_range_m,
             true_range_m=axis_hits.range_m,
             true_closing_speed_mps=true_closing_mps,
+            true_in_gap=pointing.in_gap,
             point_site_m=point_site_m,
             position_site_m=pointing.position_site_m,
             velocity_site_mps=pointing.velocity_site_mps,
@@ -216,8 +217,7 @@ def build_model(scenario: FlightScenario | BenchScenario, geometry: Path | None 
         geometry: the flight's, as it was recorded; None: it is computed.
 
     Raises:
-        InputError: a file that the scenario names cannot be used, the flight leaves the ground, or the geometry is
-            another one's.
+        InputError: a file cannot be used, the flight leaves the ground, or the geometry is another one's.
     """
     if geometry is not None:
         from lidar_emu.geometry.recorded_flight import RecordedFlight

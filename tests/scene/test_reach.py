@@ -56,7 +56,7 @@ def beamlets(rng, origin, direction, count=20):
 
 
 @given(st.integers(0, 10**9))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_hits_before_equal_hits_after(seed):
     rng = np.random.default_rng(seed)
     beyond = BEYOND[rng.integers(3)]

@@ -10,6 +10,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.scenario.site import Grid, Site
 from lidar_emu.scene import build_scene
 from lidar_emu.scene.terrain_frame import Ellipsoid, LocalFrame
+from lidar_emu.scene.terrain_local import Extent
 from lidar_emu.scene.terrain_read import read_terrain
 
 rasterio = pytest.importorskip("rasterio", reason="the extra geo is not installed")
@@ -272,3 +273,102 @@ def test_a_belt_that_does_not_reach_the_poles(tmp_path):
     assert northmost_m == pytest.approx(MARS_M[0] * np.sin(np.radians(2.0)), abs=terrain.pixel_north_m)
     with pytest.raises(InputError, match="off the grid"):
         terrain_of(path, origin={"latitude_deg": 61.0, "longitude_deg": 0.0})
+
+
+def test_units_and_orientations_of_maps_do_not_matter(tmp_path):
+    """The same ground on maps in feet, in degrees, turned and upside down."""
+    latitude_deg, longitude_deg, size = 40.0, 359.0, 61
+    eqc = "+proj=eqc +lat_ts=40 +lon_0=0 +R=1737400"
+    degree = MOON_M * np.pi / 180
+    x_m, y_m = -degree * np.cos(np.radians(40.0)), 40.0 * degree
+    step_m, half = 300.0, size / 2
+    turned = rasterio.Affine.translation(x_m, y_m) @ rasterio.Affine.rotation(30.0)
+    places = {
+        "metres": (eqc, rasterio.Affine(step_m, 0, x_m - half * step_m, 0, -step_m, y_m + half * step_m)),
+        "feet": (
+            eqc + " +units=ft",
+            rasterio.Affine(1000, 0, x_m / 0.3048 - half * 1000, 0, -1000, y_m / 0.3048 + half * 1000),
+        ),
+        "degrees": (
+            "+proj=longlat +R=1737400",
+            rasterio.Affine(0.01, 0, 359 - half * 0.01, 0, -0.01, 40 + half * 0.01),
+        ),
+        "upside down": (eqc, rasterio.Affine(step_m, 0, x_m - half * step_m, 0, step_m, y_m - half * step_m)),
+        "turned": (eqc, turned @ rasterio.Affine(step_m, 0, -half * step_m, 0, -step_m, half * step_m)),
+    }
+    horizon = to_horizon("+proj=longlat +R=1737400", latitude_deg, longitude_deg, 0.0)
+    for name, (crs, place) in places.items():
+        column, row = np.meshgrid(np.arange(size) + 0.5, np.arange(size) + 0.5)
+        x = place.a * column + place.b * row + place.c
+        y = place.d * column + place.e * row + place.f
+        reference = pyproj.CRS(crs)
+        to_map = pyproj.Transformer.from_crs(reference.geodetic_crs, reference, always_xy=True)
+        longitude, latitude = to_map.transform(x, y, direction="INVERSE")
+        profile = {
+            "driver": "GTiff",
+            "height": size,
+            "width": size,
+            "dtype": "float64",
+            "count": 1,
+            "crs": crs,
+        }
+        with rasterio.open(tmp_path / "a.tif", "w", transform=place, **profile) as file:
+            file.write(relief_m(longitude, latitude), 1)
+        terrain = terrain_of(tmp_path / "a.tif", origin={"latitude_deg": 40.0, "longitude_deg": 359.0})
+        east, north, z = nodes(terrain)
+        longitude, latitude, altitude = horizon.transform(
+            east, north, z + terrain.origin_elevation_m, direction="INVERSE"
+        )
+        error_m = np.abs(altitude - relief_m(longitude, latitude))
+        assert np.isfinite(error_m).sum() > 0.8 * size**2, name
+        assert np.nanmax(error_m) < 3.0, name
+
+
+def test_the_map_of_another_body(tmp_path):
+    path = write_globe(tmp_path / "a.tif", 0)
+    with pytest.raises(InputError) as caught:
+        build_scene(Site(ground=Grid(kind="grid", file=str(path))))
+    assert (
+        "site.body.radius_m: 1737400.0 is not usable; allowed: that of the map within 1%, 3396190 m"
+        in str(caught.value)
+    )
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        (
+            {"origin": {"latitude_deg": 26.0, "longitude_deg": -46.0}},
+            "off the grid; allowed: latitude from 24.",
+        ),
+        ({"origin": {"latitude_deg": -25.0, "longitude_deg": 134.0}}, "latitude -25, longitude 134"),
+        ({"origin": {"map_x_m": 1e9, "map_y_m": 0.0}}, "map x 1e+09 m"),
+        ({"half_size_m": 1e6}, "ground.half_size_m: 1000000.0 is not usable; allowed: at most 868700"),
+        ({"half_size_m": 10.0}, "1 x 1 samples"),
+    ],
+)
+def test_places_that_are_refused(tmp_path, keys, expected):
+    path = write_map(tmp_path / "a.tif", MAPS["orthographic"][0], 25.0, -46.0)
+    with pytest.raises(InputError) as caught:
+        terrain_of(path, **keys)
+    assert expected in str(caught.value)
+
+
+def test_a_part_in_the_frame_of_another_grid(tmp_path):
+    """What a second file tells in the frame of the first is the same ground."""
+    crs, latitude_deg, longitude_deg = MAPS["south polar stereographic"]
+    fine = write_map(tmp_path / "fine.tif", crs, latitude_deg, longitude_deg, pixel_m=100.0)
+    wide = write_map(
+        tmp_path / "wide.tif", MAPS["equirectangular"][0].replace("3394839.8", "1737400"), -85.2, 41.5
+    )
+    first = terrain_of(fine)
+    extent = Extent(-1000.0, 3000.0, -2000.0, 2000.0)
+    second = read_terrain(Grid(kind="grid", file=str(wide)), extent, first.frame)
+    assert second.frame == first.frame
+    assert second.origin_elevation_m == first.origin_elevation_m
+    east, north, z = nodes(second)
+    assert (east.min(), north.min()) >= (-1000.0, -2000.0)
+    assert (east.max(), north.max()) <= (3000.0, 2000.0)
+    column, row = (east - first.west_m) / 100.0, (first.north_m - north) / 100.0
+    heights = nodes(first)[2][np.rint(row).astype(int), np.rint(column).astype(int)]
+    assert np.nanmax(np.abs(z - heights)) < 20.0

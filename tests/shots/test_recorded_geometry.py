@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from lidar_emu.errors import InputError
+from lidar_emu.geometry import file
+from lidar_emu.report import geometry_export
 from lidar_emu.report.geometry_export import record_geometry
 from lidar_emu.scenario.load import load
 from lidar_emu.shots import build_model, measure_in_blocks, simulate
@@ -36,9 +38,12 @@ def measured(scenario, geometry, block_shots=128):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """Over a grid: 300 shots of 4 beams with 7 beamlets, misaligned in between."""
+    """Over a grid: 300 shots of 4 beams with 7 beamlets, misaligned in between; three blocks of them."""
     path = tmp_path_factory.mktemp("geometry") / "flight.npz"
-    about = record_geometry(flown(WAY), path)
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (file, geometry_export):
+            patch.setattr(module, "BLOCK_SHOTS", 128)
+        about = record_geometry(flown(WAY), path)
     assert (about.shots, about.beams, about.beamlets) == (300, 4, 7)
     return path
 

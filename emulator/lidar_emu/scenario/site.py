@@ -9,10 +9,10 @@ from pydantic import Field, model_validator
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.ground_detail import Detail
-from lidar_emu.scenario.part import NonNegative, Part, Positive, unusable
+from lidar_emu.scenario.mesh_ground import Mesh
+from lidar_emu.scenario.objects import PlacedObject
+from lidar_emu.scenario.part import Latitude, Longitude, NonNegative, Part, Positive, unusable
 
-Latitude = Annotated[float, Field(ge=-90, le=90)]
-Longitude = Annotated[float, Field(ge=-180, le=360)]
 Slope = Annotated[float, Field(ge=0, lt=90)]
 
 
@@ -164,11 +164,14 @@ class Site(Part):
     """Shown in plans and summaries."""
     body: Body = Body()
     """The body and its altitude datum."""
-    ground: Annotated[Plane | Sphere | Grid | Generated | Nested, Field(discriminator="kind")]
+    ground: Annotated[Plane | Sphere | Grid | Generated | Nested | Mesh, Field(discriminator="kind")]
     """What the beams hit."""
+    objects: list[PlacedObject] = []
+    """What stands on the ground or moves above it, and is hit before it."""
     origin_altitude_m: float | None = None
     """Height of the site frame's origin above the body's sphere. Left out: the ground's own height at the origin
-    (0 for a plane or a sphere), so that altitudes count from the ground at the landing point."""
+    (0 for a plane, a sphere, and a mesh that is not body-fixed), so that altitudes count from the ground at the
+    landing point."""
     surface: Surface = Surface()
     """Reflection."""
     atmosphere: Atmosphere | None = None
@@ -176,3 +179,11 @@ class Site(Part):
     sunlight_w_per_m2_um: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """Spectral irradiance of the ground by the sun at the laser's wavelength; about 270 on the Moon and 117 on Mars
     at 1550 nm; 0 at night."""
+
+    @model_validator(mode="after")
+    def _one_of_each_name(self) -> Self:
+        names = [each.name for each in self.objects]
+        for number, name in enumerate(names):
+            if name in names[:number]:
+                raise unusable(f"objects.{number}.name", name, "a name that no other object has")
+        return self

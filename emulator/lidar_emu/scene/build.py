@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from lidar_emu.scenario import site
 from lidar_emu.scenario.generated_ground import Generated
+from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scene.hits import Scene
 
 if TYPE_CHECKING:
@@ -17,15 +18,37 @@ if TYPE_CHECKING:
 AnyGrid = site.Grid | Generated
 
 
-def build_scene(part: site.Site, reach: Reach | None = None) -> Scene:
-    """The ground of a site, in the site frame.
+def build_scene(part: site.Site) -> Scene:
+    """The ground of a site with its objects, in the site frame.
+
+    Raises:
+        InputError: an elevation file or a mesh cannot be used as the site asks.
+    """
+    return with_objects(build_ground(part), part)
+
+
+def with_objects(ground: Scene, part: site.Site) -> Scene:
+    """The ground of a site with what stands on it.
+
+    Raises:
+        InputError: a mesh cannot be used as the site asks.
+    """
+    if not part.objects:
+        return ground
+    from lidar_emu.scene.objects import populated
+
+    return populated(ground, part)
+
+
+def build_ground(part: site.Site, reach: Reach | None = None) -> Scene:
+    """The ground of a site without its objects, in the site frame.
 
     Args:
         part: the site.
         reach: the rays of the run, so that what they cannot meet is left out; None: all is built.
 
     Raises:
-        InputError: an elevation file cannot be used as the site asks.
+        InputError: an elevation file or a mesh cannot be used as the site asks.
     """
     if isinstance(part.ground, site.Nested):
         return _grids(part, part.ground.grids, part.ground.feather_m, reach)
@@ -33,6 +56,11 @@ def build_scene(part: site.Site, reach: Reach | None = None) -> Scene:
         return _grids(part, [part.ground], None, reach)
     if isinstance(part.ground, site.Plane):
         return _plane(part, part.ground, part.origin_altitude_m or 0.0)
+    if isinstance(part.ground, Mesh):
+        from lidar_emu.scene.mesh_file import read_mesh
+        from lidar_emu.scene.mesh_ground import place_mesh
+
+        return place_mesh(read_mesh(part.ground.file, part.ground.unit), part.ground.origin, part)
     return _sphere(part, part.body.radius_m, part.origin_altitude_m or 0.0)
 
 

@@ -62,7 +62,7 @@ class Samples:
 
 
 class GridGround:
-    """An elevation grid on the map plane, which is the site's horizontal plane; curvature is left out.
+    """An elevation grid over the site's horizontal plane; where the body falls away, its heights do.
 
     A cell is the bilinear surface between four samples; one with a missing sample counts as beyond the grid.
     Where the grid ends higher than the ground beyond it, or lower, an upright face joins the two. With

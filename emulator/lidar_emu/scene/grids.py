@@ -6,7 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+from lidar_emu.arrays import FloatArray
 from lidar_emu.scenario.ground_detail import Detail
+from lidar_emu.scene.albedo import Albedo, PaintedGround
 from lidar_emu.scene.cut import CutGround, Kept
 from lidar_emu.scene.detail import around, detailed
 from lidar_emu.scene.grid import GridGround, Samples
@@ -38,6 +40,8 @@ class Layer:
     source: str
     """The file."""
     detail: Detail | None = None
+    albedo: FloatArray | None = None
+    """(rows, columns) of the samples, where the file has it; NaN where missing."""
 
     @property
     def pixel_m(self) -> float:
@@ -66,6 +70,7 @@ def join_grids(
     layers, beyond = read()
     spans = _spans(layers, beyond)
     kept: list[Kept] = []
+    albedos: list[Albedo] = []
     ground: Scene | None = None
     for place, layer in reversed(list(enumerate(layers))):
         span = spans[place]
@@ -79,9 +84,13 @@ def join_grids(
             strip_m = _feather_m(span.area, layers[place + 1]) if feather_m is None else feather_m
             ground = nest(samples, span.area, ground, strip_m, _inner(layer, layer.description))
             base = ground.inner
+        if layer.albedo is not None:
+            albedos.append(_albedo(samples, layer.albedo))
         if layer.detail is not None:
             ground = _with_detail(ground, base.samples, layer, layer.detail, span, reach)
     assert ground is not None
+    for albedo in albedos:
+        ground = PaintedGround(ground, albedo)
     if not kept:
         return ground
     build_whole = partial(join_grids, read, feather_m, reach, cut=False)
@@ -105,6 +114,21 @@ def _part(samples: Samples, needed: Rectangle) -> Samples:
         height_m=samples.height_m[rows.start : rows.stop, columns.start : columns.stop].copy(),
         first_row=rows.start,
         first_column=columns.start,
+    )
+
+
+def _albedo(samples: Samples, share: FloatArray) -> Albedo:
+    """Of the samples that are held."""
+    rows, columns = samples.height_m.shape
+    first_row, first_column = samples.first_row, samples.first_column
+    return Albedo(
+        share=share[first_row : first_row + rows, first_column : first_column + columns].copy(),
+        west_m=samples.west_m,
+        south_m=samples.south_m,
+        pixel_east_m=samples.pixel_east_m,
+        pixel_north_m=samples.pixel_north_m,
+        first_column=first_column,
+        first_row=first_row,
     )
 
 

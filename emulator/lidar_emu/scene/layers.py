@@ -16,6 +16,7 @@ from lidar_emu.scene.grids import Beyond, Layer
 from lidar_emu.scene.terrain import Terrain
 
 BODY_TOLERANCE = 0.01
+"""Maps of one body are drawn on spheres and ellipsoids that differ by up to 0.6 % (Mars)."""
 
 AnyGrid = site.Grid | Generated
 
@@ -61,7 +62,8 @@ def _layer(part: site.Site, grid: AnyGrid, terrain: Terrain, altitude_m: float) 
     def build(samples: Samples, beyond: Beyond, description: str) -> GridGround:
         return GridGround(samples, beyond, description, altitude_m, part.surface.reflectance)
 
-    return Layer(samples, build, terrain.description, terrain.source, grid.detail)
+    albedo = None if terrain.reflectance is None else terrain.reflectance[::-1]
+    return Layer(samples, build, terrain.description, terrain.source, grid.detail, albedo)
 
 
 def _read(part: site.Site, grid: AnyGrid, first: tuple[AnyGrid, Terrain] | None) -> Terrain:

@@ -52,8 +52,20 @@ class Terrain:
             pixel = f"{self.pixel_east_m:.6g} m x {self.pixel_north_m:.6g} m"
         missing = np.isnan(self.elevation_m).mean()
         holes = f", {missing:.2%} missing" if missing else ""
-        placed = f", {self.placed}" if self.placed else ""
-        return f"grid {Path(self.source).name}, {columns} x {rows} samples at {pixel}{holes}{placed}"
+        told = [
+            self.placed,
+            _range("albedo", self.reflectance),
+            _range("rock abundance", self.rock_abundance),
+        ]
+        grid = f"grid {Path(self.source).name}, {columns} x {rows} samples at {pixel}{holes}"
+        return ", ".join([grid, *filter(None, told)])
+
+
+def _range(name: str, values: FloatArray | None) -> str:
+    """What a band says, in words; empty where there is none."""
+    if values is None or np.isnan(values).all():
+        return ""
+    return f"{name} {np.nanmin(values):.3g} to {np.nanmax(values):.3g} (median {np.nanmedian(values):.3g})"
 
 
 def check_size(where: str, rows: int, columns: int) -> None:

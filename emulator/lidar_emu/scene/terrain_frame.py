@@ -57,15 +57,14 @@ class LocalFrame:
         x, y, z = (self._origin_m[k] + east_m * east[k] + north_m * north[k] + up_m * up[k] for k in range(3))
         a, b, e2 = self.ellipsoid.equatorial_m, self.ellipsoid.polar_m, self.ellipsoid.square_eccentricity
         from_axis = np.hypot(x, y)
-        reduced = np.arctan2(z * a, from_axis * b)
+        # Sines and cosines come of lengths, which is faster than of angles.
+        sine, cosine = _direction(from_axis * b, z * a)
         for _ in range(2 if e2 else 1):
-            latitude = np.arctan2(
-                z + e2 * a**2 / b * np.sin(reduced) ** 3, from_axis - e2 * a * np.cos(reduced) ** 3
-            )
-            reduced = np.arctan2(b * np.sin(latitude), a * np.cos(latitude))
-        sine, cosine = np.sin(latitude), np.cos(latitude)
+            up_part, out_part = z + e2 * a**2 / b * sine**3, from_axis - e2 * a * cosine**3
+            sine, cosine = _direction(out_part * a, up_part * b)
+        sine, cosine = _direction(out_part, up_part)
         altitude = from_axis * cosine + z * sine - a * np.sqrt(1.0 - e2 * sine**2)
-        return latitude, np.arctan2(y, x), altitude
+        return np.arctan2(up_part, out_part), np.arctan2(y, x), altitude
 
     @property
     def _origin_m(self) -> FloatArray:
@@ -97,3 +96,9 @@ def _body_fixed_m(
 
 def _along(vector: FloatArray, axis: FloatArray) -> FloatArray:
     return np.asarray(vector[..., 0] * axis[0] + vector[..., 1] * axis[1] + vector[..., 2] * axis[2])
+
+
+def _direction(out: FloatArray, up: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Sine and cosine of the angle from ``out`` to ``up``."""
+    length = np.hypot(out, up)
+    return up / length, out / length

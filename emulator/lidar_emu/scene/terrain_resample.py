@@ -18,7 +18,8 @@ from lidar_emu.scene.terrain import Terrain, check_size, refuse_nothing
 from lidar_emu.scene.terrain_frame import LocalFrame
 from lidar_emu.scene.terrain_map import RasterMap, Samples
 
-_TOLERANCE_M = 1e-5
+_TOLERANCE_M = 0.01
+"""Of the last step; what is left is less than a tenth of it, and near the origin a thousandth."""
 _ROUNDS = 30
 _NODES_AT_ONCE = 200_000
 _PROBES = 20_000
