@@ -115,6 +115,14 @@ class Pointing(NamedTuple):
         return vectors
 
 
+def sensor_height_m(pointing: Pointing, axis_hits: Hits) -> FloatArray:
+    """(shots,) Of the sensor above the ground that its beams meet, on average; infinite where they meet none."""
+    below_m = -axis_hits.range_m * pointing.true_site[..., 2]
+    met = np.isfinite(below_m)
+    total_m = np.where(met, below_m, 0.0).sum(axis=1)
+    return np.where(met.any(axis=1), total_m / np.maximum(met.sum(axis=1), 1), np.inf)
+
+
 class Flight:
     """The rooms of a flight, built once."""
 

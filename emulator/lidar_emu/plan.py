@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidar_emu.echoes import receive_light
-from lidar_emu.flight import Flight, Pointing
+from lidar_emu.flight import Flight, Pointing, sensor_height_m
 from lidar_emu.geometry.recorded_flight import RecordedFlight
 from lidar_emu.plan_faults import planned_faults
 from lidar_emu.plan_ground import plan_parts
@@ -58,6 +58,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     decisions = (
         *_flown(scenario, flight, pointing, hits),
         _air(scenario),
+        *_dust(scenario, float(np.min(sensor_height_m(pointing, hits)))),
         footprint,
         *plan_receiver(scenario, echoes),
         *planned_faults(scenario),
@@ -74,6 +75,7 @@ def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
             Decision("trajectory", True, "live truth", kept, "as interpolated"),
             Decision("ground", True, flight.scene.description, kept, "exact"),
             _air(scenario),
+            *_dust(scenario, 0.0),
             Decision("footprint", beamlets > 1, f"{beamlets} beamlets", kept, "sampled"),
             *_switching(flight),
             Decision("receiver", True, scenario.level, f"the scenario asks for level {scenario.level}", kept),
@@ -183,6 +185,23 @@ def _air(scenario: FlightScenario) -> Decision:
         return Decision("extinction", False, "vacuum", f"{scenario.site.name} has none", "exact")
     loss_db = 20 * np.log10(np.e) * air.extinction_per_m * scenario.instrument.detection.maximum_range_m
     return Decision("extinction", True, "exp(-2αR)", f"up to {loss_db:.2f} dB at maximum range", "exact")
+
+
+def _dust(scenario: FlightScenario, lowest_m: float) -> list[Decision]:
+    """Of a scenario whose plume raises some."""
+    plume, level = scenario.plume, scenario.level
+    if plume is None:
+        return []
+    if level == "geometric":
+        return [Decision("dust", False, "-", "not at level geometric", "the truth is reported")]
+    if lowest_m >= plume.onset_height_m:
+        reason = f"the sensor stays above {lowest_m:.1f} m, dust begins at {plume.onset_height_m:g} m"
+        return [Decision("dust", False, "-", reason, "exact")]
+    reason = f"the sensor comes down to {lowest_m:.1f} m, dust begins at {plume.onset_height_m:g} m"
+    if level == "statistical":
+        bound = "the sheet's own echo is missing; of ground and streak the stronger is seen"
+        return [Decision("dust", True, "dimming, streaks", reason, bound)]
+    return [Decision("dust", True, "dimming, sheet in parcels, streaks", reason, "scattered once")]
 
 
 def _switching(flight: Flight) -> list[Decision]:

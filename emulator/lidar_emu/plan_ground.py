@@ -40,10 +40,11 @@ def _cut(grid: Kept) -> Decision:
 
 def _seam(nested: NestedGround) -> Decision:
     seam = nested.seam
+    offset_m = round(seam.offset_m, 2) + 0.0  # never minus zero
     return Decision(
         "seam",
         True,
-        f"mixed over {seam.feather_m:g} m",
-        f"{nested.inner.description}: {seam.offset_m:+.2f} m ± {seam.scatter_m:.2f} m on the ground that it replaces",
+        f"mixed over {seam.feather_m:.3g} m",
+        f"{nested.inner.description}: {offset_m:+.2f} m ± {seam.scatter_m:.2f} m on the ground that it replaces",
         f"steps up to {seam.step_m:.2g} m",
     )
