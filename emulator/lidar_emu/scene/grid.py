@@ -41,7 +41,7 @@ class Samples:
 
 
 class GridGround:
-    """An elevation grid on the map plane, which is the site's horizontal plane; curvature is left out.
+    """An elevation grid over the site's horizontal plane; where the body falls away, its heights do.
 
     A cell is the bilinear surface between four samples; one with a missing sample counts as beyond the grid.
     Where the grid ends higher than the ground beyond it, or lower, an upright face joins the two. With
@@ -52,6 +52,7 @@ class GridGround:
         beyond: the ground around the grid and in its holes, through the origin; None where there is none.
         description: one line for plans.
         origin_altitude_m: height of the origin above the body's sphere.
+        reflectance: albedo, also of the ground beyond.
     """
 
     def __init__(
@@ -60,8 +61,10 @@ class GridGround:
         beyond: PlaneGround | SphereGround | None,
         description: str,
         origin_altitude_m: float,
+        reflectance: float = 1.0,
     ) -> None:
         self.samples = samples
+        self.reflectance = reflectance
         self.beyond = beyond
         self.description = description
         self.origin_altitude_m = origin_altitude_m
@@ -101,15 +104,18 @@ class GridGround:
             self._maxima,
             self._levels,
             self._kind,
+            self.reflectance,
             hits.range_m,
             hits.normal_site,
             hits.inside,
+            hits.reflectance,
+            hits.thing,
         )
         return hits
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
         """Every cell on the way, and bisection in it; see `grid_exact`."""
-        return grid_exact.cast(self.samples, self.beyond, origin_site_m, direction_site)
+        return grid_exact.cast(self.samples, self.beyond, origin_site_m, direction_site, self.reflectance)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """(n,) z of the surface, or of the ground beyond."""

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.kernels import kernel
 from lidar_emu.scene.cell import slopes, surface
+from lidar_emu.scene.hits import GROUND
+from lidar_emu.scene.hits import NOTHING as NO_THING
 from lidar_emu.scene.plane import plane_stretch
 from lidar_emu.scene.sphere import sphere_stretch
 from lidar_emu.scene.traverse import BEYOND, CLEAR, FACE, SURFACE, clip, meet_beyond, traverse
@@ -110,11 +113,14 @@ def cast_rays(
     maxima: FloatArray,
     levels: IntArray,
     beyond: int,
+    albedo: float,
     range_m: FloatArray,
     normal: FloatArray,
     inside: BoolArray,
+    reflectance: FloatArray,
+    thing: NDArray[np.int16],
 ) -> None:
-    """Fill range_m (n,), normal (n, 3) and inside (n,) for n rays in the site frame."""
+    """Fill the arrays of `Hits` for n rays in the site frame."""
     for k in range(origin.shape[0]):
         range_m[k], normal[k, 0], normal[k, 1], normal[k, 2], inside[k] = _cast_one(
             origin[k, 0],
@@ -129,6 +135,9 @@ def cast_rays(
             levels,
             beyond,
         )
+        hit = range_m[k] == range_m[k]
+        reflectance[k] = albedo if hit else np.nan
+        thing[k] = GROUND if hit else NO_THING
 
 
 @kernel(outermost=True)
