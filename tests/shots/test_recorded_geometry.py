@@ -210,7 +210,7 @@ def test_a_file_that_was_cut_damaged_or_is_none_is_refused(recorded, tmp_path):
 
 def test_neither_ground_nor_trajectory_is_built(recorded, monkeypatch):
     scenario = flown({**WAY, "level": "statistical"})
-    for name in ("build_scene", "build_trajectory"):
+    for name in ("build_ground", "build_trajectory"):
         monkeypatch.setattr(f"lidar_emu.flight.{name}", None)
     model = build_model(scenario, recorded)
     next(measure_in_blocks(model))

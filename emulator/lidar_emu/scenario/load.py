@@ -24,7 +24,7 @@ PART_FOLDERS = {
     "scanner": "scanners",
     "bench_pattern": "bench_patterns",
 }
-_FILE_KEYS = (("ground", "file"), ("objects", "*", "file"), ("file",))
+_FILE_KEYS = (("ground", "file"), ("ground", "grids", "*", "file"), ("objects", "*", "file"), ("file",))
 """Where parts name files; `*` is every entry of a list."""
 
 
