@@ -27,6 +27,7 @@ _SAME = 1.0 + 1e-12
 
 @kernel
 def set_ray(origin: FloatArray, direction: FloatArray, ray: FloatArray) -> None:
+    """Begin a ray along a unit vector: it has met nothing yet."""
     x, y, z = direction[0], direction[1], direction[2]
     for axis in range(3):
         ray[X + axis], ray[DX + axis], ray[RX + axis] = (
@@ -46,6 +47,7 @@ def set_ray(origin: FloatArray, direction: FloatArray, ray: FloatArray) -> None:
 
 @kernel(forceinline=True)
 def meet(corner_m: FloatArray, sheet: bool, triangle: int, ray: FloatArray) -> None:
+    """Note where a ray meets a triangle, if that is nearer than what it has met."""
     x, y, z = ray[X], ray[Y], ray[Z]
     ax, ay, az = corner_m[0, 0] - x, corner_m[0, 1] - y, corner_m[0, 2] - z
     bx, by, bz = corner_m[1, 0] - x, corner_m[1, 1] - y, corner_m[1, 2] - z
