@@ -7,16 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidar_emu.echoes import receive_light
-from lidar_emu.flight import Flight, Pointing
+from lidar_emu.flight import Flight, Pointing, sensor_height_m
 from lidar_emu.geometry.recorded_flight import RecordedFlight
 from lidar_emu.plan_faults import planned_faults
+from lidar_emu.plan_ground import plan_parts
 from lidar_emu.plan_receiver import Decision, plan_receiver
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.site import Grid, Nested
 from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.terrain_read import lies_flat
 from lidar_emu.spread import spread_bins
 
 ONE_BEAMLET_BELOW_BINS = 0.1
@@ -57,6 +59,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     decisions = (
         *_flown(scenario, flight, pointing, hits),
         _air(scenario),
+        *_dust(scenario, float(np.min(sensor_height_m(pointing, hits)))),
         footprint,
         *plan_receiver(scenario, echoes),
         *planned_faults(scenario),
@@ -73,6 +76,7 @@ def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
             Decision("trajectory", True, "live truth", kept, "as interpolated"),
             Decision("ground", True, flight.scene.description, kept, "exact"),
             _air(scenario),
+            *_dust(scenario, 0.0),
             Decision("footprint", beamlets > 1, f"{beamlets} beamlets", kept, "sampled"),
             *_switching(flight),
             Decision("receiver", True, scenario.level, f"the scenario asks for level {scenario.level}", kept),
@@ -103,7 +107,12 @@ def _flown(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: H
                 "trajectory, ground, casting", False, how, f"the geometry of {about.name} is given", kept
             )
         ]
-    return [_trajectory(scenario, flight), *_ground(scenario, flight, pointing, hits), *_switching(flight)]
+    return [
+        _trajectory(scenario, flight),
+        *_bridges(flight),
+        *_ground(scenario, flight, pointing, hits),
+        *_switching(flight),
+    ]
 
 
 def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:
@@ -117,6 +126,19 @@ def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:
         f"gaps bridged: {gaps}" if gaps else "no gaps",
         "as interpolated" if gaps else "exact",
     )
+
+
+def _bridges(flight: Flight) -> list[Decision]:
+    """The gaps of a table that are longer than it allows, of columns that lack the same rows together."""
+    columns: dict[tuple[float, float], list[str]] = {}
+    for gap in flight.trajectory.bridged:
+        columns.setdefault((gap.start_s, gap.start_s + gap.length_s), []).append(gap.column)
+    return [
+        Decision(
+            "gap", True, f"bridged from {start_s:.1f} s to {end_s:.1f} s", ", ".join(names), "unknown there"
+        )
+        for (start_s, end_s), names in columns.items()
+    ]
 
 
 def _powered_descent(flight: Flight, ground_m: float) -> Decision:
@@ -142,19 +164,22 @@ def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: 
     ground = scenario.site.ground
     if isinstance(ground, Mesh):
         return [Decision("ground", True, flight.scene.description, "the site has a mesh", "exact")]
-    if not isinstance(ground, Grid | Generated):
+    if not isinstance(ground, Grid | Generated | Nested):
         return [
             Decision("ground", True, flight.scene.description, f"a {ground.kind} is a formula", "exact"),
             Decision("grid traversal", False, "-", "the site has no elevation grid", "exact"),
         ]
+    told = Decision("ground", True, flight.scene.description, "the site has an elevation grid", "exact")
+    parts = list(plan_parts(flight.ground))
+    grids = ground.grids if isinstance(ground, Nested) else [ground]
+    if not any(isinstance(grid, Generated) or lies_flat(grid) for grid in grids):
+        on_body = "by the map's projection"
+        return [told, Decision("curvature of the grid", True, on_body, "the file states it", "exact"), *parts]
     horizontal_m = (pointing.sensor_site_m + hits.range_m[..., None] * pointing.true_site)[..., :2]
     away_m = float(np.sqrt(np.nanmax((horizontal_m**2).sum(axis=-1), initial=0.0)))
     fall_m = away_m**2 / (2 * scenario.site.body.radius_m)
     bound = f"{fall_m:.2g} m of height, {away_m:.0f} m from the origin"
-    return [
-        Decision("ground", True, flight.scene.description, "the site has an elevation grid", "exact"),
-        Decision("curvature of the grid", False, "map plane", "grids are read on their map plane", bound),
-    ]
+    return [told, Decision("curvature of the grid", False, "map plane", "the grid lies flat", bound), *parts]
 
 
 def _air(scenario: FlightScenario) -> Decision:
@@ -163,6 +188,23 @@ def _air(scenario: FlightScenario) -> Decision:
         return Decision("extinction", False, "vacuum", f"{scenario.site.name} has none", "exact")
     loss_db = 20 * np.log10(np.e) * air.extinction_per_m * scenario.instrument.detection.maximum_range_m
     return Decision("extinction", True, "exp(-2αR)", f"up to {loss_db:.2f} dB at maximum range", "exact")
+
+
+def _dust(scenario: FlightScenario, lowest_m: float) -> list[Decision]:
+    """Of a scenario whose plume raises some."""
+    plume, level = scenario.plume, scenario.level
+    if plume is None:
+        return []
+    if level == "geometric":
+        return [Decision("dust", False, "-", "not at level geometric", "the truth is reported")]
+    if lowest_m >= plume.onset_height_m:
+        reason = f"the sensor stays above {lowest_m:.1f} m, dust begins at {plume.onset_height_m:g} m"
+        return [Decision("dust", False, "-", reason, "exact")]
+    reason = f"the sensor comes down to {lowest_m:.1f} m, dust begins at {plume.onset_height_m:g} m"
+    if level == "statistical":
+        bound = "the sheet's own echo is missing; of ground and streak the stronger is seen"
+        return [Decision("dust", True, "dimming, streaks", reason, bound)]
+    return [Decision("dust", True, "dimming, sheet in parcels, streaks", reason, "scattered once")]
 
 
 def _switching(flight: Flight) -> list[Decision]:

@@ -1,9 +1,9 @@
 """An error-state Kalman filter: inertial increments carry the estimate, beams correct it.
 
-What is estimated, and in which order its errors stand in the covariance: position (east, north, height above the ground),
-velocity, attitude, biases of accelerometers and gyroscopes, slope of the ground to the east and to the north. The error
-psi of the attitude is a small rotation in the site frame, true = exp([psi]x) estimate. East and north are dead reckoning:
-no beam tells them. The ground below is a plane that changes as it is flown over.
+What is estimated, and in which order its errors stand in the covariance: position (east, north, height above the
+ground), velocity, attitude, biases of accelerometers and gyroscopes, slope of the ground to the east and to the north.
+The error psi of the attitude is a small rotation in the site frame, true = exp([psi]x) estimate. East and north are
+dead reckoning: no beam tells them. The ground below is a plane that changes as it is flown over.
 """
 
 from dataclasses import dataclass
@@ -24,8 +24,8 @@ LEAST_HEIGHT_M = 0.5
 
 @dataclass(frozen=True)
 class Ground:
-    """What is expected of the ground. What was seen of it is forgotten over a path as long as the height: the beams then
-    fall elsewhere."""
+    """What is expected of the ground. What was seen of it is forgotten over a path as long as the height: by then the
+    beams fall elsewhere."""
 
     slope_sigma: float = 0.05
     """Of the slope of the plane that the beams see: three degrees."""
@@ -142,7 +142,14 @@ class ErrorState:
         return Predicted(beams_site @ self.velocity_site_mps, design)
 
     def correct(self, innovation: Array, design: Array, spread: Array, variances: Array) -> None:
-        """Take in what n beams said: innovations (n,), their design (n, 17), covariance (n, n), and own variances (n,)."""
+        """Take in what n beams said.
+
+        Args:
+            innovation: (n,) what was said less what was predicted.
+            design: (n, 17) of the prediction.
+            spread: (n, n) covariance of the innovations.
+            variances: (n,) of the beams themselves.
+        """
         gain = np.linalg.solve(spread, design @ self.covariance).T
         left = np.eye(ERRORS) - gain @ design
         self.covariance = (

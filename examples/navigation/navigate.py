@@ -10,14 +10,13 @@ from beams import Array, Shot, from_message
 from error_state import POSITION, VELOCITY
 from navigation import Navigator, Taken, errors, start
 from ports import from_can, from_serial
-from trust import CAREFUL, CREDULOUS, STUBBORN
+from trust import NAMED
 from truth import Truth
 
 import lidar_emu
 from lidar_emu.errors import InputError
 from lidar_protocol import Message
 
-RULES = {"careful": CAREFUL, "stubborn": STUBBORN, "credulous": CREDULOUS}
 HEADINGS = (
     "           height, m           error of velocity, mm/s     tilt, deg    beams taken\n"
     "   time     true estimate      east    north       up    true   est.   range  speed\n"
@@ -28,7 +27,7 @@ def main() -> None:
     """Read the command line, and follow the flight."""
     asked = options().parse_args()
     try:
-        truth = Truth(lidar_emu.load(asked.scenario, dict(each.split("=", 1) for each in asked.set)))
+        truth = Truth(lidar_emu.load(asked.scenario, overrides(asked.set)))
         follow(truth, messages(asked, truth.scenario.wire.unit), asked)
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
@@ -49,7 +48,8 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("-i", "--interface", metavar="NAME", help="CAN interface, in python-can's words")
     parser.add_argument("-c", "--channel", metavar="NAME", help="CAN channel, e.g. vcan0")
     parser.add_argument("--bitrate", type=int, default=500_000)
-    parser.add_argument("--rules", choices=RULES, default="careful", help="whom to believe")
+    parser.add_argument("--fd", action="store_true", help="CAN FD frames")
+    parser.add_argument("--rules", choices=NAMED, default="careful", help="whom to believe")
     parser.add_argument("--seed", type=int, default=1, help="of inertial unit and first guess")
     parser.add_argument(
         "--every", type=float, default=1.0, metavar="S", help="seconds of flight between two lines"
@@ -57,13 +57,22 @@ def options() -> argparse.ArgumentParser:
     return parser
 
 
+def overrides(settings: list[str]) -> dict[str, str]:
+    """Of `--set`."""
+    pairs = [each.partition("=") for each in settings]
+    for key, equals, value in pairs:
+        if not (key and equals and value):
+            raise InputError("--set", None, key + equals + value, "allowed: KEY=VALUE")
+    return {key: value for key, _, value in pairs}
+
+
 def messages(asked: argparse.Namespace, unit: int) -> Iterator[Message]:
     """From the port that was asked for."""
-    if (asked.port is None) == (asked.interface is None):
-        raise InputError("--port", None, asked.port, "allowed: either --port, or --interface and --channel")
-    if asked.port is not None:
+    if asked.port is not None and asked.interface is None:
         return from_serial(asked.port, asked.baud, unit)
-    return from_can(asked.interface, asked.channel, asked.bitrate, unit)
+    if asked.port is not None or None in (asked.interface, asked.channel):
+        raise InputError("--port", None, asked.port, "allowed: either --port, or --interface and --channel")
+    return from_can(asked.interface, asked.channel, asked.bitrate, asked.fd, unit)
 
 
 def follow(truth: Truth, arriving: Iterator[Message], asked: argparse.Namespace) -> None:
@@ -72,7 +81,7 @@ def follow(truth: Truth, arriving: Iterator[Message], asked: argparse.Namespace)
     first = next(shots, None)
     if first is None:
         raise OSError("no packet has come")
-    navigator = start(truth, first.time_ns, asked.seed, RULES[asked.rules])
+    navigator = start(truth, first.time_ns, asked.seed, NAMED[asked.rules])
     told_ns, used, unused = -1.0, 0, 0
     print(HEADINGS, end="")
     for shot in shots:
@@ -89,9 +98,10 @@ def follow(truth: Truth, arriving: Iterator[Message], asked: argparse.Namespace)
             )
     off = errors(navigator.state, truth.at(navigator.time_ns))
     east_m, north_m, height_m = off[POSITION]
+    speed_mmps = np.linalg.norm(off[VELOCITY]) * 1e3
     print(
-        f"at the end, {navigator.time_ns * 1e-9:.2f} s: east {east_m:+.2f} m, north {north_m:+.2f} m, height {height_m:+.2f} m,"
-        f" velocity {np.linalg.norm(off[VELOCITY]) * 1e3:.1f} mm/s off; {used} shots used, {unused} not"
+        f"off at the end, {navigator.time_ns * 1e-9:.2f} s: {east_m:+.2f} m east, {north_m:+.2f} m north,"
+        f" {height_m:+.2f} m of height, {speed_mmps:.1f} mm/s; {used} shots used, {unused} not"
     )
 
 

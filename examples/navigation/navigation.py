@@ -54,7 +54,7 @@ class Navigator:
         self.time_ns = time_ns
 
     def take(self, shot: Shot) -> tuple[Taken, Taken] | None:
-        """What became of ranges and speeds; None for a shot that is not newer than the estimate, or of a time to come."""
+        """What became of ranges and speeds; None for a shot that is not newer than the estimate, or is yet to come."""
         if not self.time_ns < shot.time_ns <= self._inertial.end_ns:
             return None
         self.carry_to(shot.time_ns)

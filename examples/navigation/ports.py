@@ -27,7 +27,7 @@ def from_serial(path: str, baud: int, unit: int) -> Iterator[Message]:
                     yield received
 
 
-def from_can(interface: str, channel: str, bitrate: int, unit: int) -> Iterator[Message]:
+def from_can(interface: str, channel: str, bitrate: int, fd: bool, unit: int) -> Iterator[Message]:
     """Shots until the bus falls silent.
 
     Raises:
@@ -35,12 +35,12 @@ def from_can(interface: str, channel: str, bitrate: int, unit: int) -> Iterator[
     """
     receiver, begun = CanReceiver(default_interface()), False
     try:
-        bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, fd=interface == "socketcan")
+        bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, fd=fd)
     except can.CanError as error:
         raise OSError(str(error)) from None
     with bus:
         while (frame := bus.recv(QUIET_S)) or not begun:
-            if frame is None or frame.is_extended_id or not frame.is_rx:
+            if frame is None or frame.is_extended_id:
                 continue
             for received in receiver.receive(frame.arbitration_id, bytes(frame.data), frame.is_fd):
                 if isinstance(received, Message) and received.unit == unit:

@@ -1,6 +1,7 @@
 """What one shot says by itself: velocity, and the plane of the ground, by weighted least squares with a parity check.
 
-Nothing but geometry and the standard deviations in the packet. Three beams are needed, a fourth tells whether they agree.
+Nothing but geometry and the standard deviations in the packet. Three beams are needed; a fourth tells whether they
+agree.
 """
 
 from typing import NamedTuple

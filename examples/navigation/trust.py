@@ -1,4 +1,4 @@
-"""Whom to believe: how much noise the beams really have, which of them are outliers, and when the filter itself is lost."""
+"""Whom to believe: how noisy the beams really are, which of them are outliers, and when the filter itself is lost."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -25,7 +25,12 @@ class Rules:
 
 CAREFUL = Rules()
 STUBBORN = Rules(weighs=False, lost_after=None)
+"""Has a gate, and never doubts itself."""
 CREDULOUS = Rules(gate=np.inf, weighs=False, lost_after=None)
+"""Takes whatever is flagged valid."""
+BLIND = Rules(gate=0.0, lost_after=None)
+"""Takes nothing: the inertial unit alone."""
+NAMED = {"careful": CAREFUL, "stubborn": STUBBORN, "credulous": CREDULOUS, "blind": BLIND}
 
 WINDOW = 40
 """Shots over which noise is judged: two seconds."""

@@ -15,7 +15,7 @@ from lidar_emu.rotations import dot
 from lidar_emu.shots import simulate
 
 PAD = {"name": "deck", "kind": "pad", "diameter_m": 2000, "height_m": 2, "up_m": 0}
-TILT = {"attitude": {"roll_deg": 3, "pitch_deg": 2, "yaw_deg": 30, "body_rate_radps": [0.1, 0.5, -0.2]}}
+TILT = {"attitude": {"roll_deg": 3, "pitch_deg": 2, "yaw_deg": 30, "body_rate_radps": [0.02, 0.05, -0.02]}}
 
 
 def descent(objects: list[dict], level: str = "spectral") -> dict:

@@ -26,7 +26,7 @@ from lidar_emu.flight import Pointing
 from lidar_emu.scene.hits import Hits
 
 FORMAT, VERSION = "lidar-emu geometry", 1
-BLOCK_SHOTS = 128
+BLOCK_SHOTS = 1024
 
 _ABOUT = "about"
 _SHOTS_AXIS = {"beams": 1, "vehicle": 1}
@@ -115,9 +115,11 @@ class GeometryFile:
         hits: Hits = self._rows("axis", shot)
         return hits
 
-    def beamlet_hits(self, shot: NDArray[np.int64]) -> Hits:
-        """(shots, beams, beamlets), where the file has more than one a beam."""
-        hits: Hits = self._rows("beamlets", shot)
+    def beamlet_hits(self, shot: NDArray[np.int64], hits: Hits) -> Hits:
+        """Fill `hits` (rays,) of the beamlets, one beam after another, where the file has more than one a beam."""
+        values: NDArray[Any]
+        for values, recorded in zip(hits, self._rows("beamlets", shot), strict=True):
+            values[:] = recorded.reshape(values.shape)
         return hits
 
     def _rows(self, part: str, shot: NDArray[np.int64]) -> Any:

@@ -56,9 +56,7 @@ class RecordedFlight(Flight):
         self, pointing: Pointing, _start_site_m: FloatArray, _ray_site: FloatArray, hits: Hits
     ) -> Hits:
         """See `Flight`."""
-        for values, recorded in zip(hits, self.file.beamlet_hits(pointing.shot), strict=True):
-            values[:] = recorded.reshape(values.shape)
-        return hits
+        return self.file.beamlet_hits(pointing.shot, hits)
 
     def _count_shots(self) -> int:
         shots, duration_s = self.file.about.shots, self.scenario.duration_s

@@ -206,7 +206,7 @@ def read_recording(path: str | Path) -> Recording:
 
 _KINDS: dict[str, Any] = {
     **dict.fromkeys(("shot", "time_ns", "due_ns"), np.int64),
-    **dict.fromkeys(("fired", "range_valid", "speed_valid", "sign_resolved"), np.bool_),
+    **dict.fromkeys(("fired", "range_valid", "speed_valid", "sign_resolved", "true_in_gap"), np.bool_),
     **dict.fromkeys(("segments", "returns"), np.uint8),
     "reason": np.int8,
 }

@@ -44,7 +44,7 @@ class Observer:
         """Shots are on their way to the port; a command may yet change them."""
 
     def superseded(self, generation: int, from_shot: int) -> None:
-        """From this shot on, packets of earlier generations are not to be sent, unless the port has already sent them."""
+        """From this shot on, packets of earlier generations are not to be sent, unless they have been already."""
 
     def settled(self, block: Block) -> None:
         """The packets of all these shots have met their fates."""

@@ -17,9 +17,19 @@ from lidar_emu.scene.traverse import BEYOND, CLEAR, FACE, SURFACE, clip, meet_be
 NOTHING, PLANE, SPHERE = 0, 1, 2
 """What lies beyond the grid."""
 
-WEST_M, SOUTH_M, CELLS_PER_M_EAST, CELLS_PER_M_NORTH, CEILING_M, FLOOR_M, RADIUS_M = range(7)
+(
+    WEST_M,
+    SOUTH_M,
+    CELLS_PER_M_EAST,
+    CELLS_PER_M_NORTH,
+    CEILING_M,
+    FLOOR_M,
+    RADIUS_M,
+    FIRST_COLUMN,
+    FIRST_ROW,
+) = range(9)
 """Places in the array of a grid's numbers: its south-west sample, its scale, bounds of its heights and of
-those of what fills its holes, and the radius of the sphere beyond."""
+those of what fills its holes, the radius of the sphere beyond, and the first of its samples that are here."""
 
 MISS = (np.nan, np.nan, np.nan, np.nan, False)
 INSIDE = (np.nan, np.nan, np.nan, np.nan, True)
@@ -35,6 +45,14 @@ def _stretch_beyond(
     if beyond == SPHERE:
         return sphere_stretch(x, y, z, dx, dy, dz, radius)
     return np.inf, -np.inf
+
+
+@kernel(forceinline=True)
+def _grid_coordinates(grid: FloatArray, x: float, y: float) -> tuple[float, float]:
+    """A place in cells from the first sample. The subtraction of whole cells is exact, unless the place is far off:
+    a part of a grid has the bits of the whole."""
+    u, v = (x - grid[WEST_M]) * grid[CELLS_PER_M_EAST], (y - grid[SOUTH_M]) * grid[CELLS_PER_M_NORTH]
+    return u - grid[FIRST_COLUMN], v - grid[FIRST_ROW]
 
 
 @kernel(forceinline=True)
@@ -54,8 +72,8 @@ def _cast_one(
     """Range, normal and whether the ray starts inside."""
     if not (np.isfinite(x + y + z) and 0.0 < dx * dx + dy * dy + dz * dz < np.inf):
         return MISS
-    u, du = (x - grid[WEST_M]) * grid[CELLS_PER_M_EAST], dx * grid[CELLS_PER_M_EAST]
-    v, dv = (y - grid[SOUTH_M]) * grid[CELLS_PER_M_NORTH], dy * grid[CELLS_PER_M_NORTH]
+    u, v = _grid_coordinates(grid, x, y)
+    du, dv = dx * grid[CELLS_PER_M_EAST], dy * grid[CELLS_PER_M_NORTH]
     enter, leave = _stretch_beyond(beyond, x, y, z, dx, dy, dz, grid[RADIUS_M])
     u_in, u_out = clip(u, du, nodes.shape[1] - 1)
     v_in, v_out = clip(v, dv, nodes.shape[0] - 1)
@@ -147,7 +165,6 @@ def surface_heights(
     """Fill height (n,) of the grid's surface; NaN outside it and where samples are missing."""
     for k in range(east.shape[0]):
         height[k] = np.nan
-        u = (east[k] - grid[WEST_M]) * grid[CELLS_PER_M_EAST]
-        v = (north[k] - grid[SOUTH_M]) * grid[CELLS_PER_M_NORTH]
+        u, v = _grid_coordinates(grid, east[k], north[k])
         if 0.0 <= u <= nodes.shape[1] - 1 and 0.0 <= v <= nodes.shape[0] - 1:
             height[k] = surface(nodes, u, v)

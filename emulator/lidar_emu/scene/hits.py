@@ -6,7 +6,7 @@ ground, so one that starts on the surface hits it at range 0, and one that start
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, Self, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,6 +59,13 @@ class Hits(NamedTuple):
     def moving(self) -> bool:
         """Whether they tell of velocities."""
         return self.velocity_site_mps.size > 0
+
+    def set_rows(self, rows: IntArray | slice, found: Hits) -> None:
+        """Take over what some of the rays have found."""
+        arrays: tuple[NDArray[Any], ...] = self
+        for all_rays, some in zip(arrays, found, strict=True):
+            if len(all_rays):
+                all_rays[rows] = some
 
     def shaped(self, shape: tuple[int, ...]) -> Self:
         """The same hits, seen as in another arrangement: (n,) becomes ``shape``."""
