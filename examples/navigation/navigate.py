@@ -8,8 +8,9 @@ from math import acos, degrees
 import numpy as np
 from beams import Array, Shot, from_message
 from error_state import POSITION, VELOCITY
-from navigation import Navigator, Taken, errors, start
+from navigation import Navigator, Taken
 from ports import from_can, from_serial
+from trials import errors, start
 from trust import NAMED
 from truth import Truth
 
