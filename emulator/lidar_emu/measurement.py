@@ -50,6 +50,8 @@ class Measurement:
     """Along the true beam axis to the ground; NaN where there is none."""
     true_closing_speed_mps: FloatArray
     """Of the sensor along the true beam axis."""
+    true_in_gap: BoolArray
+    """The truth is bridged there: the table of the trajectory has a gap longer than it allows."""
     point_site_m: FloatArray
     """(shots, beams, 3) Measured point: the measured range along the published beam direction."""
     position_site_m: FloatArray
@@ -132,7 +134,7 @@ class Measurement:
         return cls(*(np.concatenate([getattr(b, f.name) for b in blocks]) for f in fields(cls)))
 
 
-_FLAGS = ("fired", "range_valid", "speed_valid", "sign_resolved")
+_FLAGS = ("fired", "range_valid", "speed_valid", "sign_resolved", "true_in_gap")
 _WHOLE = {**dict.fromkeys(_FLAGS, np.bool_), "segments": np.uint8, "returns": np.uint8}
 """What is no number with a fraction, but the reason."""
 
@@ -162,4 +164,5 @@ _TABLE_FIELDS = (
     "second_range_m",
     "true_range_m",
     "true_closing_speed_mps",
+    "true_in_gap",
 )
