@@ -36,8 +36,8 @@ def from_can(interface: str, channel: str, bitrate: int, fd: bool, unit: int) ->
     receiver, begun = CanReceiver(default_interface()), False
     try:
         bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, fd=fd)
-    except can.CanError as error:
-        raise OSError(str(error)) from None
+    except Exception as error:  # without its vendor's driver an interface raises what it likes
+        raise OSError(f"{interface} {channel}: {error}") from None
     with bus:
         while (frame := bus.recv(QUIET_S)) or not begun:
             if frame is None or frame.is_extended_id:
