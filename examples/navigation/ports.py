@@ -19,7 +19,11 @@ def from_serial(path: str, baud: int, unit: int) -> Iterator[Message]:
         OSError: the port cannot be opened.
     """
     receiver, begun = SerialReceiver(default_interface()), False
-    with serial.Serial(path, baud, timeout=QUIET_S) as port, suppress(serial.SerialException):
+    try:
+        port = serial.Serial(path, baud, timeout=QUIET_S)
+    except serial.SerialException as error:
+        raise OSError(f"{path}: {error}") from None
+    with port, suppress(serial.SerialException):
         while (data := port.read(max(1, port.in_waiting))) or not begun:
             for received in receiver.receive(data):
                 if isinstance(received, Message) and received.unit == unit:
