@@ -1,0 +1,150 @@
+"""`lidar-emu report`: what is in a recording, as a table, files for other tools, figures and a page."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from lidar_emu.cli.output import say
+from lidar_emu.cli.progress import COMPILING, busy
+from lidar_emu.errors import InputError
+from lidar_emu.report.whole_file import check_destination
+
+if TYPE_CHECKING:
+    from lidar_emu.report.flown import Flown
+
+
+@click.command(short_help="What is in a recording: table, files for other tools, a page with figures.")
+@click.argument("file")
+@click.option("--out", metavar="FILE", multiple=True,
+              help="Write measurements (.csv, .parquet, .npz), points (.ply), or what was on the link (.pcap; of a CAN "
+                   "bus .log as candump has it, .asc, .blf). Repeatable.")  # fmt: skip
+@click.option(
+    "--html", metavar="FILE", help="Write one page with everything, that asks nothing of a network."
+)
+@click.option("--figures", metavar="DIR", help="Write the page's figures as PNG.")
+@click.option("--spectra-at", metavar="S", multiple=True,
+              help="Show the spectra of the valid measurement nearest to this instant (repeatable).")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print the table as JSON, nothing else.")
+def report(
+    file: str,
+    out: tuple[str, ...],
+    html: str | None,
+    figures: str | None,
+    spectra_at: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Say what is in FILE, a recording of `lidar-emu run --record`, also one that was cut short.
+
+    \b
+    lidar-emu report flight.mcap
+    lidar-emu report flight.mcap --out flight.parquet --out flight.pcap
+    lidar-emu report flight.mcap --html flight.html --figures pictures
+    lidar-emu report flight.mcap --html flight.html --spectra-at 12.5
+    """
+    outputs = [Path(name) for name in out]
+    for path in outputs:
+        _check_output(path)
+    at_s = [_instant(text) for text in spectra_at]
+    page = None if html is None else _page_path(html)
+    folder = None if figures is None else _folder(figures)
+    if at_s and page is None and folder is None:
+        raise InputError("--spectra-at", None, spectra_at[0], "allowed: with --html or --figures")
+    if page is not None or folder is not None:
+        from lidar_emu.report.whole_file import check_extra
+
+        check_extra(Path("figure.png"), "matplotlib", "plots")
+    from lidar_emu.cli.report_display import contents_lines
+    from lidar_emu.recording.read import read_recording
+    from lidar_emu.report.flown import read_flown
+
+    with busy(f"reading {file}"):
+        flown = read_flown(read_recording(file))
+        told = flown.contents()
+    lines = contents_lines(told)
+    say(json.dumps(told, indent=2) if as_json else "\n".join(lines))
+    written = [_write(flown, path) for path in outputs]
+    if page is not None or folder is not None:
+        written += _draw(flown, lines, page, folder, at_s)
+    if not as_json and written:
+        say("\n".join(written))
+
+
+def _write(flown: Flown, path: Path) -> str:
+    from lidar_emu.report.exports import export
+    from lidar_emu.report.wire_file import WIRE_SUFFIXES, write_wire_file
+
+    if path.suffix.lower() not in WIRE_SUFFIXES:
+        export(flown.measurement, path)
+        return f"{path}: {len(flown.measurement)} shots of {flown.measurement.beam_count} beams"
+    from lidar_emu.recording.traffic import read_traffic
+
+    traffic = read_traffic(flown.recording.path, as_sent=True)
+    write_wire_file(traffic, path)
+    return f"{path}: {len(traffic.packets)} packets"
+
+
+def _draw(
+    flown: Flown, lines: list[str], page: Path | None, folder: Path | None, at_s: list[float]
+) -> list[str]:
+    from lidar_emu.report.flight_pages import check_instants, draw_all
+    from lidar_emu.report.page import write_page
+    from lidar_emu.report.page_style import write_png
+
+    check_instants(flown, at_s)
+    with busy(COMPILING):
+        drawings, notes, plan = draw_all(flown, at_s)
+        written = []
+        if page is not None:
+            write_page(page, flown, lines, drawings, notes, plan)
+            written.append(f"{page}: {len(drawings)} figures, {page.stat().st_size / 1e6:.2f} MB")
+        if folder is not None:
+            for drawing in drawings:
+                write_png(drawing, folder / f"{drawing.name}.png")
+            written.append(f"{folder}: {', '.join(f'{drawing.name}.png' for drawing in drawings)}")
+    return written + notes
+
+
+def _check_output(path: Path) -> None:
+    from lidar_emu.report.exports import SUFFIXES, check_export_path
+    from lidar_emu.report.wire_file import WIRE_SUFFIXES, check_wire_file
+
+    if path.suffix in SUFFIXES:
+        check_export_path(path)
+    elif path.suffix.lower() in WIRE_SUFFIXES:
+        check_wire_file(path, "--out")
+    else:
+        allowed = f"allowed: a file {', '.join((*SUFFIXES, *WIRE_SUFFIXES))}"
+        raise InputError("--out", None, str(path), allowed)
+
+
+def _page_path(name: str) -> Path:
+    path = Path(name)
+    check_destination(path, "--html")
+    if path.suffix not in (".html", ".htm"):
+        raise InputError("--html", None, name, "allowed: a file .html")
+    return path
+
+
+def _folder(name: str) -> Path:
+    path = Path(name)
+    try:
+        path.mkdir(exist_ok=True)
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise InputError("--figures", None, name, f"allowed: a folder; {why}") from None
+    return path
+
+
+def _instant(text: str) -> float:
+    try:
+        instant_s = float(text)
+    except ValueError:
+        instant_s = math.nan
+    if not math.isfinite(instant_s):
+        raise InputError("--spectra-at", None, text, "allowed: a number of seconds")
+    return instant_s
