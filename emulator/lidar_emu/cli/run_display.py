@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime
 from typing import Any
 
@@ -22,21 +23,23 @@ _ERRORS = {"range": ("range_error_m", 1, "m"), "speed": ("speed_error_mps", 1000
 class Announcer(Observer):
     """Says which port was opened, before the first packet."""
 
-    def __init__(self, name: str, pace: str) -> None:
-        self._name = name
-        self._pace = pace
+    def __init__(self, name: str, pace: str, say: Callable[[str], None] = say) -> None:
+        self._name, self._pace = name, pace
+        self._say = say
 
     def awaiting(self, port: str, what: str) -> None:
         """The port is open; the run begins with something that is waited for."""
-        say(f"{self._name} on {port}, pace {self._pace}, waits for {what}; Ctrl-C ends it")
+        self._say(f"{self._name} on {port}, pace {self._pace}, waits for {what}; Ctrl-C ends it")
 
     def opened(self, port: str, start: datetime) -> None:
         """The port is open under this name."""
-        say(f"{self._name} on {port}, pace {self._pace}, from {start:%Y-%m-%d %H:%M:%S} UTC; Ctrl-C ends it")
+        self._say(
+            f"{self._name} on {port}, pace {self._pace}, from {start:%Y-%m-%d %H:%M:%S} UTC; Ctrl-C ends it"
+        )
 
     def noticed(self, time_ns: int, what: str) -> None:
         """A process stands still, or goes on."""
-        say(_at(time_ns * 1e-9, what))
+        self._say(_at(time_ns * 1e-9, what))
 
 
 def _at(time_s: float, what: str) -> str:

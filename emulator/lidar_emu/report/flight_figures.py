@@ -88,7 +88,7 @@ def against_truth(measurement: Measurement) -> Drawing:
             measurement.speed_valid,
         ),
     )
-    time_s: FloatArray = measurement.time_ns * 1e-9
+    time_s = np.asarray(measurement.time_ns * 1e-9, dtype=np.float64)
 
     def on(figure: Figure) -> None:
         for axes, (label, measured, true, valid) in zip(figure.subplots(2, sharex=True), pairs, strict=True):
@@ -122,7 +122,7 @@ def errors(measurement: Measurement) -> Drawing:
         ("speed error (mm/s)", 1e3, measurement.closing_speed_mps - measurement.true_closing_speed_mps,
          measurement.sigma_speed_mps, measurement.speed_valid),
     )  # fmt: skip
-    time_s: FloatArray = measurement.time_ns * 1e-9
+    time_s = np.asarray(measurement.time_ns * 1e-9, dtype=np.float64)
 
     def on(figure: Figure) -> None:
         grid = figure.subplots(2, 2, width_ratios=(3.0, 1.0), sharex="col")
