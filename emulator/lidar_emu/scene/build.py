@@ -43,7 +43,8 @@ def _ground(part: site.Site) -> Scene:
         return _grid(part, part.ground, read_terrain(part.ground))
     if isinstance(part.ground, Generated):
         # What was made is a grid like any other, with the origin at its centre.
-        as_grid = site.Grid(kind="grid", file="generated", beyond=part.ground.beyond)
+        shared = part.ground.model_dump(include={"interpolation", "beyond"})
+        as_grid = site.Grid(kind="grid", file="generated", **shared)
         return _grid(part, as_grid, _generated_terrain(part.ground, as_grid))
     if isinstance(part.ground, site.Plane):
         return _plane(part, part.ground, part.origin_altitude_m or 0.0)
@@ -81,6 +82,7 @@ def _grid(part: site.Site, ground: site.Grid, terrain: Terrain) -> Scene:
         south_m=terrain.north_m - terrain.pixel_north_m * (len(terrain.elevation_m) - 1),
         pixel_east_m=terrain.pixel_east_m,
         pixel_north_m=terrain.pixel_north_m,
+        interpolation=ground.interpolation,
     )
     around = {
         "none": None,

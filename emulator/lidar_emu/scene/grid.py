@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidar_emu.arrays import BoolArray, FloatArray
-from lidar_emu.scene import grid_cast, grid_exact
+from lidar_emu.scenario.generated_ground import Interpolation
+from lidar_emu.scene import grid_cast, grid_exact, grid_numbers
+from lidar_emu.scene.cell import BILINEAR, TRIANGLES
 from lidar_emu.scene.hits import Hits, contiguous
 from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.pyramid import build_pyramid
@@ -28,6 +30,8 @@ class Samples:
     """From column to column."""
     pixel_north_m: float
     """From row to row."""
+    interpolation: Interpolation = "bilinear"
+    """What spans a cell, see `scenario.site.Grid`."""
 
     @property
     def east_m(self) -> FloatArray:
@@ -43,7 +47,8 @@ class Samples:
 class GridGround:
     """An elevation grid over the site's horizontal plane; where the body falls away, its heights do.
 
-    A cell is the bilinear surface between four samples; one with a missing sample counts as beyond the grid.
+    A cell is the bilinear surface between four samples, or two triangles; one with a missing sample counts as
+    beyond the grid.
     Where the grid ends higher than the ground beyond it, or lower, an upright face joins the two. With
     nothing beyond, a ray that comes to such an end from below the surface finds nothing.
 
@@ -69,6 +74,7 @@ class GridGround:
         self.description = description
         self.origin_altitude_m = origin_altitude_m
         self._kind = _kind_of(beyond)
+        self._interpolation = TRIANGLES if samples.interpolation == "triangles" else BILINEAR
         # In its holes the ground beyond, level plane or sphere, nowhere rises above the origin.
         hole_m = -np.inf if beyond is None else 0.0
         self._maxima, self._levels = build_pyramid(samples.height_m, hole_m)
@@ -82,25 +88,33 @@ class GridGround:
             # A sphere falls by less than the square of the distance over its radius.
             square_m2 = max(np.square(samples.east_m)) + max(np.square(samples.north_m))
             lowest, highest = min(lowest, -float(square_m2) / radius_m), max(highest, 0.0)
-        numbers = np.empty(7)
-        numbers[grid_cast.WEST_M] = samples.west_m
-        numbers[grid_cast.SOUTH_M] = samples.south_m
-        numbers[grid_cast.CELLS_PER_M_EAST] = 1 / samples.pixel_east_m
-        numbers[grid_cast.CELLS_PER_M_NORTH] = 1 / samples.pixel_north_m
-        numbers[grid_cast.CEILING_M] = highest
-        numbers[grid_cast.FLOOR_M] = lowest - 1.0
-        numbers[grid_cast.RADIUS_M] = radius_m
+        numbers = np.empty(grid_numbers.COUNT)
+        numbers[grid_numbers.WEST_M] = samples.west_m
+        numbers[grid_numbers.SOUTH_M] = samples.south_m
+        numbers[grid_numbers.CELLS_PER_M_EAST] = 1 / samples.pixel_east_m
+        numbers[grid_numbers.CELLS_PER_M_NORTH] = 1 / samples.pixel_north_m
+        numbers[grid_numbers.CEILING_M] = highest
+        numbers[grid_numbers.FLOOR_M] = lowest - 1.0
+        numbers[grid_numbers.RADIUS_M] = radius_m
         return numbers
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
         """First contact with the surface or the ground beyond; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
         grid_cast.cast_rays(
             origin,
             direction,
+            bundle,
             self._grid,
             self.samples.height_m,
+            self._interpolation,
             self._maxima,
             self._levels,
             self._kind,
@@ -121,7 +135,7 @@ class GridGround:
         """(n,) z of the surface, or of the ground beyond."""
         east, north = contiguous(east_m, north_m)
         height = np.empty_like(east)
-        grid_cast.surface_heights(self._grid, self.samples.height_m, east, north, height)
+        grid_cast.surface_heights(self._grid, self.samples.height_m, self._interpolation, east, north, height)
         if self.beyond is None:
             return height
         return np.where(np.isnan(height), self.beyond.height_m(east, north), height)
