@@ -78,10 +78,14 @@ class CutGround:
         return self.held.covers(east_m, north_m) | self._cut_away(east_m, north_m)
 
     def _strays(self, origin: FloatArray, direction: FloatArray) -> BoolArray:
-        stray = [strays(origin, direction, grid.span, grid.area) for grid in self.kept]
-        return np.asarray(np.logical_or.reduce(stray))
+        stray = np.zeros(len(origin), dtype=np.bool_)
+        for grid in self.kept:
+            stray |= strays(origin, direction, grid.span, grid.area)
+        return stray
 
     def _cut_away(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
         """(n,) Whether there is a grid of which this place has been cut away."""
-        cut = [g.span.area.holds(east_m, north_m) & ~g.area.holds(east_m, north_m) for g in self.kept]
-        return np.asarray(np.logical_or.reduce(cut))
+        cut = np.zeros(np.shape(east_m), dtype=np.bool_)
+        for grid in self.kept:
+            cut |= grid.span.area.holds(east_m, north_m) & ~grid.area.holds(east_m, north_m)
+        return cut
