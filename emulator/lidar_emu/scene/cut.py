@@ -51,10 +51,16 @@ class CutGround:
         """Uncut."""
         return self._build_whole()
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
         """First contact with the ground; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
-        hits = self.held.cast(origin, direction, hits)
+        hits = self.held.cast(origin, direction, hits, bundle)
         stray = self._strays(origin, direction)
         if stray.any():
             hits.set_rows(np.flatnonzero(stray), self.whole.cast(origin[stray], direction[stray]))

@@ -71,16 +71,22 @@ class NestedGround:
         self.origin_altitude_m = inner.origin_altitude_m
         self._lift_m = seam.step_m + FACE_DEPTH_M
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
         """First contact with either ground; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
         t_in, t_out = np.empty(len(origin)), np.empty(len(origin))
         _set_stretches(origin, direction, *self.rectangle, t_in, t_out)
         if (t_in == 0.0).all():
-            self.inner.cast(origin, direction, hits)
+            self.inner.cast(origin, direction, hits, bundle)
         else:
-            self.outer.cast(origin, direction, hits)
+            self.outer.cast(origin, direction, hits, bundle)
             begins_here = t_in == 0.0
             comes_here = (t_in <= t_out) & ~(hits.range_m <= t_in) & ~hits.inside
             self._go_on(self.inner, origin, direction, hits, begins_here | comes_here, t_in)
