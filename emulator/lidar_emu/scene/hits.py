@@ -96,13 +96,21 @@ class Scene(Protocol):
     def origin_altitude_m(self) -> float:
         """Height of the site frame's origin above the body's sphere."""
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
         """First contact of rays with the ground.
 
         Args:
             origin_site_m: (n, 3) starting points.
             direction_site: (n, 3) unit vectors; a row with NaN hits nothing.
             hits: to be filled and returned; None: new ones.
+            bundle: that many consecutive rays are close together, as a beam's beamlets are. It changes no result,
+                only the time that it takes.
         """
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
