@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple, Self, TypeVar
 
 import numpy as np
@@ -23,10 +23,13 @@ from lidar_emu.pointing import (
 )
 from lidar_emu.rotations import rotate
 from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
+from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
-from lidar_emu.scenario.site import Grid
-from lidar_emu.scene.build import build_scene
+from lidar_emu.scenario.site import Grid, Nested
+from lidar_emu.scene.build import build_ground, with_objects
 from lidar_emu.scene.hits import Hits, MovingScene, Scene
+from lidar_emu.scene.reach import Reach
+from lidar_emu.sweep import MOST_SHOTS, slack, sweep
 from lidar_emu.trajectory.build import build_trajectory
 from lidar_emu.trajectory.state import Trajectory, VehicleState
 
@@ -144,6 +147,7 @@ class Flight:
         self._needs_ground_altitude = self.scanner.needs_ground_altitude
         self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
         self.shot_count = self._count_shots()
+        self._refuse_to_leave_the_ground()
 
     @cached_property
     def trajectory(self) -> Trajectory:
@@ -151,9 +155,19 @@ class Flight:
         return build_trajectory(self.scenario.trajectory, self.scenario.site.body.radius_m)
 
     @cached_property
+    def ground(self) -> Scene:
+        """What the beams of this flight can come to, without the objects on it."""
+        site = self.scenario.site
+        if self.is_live or self.shot_count > MOST_SHOTS:
+            return build_ground(site)
+        beams = self._validity_ns, self._lever_arm_body_m, self._true_body
+        lines = partial(sweep, self.trajectory, self.shot_count, self.period_ns, *beams)
+        return build_ground(site, Reach(lines, *slack(self.scenario)))
+
+    @cached_property
     def scene(self) -> Scene:
         """What the beams hit."""
-        return build_scene(self.scenario.site)
+        return with_objects(self.ground, self.scenario.site)
 
     @cached_property
     def _moving_scene(self) -> MovingScene | None:
@@ -227,7 +241,8 @@ class Flight:
             origin_site_m, direction_site, hits: as of `Scene.cast`.
         """
         if self._moving_scene is None:
-            return self.scene.cast(origin_site_m, direction_site, hits)
+            bundle = max(len(direction_site) // max(time_ns.size, 1), 1)
+            return self.scene.cast(origin_site_m, direction_site, hits, bundle)
         return self._moving_scene.cast_at(time_ns.reshape(-1), origin_site_m, direction_site, hits)
 
     def cast_beamlets(
@@ -253,7 +268,7 @@ class Flight:
         return self.scanner.choose(state, starts[0], up_m, above_ground_m)
 
     def _count_shots(self) -> int:
-        """Shots of the run, all of which are over ground."""
+        """Shots of the run."""
         scenario, flown_s = self.scenario, self.trajectory.duration_s
         if not flown_s <= LONGEST_S:
             allowed = f"allowed: at most {LONGEST_S:.3g} s"
@@ -262,13 +277,11 @@ class Flight:
         if duration_s > flown_s * (1 + 1e-9):
             allowed = f"allowed: at most {flown_s:.6g} s, the flight"
             raise InputError(scenario.name, "duration_s", duration_s, allowed)
-        shots = scenario.timing.shots_within(duration_s)
-        self._refuse_to_leave_the_ground(shots)
-        return shots
+        return scenario.timing.shots_within(duration_s)
 
-    def _refuse_to_leave_the_ground(self, shots: int) -> None:
-        ground = self.scenario.site.ground
-        if not isinstance(ground, Grid) or ground.beyond != "none" or self.is_live:
+    def _refuse_to_leave_the_ground(self) -> None:
+        ground, shots = self.scenario.site.ground, self.shot_count
+        if not isinstance(ground, Grid | Generated | Nested) or ground.beyond != "none" or self.is_live:
             return
         for first in range(0, shots, _CHECKED_SHOTS):
             shot = np.arange(first, min(first + _CHECKED_SHOTS, shots), dtype=np.int64)

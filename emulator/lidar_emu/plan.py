@@ -10,10 +10,12 @@ from lidar_emu.echoes import receive_light
 from lidar_emu.flight import Flight, Pointing, sensor_height_m
 from lidar_emu.geometry.recorded_flight import RecordedFlight
 from lidar_emu.plan_faults import planned_faults
+from lidar_emu.plan_ground import plan_parts
 from lidar_emu.plan_receiver import Decision, plan_receiver
 from lidar_emu.scenario.generated_ground import Generated
+from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.site import Grid, Nested
 from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.scene.hits import Hits
 from lidar_emu.scene.terrain_read import lies_flat
@@ -160,22 +162,24 @@ def _powered_descent(flight: Flight, ground_m: float) -> Decision:
 
 def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
     ground = scenario.site.ground
-    if not isinstance(ground, Grid | Generated):
+    if isinstance(ground, Mesh):
+        return [Decision("ground", True, flight.scene.description, "the site has a mesh", "exact")]
+    if not isinstance(ground, Grid | Generated | Nested):
         return [
             Decision("ground", True, flight.scene.description, f"a {ground.kind} is a formula", "exact"),
             Decision("grid traversal", False, "-", "the site has no elevation grid", "exact"),
         ]
     told = Decision("ground", True, flight.scene.description, "the site has an elevation grid", "exact")
-    if isinstance(ground, Grid) and not lies_flat(ground):
-        return [
-            told,
-            Decision("curvature of the grid", True, "by the map's projection", "the file states it", "exact"),
-        ]
+    parts = list(plan_parts(flight.ground))
+    grids = ground.grids if isinstance(ground, Nested) else [ground]
+    if not any(isinstance(grid, Generated) or lies_flat(grid) for grid in grids):
+        on_body = "by the map's projection"
+        return [told, Decision("curvature of the grid", True, on_body, "the file states it", "exact"), *parts]
     horizontal_m = (pointing.sensor_site_m + hits.range_m[..., None] * pointing.true_site)[..., :2]
     away_m = float(np.sqrt(np.nanmax((horizontal_m**2).sum(axis=-1), initial=0.0)))
     fall_m = away_m**2 / (2 * scenario.site.body.radius_m)
     bound = f"{fall_m:.2g} m of height, {away_m:.0f} m from the origin"
-    return [told, Decision("curvature of the grid", False, "map plane", "the grid lies flat", bound)]
+    return [told, Decision("curvature of the grid", False, "map plane", "the grid lies flat", bound), *parts]
 
 
 def _air(scenario: FlightScenario) -> Decision:
@@ -213,16 +217,16 @@ def _footprint(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> tupl
     """How many beamlets stand for the footprint.
 
     One where its spectrum is narrow beside a bin, as far as that can be known before the run: over a plane or a
-    sphere. A spectrum of rms width s bins loses pi² s²/3 of its peak. On a grid the facets are unknown until
-    they are hit.
+    sphere without objects. A spectrum of rms width s bins loses pi² s²/3 of its peak. Elsewhere the facets are unknown
+    until they are hit.
     """
     asked = scenario.instrument.optics.beamlets
     if scenario.level == "geometric":
         return Decision("footprint", False, "1 beamlet", "the beam's axis is reported", "exact"), 1
     if asked == 1:
         return Decision("footprint", False, "1 beamlet", "the instrument asks for one", "as asked"), 1
-    if isinstance(scenario.site.ground, Grid | Generated):
-        return Decision("footprint", True, f"{asked} beamlets", "slopes of a grid vary", "sampled"), asked
+    if not scenario.site.is_smooth:
+        return Decision("footprint", True, f"{asked} beamlets", "slopes of the ground vary", "sampled"), asked
     spread = float(np.nanmax(spread_bins(scenario.instrument, pointing, hits).widest(), initial=0.0))
     reason = f"rms spread at most {spread:.3f} bin"
     if spread < ONE_BEAMLET_BELOW_BINS and not scenario.exact:
