@@ -155,19 +155,23 @@ class Flight:
         return build_trajectory(self.scenario.trajectory, self.scenario.site.body.radius_m)
 
     @cached_property
-    def ground(self) -> Scene:
-        """What the beams of this flight can come to, without the objects on it."""
-        site = self.scenario.site
+    def _reach(self) -> Reach | None:
+        """The rays of the flight, where they are known beforehand."""
         if self.is_live or self.shot_count > MOST_SHOTS:
-            return build_ground(site)
+            return None
         beams = self._validity_ns, self._lever_arm_body_m, self._true_body
         lines = partial(sweep, self.trajectory, self.shot_count, self.period_ns, *beams)
-        return build_ground(site, Reach(lines, *slack(self.scenario)))
+        return Reach(lines, *slack(self.scenario))
+
+    @cached_property
+    def ground(self) -> Scene:
+        """What the beams of this flight can come to, without the objects on it."""
+        return build_ground(self.scenario.site, self._reach)
 
     @cached_property
     def scene(self) -> Scene:
         """What the beams hit."""
-        return with_objects(self.ground, self.scenario.site)
+        return with_objects(self.ground, self.scenario.site, self._reach)
 
     @cached_property
     def _moving_scene(self) -> MovingScene | None:
