@@ -183,6 +183,11 @@ class Site(Part):
     """Spectral irradiance of the ground by the sun at the laser's wavelength; about 270 on the Moon and 117 on Mars
     at 1550 nm; 0 at night."""
 
+    @property
+    def is_smooth(self) -> bool:
+        """Whether the ground is a formula, with nothing on it."""
+        return isinstance(self.ground, Plane | Sphere) and not self.objects
+
     @model_validator(mode="after")
     def _one_of_each_name(self) -> Self:
         names = [each.name for each in self.objects]

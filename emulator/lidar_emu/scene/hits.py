@@ -61,11 +61,16 @@ class Hits(NamedTuple):
         return self.velocity_site_mps.size > 0
 
     def set_rows(self, rows: IntArray | slice, found: Hits) -> None:
-        """Take over what some of the rays have found."""
+        """Take over what some of the rays have found: velocities where both tell of them."""
         arrays: tuple[NDArray[Any], ...] = self
         for all_rays, some in zip(arrays, found, strict=True):
-            if len(all_rays):
+            if len(all_rays) and len(some):
                 all_rays[rows] = some
+
+    def chosen(self, which: BoolArray) -> Self:
+        """Those of some rays."""
+        arrays: tuple[NDArray[Any], ...] = self
+        return type(self)(*(values[which] if len(values) else values for values in arrays))
 
     def shaped(self, shape: tuple[int, ...]) -> Self:
         """The same hits, seen as in another arrangement: (n,) becomes ``shape``."""
