@@ -7,13 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidar_emu.echoes import receive_light
-from lidar_emu.flight import Flight, Pointing
+from lidar_emu.flight import Flight, Pointing, sensor_height_m
 from lidar_emu.geometry.recorded_flight import RecordedFlight
 from lidar_emu.plan_faults import planned_faults
+from lidar_emu.plan_ground import plan_objects, plan_parts
 from lidar_emu.plan_receiver import Decision, plan_receiver
 from lidar_emu.scenario.generated_ground import Generated
+from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.site import Grid, Nested
 from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.scene.hits import Hits
 from lidar_emu.scene.terrain_read import lies_flat
@@ -57,6 +59,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     decisions = (
         *_flown(scenario, flight, pointing, hits),
         _air(scenario),
+        *_dust(scenario, float(np.min(sensor_height_m(pointing, hits)))),
         footprint,
         *plan_receiver(scenario, echoes),
         *planned_faults(scenario),
@@ -73,6 +76,7 @@ def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
             Decision("trajectory", True, "live truth", kept, "as interpolated"),
             Decision("ground", True, flight.scene.description, kept, "exact"),
             _air(scenario),
+            *_dust(scenario, 0.0),
             Decision("footprint", beamlets > 1, f"{beamlets} beamlets", kept, "sampled"),
             *_switching(flight),
             Decision("receiver", True, scenario.level, f"the scenario asks for level {scenario.level}", kept),
@@ -107,6 +111,7 @@ def _flown(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: H
         _trajectory(scenario, flight),
         *_bridges(flight),
         *_ground(scenario, flight, pointing, hits),
+        *plan_objects(flight.scene, flight.ground),
         *_switching(flight),
     ]
 
@@ -158,22 +163,24 @@ def _powered_descent(flight: Flight, ground_m: float) -> Decision:
 
 def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
     ground = scenario.site.ground
-    if not isinstance(ground, Grid | Generated):
+    if isinstance(ground, Mesh):
+        return [Decision("ground", True, flight.scene.description, "the site has a mesh", "exact")]
+    if not isinstance(ground, Grid | Generated | Nested):
         return [
             Decision("ground", True, flight.scene.description, f"a {ground.kind} is a formula", "exact"),
             Decision("grid traversal", False, "-", "the site has no elevation grid", "exact"),
         ]
     told = Decision("ground", True, flight.scene.description, "the site has an elevation grid", "exact")
-    if isinstance(ground, Grid) and not lies_flat(ground):
-        return [
-            told,
-            Decision("curvature of the grid", True, "by the map's projection", "the file states it", "exact"),
-        ]
+    parts = list(plan_parts(flight.ground))
+    grids = ground.grids if isinstance(ground, Nested) else [ground]
+    if not any(isinstance(grid, Generated) or lies_flat(grid) for grid in grids):
+        on_body = "by the map's projection"
+        return [told, Decision("curvature of the grid", True, on_body, "the file states it", "exact"), *parts]
     horizontal_m = (pointing.sensor_site_m + hits.range_m[..., None] * pointing.true_site)[..., :2]
     away_m = float(np.sqrt(np.nanmax((horizontal_m**2).sum(axis=-1), initial=0.0)))
     fall_m = away_m**2 / (2 * scenario.site.body.radius_m)
     bound = f"{fall_m:.2g} m of height, {away_m:.0f} m from the origin"
-    return [told, Decision("curvature of the grid", False, "map plane", "the grid lies flat", bound)]
+    return [told, Decision("curvature of the grid", False, "map plane", "the grid lies flat", bound), *parts]
 
 
 def _air(scenario: FlightScenario) -> Decision:
@@ -182,6 +189,23 @@ def _air(scenario: FlightScenario) -> Decision:
         return Decision("extinction", False, "vacuum", f"{scenario.site.name} has none", "exact")
     loss_db = 20 * np.log10(np.e) * air.extinction_per_m * scenario.instrument.detection.maximum_range_m
     return Decision("extinction", True, "exp(-2αR)", f"up to {loss_db:.2f} dB at maximum range", "exact")
+
+
+def _dust(scenario: FlightScenario, lowest_m: float) -> list[Decision]:
+    """Of a scenario whose plume raises some."""
+    plume, level = scenario.plume, scenario.level
+    if plume is None:
+        return []
+    if level == "geometric":
+        return [Decision("dust", False, "-", "not at level geometric", "the truth is reported")]
+    if lowest_m >= plume.onset_height_m:
+        reason = f"the sensor stays above {lowest_m:.1f} m, dust begins at {plume.onset_height_m:g} m"
+        return [Decision("dust", False, "-", reason, "exact")]
+    reason = f"the sensor comes down to {lowest_m:.1f} m, dust begins at {plume.onset_height_m:g} m"
+    if level == "statistical":
+        bound = "the sheet's own echo is missing; of ground and streak the stronger is seen"
+        return [Decision("dust", True, "dimming, streaks", reason, bound)]
+    return [Decision("dust", True, "dimming, sheet in parcels, streaks", reason, "scattered once")]
 
 
 def _switching(flight: Flight) -> list[Decision]:
@@ -194,16 +218,16 @@ def _footprint(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> tupl
     """How many beamlets stand for the footprint.
 
     One where its spectrum is narrow beside a bin, as far as that can be known before the run: over a plane or a
-    sphere. A spectrum of rms width s bins loses pi² s²/3 of its peak. On a grid the facets are unknown until
-    they are hit.
+    sphere without objects. A spectrum of rms width s bins loses pi² s²/3 of its peak. Elsewhere the facets are unknown
+    until they are hit.
     """
     asked = scenario.instrument.optics.beamlets
     if scenario.level == "geometric":
         return Decision("footprint", False, "1 beamlet", "the beam's axis is reported", "exact"), 1
     if asked == 1:
         return Decision("footprint", False, "1 beamlet", "the instrument asks for one", "as asked"), 1
-    if isinstance(scenario.site.ground, Grid | Generated):
-        return Decision("footprint", True, f"{asked} beamlets", "slopes of a grid vary", "sampled"), asked
+    if not scenario.site.is_smooth:
+        return Decision("footprint", True, f"{asked} beamlets", "slopes of the ground vary", "sampled"), asked
     spread = float(np.nanmax(spread_bins(scenario.instrument, pointing, hits).widest(), initial=0.0))
     reason = f"rms spread at most {spread:.3f} bin"
     if spread < ONE_BEAMLET_BELOW_BINS and not scenario.exact:

@@ -17,16 +17,15 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.bench_model import BenchModel
+from lidar_emu.dust import build_dust
 from lidar_emu.echoes import Light
 from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight import Flight, Pointing
 from lidar_emu.fmcw.returns import Returns
-from lidar_emu.kernels import kernel
 from lidar_emu.levels import build_level
 from lidar_emu.measurement import Measurement
 from lidar_emu.plan import Plan, plan_flight
-from lidar_emu.pointing import PUBLISHED, SENSOR, TRUE, VELOCITY
-from lidar_emu.rotations import dot_3, known
+from lidar_emu.pointing import approach, locate
 from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.required import require_flight, require_known_flight
@@ -91,6 +90,7 @@ class FlightModel:
         self.flight = Flight(scenario) if flight is None else flight
         self.plan = plan_flight(scenario, self.flight)
         self.light = Light(scenario.instrument, scenario.site, self.flight, self.plan.beamlets)
+        self.dust = build_dust(scenario)
         self.level = build_level(scenario)
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
@@ -126,6 +126,8 @@ class FlightModel:
         pointing, state = self.aim(shot, state)
         axis_hits = self.flight.cast(pointing)
         echoes = self.light.echoes(pointing, axis_hits)
+        if self.dust is not None:
+            echoes = self.dust.raised(echoes, pointing, axis_hits, shot)
         if self.physics is None:
             returns = self.level(echoes, shot)
         else:
@@ -147,7 +149,7 @@ class FlightModel:
         """(shots, beams, 3) Where the ranges of a measurement end, given the scanner's state before it."""
         pointing, _ = self.flight.point(measurement.shot, state)
         point_site_m = np.empty((*pointing.fired.shape, 3))
-        _locate(pointing.beams, measurement.range_m, point_site_m)
+        locate(pointing.beams, measurement.range_m, point_site_m)
         return point_site_m
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
@@ -159,8 +161,8 @@ class FlightModel:
     ) -> Measurement:
         true_closing_mps = np.empty(pointing.fired.shape)
         point_site_m = np.empty((*pointing.fired.shape, 3))
-        _approach(pointing.beams, axis_hits.velocity_site_mps, true_closing_mps)
-        _locate(pointing.beams, returns.range_m, point_site_m)
+        approach(pointing.beams, axis_hits.velocity_site_mps, true_closing_mps)
+        locate(pointing.beams, returns.range_m, point_site_m)
         return Measurement(
             shot=shot,
             time_ns=pointing.time_ns,
@@ -187,26 +189,6 @@ class FlightModel:
             position_site_m=pointing.position_site_m,
             velocity_site_mps=pointing.velocity_site_mps,
         )
-
-
-@kernel(outermost=True)
-def _approach(beams: FloatArray, surface_mps: FloatArray, true_closing_mps: FloatArray) -> None:
-    """The sensor's speed along the true axis, less that of what is hit, if it moves."""
-    for s in range(true_closing_mps.shape[0]):
-        for b in range(true_closing_mps.shape[1]):
-            true_closing_mps[s, b] = dot_3(beams[VELOCITY, s, b], beams[TRUE, s, b])
-            if surface_mps.size > 0:
-                true_closing_mps[s, b] -= known(dot_3(surface_mps[s, b], beams[TRUE, s, b]))
-
-
-@kernel(outermost=True)
-def _locate(beams: FloatArray, range_m: FloatArray, point_site_m: FloatArray) -> None:
-    """Where the measured range along the published axis ends."""
-    for s in range(range_m.shape[0]):
-        for b in range(range_m.shape[1]):
-            for axis in range(3):
-                along_m = range_m[s, b] * beams[PUBLISHED, s, b, axis]
-                point_site_m[s, b, axis] = beams[SENSOR, s, b, axis] + along_m
 
 
 def build_model(scenario: FlightScenario | BenchScenario, geometry: Path | None = None) -> Model:

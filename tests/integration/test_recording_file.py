@@ -22,7 +22,7 @@ from programs import Program, eventually
 from lidar_emu.measurement import Measurement
 
 TOPICS = {"/truth", "/measurement", "/packet", "/fate"}
-README = Path(__file__).resolve().parents[2] / "README.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "recordings.md"
 MAGIC_BYTES = 8
 MESSAGE = 0x05
 SHOT = b'"range_m": ['
@@ -97,7 +97,7 @@ def test_a_cut_recording_holds_everything_before_the_cut(recording: bytes, share
     assert read == whole[:count]
 
 
-def test_a_recording_that_was_cut_by_kill_9_opens_as_the_readme_says(
+def test_a_recording_that_was_cut_by_kill_9_opens_as_its_page_says(
     start: Start, simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flight = tmp_path / "flight.mcap"
@@ -107,7 +107,7 @@ def test_a_recording_that_was_cut_by_kill_9_opens_as_the_readme_says(
     run.wait()
     with pytest.raises(McapError), flight.open("rb") as stream:
         list(make_reader(stream).iter_messages())
-    (snippet,) = (code for code in README.read_text().split("```") if "NonSeekingReader" in code)
+    (snippet,) = (code for code in PAGE.read_text().split("```") if "NonSeekingReader" in code)
     monkeypatch.chdir(tmp_path)
     told: dict[str, Any] = {}
     exec(snippet.removeprefix("python\n"), told)

@@ -207,6 +207,11 @@ def test_keys_that_an_npz_cannot_follow(tmp_path):
     assert "ground.registration: 'area'" in refusal(scene, path, registration="area")
 
 
+def test_a_flat_grid_is_taken_whole(tmp_path):
+    assert "ground.half_size_m: 4.0" in refusal(scene, write_npz(tmp_path / "a.npz"), half_size_m=4.0)
+    assert "taken whole" in refusal(scene, write_ascii(tmp_path / "a.asc"), half_size_m=4.0)
+
+
 def test_file_that_is_not_there(tmp_path):
     assert "no such file" in refusal(scene, tmp_path / "a.tif")
     assert "no such file" in refusal(scene, tmp_path)

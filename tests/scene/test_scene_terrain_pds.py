@@ -86,6 +86,27 @@ def test_a_sample_is_found_in_its_degree(tmp_path, label, height_m):
     assert elevation_at(path, 24.5, 39.5) == pytest.approx(0, abs=0.01 * height_m)
 
 
+def test_a_polar_image(tmp_path):
+    """Seen from below the south pole: longitude 0 is up on the map, 90 east to the right, at the map's own scale."""
+    label = LABEL.replace("SIMPLE CYLINDRICAL", "POLAR STEREOGRAPHIC").replace(
+        "CENTER_LATITUDE = 0.0", "CENTER_LATITUDE = -90"
+    )
+    label = label.replace("CENTER_LONGITUDE = 180.0", "CENTER_LONGITUDE = 0.0").replace(
+        "LINES = 180", "LINES = 360"
+    )
+    values = np.zeros((360, 360), dtype="<i2")
+    values[80, 180 + 40] = 1000
+    (tmp_path / "map.img").write_bytes(values.tobytes())
+    keys = LOLA | {"scale_km": 1.0, "line_offset": 179.5, "sample_offset": 179.5}
+    (tmp_path / "map.lbl").write_text(label.format(image="map.img", **keys))
+    x_m, y_m = 40_500.0, 99_500.0
+    # Snyder 21-1 and 21-2 on the sphere, true scale at the pole: rho = 2 R tan(colatitude / 2).
+    colatitude = 2 * np.arctan(np.hypot(x_m, y_m) / (2 * 1_737_400.0))
+    latitude_deg, longitude_deg = np.degrees(colatitude) - 90, np.degrees(np.arctan2(x_m, y_m))
+    assert elevation_at(tmp_path / "map.lbl", latitude_deg, longitude_deg) == pytest.approx(500.0, rel=1e-6)
+    assert elevation_at(tmp_path / "map.lbl", latitude_deg, -longitude_deg) == 0
+
+
 def test_unit_of_the_label(tmp_path):
     path = write_pds(tmp_path, LOLA | {"unit": "KILOMETER", "scale": 0.001})
     assert elevation_at(path, 24.5, 40.5) == pytest.approx(1000.0, rel=0.01)
@@ -96,7 +117,7 @@ def test_radii_instead_of_elevations(tmp_path):
     path = write_pds(tmp_path, LOLA | {"offset": 1737400})
     with pytest.raises(InputError) as caught:
         elevation_at(path, 24.5, 40.5)
-    assert "allowed: ground.elevation_offset_m: -1737400 with it" in str(caught.value)
+    assert "as with ground.elevation_offset_m: -1737400" in str(caught.value)
     assert elevation_at(path, 24.5, 40.5, elevation_offset_m=-1737400.0) == pytest.approx(500.0, rel=0.01)
 
 

@@ -121,4 +121,7 @@ def _patched(echoes: Echoes, act: _Act) -> Echoes:
         out=np.ones(within.shape),
         where=within & (hits.reflectance > 0.0),
     )
-    return replace(echoes, power_w=ratio * echoes.power_w)
+    power_w = echoes.power_w.copy()
+    # What clutter and dust have added lies behind the beamlets, and is none of the ground.
+    power_w[..., : ratio.shape[-1]] *= ratio
+    return replace(echoes, power_w=power_w)

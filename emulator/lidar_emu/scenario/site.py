@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.generated_ground import Generated, Interpolation
+from lidar_emu.scenario.ground_detail import Detail
 from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scenario.objects import PlacedObject
 from lidar_emu.scenario.part import Latitude, Longitude, NonNegative, Part, Positive, unusable
@@ -107,6 +108,38 @@ class Grid(Part):
     beyond: Literal["none", "plane", "sphere"] = "none"
     """What lies outside the grid: nothing (beams that leave it find no surface), the level plane through the
     origin, or the body's sphere through the origin. Missing samples count as outside."""
+    at_m: tuple[float, float] | None = None
+    """Of one of several grids: where in the site frame, east and north, its own origin lies. Left out: at 0, 0."""
+    detail: Detail | None = None
+    """Relief between the samples. Left out: none."""
+
+
+class Nested(Part):
+    """Several grids: the first one that has a sample at a place counts there. Each is mixed with those after it over a
+    strip along its edge and around its holes, so that nothing breaks off there."""
+
+    kind: Literal["nested"]
+    """Chooses this kind of ground."""
+    grids: Annotated[
+        list[Annotated[Grid | Generated, Field(discriminator="kind")]], Field(min_length=2, max_length=16)
+    ]
+    """From the finest to the widest. The origin of the first is that of the site frame; another one whose `origin` and
+    `at_m` are left out is placed by the same point of the map. What lies beyond is for the last one to say."""
+    feather_m: NonNegative | None = None
+    """Width of the strips. Left out: four pixels of the wider grid, at most a quarter of the finer one's side."""
+
+    @property
+    def beyond(self) -> Literal["none", "plane", "sphere"]:
+        """What lies outside all grids."""
+        return self.grids[-1].beyond
+
+    @model_validator(mode="after")
+    def _beyond_is_said_once(self) -> Self:
+        for place, grid in enumerate(self.grids[:-1]):
+            if grid.beyond != "none":
+                allowed = "none; what lies beyond is said by the last of the grids"
+                raise unusable(f"grids.{place}.beyond", grid.beyond, allowed)
+        return self
 
 
 class Surface(Part):
@@ -134,7 +167,7 @@ class Site(Part):
     """Shown in plans and summaries."""
     body: Body = Body()
     """The body and its altitude datum."""
-    ground: Annotated[Plane | Sphere | Grid | Generated | Mesh, Field(discriminator="kind")]
+    ground: Annotated[Plane | Sphere | Grid | Generated | Nested | Mesh, Field(discriminator="kind")]
     """What the beams hit."""
     objects: list[PlacedObject] = []
     """What stands on the ground or moves above it, and is hit before it."""
@@ -149,6 +182,11 @@ class Site(Part):
     sunlight_w_per_m2_um: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """Spectral irradiance of the ground by the sun at the laser's wavelength; about 270 on the Moon and 117 on Mars
     at 1550 nm; 0 at night."""
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether the ground is a formula, with nothing on it."""
+        return isinstance(self.ground, Plane | Sphere) and not self.objects
 
     @model_validator(mode="after")
     def _one_of_each_name(self) -> Self:

@@ -20,13 +20,17 @@ class Albedo:
     share: FloatArray
     """(rows, columns) 0 to 1, rows from south to north; NaN where missing."""
     west_m: float
-    """East coordinate of the first column."""
+    """East coordinate of the whole map's first column."""
     south_m: float
-    """North coordinate of the first row."""
+    """North coordinate of the whole map's first row."""
     pixel_east_m: float
     """From column to column."""
     pixel_north_m: float
     """From row to row."""
+    first_column: int = 0
+    """Place in the whole map of the first column that is here."""
+    first_row: int = 0
+    """Place in the whole map of the first row that is here."""
 
 
 @kernel(outermost=True)
@@ -39,12 +43,12 @@ def _paint(
     place: FloatArray,
     reflectance: FloatArray,
 ) -> None:
-    west, south, columns_per_m, rows_per_m = place
+    west, south, columns_per_m, rows_per_m, first_column, first_row = place
     for k in range(range_m.shape[0]):
         if thing[k] != GROUND:
             continue
-        u = (origin[k, 0] + range_m[k] * direction[k, 0] - west) * columns_per_m
-        v = (origin[k, 1] + range_m[k] * direction[k, 1] - south) * rows_per_m
+        u = (origin[k, 0] + range_m[k] * direction[k, 0] - west) * columns_per_m - first_column
+        v = (origin[k, 1] + range_m[k] * direction[k, 1] - south) * rows_per_m - first_row
         if 0.0 <= u <= share.shape[1] - 1 and 0.0 <= v <= share.shape[0] - 1:
             found = surface(share, BILINEAR, u, v)
             if found == found:
@@ -63,7 +67,14 @@ class PaintedGround:
         self.ground = ground
         self.albedo = albedo
         self._place = np.array(
-            [albedo.west_m, albedo.south_m, 1 / albedo.pixel_east_m, 1 / albedo.pixel_north_m]
+            [
+                albedo.west_m,
+                albedo.south_m,
+                1 / albedo.pixel_east_m,
+                1 / albedo.pixel_north_m,
+                albedo.first_column,
+                albedo.first_row,
+            ]
         )
 
     @property

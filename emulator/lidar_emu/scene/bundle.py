@@ -16,8 +16,7 @@ from lidar_emu.scene.grid_numbers import (
     CELLS_PER_M_EAST,
     CELLS_PER_M_NORTH,
     FLOOR_M,
-    SOUTH_M,
-    WEST_M,
+    in_cells,
 )
 from lidar_emu.scene.traverse import starting_level
 
@@ -53,8 +52,8 @@ def clear_way_m(
     if not -np.inf < dz < 0.0:
         return 0.0
     east, north = grid[CELLS_PER_M_EAST], grid[CELLS_PER_M_NORTH]
-    u, u_far = (x - grid[WEST_M]) * east - _MARGIN_CELLS, (x_far - grid[WEST_M]) * east + _MARGIN_CELLS
-    v, v_far = (y - grid[SOUTH_M]) * north - _MARGIN_CELLS, (y_far - grid[SOUTH_M]) * north + _MARGIN_CELLS
+    (u, v), (u_far, v_far) = in_cells(grid, x, y), in_cells(grid, x_far, y_far)
+    u, u_far, v, v_far = u - _MARGIN_CELLS, u_far + _MARGIN_CELLS, v - _MARGIN_CELLS, v_far + _MARGIN_CELLS
     du, du_far, dv, dv_far = dx * east, dx_far * east, dy * north, dy_far * north
     t: float = max((grid[CEILING_M] + _MARGIN_M - z) / dz, 0.0)
     t_end: float = (grid[FLOOR_M] - z) / dz

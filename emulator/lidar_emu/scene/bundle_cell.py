@@ -7,7 +7,7 @@ import numpy as np
 from lidar_emu.arrays import FloatArray
 from lidar_emu.kernels import kernel
 from lidar_emu.scene.cell import TRIANGLES, descent, facet
-from lidar_emu.scene.grid_numbers import CELLS_PER_M_EAST, CELLS_PER_M_NORTH, FLOOR_M, SOUTH_M, WEST_M
+from lidar_emu.scene.grid_numbers import CELLS_PER_M_EAST, CELLS_PER_M_NORTH, FLOOR_M, in_cells
 
 _HALF_CELL = 0.5 + 1e-9
 """On an edge, where one cell is left for the next, rounding may put a ray a little beside both."""
@@ -38,16 +38,10 @@ def cast_onto_cell(
             the facet, and minus the way past it of those that do not.
         normal: (3n,) of those that meet it.
     """
-    west, south, east_scale, north_scale = (
-        grid[WEST_M],
-        grid[SOUTH_M],
-        grid[CELLS_PER_M_EAST],
-        grid[CELLS_PER_M_NORTH],
-    )
-    floor = grid[FLOOR_M]
+    east_scale, north_scale, floor = grid[CELLS_PER_M_EAST], grid[CELLS_PER_M_NORTH], grid[FLOOR_M]
     for k in range(range_m.size):
-        u, du = (origin[3 * k] - west) * east_scale, direction[3 * k] * east_scale
-        v, dv = (origin[3 * k + 1] - south) * north_scale, direction[3 * k + 1] * north_scale
+        u, v = in_cells(grid, origin[3 * k], origin[3 * k + 1])
+        du, dv = direction[3 * k] * east_scale, direction[3 * k + 1] * north_scale
         z, dz = origin[3 * k + 2], direction[3 * k + 2]
         before = normal[3 * k], normal[3 * k + 1], normal[3 * k + 2]
         t_from = -range_m[k]
@@ -69,7 +63,7 @@ def cast_onto_cell(
         t = t_exit + s
         goes = over & (t_exit > t_from) & (plane[3] == plane[3])
         meets = goes & (s == s)
-        a, b = (u + t * du) - i, (v + t * dv) - j
+        a, b = (u - i) + t * du, (v - j) + t * dv
         _, east, north, twist = facet(*samples, interpolation, a >= b)
         east, north = (east + b * twist) * east_scale, (north + a * twist) * north_scale
         up = 1.0 / np.sqrt(1.0 + east * east + north * north)

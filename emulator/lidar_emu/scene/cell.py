@@ -57,9 +57,8 @@ def surface(nodes: FloatArray, interpolation: int, u: float, v: float) -> float:
 
 
 @kernel(forceinline=True)
-def slopes(nodes: FloatArray, interpolation: int, i: int, j: int, u: float, v: float) -> tuple[float, float]:
-    """Rise per cell to the east and to the north, at a point of cell (i, j)."""
-    a, b = u - i, v - j
+def slopes(nodes: FloatArray, interpolation: int, i: int, j: int, a: float, b: float) -> tuple[float, float]:
+    """Rise per cell to the east and to the north, at the point (a, b) of cell (i, j)."""
     _, east, north, twist = facet(*corners(nodes, i, j), interpolation, a >= b)
     return east + b * twist, north + a * twist
 

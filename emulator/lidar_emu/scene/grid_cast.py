@@ -16,8 +16,7 @@ from lidar_emu.scene.grid_numbers import (
     CELLS_PER_M_NORTH,
     FLOOR_M,
     RADIUS_M,
-    SOUTH_M,
-    WEST_M,
+    in_cells,
 )
 from lidar_emu.scene.hits import GROUND
 from lidar_emu.scene.hits import NOTHING as NO_THING
@@ -68,8 +67,8 @@ def _cast_one(
     """Range, normal and whether the ray starts inside."""
     if not (np.isfinite(x + y + z) and 0.0 < dx * dx + dy * dy + dz * dz < np.inf):
         return MISS
-    u, du = (x - grid[WEST_M]) * grid[CELLS_PER_M_EAST], dx * grid[CELLS_PER_M_EAST]
-    v, dv = (y - grid[SOUTH_M]) * grid[CELLS_PER_M_NORTH], dy * grid[CELLS_PER_M_NORTH]
+    u, v = in_cells(grid, x, y)
+    du, dv = dx * grid[CELLS_PER_M_EAST], dy * grid[CELLS_PER_M_NORTH]
     enter, leave = _stretch_beyond(beyond, x, y, z, dx, dy, dz, grid[RADIUS_M])
     u_in, u_out = clip(u, du, nodes.shape[1] - 1)
     v_in, v_out = clip(v, dv, nodes.shape[0] - 1)
@@ -118,7 +117,7 @@ def _cast_one(
             met, t = meet_beyond(t_out, np.inf, enter, leave)
 
     if met == SURFACE:
-        rise_u, rise_v = slopes(nodes, interpolation, i, j, u + t * du, v + t * dv)
+        rise_u, rise_v = slopes(nodes, interpolation, i, j, (u - i) + t * du, (v - j) + t * dv)
         east, north = rise_u * grid[CELLS_PER_M_EAST], rise_v * grid[CELLS_PER_M_NORTH]
         up = 1.0 / np.sqrt(1.0 + east * east + north * north)
         return t, -east * up, -north * up, up, False
@@ -222,9 +221,9 @@ def _cast_bundle(
         dx, dy, dz = direction[3 * k], direction[3 * k + 1], direction[3 * k + 2]
         while range_m[k] < 0.0 and passes < _MOST_PASSES:
             so_far_m = -range_m[k]
-            u = (x + so_far_m * dx - grid[WEST_M]) * grid[CELLS_PER_M_EAST] + np.copysign(_AHEAD_CELLS, dx)
-            v = (y + so_far_m * dy - grid[SOUTH_M]) * grid[CELLS_PER_M_NORTH] + np.copysign(_AHEAD_CELLS, dy)
-            i, j = cell_of(u, nodes.shape[1] - 1), cell_of(v, nodes.shape[0] - 1)
+            u, v = in_cells(grid, x + so_far_m * dx, y + so_far_m * dy)
+            i = cell_of(u + np.copysign(_AHEAD_CELLS, dx), nodes.shape[1] - 1)
+            j = cell_of(v + np.copysign(_AHEAD_CELLS, dy), nodes.shape[0] - 1)
             rays = origin[3 * k :], direction[3 * k :]
             cast_onto_cell(
                 *rays, grid, interpolation, i, j, corners(nodes, i, j), range_m[k:], normal[3 * k :]
@@ -250,7 +249,6 @@ def surface_heights(
     """Fill height (n,) of the grid's surface; NaN outside it and where samples are missing."""
     for k in range(east.shape[0]):
         height[k] = np.nan
-        u = (east[k] - grid[WEST_M]) * grid[CELLS_PER_M_EAST]
-        v = (north[k] - grid[SOUTH_M]) * grid[CELLS_PER_M_NORTH]
+        u, v = in_cells(grid, east[k], north[k])
         if 0.0 <= u <= nodes.shape[1] - 1 and 0.0 <= v <= nodes.shape[0] - 1:
             height[k] = surface(nodes, interpolation, u, v)

@@ -6,7 +6,7 @@ ground, so one that starts on the surface hits it at range 0, and one that start
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, Self, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,6 +59,19 @@ class Hits(NamedTuple):
     def moving(self) -> bool:
         """Whether they tell of velocities."""
         return self.velocity_site_mps.size > 0
+
+    def set_rows(self, rows: IntArray | slice, found: Hits) -> None:
+        """Take over what some of the rays have found: velocities where both tell of them."""
+        ours: tuple[NDArray[Any], ...] = self
+        theirs: tuple[NDArray[Any], ...] = found
+        for all_rays, some in zip(ours, theirs, strict=True):
+            if len(all_rays) and len(some):
+                all_rays[rows] = some
+
+    def chosen(self, which: BoolArray) -> Self:
+        """Those of some rays."""
+        arrays: tuple[NDArray[Any], ...] = self
+        return type(self)(*(values[which] if len(values) else values for values in arrays))
 
     def shaped(self, shape: tuple[int, ...]) -> Self:
         """The same hits, seen as in another arrangement: (n,) becomes ``shape``."""

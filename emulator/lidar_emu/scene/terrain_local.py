@@ -89,7 +89,9 @@ def _frame(ground: Grid, raster: RasterMap, file: Any, band: int) -> LocalFrame:
     ellipsoid = raster.projection.ellipsoid
     if altitude_m > ellipsoid.polar_m / 2:
         found = f"elevations of {altitude_m:.7g} m, from the body's centre"
-        allowed = f"allowed: ground.elevation_offset_m: {-ellipsoid.equatorial_m:.10g} with it"
+        allowed = (
+            f"allowed: above its surface, as with ground.elevation_offset_m: {-ellipsoid.equatorial_m:.10g}"
+        )
         raise InputError(ground.file, None, Finding(found), allowed)
     return LocalFrame(ellipsoid, float(latitude[0]), float(longitude[0]), altitude_m)
 

@@ -8,7 +8,7 @@ from typing import Any
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import Grid
 from lidar_emu.scene.terrain import Terrain
-from lidar_emu.scene.terrain_flat import placed_flat, read_flat_raster
+from lidar_emu.scene.terrain_flat import FlatMap, placed_flat, read_flat_raster
 from lidar_emu.scene.terrain_frame import LocalFrame
 from lidar_emu.scene.terrain_local import Extent, read_on_body
 from lidar_emu.scene.terrain_npz import read_npz
@@ -28,11 +28,18 @@ def read_terrain(ground: Grid, within: Extent | None = None, frame: LocalFrame |
     """
     _check_is_there(ground)
     if _is_npz(ground):
-        return placed_flat(read_npz(ground), ground)
+        return _flat(ground, read_npz(ground))
     with open_raster(ground.file) as file:
         if _is_on_body(ground, file):
             return read_on_body(ground, file, within, frame)
-        return placed_flat(read_flat_raster(ground, file), ground)
+        return _flat(ground, read_flat_raster(ground, file))
+
+
+def _flat(ground: Grid, flat: FlatMap) -> Terrain:
+    if ground.half_size_m is not None:
+        allowed = "allowed: none, since this grid lies flat and is taken whole"
+        raise InputError(ground.file, "ground.half_size_m", ground.half_size_m, allowed)
+    return placed_flat(flat, ground)
 
 
 def lies_flat(ground: Grid) -> bool:
