@@ -62,8 +62,9 @@ class Hits(NamedTuple):
 
     def set_rows(self, rows: IntArray | slice, found: Hits) -> None:
         """Take over what some of the rays have found: velocities where both tell of them."""
-        arrays: tuple[NDArray[Any], ...] = self
-        for all_rays, some in zip(arrays, found, strict=True):
+        ours: tuple[NDArray[Any], ...] = self
+        theirs: tuple[NDArray[Any], ...] = found
+        for all_rays, some in zip(ours, theirs, strict=True):
             if len(all_rays) and len(some):
                 all_rays[rows] = some
 
