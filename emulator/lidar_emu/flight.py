@@ -160,7 +160,7 @@ class Flight:
         site = self.scenario.site
         if self.is_live or self.shot_count > MOST_SHOTS:
             return build_ground(site)
-        beams = self._validity_ns, self._lever_arm_body_m, self._true_body
+        beams = self._validity_ns, self._lever_arm_body_m, self.scanner, self._true_body
         lines = partial(sweep, self.trajectory, self.shot_count, self.period_ns, *beams)
         return build_ground(site, Reach(lines, *slack(self.scenario)))
 
@@ -204,7 +204,7 @@ class Flight:
             vehicle.site_from_body,
             vehicle.body_rate_radps,
             self._lever_arm_body_m,
-            pointing.pattern,
+            self.scanner.row(pointing.pattern, shot),
             self.scanner.angle_deg,
             self._true_body,
             self._published_body,
