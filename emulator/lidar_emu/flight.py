@@ -157,7 +157,7 @@ class Flight:
         """The rays of the flight, where they are known beforehand."""
         if self.is_live or self.shot_count > MOST_SHOTS:
             return None
-        beams = self._validity_ns, self._lever_arm_body_m, self._true_body
+        beams = self._validity_ns, self._lever_arm_body_m, self.scanner, self._true_body
         lines = partial(sweep, self.trajectory, self.shot_count, self.period_ns, *beams)
         return Reach(lines, *slack(self.scenario))
 
@@ -206,7 +206,7 @@ class Flight:
             vehicle.site_from_body,
             vehicle.body_rate_radps,
             self._lever_arm_body_m,
-            pointing.pattern,
+            self.scanner.row(pointing.pattern, shot),
             self.scanner.angle_deg,
             self._true_body,
             self._published_body,
