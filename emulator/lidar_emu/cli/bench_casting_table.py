@@ -13,10 +13,10 @@ def print_casting(report: CastingReport) -> None:
     """Times, errors, and what building takes."""
     console = Console()
     peers = [name for name in report.built if name != OURS]
-    console.print(
-        "Microseconds per call, lidar-emu on triangles, as the peers, and bilinear; errors are rms (max) against fractions.",
-        highlight=False,
+    what = (
+        "Microseconds per call, of lidar-emu onto triangles, as of the peers, and onto the bilinear surface."
     )
+    console.print(what, "Errors are rms (max) against fractions.", highlight=False, soft_wrap=True)
     console.print(_times(report, peers))
     console.print(_checks(report, [OURS, *peers]))
     large = report.built_large
