@@ -14,10 +14,10 @@ from lidar_emu.scenario.mesh_ground import MeshOrigin
 from lidar_emu.scenario.site import Body, Site, Sphere
 from lidar_emu.scene.build import build_scene
 from lidar_emu.scene.hits import Hits
-from lidar_emu.scene.mesh import Mesh, Triangles
-from lidar_emu.scene.mesh_file import enclosed_m3, read_mesh
-from lidar_emu.scene.mesh_ground import place_mesh
-from lidar_emu.scene.object_shapes import ellipsoid
+from lidar_emu.scene.mesh.file import enclosed_m3, read_mesh
+from lidar_emu.scene.mesh.ground import place_mesh
+from lidar_emu.scene.mesh.model import Mesh, Triangles
+from lidar_emu.scene.objects.shapes import ellipsoid
 from lidar_emu.scene.plane import PlaneGround
 
 trimesh = pytest.importorskip("trimesh")
@@ -394,6 +394,6 @@ def test_without_a_mesh_nothing_of_it_is_imported() -> None:
     code = (
         "import sys; from lidar_emu import load; from lidar_emu.flight import Flight;"
         "Flight(load('descent')).scene;"
-        "sys.exit(any(name in sys.modules for name in ('trimesh', 'lidar_emu.scene.mesh')))"
+        "sys.exit(any(name in sys.modules for name in ('trimesh', 'lidar_emu.scene.mesh.model')))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -30,7 +30,7 @@ from lidar_emu.bench.casting_scene import (
 )
 from lidar_emu.bench.stopwatch import median_times_s
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.scene.grid import GridGround
+from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.hits import Hits
 
 OURS, BILINEAR = "lidar-emu", "lidar-emu, bilinear"

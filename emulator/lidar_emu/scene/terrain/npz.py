@@ -12,8 +12,8 @@ from numpy.lib.npyio import NpzFile
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import Grid
-from lidar_emu.scene.terrain import check_size, numbers
-from lidar_emu.scene.terrain_flat import FlatMap
+from lidar_emu.scene.terrain.flat import FlatMap
+from lidar_emu.scene.terrain.model import check_size, numbers
 
 Content = dict[str, npt.NDArray[np.generic]]
 

@@ -12,7 +12,7 @@ from typing import Any
 from lidar_emu.arrays import FloatArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import Grid
-from lidar_emu.scene.terrain import numbers
+from lidar_emu.scene.terrain.model import numbers
 
 _METRES_PER_UNIT = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),

@@ -6,7 +6,7 @@ import numpy as np
 
 from lidar_emu.arrays import FloatArray, IntArray
 from lidar_emu.kernels import kernel
-from lidar_emu.scene.cell import TRIANGLES, cell_of, corners, descent, facet
+from lidar_emu.scene.grid.cell import TRIANGLES, cell_of, corners, descent, facet
 
 CLEAR, SURFACE, BEYOND, FACE = 0, 1, 2, 3
 """What a ray meets: nothing, the surface of a cell, the ground beyond the grid, or the upright face where one

@@ -6,9 +6,9 @@ import numpy as np
 
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.scene.hits import Hits, Scene
-from lidar_emu.scene.mesh import Mesh
-from lidar_emu.scene.nearer import keep_nearer
-from lidar_emu.scene.object_motion import MovingObject
+from lidar_emu.scene.mesh.model import Mesh
+from lidar_emu.scene.objects.motion import MovingObject
+from lidar_emu.scene.objects.nearer import keep_nearer
 
 
 class PopulatedScene:

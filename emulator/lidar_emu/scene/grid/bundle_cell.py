@@ -6,8 +6,8 @@ import numpy as np
 
 from lidar_emu.arrays import FloatArray
 from lidar_emu.kernels import kernel
-from lidar_emu.scene.cell import TRIANGLES, descent, facet
-from lidar_emu.scene.grid_numbers import CELLS_PER_M_EAST, CELLS_PER_M_NORTH, FLOOR_M, in_cells
+from lidar_emu.scene.grid.cell import TRIANGLES, descent, facet
+from lidar_emu.scene.grid.numbers import CELLS_PER_M_EAST, CELLS_PER_M_NORTH, FLOOR_M, in_cells
 
 _HALF_CELL = 0.5 + 1e-9
 """On an edge, where one cell is left for the next, rounding may put a ray a little beside both."""

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.scene.terrain import Terrain, check_size, refuse_nothing
-from lidar_emu.scene.terrain_frame import LocalFrame
-from lidar_emu.scene.terrain_map import RasterMap, Samples
+from lidar_emu.scene.terrain.frame import LocalFrame
+from lidar_emu.scene.terrain.map import RasterMap, Samples
+from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing
 
 _TOLERANCE_M = 0.01
 """Of the last step; what is left is less than a tenth of it, and near the origin a thousandth."""

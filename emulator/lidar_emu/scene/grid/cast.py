@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.kernels import kernel
-from lidar_emu.scene.bundle import clear_way_m
-from lidar_emu.scene.bundle_cell import cast_onto_cell
-from lidar_emu.scene.cell import cell_of, corners, slopes, surface
-from lidar_emu.scene.grid_numbers import (
+from lidar_emu.scene.grid.bundle import clear_way_m
+from lidar_emu.scene.grid.bundle_cell import cast_onto_cell
+from lidar_emu.scene.grid.cell import cell_of, corners, slopes, surface
+from lidar_emu.scene.grid.numbers import (
     CEILING_M,
     CELLS_PER_M_EAST,
     CELLS_PER_M_NORTH,
@@ -18,11 +18,11 @@ from lidar_emu.scene.grid_numbers import (
     RADIUS_M,
     in_cells,
 )
+from lidar_emu.scene.grid.traverse import BEYOND, CLEAR, FACE, SURFACE, clip, meet_beyond, traverse
 from lidar_emu.scene.hits import GROUND
 from lidar_emu.scene.hits import NOTHING as NO_THING
 from lidar_emu.scene.plane import plane_stretch
 from lidar_emu.scene.sphere import sphere_stretch
-from lidar_emu.scene.traverse import BEYOND, CLEAR, FACE, SURFACE, clip, meet_beyond, traverse
 
 NOTHING, PLANE, SPHERE = 0, 1, 2
 """What lies beyond the grid."""
@@ -155,7 +155,7 @@ def cast_rays(
     Args:
         origin, direction: (n, 3) the rays.
         bundle: that many consecutive rays are expected to be close together.
-        grid: numbers of the grid, see `grid_numbers`.
+        grid: numbers of the grid, see `numbers`.
         nodes: (rows, columns) heights of the samples.
         interpolation: what spans a cell, see `cell`.
         maxima, levels: pyramid over the samples, see `build_pyramid`.

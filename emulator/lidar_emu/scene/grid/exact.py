@@ -18,7 +18,7 @@ from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.sphere import SphereGround
 
 if TYPE_CHECKING:
-    from lidar_emu.scene.grid import Samples
+    from lidar_emu.scene.grid.ground import Samples
 
 Beyond = PlaneGround | SphereGround | None
 Contact = tuple[float, FloatArray]

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.scene.terrain_frame import Ellipsoid
-from lidar_emu.scene.terrain_raster import failures
+from lidar_emu.scene.terrain.frame import Ellipsoid
+from lidar_emu.scene.terrain.raster import failures
 
 _DEGREES = np.arange(-180.0, 180.0)
 

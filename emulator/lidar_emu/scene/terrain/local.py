@@ -11,11 +11,11 @@ import numpy as np
 from lidar_emu.arrays import FloatArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import Grid
-from lidar_emu.scene.terrain import Terrain, check_size, refuse_nothing
-from lidar_emu.scene.terrain_frame import LocalFrame
-from lidar_emu.scene.terrain_map import RasterMap, read_window, window_of
-from lidar_emu.scene.terrain_raster import band_number, elevations_m, other_bands, shares
-from lidar_emu.scene.terrain_resample import Surface, resampled
+from lidar_emu.scene.terrain.frame import LocalFrame
+from lidar_emu.scene.terrain.map import RasterMap, read_window, window_of
+from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing
+from lidar_emu.scene.terrain.raster import band_number, elevations_m, other_bands, shares
+from lidar_emu.scene.terrain.resample import Surface, resampled
 
 SAMPLES_TO_EACH_SIDE = 1000
 """How far a grid reaches from the origin where the site does not say it."""

@@ -12,9 +12,9 @@ import numpy as np
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import Grid
-from lidar_emu.scene.terrain import check_size
-from lidar_emu.scene.terrain_projection import Projection
-from lidar_emu.scene.terrain_raster import place_in_pixel
+from lidar_emu.scene.terrain.model import check_size
+from lidar_emu.scene.terrain.projection import Projection
+from lidar_emu.scene.terrain.raster import place_in_pixel
 
 
 class RasterMap:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.scene.terrain_frame import LocalFrame
+from lidar_emu.scene.terrain.frame import LocalFrame
 
 MAXIMUM_SAMPLES = 100_000_000
 

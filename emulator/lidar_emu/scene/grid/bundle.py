@@ -10,15 +10,15 @@ import numpy as np
 
 from lidar_emu.arrays import FloatArray, IntArray
 from lidar_emu.kernels import kernel
-from lidar_emu.scene.cell import BILINEAR, corners, facet
-from lidar_emu.scene.grid_numbers import (
+from lidar_emu.scene.grid.cell import BILINEAR, corners, facet
+from lidar_emu.scene.grid.numbers import (
     CEILING_M,
     CELLS_PER_M_EAST,
     CELLS_PER_M_NORTH,
     FLOOR_M,
     in_cells,
 )
-from lidar_emu.scene.traverse import starting_level
+from lidar_emu.scene.grid.traverse import starting_level
 
 _MARGIN_CELLS = 1e-6
 """The box is wider than the rays by this, and takes in the blocks that it is as near to as this: where it leaves a

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.kernels import kernel
-from lidar_emu.scene.mesh_ray import (
+from lidar_emu.scene.mesh.ray import (
     DX,
     DY,
     DZ,

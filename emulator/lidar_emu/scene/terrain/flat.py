@@ -10,7 +10,7 @@ import numpy as np
 from lidar_emu.arrays import FloatArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import Grid
-from lidar_emu.scene.terrain import Terrain, check_size, refuse_nothing
+from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing
 
 _METRES = "allowed where ground.placement is flat: a map in metres; reproject it (gdalwarp -t_srs)"
 
@@ -57,7 +57,7 @@ def read_flat_raster(ground: Grid, file: Any) -> FlatMap:
     Raises:
         InputError: it is no map in metres with north up, or holds no such bands.
     """
-    from lidar_emu.scene.terrain_raster import (
+    from lidar_emu.scene.terrain.raster import (
         band_number,
         elevations_m,
         other_bands,
@@ -154,7 +154,7 @@ def _origin(flat: FlatMap, ground: Grid) -> tuple[float, float]:
 
 def _on_map(source: str, wkt: str, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
     """Map coordinates of a planetocentric latitude and an east longitude."""
-    from lidar_emu.scene.terrain_projection import Projection
+    from lidar_emu.scene.terrain.projection import Projection
 
     projection = Projection(wkt)
     latitude = projection.normal_angle(np.radians([latitude_deg]))

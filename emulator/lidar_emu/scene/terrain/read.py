@@ -7,12 +7,12 @@ from typing import Any
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import Grid
-from lidar_emu.scene.terrain import Terrain
-from lidar_emu.scene.terrain_flat import FlatMap, placed_flat, read_flat_raster
-from lidar_emu.scene.terrain_frame import LocalFrame
-from lidar_emu.scene.terrain_local import Extent, read_on_body
-from lidar_emu.scene.terrain_npz import read_npz
-from lidar_emu.scene.terrain_raster import open_raster
+from lidar_emu.scene.terrain.flat import FlatMap, placed_flat, read_flat_raster
+from lidar_emu.scene.terrain.frame import LocalFrame
+from lidar_emu.scene.terrain.local import Extent, read_on_body
+from lidar_emu.scene.terrain.model import Terrain
+from lidar_emu.scene.terrain.npz import read_npz
+from lidar_emu.scene.terrain.raster import open_raster
 
 
 def read_terrain(ground: Grid, within: Extent | None = None, frame: LocalFrame | None = None) -> Terrain:

@@ -10,8 +10,8 @@ from lidar_emu.arrays import FloatArray, IntArray
 from lidar_emu.rotations import cross, from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.objects import Motion
 from lidar_emu.scene.hits import Hits
-from lidar_emu.scene.mesh import Mesh
-from lidar_emu.scene.nearer import keep_nearer
+from lidar_emu.scene.mesh.model import Mesh
+from lidar_emu.scene.objects.nearer import keep_nearer
 
 
 class Poses(NamedTuple):

@@ -12,8 +12,8 @@ from lidar_emu.rotations import rotate
 from lidar_emu.scenario.mesh_ground import MeshOrigin
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene.hits import Hits
-from lidar_emu.scene.mesh import Mesh, Triangles
-from lidar_emu.scene.mesh_file import MeshFile, enclosed_m3, turned_over
+from lidar_emu.scene.mesh.file import MeshFile, enclosed_m3, turned_over
+from lidar_emu.scene.mesh.model import Mesh, Triangles
 
 
 class MeshGround:

@@ -8,11 +8,11 @@ import numpy as np
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.scenario.generated_ground import Interpolation
-from lidar_emu.scene import grid_cast, grid_exact, grid_numbers
-from lidar_emu.scene.cell import BILINEAR, TRIANGLES
+from lidar_emu.scene.grid import cast, exact, numbers
+from lidar_emu.scene.grid.cell import BILINEAR, TRIANGLES
+from lidar_emu.scene.grid.pyramid import build_pyramid
 from lidar_emu.scene.hits import Hits, contiguous
 from lidar_emu.scene.plane import PlaneGround
-from lidar_emu.scene.pyramid import build_pyramid
 from lidar_emu.scene.sphere import SphereGround
 
 
@@ -104,19 +104,17 @@ class GridGround:
     def _numbers(self) -> FloatArray:
         samples = self.samples
         lowest_m, highest_m = samples.bounds_with(self.beyond)
-        numbers = np.empty(grid_numbers.COUNT)
-        numbers[grid_numbers.WEST_M] = samples.west_m
-        numbers[grid_numbers.SOUTH_M] = samples.south_m
-        numbers[grid_numbers.CELLS_PER_M_EAST] = 1 / samples.pixel_east_m
-        numbers[grid_numbers.CELLS_PER_M_NORTH] = 1 / samples.pixel_north_m
-        numbers[grid_numbers.CEILING_M] = highest_m
-        numbers[grid_numbers.FLOOR_M] = lowest_m - 1.0
-        numbers[grid_numbers.RADIUS_M] = (
-            self.beyond.radius_m if isinstance(self.beyond, SphereGround) else np.inf
-        )
-        numbers[grid_numbers.FIRST_COLUMN] = samples.first_column
-        numbers[grid_numbers.FIRST_ROW] = samples.first_row
-        return numbers
+        values = np.empty(numbers.COUNT)
+        values[numbers.WEST_M] = samples.west_m
+        values[numbers.SOUTH_M] = samples.south_m
+        values[numbers.CELLS_PER_M_EAST] = 1 / samples.pixel_east_m
+        values[numbers.CELLS_PER_M_NORTH] = 1 / samples.pixel_north_m
+        values[numbers.CEILING_M] = highest_m
+        values[numbers.FLOOR_M] = lowest_m - 1.0
+        values[numbers.RADIUS_M] = self.beyond.radius_m if isinstance(self.beyond, SphereGround) else np.inf
+        values[numbers.FIRST_COLUMN] = samples.first_column
+        values[numbers.FIRST_ROW] = samples.first_row
+        return values
 
     def cast(
         self,
@@ -128,7 +126,7 @@ class GridGround:
         """First contact with the surface or the ground beyond; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
-        grid_cast.cast_rays(
+        cast.cast_rays(
             origin,
             direction,
             bundle,
@@ -148,14 +146,14 @@ class GridGround:
         return hits
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """Every cell on the way, and bisection in it; see `grid_exact`."""
-        return grid_exact.cast(self.samples, self.beyond, origin_site_m, direction_site, self.reflectance)
+        """Every cell on the way, and bisection in it; see `exact`."""
+        return exact.cast(self.samples, self.beyond, origin_site_m, direction_site, self.reflectance)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """(n,) z of the surface, or of the ground beyond."""
         east, north = contiguous(east_m, north_m)
         height = np.empty_like(east)
-        grid_cast.surface_heights(self._grid, self.samples.height_m, self._interpolation, east, north, height)
+        cast.surface_heights(self._grid, self.samples.height_m, self._interpolation, east, north, height)
         if self.beyond is None:
             return height
         return np.where(np.isnan(height), self.beyond.height_m(east, north), height)
@@ -172,5 +170,5 @@ class GridGround:
 
 def _kind_of(beyond: PlaneGround | SphereGround | None) -> int:
     if beyond is None:
-        return grid_cast.NOTHING
-    return grid_cast.PLANE if isinstance(beyond, PlaneGround) else grid_cast.SPHERE
+        return cast.NOTHING
+    return cast.PLANE if isinstance(beyond, PlaneGround) else cast.SPHERE
