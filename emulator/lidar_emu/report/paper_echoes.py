@@ -102,10 +102,10 @@ def lesser_share(range_m: FloatArray, power_w: FloatArray, least_apart_m: float)
     """
     order = np.argsort(range_m, axis=-1)
     sorted_m, sorted_w = (np.take_along_axis(array, order, axis=-1) for array in (range_m, power_w))
-    gap_m = np.nan_to_num(np.diff(sorted_m, axis=-1), nan=0.0)
-    widest = gap_m.argmax(axis=-1)[..., None]
-    so_far_w = np.cumsum(np.nan_to_num(sorted_w, nan=0.0), axis=-1)
-    total_w = so_far_w[..., -1]
-    near = np.take_along_axis(so_far_w, widest, axis=-1)[..., 0] / np.where(total_w > 0, total_w, np.inf)
-    is_wide = np.take_along_axis(gap_m, widest, axis=-1)[..., 0] > least_apart_m
-    return np.where(is_wide, np.minimum(near, 1.0 - near), 0.0)
+    ahead_m = np.nan_to_num(np.diff(sorted_m, axis=-1, prepend=sorted_m[..., :1]), nan=0.0)
+    first_far = ahead_m.argmax(axis=-1)[..., None]
+    sorted_w = np.nan_to_num(sorted_w, nan=0.0)
+    total_w = sorted_w.sum(axis=-1)
+    before_w = np.cumsum(sorted_w, axis=-1) - sorted_w
+    near = np.take_along_axis(before_w, first_far, axis=-1)[..., 0] / np.where(total_w > 0, total_w, np.inf)
+    return np.where(ahead_m.max(axis=-1) > least_apart_m, np.minimum(near, 1.0 - near), 0.0)

@@ -19,11 +19,14 @@ if TYPE_CHECKING:
 
 _SIZE_INCH = (16.0, 14.5)
 _DOTS_PER_INCH = 100
-_DECIBELS = (-12.0, 52.0)
+_DECIBELS = (-14.0, 44.0)
 _NEAR_BINS = 14
 """Shown beside the outer targets of the close view."""
 _SLICE_M = 2.5
 """Along track, of the points that are seen from behind."""
+_PAIRS_M = 9.0
+"""Across track, of the points of two beams that are seen from above."""
+_SPEED_COLOURS = "coolwarm"
 
 
 def plot_scan(measurement: Measurement, spectrum: TwoTargets, title: str, path: Path) -> None:
@@ -42,10 +45,11 @@ def plot_scan(measurement: Measurement, spectrum: TwoTargets, title: str, path: 
     speed_mmps = 1e3 * measurement.closing_speed_mps
     for left, values, colours, label in (
         (0.0, measurement.range_m, "viridis", "range (m)"),
-        (0.495, speed_mmps, "coolwarm", "closing speed (mm/s)"),
+        (0.5, speed_mmps, _SPEED_COLOURS, "closing speed (mm/s)"),
     ):
-        _add_cloud(figure, (left, 0.24, 0.44, 0.48), measurement, values, colours, label)
-    _add_slice(figure.add_axes((0.06, 0.05, 0.91, 0.17)), measurement, spectrum.range_bin_m)
+        _add_cloud(figure, (left, 0.27, 0.43, 0.44), measurement, values, colours, label)
+    _add_slice(figure.add_axes((0.06, 0.05, 0.55, 0.2)), measurement, spectrum.range_bin_m)
+    _add_pairs(figure.add_axes((0.68, 0.05, 0.29, 0.2)), measurement, speed_mmps)
     with whole_file(path) as file:
         figure.savefig(file, format="png")
 
@@ -53,8 +57,8 @@ def plot_scan(measurement: Measurement, spectrum: TwoTargets, title: str, path: 
 def _add_spectrum(figure: Figure, spectrum: TwoTargets) -> None:
     """Over the whole band, and close to the targets."""
     bins = np.arange(len(spectrum.power))
-    whole = figure.add_axes((0.06, 0.745, 0.44, 0.2))
-    close = figure.add_axes((0.56, 0.745, 0.41, 0.2), sharey=whole)
+    whole = figure.add_axes((0.06, 0.765, 0.44, 0.175))
+    close = figure.add_axes((0.56, 0.765, 0.41, 0.175), sharey=whole)
     low, high = spectrum.peak_bin.min() - _NEAR_BINS, spectrum.peak_bin.max() + _NEAR_BINS
     for axes, first, end in ((whole, 1, len(bins) - 1), (close, low, high + 1)):
         decibels = 10.0 * np.log10(np.maximum(spectrum.power[first:end], 1e-9))
@@ -93,19 +97,16 @@ def _add_cloud(
     valid = measurement.range_valid & measurement.speed_valid
     points_m = measurement.point_site_m[valid]
     axes: Any = figure.add_axes(place, projection="3d")
-    size_m = np.ptp(points_m, axis=0)
-    axes.set_box_aspect(size_m, zoom=1.25)
-    axes.view_init(elev=32, azim=-60)
-    drawn = axes.scatter(
-        *points_m.T, c=values[valid], cmap=colours, s=4, linewidths=0, depthshade=False, alpha=1.0
-    )
+    axes.set_box_aspect(np.ptp(points_m, axis=0), zoom=1.05)
+    axes.view_init(elev=34, azim=-62)
+    drawn = axes.scatter(*points_m.T, c=values[valid], cmap=colours, s=5, linewidths=0, depthshade=False)
     axes.set(xlabel="east (m)", ylabel="north (m)", zlabel="up (m)")
     axes.zaxis.set_major_locator(_few_ticks())
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color((1, 1, 1, 0))
     left, bottom, width, height = place
     bar = figure.colorbar(
-        drawn, cax=figure.add_axes((left + width - 0.02, bottom + 0.12, 0.01, height - 0.24))
+        drawn, cax=figure.add_axes((left + width + 0.015, bottom + 0.1, 0.01, height - 0.2))
     )
     bar.set_label(label)
 
@@ -134,6 +135,25 @@ def _add_slice(axes: Axes, measurement: Measurement, range_bin_m: float) -> None
         f"{_SLICE_M:g} m of the flight from behind; grey: whole bins of range, {range_bin_m:.4f} m apart",
         fontsize=10,
     )
+
+
+def _add_pairs(axes: Axes, measurement: Measurement, speed_mmps: FloatArray) -> None:
+    """Points of a few lines from above: the beams look a little ahead and a little back."""
+    seen = measurement.range_valid & measurement.speed_valid
+    points_m = measurement.point_site_m
+    axes.scatter(
+        points_m[seen][:, 0],
+        points_m[seen][:, 1],
+        c=speed_mmps[seen],
+        cmap=_SPEED_COLOURS,
+        s=28,
+        linewidths=0,
+    )
+    middle_m = measurement.position_site_m[len(measurement) // 2, :2]
+    axes.set_xlim(middle_m[0] - _PAIRS_M / 2, middle_m[0] + _PAIRS_M / 2)
+    axes.set_ylim(middle_m[1] - _SLICE_M, middle_m[1] + _SLICE_M)
+    axes.set(xlabel="east (m)", ylabel="north (m)")
+    axes.set_title("close view from above, by closing speed", fontsize=10)
 
 
 def slice_of(measurement: Measurement, length_m: float) -> BoolArray:
