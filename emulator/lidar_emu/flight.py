@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -23,11 +24,12 @@ from lidar_emu.pointing import (
 from lidar_emu.rotations import rotate
 from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
-from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.site import Grid, Site
+from lidar_emu.scenario.trajectory import Trajectory as TrajectoryPart
 from lidar_emu.scene.build import build_scene
-from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.hits import Hits, Scene
 from lidar_emu.trajectory.build import build_trajectory
-from lidar_emu.trajectory.state import VehicleState
+from lidar_emu.trajectory.state import Trajectory, VehicleState
 
 _CHECKED_SHOTS = 4096
 
@@ -90,16 +92,27 @@ class Pointing(NamedTuple):
         return vectors
 
 
+class Rooms(NamedTuple):
+    """How the costly rooms of a flight are made; who flies many hands out again what several of them share."""
+
+    trajectory: Callable[[TrajectoryPart, float], Trajectory] = build_trajectory
+    scene: Callable[[Site], Scene] = build_scene
+
+
+FRESH = Rooms()
+"""Each flight has its own."""
+
+
 class Flight:
     """The rooms of a flight, built once."""
 
-    def __init__(self, scenario: FlightScenario) -> None:
+    def __init__(self, scenario: FlightScenario, rooms: Rooms = FRESH) -> None:
         self.scenario = scenario
-        self.trajectory = build_trajectory(scenario.trajectory, scenario.site.body.radius_m)
+        self.trajectory = rooms.trajectory(scenario.trajectory, scenario.site.body.radius_m)
         self.is_live = scenario.live is not None
         """Whether the vehicle's motion becomes known only as it is flown."""
         self.scanner = build_scanner(scenario.scanner)
-        self.scene = build_scene(scenario.site)
+        self.scene = rooms.scene(scenario.site)
         timing, instrument = scenario.timing, scenario.instrument
         if not self.trajectory.duration_s <= LONGEST_S:
             lasts = f"{self.trajectory.duration_s:.3g} s"

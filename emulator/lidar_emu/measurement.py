@@ -50,6 +50,8 @@ class Measurement:
     """Along the true beam axis to the ground; NaN where there is none."""
     true_closing_speed_mps: FloatArray
     """Of the sensor along the true beam axis."""
+    true_incidence_deg: FloatArray
+    """Between the true beam axis and the ground's normal where they meet; NaN where they do not."""
     point_site_m: FloatArray
     """(shots, beams, 3) Measured point: the measured range along the published beam direction."""
     position_site_m: FloatArray
@@ -162,4 +164,5 @@ _TABLE_FIELDS = (
     "second_range_m",
     "true_range_m",
     "true_closing_speed_mps",
+    "true_incidence_deg",
 )

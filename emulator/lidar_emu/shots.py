@@ -19,7 +19,7 @@ from lidar_emu.bench_model import BenchModel
 from lidar_emu.echoes import Light
 from lidar_emu.errors import InputError
 from lidar_emu.faults.build import beam_faults, physics_faults
-from lidar_emu.flight import Flight, Pointing
+from lidar_emu.flight import FRESH, Flight, Pointing, Rooms
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.kernels import kernel
 from lidar_emu.levels import build_level
@@ -30,7 +30,7 @@ from lidar_emu.rotations import dot_3
 from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.hits import Hits, incidence_deg
 
 if TYPE_CHECKING:
     from lidar_emu.faults.measured import BeamFaults, Held
@@ -84,9 +84,9 @@ class Model(Protocol):
 class FlightModel:
     """A flight over ground, measured by the model of the instrument."""
 
-    def __init__(self, scenario: FlightScenario) -> None:
+    def __init__(self, scenario: FlightScenario, rooms: Rooms = FRESH) -> None:
         self.scenario = scenario
-        self.flight = Flight(scenario)
+        self.flight = Flight(scenario, rooms)
         self.plan = plan_flight(scenario, self.flight)
         self.light = Light(scenario.instrument, scenario.site, self.flight, self.plan.beamlets)
         self.level = build_level(scenario)
@@ -174,6 +174,7 @@ class FlightModel:
             second_range_m=returns.second_range_m,
             true_range_m=axis_hits.range_m,
             true_closing_speed_mps=true_closing_mps,
+            true_incidence_deg=incidence_deg(axis_hits, pointing.true_site),
             point_site_m=point_site_m,
             position_site_m=pointing.position_site_m,
             velocity_site_mps=pointing.velocity_site_mps,
@@ -193,13 +194,17 @@ def _locate(
                 point_site_m[s, b, axis] = beams[SENSOR, s, b, axis] + along_m
 
 
-def build_model(scenario: FlightScenario | BenchScenario) -> Model:
+def build_model(scenario: FlightScenario | BenchScenario, rooms: Rooms = FRESH) -> Model:
     """The model that the scenario asks for.
+
+    Args:
+        scenario: as read by `load`.
+        rooms: how the costly rooms of a flight are made.
 
     Raises:
         InputError: a file that the scenario names cannot be used, or the flight leaves the ground.
     """
-    return BenchModel(scenario) if isinstance(scenario, BenchScenario) else FlightModel(scenario)
+    return BenchModel(scenario) if isinstance(scenario, BenchScenario) else FlightModel(scenario, rooms)
 
 
 def require_known_flight(scenario: FlightScenario | BenchScenario) -> None:

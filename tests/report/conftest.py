@@ -49,6 +49,7 @@ def flight():
         second_range_m=np.full(shape, np.nan),
         true_range_m=true_range_m.copy(),
         true_closing_speed_mps=true_speed_mps.copy(),
+        true_incidence_deg=np.full(shape, 20.0),
         point_site_m=np.where(range_valid[..., None], points_m, np.nan),
         position_site_m=np.concatenate([np.zeros((SHOTS, 2)), altitude_m], axis=1),
         velocity_site_mps=np.stack([np.zeros(SHOTS), np.zeros(SHOTS), -true_speed_mps[:, 0]], axis=1),
