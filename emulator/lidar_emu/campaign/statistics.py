@@ -8,6 +8,7 @@ narrow bins, so that a million runs need no more memory than ten.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -74,15 +75,14 @@ class BandStatistics(NamedTuple):
 
 def campaign_statistics(folder: Path) -> list[BandStatistics]:
     """Of all beams that a campaign's folder holds; band by band, altitudes first."""
-    counts: dict[tuple[str, int], _Counts] = {}
+    counts = defaultdict[tuple[str, int], _Counts](_Counts)
     for beams in _files(folder):
         for axis in AXES:
             band = np.searchsorted(axis.edges, beams[axis.name], side="right") - 1
             # The last edge belongs to the last band: a ray may graze at 90 degrees.
             band[beams[axis.name] == axis.edges[-1]] -= 1
             for k in np.unique(band[(band >= 0) & (band < len(axis.edges) - 1)]).tolist():
-                counted = counts.setdefault((axis.name, k), _Counts())
-                counted.add({name: column[band == k] for name, column in beams.items()})
+                counts[axis.name, k].add({name: column[band == k] for name, column in beams.items()})
     return [
         counts[axis.name, k].told(axis.name, float(axis.edges[k]), float(axis.edges[k + 1]))
         for axis in AXES

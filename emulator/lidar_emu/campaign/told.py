@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -85,3 +86,14 @@ def _column(axis: str, bands: Sequence[BandStatistics]) -> CampaignColumn:
 
 def _estimates(estimates: Sequence[Estimate]) -> FloatArray:
     return np.array(estimates, dtype=np.float64).reshape(-1, len(_ENDS))
+
+
+def failures(folder: Path) -> dict[str, int]:
+    """How many runs failed, by reason, the most frequent first."""
+    from pyarrow import parquet
+
+    reasons = Counter[str]()
+    for path in sorted((folder / "runs").glob("part-*.parquet")):
+        told = parquet.read_table(path, columns=["failed"], use_threads=False)["failed"].to_pylist()
+        reasons.update(reason for reason in told if reason is not None)
+    return dict(reasons.most_common())

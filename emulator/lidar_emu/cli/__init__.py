@@ -9,6 +9,7 @@ import click
 
 from lidar_emu import __version__
 from lidar_emu.cli.bench import bench
+from lidar_emu.cli.campaign import campaign
 from lidar_emu.cli.detection import detection
 from lidar_emu.cli.documents import icd, scenarios, schema
 from lidar_emu.cli.ground import ground
@@ -40,6 +41,7 @@ def cli(context: click.Context) -> None:
     lidar-emu listen --port /dev/ttyUSB1 --baud 921600 --json
     lidar-emu send --port /dev/ttyUSB1 set_mode mode=track
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
+    lidar-emu campaign dispersed_descent.yaml --out results
     lidar-emu detection descent.yaml                  what the instrument will detect, by altitude
     lidar-emu ground descent.yaml --set site=cratered --plot ground.png
     lidar-emu plan descent.yaml                       what the run computes and what it leaves out
@@ -50,7 +52,21 @@ def cli(context: click.Context) -> None:
         click.echo(context.get_help())
 
 
-for command in (run, listen, send, inject, simulate, detection, ground, plan, bench, scenarios, schema, icd):
+for command in (
+    run,
+    listen,
+    send,
+    inject,
+    simulate,
+    campaign,
+    detection,
+    ground,
+    plan,
+    bench,
+    scenarios,
+    schema,
+    icd,
+):
     cli.add_command(command)
 
 

@@ -61,7 +61,8 @@ def plot_campaign(columns: Sequence[CampaignColumn], levels: Sequence[str], titl
 
 def _draw_dropout(axes: Axes, column: CampaignColumn) -> None:
     _draw_bands(axes, column, 100.0 * column.dropout, "C3", None)
-    axes.set(ylabel="without a valid range (%)", ylim=(0.0, None))
+    largest = float(np.nanmax(column.dropout[:, 0], initial=0.0))
+    axes.set(ylabel="without a valid range (%)", ylim=(0.0, 160.0 * largest or 1.0))
 
 
 def _draw_errors(
@@ -69,11 +70,10 @@ def _draw_errors(
 ) -> None:
     for i, level in enumerate(levels):
         _draw_bands(axes, column, quantiles[i], f"C{i}", level)
-    # A few false locks, kilometres off, must not hide what most errors are.
-    middle = quantiles[:, :, 0]
-    largest = float(np.nanpercentile(np.abs(middle), 90)) if np.isfinite(middle).any() else 1.0
-    axes.set_yscale("symlog", linthresh=max(largest, 1e-9))
-    axes.set_ylabel(label)
+    # Where most are false locks, kilometres off, these must not hide what errors are elsewhere.
+    known = np.abs(quantiles[:, :, 0][np.isfinite(quantiles[:, :, 0])])
+    largest = float(np.percentile(known, 90)) if known.size else 0.0
+    axes.set(ylabel=label, ylim=(-1.8 * largest, 1.8 * largest) if largest > 0 else None)
     axes.legend(loc="upper right")
 
 
