@@ -52,7 +52,7 @@ class LocalPool:
 
     def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
         """As `concurrent.futures.Executor`."""
-        with _one_thread_each(), _deaf_to_ctrl_c():
+        with one_thread_each(), _deaf_to_ctrl_c():
             return self._executor.submit(work, *args)
 
     def mend(self) -> None:
@@ -128,7 +128,7 @@ def _begin_worker(lifeline: Connection) -> None:
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
+def one_thread_each() -> Iterator[None]:
     """Processes that start now compute with one thread: there is one of them for every core."""
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)

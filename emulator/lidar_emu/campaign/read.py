@@ -86,13 +86,12 @@ def prepare(path: Path, overrides: Mapping[str, str], runs: int | None) -> Prepa
     if runs is not None:
         campaign = campaign.model_copy(update={"runs": runs})
     for key in overrides:
-        if key in campaign.set or key in campaign.drawn_keys:
-            raise InputError(
-                "--set", key, Finding("a key of the campaign"), f"allowed: others than those of {found}"
-            )
+        if key in campaign.drawn_keys:
+            raise InputError("--set", key, Finding("drawn"), f"allowed: keys that {found} does not draw")
     beside = found.parent / campaign.scenario
     scenario = find_file(beside if beside.is_file() else Path(campaign.scenario), "scenarios")
-    base = Base(str(scenario.resolve()), dict(overrides), campaign.set)
+    fixed = {key: value for key, value in campaign.set.items() if key not in overrides}
+    base = Base(str(scenario.resolve()), dict(overrides), fixed)
     drawn = draw(campaign, str(found))
     return Prepared(campaign, base, drawn, _first_flown(base, drawn, campaign.runs))
 
