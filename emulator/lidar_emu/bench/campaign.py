@@ -23,6 +23,7 @@ CAMPAIGN = "dispersed_descent.yaml"
 LEVELS = ("statistical", "spectral")
 _ROUNDS = 7
 _RUNS_A_ROUND = 10
+_COMPARISONS = 3
 
 
 @dataclass(frozen=True)
@@ -69,19 +70,19 @@ def measure_cores(show: Callable[[str], None]) -> list[CoreSpeed]:
 
 
 def measure_scaling(workers: int, runs: int, show: Callable[[str], None]) -> Scaling:
-    """Fly `runs` twice at the statistical level, where what a pool costs counts most."""
+    """Fly `runs` at the statistical level, where what a pool costs counts most; medians of several rounds."""
     prepared = prepare(Path(CAMPAIGN), {"level": LEVELS[0]}, runs)
-    clock = Clock()
-    with tempfile.TemporaryDirectory() as folder:
-        show(f"{workers} processes on their own")
-        begun_ns = clock.now_ns()
-        _fly_alone(prepared, workers, Path(folder) / "alone")
-        alone_s = (clock.now_ns() - begun_ns) * 1e-9
-        show(f"a pool of {workers}")
-        begun_ns = clock.now_ns()
-        rows = build_model(prepared.first).shot_count
-        fly_campaign(prepared, rows, Path(folder) / "pool", lambda: LocalPool(workers), lambda _: None)
-        pool_s = (clock.now_ns() - begun_ns) * 1e-9
+    rows = build_model(prepared.first).shot_count
+    clock, times_s = Clock(), np.empty((2, _COMPARISONS))
+    for k in range(_COMPARISONS):
+        show(f"{workers} processes in a pool, and on their own: round {k + 1} of {_COMPARISONS}")
+        with tempfile.TemporaryDirectory() as folder:
+            begun_ns = clock.now_ns()
+            fly_campaign(prepared, rows, Path(folder) / "pool", lambda: LocalPool(workers), lambda _: None)
+            between_ns = clock.now_ns()
+            _fly_alone(prepared, workers, Path(folder) / "alone")
+            times_s[:, k] = (between_ns - begun_ns) * 1e-9, (clock.now_ns() - between_ns) * 1e-9
+    pool_s, alone_s = (float(time_s) for time_s in np.median(times_s, axis=1))
     return Scaling(workers, runs, pool_s, alone_s)
 
 

@@ -26,9 +26,8 @@ class Drawn(NamedTuple):
     """Of each run, unless the key `seed` is drawn."""
 
     def values(self, run: int) -> dict[str, Any]:
-        """What one run sets: parents first, so that a part that is chosen by name can have keys of its own."""
-        own = {"seed": self.seeds[run]} | {key: column[run] for key, column in self.columns.items()}
-        return dict(sorted(own.items(), key=lambda item: item[0].count(".")))
+        """What one run sets."""
+        return {"seed": self.seeds[run]} | {key: column[run] for key, column in self.columns.items()}
 
 
 def draw(campaign: Campaign, path: str) -> Drawn:

@@ -45,7 +45,11 @@ def campaign_folder(folder: Path, prepared: Prepared, batch_runs: int) -> Iterat
                 "--out", None, Finding(f"{folder} is worked on"), "allowed: one at a time"
             ) from None
         _claim(folder, stated)
-        yield
+        _sweep(folder)
+        try:
+            yield
+        finally:
+            _sweep(folder)
 
 
 _ALLOWED = "allowed: a new or empty folder, or that of the same campaign, which is then continued"
@@ -62,11 +66,16 @@ def _claim(folder: Path, stated: dict[str, Any]) -> None:
             raise InputError("--out", None, Finding(f"{folder} {_difference(before, stated)}"), _ALLOWED)
     for table in _TABLES:
         (folder / table).mkdir(exist_ok=True)
-        for left_over in (folder / table).glob(".part-*"):
-            left_over.unlink(missing_ok=True)
     if not path.exists():
         with whole_file(path) as file:
             file.write(json.dumps(stated, indent=2).encode() + b"\n")
+
+
+def _sweep(folder: Path) -> None:
+    """Away with what those who died have left half written."""
+    for table in _TABLES:
+        for left_over in (folder / table).glob(".part-*"):
+            left_over.unlink(missing_ok=True)
 
 
 def _difference(before: Any, stated: dict[str, Any]) -> str:

@@ -111,8 +111,7 @@ class ClusterPool:
         """The scheduler's business."""
 
     def stop(self) -> None:
-        """Cancel what is not done."""
-        self._executor.shutdown(wait=False, cancel_futures=True)
+        """Let go of the scheduler, which then cancels what is not done."""
         self._client.close()
 
 

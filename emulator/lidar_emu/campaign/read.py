@@ -16,7 +16,7 @@ from lidar_emu.scenario.campaign import Campaign
 from lidar_emu.scenario.explain import Source, explained
 from lidar_emu.scenario.load import find_file, load
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.scenario.yaml_text import read_mapping
+from lidar_emu.scenario.yaml_text import parse, read_mapping
 from lidar_emu.shots import require_known_flight
 
 _FIRST_RUNS = 16
@@ -28,10 +28,8 @@ class Base:
 
     scenario: str
     """Path."""
-    overrides: dict[str, str]
-    """Of the command line, as texts."""
     fixed: dict[str, Any]
-    """Of the campaign."""
+    """Dotted keys and values that all runs have."""
 
     def scenario_of(self, values: Mapping[str, Any]) -> FlightScenario:
         """The scenario of a run that sets these values.
@@ -39,7 +37,9 @@ class Base:
         Raises:
             InputError: one of them is not allowed, or the scenario is no flight that is known beforehand.
         """
-        scenario = load(self.scenario, self.overrides, {**self.fixed, **values})
+        # Parents first, so that a part that is chosen by name can have keys of its own.
+        stated = sorted({**self.fixed, **values}.items(), key=lambda item: item[0].count("."))
+        scenario = load(self.scenario, campaign=dict(stated))
         if not isinstance(scenario, FlightScenario):
             raise InputError(self.scenario, None, Finding("a bench pattern"), "allowed: a flight")
         require_known_flight(scenario)
@@ -90,8 +90,8 @@ def prepare(path: Path, overrides: Mapping[str, str], runs: int | None) -> Prepa
             raise InputError("--set", key, Finding("drawn"), f"allowed: keys that {found} does not draw")
     beside = found.parent / campaign.scenario
     scenario = find_file(beside if beside.is_file() else Path(campaign.scenario), "scenarios")
-    fixed = {key: value for key, value in campaign.set.items() if key not in overrides}
-    base = Base(str(scenario.resolve()), dict(overrides), fixed)
+    fixed = campaign.set | {key: parse(text, f"--set {key}") for key, text in overrides.items()}
+    base = Base(str(scenario.resolve()), fixed)
     drawn = draw(campaign, str(found))
     return Prepared(campaign, base, drawn, _first_flown(base, drawn, campaign.runs))
 
