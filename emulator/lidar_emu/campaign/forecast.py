@@ -65,7 +65,8 @@ def forecast(prepared: Prepared) -> Forecast:
             reason = str(error)
             continue
         times_s.append((clock.now_ns() - begun_ns) * 1e-9)
-        flights_s.append(float(np.nanmax(measurement.due_ns)) * 1e-9)
+        period_ns = prepared.base.scenario_of(values).timing.period_ns
+        flights_s.append(len(measurement) * period_ns * 1e-9)
     if not times_s:
         raise RunError(f"none of {min(runs, _SLICE)} runs can be flown: {reason}")
     return Forecast(
