@@ -164,7 +164,7 @@ def test_ctrl_c_ends_it_and_the_same_command_goes_on(started, tmp_path):
     out, complaint = process.communicate(timeout=30)
     assert (process.returncode, out) == (130, "")
     assert complaint.startswith("interrupted: ")
-    assert complaint.count("\n") == 1
+    assert len(complaint.strip().splitlines()) == 1
     kept = content(tmp_path / "out")
     assert not any("/." in name for name in kept)
     assert 1 < len([name for name in kept if name.startswith("runs/")]) < 272

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -106,3 +108,12 @@ def test_what_is_no_covariance_is_refused(matrix):
     joint = {"keys": ["a", "b"], "mean": [0.0, 0.0], "covariance": matrix}
     with pytest.raises(InputError, match=r"c: joint_normals\.0\.covariance: .*positive definite"):
         draw(campaign(joint_normals=[joint]), "c")
+
+
+def test_every_key_is_on_the_page():
+    page = (Path(__file__).parents[2] / "docs" / "campaigns.md").read_text()
+    schema = Campaign.model_json_schema()
+    models = [schema, *schema["$defs"].values()]
+    keys = {key for model in models for key in model["properties"]}
+    assert [key for key in keys if f"{key}:" not in page and f"`{key}`" not in page] == []
+    assert all("description" in node for model in models for node in model["properties"].values())
