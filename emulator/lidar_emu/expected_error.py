@@ -62,7 +62,7 @@ def expected_error(scenario: FlightScenario, flight: Flight, beamlets: int) -> E
     count = min(_LOOKS_ALONG, flight.shot_count)
     shot = np.unique(np.linspace(0, flight.shot_count - 1, count).astype(np.int64))
     pointing, _ = flight.point(shot, flight.scanner.initial)
-    hits = flight.cast(pointing.sensor_site_m, pointing.true_site)
+    hits = flight.cast(pointing)
     echoes = receive_light(instrument, site, flight, 1, pointing, hits)
     model = build_receiver(instrument, site, scenario.exact)
     spread = spread_bins(instrument, pointing, hits) if beamlets > 1 else no_spread(hits)

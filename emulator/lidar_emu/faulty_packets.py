@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from lidar_emu.device.state import Status
 from lidar_emu.faults.build import numbered
+from lidar_emu.faults.hold import resumed
 from lidar_emu.faults.packets import PacketFaults, PacketState
 from lidar_emu.faults.schedule import Injected
 from lidar_emu.faults.stamps import StampFaults, StampState
@@ -67,11 +68,8 @@ class FaultyPackets:
         """What fewer of these faults have carried so far, for all of them."""
         if state is None:
             return self.initial
-        initial = self.initial
-        held = state.packets.held + initial.packets.held[len(state.packets.held) :]
-        return WireState(
-            state.stamps + initial.stamps[len(state.stamps) :], state.packets._replace(held=held)
-        )
+        held = resumed(state.packets.held, self.initial.packets.held)
+        return WireState(resumed(state.stamps, self.initial.stamps), state.packets._replace(held=held))
 
     def longest(self, packet_bytes: int) -> int:
         """Of a packet, as the port takes it, that was so long before faults."""

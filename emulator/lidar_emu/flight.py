@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from functools import cached_property, partial
+from typing import NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +23,13 @@ from lidar_emu.pointing import (
 )
 from lidar_emu.rotations import rotate
 from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
+from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
-from lidar_emu.scenario.site import Grid, Site
-from lidar_emu.scenario.trajectory import Trajectory as TrajectoryPart
-from lidar_emu.scene.build import build_scene
-from lidar_emu.scene.hits import Hits, Scene
+from lidar_emu.scenario.site import Grid, Nested
+from lidar_emu.scene.build import build_ground, with_objects
+from lidar_emu.scene.hits import Hits, MovingScene, Scene
+from lidar_emu.scene.reach import Reach
+from lidar_emu.sweep import MOST_SHOTS, slack, sweep
 from lidar_emu.trajectory.build import build_trajectory
 from lidar_emu.trajectory.state import Trajectory, VehicleState
 
@@ -39,13 +41,34 @@ _Shot = TypeVar("_Shot", int, NDArray[np.int64])
 class Pointing(NamedTuple):
     """Where the beams start and point; arrays are (shots, beams) and (shots, beams, 3), NaN for absent beams."""
 
+    shot: NDArray[np.int64]
+    """(shots,)"""
+    pattern: NDArray[np.int64]
+    """(shots,) Which pattern of beams the shot uses."""
     time_ns: NDArray[np.int64]
+    in_gap: BoolArray
+    """Where the vehicle is follows there from a bridge over a gap of its table."""
     fired: BoolArray
     angle_deg: FloatArray
     beams: FloatArray
     """(6, shots, beams, 3) The vectors named below, together for kernels: their places are in `pointing`."""
     vehicle: FloatArray
     """(2, shots, 3) Position and velocity."""
+
+    @classmethod
+    def unfilled(cls, shot: NDArray[np.int64], beams: int) -> Self:
+        """Arrays to be filled, of shots with so many beams."""
+        shape = len(shot), beams
+        return cls(
+            shot=shot,
+            pattern=np.empty(len(shot), dtype=np.int64),
+            time_ns=np.empty(shape, dtype=np.int64),
+            in_gap=np.zeros(shape, dtype=np.bool_),
+            fired=np.empty(shape, dtype=np.bool_),
+            angle_deg=np.empty(shape),
+            beams=np.empty((6, *shape, 3)),
+            vehicle=np.empty((2, len(shot), 3)),
+        )
 
     @property
     def sensor_site_m(self) -> FloatArray:
@@ -92,41 +115,27 @@ class Pointing(NamedTuple):
         return vectors
 
 
-class Rooms(NamedTuple):
-    """How the costly rooms of a flight are made; who flies many hands out again what several of them share."""
-
-    trajectory: Callable[[TrajectoryPart, float], Trajectory] = build_trajectory
-    scene: Callable[[Site], Scene] = build_scene
-
-
-FRESH = Rooms()
-"""Each flight has its own."""
+def sensor_height_m(pointing: Pointing, axis_hits: Hits) -> FloatArray:
+    """(shots,) Of the sensor above the ground that its beams meet, on average; infinite where they meet none."""
+    below_m = -axis_hits.range_m * pointing.true_site[..., 2]
+    met = np.isfinite(below_m)
+    total_m = np.where(met, below_m, 0.0).sum(axis=1)
+    return np.where(met.any(axis=1), total_m / np.maximum(met.sum(axis=1), 1), np.inf)
 
 
 class Flight:
     """The rooms of a flight, built once."""
 
-    def __init__(self, scenario: FlightScenario, rooms: Rooms = FRESH) -> None:
+    is_recorded = False
+    """Whether beams and hits are read instead of computed."""
+
+    def __init__(self, scenario: FlightScenario) -> None:
         self.scenario = scenario
-        self.trajectory = rooms.trajectory(scenario.trajectory, scenario.site.body.radius_m)
         self.is_live = scenario.live is not None
         """Whether the vehicle's motion becomes known only as it is flown."""
         self.scanner = build_scanner(scenario.scanner)
-        self.scene = rooms.scene(scenario.site)
         timing, instrument = scenario.timing, scenario.instrument
-        if not self.trajectory.duration_s <= LONGEST_S:
-            lasts = f"{self.trajectory.duration_s:.3g} s"
-            raise InputError(scenario.name, "trajectory", lasts, f"allowed: at most {LONGEST_S:.3g} s")
-        duration_s = self.trajectory.duration_s if scenario.duration_s is None else scenario.duration_s
-        if duration_s > self.trajectory.duration_s * (1 + 1e-9):
-            raise InputError(
-                scenario.name,
-                "duration_s",
-                duration_s,
-                f"allowed: at most {self.trajectory.duration_s:.6g} s, the flight",
-            )
         self.period_ns = timing.period_ns
-        self.shot_count = timing.shots_within(duration_s)
         looks, cycle_s = instrument.detection.looks, instrument.waveform.cycle_time_s
         validity_s = instrument.waveform.validity_offset_s + (looks - 1) / 2 * cycle_s
         turn_ns = round(looks * cycle_s * 1e9)
@@ -137,7 +146,37 @@ class Flight:
         self._published_body = rotate(body_from_sensor, self.scanner.published_sensor)
         self._needs_ground_altitude = self.scanner.needs_ground_altitude
         self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
+        self.shot_count = self._count_shots()
         self._refuse_to_leave_the_ground()
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """Where the vehicle is."""
+        return build_trajectory(self.scenario.trajectory, self.scenario.site.body.radius_m)
+
+    @cached_property
+    def ground(self) -> Scene:
+        """What the beams of this flight can come to, without the objects on it."""
+        site = self.scenario.site
+        if self.is_live or self.shot_count > MOST_SHOTS:
+            return build_ground(site)
+        beams = self._validity_ns, self._lever_arm_body_m, self._true_body
+        lines = partial(sweep, self.trajectory, self.shot_count, self.period_ns, *beams)
+        return build_ground(site, Reach(lines, *slack(self.scenario)))
+
+    @cached_property
+    def scene(self) -> Scene:
+        """What the beams hit."""
+        return with_objects(self.ground, self.scenario.site)
+
+    @cached_property
+    def _moving_scene(self) -> MovingScene | None:
+        return self.scene if isinstance(self.scene, MovingScene) else None
+
+    @property
+    def has_moving_things(self) -> bool:
+        """Whether hits tell of velocities."""
+        return self._moving_scene is not None
 
     def due_ns(self, shot: _Shot) -> _Shot:
         """When the packets of shots are due, from the start."""
@@ -151,17 +190,13 @@ class Flight:
         """Beams of consecutive shots, each taken at its own time of validity."""
         beams = self.scanner.beam_count
         # The first instant of a shot is its start, when its pattern is chosen.
-        time_ns, instant_s = np.empty((len(shot), beams), dtype=np.int64), np.empty((len(shot), 1 + beams))
-        set_times(shot, self.period_ns, self._validity_ns, time_ns, instant_s)
+        pointing, instant_s = Pointing.unfilled(shot, beams), np.empty((len(shot), 1 + beams))
+        set_times(shot, self.period_ns, self._validity_ns, pointing.time_ns, instant_s)
         vehicle = self.trajectory.state(instant_s.reshape(-1))
-        chosen, state = self._choose_patterns(instant_s, vehicle, state)
-        pointing = Pointing(
-            time_ns=time_ns,
-            fired=np.empty(time_ns.shape, dtype=np.bool_),
-            angle_deg=np.empty(time_ns.shape),
-            beams=np.empty((6, *time_ns.shape, 3)),
-            vehicle=np.empty((2, len(shot), 3)),
-        )
+        pointing.pattern[:], state = self._choose_patterns(instant_s, vehicle, state)
+        for gap in self.trajectory.bridged:
+            since_s = instant_s[:, 1:] - gap.start_s
+            pointing.in_gap[:] |= (since_s > 0) & (since_s < gap.length_s)
         point_beams(
             vehicle.position_site_m,
             vehicle.velocity_site_mps,
@@ -169,7 +204,7 @@ class Flight:
             vehicle.site_from_body,
             vehicle.body_rate_radps,
             self._lever_arm_body_m,
-            chosen,
+            pointing.pattern,
             self.scanner.angle_deg,
             self._true_body,
             self._published_body,
@@ -185,13 +220,35 @@ class Flight:
         begins_s = _seconds(shot * self.period_ns)
         return self._choose_patterns(begins_s[:, None], self.trajectory.state(begins_s), state)[0]
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact with the ground of rays in any arrangement: arrays (..., 3), hits shaped (...)."""
-        shape = direction_site.shape
-        hits = self.scene.cast(origin_site_m.reshape(-1, 3), direction_site.reshape(-1, 3))
-        return Hits(
-            hits.range_m.reshape(shape[:-1]), hits.normal_site.reshape(shape), hits.inside.reshape(shape[:-1])
+    def cast(self, pointing: Pointing) -> Hits:
+        """First contact of the beams' axes with the scene: hits shaped (shots, beams)."""
+        hits = self._cast_rays(
+            pointing.time_ns, pointing.sensor_site_m.reshape(-1, 3), pointing.true_site.reshape(-1, 3)
         )
+        return hits.shaped(pointing.time_ns.shape)
+
+    def _cast_rays(
+        self,
+        time_ns: IntArray,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+    ) -> Hits:
+        """First contact of n rays with the scene.
+
+        Args:
+            time_ns: of m elements, each the time of the next n / m rays.
+            origin_site_m, direction_site, hits: as of `Scene.cast`.
+        """
+        if self._moving_scene is None:
+            return self.scene.cast(origin_site_m, direction_site, hits)
+        return self._moving_scene.cast_at(time_ns.reshape(-1), origin_site_m, direction_site, hits)
+
+    def cast_beamlets(
+        self, pointing: Pointing, start_site_m: FloatArray, ray_site: FloatArray, hits: Hits
+    ) -> Hits:
+        """First contact of the beamlets of these beams, rays (n, 3), one beam after another; `hits` are filled."""
+        return self._cast_rays(pointing.time_ns, start_site_m, ray_site, hits)
 
     def _choose_patterns(
         self, instant_s: FloatArray, vehicle: VehicleState, state: ScannerState
@@ -209,12 +266,24 @@ class Flight:
             above_ground_m = up_m - self.scene.height_m(starts[1], starts[2])
         return self.scanner.choose(state, starts[0], up_m, above_ground_m)
 
+    def _count_shots(self) -> int:
+        """Shots of the run."""
+        scenario, flown_s = self.scenario, self.trajectory.duration_s
+        if not flown_s <= LONGEST_S:
+            allowed = f"allowed: at most {LONGEST_S:.3g} s"
+            raise InputError(scenario.name, "trajectory", f"{flown_s:.3g} s", allowed)
+        duration_s = flown_s if scenario.duration_s is None else scenario.duration_s
+        if duration_s > flown_s * (1 + 1e-9):
+            allowed = f"allowed: at most {flown_s:.6g} s, the flight"
+            raise InputError(scenario.name, "duration_s", duration_s, allowed)
+        return scenario.timing.shots_within(duration_s)
+
     def _refuse_to_leave_the_ground(self) -> None:
-        ground = self.scenario.site.ground
-        if not isinstance(ground, Grid) or ground.beyond != "none" or self.is_live:
+        ground, shots = self.scenario.site.ground, self.shot_count
+        if not isinstance(ground, Grid | Generated | Nested) or ground.beyond != "none" or self.is_live:
             return
-        for first in range(0, self.shot_count, _CHECKED_SHOTS):
-            shot = np.arange(first, min(first + _CHECKED_SHOTS, self.shot_count), dtype=np.int64)
+        for first in range(0, shots, _CHECKED_SHOTS):
+            shot = np.arange(first, min(first + _CHECKED_SHOTS, shots), dtype=np.int64)
             self._refuse_outside(_seconds(shot * self.period_ns))
 
     def _refuse_outside(self, time_s: FloatArray) -> None:

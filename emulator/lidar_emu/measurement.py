@@ -52,6 +52,8 @@ class Measurement:
     """Of the sensor along the true beam axis."""
     true_incidence_deg: FloatArray
     """Between the true beam axis and the ground's normal where they meet; NaN where they do not."""
+    true_in_gap: BoolArray
+    """The truth is bridged there: the table of the trajectory has a gap longer than it allows."""
     point_site_m: FloatArray
     """(shots, beams, 3) Measured point: the measured range along the published beam direction."""
     position_site_m: FloatArray
@@ -134,7 +136,7 @@ class Measurement:
         return cls(*(np.concatenate([getattr(b, f.name) for b in blocks]) for f in fields(cls)))
 
 
-_FLAGS = ("fired", "range_valid", "speed_valid", "sign_resolved")
+_FLAGS = ("fired", "range_valid", "speed_valid", "sign_resolved", "true_in_gap")
 _WHOLE = {**dict.fromkeys(_FLAGS, np.bool_), "segments": np.uint8, "returns": np.uint8}
 """What is no number with a fraction, but the reason."""
 
@@ -165,4 +167,5 @@ _TABLE_FIELDS = (
     "true_range_m",
     "true_closing_speed_mps",
     "true_incidence_deg",
+    "true_in_gap",
 )

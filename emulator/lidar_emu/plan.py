@@ -7,14 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidar_emu.echoes import receive_light
-from lidar_emu.flight import Flight, Pointing
+from lidar_emu.flight import Flight, Pointing, sensor_height_m
+from lidar_emu.geometry.recorded_flight import RecordedFlight
 from lidar_emu.plan_faults import planned_faults
+from lidar_emu.plan_ground import plan_parts
 from lidar_emu.plan_receiver import Decision, plan_receiver
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.site import Grid, Nested
 from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.terrain_read import lies_flat
 from lidar_emu.spread import spread_bins
 
 ONE_BEAMLET_BELOW_BINS = 0.1
@@ -53,11 +56,10 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     echoes = receive_light(scenario.instrument, scenario.site, flight, 1, pointing, hits)
     footprint, beamlets = _footprint(scenario, pointing, hits)
     decisions = (
-        _trajectory(scenario, flight),
-        *_ground(scenario, flight, pointing, hits),
+        *_flown(scenario, flight, pointing, hits),
         _air(scenario),
+        *_dust(scenario, float(np.min(sensor_height_m(pointing, hits)))),
         footprint,
-        *_switching(flight),
         *plan_receiver(scenario, echoes),
         *planned_faults(scenario),
     )
@@ -73,6 +75,7 @@ def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
             Decision("trajectory", True, "live truth", kept, "as interpolated"),
             Decision("ground", True, flight.scene.description, kept, "exact"),
             _air(scenario),
+            *_dust(scenario, 0.0),
             Decision("footprint", beamlets > 1, f"{beamlets} beamlets", kept, "sampled"),
             *_switching(flight),
             Decision("receiver", True, scenario.level, f"the scenario asks for level {scenario.level}", kept),
@@ -87,7 +90,28 @@ def _look(flight: Flight) -> tuple[Pointing, Hits]:
     step = max(1, round(_LOOK_EVERY_S * 1e9 / flight.period_ns))
     shot = np.unique(np.append(np.arange(0, flight.shot_count, step, dtype=np.int64), flight.shot_count - 1))
     pointing, _ = flight.point(shot, flight.scanner.initial)
-    return pointing, flight.cast(pointing.sensor_site_m, pointing.true_site)
+    return pointing, flight.cast(pointing)
+
+
+def _flown(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
+    """What says where the beams are and what they meet."""
+    if isinstance(flight, RecordedFlight):
+        about = flight.file.about
+        how = (
+            f"{flight.file.path.name}: {about.shots} shots of {about.beams} beams, {about.beamlets} rays each"
+        )
+        kept = "as recorded, bit for bit"
+        return [
+            Decision(
+                "trajectory, ground, casting", False, how, f"the geometry of {about.name} is given", kept
+            )
+        ]
+    return [
+        _trajectory(scenario, flight),
+        *_bridges(flight),
+        *_ground(scenario, flight, pointing, hits),
+        *_switching(flight),
+    ]
 
 
 def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:
@@ -101,6 +125,19 @@ def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:
         f"gaps bridged: {gaps}" if gaps else "no gaps",
         "as interpolated" if gaps else "exact",
     )
+
+
+def _bridges(flight: Flight) -> list[Decision]:
+    """The gaps of a table that are longer than it allows, of columns that lack the same rows together."""
+    columns: dict[tuple[float, float], list[str]] = {}
+    for gap in flight.trajectory.bridged:
+        columns.setdefault((gap.start_s, gap.start_s + gap.length_s), []).append(gap.column)
+    return [
+        Decision(
+            "gap", True, f"bridged from {start_s:.1f} s to {end_s:.1f} s", ", ".join(names), "unknown there"
+        )
+        for (start_s, end_s), names in columns.items()
+    ]
 
 
 def _powered_descent(flight: Flight, ground_m: float) -> Decision:
@@ -124,19 +161,22 @@ def _powered_descent(flight: Flight, ground_m: float) -> Decision:
 
 def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
     ground = scenario.site.ground
-    if not isinstance(ground, Grid | Generated):
+    if not isinstance(ground, Grid | Generated | Nested):
         return [
             Decision("ground", True, flight.scene.description, f"a {ground.kind} is a formula", "exact"),
             Decision("grid traversal", False, "-", "the site has no elevation grid", "exact"),
         ]
+    told = Decision("ground", True, flight.scene.description, "the site has an elevation grid", "exact")
+    parts = list(plan_parts(flight.ground))
+    grids = ground.grids if isinstance(ground, Nested) else [ground]
+    if not any(isinstance(grid, Generated) or lies_flat(grid) for grid in grids):
+        on_body = "by the map's projection"
+        return [told, Decision("curvature of the grid", True, on_body, "the file states it", "exact"), *parts]
     horizontal_m = (pointing.sensor_site_m + hits.range_m[..., None] * pointing.true_site)[..., :2]
     away_m = float(np.sqrt(np.nanmax((horizontal_m**2).sum(axis=-1), initial=0.0)))
     fall_m = away_m**2 / (2 * scenario.site.body.radius_m)
     bound = f"{fall_m:.2g} m of height, {away_m:.0f} m from the origin"
-    return [
-        Decision("ground", True, flight.scene.description, "the site has an elevation grid", "exact"),
-        Decision("curvature of the grid", False, "map plane", "grids are read on their map plane", bound),
-    ]
+    return [told, Decision("curvature of the grid", False, "map plane", "the grid lies flat", bound), *parts]
 
 
 def _air(scenario: FlightScenario) -> Decision:
@@ -145,6 +185,23 @@ def _air(scenario: FlightScenario) -> Decision:
         return Decision("extinction", False, "vacuum", f"{scenario.site.name} has none", "exact")
     loss_db = 20 * np.log10(np.e) * air.extinction_per_m * scenario.instrument.detection.maximum_range_m
     return Decision("extinction", True, "exp(-2αR)", f"up to {loss_db:.2f} dB at maximum range", "exact")
+
+
+def _dust(scenario: FlightScenario, lowest_m: float) -> list[Decision]:
+    """Of a scenario whose plume raises some."""
+    plume, level = scenario.plume, scenario.level
+    if plume is None:
+        return []
+    if level == "geometric":
+        return [Decision("dust", False, "-", "not at level geometric", "the truth is reported")]
+    if lowest_m >= plume.onset_height_m:
+        reason = f"the sensor stays above {lowest_m:.1f} m, dust begins at {plume.onset_height_m:g} m"
+        return [Decision("dust", False, "-", reason, "exact")]
+    reason = f"the sensor comes down to {lowest_m:.1f} m, dust begins at {plume.onset_height_m:g} m"
+    if level == "statistical":
+        bound = "the sheet's own echo is missing; of ground and streak the stronger is seen"
+        return [Decision("dust", True, "dimming, streaks", reason, bound)]
+    return [Decision("dust", True, "dimming, sheet in parcels, streaks", reason, "scattered once")]
 
 
 def _switching(flight: Flight) -> list[Decision]:
@@ -165,7 +222,7 @@ def _footprint(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> tupl
         return Decision("footprint", False, "1 beamlet", "the beam's axis is reported", "exact"), 1
     if asked == 1:
         return Decision("footprint", False, "1 beamlet", "the instrument asks for one", "as asked"), 1
-    if isinstance(scenario.site.ground, Grid | Generated):
+    if isinstance(scenario.site.ground, Grid | Generated | Nested):
         return Decision("footprint", True, f"{asked} beamlets", "slopes of a grid vary", "sampled"), asked
     spread = float(np.nanmax(spread_bins(scenario.instrument, pointing, hits).widest(), initial=0.0))
     reason = f"rms spread at most {spread:.3f} bin"

@@ -1,4 +1,4 @@
-"""The kernels behind `Flight.point`: from the vehicle's motion to the sensor's, and to the beams' directions."""
+"""The kernels of beams: from the vehicle's motion to the sensor's and the beams' directions, and along the beams."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.kernels import kernel
-from lidar_emu.rotations import dot_3, set_cross, set_rotated
+from lidar_emu.rotations import dot_3, known, set_cross, set_rotated
 
 SENSOR, VELOCITY, ACCELERATION, TURNING, TRUE, PUBLISHED = range(6)
 """Places of the vectors of a beam, in the order of `Pointing`."""
@@ -98,3 +98,23 @@ def point_beams(
         for axis in range(3):
             vehicle[0, s, axis] = position_m[s * (1 + beams) + 1, axis]
             vehicle[1, s, axis] = velocity_mps[s * (1 + beams) + 1, axis]
+
+
+@kernel(outermost=True)
+def approach(beams: FloatArray, surface_mps: FloatArray, true_closing_mps: FloatArray) -> None:
+    """The sensor's speed along the true axis, less that of what is hit, if it moves."""
+    for s in range(true_closing_mps.shape[0]):
+        for b in range(true_closing_mps.shape[1]):
+            true_closing_mps[s, b] = dot_3(beams[VELOCITY, s, b], beams[TRUE, s, b])
+            if surface_mps.size > 0:
+                true_closing_mps[s, b] -= known(dot_3(surface_mps[s, b], beams[TRUE, s, b]))
+
+
+@kernel(outermost=True)
+def locate(beams: FloatArray, range_m: FloatArray, point_site_m: FloatArray) -> None:
+    """Where the measured range along the published axis ends."""
+    for s in range(range_m.shape[0]):
+        for b in range(range_m.shape[1]):
+            for axis in range(3):
+                along_m = range_m[s, b] * beams[PUBLISHED, s, b, axis]
+                point_site_m[s, b, axis] = beams[SENSOR, s, b, axis] + along_m

@@ -73,6 +73,12 @@ def _each(set_matrix: Callable[..., None], triples: FloatArray) -> FloatArray:
 
 
 @kernel
+def known(value: float) -> float:
+    """0 for NaN."""
+    return value if value == value else 0.0
+
+
+@kernel
 def dot_3(a: FloatArray, b: FloatArray) -> float:
     """Scalar product of two vectors (3,)."""
     product: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

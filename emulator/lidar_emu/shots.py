@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -16,19 +17,18 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.bench_model import BenchModel
+from lidar_emu.dust import build_dust
 from lidar_emu.echoes import Light
-from lidar_emu.errors import InputError
 from lidar_emu.faults.build import beam_faults, physics_faults
-from lidar_emu.flight import FRESH, Flight, Pointing, Rooms
+from lidar_emu.flight import Flight, Pointing
 from lidar_emu.fmcw.returns import Returns
-from lidar_emu.kernels import kernel
 from lidar_emu.levels import build_level
 from lidar_emu.measurement import Measurement
 from lidar_emu.plan import Plan, plan_flight
-from lidar_emu.pointing import PUBLISHED, SENSOR, TRUE, VELOCITY
-from lidar_emu.rotations import dot_3
+from lidar_emu.pointing import approach, locate
 from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.faults import Fault
+from lidar_emu.scenario.required import require_flight, require_known_flight
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scene.hits import Hits, incidence_deg
 
@@ -84,11 +84,13 @@ class Model(Protocol):
 class FlightModel:
     """A flight over ground, measured by the model of the instrument."""
 
-    def __init__(self, scenario: FlightScenario, rooms: Rooms = FRESH) -> None:
+    def __init__(self, scenario: FlightScenario, flight: Flight | None = None) -> None:
+        """Of a scenario and its flight; None: yet to be built."""
         self.scenario = scenario
-        self.flight = Flight(scenario, rooms)
+        self.flight = Flight(scenario) if flight is None else flight
         self.plan = plan_flight(scenario, self.flight)
         self.light = Light(scenario.instrument, scenario.site, self.flight, self.plan.beamlets)
+        self.dust = build_dust(scenario)
         self.level = build_level(scenario)
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
@@ -108,21 +110,28 @@ class FlightModel:
 
     def _order(self, scenario: FlightScenario) -> None:
         self.scenario = scenario
-        self.physics = physics_faults(scenario, self.flight, self.level, self.plan.beamlets)
+        self.physics = physics_faults(scenario, self.flight, self.level)
         self.faults = beam_faults(scenario, self.beam_count)
+
+    def aim(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
+        """Beams of consecutive shots, as misaligned as faults have them."""
+        pointing, state = self.flight.point(shot, state)
+        if self.physics is not None and not self.flight.is_recorded:
+            pointing = self.physics.tilted(pointing, shot)
+        return pointing, state
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         """Shots `first` to `first + count - 1` without faults of beams, given the scanner's state before them."""
         shot = np.arange(first, first + count, dtype=np.int64)
-        pointing, state = self.flight.point(shot, state)
-        if self.physics is not None:
-            pointing = self.physics.tilted(pointing, shot)
-        axis_hits = self.flight.cast(pointing.sensor_site_m, pointing.true_site)
+        pointing, state = self.aim(shot, state)
+        axis_hits = self.flight.cast(pointing)
         echoes = self.light.echoes(pointing, axis_hits)
+        if self.dust is not None:
+            echoes = self.dust.raised(echoes, pointing, axis_hits, shot)
         if self.physics is None:
             returns = self.level(echoes, shot)
         else:
-            returns = self.physics.returns(echoes, pointing, axis_hits, shot)
+            returns = self.physics.returns(echoes, self.light.spots, shot)
         return self._measurement(shot, pointing, axis_hits, returns), state
 
     def unlit(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
@@ -139,8 +148,8 @@ class FlightModel:
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
         """(shots, beams, 3) Where the ranges of a measurement end, given the scanner's state before it."""
         pointing, _ = self.flight.point(measurement.shot, state)
-        speed_mps, point_site_m = np.empty(pointing.fired.shape), np.empty((*pointing.fired.shape, 3))
-        _locate(pointing.beams, measurement.range_m, speed_mps, point_site_m)
+        point_site_m = np.empty((*pointing.fired.shape, 3))
+        locate(pointing.beams, measurement.range_m, point_site_m)
         return point_site_m
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
@@ -152,7 +161,8 @@ class FlightModel:
     ) -> Measurement:
         true_closing_mps = np.empty(pointing.fired.shape)
         point_site_m = np.empty((*pointing.fired.shape, 3))
-        _locate(pointing.beams, returns.range_m, true_closing_mps, point_site_m)
+        approach(pointing.beams, axis_hits.velocity_site_mps, true_closing_mps)
+        locate(pointing.beams, returns.range_m, point_site_m)
         return Measurement(
             shot=shot,
             time_ns=pointing.time_ns,
@@ -175,47 +185,29 @@ class FlightModel:
             true_range_m=axis_hits.range_m,
             true_closing_speed_mps=true_closing_mps,
             true_incidence_deg=incidence_deg(axis_hits, pointing.true_site),
+            true_in_gap=pointing.in_gap,
             point_site_m=point_site_m,
             position_site_m=pointing.position_site_m,
             velocity_site_mps=pointing.velocity_site_mps,
         )
 
 
-@kernel(outermost=True)
-def _locate(
-    beams: FloatArray, range_m: FloatArray, true_closing_mps: FloatArray, point_site_m: FloatArray
-) -> None:
-    """The sensor's speed along the true axis, and the measured range along the published one."""
-    for s in range(range_m.shape[0]):
-        for b in range(range_m.shape[1]):
-            true_closing_mps[s, b] = dot_3(beams[VELOCITY, s, b], beams[TRUE, s, b])
-            for axis in range(3):
-                along_m = range_m[s, b] * beams[PUBLISHED, s, b, axis]
-                point_site_m[s, b, axis] = beams[SENSOR, s, b, axis] + along_m
-
-
-def build_model(scenario: FlightScenario | BenchScenario, rooms: Rooms = FRESH) -> Model:
+def build_model(scenario: FlightScenario | BenchScenario, geometry: Path | None = None) -> Model:
     """The model that the scenario asks for.
 
     Args:
         scenario: as read by `load`.
-        rooms: how the costly rooms of a flight are made.
+        geometry: the flight's, as it was recorded; None: it is computed.
 
     Raises:
-        InputError: a file that the scenario names cannot be used, or the flight leaves the ground.
+        InputError: a file cannot be used, the flight leaves the ground, or the geometry is another one's.
     """
-    return BenchModel(scenario) if isinstance(scenario, BenchScenario) else FlightModel(scenario, rooms)
+    if geometry is not None:
+        from lidar_emu.geometry.recorded_flight import RecordedFlight
 
-
-def require_known_flight(scenario: FlightScenario | BenchScenario) -> None:
-    """For what cannot wait for a simulator.
-
-    Raises:
-        InputError: the trajectory is live.
-    """
-    if scenario.live is not None:
-        allowed = "allowed here: profile or table; live truth is flown by lidar-emu run"
-        raise InputError(scenario.name, "trajectory.kind", "live", allowed)
+        flown = require_flight(scenario)
+        return FlightModel(flown, RecordedFlight(flown, geometry))
+    return BenchModel(scenario) if isinstance(scenario, BenchScenario) else FlightModel(scenario)
 
 
 class ModelState(NamedTuple):

@@ -37,7 +37,7 @@ class Unit:
         self.heard: list[Heard] = []
         device = DeviceNow(rules, initial(rules))
         self._changes = Changes()
-        self._post = CommandPost(voice, device, lambda _: True, self._changes, self._tell)
+        self._post = CommandPost(voice, device, lambda _: True, self._changes, self._tell, lambda *_: None)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._listen)
         self._thread.start()

@@ -45,19 +45,23 @@ class Line:
         self.interface, self.can = interface, can
         self.said: list[bytes] = []
         self.told: list[tuple[Heard, int | None]] = []
+        self.answered: list[tuple[bytes, int]] = []
         self.kept: list[tuple[bytes, int]] = []
         behaviour = rules(**part)
         self.device = DeviceNow(behaviour, initial(behaviour))
         voice = Voice(interface, 0, can, self.said.append)
         self.changes = Changes()
         self.post = CommandPost(
-            voice, self.device, lambda shown_ns: shown_ns < 1 << 61, self.changes, self._tell
+            voice, self.device, lambda shown_ns: shown_ns < 1 << 61, self.changes, self._tell, self._answer
         )
         self.tally = Tally(Pace.WALL)
         self.housekeeper = Housekeeper(voice, self.device, self.tally, self.post, self._keep)
 
     def _tell(self, heard: Heard, shot: int | None) -> None:
         self.told.append((heard, shot))
+
+    def _answer(self, payload: bytes, time_ns: int) -> None:
+        self.answered.append((payload, time_ns))
 
     def _keep(self, payload: bytes, time_ns: int) -> None:
         self.kept.append((payload, time_ns))
@@ -180,7 +184,7 @@ def test_housekeeping_bit_by_bit() -> None:
     """Read by struct from INTERFACE.md, an hour after power-up."""
     line = Line(thermal={"ambient_c": 20.0, "rise_k": 12.0, "time_constant_s": 240.0})
     line.tally.fates.update({})
-    line.housekeeper.truth_used(3, 12_345_000)
+    line.housekeeper.truth_used(3, 12_345_000, 0)
     line.housekeeper.tick(3_600 * S)
     (payload,) = line.said
     assert line.kept == [(payload, 3_600 * S)]

@@ -47,7 +47,7 @@ def shots(lines: Iterable[Line], unit: int = 0) -> list[dict[str, Any]]:
     A new shot begins with each (FD) header; every frame of a shot carries the same counter.
     """
     result: list[dict[str, Any]] = []
-    for line in lines:
+    for number, line in enumerate(lines):
         message = DATABASE.get_message_by_frame_id(line.can_id - 0x40 * unit)
         values = {name: _plain(value) for name, value in message.decode(line.data).items()}
         counter = values.pop("shot_counter")
@@ -57,7 +57,8 @@ def shots(lines: Iterable[Line], unit: int = 0) -> list[dict[str, Any]]:
                 {"counter": counter, "beams": [{} for _ in range(values["beam_count"])], "messages": []}
             )
         shot = result[-1]
-        assert shot["counter"] == counter, "a frame of another shot"
+        if shot["counter"] != counter:
+            raise AssertionError(f"frame {number}, {line}, is of another shot than {shot}")
         shot["messages"].append(message.name)
         (shot["beams"][slot] if name in BEAM_MESSAGES else shot).update(values)
     return result

@@ -6,6 +6,9 @@ The ground is read with rasterio and cut by bisection; nothing of the project's 
 from __future__ import annotations
 
 import csv
+import json
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,12 +20,15 @@ from numpy.typing import NDArray
 import lidar_emu
 from lidar_emu.errors import InputError
 from lidar_emu.measurement import Measurement
+from lidar_emu.scenario.site import Grid, Origin
+from lidar_emu.scene.terrain_read import read_terrain
 
 rasterio = pytest.importorskip("rasterio")
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 ARISTARCHUS = DATA / "terrain" / "moon_aristarchus_imp_4p76m.tif"
 HERODOTUS = DATA / "terrain" / "moon_herodotus_mons_53p6m.tif"
+MOLA = DATA / "terrain" / "megt90n000cb.lbl"
 APOLLO = DATA / "trajectory" / "apollo11_descent_clean.csv"
 VALIDITY_S = round(2 * 300e-6 - 131_072 / 600e6 / 2, 9)
 """Centre of the constant segment's record, by the waveform of ndl_four_beam, in whole nanoseconds."""
@@ -47,7 +53,7 @@ def flown(folder: Path, ground: dict[str, Any], trajectory: str, pattern: str, r
 
 
 def map_of(file: Path, **keys: Any) -> dict[str, Any]:
-    return {"kind": "grid", "file": file, "band": "qts_demstack", **keys}
+    return {"kind": "grid", "file": file, "band": "qts_demstack", "placement": "flat", **keys}
 
 
 @dataclass
@@ -163,6 +169,98 @@ def test_a_band_is_not_guessed(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match="qts_demstack_slope"):
         flown(tmp_path, map_of(HERODOTUS, band="elevation"), trajectory, "{kind: square, angle_deg: 9}", 1)
+
+
+@pytest.mark.parametrize(
+    ("latitude_deg", "longitude_deg", "lowest_m", "highest_m"),
+    [
+        # Badwater in Hellas, 32.79 S 62.14 E, 8.2 km deep; the rim of Olympus Mons' calderas, 17.3 N 226.9 E, 21.2 km
+        # high; the poles' caps: their height in the files of radii, less the radius.
+        (-32.79, 62.14, -8200, -7900),
+        (17.3, 226.9, 20500, 21250),
+        (17.3, -133.1, 20500, 21250),
+        (90.0, 0.0, -3000, -1500),
+        (-90.0, 0.0, 2500, 4500),
+    ],
+)
+def test_known_places_of_mars(
+    latitude_deg: float, longitude_deg: float, lowest_m: float, highest_m: float
+) -> None:
+    origin = Origin(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+    terrain = read_terrain(Grid(kind="grid", file=str(MOLA), origin=origin))
+    assert lowest_m < terrain.origin_elevation_m < highest_m
+    assert not np.isnan(terrain.elevation_m).any()
+
+
+def test_a_descent_over_curved_mars(tmp_path: Path) -> None:
+    """Beams of 60 degrees meet Isidis' flat floor beyond the tangent plane: by the law of cosines."""
+    ground = {
+        "kind": "grid",
+        "file": MOLA,
+        "origin": "{latitude_deg: 12.9, longitude_deg: 87.0}",
+        "half_size_m": 150_000,
+    }
+    trajectory = (
+        "{kind: profile, waypoints: [{altitude_m: 40000, speed_mps: 90}, {altitude_m: 39900, speed_mps: 90}]}"
+    )
+    lines = [f"    {key}: {value}" for key, value in ground.items()]
+    text = "\n".join([
+        "name: mars",
+        "timing: {rate_hz: 5}",
+        "instrument: ndl_as_published",
+        "site:", "  body: {name: Mars, radius_m: 3396000}", "  ground:", *lines,
+        "scanner: {pattern: {kind: square, angle_deg: 60}}",
+        f"trajectory: {trajectory}",
+    ])  # fmt: skip
+    (tmp_path / "mars.yaml").write_text(text + "\n")
+    run = lidar_emu.simulate(lidar_emu.load(tmp_path / "mars.yaml"), seed=1)
+    radius_m = 3396000.0
+    above_m = run.position_site_m[:, 2]
+    # R² = (R + h)² + r² - 2 (R + h) r cos 60°
+    on_sphere_m = (radius_m + above_m) / 2 - np.sqrt(
+        (radius_m + above_m) ** 2 / 4 - above_m * (above_m + 2 * radius_m)
+    )
+    on_plane_m = above_m * 2
+    assert (on_sphere_m - on_plane_m).min() > 1400
+    # The floor is level within a few hundred metres over 150 km.
+    assert np.abs(run.true_range_m - on_sphere_m[:, None]).max() < 800
+
+
+@pytest.mark.parametrize(
+    ("ground", "body"),
+    [
+        (
+            f"{{kind: grid, file: {ARISTARCHUS}, band: qts_demstack, rock_abundance_band: dlre_ra}}",
+            "{name: Moon}",
+        ),
+        (f"{{kind: grid, file: {HERODOTUS}, band: qts_demstack, beyond: sphere}}", "{name: Moon}"),
+        (
+            f"{{kind: grid, file: {MOLA}, origin: {{latitude_deg: 18.4, longitude_deg: 77.5}}}}",
+            "{name: Mars, radius_m: 3396000}",
+        ),
+    ],
+)
+def test_each_map_is_planned_and_flown(tmp_path: Path, ground: str, body: str) -> None:
+    waypoints = "[{altitude_m: 1000, speed_mps: 60}, {altitude_m: 900, speed_mps: 50}]"
+    (tmp_path / "map.yaml").write_text(
+        f"name: map\ntiming: {{rate_hz: 20}}\nsite: {{ground: {ground}, body: {body}}}\n"
+        "instrument: ndl_four_beam\nscanner: {pattern: {kind: square, angle_deg: 10}}\n"
+        f"trajectory: {{kind: profile, waypoints: {waypoints}}}\n"
+    )
+    planned = lidar_emu_says("plan", str(tmp_path / "map.yaml"), "--json")
+    rows = {row["stage"]: row for row in json.loads(planned)["decisions"]}
+    assert "placed on the body, resampled within" in rows["ground"]["how"]
+    assert rows["curvature of the grid"]["computed"]
+    flown = lidar_emu_says("run", str(tmp_path / "map.yaml"), "--pace", "max")
+    assert "37 due of 37 planned: 37 sent" in flown
+
+
+def lidar_emu_says(*arguments: str) -> str:
+    """What the command prints."""
+    command = [sys.executable, "-m", "lidar_emu", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 APOLLO_DESCENT = (

@@ -22,9 +22,10 @@ from programs import Program, eventually
 from lidar_emu.measurement import Measurement
 
 TOPICS = {"/truth", "/measurement", "/packet", "/fate"}
-README = Path(__file__).resolve().parents[2] / "README.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "recordings.md"
 MAGIC_BYTES = 8
 MESSAGE = 0x05
+SHOT = b'"range_m": ['
 
 Start = Callable[..., Program]
 Simulated = Callable[..., Measurement]
@@ -96,17 +97,17 @@ def test_a_cut_recording_holds_everything_before_the_cut(recording: bytes, share
     assert read == whole[:count]
 
 
-def test_a_recording_that_was_cut_by_kill_9_opens_as_the_readme_says(
+def test_a_recording_that_was_cut_by_kill_9_opens_as_its_page_says(
     start: Start, simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flight = tmp_path / "flight.mcap"
     run = start("run", "descent.yaml", "--record", "flight.mcap")
-    eventually(lambda: flight.exists() and flight.read_bytes().count(b'"range_m"') > 20)
+    eventually(lambda: flight.exists() and flight.read_bytes().count(SHOT) > 20)
     run.process.kill()
     run.wait()
     with pytest.raises(McapError), flight.open("rb") as stream:
         list(make_reader(stream).iter_messages())
-    (snippet,) = (code for code in README.read_text().split("```") if "NonSeekingReader" in code)
+    (snippet,) = (code for code in PAGE.read_text().split("```") if "NonSeekingReader" in code)
     monkeypatch.chdir(tmp_path)
     told: dict[str, Any] = {}
     exec(snippet.removeprefix("python\n"), told)
@@ -121,7 +122,7 @@ def test_a_recording_that_was_cut_by_kill_9_opens_as_the_readme_says(
 def test_a_recording_of_a_run_that_died_is_whole(start: Start, tmp_path: Path) -> None:
     run = start("run", "descent.yaml", "--record", "r.mcap")
     port = run.port_process()
-    eventually(lambda: (tmp_path / "r.mcap").exists() and b'"range_m"' in (tmp_path / "r.mcap").read_bytes())
+    eventually(lambda: (tmp_path / "r.mcap").exists() and SHOT in (tmp_path / "r.mcap").read_bytes())
     os.kill(port, signal.SIGKILL)
     assert run.wait() == 1
     with (tmp_path / "r.mcap").open("rb") as stream:

@@ -6,6 +6,7 @@ from collections import deque
 
 import lidar_emu
 from lidar_emu.device.state import DeviceState
+from lidar_emu.runtime.events import LinkEvent
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.outbox import Outbox
 from lidar_emu.runtime.pacing import Pace
@@ -48,6 +49,9 @@ class Port:
     def reports(self) -> list[Report]:
         reports, self._reports = self._reports, []
         return reports
+
+    def link_events(self) -> list[LinkEvent]:
+        return []
 
     def far_end(self) -> bytes:
         return b""

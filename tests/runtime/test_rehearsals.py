@@ -67,10 +67,10 @@ class Socket:
 
 class Listener(Observer):
     def __init__(self) -> None:
-        self.heard: list[tuple[bytes, int]] = []
+        self.heard: list[tuple[bytes, int, bool]] = []
 
-    def truth(self, datagram: bytes, time_ns: int) -> None:
-        self.heard.append((datagram, time_ns))
+    def truth(self, datagram: bytes, time_ns: int, counted: bool) -> None:
+        self.heard.append((datagram, time_ns, counted))
 
 
 def test_observers_hear_of_each_datagram_once_and_when_there_is_time() -> None:
@@ -87,13 +87,13 @@ def test_observers_hear_of_each_datagram_once_and_when_there_is_time() -> None:
     source.rehearse()
     assert listener.heard == []
     source.tell()
-    assert listener.heard == [(datagrams[0], 0)]
+    assert listener.heard == [(datagrams[0], 0, True)]
     source.receive_one()
     source.rehearse()
     source.receive()
     source.tell()
     source.tell()
-    assert listener.heard == [(data, k * 10 * MS) for k, data in enumerate(datagrams)]
+    assert listener.heard == [(data, k * 10 * MS, k < 3) for k, data in enumerate(datagrams)]
     assert source.newest == truths[-1]
     counted = source.to_json()["datagrams"]
     assert {name: count for name, count in counted.items() if count} == {"accepted": 3, "malformed": 1}

@@ -10,8 +10,10 @@ import pytest
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.site import Grid, Site
 from lidar_emu.scene import build_scene
-from lidar_emu.scene.build import read_terrain
-from lidar_emu.scene.terrain_origin import origin_of
+from lidar_emu.scene.terrain_flat import read_flat_raster
+from lidar_emu.scene.terrain_npz import read_npz
+from lidar_emu.scene.terrain_raster import open_raster
+from lidar_emu.scene.terrain_read import read_terrain
 
 rasterio = pytest.importorskip("rasterio", reason="the extra geo is not installed")
 
@@ -27,6 +29,15 @@ def grid(path, **keys):
 
 def scene(path, site=None, **keys):
     return build_scene(Site(ground=grid(path, **keys), **(site or {})))
+
+
+def flat_map(path, **keys):
+    """A file on its own map."""
+    ground = grid(path, placement="flat", **keys)
+    if path.suffix == ".npz":
+        return read_npz(ground)
+    with open_raster(str(path)) as file:
+        return read_flat_raster(ground, file)
 
 
 def write_npz(path, **arrays):
@@ -110,7 +121,8 @@ def test_origin_on_missing_samples(tmp_path):
     hole = np.where(np.arange(20).reshape(4, 5) == 12, np.nan, RAMP)
     path = write_npz(tmp_path / "a.npz", elevation_m=hole)
     assert "samples are missing" in refusal(scene, path)
-    assert "5.00% missing" in read_terrain(grid(path)).description
+    path = write_npz(tmp_path / "a.npz", elevation_m=hole, map_x_m=0.0, map_y_m=0.0)
+    assert "5.00% missing" in scene(path, origin={"map_x_m": 1.0, "map_y_m": -1.0}).description
 
 
 # -- numbers
@@ -119,14 +131,14 @@ def test_origin_on_missing_samples(tmp_path):
 def test_scale_offset_and_markers(tmp_path):
     stored = np.array([[1, 2, -32768], [4, 5, 6]], dtype=np.int16)
     path = write_npz(tmp_path / "a.npz", elevation_m=stored)
-    terrain = read_terrain(grid(path, nodata=-32768.0, elevation_scale=0.5, elevation_offset_m=100.0))
+    terrain = flat_map(path, nodata=-32768.0, elevation_scale=0.5, elevation_offset_m=100.0)
     np.testing.assert_array_equal(terrain.elevation_m, [[100.5, 101, np.nan], [102, 102.5, 103]])
 
 
 def test_marker_in_the_precision_of_the_file(tmp_path):
     stored = np.array([[1, -3.4028235e38], [np.inf, 4]], dtype=np.float32)
     path = write_npz(tmp_path / "a.npz", elevation_m=stored)
-    terrain = read_terrain(grid(path, nodata=-3.40282347e38))
+    terrain = flat_map(path, nodata=-3.40282347e38)
     np.testing.assert_array_equal(terrain.elevation_m, [[1, np.nan], [np.nan, 4]])
 
 
@@ -135,7 +147,7 @@ def test_markers_and_scales_that_a_raster_states(tmp_path):
     path = write_tiff(tmp_path / "a.tif", stored, nodata=-1)
     with rasterio.open(path, "r+") as file:
         file.scales, file.offsets = (0.5,), (1000.0,)
-    terrain = read_terrain(grid(path, nodata=7.0, elevation_offset_m=-5.0))
+    terrain = flat_map(path, nodata=7.0, elevation_offset_m=-5.0)
     np.testing.assert_array_equal(terrain.elevation_m, [[1000, 1005, np.nan], [1015, 1020, np.nan]])
 
 
@@ -143,7 +155,7 @@ def test_markers_and_scales_that_a_raster_states(tmp_path):
 def test_markers_of_floating_point_rasters(tmp_path, nodata):
     band = RAMP.copy()
     band[0, 0] = nodata
-    terrain = read_terrain(grid(write_tiff(tmp_path / "a.tif", band, nodata=nodata)))
+    terrain = flat_map(write_tiff(tmp_path / "a.tif", band, nodata=nodata))
     np.testing.assert_array_equal(np.isnan(terrain.elevation_m), np.arange(20).reshape(4, 5) == 0)
 
 
@@ -195,6 +207,11 @@ def test_keys_that_an_npz_cannot_follow(tmp_path):
     assert "ground.registration: 'area'" in refusal(scene, path, registration="area")
 
 
+def test_a_flat_grid_is_taken_whole(tmp_path):
+    assert "ground.half_size_m: 4.0" in refusal(scene, write_npz(tmp_path / "a.npz"), half_size_m=4.0)
+    assert "taken whole" in refusal(scene, write_ascii(tmp_path / "a.asc"), half_size_m=4.0)
+
+
 def test_file_that_is_not_there(tmp_path):
     assert "no such file" in refusal(scene, tmp_path / "a.tif")
     assert "no such file" in refusal(scene, tmp_path)
@@ -204,7 +221,7 @@ def test_file_that_is_not_there(tmp_path):
 
 
 def test_samples_sit_at_the_centres_of_their_pixels(tmp_path):
-    terrain = read_terrain(grid(write_tiff(tmp_path / "a.tif")))
+    terrain = flat_map(write_tiff(tmp_path / "a.tif"))
     assert (terrain.first_x_m, terrain.first_y_m) == (101.0, 299.0)
     assert (terrain.last_x_m, terrain.last_y_m) == (109.0, 293.0)
     np.testing.assert_array_equal(terrain.elevation_m, RAMP)
@@ -224,7 +241,7 @@ def test_samples_sit_at_the_centres_of_their_pixels(tmp_path):
 )
 def test_registration(tmp_path, point, registration, first):
     path = write_tiff(tmp_path / "a.tif", point=point)
-    terrain = read_terrain(grid(path, registration=registration))
+    terrain = flat_map(path, registration=registration)
     assert (terrain.first_x_m, terrain.first_y_m) == first
 
 
@@ -234,29 +251,29 @@ def test_tie_point_of_a_file_of_points(tmp_path):
     with rasterio.Env(GTIFF_POINT_GEO_IGNORE=True), rasterio.open(path) as file:
         tie = (file.transform.c, file.transform.f)
     assert tie == (101.0, 299.0)
-    terrain = read_terrain(grid(path))
+    terrain = flat_map(path)
     assert (terrain.first_x_m, terrain.first_y_m) == tie
 
 
 @pytest.mark.parametrize(("corner", "first"), [("xllcorner", (12, 26)), ("xllcenter", (10, 24))])
 def test_esri_ascii(tmp_path, corner, first):
-    terrain = read_terrain(grid(write_ascii(tmp_path / "a.asc", corner)))
+    terrain = flat_map(write_ascii(tmp_path / "a.asc", corner))
     assert (terrain.first_x_m, terrain.first_y_m) == first
     np.testing.assert_array_equal(terrain.elevation_m, [[1, 2, 3], [4, np.nan, 6]])
 
 
 def test_rectangular_pixels(tmp_path):
     path = write_tiff(tmp_path / "a.tif", transform=(2.0, 0, 0.0, 0, -5.0, 0.0))
-    ground = scene(path)
+    ground = scene(path, placement="flat")
     assert "5 x 4 samples at 2 m x 5 m" in ground.description
     assert (ground.samples.west_m, ground.samples.south_m) == (-4.0, -7.5)
 
 
 def test_bands(tmp_path):
     path = write_tiff(tmp_path / "a.tif", RAMP + 1, RAMP + 2, names=("slope", "Elevation"))
-    assert read_terrain(grid(path)).elevation_m[0, 0] == 2
-    assert read_terrain(grid(path, band="SLOPE")).elevation_m[0, 0] == 1
-    assert read_terrain(grid(path, band=1)).elevation_m[0, 0] == 1
+    assert flat_map(path).elevation_m[0, 0] == 2
+    assert flat_map(path, band="SLOPE").elevation_m[0, 0] == 1
+    assert flat_map(path, band=1).elevation_m[0, 0] == 1
     line = refusal(scene, path, band="dem")
     assert "ground.band: 'dem'" in line
     assert "'slope', 'Elevation', or a number from 1 to 2" in line
@@ -264,24 +281,24 @@ def test_bands(tmp_path):
     twice = write_tiff(tmp_path / "b.tif", RAMP, RAMP, names=("elevation", "elevation"))
     assert "ground.band" in refusal(scene, twice)
     single = write_tiff(tmp_path / "c.tif", names=("dem",))
-    assert read_terrain(grid(single)).elevation_m[0, 1] == 10
+    assert flat_map(single).elevation_m[0, 1] == 10
     assert "'dem', or a number from 1 to 1" in refusal(scene, single, band="slope")
 
 
-def test_latitude_and_longitude(tmp_path):
+def test_latitude_and_longitude_on_a_flat_map(tmp_path):
     path = write_tiff(tmp_path / "a.tif", transform=(2000.0, 0, -5000.0, 0, -2000.0, 4000.0))
-    terrain = read_terrain(grid(path))
-    place = origin_of(terrain, grid(path, origin={"latitude_deg": 25.03, "longitude_deg": -45.95}))
     # Snyder, Map Projections: a Working Manual, equations 20-3 and 20-4.
     lat, lat0, dlon = np.radians([25.03, 25.0, 0.05])
     x_m = 1737400 * np.cos(lat) * np.sin(dlon)
     y_m = 1737400 * (np.cos(lat0) * np.sin(lat) - np.sin(lat0) * np.cos(lat) * np.cos(dlon))
-    assert (place.map_x_m, place.map_y_m) == pytest.approx((x_m, y_m), abs=1e-6)
-    again = origin_of(terrain, grid(path, origin={"latitude_deg": 25.03, "longitude_deg": 360 - 45.95}))
-    assert (again.map_x_m, again.map_y_m) == pytest.approx((x_m, y_m), abs=1e-6)
-    assert "off the grid" in refusal(scene, path, origin={"latitude_deg": 26.0, "longitude_deg": -46.0})
-    line = refusal(scene, path, origin={"latitude_deg": -25.0, "longitude_deg": 134.0})
-    assert "latitude -25, longitude 134" in line
+    for longitude_deg in (-45.95, 360 - 45.95):
+        origin = {"latitude_deg": 25.03, "longitude_deg": longitude_deg}
+        terrain = read_terrain(grid(path, placement="flat", origin=origin))
+        assert (terrain.west_m, terrain.north_m) == pytest.approx((-4000 - x_m, 3000 - y_m), abs=1e-6)
+    keys = {"placement": "flat", "origin": {"latitude_deg": 26.0, "longitude_deg": -46.0}}
+    assert "off the grid" in refusal(scene, path, **keys)
+    keys["origin"] = {"latitude_deg": -25.0, "longitude_deg": 134.0}
+    assert "latitude -25, longitude 134" in refusal(scene, path, **keys)
 
 
 def test_planetocentric_latitude_on_an_ellipsoid(tmp_path):
@@ -289,13 +306,14 @@ def test_planetocentric_latitude_on_an_ellipsoid(tmp_path):
     a_m, b_m = 3396190.0, 3376200.0
     crs = f"+proj=merc +a={a_m} +b={b_m} +units=m"
     path = write_tiff(tmp_path / "a.tif", crs=crs, transform=(2e6, 0, -5e6, 0, -2e6, 4e6))
-    place = origin_of(
-        read_terrain(grid(path)), grid(path, origin={"latitude_deg": 30.0, "longitude_deg": 10.0})
-    )
+    origin = {"latitude_deg": 30.0, "longitude_deg": 10.0}
+    terrain = read_terrain(grid(path, placement="flat", origin=origin))
     graphic = np.arctan(np.tan(np.radians(30.0)) * (a_m / b_m) ** 2)
     e = np.sqrt(1 - (b_m / a_m) ** 2)
     y_m = a_m * (np.arctanh(np.sin(graphic)) - e * np.arctanh(e * np.sin(graphic)))
-    assert (place.map_x_m, place.map_y_m) == pytest.approx((a_m * np.radians(10.0), y_m), abs=1e-3)
+    assert (terrain.west_m, terrain.north_m) == pytest.approx(
+        (-4e6 - a_m * np.radians(10.0), 3e6 - y_m), abs=1e-3
+    )
 
 
 @pytest.mark.parametrize(
@@ -308,14 +326,14 @@ def test_planetocentric_latitude_on_an_ellipsoid(tmp_path):
         ({"crs": "+proj=utm +zone=10 +datum=NAD83 +units=us-ft"}, "a map in US survey foot"),
     ],
 )
-def test_maps_that_are_refused(tmp_path, keys, expected):
-    assert expected in refusal(scene, write_tiff(tmp_path / "a.tif", **keys))
+def test_maps_that_cannot_lie_flat(tmp_path, keys, expected):
+    assert expected in refusal(scene, write_tiff(tmp_path / "a.tif", **keys), placement="flat")
 
 
 def test_rasters_that_are_refused(tmp_path):
-    assert "every sample is missing" in refusal(
-        scene, write_tiff(tmp_path / "a.tif", np.full((3, 3), np.nan))
-    )
+    empty = write_tiff(tmp_path / "a.tif", np.full((3, 3), np.nan))
+    assert "every sample is missing" in refusal(scene, empty, placement="flat")
+    assert 'ground.origin: "the grid\'s centre" is not usable; samples are missing' in refusal(scene, empty)
     assert "3 x 1 samples" in refusal(scene, write_tiff(tmp_path / "b.tif", np.zeros((1, 3))))
     assert "complex64" in refusal(scene, write_tiff(tmp_path / "c.tif", np.zeros((3, 3), dtype=np.complex64)))
     intact = write_tiff(tmp_path / "d.tif", np.zeros((300, 300))).read_bytes()
@@ -345,7 +363,8 @@ def test_without_rasterio(tmp_path, monkeypatch):
 )
 def test_real_maps_of_the_moon(file, lowest_m, highest_m, site):
     """Bands in different order, chosen by description; the projection is centred on the map's middle."""
-    keys = {"band": "QTS_DEMstack", "origin": {"latitude_deg": site[0], "longitude_deg": site[1]}}
+    origin = {"latitude_deg": site[0], "longitude_deg": site[1]}
+    keys = {"band": "QTS_DEMstack", "placement": "flat", "origin": origin}
     terrain = read_terrain(grid(TERRAIN / file, **keys))
     assert (terrain.elevation_m.min(), terrain.elevation_m.max()) == pytest.approx(
         (lowest_m, highest_m), abs=0.005

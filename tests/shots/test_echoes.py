@@ -45,7 +45,7 @@ def look(scenario, shots, period_ns=None, beamlets=19):
     if period_ns is not None:
         flight.period_ns = period_ns
     pointing, _ = flight.point(np.asarray(shots, dtype=np.int64), flight.scanner.initial)
-    hits = flight.cast(pointing.sensor_site_m, pointing.true_site)
+    hits = flight.cast(pointing)
     return pointing, hits, receive_light(scenario.instrument, scenario.site, flight, beamlets, pointing, hits)
 
 

@@ -28,7 +28,7 @@ def stages(model, computed):
 def widest(scenario: FlightScenario) -> float:
     flight = Flight(scenario)
     pointing, _ = flight.point(np.arange(flight.shot_count), flight.scanner.initial)
-    hits = flight.cast(pointing.sensor_site_m, pointing.true_site)
+    hits = flight.cast(pointing)
     return float(spread_bins(scenario.instrument, pointing, hits).widest().max())
 
 

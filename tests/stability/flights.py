@@ -49,7 +49,7 @@ def _outcome(model: FlightModel) -> Outcome:
 
 def _truth(model: FlightModel, rows: np.ndarray) -> BeatTruth:
     pointing, _ = model.flight.point(np.arange(model.shot_count), model.initial_state)
-    hits = model.flight.cast(pointing.sensor_site_m, pointing.true_site)
+    hits = model.flight.cast(pointing)
     turn = cross(pointing.turning_site_radps, pointing.true_site)
     normal, axis, velocity = hits.normal_site, pointing.true_site, pointing.sensor_velocity_site_mps
     sinking = np.sum(normal * (velocity + hits.range_m[..., None] * turn), axis=-1)

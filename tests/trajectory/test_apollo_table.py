@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,9 @@ import numpy as np
 import pytest
 
 from lidar_emu.errors import InputError
+from lidar_emu.scenario.load import load
 from lidar_emu.scenario.trajectory import Table
+from lidar_emu.shots import build_model, measure_whole
 from lidar_emu.trajectory.build import build_trajectory
 
 FILE = (
@@ -70,3 +73,26 @@ def test_speed_over_the_gap_stays_between_the_speeds_around_it() -> None:
     speed = build_trajectory(descent()).state(time_s).velocity_site_mps[:, 2]
     assert speed.min() >= -16.276 - 1e-9
     assert speed.max() <= -7.650 + 1e-9
+
+
+def test_flies_as_it_is_and_says_where_it_knows_nothing() -> None:
+    given = {
+        **descent(maximum_gap_s=10.0).model_dump(mode="json"), "from_time": None, "to_time": 0, "pitch": None,
+        "longer_gaps": "bridge",
+    }  # fmt: skip
+    scenario = load(
+        "descent.yaml", {"trajectory": json.dumps(given), "timing.rate_hz": "1", "level": "geometric"}
+    )
+    model = build_model(scenario)
+    run = measure_whole(model)
+    with FILE.open() as stream:
+        time = np.array([float(row["t_touchdown_s"]) for row in csv.DictReader(stream)])
+    before = np.searchsorted(time, run.time_s[:, 0] + time[0], side="right") - 1
+    expected = np.diff(time)[before] > 10
+    np.testing.assert_array_equal(run.true_in_gap[:, 0], expected)
+    assert len(run) == 755
+    assert run.true_in_gap[:, 0].sum() == 322
+    told = [d for d in model.plan.decisions if d.stage == "gap"]
+    assert [d.how for d in told][-1] == "bridged from 564.0 s to 596.0 s"
+    assert len(told) == np.count_nonzero(np.diff(time) > 10) == 9
+    assert run.table()["true_in_gap"].sum() == 4 * expected.sum()

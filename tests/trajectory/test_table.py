@@ -229,3 +229,13 @@ def test_gaps_outside_the_part_flown_do_not_matter(tmp_path: Path) -> None:
 def test_a_gap_of_just_the_maximum_is_bridged(tmp_path: Path) -> None:
     flight = table(tmp_path, "t,up\n0.1,9\n0.4,8\n", maximum_gap_s=0.3)
     assert flight.gaps[0].length_s == pytest.approx(0.3)
+
+
+def test_longer_gaps_are_bridged_where_that_is_asked_for_and_told(tmp_path: Path) -> None:
+    text = "t,up,roll\n0,50,0\n4,46,\n5,45,0\n6,44,\n30,20,1\n31,19,2\n"
+    keys = {"maximum_gap_s": 5, "roll": {"column": "roll", "unit": "deg"}}
+    flight = table(tmp_path, text, longer_gaps="bridge", **keys)
+    assert flight.bridged == (Gap("roll", 5.0, 25.0), Gap("up", 6.0, 24.0))
+    np.testing.assert_allclose(flight.state(np.array([18.0])).position_site_m[:, 2], 32, rtol=1e-12)
+    with pytest.raises(InputError, match=r"24 s after 6.*maximum_gap_s, 5 s, or longer_gaps: bridge"):
+        table(tmp_path, text, **keys)

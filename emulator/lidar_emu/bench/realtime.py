@@ -103,11 +103,13 @@ def measure_realtime(options: RealtimeOptions, progress: Progress) -> RealtimeRe
     scenario = scenario_of(options)
     model = build_model(scenario)
     witness = _Witness(progress)
-    run = Run(scenario, model, RunOptions(PortSpec(Kind.PTY, baud=_BAUD)), [witness])
+    run_options = RunOptions(PortSpec(Kind.PTY, baud=_BAUD))
+    run = Run(scenario, model, run_options, [witness])
     with ExitStack() as stack:
         if options.recording:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lidar-emu-"))
-            witness.others.append(stack.enter_context(Recorder(Path(folder) / "flight.mcap", scenario)))
+            recorder = Recorder(Path(folder) / "flight.mcap", scenario, run_options)
+            witness.others.append(stack.enter_context(recorder))
         cyclictest = stack.enter_context(Cyclictest(scenario.timing.period_ns, model.shot_count))
         beside = _Beside(
             stack, run, scenario.timing.late_after_ns, scenario.timing.period_ns, model.shot_count

@@ -64,7 +64,7 @@ TWIN = Setting("spectral", FINEST)
 def light(scenario: FlightScenario, flight: Flight, beamlets: int, shot: NDArray[np.int64]) -> Echoes:
     """Echoes of shots anywhere in the flight, in ascending order."""
     pointing, _ = flight.point(shot, flight.scanner.initial)
-    hits = flight.cast(pointing.sensor_site_m, pointing.true_site)
+    hits = flight.cast(pointing)
     return receive_light(scenario.instrument, scenario.site, flight, beamlets, pointing, hits)
 
 
@@ -77,7 +77,7 @@ def measure(
         runs: so many times, each with the next seed.
     """
     pointing, _ = flight.point(shot, flight.scanner.initial)
-    hits = flight.cast(pointing.sensor_site_m, pointing.true_site)
+    hits = flight.cast(pointing)
     echoes = receive_light(scenario.instrument, scenario.site, flight, setting.beamlets, pointing, hits)
     true_mps = dot(pointing.sensor_velocity_site_mps, pointing.true_site)
     range_error_m, speed_error_mps = [], []

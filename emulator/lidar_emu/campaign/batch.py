@@ -10,12 +10,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from lidar_emu.campaign.kept_rooms import KEPT_ROOMS
+from lidar_emu.campaign.kept_flight import KeptFlight
 from lidar_emu.campaign.read import Base
 from lidar_emu.campaign.tables import FlownRun, beams_table, runs_table, write_table
 from lidar_emu.errors import InputError, RunError, one_line
 from lidar_emu.measurement import Measurement
-from lidar_emu.shots import build_model, measure_whole
+from lidar_emu.shots import FlightModel, measure_whole
 
 
 class Batch(NamedTuple):
@@ -92,4 +92,5 @@ def measured(base: Base, values: dict[str, Any]) -> Measurement:
     Raises:
         InputError: the values are not allowed, or the flight is not possible.
     """
-    return measure_whole(build_model(base.scenario_of(values), KEPT_ROOMS))
+    scenario = base.scenario_of(values)
+    return measure_whole(FlightModel(scenario, KeptFlight(scenario)))

@@ -15,7 +15,6 @@ from lidar_emu.campaign.batch import part_path
 from lidar_emu.campaign.read import Prepared
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.report.whole_file import whole_file
-from lidar_emu.scenario.schema import FlightScenario
 
 _TABLES = ("runs", "beams")
 _STATED = "campaign.json"
@@ -95,14 +94,17 @@ def _statement(prepared: Prepared, batch_runs: int) -> dict[str, Any]:
         "campaign": campaign,
         "runs_per_file": batch_runs,
         "first_run": first,
-        "files_sha256": _digests(prepared.first),
+        "files_sha256": _digests(first),
     }
 
 
-def _digests(scenario: FlightScenario) -> list[str]:
-    """Of the files that the scenario only names."""
-    named = (getattr(scenario.site.ground, "file", None), getattr(scenario.trajectory, "file", None))
-    return [hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in named if file is not None]
+def _digests(part: Any) -> dict[str, str]:
+    """Of the files that a scenario, resolved, only names; by name."""
+    below = part.values() if isinstance(part, dict) else part if isinstance(part, list) else ()
+    found = {name: digest for child in below for name, digest in _digests(child).items()}
+    if isinstance(part, dict) and isinstance(part.get("file"), str):
+        found[part["file"]] = hashlib.sha256(Path(part["file"]).read_bytes()).hexdigest()
+    return found
 
 
 def finished(folder: Path, batches: int) -> set[int]:

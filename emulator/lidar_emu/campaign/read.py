@@ -15,9 +15,9 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.campaign import Campaign
 from lidar_emu.scenario.explain import Source, explained
 from lidar_emu.scenario.load import find_file, load
+from lidar_emu.scenario.required import require_flight, require_known_flight
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.yaml_text import parse, read_mapping
-from lidar_emu.shots import require_known_flight
 
 _FIRST_RUNS = 16
 
@@ -39,9 +39,7 @@ class Base:
         """
         # Parents first, so that a part that is chosen by name can have keys of its own.
         stated = sorted({**self.fixed, **values}.items(), key=lambda item: item[0].count("."))
-        scenario = load(self.scenario, campaign=dict(stated))
-        if not isinstance(scenario, FlightScenario):
-            raise InputError(self.scenario, None, Finding("a bench pattern"), "allowed: a flight")
+        scenario = require_flight(load(self.scenario, campaign=dict(stated)))
         require_known_flight(scenario)
         return scenario
 

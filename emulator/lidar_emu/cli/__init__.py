@@ -17,6 +17,7 @@ from lidar_emu.cli.inject import inject
 from lidar_emu.cli.listen import listen
 from lidar_emu.cli.output import silence
 from lidar_emu.cli.plan import plan
+from lidar_emu.cli.replay import replay
 from lidar_emu.cli.run import run
 from lidar_emu.cli.send import send
 from lidar_emu.cli.simulate import simulate
@@ -38,6 +39,7 @@ def cli(context: click.Context) -> None:
     lidar-emu run descent.yaml                        fly on an in-memory loopback, show what arrives
     lidar-emu run descent.yaml --port /dev/ttyUSB0 --baud 921600
     lidar-emu run descent.yaml -i socketcan -c vcan0
+    lidar-emu replay flight.mcap --port /dev/ttyUSB0    what run --record has kept, again
     lidar-emu listen --port /dev/ttyUSB1 --baud 921600 --json
     lidar-emu send --port /dev/ttyUSB1 set_mode mode=track
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
@@ -54,6 +56,7 @@ def cli(context: click.Context) -> None:
 
 for command in (
     run,
+    replay,
     listen,
     send,
     inject,

@@ -24,6 +24,9 @@ settings_option = click.option(
     multiple=True,
     help="Replace a key of the scenario, e.g. timing.rate_hz=100 (repeatable).",
 )
+geometry_option = click.option(
+    "--geometry", metavar="FILE.npz", help="Take trajectory and ground from a recorded geometry."
+)
 wire_interface_option = click.option(
     "--wire-interface", metavar="FILE", default="default", help="Message definitions: a name, or FILE.toml."
 )

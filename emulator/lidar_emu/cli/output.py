@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 
 import click
+
+from lidar_emu.errors import RunError
 
 
 def say(text: str) -> None:
@@ -14,6 +17,18 @@ def say(text: str) -> None:
         click.echo(text)
     except OSError:
         silence()
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file that was promised.
+
+    Raises:
+        RunError: it could not be written.
+    """
+    try:
+        path.write_text(text)
+    except OSError as error:
+        raise RunError(f"{path}: could not be written: {error.strerror}") from None
 
 
 def silence() -> None:

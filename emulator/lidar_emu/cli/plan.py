@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import load_scenario, scenario_options
+from lidar_emu.cli.options import geometry_option, load_scenario, scenario_options
 
 if TYPE_CHECKING:
     from lidar_emu.scenario.schema import Timing
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 @click.command(short_help="What a run computes and what it leaves out, with reasons.")
 @scenario_options
+@geometry_option
 @click.option("--json", "as_json", is_flag=True, help="For machines.")
 def plan(
     scenario: str,
@@ -22,6 +24,7 @@ def plan(
     seed: str | None,
     settings: tuple[str, ...],
     exact: bool,
+    geometry: str | None,
     as_json: bool,
 ) -> None:
     """Show what SCENARIO needs, what is left out, the reason and what it costs at most.
@@ -29,11 +32,12 @@ def plan(
     \b
     lidar-emu plan descent.yaml
     lidar-emu plan my.yaml --json
+    lidar-emu plan descent.yaml --geometry flight.npz
     """
     from lidar_emu.shots import build_model
 
     flown = load_scenario(scenario, duration, seed, settings, exact)
-    decisions = build_model(flown).plan.decisions
+    decisions = build_model(flown, None if geometry is None else Path(geometry)).plan.decisions
     policies = _policies(flown.timing)
     if as_json:
         from dataclasses import asdict

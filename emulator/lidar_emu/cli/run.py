@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from lidar_emu.cli.fail_on import fail_on_option, failures_named, has_failed
 from lidar_emu.cli.options import load_scenario, scenario_options
-from lidar_emu.cli.output import say
+from lidar_emu.cli.output import say, write_text
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.report.whole_file import check_destination
@@ -20,11 +21,8 @@ from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
     from lidar_emu.runtime.observer import Observer
-    from lidar_emu.runtime.outcome import Outcome
     from lidar_emu.scenario.schema import BenchScenario, FlightScenario
     from lidar_emu.transports.spec import PortSpec
-
-_FAILURES = ("late", "dropped")
 
 
 @click.command(short_help="Fly a scenario in real time over a serial line, a CAN bus or a loopback.")
@@ -40,8 +38,7 @@ _FAILURES = ("late", "dropped")
 )
 @click.option("--record", metavar="FILE", help="Keep truth, measurements and packets (MCAP).")
 @click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
-@click.option("--fail-on", metavar="WHAT", default="",
-              help="Exit 1 if shots were late, or dropped (late,dropped: either), or Ctrl-C cut it short.")  # fmt: skip
+@fail_on_option
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON, nothing else.")
 def run(
     scenario: str,
@@ -73,7 +70,7 @@ def run(
     lidar-emu run descent.yaml --port /dev/ttyUSB0 --control /tmp/lidar.sock
     lidar-emu run my.yaml --pace max --fail-on late,dropped --summary out.json --set timing.rate_hz=100
     """
-    failures = _failures(fail_on)
+    failures = failures_named(fail_on)
     if control == "":  # the system would make up a name, open to everybody
         raise InputError("--control", None, control, "allowed: a path where nothing is")
     start_utc = _start(start)
@@ -108,7 +105,7 @@ def run(
     if record is not None:
         from lidar_emu.recording.write import Recorder
 
-        recorder = Recorder(Path(record), flown, control is not None)
+        recorder = Recorder(Path(record), flown, options)
         observers.append(recorder)
     with recorder or nullcontext():
         outcome = this_run.fly()
@@ -117,31 +114,11 @@ def run(
     text = json.dumps(told, indent=2)
     say(text if as_json else "\n".join(summary_lines(told)))
     if summary_file is not None:
-        _write(Path(summary_file), text + "\n")
+        write_text(Path(summary_file), text + "\n")
     for error in (recording_error, outcome.error):
         if error is not None:
             raise RunError(error)
-    return 1 if _failed(outcome, failures) else 0
-
-
-def _failed(outcome: Outcome, failures: set[str]) -> bool:
-    """Whether the run was not what `--fail-on` asks for; one that was cut short proves nothing."""
-    lost = {"late": outcome.tally.late > 0, "dropped": outcome.tally.dropped > 0}
-    return bool(failures) and (outcome.details["interrupted"] or any(lost[name] for name in failures))
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text)
-    except OSError as error:
-        raise RunError(f"{path}: could not be written: {error.strerror}") from None
-
-
-def _failures(text: str) -> set[str]:
-    names = {name.strip() for name in text.split(",") if name.strip()}
-    for name in sorted(names - set(_FAILURES)):
-        raise InputError("--fail-on", None, name, f"allowed: {', '.join(_FAILURES)}")
-    return names
+    return int(has_failed(outcome.tally, outcome.details["interrupted"], failures))
 
 
 def _check_start(text: str | None, flown: FlightScenario | BenchScenario) -> None:

@@ -78,28 +78,17 @@ class LoopbackView(Observer):
 def summary_lines(told: dict[str, Any]) -> list[str]:
     """The summary for the eye."""
     shots, lateness = told["shots"], told["lateness"]
-    dropped = ", ".join(
-        f"{name.replace('_', ' ')} {count}" for name, count in shots["dropped"].items() if count
-    )
     lines = [
         "",
         f"shots      {shots['due']} due{_planned(told)}: {shots['sent']} sent, "
-        f"{shots['late']} late, {sum(shots['dropped'].values())} dropped"
-        + (f" ({dropped})" if dropped else "")
+        f"{shots['late']} late, {dropped_text(shots['dropped'])}"
         + (f", {shots['withheld']} not fired by the device" if shots["withheld"] else ""),
     ]
     lines += _faults(told["faults"])
-    if lateness["count"]:
-        steal = "" if told["steal_ticks"] is None else f"; host steal {told['steal_ticks']} ticks"
-        lines.append(f"lateness   {_figures(lateness)}{steal}")
-        windows = lateness["windows"]
-        lines.append(
-            f"{'':10} p99 of single seconds: median {_time(windows['p99_median_ns'])}, "
-            f"worst {_time(windows['p99_worst_ns'])} at {windows['worst_at_s']} s"
-        )
+    lines += lateness_lines(lateness, told["steal_ticks"])
     lines += _truth(told["truth"])
     lines += _commands(told["commands"])
-    lines += _system(told["granted"], told["missing"])
+    lines += system_lines(told["granted"], told["missing"])
     lines += [f"beam {beam:<6}{_reasons(counts)}" for beam, counts in enumerate(told["beams"])]
     for name, key, factor, unit in (
         ("range", "range_error_m", 1, "m"),
@@ -112,7 +101,7 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
         lines.append(f"wire       {told['wire']['sent_bytes']} bytes{load}")
     if any(told["far_end"].values()):
         lines.append(f"far end    {counter_line(told['far_end'])}")
-    lines += _events("link", told) + _events("process", told)
+    lines += event_lines("link", told) + event_lines("process", told)
     if told["last_words"] is not None:
         lines.append(f"last words {told['last_words']}")
     left_out = ", ".join(row["stage"] for row in told["left_out"])
@@ -122,7 +111,27 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _events(whose: str, told: dict[str, Any]) -> list[str]:
+def dropped_text(dropped: dict[str, int]) -> str:
+    """How many packets the link did not take, and why."""
+    why = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in dropped.items() if count)
+    return f"{sum(dropped.values())} dropped" + (f" ({why})" if why else "")
+
+
+def lateness_lines(lateness: dict[str, Any], steal_ticks: int | None) -> list[str]:
+    """How late packets went out; nothing where none had a time to keep."""
+    if not lateness["count"]:
+        return []
+    steal = "" if steal_ticks is None else f"; host steal {steal_ticks} ticks"
+    windows = lateness["windows"]
+    return [
+        f"lateness   {_figures(lateness)}{steal}",
+        f"{'':10} p99 of single seconds: median {_time(windows['p99_median_ns'])}, "
+        f"worst {_time(windows['p99_worst_ns'])} at {windows['worst_at_s']} s",
+    ]
+
+
+def event_lines(whose: str, told: dict[str, Any]) -> list[str]:
+    """What happened to the `link` or a `process`."""
     events, count = told[f"{whose}_events"], told[f"{whose}_event_count"]
     lines = [f"{whose:<10} {_at(event['time_s'], event['what'])}" for event in events]
     if count > len(events):
@@ -177,7 +186,7 @@ def _figures(told: dict[str, Any]) -> str:
     return ", ".join(f"{label} {_time(told[key])}" for label, key in labels)
 
 
-def _system(granted: list[str], missing: dict[str, str]) -> list[str]:
+def system_lines(granted: list[str], missing: dict[str, str]) -> list[str]:
     """What the port's process was given, and how to have the rest."""
     if not (granted or missing):
         return []

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import load_scenario, scenario_options
+from lidar_emu.cli.options import geometry_option, load_scenario, scenario_options
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import Finding, InputError
+
+if TYPE_CHECKING:
+    from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 
 
 @click.command(short_help="The same measurements as a table, point cloud or picture.")
 @scenario_options
 @click.option("--out", metavar="FILE", help="Table or point cloud: .csv, .npz, .parquet or .ply.")
 @click.option("--plot", metavar="FILE.png", help="Picture of the descent: path, footprints, errors.")
+@click.option("--geometry-out", metavar="FILE.npz", help="Record where the beams point and what they meet.")
+@geometry_option
 def simulate(
     scenario: str,
     duration: str | None,
@@ -23,6 +29,8 @@ def simulate(
     exact: bool,
     out: str | None,
     plot: str | None,
+    geometry_out: str | None,
+    geometry: str | None,
 ) -> None:
     """Measure SCENARIO without a wire: for the same seed the same values as `run`.
 
@@ -30,13 +38,17 @@ def simulate(
     lidar-emu simulate descent.yaml --out descent.csv
     lidar-emu simulate paper_fig5.yaml --plot fig5.png
     lidar-emu simulate descent.yaml --out points.ply --set timing.rate_hz=200
+    lidar-emu simulate descent.yaml --geometry-out flight.npz
+    lidar-emu simulate descent.yaml --geometry flight.npz --set instrument.optics.laser_power_w=0.5 --out half.csv
     """
     from lidar_emu.report.exports import check_export_path, export
 
-    if out is None and plot is None:
-        raise InputError(
-            "simulate", None, Finding("no output"), "allowed: --out FILE, --plot FILE.png or both"
-        )
+    if out is None and plot is None and geometry_out is None:
+        allowed = "allowed: --out FILE, --plot FILE.png, --geometry-out FILE.npz, or several"
+        raise InputError("simulate", None, Finding("no output"), allowed)
+    if geometry_out is not None and geometry is not None:
+        allowed = "allowed: --geometry-out to record, --geometry to measure what was recorded"
+        raise InputError("simulate", None, Finding("both geometries"), allowed)
     if out is not None:
         check_export_path(Path(out))
     if plot is not None:
@@ -44,11 +56,17 @@ def simulate(
 
         check_plot_path(Path(plot))
     flown = load_scenario(scenario, duration, seed, settings, exact)
-    from lidar_emu.shots import FlightModel, build_model, measure_whole, require_known_flight
+    from lidar_emu.scenario.required import require_known_flight
+    from lidar_emu.shots import FlightModel, build_model, measure_whole
 
     require_known_flight(flown)
+    if geometry_out is not None:
+        _record(flown, Path(geometry_out))
+        geometry = geometry_out  # the light comes after, from what was recorded
+    if out is None and plot is None:
+        return
     with busy(COMPILING):
-        model = build_model(flown)
+        model = build_model(flown, None if geometry is None else Path(geometry))
         measurement = measure_whole(model)
     # The picture first: it may find nothing to draw, and then no file must be left.
     if plot is not None:
@@ -58,3 +76,16 @@ def simulate(
     if out is not None:
         export(measurement, Path(out))
         click.echo(f"{out}: {len(measurement)} shots of {measurement.beam_count} beams")
+
+
+def _record(flown: FlightScenario | BenchScenario, path: Path) -> None:
+    from lidar_emu.report.geometry_export import record_geometry
+    from lidar_emu.scenario.required import require_flight
+
+    with busy(COMPILING):
+        about = record_geometry(require_flight(flown), path)
+    size = path.stat().st_size
+    each = f"{about.beams} beams, {about.beamlets} rays each"
+    click.echo(
+        f"{path}: {about.shots} shots of {each}; {size / 1e6:.1f} MB, {size / about.shots / 1e3:.1f} kB a shot"
+    )

@@ -37,9 +37,7 @@ def beam_faults(scenario: Scenario, beam_count: int) -> BeamFaults | None:
     return BeamFaults(found, scenario.seed, scenario.timing.period_ns, beam_count)
 
 
-def physics_faults(
-    scenario: FlightScenario, flight: Flight, level: Level, beamlets: int
-) -> PhysicsFaults | None:
+def physics_faults(scenario: FlightScenario, flight: Flight, level: Level) -> PhysicsFaults | None:
     """None where the scenario orders none.
 
     Raises:
@@ -51,7 +49,7 @@ def physics_faults(
     from lidar_emu.faults.physics import PhysicsFaults
 
     require_beams(scenario, found, flight.scanner.beam_count)
-    return PhysicsFaults(found, scenario, flight, level, beamlets)
+    return PhysicsFaults(found, scenario, flight, level)
 
 
 def refuse_physics(scenario: BenchScenario) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lidar_emu.arrays import BoolArray
 
 Row = NDArray[Any]
+_Held = TypeVar("_Held")
 
 
 def hold(values: NDArray[Any], renewed: BoolArray, before: Row | None) -> tuple[NDArray[Any], Row]:
@@ -29,3 +30,8 @@ def hold(values: NDArray[Any], renewed: BoolArray, before: Row | None) -> tuple[
     row = np.where(renewed, np.arange(1, len(values) + 1)[:, None], 0)
     held = np.take_along_axis(stacked, np.maximum.accumulate(row, axis=0), axis=0)
     return held, held[-1:]
+
+
+def resumed(held: tuple[_Held, ...], initial: tuple[_Held, ...]) -> tuple[_Held, ...]:
+    """What the first of several faults have carried so far, and of the others what they begin with."""
+    return held + initial[len(held) :]

@@ -10,17 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.echoes import Spots
 from lidar_emu.faults.schedule import Ordered
 from lidar_emu.flight import Flight, Pointing
 from lidar_emu.fmcw.echo import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.pointing import TRUE
 from lidar_emu.rotations import from_rotation_vector, rotate
-from lidar_emu.scanner.footprint import sample_footprint
 from lidar_emu.scanner.model import mounting_rotation
 from lidar_emu.scenario import faults as kinds
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.scene.hits import Hits
 
 
 @dataclass(frozen=True)
@@ -32,8 +31,7 @@ class _Act:
     """(shots, beams) Beams that have fired and on which it acts."""
     size: FloatArray
     """(shots, 1) Part of its full size that a growing fault has."""
-    pointing: Pointing
-    axis_hits: Hits
+    spots: Spots
 
 
 class LightFaults:
@@ -42,19 +40,16 @@ class LightFaults:
     Args:
         ordered: the faults with their schedules, in the order in which they act.
         flight: of the scenario.
-        beamlets: of each beam.
     """
 
-    def __init__(
-        self, ordered: Sequence[Ordered], scenario: FlightScenario, flight: Flight, beamlets: int
-    ) -> None:
+    def __init__(self, ordered: Sequence[Ordered], scenario: FlightScenario, flight: Flight) -> None:
         self._tilts = [each for each in ordered if isinstance(each.fault, kinds.Misalignment)]
         self._others = [each for each in ordered if not isinstance(each.fault, kinds.Misalignment)]
-        self._scenario, self._flight, self._beamlets = scenario, flight, beamlets
+        self._scenario, self._flight = scenario, flight
         self._body_from_sensor = mounting_rotation(scenario.mounting)
         self._effects: dict[type, Callable[[Echoes, _Act], Echoes]] = {
             kinds.LaserFade: _faded,
-            kinds.ReflectancePatch: self._patched,
+            kinds.ReflectancePatch: _patched,
             kinds.Clutter: self._cluttered,
         }
 
@@ -66,13 +61,14 @@ class LightFaults:
                 pointing = self._with_tilt(pointing, hit, each.grown(shot), each.fault.tilt_mrad)
         return pointing
 
-    def lit(self, echoes: Echoes, pointing: Pointing, axis_hits: Hits, shot: NDArray[np.int64]) -> Echoes:
-        """What comes back of beams whose axes met the ground at `axis_hits`."""
+    def lit(self, echoes: Echoes, spots: Spots, shot: NDArray[np.int64]) -> Echoes:
+        """What comes back of beams whose light met the ground at `spots`."""
         for each in self._others:
             hit = each.hit(shot, echoes.fired)
             if hit.any():
-                act = _Act(each.fault, hit, each.grown(shot), pointing, axis_hits)
-                echoes = self._effects[type(each.fault)](echoes, act)
+                echoes = self._effects[type(each.fault)](
+                    echoes, _Act(each.fault, hit, each.grown(shot), spots)
+                )
         return echoes
 
     def _with_tilt(
@@ -85,24 +81,6 @@ class LightFaults:
         beams = pointing.beams.copy()
         beams[TRUE] = np.where(hit[..., None], rotate(turn, pointing.true_site), pointing.true_site)
         return pointing._replace(beams=beams)
-
-    def _patched(self, echoes: Echoes, act: _Act) -> Echoes:
-        """Beamlets that meet the ground within the disc."""
-        instrument, shape = self._scenario.instrument, echoes.range_m.shape
-        footprint = sample_footprint(
-            act.pointing.sensor_site_m.reshape(-1, 3),
-            act.pointing.true_site.reshape(-1, 3),
-            act.axis_hits.range_m.reshape(-1),
-            self._beamlets,
-            instrument.optics.waist_radius_m,
-            instrument.waveform.wavelength_m,
-        )
-        start_m, ray = (a.reshape(*shape, 3) for a in (footprint.start_site_m, footprint.ray_site))
-        east_m, north_m = (start_m[..., k] + echoes.range_m * ray[..., k] for k in range(2))
-        away_m = np.hypot(east_m - act.fault.centre_m[0], north_m - act.fault.centre_m[1])
-        within = act.hit[..., None] & (away_m <= act.fault.radius_m)
-        ratio = act.fault.reflectance / self._scenario.site.surface.reflectance
-        return replace(echoes, power_w=np.where(within, ratio * echoes.power_w, echoes.power_w))
 
     def _cluttered(self, echoes: Echoes, act: _Act) -> Echoes:
         """One more beamlet, which rides along with the sensor. It shares the beam's speckle, and its motion within a
@@ -128,3 +106,22 @@ class LightFaults:
 def _faded(echoes: Echoes, act: _Act) -> Echoes:
     factor = 10.0 ** (-act.fault.loss_db * act.size / 10.0)
     return replace(echoes, power_w=np.where(act.hit, factor, 1.0)[..., None] * echoes.power_w)
+
+
+def _patched(echoes: Echoes, act: _Act) -> Echoes:
+    """Beamlets that meet the ground within the disc."""
+    start_m, ray, hits = act.spots
+    east_m, north_m = (start_m[..., k] + hits.range_m * ray[..., k] for k in range(2))
+    away_m = np.hypot(east_m - act.fault.centre_m[0], north_m - act.fault.centre_m[1])
+    within = act.hit[..., None] & (away_m <= act.fault.radius_m)
+    # Of a place that is wholly black there is no echo to change.
+    ratio = np.divide(
+        act.fault.reflectance,
+        hits.reflectance,
+        out=np.ones(within.shape),
+        where=within & (hits.reflectance > 0.0),
+    )
+    power_w = echoes.power_w.copy()
+    # What clutter and dust have added lies behind the beamlets, and is none of the ground.
+    power_w[..., : ratio.shape[-1]] *= ratio
+    return replace(echoes, power_w=power_w)

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
-from lidar_emu.faults.chance import Chance
-from lidar_emu.faults.hold import Row, hold
-from lidar_emu.faults.schedule import Injected, Schedule
+from lidar_emu.faults.hold import Row, hold, resumed
+from lidar_emu.faults.schedule import Injected, Ordered
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.scenario import faults as kinds
@@ -43,17 +42,20 @@ _VALUE_DRAW = 1
 class _Act:
     """A fault in a block of shots."""
 
-    fault: Any
-    schedule: Schedule
-    chance: Chance
+    ordered: Ordered
     hit: BoolArray
     """(shots, beams) Beams that have fired and on which the fault acts."""
     held: Held | None
     """From before the block; None: nothing yet."""
 
+    @property
+    def fault(self) -> Any:
+        """What the scenario says."""
+        return self.ordered.fault
+
     def size(self, block: Measurement) -> FloatArray:
         """(shots, 1) Part of its full size that a growing fault has."""
-        return self.schedule.grown(block.shot, self.fault.ramp_s)
+        return self.ordered.grown(block.shot)
 
     def with_columns(self, block: Measurement, **columns: Any) -> Measurement:
         """The block with these values where the fault acts."""
@@ -83,17 +85,13 @@ class BeamFaults:
         period_ns: int,
         beam_count: int,
     ) -> None:
-        self._beam_count = beam_count
-        self._faults: list[tuple[int, kinds.BeamFault, Schedule, Chance]] = []
-        for number, fault in numbered:
-            chance = Chance(seed, number)
-            self._faults.append((number, fault, Schedule(fault, chance, period_ns), chance))
+        self._faults = [Ordered(number, fault, seed, period_ns, beam_count) for number, fault in numbered]
         self.initial: tuple[Held | None, ...] = (None,) * len(self._faults)
         """What is carried before shot 0."""
 
     def resumed(self, held: tuple[Held | None, ...]) -> tuple[Held | None, ...]:
         """What fewer of these faults have carried so far, for all of them."""
-        return held + self.initial[len(held) :]
+        return resumed(held, self.initial)
 
     def apply(
         self, block: Measurement, held: tuple[Held | None, ...]
@@ -101,34 +99,33 @@ class BeamFaults:
         """What becomes of consecutive shots, but for `point_site_m`; what is carried on; and which faults acted."""
         injected: list[Injected] = []
         after: list[Held | None] = []
-        for (number, fault, schedule, chance), before in zip(self._faults, held, strict=True):
-            effect = _EFFECTS[type(fault)]
+        for ordered, before in zip(self._faults, held, strict=True):
+            effect = _EFFECTS[type(ordered.fault)]
             carries = effect in _CARRY
-            due = carries or schedule.begins_by(int(block.shot[-1]))
-            if not due or schedule.is_over(int(block.shot[0])):
+            due = carries or ordered.schedule.begins_by(int(block.shot[-1]))
+            if not due or ordered.schedule.is_over(int(block.shot[0])):
                 after.append(None)
                 continue
-            act = _Act(fault, schedule, chance, self._hit(fault, schedule, block), before)
+            act = _Act(ordered, _hit(ordered, block), before)
             changed, carried = effect(block, act) if carries or act.hit.any() else (block, None)
             after.append(carried)
             for row in np.flatnonzero(act.hit.any(axis=1)).tolist():
                 beams = tuple(np.flatnonzero(act.hit[row]).tolist())
-                injected.append(Injected(int(block.shot[row]), number, fault.kind, beams))
+                injected.append(Injected(int(block.shot[row]), ordered.number, ordered.fault.kind, beams))
             block = changed
         return block, tuple(after), injected
 
-    def _hit(self, fault: kinds.BeamFault, schedule: Schedule, block: Measurement) -> BoolArray:
-        if isinstance(fault, kinds.SwappedBeams):
-            both = schedule.shots(block.shot) & block.fired[:, list(fault.beams)].all(axis=1)
-            hit = np.zeros_like(block.fired)
-            hit[:, list(fault.beams)] = both[:, None]
-            return hit
-        hit = schedule.beams(block.shot, self._beam_count) & block.fired
-        if fault.beams is not None:
-            others = np.ones(self._beam_count, dtype=np.bool_)
-            others[fault.beams] = False
-            hit[:, others] = False
-        return hit & _HITS[type(fault)](block, fault) if type(fault) in _HITS else hit
+
+def _hit(ordered: Ordered, block: Measurement) -> BoolArray:
+    """(shots, beams) Beams on which a fault acts."""
+    fault = ordered.fault
+    if isinstance(fault, kinds.SwappedBeams):
+        both = ordered.schedule.shots(block.shot) & block.fired[:, list(fault.beams)].all(axis=1)
+        hit = np.zeros_like(block.fired)
+        hit[:, list(fault.beams)] = both[:, None]
+        return hit
+    hit = ordered.hit(block.shot, block.fired)
+    return hit & _HITS[type(fault)](block, fault) if type(fault) in _HITS else hit
 
 
 _Result = tuple[Measurement, Held | None]
@@ -179,18 +176,20 @@ def _scale(block: Measurement, act: _Act) -> _Result:
 
 
 def _drift(block: Measurement, act: _Act) -> _Result:
-    since_s = act.schedule.since_s(block.shot)[:, None]
+    since_s = act.ordered.schedule.since_s(block.shot)[:, None]
     return _with_errors(block, act, since_s * act.fault.range_mps, since_s * act.fault.closing_speed_mps2)
 
 
 def _noise(block: Measurement, act: _Act) -> _Result:
-    errors = act.size(block)[..., None] * act.chance.normals(block.shot, block.beam_count, _VALUE_DRAW)
+    errors = act.size(block)[..., None] * act.ordered.chance.normals(
+        block.shot, block.beam_count, _VALUE_DRAW
+    )
     fault = act.fault
     return _with_errors(block, act, errors[..., 0] * fault.range_m, errors[..., 1] * fault.closing_speed_mps)
 
 
 def _outlier(block: Measurement, act: _Act) -> _Result:
-    place = act.chance.uniforms(block.shot, block.beam_count, _VALUE_DRAW)
+    place = act.ordered.chance.uniforms(block.shot, block.beam_count, _VALUE_DRAW)
     columns: dict[str, Any] = {"range_m": _between(act.fault.range_m, place[..., 0])}
     if act.fault.closing_speed_mps is not None:
         columns["closing_speed_mps"] = _between(act.fault.closing_speed_mps, place[..., 1])

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray
+from lidar_emu.echoes import Spots
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.light import LightFaults
 from lidar_emu.faults.receivers import FaultyReceivers
@@ -18,7 +19,6 @@ from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.levels import Level
 from lidar_emu.scenario import faults as kinds
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.scene.hits import Hits
 
 _RECEIVERS = ("statistical", "spectral")
 _LEVELS: dict[type, tuple[str, ...]] = {
@@ -42,7 +42,6 @@ class PhysicsFaults:
         scenario: that orders them.
         flight: of the scenario.
         level: the receiver without faults.
-        beamlets: of each beam.
 
     Raises:
         InputError: a fault is none of this level, of this ground, or of a beam that there is not.
@@ -54,7 +53,6 @@ class PhysicsFaults:
         scenario: FlightScenario,
         flight: Flight,
         level: Level,
-        beamlets: int,
     ) -> None:
         beam_count = flight.scanner.beam_count
         for number, fault in numbered:
@@ -68,18 +66,16 @@ class PhysicsFaults:
         if len(receivers) > _MOST_OF_RECEIVERS:
             found = Finding(f"{len(receivers)} of receivers")
             raise InputError(scenario.name, "faults", found, f"allowed: {_MOST_OF_RECEIVERS} of receivers")
-        self._light = LightFaults(light, scenario, flight, beamlets)
+        self._light = LightFaults(light, scenario, flight)
         self._level = FaultyReceivers(receivers, scenario, level) if receivers else level
 
     def tilted(self, pointing: Pointing, shot: NDArray[np.int64]) -> Pointing:
         """Where the beams go. Published directions stay."""
         return self._light.tilted(pointing, shot)
 
-    def returns(
-        self, echoes: Echoes, pointing: Pointing, axis_hits: Hits, shot: NDArray[np.int64]
-    ) -> Returns:
-        """What is measured of echoes from beams whose axes met the ground at `axis_hits`."""
-        return self._level(self._light.lit(echoes, pointing, axis_hits, shot), shot)
+    def returns(self, echoes: Echoes, spots: Spots, shot: NDArray[np.int64]) -> Returns:
+        """What is measured of echoes from beams whose light met the ground at `spots`."""
+        return self._level(self._light.lit(echoes, spots, shot), shot)
 
     def injected(self, shot: NDArray[np.int64], fired: BoolArray) -> list[Injected]:
         """Which faults acted on consecutive shots, and on which of their beams, (shots, beams)."""

@@ -94,7 +94,7 @@ class Schedule:
 
 
 class Ordered:
-    """A fault of light or of the receiver, with when it acts.
+    """A fault of light, of the receiver or of beams, with when it acts.
 
     Args:
         number: its place in the scenario's list.
@@ -109,7 +109,8 @@ class Ordered:
     ) -> None:
         self.number = number
         self.fault: Any = fault
-        self._schedule = Schedule(fault, Chance(seed, number), period_ns)
+        self.chance = Chance(seed, number)
+        self.schedule = Schedule(fault, self.chance, period_ns)
         self._beams = np.ones(beam_count, dtype=np.bool_)
         if isinstance(fault, OfBeams) and fault.beams is not None:
             self._beams[:] = False
@@ -117,12 +118,12 @@ class Ordered:
 
     def hit(self, shot: NDArray[np.int64], fired: BoolArray) -> BoolArray:
         """(shots, beams) Beams that have fired and on which it acts."""
-        if not self._schedule.begins_by(int(shot[-1])) or self._schedule.is_over(int(shot[0])):
+        if not self.schedule.begins_by(int(shot[-1])) or self.schedule.is_over(int(shot[0])):
             return np.zeros_like(fired)
         if isinstance(self.fault, OfBeams):
-            return self._schedule.beams(shot, len(self._beams)) & fired & self._beams
-        return self._schedule.shots(shot)[:, None] & fired
+            return self.schedule.beams(shot, len(self._beams)) & fired & self._beams
+        return self.schedule.shots(shot)[:, None] & fired
 
     def grown(self, shot: NDArray[np.int64]) -> FloatArray:
         """(shots, 1) Part of its full size that it has, if it is one that grows."""
-        return self._schedule.grown(shot, getattr(self.fault, "ramp_s", 0.0))
+        return self.schedule.grown(shot, getattr(self.fault, "ramp_s", 0.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from math import exp
+from math import exp, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -23,8 +23,10 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
 class EchoLaw(NamedTuple):
     """How the power of an echo goes with range and incidence, in the order in which `echo_power_w` takes it."""
 
-    facing_w: float
-    """Power of the echo, in the mode of the local oscillator, of a surface before the sensor that faces it."""
+    emitted_w: float
+    """Power of the laser, less what the optics and depolarisation cost."""
+    coupling: float
+    """λ²/(π w0²): what the mode of the local oscillator takes of a radiance of 1 W/m² per steradian at the aperture."""
     lommel_seeliger_share: float
     parting_per_m: float
     """By how many of their radii at the waist the modes part, per metre of range."""
@@ -33,12 +35,12 @@ class EchoLaw(NamedTuple):
 
 
 def echo_law(instrument: Instrument, surface: Surface, atmosphere: Atmosphere | None) -> EchoLaw:
-    """The law of `coherent_power_w`; its arguments are explained there."""
+    """The law of `coherent_power_w`, for surfaces of any albedo; its arguments are explained there."""
     wavelength_m, optics = instrument.waveform.wavelength_m, instrument.optics
-    coupling = wavelength_m**2 / (np.pi * optics.waist_radius_m**2)
     efficiency = optics.optical_efficiency * optics.depolarisation
     return EchoLaw(
-        facing_w=float(optics.laser_power_w * efficiency * surface.reflectance / np.pi * coupling),
+        emitted_w=float(optics.laser_power_w * efficiency),
+        coupling=float(wavelength_m**2 / (np.pi * optics.waist_radius_m**2)),
         lommel_seeliger_share=float(surface.lommel_seeliger_share),
         parting_per_m=float(optics.alignment_error_rad / optics.waist_radius_m),
         extinction_per_m=0.0 if atmosphere is None else float(atmosphere.extinction_per_m),
@@ -48,11 +50,13 @@ def echo_law(instrument: Instrument, surface: Surface, atmosphere: Atmosphere | 
 
 @kernel
 def echo_power_w(
-    facing_w: float,
+    emitted_w: float,
+    coupling: float,
     lommel_seeliger_share: float,
     parting_per_m: float,
     extinction_per_m: float,
     rayleigh_m: float,
+    reflectance: float,
     range_m: float,
     cos_incidence: float,
 ) -> float:
@@ -61,6 +65,7 @@ def echo_power_w(
     spread = 1.0 + farness * farness
     dimmed = exp(-parting * parting / spread - 2.0 * extinction_per_m * range_m) / spread
     limb = lommel_seeliger_share + (1.0 - lommel_seeliger_share) * cos_incidence
+    facing_w = emitted_w * reflectance / pi * coupling
     return facing_w * (0.0 if cos_incidence <= 0.0 else limb) * dimmed
 
 
@@ -91,7 +96,7 @@ def coherent_power_w(
     Returns:
         Watts in the broadcast shape: NaN where an argument is NaN, 0 for a surface seen from behind.
     """
-    law = partial(interpreted(echo_power_w), *echo_law(instrument, surface, atmosphere))
+    law = partial(interpreted(echo_power_w), *echo_law(instrument, surface, atmosphere), surface.reflectance)
     return np.asarray(np.vectorize(law, otypes=[float])(range_m, cos_incidence))
 
 

@@ -50,11 +50,12 @@ def rms_slope(height_m: FloatArray, spacing_m: float, baseline_m: float, hurst: 
 
 
 def _mean_square(height_m: FloatArray, weights: tuple[int, ...], lag: int) -> float:
-    """Of differences with these weights, `lag` samples from one to the next, along rows and columns."""
+    """Of differences with these weights, `lag` samples from one to the next, along rows and columns; NaN of none."""
     squares, count = 0.0, 0
     for grid in (height_m, height_m.T):
         length = len(grid) - lag * (len(weights) - 1)
         difference = sum(w * grid[k * lag : k * lag + length] for k, w in enumerate(weights))
-        squares += float(np.square(difference).sum())
-        count += length * grid.shape[1]
-    return squares / count
+        missing = np.isnan(difference)
+        squares += float(np.square(np.where(missing, 0.0, difference) if missing.any() else difference).sum())
+        count += length * grid.shape[1] - int(missing.sum())
+    return squares / count if count else math.nan

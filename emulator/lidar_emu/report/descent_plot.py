@@ -31,6 +31,7 @@ _WIDEST_RATIO = 3.0
 """Of the longer to the shorter horizontal axis: a long approach stays readable."""
 _BEAMS_IN_LEGEND = 12
 _PATH_COLOUR = "#b22222"
+_BRIDGE_COLOUR = "#e0a030"
 
 
 def check_plot_path(path: Path) -> None:
@@ -195,6 +196,10 @@ def _add_flight(
         label="flight path",
         zorder=3,
     )
+    bridged: NDArray[np.bool_] = np.any(measurement.true_in_gap, axis=1)
+    if bridged.any():
+        gap_m = np.where(bridged[:, None], position_m, np.nan)
+        axes.plot(*gap_m.T, color=_BRIDGE_COLOUR, linewidth=1.6, label="bridged gap of the table", zorder=4)
     points = axes.scatter(
         *measurement.point_site_m[valid].T,
         c=values[valid],
@@ -217,6 +222,8 @@ def _draw_errors(figure: Figure, measurement: Measurement) -> None:
     lower = figure.add_axes((0.06, 0.06, 0.86, 0.125), sharex=upper)
     _add_errors(upper, measurement, range_error_m, measurement.range_valid)
     _add_errors(lower, measurement, speed_error_mmps, measurement.speed_valid)
+    if measurement.true_in_gap.any():
+        lower.text(1.005, 0.5, "shaded: gaps of\nthe table, bridged", transform=lower.transAxes, fontsize=9)
     upper.set_ylabel("range error (m)")
     upper.tick_params(labelbottom=False)
     lower.set_ylabel("speed error (mm/s)")
@@ -229,6 +236,8 @@ def _draw_errors(figure: Figure, measurement: Measurement) -> None:
 def _add_errors(axes: Axes, measurement: Measurement, error: FloatArray, valid: NDArray[np.bool_]) -> None:
     largest = 10.0 if len(measurement) <= 100 else 4.0
     axes.axhline(0, color="0.6", linewidth=0.8, zorder=1)
+    for start_s, end_s in _bridges(measurement):
+        axes.axvspan(start_s, end_s, color=_BRIDGE_COLOUR, alpha=0.3, linewidth=0, zorder=0)
     for beam in range(measurement.beam_count):
         shown = valid[:, beam]
         # Smaller from beam to beam: where beams agree, all of them are seen.
@@ -237,3 +246,11 @@ def _add_errors(axes: Axes, measurement: Measurement, error: FloatArray, valid: 
         axes.plot(time_s, error[shown, beam], ".", markersize=size, label=f"beam {beam}", zorder=2)
     axes.grid(color="0.92")
     axes.margins(x=0.01)
+
+
+def _bridges(measurement: Measurement) -> list[tuple[float, float]]:
+    """Beginning and end of the spells in which the truth is bridged."""
+    inside = np.any(measurement.true_in_gap, axis=1)
+    turns = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8)))
+    time_s = measurement.time_ns[:, 0] * 1e-9
+    return [(time_s[first], time_s[end - 1]) for first, end in turns.reshape(-1, 2)]

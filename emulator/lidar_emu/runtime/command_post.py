@@ -38,6 +38,7 @@ class CommandPost:
         can_date: whether packets can tell a time that the clock may be set to, in nanoseconds since the epoch.
         changes: where shots find what they are to follow.
         tell: told of every command, with the number of the first shot that follows it, if one does.
+        answered: told of every answer, and of the scenario time of the command.
 
     Raises:
         InputError: the interface's acknowledgement cannot be filled.
@@ -50,12 +51,13 @@ class CommandPost:
         can_date: Callable[[int], bool],
         changes: Changes,
         tell: Callable[[Heard, int | None], None],
+        answered: Callable[[bytes, int], None],
     ) -> None:
         self._voice, self._interface = voice, voice.interface
         self._bytes = None if voice.can else CommandReader(voice.interface, voice.unit)
         self._frames = CanCommandReader(voice.interface, voice.unit) if voice.can else None
         self._device, self._can_date = device, can_date
-        self._changes, self._tell = changes, tell
+        self._changes, self._tell, self._answered = changes, tell, answered
         assert voice.interface.commands is not None
         self._commands = voice.interface.commands
         self._sequence: int | None = None
@@ -140,9 +142,9 @@ class CommandPost:
         if in_turn:
             self._sequence = command.sequence
         if isinstance(command, BadCommand):
-            return Heard(time_ns, command.code, {}, command.sequence, command.verdict), None
+            return Heard(time_ns, command.code, {}, command.sequence, command.verdict, pulse_ns), None
         values = self._words(command)
-        heard = Heard(time_ns, command.name, values, command.sequence, "bad_sequence")
+        heard = Heard(time_ns, command.name, values, command.sequence, "bad_sequence", pulse_ns)
         if not in_turn:
             return heard, None
         tone_ns = values.get("tone_ns")
@@ -192,6 +194,7 @@ class CommandPost:
             return
         if answer is not None:
             self._voice.say(answer)
+            self._answered(answer, heard.time_ns)
 
     def _answer(self, heard: Heard, shown_ns: int) -> bytes | None:
         command = _UNKNOWN if heard.command is None else heard.command

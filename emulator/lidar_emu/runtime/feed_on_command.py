@@ -30,6 +30,7 @@ class OnCommandFeed:
     Args:
         device: see `waiting_device`.
         flight: given scenario time 0 on the monotonic clock, the feed of the shots from there on.
+        begun: told how long after power-up scenario time 0 comes.
 
     Raises:
         InputError: no command can be heard on this link.
@@ -41,6 +42,7 @@ class OnCommandFeed:
         device: DeviceNow,
         housekeeper: Housekeeper | None,
         flight: Callable[[int], Feed],
+        begun: Callable[[int], None],
     ) -> None:
         if desk.commands is None:
             allowed = "allowed with an interface that has commands on this link"
@@ -48,7 +50,7 @@ class OnCommandFeed:
         self._desk = desk
         self._device = device
         self._housekeeper = housekeeper
-        self._flight = flight
+        self._flight, self._begun = flight, begun
 
     def fly(self) -> None:
         """See `Feed`."""
@@ -60,6 +62,7 @@ class OnCommandFeed:
         if self._housekeeper is not None:
             self._housekeeper.begin_flight()
         self._desk.session.use_device(state)
+        self._begun(start_ns - powered_ns)
         self._flight(start_ns).fly()
 
     def _wait_for_command(self, powered_ns: int) -> bool:

@@ -202,11 +202,15 @@ class Run:
         if not self._options.on_command:
             return fly_from(start_ns)
         self._announce("set_mode acquire or track")
-        return OnCommandFeed(desk, ready.device, front.housekeeper, fly_from)
+        return OnCommandFeed(desk, ready.device, front.housekeeper, fly_from, self._began_flight)
 
     def _announce(self, what: str) -> None:
         for observer in self._observers:
             observer.awaiting(self._description, what)
+
+    def _began_flight(self, waited_ns: int) -> None:
+        for observer in self._observers:
+            observer.began_flight(waited_ns)
 
     def _interrupt(self, *_: object) -> None:
         """Noted, and acted on between packets: an exception anywhere could lose reports that were just fetched.

@@ -46,7 +46,7 @@ def open_front(
         can_date: see `CommandPost`.
         tally: counts shots.
         changes: where shots find what they are to follow.
-        observers: told of commands and housekeeping.
+        observers: told of commands, answers and housekeeping.
 
     Raises:
         InputError: the interface's acknowledgement or housekeeping cannot be filled.
@@ -56,11 +56,17 @@ def open_front(
         for observer in observers:
             observer.commanded(heard, shot)
 
+    def answered(payload: bytes, time_ns: int) -> None:
+        for observer in observers:
+            observer.answered(payload, time_ns)
+
     def kept_house(payload: bytes, time_ns: int) -> None:
         for observer in observers:
             observer.kept_house(payload, time_ns)
 
-    commands = CommandPost(voice, device, can_date, changes, commanded) if voice.has_commands else None
+    commands = None
+    if voice.has_commands:
+        commands = CommandPost(voice, device, can_date, changes, commanded, answered)
     if not housekeeping_layouts(voice.interface, voice.can):
         return Front(commands, None)
     return Front(commands, Housekeeper(voice, device, tally, commands, kept_house))

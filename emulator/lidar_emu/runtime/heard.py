@@ -17,3 +17,5 @@ class Heard(NamedTuple):
     """Its arguments."""
     sequence: int | None
     verdict: str
+    tone_ns: int | None = None
+    """Scenario time of the last pulse before it; None: there was none, or the port has no pulse line."""

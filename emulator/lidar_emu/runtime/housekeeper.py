@@ -62,7 +62,7 @@ class Housekeeper(Observer):
         """A shot has met its fate, or none was sent: time goes by."""
         self.tick(packet.due_ns)
 
-    def truth_used(self, shot: int, age_ns: int) -> None:  # noqa: ARG002
+    def truth_used(self, shot: int, age_ns: int, truth_time_ns: int) -> None:  # noqa: ARG002
         """Remember how old the truth of the last shot was."""
         self._truth_age_s = age_ns * 1e-9
 

@@ -19,14 +19,20 @@ class Observer:
     def opened(self, port: str, start: datetime) -> None:
         """The port is open under this name; scenario time 0 will be, or was, at `start`, in UTC."""
 
-    def truth(self, datagram: bytes, time_ns: int) -> None:
-        """A simulator's datagram arrived, at this scenario time; good or not."""
+    def began_flight(self, waited_ns: int) -> None:
+        """The command to fly has come: times told so far counted from power-up, so long before scenario time 0."""
 
-    def truth_used(self, shot: int, age_ns: int) -> None:
-        """A shot was computed from truth that was so old then."""
+    def truth(self, datagram: bytes, time_ns: int, counted: bool) -> None:
+        """A simulator's datagram arrived, at this scenario time; it counted or was refused."""
+
+    def truth_used(self, shot: int, age_ns: int, truth_time_ns: int) -> None:
+        """A shot was computed from truth that was so old then; the newest was of this scenario time."""
 
     def commanded(self, heard: Heard, shot: int | None) -> None:
         """A command was answered; this shot is the first that follows it, None if none does."""
+
+    def answered(self, payload: bytes, time_ns: int) -> None:
+        """The device answered a command that came at this scenario time."""
 
     def kept_house(self, payload: bytes, time_ns: int) -> None:
         """The device told how it was at this scenario time."""
@@ -37,6 +43,9 @@ class Observer:
     def computed(self, block: Block) -> None:
         """Shots are on their way to the port; a command may yet change them."""
 
+    def superseded(self, generation: int, from_shot: int) -> None:
+        """From this shot on, packets of earlier generations are not to be sent, unless they have been already."""
+
     def settled(self, block: Block) -> None:
         """The packets of all these shots have met their fates."""
 
@@ -45,6 +54,9 @@ class Observer:
 
     def noticed(self, time_ns: int, what: str) -> None:
         """One of the run's two processes stands still, stood still, or goes on; time from the start of the run."""
+
+    def link_noticed(self, time_ns: int, what: str) -> None:
+        """Something happened to the link; time from the start of the run."""
 
     def arrived(self, data: bytes) -> None:
         """Bytes at the far end of the in-memory loopback."""

@@ -73,6 +73,8 @@ class Outbox:
         self._generation += 1
         self._is_urgent = True
         self._port.supersede(self._generation, from_shot)
+        for observer in self._observers:
+            observer.superseded(self._generation, from_shot)
         self._left = self._room - sum(packet.shot < from_shot for packet, _, _ in self._in_flight)
         self._announced = {key: value for key, value in self._announced.items() if key[1] < from_shot}
 
@@ -97,6 +99,9 @@ class Outbox:
             for observer in self._observers:
                 observer.report(packet, report)
             self._met_fate(block, row)
+        for event in self._port.link_events():
+            for observer in self._observers:
+                observer.link_noticed(event.time_ns, event.text)
         if data := self._port.far_end():
             for observer in self._observers:
                 observer.arrived(data)

@@ -42,6 +42,8 @@ class PortStory:
     """What it refused, each with the command that would give it."""
     finished: bool = False
     arrived: list[Arrival] = field(default_factory=list)
+    happened: list[LinkEvent] = field(default_factory=list)
+    """Events that nobody has taken yet."""
     start_ns: int = 0
     """The instant from which the times of events count: the beginning of the flight, or as long as there is none the
     opening of the port."""
@@ -96,6 +98,7 @@ class PortStory:
                     self.arrived.append(Arrival(time_ns, bytes.fromhex(data), pulse_ns))
                 case {"event": [number, time_ns, text]}:
                     self._events.add(number, time_ns, text)
+                    self.happened.append(LinkEvent(time_ns - self.start_ns, text))
                 case {"finished": counts} | {"stopped": counts}:
                     self.finished = True
                     self.sent_bytes, self.received_bytes = counts["sent_bytes"], counts["received_bytes"]

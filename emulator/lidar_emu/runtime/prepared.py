@@ -7,7 +7,7 @@ from typing import Any
 
 from lidar_emu.device.machine import initial
 from lidar_emu.device.now import DeviceNow
-from lidar_emu.device.rules import device_rules
+from lidar_emu.device.rules import Rules, device_rules
 from lidar_emu.flight import Flight
 from lidar_emu.runtime.feed_on_command import waiting_device
 from lidar_emu.runtime.last_words import unsayable
@@ -77,6 +77,19 @@ class Prepared:
         return self.encoder.can_date(self.ahead.first.measurement, shown_ns + run_ns)
 
 
+def rules_of(scenario: Scenario, model: Model) -> Rules:
+    """Of the device that measures a scenario."""
+    return device_rules(
+        scenario.device,
+        scenario.timing.rate_hz,
+        model.beam_count,
+        model.pattern_count,
+        scenario.laser_power_w,
+        scenario.faults,
+        scenario.seed,
+    )
+
+
 def prepared(scenario: Scenario, model: Model, options: RunOptions) -> Prepared:
     """A run of a scenario.
 
@@ -91,15 +104,7 @@ def prepared(scenario: Scenario, model: Model, options: RunOptions) -> Prepared:
     encoder = Encoder(scenario.wire, can, port.fd, model.beam_count)
     faulty = packets_on_order(scenario, encoder, options)
     port_faults = port_on_order(scenario, model, options)
-    rules = device_rules(
-        scenario.device,
-        rate_hz,
-        model.beam_count,
-        model.pattern_count,
-        scenario.laser_power_w,
-        scenario.faults,
-        scenario.seed,
-    )
+    rules = rules_of(scenario, model)
     block_shots = max(1, min(128, round(rate_hz * _BLOCK_S)))
     slots = max(2 * block_shots, round(rate_hz * _LOOK_AHEAD_S))
     session = Session(model, encoder, slots + 1, faulty, rules)

@@ -11,6 +11,7 @@ from typing import Any, Self
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.child import PortChild, complaints
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.events import LinkEvent
 from lidar_emu.runtime.loopback_end import LoopbackEnd
 from lidar_emu.runtime.pacing import Pace, WhenLate
 from lidar_emu.runtime.packets import ALERT, NEWS, Outgoing, Report
@@ -151,6 +152,11 @@ class PortRunner:
         """What arrived on the port since the last call."""
         arrived, self.told.arrived = self.told.arrived, []
         return arrived
+
+    def link_events(self) -> list[LinkEvent]:
+        """What happened to the link since the last call; also after `close`."""
+        happened, self.told.happened = self.told.happened, []
+        return happened
 
     def reports(self) -> list[Report]:
         """What became of packets since the last call, in the order of `push`; also after `close`.

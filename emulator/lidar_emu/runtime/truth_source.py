@@ -58,7 +58,7 @@ class TruthSource(Observer):
         """Whether a truth has said that the flight ends with it."""
         self._start_ns: int | None = None
         self._begun = False
-        self._untold: list[tuple[bytes, int, int]] = []
+        self._untold: list[tuple[bytes, int, int, bool]] = []
         self.newest_arrived_ns = 0
         """Instant of the monotonic clock."""
 
@@ -97,10 +97,10 @@ class TruthSource(Observer):
     def tell(self) -> None:
         """Let observers hear of what has come since the last time. The run has begun; no shot waits for it."""
         untold, self._untold = self._untold, []
-        for data, arrived_ns, lockstep_ns in untold:
+        for data, arrived_ns, lockstep_ns, counted in untold:
             time_ns = lockstep_ns if self._start_ns is None else arrived_ns - self._start_ns
             for observer in self._observers:
-                observer.truth(data, max(0, time_ns))
+                observer.truth(data, max(0, time_ns), counted)
 
     def answer(self, parts: Sequence[Answer], receiver: Any) -> None:
         """To the sender of a datagram; an answer that cannot be delivered is counted."""
@@ -127,8 +127,9 @@ class TruthSource(Observer):
         self._age.add(age_ns)
         self._stale += age_ns > self._stale_after_ns
         assert self._start_ns is not None
+        assert self.newest is not None
         for observer in self._observers:
-            observer.truth_used(packet.shot, age_ns)
+            observer.truth_used(packet.shot, age_ns, self.newest.time_ns)
         since_ns = max(self.newest_arrived_ns - self._start_ns, packet.due_ns)
         self._awaited.append((packet.shot, since_ns))
 
@@ -169,5 +170,6 @@ class TruthSource(Observer):
             self.ended |= truth.last
         if self._begun or len(self._untold) < _UNTOLD:
             newest = self.newest
-            self._untold.append((data, arrived_ns, 0 if newest is None else newest.time_ns))
+            lockstep_ns = 0 if newest is None else newest.time_ns
+            self._untold.append((data, arrived_ns, lockstep_ns, verdict is Verdict.ACCEPTED))
         return Arrival(truth, verdict, sequence_of(data), arrived_ns, sender)

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from lidar_emu.scenario.ground_detail import Detail
 from lidar_emu.scenario.part import Part, Positive, unusable
 
 LEAST_CELLS, MOST_CELLS = 32, 4096
@@ -98,6 +99,10 @@ class Generated(Part):
     """Left out: none."""
     beyond: Literal["none", "plane", "sphere"] = "none"
     """What lies outside the grid: nothing, the level plane through the origin, or the body's sphere through it."""
+    at_m: tuple[float, float] | None = None
+    """Of one of several grids: where in the site frame, east and north, its centre lies. Left out: at 0, 0."""
+    detail: Detail | None = None
+    """Relief between the samples. Left out: none."""
 
     @property
     def cells(self) -> int:

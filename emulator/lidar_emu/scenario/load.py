@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from importlib.resources import files
 from pathlib import Path
@@ -26,7 +26,8 @@ PART_FOLDERS = {
     "bench_pattern": "bench_patterns",
 }
 _OPTION, _CAMPAIGN = "--set", "campaign"
-_FILE_KEYS: tuple[tuple[str, ...], ...] = (("ground", "file"), ("file",))
+_FILE_KEYS = (("ground", "file"), ("ground", "grids", "*", "file"), ("objects", "*", "file"), ("file",))
+"""Where parts name files; `*` is every entry of a list."""
 
 
 def shipped(folder: str) -> Path:
@@ -229,17 +230,27 @@ def _merged(base: Any, own: Any, key: Key, sources: Sources) -> Any:
 
 def _anchor_files(tree: Tree, folder: Path, where: str, part: str | None) -> None:
     """File names in a part are relative to the file that states them, or name shipped ground."""
-    for keys in _FILE_KEYS:
-        node: Any = tree
-        for key in keys[:-1]:
-            node = node.get(key) if isinstance(node, dict) else None
-        if isinstance(node, dict) and isinstance(node.get(keys[-1]), str):
-            name = node[keys[-1]]
+    for *above, last in _FILE_KEYS:
+        for steps, node in _nodes(tree, above):
+            if not (isinstance(node, dict) and isinstance(node.get(last), str)):
+                continue
+            name = node[last]
             beside, own = folder / name, shipped("ground") / name
             try:
                 chosen = own if own.is_file() and not beside.exists() else beside
             except OSError as error:
-                key = ".".join((*([part] if part else []), *keys))
+                key = ".".join((*([part] if part else []), *steps, last))
                 allowed = f"{error.strerror}; allowed: the name of a file"
                 raise InputError(where, key, name, allowed) from None
-            node[keys[-1]] = str(chosen)
+            node[last] = str(chosen)
+
+
+def _nodes(node: Any, keys: list[str], steps: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """What lies below keys, of which `*` is every entry of a list, each with the steps to it."""
+    if not keys:
+        yield steps, node
+    elif keys[0] == "*" and isinstance(node, list):
+        for number, entry in enumerate(node):
+            yield from _nodes(entry, keys[1:], (*steps, str(number)))
+    elif isinstance(node, dict) and keys[0] in node:
+        yield from _nodes(node[keys[0]], keys[1:], (*steps, keys[0]))

@@ -13,6 +13,7 @@ from lidar_emu.scenario.device import Device
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.part import Part, Switch, unusable
+from lidar_emu.scenario.plume import Plume
 from lidar_emu.scenario.scanner import Mounting, Scanner
 from lidar_emu.scenario.site import Site
 from lidar_emu.scenario.trajectory import Live, Trajectory
@@ -114,6 +115,8 @@ class FlightScenario(Scenario):
     """The beams."""
     mounting: Mounting = Mounting()
     """The sensor on the vehicle."""
+    plume: Plume | None = None
+    """Dust that the engine raises near the ground. Left out: none."""
     level: Literal["geometric", "statistical", "spectral", "waveform"] = "spectral"
     """How the receiver is computed: `geometric` reports the truth, `statistical` draws from the closed-form error
     model, `spectral` computes the bins of the spectra that matter, `waveform` every sample (slow)."""

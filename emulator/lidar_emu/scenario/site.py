@@ -8,10 +8,11 @@ from pydantic import Field, model_validator
 
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.generated_ground import Generated
-from lidar_emu.scenario.part import NonNegative, Part, Positive, unusable
+from lidar_emu.scenario.ground_detail import Detail
+from lidar_emu.scenario.mesh_ground import Mesh
+from lidar_emu.scenario.objects import PlacedObject
+from lidar_emu.scenario.part import Latitude, Longitude, NonNegative, Part, Positive, unusable
 
-Latitude = Annotated[float, Field(ge=-90, le=90)]
-Longitude = Annotated[float, Field(ge=-180, le=360)]
 Slope = Annotated[float, Field(ge=0, lt=90)]
 
 
@@ -67,13 +68,14 @@ class Origin(Part):
 
 
 class Grid(Part):
-    """An elevation grid, read as the bilinear surface through its samples on the map plane."""
+    """An elevation grid, read as the bilinear surface through its samples."""
 
     kind: Literal["grid"]
     """Chooses this kind of ground."""
     file: str
-    """GeoTIFF or ESRI ASCII (extra `geo`), or `.npz` with `elevation_m` (rows from north to south), `pixel_m`
-    and, as wanted, `map_x_m`, `map_y_m` of the first sample. Relative to the file that names it."""
+    """GeoTIFF, PDS label (`.lbl`, not the `.img` beside it) or ESRI ASCII (extra `geo`), or `.npz` with `elevation_m`
+    (rows from north to south), `pixel_m` and, as wanted, `map_x_m`, `map_y_m` of the first sample. Relative to the
+    file that names it."""
     band: str | Annotated[int, Field(ge=1)] = "elevation"
     """Band by its description, or by number from 1. A file of one band needs neither."""
     registration: Literal["file", "area", "point"] = "file"
@@ -82,15 +84,59 @@ class Grid(Part):
     nodata: float | None = None
     """Value that marks missing samples, where the file does not state it. Infinite and NaN samples are always
     missing."""
-    elevation_scale: Positive = 1.0
-    """Metres per unit of the file."""
+    elevation_scale: Positive | None = None
+    """Metres per unit of the file. Left out: by the unit that the file states, else 1."""
     elevation_offset_m: float = 0.0
     """Added after scaling: shifts the file's vertical datum to the site's sphere."""
     origin: Origin = Origin()
     """The point of the map that becomes the origin of the site frame."""
+    placement: Literal["projected", "flat"] = "projected"
+    """`projected`: where the file's map projection says, in a frame tangent to the body at the origin, north to the
+    pole; samples are taken anew there, and the ground falls away with the body. `flat`: the map's plane is the
+    horizontal plane and its north is north, as of files that state no projection."""
+    half_size_m: Positive | None = None
+    """How far a projected grid reaches from the origin to the east, west, north and south. Left out: to the end of
+    the file, at most 1000 samples and a tenth of the body's radius."""
+    reflectance_band: str | Annotated[int, Field(ge=1)] | None = None
+    """Band with the albedo at the laser's wavelength, 0 to 1, in place of `surface.reflectance`, which stays where
+    samples are missing."""
+    rock_abundance_band: str | Annotated[int, Field(ge=1)] | None = None
+    """Band with the share of the area that rocks cover, 0 to 1; `plan` tells it, nothing else comes of it."""
     beyond: Literal["none", "plane", "sphere"] = "none"
     """What lies outside the grid: nothing (beams that leave it find no surface), the level plane through the
     origin, or the body's sphere through the origin. Missing samples count as outside."""
+    at_m: tuple[float, float] | None = None
+    """Of one of several grids: where in the site frame, east and north, its own origin lies. Left out: at 0, 0."""
+    detail: Detail | None = None
+    """Relief between the samples. Left out: none."""
+
+
+class Nested(Part):
+    """Several grids: the first one that has a sample at a place counts there. Each is mixed with those after it over a
+    strip along its edge and around its holes, so that nothing breaks off there."""
+
+    kind: Literal["nested"]
+    """Chooses this kind of ground."""
+    grids: Annotated[
+        list[Annotated[Grid | Generated, Field(discriminator="kind")]], Field(min_length=2, max_length=16)
+    ]
+    """From the finest to the widest. The origin of the first is that of the site frame; another one whose `origin` and
+    `at_m` are left out is placed by the same point of the map. What lies beyond is for the last one to say."""
+    feather_m: NonNegative | None = None
+    """Width of the strips. Left out: four pixels of the wider grid, at most a quarter of the finer one's side."""
+
+    @property
+    def beyond(self) -> Literal["none", "plane", "sphere"]:
+        """What lies outside all grids."""
+        return self.grids[-1].beyond
+
+    @model_validator(mode="after")
+    def _beyond_is_said_once(self) -> Self:
+        for place, grid in enumerate(self.grids[:-1]):
+            if grid.beyond != "none":
+                allowed = "none; what lies beyond is said by the last of the grids"
+                raise unusable(f"grids.{place}.beyond", grid.beyond, allowed)
+        return self
 
 
 class Surface(Part):
@@ -118,11 +164,14 @@ class Site(Part):
     """Shown in plans and summaries."""
     body: Body = Body()
     """The body and its altitude datum."""
-    ground: Annotated[Plane | Sphere | Grid | Generated, Field(discriminator="kind")]
+    ground: Annotated[Plane | Sphere | Grid | Generated | Nested | Mesh, Field(discriminator="kind")]
     """What the beams hit."""
+    objects: list[PlacedObject] = []
+    """What stands on the ground or moves above it, and is hit before it."""
     origin_altitude_m: float | None = None
     """Height of the site frame's origin above the body's sphere. Left out: the ground's own height at the origin
-    (0 for a plane or a sphere), so that altitudes count from the ground at the landing point."""
+    (0 for a plane, a sphere, and a mesh that is not body-fixed), so that altitudes count from the ground at the
+    landing point."""
     surface: Surface = Surface()
     """Reflection."""
     atmosphere: Atmosphere | None = None
@@ -130,3 +179,11 @@ class Site(Part):
     sunlight_w_per_m2_um: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """Spectral irradiance of the ground by the sun at the laser's wavelength; about 270 on the Moon and 117 on Mars
     at 1550 nm; 0 at night."""
+
+    @model_validator(mode="after")
+    def _one_of_each_name(self) -> Self:
+        names = [each.name for each in self.objects]
+        for number, name in enumerate(names):
+            if name in names[:number]:
+                raise unusable(f"objects.{number}.name", name, "a name that no other object has")
+        return self

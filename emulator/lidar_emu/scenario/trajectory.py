@@ -161,7 +161,9 @@ class Table(Part):
     to_time: float | None = None
     """Last instant flown; left out: the last row."""
     maximum_gap_s: Positive = 10.0
-    """A longer gap between filled cells of a column that is used, inside the part flown, is refused."""
+    """A longer gap between filled cells of a column that is used, inside the part flown, is refused or bridged."""
+    longer_gaps: Literal["refuse", "bridge"] = "refuse"
+    """`bridge`: such a gap is flown along the curve across it; plan, tables and pictures tell where."""
 
     @model_validator(mode="after")
     def _one_attitude(self) -> Self:

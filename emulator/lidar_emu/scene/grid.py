@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,32 +17,53 @@ from lidar_emu.scene.sphere import SphereGround
 
 @dataclass(frozen=True)
 class Samples:
-    """The samples of a grid in the site frame; some four neighbours are there to span a surface."""
+    """The samples of a grid in the site frame, or of a part cut from one; some four neighbours are there to span a
+    surface. A part counts its places as the whole does: rays meet it with the same bits."""
 
     height_m: FloatArray
     """(rows, columns) site z, rows from south to north, columns from west to east; NaN where missing."""
     west_m: float
-    """East coordinate of the first column."""
+    """East coordinate of the whole grid's first column."""
     south_m: float
-    """North coordinate of the first row."""
+    """North coordinate of the whole grid's first row."""
     pixel_east_m: float
     """From column to column."""
     pixel_north_m: float
     """From row to row."""
+    first_column: int = 0
+    """Place in the whole grid of the first column that is here."""
+    first_row: int = 0
+    """Place in the whole grid of the first row that is here."""
+    bounds_m: tuple[float, float] | None = None
+    """Lowest and highest of the whole grid and of what fills its holes, where it is known; the same for each part."""
 
     @property
     def east_m(self) -> FloatArray:
         """(columns,) east coordinates."""
-        return self.west_m + self.pixel_east_m * np.arange(self.height_m.shape[1], dtype=np.float64)
+        columns = np.arange(self.first_column, self.first_column + self.height_m.shape[1], dtype=np.float64)
+        return self.west_m + self.pixel_east_m * columns
 
     @property
     def north_m(self) -> FloatArray:
         """(rows,) north coordinates."""
-        return self.south_m + self.pixel_north_m * np.arange(self.height_m.shape[0], dtype=np.float64)
+        rows = np.arange(self.first_row, self.first_row + self.height_m.shape[0], dtype=np.float64)
+        return self.south_m + self.pixel_north_m * rows
+
+    def bounds_with(self, beyond: PlaneGround | SphereGround | None) -> tuple[float, float]:
+        """Lowest and highest height of the samples, and of the ground beyond where it fills holes."""
+        if self.bounds_m is not None:
+            return self.bounds_m
+        lowest_m, highest_m = float(np.nanmin(self.height_m)), float(np.nanmax(self.height_m))
+        if beyond is None:
+            return lowest_m, highest_m
+        radius_m = beyond.radius_m if isinstance(beyond, SphereGround) else np.inf
+        # A sphere falls by less than the square of the distance over its radius.
+        square_m2 = max(np.square(self.east_m)) + max(np.square(self.north_m))
+        return min(lowest_m, -float(square_m2) / radius_m), max(highest_m, 0.0)
 
 
 class GridGround:
-    """An elevation grid on the map plane, which is the site's horizontal plane; curvature is left out.
+    """An elevation grid over the site's horizontal plane; where the body falls away, its heights do.
 
     A cell is the bilinear surface between four samples; one with a missing sample counts as beyond the grid.
     Where the grid ends higher than the ground beyond it, or lower, an upright face joins the two. With
@@ -52,6 +74,7 @@ class GridGround:
         beyond: the ground around the grid and in its holes, through the origin; None where there is none.
         description: one line for plans.
         origin_altitude_m: height of the origin above the body's sphere.
+        reflectance: albedo, also of the ground beyond.
     """
 
     def __init__(
@@ -60,8 +83,10 @@ class GridGround:
         beyond: PlaneGround | SphereGround | None,
         description: str,
         origin_altitude_m: float,
+        reflectance: float = 1.0,
     ) -> None:
         self.samples = samples
+        self.reflectance = reflectance
         self.beyond = beyond
         self.description = description
         self.origin_altitude_m = origin_altitude_m
@@ -71,22 +96,27 @@ class GridGround:
         self._maxima, self._levels = build_pyramid(samples.height_m, hole_m)
         self._grid = self._numbers()
 
+    def with_reflectance(self, reflectance: float) -> GridGround:
+        """The same ground, samples shared, of another albedo."""
+        twin = copy(self)
+        twin.reflectance = reflectance
+        return twin
+
     def _numbers(self) -> FloatArray:
         samples = self.samples
-        lowest, highest = float(np.nanmin(samples.height_m)), float(np.nanmax(samples.height_m))
-        radius_m = self.beyond.radius_m if isinstance(self.beyond, SphereGround) else np.inf
-        if self.beyond is not None:
-            # A sphere falls by less than the square of the distance over its radius.
-            square_m2 = max(np.square(samples.east_m)) + max(np.square(samples.north_m))
-            lowest, highest = min(lowest, -float(square_m2) / radius_m), max(highest, 0.0)
-        numbers = np.empty(7)
+        lowest_m, highest_m = samples.bounds_with(self.beyond)
+        numbers = np.empty(9)
         numbers[grid_cast.WEST_M] = samples.west_m
         numbers[grid_cast.SOUTH_M] = samples.south_m
         numbers[grid_cast.CELLS_PER_M_EAST] = 1 / samples.pixel_east_m
         numbers[grid_cast.CELLS_PER_M_NORTH] = 1 / samples.pixel_north_m
-        numbers[grid_cast.CEILING_M] = highest
-        numbers[grid_cast.FLOOR_M] = lowest - 1.0
-        numbers[grid_cast.RADIUS_M] = radius_m
+        numbers[grid_cast.CEILING_M] = highest_m
+        numbers[grid_cast.FLOOR_M] = lowest_m - 1.0
+        numbers[grid_cast.RADIUS_M] = (
+            self.beyond.radius_m if isinstance(self.beyond, SphereGround) else np.inf
+        )
+        numbers[grid_cast.FIRST_COLUMN] = samples.first_column
+        numbers[grid_cast.FIRST_ROW] = samples.first_row
         return numbers
 
     def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
@@ -101,15 +131,18 @@ class GridGround:
             self._maxima,
             self._levels,
             self._kind,
+            self.reflectance,
             hits.range_m,
             hits.normal_site,
             hits.inside,
+            hits.reflectance,
+            hits.thing,
         )
         return hits
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
         """Every cell on the way, and bisection in it; see `grid_exact`."""
-        return grid_exact.cast(self.samples, self.beyond, origin_site_m, direction_site)
+        return grid_exact.cast(self.samples, self.beyond, origin_site_m, direction_site, self.reflectance)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """(n,) z of the surface, or of the ground beyond."""

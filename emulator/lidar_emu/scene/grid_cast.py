@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.kernels import kernel
 from lidar_emu.scene.cell import slopes, surface
+from lidar_emu.scene.hits import GROUND
+from lidar_emu.scene.hits import NOTHING as NO_THING
 from lidar_emu.scene.plane import plane_stretch
 from lidar_emu.scene.sphere import sphere_stretch
 from lidar_emu.scene.traverse import BEYOND, CLEAR, FACE, SURFACE, clip, meet_beyond, traverse
@@ -14,9 +17,19 @@ from lidar_emu.scene.traverse import BEYOND, CLEAR, FACE, SURFACE, clip, meet_be
 NOTHING, PLANE, SPHERE = 0, 1, 2
 """What lies beyond the grid."""
 
-WEST_M, SOUTH_M, CELLS_PER_M_EAST, CELLS_PER_M_NORTH, CEILING_M, FLOOR_M, RADIUS_M = range(7)
+(
+    WEST_M,
+    SOUTH_M,
+    CELLS_PER_M_EAST,
+    CELLS_PER_M_NORTH,
+    CEILING_M,
+    FLOOR_M,
+    RADIUS_M,
+    FIRST_COLUMN,
+    FIRST_ROW,
+) = range(9)
 """Places in the array of a grid's numbers: its south-west sample, its scale, bounds of its heights and of
-those of what fills its holes, and the radius of the sphere beyond."""
+those of what fills its holes, the radius of the sphere beyond, and the first of its samples that are here."""
 
 MISS = (np.nan, np.nan, np.nan, np.nan, False)
 INSIDE = (np.nan, np.nan, np.nan, np.nan, True)
@@ -32,6 +45,14 @@ def _stretch_beyond(
     if beyond == SPHERE:
         return sphere_stretch(x, y, z, dx, dy, dz, radius)
     return np.inf, -np.inf
+
+
+@kernel(forceinline=True)
+def _grid_coordinates(grid: FloatArray, x: float, y: float) -> tuple[float, float]:
+    """A place in cells from the first sample. The subtraction of whole cells is exact, unless the place is far off:
+    a part of a grid has the bits of the whole."""
+    u, v = (x - grid[WEST_M]) * grid[CELLS_PER_M_EAST], (y - grid[SOUTH_M]) * grid[CELLS_PER_M_NORTH]
+    return u - grid[FIRST_COLUMN], v - grid[FIRST_ROW]
 
 
 @kernel(forceinline=True)
@@ -51,8 +72,8 @@ def _cast_one(
     """Range, normal and whether the ray starts inside."""
     if not (np.isfinite(x + y + z) and 0.0 < dx * dx + dy * dy + dz * dz < np.inf):
         return MISS
-    u, du = (x - grid[WEST_M]) * grid[CELLS_PER_M_EAST], dx * grid[CELLS_PER_M_EAST]
-    v, dv = (y - grid[SOUTH_M]) * grid[CELLS_PER_M_NORTH], dy * grid[CELLS_PER_M_NORTH]
+    u, v = _grid_coordinates(grid, x, y)
+    du, dv = dx * grid[CELLS_PER_M_EAST], dy * grid[CELLS_PER_M_NORTH]
     enter, leave = _stretch_beyond(beyond, x, y, z, dx, dy, dz, grid[RADIUS_M])
     u_in, u_out = clip(u, du, nodes.shape[1] - 1)
     v_in, v_out = clip(v, dv, nodes.shape[0] - 1)
@@ -110,11 +131,14 @@ def cast_rays(
     maxima: FloatArray,
     levels: IntArray,
     beyond: int,
+    albedo: float,
     range_m: FloatArray,
     normal: FloatArray,
     inside: BoolArray,
+    reflectance: FloatArray,
+    thing: NDArray[np.int16],
 ) -> None:
-    """Fill range_m (n,), normal (n, 3) and inside (n,) for n rays in the site frame."""
+    """Fill the arrays of `Hits` for n rays in the site frame."""
     for k in range(origin.shape[0]):
         range_m[k], normal[k, 0], normal[k, 1], normal[k, 2], inside[k] = _cast_one(
             origin[k, 0],
@@ -129,6 +153,9 @@ def cast_rays(
             levels,
             beyond,
         )
+        hit = range_m[k] == range_m[k]
+        reflectance[k] = albedo if hit else np.nan
+        thing[k] = GROUND if hit else NO_THING
 
 
 @kernel(outermost=True)
@@ -138,7 +165,6 @@ def surface_heights(
     """Fill height (n,) of the grid's surface; NaN outside it and where samples are missing."""
     for k in range(east.shape[0]):
         height[k] = np.nan
-        u = (east[k] - grid[WEST_M]) * grid[CELLS_PER_M_EAST]
-        v = (north[k] - grid[SOUTH_M]) * grid[CELLS_PER_M_NORTH]
+        u, v = _grid_coordinates(grid, east[k], north[k])
         if 0.0 <= u <= nodes.shape[1] - 1 and 0.0 <= v <= nodes.shape[0] - 1:
             height[k] = surface(nodes, u, v)

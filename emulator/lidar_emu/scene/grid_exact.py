@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.hits import GROUND, Hits
 from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.sphere import SphereGround
 
@@ -27,7 +27,13 @@ _FACE_DEPTH_M = 1e-6
 _NO_NORMAL = np.full(3, np.nan)
 
 
-def cast(samples: Samples, beyond: Beyond, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
+def cast(
+    samples: Samples,
+    beyond: Beyond,
+    origin_site_m: FloatArray,
+    direction_site: FloatArray,
+    reflectance: float,
+) -> Hits:
     """First contact of n rays, one by one; the meaning is that of `Scene.cast`."""
     hits = Hits.none(len(origin_site_m))
     for k, (origin, direction) in enumerate(zip(origin_site_m, direction_site, strict=True)):
@@ -36,6 +42,8 @@ def cast(samples: Samples, beyond: Beyond, origin_site_m: FloatArray, direction_
         hits.inside[k] = _starts_inside(samples, beyond, origin, direction)
         if not hits.inside[k]:
             hits.range_m[k], hits.normal_site[k] = _first_contact(samples, beyond, origin, direction)
+    met = np.isfinite(hits.range_m)
+    hits.reflectance[met], hits.thing[met] = reflectance, GROUND
     return hits
 
 

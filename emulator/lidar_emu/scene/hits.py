@@ -6,12 +6,15 @@ ground, so one that starts on the surface hits it at range 0, and one that start
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike, NDArray
 
-from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.arrays import BoolArray, FloatArray, IntArray
+
+NOTHING, GROUND = -1, 0
+"""What a ray hits that hits no object, see `Hits.thing`."""
 
 
 class Hits(NamedTuple):
@@ -23,16 +26,58 @@ class Hits(NamedTuple):
     """(n, 3) unit normal in the site frame, pointing out of the ground; NaN where nothing is hit."""
     inside: BoolArray
     """(n,) whether the ray starts below the surface; its range is NaN."""
+    reflectance: FloatArray
+    """(n,) albedo of the place that is hit; NaN where nothing is."""
+    thing: NDArray[np.int16]
+    """(n,) what is hit: 0 the ground, 1, 2, ... the site's objects in their order, -1 nothing."""
+    velocity_site_mps: FloatArray
+    """(n, 3) of the place that is hit, NaN where nothing is; empty in a scene in which nothing moves."""
 
     @classmethod
-    def empty(cls, count: int) -> Hits:
+    def empty(cls, count: int, moving: bool = False) -> Self:
         """Room for ``count`` rays, for a kernel to fill."""
-        return cls(np.empty(count), np.empty((count, 3)), np.empty(count, dtype=np.bool_))
+        return cls(
+            range_m=np.empty(count),
+            normal_site=np.empty((count, 3)),
+            inside=np.empty(count, dtype=np.bool_),
+            reflectance=np.empty(count),
+            thing=np.empty(count, dtype=np.int16),
+            velocity_site_mps=np.empty((count if moving else 0, 3)),
+        )
 
     @classmethod
-    def none(cls, count: int) -> Hits:
+    def none(cls, count: int, moving: bool = False) -> Self:
         """``count`` rays that hit nothing."""
-        return cls(np.full(count, np.nan), np.full((count, 3), np.nan), np.zeros(count, dtype=np.bool_))
+        hits = cls.empty(count, moving)
+        for numbers in (hits.range_m, hits.normal_site, hits.reflectance, hits.velocity_site_mps):
+            numbers.fill(np.nan)
+        hits.inside.fill(False)
+        hits.thing.fill(NOTHING)
+        return hits
+
+    @property
+    def moving(self) -> bool:
+        """Whether they tell of velocities."""
+        return self.velocity_site_mps.size > 0
+
+    def set_rows(self, rows: IntArray | slice, found: Hits) -> None:
+        """Take over what some of the rays have found."""
+        arrays: tuple[NDArray[Any], ...] = self
+        for all_rays, some in zip(arrays, found, strict=True):
+            if len(all_rays):
+                all_rays[rows] = some
+
+    def shaped(self, shape: tuple[int, ...]) -> Self:
+        """The same hits, seen as in another arrangement: (n,) becomes ``shape``."""
+        moving_shape = shape if self.moving else (0,) * len(shape)
+        return type(self)(
+            range_m=self.range_m.reshape(shape),
+            normal_site=self.normal_site.reshape(*shape, 3),
+            inside=self.inside.reshape(shape),
+            reflectance=self.reflectance.reshape(shape),
+            thing=self.thing.reshape(shape),
+            velocity_site_mps=self.velocity_site_mps.reshape(*moving_shape, 3),
+        )
 
 
 class Scene(Protocol):
@@ -72,7 +117,26 @@ def incidence_deg(hits: Hits, direction_site: FloatArray) -> FloatArray:
     return np.degrees(np.arccos(np.clip(-(along[..., 0] + along[..., 1] + along[..., 2]), -1.0, 1.0)))
 
 
-def contiguous(first: npt.ArrayLike, second: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+@runtime_checkable
+class MovingScene(Scene, Protocol):
+    """A scene of which something moves: what `Scene` tells of it holds at the start of the run."""
+
+    def cast_at(
+        self,
+        time_ns: IntArray,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+    ) -> Hits:
+        """First contact of rays at their times.
+
+        Args:
+            time_ns: (m,) since the start, each of the next n / m rays.
+            origin_site_m, direction_site, hits: as of `Scene.cast`.
+        """
+
+
+def contiguous(first: ArrayLike, second: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Both arrays as the kernels take them: float64 in C order, so that each is compiled once."""
     return (
         np.ascontiguousarray(first, dtype=np.float64),

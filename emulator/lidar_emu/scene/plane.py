@@ -6,10 +6,11 @@ import math
 from decimal import Decimal, localcontext
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.kernels import kernel
-from lidar_emu.scene.hits import Hits, contiguous
+from lidar_emu.scene.hits import GROUND, NOTHING, Hits, contiguous
 
 
 @kernel(forceinline=True)
@@ -31,9 +32,12 @@ def _cast(
     origin: FloatArray,
     direction: FloatArray,
     plane_normal: FloatArray,
+    albedo: float,
     range_m: FloatArray,
     normal: FloatArray,
     inside: BoolArray,
+    reflectance: FloatArray,
+    thing: NDArray[np.int16],
 ) -> None:
     a, b, c = plane_normal
     for k in range(origin.shape[0]):
@@ -43,6 +47,8 @@ def _cast(
         inside[k] = enter < 0.0 < leave
         hit = not inside[k] and enter <= leave and leave >= 0.0
         range_m[k] = max(enter, 0.0) if hit else np.nan
+        reflectance[k] = albedo if hit else np.nan
+        thing[k] = GROUND if hit else NOTHING
         for axis in range(3):
             normal[k, axis] = plane_normal[axis] if hit else np.nan
 
@@ -54,10 +60,18 @@ class PlaneGround:
         slope_rad: inclination.
         downhill_azimuth_rad: direction in which it falls, clockwise from north.
         origin_altitude_m: height of the origin above the body's sphere.
+        reflectance: albedo.
     """
 
-    def __init__(self, slope_rad: float, downhill_azimuth_rad: float, origin_altitude_m: float) -> None:
+    def __init__(
+        self,
+        slope_rad: float,
+        downhill_azimuth_rad: float,
+        origin_altitude_m: float,
+        reflectance: float = 1.0,
+    ) -> None:
         self.origin_altitude_m = origin_altitude_m
+        self.reflectance = reflectance
         self.normal_site = np.array(
             [
                 math.sin(slope_rad) * math.sin(downhill_azimuth_rad),
@@ -74,7 +88,17 @@ class PlaneGround:
         """First contact with the plane; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
-        _cast(origin, direction, self.normal_site, hits.range_m, hits.normal_site, hits.inside)
+        _cast(
+            origin,
+            direction,
+            self.normal_site,
+            self.reflectance,
+            hits.range_m,
+            hits.normal_site,
+            hits.inside,
+            hits.reflectance,
+            hits.thing,
+        )
         return hits
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
@@ -93,6 +117,7 @@ class PlaneGround:
                 if height == 0 or (height > 0 and climb < 0):
                     hits.range_m[k] = float(-height / climb) if height else 0.0
                     hits.normal_site[k] = self.normal_site
+                    hits.reflectance[k], hits.thing[k] = self.reflectance, GROUND
         return hits
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:

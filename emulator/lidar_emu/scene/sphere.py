@@ -9,10 +9,11 @@ from __future__ import annotations
 from decimal import Decimal, localcontext
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.kernels import kernel
-from lidar_emu.scene.hits import Hits, contiguous
+from lidar_emu.scene.hits import GROUND, NOTHING, Hits, contiguous
 
 
 @kernel(forceinline=True)
@@ -43,17 +44,23 @@ def _cast(
     direction: FloatArray,
     radius: float,
     drop: float,
+    albedo: float,
     range_m: FloatArray,
     normal: FloatArray,
     inside: BoolArray,
+    reflectance: FloatArray,
+    thing: NDArray[np.int16],
 ) -> None:
     for k in range(origin.shape[0]):
         x, y, above = origin[k, 0], origin[k, 1], origin[k, 2] + drop
         dx, dy, dz = direction[k, 0], direction[k, 1], direction[k, 2]
         enter, leave = sphere_stretch(x, y, above, dx, dy, dz, radius)
         inside[k] = enter < 0.0 < leave
-        t = max(enter, 0.0) if not inside[k] and enter <= leave and leave >= 0.0 else np.nan
+        hit = not inside[k] and enter <= leave and leave >= 0.0
+        t = max(enter, 0.0) if hit else np.nan
         range_m[k] = t
+        reflectance[k] = albedo if hit else np.nan
+        thing[k] = GROUND if hit else NOTHING
         normal[k, 0] = (x + t * dx) / radius
         normal[k, 1] = (y + t * dy) / radius
         normal[k, 2] = 1.0 + (above + t * dz) / radius
@@ -65,10 +72,12 @@ class SphereGround:
     Args:
         radius_m: radius of the body's reference sphere.
         origin_altitude_m: height of the origin above it.
+        reflectance: albedo.
     """
 
-    def __init__(self, radius_m: float, origin_altitude_m: float) -> None:
+    def __init__(self, radius_m: float, origin_altitude_m: float, reflectance: float = 1.0) -> None:
         self.radius_m = radius_m
+        self.reflectance = reflectance
         self.origin_altitude_m = origin_altitude_m
         self.description = f"sphere, radius {radius_m / 1e3:.10g} km"
 
@@ -81,9 +90,12 @@ class SphereGround:
             direction,
             self.radius_m,
             self.origin_altitude_m,
+            self.reflectance,
             hits.range_m,
             hits.normal_site,
             hits.inside,
+            hits.reflectance,
+            hits.thing,
         )
         return hits
 
@@ -107,6 +119,7 @@ class SphereGround:
                     t = (-b - discriminant.sqrt()) / a if c else Decimal(0)
                     hits.range_m[k] = float(t)
                     hits.normal_site[k] = [float((v + t * w) / radius) for v, w in zip(o, d, strict=True)]
+                    hits.reflectance[k], hits.thing[k] = self.reflectance, GROUND
         return hits
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:

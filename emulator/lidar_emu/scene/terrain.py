@@ -1,4 +1,4 @@
-"""An elevation grid on its map, as it comes from a file."""
+"""An elevation grid in the site frame, as it comes from a file or is made."""
 
 from __future__ import annotations
 
@@ -10,52 +10,62 @@ import numpy.typing as npt
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.scenario.site import Grid
+from lidar_emu.scene.terrain_frame import LocalFrame
 
 MAXIMUM_SAMPLES = 100_000_000
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """Elevations on a map in metres, north up."""
+    """Elevations at places east and north of the origin of the site frame."""
 
     elevation_m: FloatArray
-    """(rows, columns) above the datum, rows from north to south; NaN where missing."""
-    first_x_m: float
-    """Map easting of the first column."""
-    first_y_m: float
-    """Map northing of the first row."""
-    pixel_x_m: float
+    """(rows, columns) height above the level plane that lies `origin_elevation_m` below the ground at the origin;
+    rows from north to south, columns from west to east; NaN where missing."""
+    west_m: float
+    """East coordinate of the first column."""
+    north_m: float
+    """North coordinate of the first row."""
+    pixel_east_m: float
     """From column to column."""
-    pixel_y_m: float
+    pixel_north_m: float
     """From row to row."""
+    origin_elevation_m: float
+    """Of the ground at the origin above the datum of the file."""
     source: str
     """The file."""
-    has_map: bool = True
-    """Whether the file says where on a map it lies."""
-    projection: str | None = None
-    """The map's projection as WKT, where the file states one."""
-
-    @property
-    def last_x_m(self) -> float:
-        """Map easting of the last column."""
-        return float(self.first_x_m + self.pixel_x_m * (self.elevation_m.shape[1] - 1))
-
-    @property
-    def last_y_m(self) -> float:
-        """Map northing of the last row."""
-        return float(self.first_y_m - self.pixel_y_m * (self.elevation_m.shape[0] - 1))
+    frame: LocalFrame | None = None
+    """Where on the body the origin lies; None: the grid is flat, as its map is."""
+    placed: str = ""
+    """How the samples were taken from the file, for plans; empty: as they are."""
+    reflectance: FloatArray | None = None
+    """(rows, columns) albedo, where the file has it; NaN where missing."""
+    rock_abundance: FloatArray | None = None
+    """(rows, columns) share of the area that rocks cover, where the file has it; NaN where missing."""
 
     @property
     def description(self) -> str:
         """One line for plans."""
         rows, columns = self.elevation_m.shape
-        pixel = f"{self.pixel_x_m:g} m"
-        if self.pixel_y_m != self.pixel_x_m:
-            pixel = f"{self.pixel_x_m:g} m x {self.pixel_y_m:g} m"
+        pixel = f"{self.pixel_east_m:.6g} m"
+        if self.pixel_north_m != self.pixel_east_m:
+            pixel = f"{self.pixel_east_m:.6g} m x {self.pixel_north_m:.6g} m"
         missing = np.isnan(self.elevation_m).mean()
         holes = f", {missing:.2%} missing" if missing else ""
-        return f"grid {Path(self.source).name}, {columns} x {rows} samples at {pixel}{holes}"
+        told = [
+            self.placed,
+            _range("albedo", self.reflectance),
+            _range("rock abundance", self.rock_abundance),
+        ]
+        grid = f"grid {Path(self.source).name}, {columns} x {rows} samples at {pixel}{holes}"
+        return ", ".join([grid, *filter(None, told)])
+
+
+def _range(name: str, values: FloatArray | None) -> str:
+    """What a band says, in words; empty where there is none."""
+    if values is None or np.isnan(values).all():
+        return ""
+    return f"{name} {np.nanmin(values):.3g} to {np.nanmax(values):.3g} (median {np.nanmedian(values):.3g})"
 
 
 def check_size(where: str, rows: int, columns: int) -> None:
@@ -64,44 +74,41 @@ def check_size(where: str, rows: int, columns: int) -> None:
     if rows < 2 or columns < 2:
         raise InputError(where, None, size, "allowed: at least 2 x 2 samples")
     if rows * columns > MAXIMUM_SAMPLES:
-        raise InputError(
-            where, None, size, f"allowed: at most {MAXIMUM_SAMPLES} samples; cut out the site's area"
+        allowed = (
+            f"allowed: at most {MAXIMUM_SAMPLES} samples; a smaller ground.half_size_m, or a part of the file"
         )
+        raise InputError(where, None, size, allowed)
 
 
-def elevations(
-    ground: Grid,
-    stored: npt.NDArray[np.generic],
-    missing: BoolArray | None = None,
-    file_scale: float = 1.0,
-    file_offset: float = 0.0,
+def numbers(
+    stored: npt.NDArray[np.generic], marker: float | None, missing: BoolArray | None = None
 ) -> FloatArray:
-    """Samples as elevations in metres above the site's datum, NaN where missing.
+    """Samples as floating-point numbers, NaN where missing.
 
     Args:
-        ground: what the site says of the file.
-        stored: (rows, columns) the file's own numbers.
-        missing: (rows, columns) samples that the file itself marks.
-        file_scale, file_offset: from stored numbers to the file's unit, where it states them.
-
-    Raises:
-        InputError: every sample is missing.
+        stored: the file's own numbers.
+        marker: the number that stands for a missing sample, where the site names one.
+        missing: samples that the file itself marks.
     """
     values = stored.astype(np.float64)
     absent = ~np.isfinite(values)
     if missing is not None:
         absent |= missing
-    if ground.nodata is not None:
-        absent |= values == _as_stored(ground.nodata, stored.dtype)
-    if absent.all():
-        raise InputError(ground.file, None, Finding("every sample is missing"), "allowed: an elevation grid")
+    if marker is not None:
+        absent |= values == _as_stored(marker, stored.dtype)
     values[absent] = np.nan
-    return (values * file_scale + file_offset) * ground.elevation_scale + ground.elevation_offset_m
+    return values
 
 
-def _as_stored(nodata: float, dtype: np.dtype[np.generic]) -> float:
+def refuse_nothing(where: str, elevation_m: FloatArray) -> None:
+    """Refuse a grid without a single sample."""
+    if np.isnan(elevation_m).all():
+        raise InputError(where, None, Finding("every sample is missing"), "allowed: an elevation grid")
+
+
+def _as_stored(marker: float, dtype: np.dtype[np.generic]) -> float:
     """A marker in the precision of the file: -3.4028e38 and its like are rounded when they are stored."""
     if dtype.kind != "f":
-        return nodata
+        return marker
     with np.errstate(over="ignore"):
-        return float(np.array(nodata).astype(dtype))
+        return float(np.array(marker).astype(dtype))

@@ -12,7 +12,8 @@ from numpy.lib.npyio import NpzFile
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import Grid
-from lidar_emu.scene.terrain import Terrain, check_size, elevations
+from lidar_emu.scene.terrain import check_size, numbers
+from lidar_emu.scene.terrain_flat import FlatMap
 
 Content = dict[str, npt.NDArray[np.generic]]
 
@@ -21,8 +22,8 @@ _ALLOWED = "allowed: elevation_m (rows from north to south), pixel_m, and as wan
 _DAMAGE = (OSError, ValueError, EOFError, RuntimeError, BadZipFile, zlib.error)
 
 
-def read_npz(ground: Grid) -> Terrain:
-    """An `.npz` file as elevations.
+def read_npz(ground: Grid) -> FlatMap:
+    """An `.npz` file as a map.
 
     Raises:
         InputError: an array is missing, unknown or of another kind, or the file is damaged.
@@ -38,8 +39,9 @@ def read_npz(ground: Grid) -> Terrain:
     if pixel_m <= 0:
         raise InputError(ground.file, "pixel_m", pixel_m, "allowed: a positive length")
     has_map = "map_x_m" in content or "map_y_m" in content
-    return Terrain(
-        elevation_m=elevations(ground, elevation),
+    scale = 1.0 if ground.elevation_scale is None else ground.elevation_scale
+    return FlatMap(
+        elevation_m=numbers(elevation, ground.nodata) * scale + ground.elevation_offset_m,
         first_x_m=_number(ground.file, content, "map_x_m") if has_map else 0.0,
         first_y_m=_number(ground.file, content, "map_y_m") if has_map else 0.0,
         pixel_x_m=pixel_m,
@@ -53,6 +55,10 @@ def _check_keys(ground: Grid) -> None:
     if ground.band not in ("elevation", "elevation_m", 1):
         allowed = "allowed: elevation, all that an .npz holds"
         raise InputError(ground.file, "ground.band", ground.band, allowed)
+    for key in ("reflectance_band", "rock_abundance_band"):
+        if getattr(ground, key) is not None:
+            allowed = "allowed: none, an .npz holds elevations only"
+            raise InputError(ground.file, f"ground.{key}", getattr(ground, key), allowed)
     if ground.registration != "file":
         allowed = "allowed: file; an .npz gives the place of its first sample"
         raise InputError(ground.file, "ground.registration", ground.registration, allowed)

@@ -29,6 +29,7 @@ class DescentTrajectory:
     """The whole flight as polynomials, one after another."""
 
     gaps: tuple[Gap, ...] = ()
+    bridged: tuple[Gap, ...] = ()
 
     def __init__(self, part: PoweredDescent, body_radius_m: float) -> None:
         """Raises InputError where the flight does not land."""

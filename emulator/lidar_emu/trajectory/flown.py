@@ -41,15 +41,19 @@ class FlownRows:
     """(n,) From the first instant flown."""
     duration_s: float
     maximum_gap_s: float
+    bridges: bool
+    """Whether longer gaps are bridged."""
     gaps: list[Gap] = field(default_factory=list)
     """The longest inside the part flown of every group of columns read so far."""
+    bridged: list[Gap] = field(default_factory=list)
+    """All of them that are longer than `maximum_gap_s`."""
 
     def filled(self, *names: str) -> Filled:
         """The rows in which all of `names` have a value.
 
         Raises:
             InputError: a column or cell cannot be used, fewer than 2 rows are filled, they do not reach over
-                the whole part flown, or leave a gap of more than `maximum_gap_s` in it.
+                the whole part flown, or leave a gap of more than `maximum_gap_s` in it that is not to be bridged.
         """
         values = np.stack([self.csv.column(name) for name in names])
         row = np.flatnonzero(~np.isnan(values).any(axis=0))
@@ -57,7 +61,7 @@ class FlownRows:
         if len(row) < 2:
             raise InputError(self.csv.file, label, f"{len(row)} filled rows", "allowed: at least 2")
         self._refuse_uncovered(label, row)
-        self.gaps.append(self._longest_gap(label, row))
+        self._note_gaps(label, row)
         return Filled(row, self.time_s[row], values[:, row])
 
     def _refuse_uncovered(self, label: str, row: NDArray[np.intp]) -> None:
@@ -73,21 +77,22 @@ class FlownRows:
                 self.csv.file, label, f"no value after {time}", f"allowed: to_time {time} or earlier"
             )
 
-    def _longest_gap(self, label: str, row: NDArray[np.intp]) -> Gap:
+    def _note_gaps(self, label: str, row: NDArray[np.intp]) -> None:
         knot_s = self.time_s[row]
         flown = (knot_s[1:] > 0) & (knot_s[:-1] < self.duration_s)
         length_s = np.where(flown, np.diff(knot_s), 0.0)
         longest = int(np.argmax(length_s))
-        gap = Gap(label, float(knot_s[longest]), float(length_s[longest]))
-        if gap.length_s > self.maximum_gap_s * _ROUNDING:
+        too_long = np.flatnonzero(length_s > self.maximum_gap_s * _ROUNDING)
+        if too_long.size and not self.bridges:
             time = f"{self.file_time[row[longest]]:.12g}"
             raise InputError(
                 self.csv.file,
                 label,
-                f"no value for {gap.length_s:.6g} s after {time}",
-                f"allowed: gaps up to maximum_gap_s, {self.maximum_gap_s:g} s",
+                f"no value for {length_s[longest]:.6g} s after {time}",
+                f"allowed: gaps up to maximum_gap_s, {self.maximum_gap_s:g} s, or longer_gaps: bridge",
             )
-        return gap
+        self.gaps.append(Gap(label, float(knot_s[longest]), float(length_s[longest])))
+        self.bridged.extend(Gap(label, float(knot_s[k]), float(length_s[k])) for k in too_long)
 
 
 def read_flown(part: Table) -> FlownRows:
@@ -109,6 +114,7 @@ def read_flown(part: Table) -> FlownRows:
         time_s=(file_time - begin) * unit_s,
         duration_s=(end - begin) * unit_s,
         maximum_gap_s=part.maximum_gap_s,
+        bridges=part.longer_gaps == "bridge",
     )
 
 

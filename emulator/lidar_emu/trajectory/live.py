@@ -32,6 +32,7 @@ class LiveTrajectory:
 
     duration_s = LONGEST_S
     gaps: tuple[Gap, ...] = ()
+    bridged: tuple[Gap, ...] = ()
 
     def __init__(self, jump_m: float) -> None:
         self._jump_m = jump_m

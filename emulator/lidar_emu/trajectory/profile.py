@@ -16,6 +16,7 @@ class ProfileTrajectory:
     """Legs between waypoints, in closed form; the first and the last leg's motion continues outside."""
 
     gaps: tuple[Gap, ...] = ()
+    bridged: tuple[Gap, ...] = ()
 
     def __init__(self, part: Profile) -> None:
         altitude_m = np.array([waypoint.altitude_m for waypoint in part.waypoints])

@@ -58,6 +58,11 @@ class Trajectory(Protocol):
         """The longest gap of each column of a table in the part flown, longest first; empty for profiles."""
         ...
 
+    @property
+    def bridged(self) -> tuple[Gap, ...]:
+        """All gaps of a table that are longer than it allows, in their order, and are flown nevertheless."""
+        ...
+
     def state(self, time_s: FloatArray) -> VehicleState:
         """The vehicle at scenario times (n,); a little outside [0, duration] the motion is continued.
 

@@ -32,6 +32,7 @@ class TableTrajectory:
         self._body_rates = None if part.body_rates is None else _body_rates(rows, part.body_rates)
         self.duration_s = rows.duration_s
         self.gaps: tuple[Gap, ...] = tuple(sorted(rows.gaps, key=lambda gap: -gap.length_s))
+        self.bridged: tuple[Gap, ...] = tuple(sorted(rows.bridged, key=lambda gap: gap.start_s))
 
     def state(self, time_s: FloatArray) -> VehicleState:
         """The vehicle at scenario times (n,)."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from lidar_emu.errors import InputError, one_line
 from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.can_adapters import patient_remote, patient_slcan
+from lidar_emu.transports.can_messages import frame_of, message_of
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import NO_EXTRAS, NOTHING, LinkLostError, Noticed
 from lidar_emu.transports.socketcan import controller_state, is_bus_off, lost_frames, prepare_socket
@@ -66,7 +67,7 @@ class CanChannel:
         """Take the whole set of frames (True) or nothing of it (False: the queue is full)."""
         if not self.flush():
             return False
-        messages = deque(_message(frame) for frame in unpack_frames(payload))
+        messages = deque(message_of(frame) for frame in unpack_frames(payload))
         count = len(messages)
         self._send_first_of(messages)
         if len(messages) == count > 0:
@@ -93,7 +94,7 @@ class CanChannel:
             elif message.is_remote_frame:
                 self._noticed.counts["ignored_frames"] += 1
             else:
-                frames.append(_frame(message))
+                frames.append(frame_of(message))
         self._notice_losses()
         return pack_frames(frames)
 
@@ -241,25 +242,3 @@ def _text_of(error: BaseException) -> str:
     if number is not None and isinstance(cause, OSError):
         return os.strerror(number)
     return one_line(f"{error}: {cause}" if cause is not None and str(cause) not in str(error) else str(error))
-
-
-def _message(frame: Frame) -> can.Message:
-    from can import Message
-
-    return Message(
-        arbitration_id=frame.can_id,
-        data=frame.data,
-        is_fd=frame.is_fd,
-        bitrate_switch=frame.bitrate_switch,
-        is_extended_id=frame.is_extended,
-    )
-
-
-def _frame(message: can.Message) -> Frame:
-    return Frame(
-        message.arbitration_id,
-        bytes(message.data),
-        message.is_fd,
-        message.bitrate_switch,
-        message.is_extended_id,
-    )

@@ -20,13 +20,16 @@ def wire_load(spec: PortSpec, payload: bytes, rate_hz: float) -> float:
         payload: the longest packet of the run, framed for the port (CAN: frame records).
         rate_hz: packets per second.
     """
+    return time_on_link_s(spec, payload) * rate_hz
+
+
+def time_on_link_s(spec: PortSpec, payload: bytes) -> float:
+    """How long a packet takes on the link; 0 where bits take no time. Arguments as for `wire_load`."""
     if not spec.has_bit_rate:
         return 0.0
     if spec.kind is Kind.CAN:
-        time_s = sum(frame_time_s(frame, spec) for frame in unpack_frames(payload))
-    else:
-        time_s = SERIAL_BITS_PER_BYTE * len(payload) / spec.baud
-    return time_s * rate_hz
+        return sum(frame_time_s(frame, spec) for frame in unpack_frames(payload))
+    return SERIAL_BITS_PER_BYTE * len(payload) / spec.baud
 
 
 def check_wire_load(spec: PortSpec, payload: bytes, rate_hz: float) -> str | None:

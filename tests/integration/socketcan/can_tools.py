@@ -74,9 +74,16 @@ def candump(folder: Path, interface: str = "vcan0") -> Iterator[Candump]:
         process = subprocess.Popen(command, stdout=log, stderr=subprocess.DEVNULL)
         with ended_at_the_end(process):
             eventually(lambda: interface in Path("/proc/net/can/rcvlist_all").read_text())
-            dump = Candump(path)
+            dump, thrown_away = Candump(path), _thrown_away()
             yield dump
             eventually(lambda: dump.is_complete(interface))
+            assert "DROPCOUNT" not in dump.log, "candump did not keep up"
+            assert _thrown_away() == thrown_away, "the kernel's queue of received frames was full"
+
+
+def _thrown_away() -> int:
+    """Received frames for which a processor's queue had no room."""
+    return sum(int(line.split()[1], 16) for line in Path("/proc/net/softnet_stat").read_text().splitlines())
 
 
 @contextmanager

@@ -1,0 +1,209 @@
+"""`lidar-emu replay`: what was recorded, sent again, written to another file, or computed again."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from lidar_emu.cli.fail_on import fail_on_option, failures_named, has_failed
+from lidar_emu.cli.options import as_number, require_port
+from lidar_emu.cli.output import say, write_text
+from lidar_emu.cli.progress import COMPILING, busy
+from lidar_emu.errors import Finding, InputError, RunError
+from lidar_emu.report.whole_file import check_destination
+from lidar_emu.transports.options import port_options
+
+if TYPE_CHECKING:
+    from lidar_emu.recording.traffic import Traffic
+    from lidar_emu.runtime.observer import Observer
+    from lidar_emu.transports.spec import PortSpec
+
+
+@click.command(short_help="Send what was recorded again, or compute it again and compare.")
+@click.argument("file")
+@port_options
+@click.option(
+    "--speed", default="1", show_default=True, metavar="X", help="Times faster than it was, or max."
+)
+@click.option("--from", "from_s", metavar="S", help="Begin at this instant, in seconds of the recording.")
+@click.option("--until", "until_s", metavar="S", help="End before this instant.")
+@click.option("--loop", is_flag=True, help="Again and again, until Ctrl-C.")
+@click.option("--to", metavar="FILE", help="Write a capture (.pcap) or a CAN log (.log, .asc, .blf) instead.")
+@click.option("--recompute", is_flag=True, help="Compute the run again and compare packet by packet.")
+@click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
+@fail_on_option
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON, nothing else.")
+def replay(
+    file: str,
+    port: PortSpec,
+    speed: str,
+    from_s: str | None,
+    until_s: str | None,
+    loop: bool,
+    to: str | None,
+    recompute: bool,
+    summary_file: str | None,
+    fail_on: str,
+    as_json: bool,
+) -> int:
+    """Send the packets of FILE again, each when it is due, byte for byte.
+
+    FILE is a recording (`lidar-emu run --record`), or one of a real instrument: a capture (.pcap, .pcapng: UDP, serial,
+    SocketCAN), or the log of a CAN bus (.log, .asc, .blf, .trc).
+
+    \b
+    lidar-emu replay flight.mcap --port /dev/ttyUSB0 --baud 921600
+    lidar-emu replay flight.mcap --port pty --from 30 --until 45 --speed 0.5 --loop
+    lidar-emu replay candump.log -i socketcan -c vcan0 --speed max
+    lidar-emu replay flight.mcap --to flight.pcap
+    lidar-emu replay flight.mcap --recompute
+    """
+    failures = failures_named(fail_on)
+    if summary_file is not None:
+        check_destination(Path(summary_file), "--summary")
+    times_s = _instant("--from", from_s), _instant("--until", until_s)
+    sending = {
+        "--speed": speed if speed != "1" else None,
+        "--loop": loop or None,
+        "--fail-on": fail_on or None,
+    }
+    windows = {"--from": from_s, "--until": until_s}
+    if recompute:
+        _refuse("--recompute", {**sending, **windows, "--to": to, **_named(port)})
+        return _compare(Path(file), summary_file, as_json)
+    if to is not None:
+        _refuse("--to", {**sending, "--summary": summary_file, **_named(port)})
+        _write(Path(file), Path(to), *times_s)
+        return 0
+    return _send(Path(file), port, speed, times_s, loop, failures, summary_file, as_json)
+
+
+def _send(
+    file: Path,
+    port: PortSpec,
+    speed: str,
+    times_s: tuple[float | None, float | None],
+    loop: bool,
+    failures: set[str],
+    summary_file: str | None,
+    as_json: bool,
+) -> int:
+    from lidar_emu.cli.replay_display import replay_lines
+    from lidar_emu.cli.run_display import Announcer, LoopbackView, Progress
+    from lidar_emu.recording.traffic import read_traffic
+    from lidar_emu.runtime.pacing import Pace
+    from lidar_emu.runtime.replay import Replay
+    from lidar_emu.transports.spec import Kind
+    from lidar_protocol import default_interface
+
+    pace = Pace.MAX if speed == "max" else Pace.WALL
+    factor = 1.0 if pace is Pace.MAX else as_number("--speed", speed)
+    with busy(f"reading {file}"):
+        traffic = read_traffic(file).within(*times_s)
+    load = _check_port(traffic, port, factor, pace is Pace.WALL)
+    recording = traffic.recording
+    view = LoopbackView(default_interface() if recording is None else recording.interface, quiet=as_json)
+    shown = "max" if pace is Pace.MAX else "as recorded" if factor == 1 else f"{factor:g} times as recorded"
+    observers: list[Observer] = [view] if as_json else [Announcer(file.name, shown), view]
+    packets = traffic.scheduled(factor, None if loop else 1)
+    longest = max(len(payload) for _, payload in traffic.packets)
+    this_replay = Replay(packets, longest, port, pace, load, observers)
+    if port.kind is not Kind.LOOPBACK and sys.stderr is not None and sys.stderr.isatty():
+        observers.append(Progress(this_replay.tally))
+    told: dict[str, Any] = {
+        "file": str(file),
+        "speed": "max" if pace is Pace.MAX else factor,
+        "left_out": traffic.left_out,
+        **this_replay.play(),
+        "far_end": view.counters(),
+    }
+    _tell(told, replay_lines(told), summary_file, as_json)
+    if this_replay.error is not None:
+        raise RunError(this_replay.error)
+    # Without end, Ctrl-C is the end.
+    return int(has_failed(this_replay.tally, told["interrupted"] and not loop, failures))
+
+
+def _check_port(traffic: Traffic, port: PortSpec, speed: float, keeps_time: bool) -> float:
+    """How much of the link the packets take.
+
+    Raises:
+        InputError: they are none for this link, or too many.
+    """
+    from lidar_emu.transports.frames import unpack_frames
+    from lidar_emu.transports.spec import Kind
+    from lidar_emu.transports.wire_load import time_on_link_s
+
+    if traffic.is_can != (port.kind is Kind.CAN):
+        what, allowed = (
+            ("CAN frames", "--interface and --channel") if traffic.is_can else ("bytes", "--port PORT")
+        )
+        raise InputError("replay", None, Finding(f"{what} for {port}"), f"allowed: {allowed}")
+    if traffic.recording is None:
+        require_port(port, "replay")
+    frames = (f for _, payload in traffic.packets for f in unpack_frames(payload))
+    if traffic.is_can and not port.fd and any(frame.is_fd for frame in frames):
+        raise InputError("replay", None, Finding("CAN FD frames for a classic bus"), "allowed: with --fd")
+    if not (keeps_time and traffic.span_ns):
+        return 0.0
+    busy_s = sum(time_on_link_s(port, payload) for _, payload in traffic.packets[:-1])
+    load = speed * busy_s / (traffic.span_ns * 1e-9)
+    if load > 1:
+        allowed = "allowed: a faster link, or a lower --speed"
+        raise InputError("replay", None, Finding(f"packets need {100 * load:.0f} % of {port}"), allowed)
+    return load
+
+
+def _compare(file: Path, summary_file: str | None, as_json: bool) -> int:
+    from lidar_emu.cli.replay_display import comparison_lines
+    from lidar_emu.recording.read import read_recording
+    from lidar_emu.recording.recompute import recompute
+
+    with busy(COMPILING):
+        told = recompute(read_recording(file)).to_json()
+    _tell(told, comparison_lines(told), summary_file, as_json)
+    return int(told["different"] > 0)
+
+
+def _write(file: Path, to: Path, from_s: float | None, until_s: float | None) -> None:
+    from lidar_emu.recording.traffic import read_traffic
+    from lidar_emu.report.wire_file import check_wire_file, write_wire_file
+
+    check_wire_file(to)
+    with busy(f"reading {file}"):
+        traffic = read_traffic(file, as_sent=True).within(from_s, until_s)
+        write_wire_file(traffic, to)
+    say(f"{to}: {len(traffic.packets)} packets")
+
+
+def _tell(told: dict[str, Any], lines: list[str], summary_file: str | None, as_json: bool) -> None:
+    text = json.dumps(told, indent=2)
+    say(text if as_json else "\n".join(lines))
+    if summary_file is not None:
+        write_text(Path(summary_file), text + "\n")
+
+
+def _named(port: PortSpec) -> dict[str, str | None]:
+    from lidar_emu.transports.spec import Kind
+
+    return {"--port": None if port.kind is Kind.LOOPBACK else str(port)}
+
+
+def _refuse(option: str, others: dict[str, Any]) -> None:
+    for name, value in others.items():
+        if value is not None:
+            raise InputError(name, None, value, f"allowed: without {option}")
+
+
+def _instant(option: str, text: str | None) -> float | None:
+    try:
+        instant_s = None if text is None else float(text)
+    except ValueError:
+        instant_s = float("nan")
+    if instant_s is not None and not abs(instant_s) < 1e9:
+        raise InputError(option, None, text, "allowed: a number of seconds")
+    return instant_s

@@ -1,0 +1,172 @@
+"""What went onto a link, whoever recorded it: a run, a packet capture, a log of a CAN bus."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from operator import itemgetter
+from pathlib import Path
+
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.recording import channels
+from lidar_emu.recording.can_log import LOG_SUFFIXES, read_log
+from lidar_emu.recording.link_layers import carried, is_known
+from lidar_emu.recording.pcap import MAGICS, NEXT_GENERATION_MAGIC, read_capture
+from lidar_emu.recording.read import Recording, read_recording
+from lidar_emu.runtime.packets import Fate, Outgoing
+from lidar_emu.transports.spec import Kind
+
+_ALLOWED = (
+    f"allowed: a recording of lidar-emu (.mcap), a capture (.pcap, .pcapng), or a log of a CAN bus "
+    f"({', '.join(LOG_SUFFIXES)})"
+)
+_MCAP_MAGIC = b"\x89MCAP0\r\n"
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """Packets with their times, in the order of time."""
+
+    packets: list[tuple[int, bytes]]
+    """Nanoseconds from the start, and bytes; on CAN frame records."""
+    is_can: bool
+    start_ns: int
+    """Since 1970."""
+    left_out: dict[str, int] = field(default_factory=dict)
+    """What the file holds besides, that did not go onto the link or cannot be sent; counted by what it is."""
+    recording: Recording | None = None
+    """Where it comes from, if that is a run."""
+
+    @property
+    def span_ns(self) -> int:
+        """From the first packet to the last."""
+        return self.packets[-1][0] - self.packets[0][0]
+
+    def within(self, from_s: float | None, until_s: float | None) -> Traffic:
+        """The part from one instant on and before another one, in seconds from the start.
+
+        Raises:
+            InputError: there is nothing between them.
+        """
+        first_ns = self.packets[0][0] if from_s is None else round(from_s * 1e9)
+        end_ns = self.packets[-1][0] + 1 if until_s is None else round(until_s * 1e9)
+        kept = [packet for packet in self.packets if first_ns <= packet[0] < end_ns]
+        if not kept:
+            first_s, last_s = self.packets[0][0] * 1e-9, self.packets[-1][0] * 1e-9
+            found = Finding(f"no packet from {first_ns * 1e-9:g} s until {end_ns * 1e-9:g} s")
+            allowed = f"allowed: a part of {first_s:.3f} s to {last_s:.3f} s"
+            raise InputError("--from" if from_s is not None else "--until", None, found, allowed)
+        return replace(self, packets=kept)
+
+    def scheduled(self, speed: float = 1.0, laps: int | None = 1) -> Iterator[Outgoing]:
+        """The packets with the times at which they are due, counted from the first one.
+
+        Args:
+            speed: how much faster than they were.
+            laps: how many times; None: without end. A lap is longer than the packets by their mean distance.
+        """
+        first_ns, count = self.packets[0][0], len(self.packets)
+        lap_ns = self.span_ns + (self.span_ns // (count - 1) if count > 1 else 10**9)
+        lap = number = 0
+        while laps is None or lap < laps:
+            for time_ns, payload in self.packets:
+                yield Outgoing(number, round((lap * lap_ns + time_ns - first_ns) / speed), payload)
+                number += 1
+            lap += 1
+
+
+def read_traffic(path: Path, as_sent: bool = False) -> Traffic:
+    """What can be replayed of a file.
+
+    Args:
+        path: of a recording, a capture, or a log of a CAN bus.
+        as_sent: shots of a run at the times at which they went out, instead of those at which they were due.
+
+    Raises:
+        InputError: the file cannot be read, is none of these, or holds nothing that went onto one link.
+    """
+    try:
+        with path.open("rb") as file:
+            magic = file.read(8)
+    except (OSError, ValueError) as error:
+        found = Finding(getattr(error, "strerror", None) or str(error))
+        raise InputError(str(path), None, found, _ALLOWED) from None
+    if magic == _MCAP_MAGIC:
+        traffic = _of_recording(read_recording(path), as_sent)
+    elif magic[:4] in (*MAGICS, NEXT_GENERATION_MAGIC):
+        traffic = _of_capture(path)
+    elif path.suffix.lower() in LOG_SUFFIXES:
+        traffic = _of_log(path)
+    else:
+        raise InputError(str(path), None, Finding("no recording" if magic else "empty"), _ALLOWED)
+    if not traffic.packets:
+        left_out = ", ".join(f"{name} {count}" for name, count in traffic.left_out.items())
+        found = Finding("nothing that went onto a link" + (f" ({left_out})" if left_out else ""))
+        raise InputError(str(path), None, found, "allowed: a file with packets that were sent")
+    return traffic
+
+
+def _of_recording(recording: Recording, as_sent: bool) -> Traffic:
+    """What was sent, at the times at which it was due; what was late or dropped was not on the link."""
+    packets = recording.packets()
+    by_clock = as_sent and recording.origin.get("pace") == "wall"
+    sent = packets.fate == Fate.SENT
+    times_ns = (packets.sent_ns if by_clock else packets.due_ns)[sent].tolist()
+    payloads = [payload for payload, was_sent in zip(packets.payload, sent, strict=True) if was_sent]
+    said = [*recording.said(channels.HOUSEKEEPING), *recording.said(channels.ANSWER)]
+    # Housekeeping that is due with a shot follows it.
+    ordered = sorted([*zip(times_ns, payloads, strict=True), *said], key=itemgetter(0))
+    unsent = {
+        Fate(code).name.lower(): int((packets.fate == code).sum()) for code in Fate if code != Fate.SENT
+    }
+    return Traffic(
+        [(int(time_ns), payload) for time_ns, payload in ordered],
+        recording.port.kind is Kind.CAN,
+        round(recording.started_utc.timestamp() * 1e6) * 1000,
+        {name: count for name, count in unsent.items() if count},
+        recording,
+    )
+
+
+def _of_capture(path: Path) -> Traffic:
+    packets: list[tuple[int, bytes]] = []
+    flows: dict[str, int] = {}
+    ignored = 0
+    unknown: set[int] = set()
+    is_can = False
+    for link_type, time_ns, data in read_capture(path):
+        content = carried(link_type, data)
+        if content is None or not content.payload:
+            ignored += 1
+            if not is_known(link_type):
+                unknown.add(link_type)
+            continue
+        flows[content.flow] = flows.get(content.flow, 0) + 1
+        is_can = content.is_can
+        packets.append((time_ns, content.payload))
+    if unknown and not packets:
+        allowed = "allowed: SocketCAN, RTAC serial, UDP over IP or Ethernet, bytes as user type 0 to 15"
+        raise InputError(str(path), "link type", unknown.pop(), allowed)
+    _refuse_several(path, flows, "e.g. tshark -r ALL.pcap -Y udp.dstport==5600 -w ONE.pcap")
+    return _from_first(packets, is_can, ignored)
+
+
+def _of_log(path: Path) -> Traffic:
+    packets, buses, ignored = read_log(path)
+    _refuse_several(path, buses, "e.g. grep vcan0 ALL.log > ONE.log")
+    return _from_first(packets, True, ignored)
+
+
+def _from_first(packets: list[tuple[int, bytes]], is_can: bool, ignored: int) -> Traffic:
+    start_ns = min((time_ns for time_ns, _ in packets), default=0)
+    ordered = sorted(((time_ns - start_ns, payload) for time_ns, payload in packets), key=itemgetter(0))
+    return Traffic(ordered, is_can, start_ns, {"other": ignored} if ignored else {})
+
+
+def _refuse_several(path: Path, flows: dict[str, int], how: str) -> None:
+    """One device has one link; who else speaks there is not to be replayed."""
+    if len(flows) > 1:
+        names = ", ".join(f"{name} ({count})" for name, count in sorted(flows.items(), key=itemgetter(1)))
+        raise InputError(
+            str(path), None, Finding(f"words of several: {names}"), f"allowed: one of them; {how}"
+        )

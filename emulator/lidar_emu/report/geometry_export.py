@@ -1,0 +1,51 @@
+"""Write down where a flight's beams point and what they meet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from lidar_emu.echoes import Light
+from lidar_emu.geometry.conditions import conditions
+from lidar_emu.geometry.file import BLOCK_SHOTS, About, GeometryWriter
+from lidar_emu.report.whole_file import whole_file
+from lidar_emu.scenario.required import require_known_flight
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.shots import FlightModel
+
+
+def record_geometry(scenario: FlightScenario, path: Path) -> About:
+    """Write the geometry of a flight, a block at a time, with all beamlets that the instrument asks for.
+
+    Also those that the plan leaves out: another instrument may need them.
+
+    Returns:
+        What the file says of itself.
+
+    Raises:
+        InputError: the flight cannot be built, is live, or `path` cannot be written.
+        RunError: writing failed on the way.
+    """
+    require_known_flight(scenario)
+    model, beamlets = FlightModel(scenario), scenario.instrument.optics.beamlets
+    flight = model.flight
+    about = About(
+        shots=flight.shot_count,
+        beams=model.beam_count,
+        beamlets=beamlets,
+        moving=flight.has_moving_things,
+        name=scenario.name,
+        conditions=conditions(scenario),
+    )
+    light = Light(scenario.instrument, scenario.site, flight, beamlets)
+    state = model.initial_state
+    with whole_file(path) as file:
+        writer = GeometryWriter(file, about)
+        for first in range(0, flight.shot_count, BLOCK_SHOTS):
+            shot = np.arange(first, min(first + BLOCK_SHOTS, flight.shot_count), dtype=np.int64)
+            pointing, state = model.aim(shot, state)
+            axis_hits = flight.cast(pointing)
+            writer.add(pointing, axis_hits, light.beamlet_hits(pointing, axis_hits))
+        writer.close()
+    return about

@@ -1,0 +1,74 @@
+"""What went onto a link, as a file that other tools open: a packet capture, or a log of a CAN bus."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import BinaryIO
+
+from lidar_emu.errors import InputError
+from lidar_emu.recording.can_log import write_log
+from lidar_emu.recording.link_layers import (
+    RAW_IP,
+    RTAC_SERIAL,
+    SOCKETCAN,
+    can_record,
+    serial_record,
+    udp_record,
+)
+from lidar_emu.recording.pcap import PcapWriter
+from lidar_emu.recording.traffic import Traffic
+from lidar_emu.report.whole_file import check_destination, whole_file
+from lidar_emu.transports.frames import unpack_frames
+from lidar_emu.transports.spec import Kind
+
+_CAPTURE, _LOGS = ".pcap", (".log", ".asc", ".blf")
+
+
+def check_wire_file(path: Path) -> None:
+    """Refuse a name that cannot be written, or whose kind is not known.
+
+    Raises:
+        InputError: it is one of them.
+    """
+    check_destination(path, "--to")
+    if path.suffix.lower() not in (_CAPTURE, *_LOGS):
+        raise InputError(
+            "--to", None, str(path), f"allowed: a file {_CAPTURE}, and of a CAN bus {', '.join(_LOGS)}"
+        )
+
+
+def write_wire_file(traffic: Traffic, path: Path) -> None:
+    """Write packets with their instants in UTC: `.pcap` with nanoseconds, of SocketCAN frames, datagrams or bytes on a
+    serial line; of a CAN bus also `.log`, `.asc` or `.blf`.
+
+    Raises:
+        InputError: a log of a CAN bus is asked for where there was none.
+        RunError: writing failed on the way.
+    """
+    packets = ((traffic.start_ns + time_ns, payload) for time_ns, payload in traffic.packets)
+    if path.suffix.lower() == _CAPTURE:
+        with whole_file(path) as file:
+            _write_capture(traffic, packets, file)
+        return
+    if not traffic.is_can:
+        raise InputError("--to", None, str(path), f"it is a log of a CAN bus; allowed: a file {_CAPTURE}")
+    write_log(path, packets)
+
+
+def _write_capture(traffic: Traffic, packets: Iterable[tuple[int, bytes]], file: BinaryIO) -> None:
+    if traffic.is_can:
+        writer = PcapWriter(file, SOCKETCAN)
+        for time_ns, payload in packets:
+            for frame in unpack_frames(payload):
+                writer.write(time_ns, can_record(frame))
+        return
+    port = None if traffic.recording is None else traffic.recording.port
+    if port is not None and port.kind is Kind.UDP:
+        writer = PcapWriter(file, RAW_IP)
+        for time_ns, payload in packets:
+            writer.write(time_ns, udp_record(port.path, payload))
+        return
+    writer = PcapWriter(file, RTAC_SERIAL)
+    for time_ns, payload in packets:
+        writer.write(time_ns, serial_record(time_ns, payload))

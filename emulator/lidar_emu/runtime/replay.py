@@ -1,0 +1,140 @@
+"""Packets that were recorded, sent again over a port when they are due."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from datetime import datetime, timedelta
+from typing import Any
+
+from lidar_emu.runtime.child import PortDiedError
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.events import EventLog, told
+from lidar_emu.runtime.feed import POLL_NS
+from lidar_emu.runtime.lateness import steal_ticks
+from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.packets import Outgoing
+from lidar_emu.runtime.run import PortRunner
+from lidar_emu.runtime.signals import on_signals
+from lidar_emu.runtime.summary import Tally
+from lidar_emu.transports.spec import PortSpec
+
+_SLOTS = 1024
+_LEAD_NS = 100_000_000
+LATE_AFTER_NS = 100_000_000
+"""A packet that is later than this is skipped: no burst follows a stall."""
+
+
+class Replay:
+    """Packets on their way over a port.
+
+    Args:
+        packets: numbered from 0, in the order in which they are due.
+        longest: of them, in bytes.
+        port: where they go.
+        pace: by the clock, or as fast as the link takes them.
+        load: how much of the link they take.
+        observers: told of everything, in the loop: they must be quick.
+    """
+
+    def __init__(
+        self,
+        packets: Iterable[Outgoing],
+        longest: int,
+        port: PortSpec,
+        pace: Pace,
+        load: float,
+        observers: Sequence[Observer],
+    ) -> None:
+        self._packets, self._longest = packets, longest
+        self._spec, self._pace, self._load = port, pace, load
+        self._observers = observers
+        self._clock = Clock()
+        self._process_events = EventLog()
+        self._in_flight: list[Outgoing] = []
+        self._opening = True
+        self._interrupted = False
+        self._start_utc: datetime | None = None
+        self.tally = Tally(pace)
+        self.error: str | None = None
+        """Why it ended early, if that is an error."""
+
+    def play(self) -> dict[str, Any]:
+        """Send to the end, or until SIGINT, SIGTERM or SIGHUP; returns what became of it, for the summary.
+
+        Raises:
+            InputError: the port cannot be opened.
+            RunError: the port's process did not start. If it dies later, the replay ends with its summary.
+        """
+        stolen = steal_ticks()
+        with on_signals(self._interrupt), PortRunner(_SLOTS, self._longest, self._noticed) as port:
+            with suppress(KeyboardInterrupt):
+                description = port.start(self._spec)
+                self._opening = False
+                try:
+                    self._send(port, description)
+                except PortDiedError as death:
+                    self.error = str(death)
+            port.close()
+            self._settle(port)
+        stolen_now = steal_ticks()
+        shots = self.tally.to_json()["shots"]
+        return {
+            "started_utc": None if self._start_utc is None else self._start_utc.isoformat(),
+            "interrupted": self._interrupted,
+            "error": self.error,
+            "port": port.told.description or str(self._spec),
+            "packets": {name: shots[name] for name in ("due", "sent", "late", "dropped")},
+            "lateness": self.tally.to_json()["lateness"],
+            "steal_ticks": None if stolen is None or stolen_now is None else stolen_now - stolen,
+            **port.told.to_json(self._load),
+            **told("process", self._process_events.count, self._process_events.since(0)),
+        }
+
+    def _send(self, port: PortRunner, description: str) -> None:
+        start_ns, now = self._clock.now_ns() + _LEAD_NS, self._clock.utc_now()
+        self._start_utc = now + timedelta(microseconds=_LEAD_NS / 1000)
+        for observer in self._observers:
+            observer.opened(description, self._start_utc)
+        port.begin(start_ns, LATE_AFTER_NS, self._pace)
+        for packet in self._packets:
+            while not (self._interrupted or port.push(packet)):
+                self._rest(port)
+            if self._interrupted:
+                return
+            self._in_flight.append(packet)
+            self._settle(port)
+        port.last_packet_pushed()
+        while not (port.finished or self._interrupted):
+            self._rest(port)
+
+    def _rest(self, port: PortRunner) -> None:
+        port.wait(self._clock.now_ns() + POLL_NS)
+        port.arrivals()  # a host that commands is not heard
+        self._settle(port)
+
+    def _settle(self, port: PortRunner) -> None:
+        reports = port.reports()
+        for packet, report in zip(self._in_flight, reports, strict=False):
+            self.tally.report(report)
+            for observer in self._observers:
+                observer.report(packet, report)
+        del self._in_flight[: len(reports)]
+        for event in port.link_events():
+            for observer in self._observers:
+                observer.link_noticed(event.time_ns, event.text)
+        if data := port.far_end():
+            for observer in self._observers:
+                observer.arrived(data)
+
+    def _noticed(self, time_ns: int, what: str) -> None:
+        self._process_events.add(self._process_events.count + 1, time_ns, what)
+        for observer in self._observers:
+            observer.noticed(time_ns, what)
+
+    def _interrupt(self, *_: object) -> None:
+        """While the port is being opened there is no loop that would look."""
+        self._interrupted = True
+        if self._opening:
+            raise KeyboardInterrupt

@@ -1,0 +1,27 @@
+"""Relief below the pixel of an elevation grid."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from lidar_emu.scenario.part import Part, Positive
+
+
+class Detail(Part):
+    """Seeded fractal relief between the samples of a grid, which themselves stay as they are. Unless told otherwise it
+    goes on with the roughness that the grid has at its finest scales."""
+
+    spacing_m: Positive
+    """The grid's pixel is halved until it is no longer than this."""
+    below_m: Positive | None = None
+    """Made where beams come to while the sensor is lower than this above the origin of the site frame. Left out:
+    wherever they come to."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    """Another seed is another relief of the same statistics. The scenario's own seed does not change the ground."""
+    hurst: Annotated[float, Field(ge=0.05, le=0.95)] | None = None
+    """Hurst exponent. Left out: the grid's own, from differences over 1, 2 and 4 pixels."""
+    rms_slope_deg: Annotated[float, Field(gt=0, lt=60)] | None = None
+    """Arc tangent of the rms difference of height over one pixel of the grid. Left out: the grid's own, without the
+    share of tilts longer than some pixels."""

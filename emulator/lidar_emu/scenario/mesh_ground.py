@@ -1,0 +1,55 @@
+"""Ground from a triangle mesh: a piece of land, or a whole small body."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import model_validator
+
+from lidar_emu.errors import Finding
+from lidar_emu.scenario.part import Latitude, Longitude, Part, Vector3, unusable
+
+MeshUnit = Literal["m", "km"]
+
+
+class MeshOrigin(Part):
+    """Where on a mesh with body-fixed axes (z to the north pole, x to longitude 0) the origin of the site frame lies.
+    Up is away from the body's centre. Left out: the file's axes are east, north, up and its zero is the origin."""
+
+    latitude_deg: Latitude | None = None
+    """Planetocentric latitude; the origin is the outermost point of the surface there."""
+    longitude_deg: Longitude | None = None
+    """East longitude."""
+    body_fixed_m: Vector3 | None = None
+    """Instead of them: the point itself, in metres along the body's axes."""
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        given = self.latitude_deg is not None, self.longitude_deg is not None
+        if given[0] != given[1]:
+            missing = "longitude_deg" if given[0] else "latitude_deg"
+            raise unusable(missing, Finding("missing"), "latitude_deg and longitude_deg, or neither")
+        if given[0] and self.body_fixed_m is not None:
+            allowed = "latitude_deg and longitude_deg, or body_fixed_m, not both"
+            raise unusable("body_fixed_m", self.body_fixed_m, allowed)
+        if self.body_fixed_m is not None and not any(self.body_fixed_m):
+            raise unusable("body_fixed_m", self.body_fixed_m, "a point that is not the body's centre")
+        return self
+
+    @property
+    def is_body_fixed(self) -> bool:
+        """Whether the file's axes are those of a body."""
+        return self.latitude_deg is not None or self.body_fixed_m is not None
+
+
+class Mesh(Part):
+    """A triangle mesh. A closed one is solid; an open one whose triangles all face one way is ground below them."""
+
+    kind: Literal["mesh"]
+    """Chooses this kind of ground."""
+    file: str
+    """OBJ, PLY or STL (extra `mesh`). Relative to the file that names it."""
+    unit: MeshUnit
+    """Of the file's coordinates."""
+    origin: MeshOrigin = MeshOrigin()
+    """The point that becomes the origin of the site frame."""

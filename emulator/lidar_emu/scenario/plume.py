@@ -1,0 +1,42 @@
+"""Dust that the engine's plume raises from the ground."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from lidar_emu.scenario.part import Part, Positive, unusable
+
+Share = Annotated[float, Field(ge=0, le=1)]
+Depth = Annotated[float, Field(ge=0, le=50)]
+
+
+class Plume(Part):
+    """A sheet of dust that blows outward over the ground; see docs/flights.md. Heights are the sensor's above it."""
+
+    onset_height_m: Positive = 30.0
+    """Below it dust is raised; from there to `full_height_m` it grows in proportion."""
+    full_height_m: Annotated[float, Field(ge=0)] = 12.0
+    """Below it there is as much dust as there will be."""
+    optical_depth: Depth = 0.5
+    """Of the sheet at full height, once through it straight down: the ground's echo loses exp(-2 · depth)."""
+    thickness_m: Positive = 1.0
+    """Of the sheet, above the ground."""
+    lidar_ratio_sr: Annotated[float, Field(ge=1, le=1000)] = 50.0
+    """Extinction over backscatter of the dust: with less its own echo is stronger."""
+    streak_share: Share = 0.05
+    """At full height, the chance that a beam meets a dense streak in a shot."""
+    streak_optical_depth: Depth = 3.0
+    """Of a streak, once through it."""
+    speed_mps: Annotated[float, Field(ge=0, le=3000)] = 20.0
+    """Outward speed of the dust over the ground, away from below the vehicle."""
+    speed_spread: Share = 0.5
+    """Speeds lie evenly within so much of `speed_mps` around it."""
+
+    @model_validator(mode="after")
+    def _grows_downward(self) -> Self:
+        if self.full_height_m >= self.onset_height_m:
+            allowed = f"below {self.onset_height_m:g}, onset_height_m"
+            raise unusable("full_height_m", self.full_height_m, allowed)
+        return self

@@ -1,0 +1,29 @@
+"""What a command may ask of a scenario."""
+
+from __future__ import annotations
+
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+
+
+def require_flight(scenario: FlightScenario | BenchScenario) -> FlightScenario:
+    """For what needs a geometry.
+
+    Raises:
+        InputError: it is a bench pattern.
+    """
+    if isinstance(scenario, BenchScenario):
+        allowed = "allowed: a scenario with a flight"
+        raise InputError(scenario.name, None, Finding("a bench pattern has no geometry"), allowed)
+    return scenario
+
+
+def require_known_flight(scenario: FlightScenario | BenchScenario) -> None:
+    """For what cannot wait for a simulator.
+
+    Raises:
+        InputError: the trajectory is live.
+    """
+    if scenario.live is not None:
+        allowed = "allowed here: profile or table; live truth is flown by lidar-emu run"
+        raise InputError(scenario.name, "trajectory.kind", "live", allowed)

@@ -1,0 +1,113 @@
+"""Ground whose albedo differs from place to place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.kernels import kernel
+from lidar_emu.scene.cell import surface
+from lidar_emu.scene.hits import GROUND, Hits, Scene, contiguous
+
+
+@dataclass(frozen=True)
+class Albedo:
+    """Samples of the albedo in the site frame, bilinear between them."""
+
+    share: FloatArray
+    """(rows, columns) 0 to 1, rows from south to north; NaN where missing."""
+    west_m: float
+    """East coordinate of the whole map's first column."""
+    south_m: float
+    """North coordinate of the whole map's first row."""
+    pixel_east_m: float
+    """From column to column."""
+    pixel_north_m: float
+    """From row to row."""
+    first_column: int = 0
+    """Place in the whole map of the first column that is here."""
+    first_row: int = 0
+    """Place in the whole map of the first row that is here."""
+
+
+@kernel(outermost=True)
+def _paint(
+    origin: FloatArray,
+    direction: FloatArray,
+    range_m: FloatArray,
+    thing: NDArray[np.int16],
+    share: FloatArray,
+    place: FloatArray,
+    reflectance: FloatArray,
+) -> None:
+    west, south, columns_per_m, rows_per_m, first_column, first_row = place
+    for k in range(range_m.shape[0]):
+        if thing[k] != GROUND:
+            continue
+        u = (origin[k, 0] + range_m[k] * direction[k, 0] - west) * columns_per_m - first_column
+        v = (origin[k, 1] + range_m[k] * direction[k, 1] - south) * rows_per_m - first_row
+        if 0.0 <= u <= share.shape[1] - 1 and 0.0 <= v <= share.shape[0] - 1:
+            found = surface(share, u, v)
+            if found == found:
+                reflectance[k] = found
+
+
+class PaintedGround:
+    """A ground with the albedo of a map, and its own where the map has none.
+
+    Args:
+        ground: what is hit.
+        albedo: of the places on it.
+    """
+
+    def __init__(self, ground: Scene, albedo: Albedo) -> None:
+        self.ground = ground
+        self.albedo = albedo
+        self._place = np.array(
+            [
+                albedo.west_m,
+                albedo.south_m,
+                1 / albedo.pixel_east_m,
+                1 / albedo.pixel_north_m,
+                albedo.first_column,
+                albedo.first_row,
+            ]
+        )
+
+    @property
+    def description(self) -> str:
+        """One line for plans."""
+        return self.ground.description
+
+    @property
+    def origin_altitude_m(self) -> float:
+        """Height of the site frame's origin above the body's sphere."""
+        return self.ground.origin_altitude_m
+
+    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+        """First contact with the ground; see `Scene.cast`."""
+        return self._painted(
+            origin_site_m, direction_site, self.ground.cast(origin_site_m, direction_site, hits)
+        )
+
+    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
+        """First contact by the ground's own slow path."""
+        return self._painted(
+            origin_site_m, direction_site, self.ground.cast_exact(origin_site_m, direction_site)
+        )
+
+    def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        """(n,) z of the ground; see `Scene.height_m`."""
+        return self.ground.height_m(east_m, north_m)
+
+    def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
+        """Where the ground is."""
+        return self.ground.covers(east_m, north_m)
+
+    def _painted(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits) -> Hits:
+        origin, direction = contiguous(origin_site_m, direction_site)
+        _paint(origin, direction, hits.range_m, hits.thing, self.albedo.share, self._place, hits.reflectance)
+        return hits

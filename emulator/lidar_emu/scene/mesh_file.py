@@ -1,0 +1,123 @@
+"""Reading triangle meshes, and what is found out about them on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.errors import Finding, InputError
+
+MAXIMUM_TRIANGLES = 20_000_000
+_METRES = {"m": 1.0, "km": 1000.0}
+_SUFFIXES = (".obj", ".ply", ".stl")
+_KINDS = "allowed: an OBJ, PLY or STL file with triangles"
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """A mesh as it comes from its file, in metres."""
+
+    source: str
+    corner_m: FloatArray
+    """(triangles, 3, 3) corners, counter-clockwise from outside as far as that is known."""
+    is_closed: bool
+    """Every edge joins two triangles."""
+    faces_one_way: bool
+    """Neighbours agree on which side is outside."""
+    turned: bool = False
+    """Whether the file had the triangles of a closed mesh face inward."""
+    flat: int = 0
+    """Triangles without area that were left out."""
+
+    @property
+    def size_m(self) -> FloatArray:
+        """(3,) Extent along the file's axes."""
+        points_m = self.corner_m.reshape(-1, 3)
+        return np.asarray(points_m.max(axis=0) - points_m.min(axis=0))
+
+    @property
+    def description(self) -> str:
+        """One line for plans."""
+        x_m, y_m, z_m = self.size_m.tolist()
+        words = [
+            f"mesh {Path(self.source).name}, {len(self.corner_m)} triangles, {x_m:.4g} x {y_m:.4g} x {z_m:.4g} m"
+        ]
+        words.append("closed" if self.is_closed else "open")
+        if not self.faces_one_way:
+            words.append("faces disagree on what is outside: taken for a sheet")
+        if self.turned:
+            words.append("faced inward and was turned")
+        if self.flat:
+            words.append(f"{self.flat} triangles without area left out")
+        return ", ".join(words)
+
+
+def read_mesh(file: str, unit: str) -> MeshFile:
+    """A mesh in metres; a closed one faces outward.
+
+    Raises:
+        InputError: the file is not there, damaged, of another kind, without triangles or too large, or trimesh is not
+            there.
+    """
+    path = Path(file)
+    if not path.is_file():
+        raise InputError(file, None, Finding("no such file"), _KINDS)
+    if path.suffix.lower() not in _SUFFIXES:
+        raise InputError(file, None, path.suffix or path.name, _KINDS)
+    mesh = _load(path)
+    vertex_m = np.asarray(mesh.vertices, dtype=np.float64) * _METRES[unit]
+    if not np.isfinite(vertex_m).all():
+        raise InputError(file, None, Finding("vertices that are infinite or not a number"), _KINDS)
+    corner_m = vertex_m[np.asarray(mesh.faces)]
+    is_closed, faces_one_way = bool(mesh.is_watertight), bool(mesh.is_winding_consistent)
+    turned = is_closed and faces_one_way and enclosed_m3(corner_m) < 0
+    if turned:
+        corner_m = turned_over(corner_m)
+    edges = corner_m[:, 1:] - corner_m[:, :1]
+    has_area = np.cross(edges[:, 0], edges[:, 1]).any(axis=1)
+    if not has_area.any():
+        raise InputError(file, None, Finding("no triangle has an area"), _KINDS)
+    return MeshFile(file, corner_m[has_area], is_closed, faces_one_way, turned, int((~has_area).sum()))
+
+
+def enclosed_m3(corner_m: FloatArray) -> float:
+    """Volume between triangles and zero, positive where they face away from it."""
+    a, b, c = np.moveaxis(corner_m, 1, 0)
+    return float((a * np.cross(b, c)).sum() / 6)
+
+
+def turned_over(corner_m: FloatArray) -> FloatArray:
+    """The same triangles facing the other way."""
+    return np.ascontiguousarray(corner_m[:, ::-1])
+
+
+def _load(path: Path) -> Any:
+    try:
+        import trimesh
+    except ImportError:
+        allowed = "allowed: an installation with pip install 'lidar-emu[mesh]'"
+        raise InputError(str(path), None, Finding("meshes need trimesh"), allowed) from None
+    try:
+        mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
+    except MemoryError:
+        raise
+    except Exception as error:  # whatever a parser may stumble over
+        raise InputError(str(path), None, Finding("unreadable"), f"{_reason(error)}; {_KINDS}") from None
+    if isinstance(mesh, trimesh.Scene):
+        mesh = mesh.to_mesh() if mesh.geometry else None
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise InputError(str(path), None, Finding("no triangles"), _KINDS)
+    if len(mesh.faces) > MAXIMUM_TRIANGLES:
+        allowed = f"allowed: at most {MAXIMUM_TRIANGLES} triangles; cut out the site's area"
+        raise InputError(str(path), None, f"{len(mesh.faces)} triangles", allowed)
+    # An STL file states the corners of each triangle anew.
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    return mesh
+
+
+def _reason(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__

@@ -1,0 +1,144 @@
+"""Algorithm development in batch: other rules, or another idea of the ground, over scenarios and seeds."""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from beams import Array
+from error_state import MARE, POSITION, VELOCITY, Ground
+from navigation import start
+from trials import Log, fly
+from trust import CAREFUL, NAMED, Rules
+from truth import Truth
+
+import lidar_emu
+
+SETTLED_S = 5.0
+"""From then on errors count."""
+
+
+class Variant(NamedTuple):
+    """A way to navigate."""
+
+    rules: Rules
+    ground: Ground
+
+
+class Study(NamedTuple):
+    """What is compared on what."""
+
+    variants: Mapping[str, Variant]
+    scenarios: Sequence[str]
+
+
+STUDIES = {
+    "rules": Study(
+        {name: Variant(rules, MARE) for name, rules in NAMED.items()},
+        ("powered_descent", "homodyne_sign", "terrain_step_2023", "noisy_descent_2025"),
+    ),
+    "ground": Study(
+        {f"relief {sigma}": Variant(CAREFUL, Ground(relief_sigma=sigma)) for sigma in (5e-4, 2e-3, 8e-3)},
+        ("descent", "powered_descent"),
+    ),
+}
+
+
+def fly_all(scenario_name: str, variants: Mapping[str, Variant], seed: int) -> dict[str, Log]:
+    """The same measurements through each variant."""
+    scenario = lidar_emu.load(f"{scenario_name}.yaml")
+    truth, run = Truth(scenario), lidar_emu.simulate(scenario, seed=seed)
+    first_ns = int(run.time_ns[0, 0])
+    return {
+        name: fly(truth, run, start(truth, first_ns, seed, *variant)) for name, variant in variants.items()
+    }
+
+
+def speed_errors(log: Log) -> Array:
+    """(shots,) Length of the velocity's error."""
+    return np.linalg.norm(log.errors[:, VELOCITY], axis=1)
+
+
+def height_errors(log: Log) -> Array:
+    """(shots,) Without sign."""
+    return np.abs(log.errors[:, POSITION][:, 2])
+
+
+def summary(logs: Sequence[Log]) -> str:
+    """A row of the table: what errors of all seeds stay below in 95 % of shots, how large they are at the end, and how
+    much the innovations are larger than expected."""
+    settled = [log.time_s >= SETTLED_S for log in logs]
+    figures = []
+    for errors_of in (height_errors, speed_errors):
+        all_errors = [errors_of(log) for log in logs]
+        usual = np.concatenate([each[late] for each, late in zip(all_errors, settled, strict=True)])
+        figures += [np.quantile(usual, 0.95), rms(np.array([each[-1] for each in all_errors]))]
+    drift_m = rms(np.array([np.linalg.norm(log.errors[-1, :2] - log.errors[0, :2]) for log in logs]))
+    surprise, taken = (
+        np.sum([values[late].sum() for values, late in zip(column, settled, strict=True)])
+        for column in ([log.surprise for log in logs], [log.taken for log in logs])
+    )
+    nis = f"{surprise / taken:8.2f}" if taken else "       -"
+    return "".join(f"{figure:10.3f}" for figure in (*figures, drift_m)) + nis
+
+
+def rms(values: Array) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def draw(results: Mapping[str, Mapping[str, Sequence[Log]]], file: Path) -> None:
+    """Errors of height and velocity against time, root mean square over the seeds."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    panels = {
+        "error of height, m": (height_errors, (0.05, 1e4)),
+        "error of velocity, m/s": (speed_errors, (5e-4, 1e2)),
+    }
+    figure, axes = plt.subplots(
+        2, len(results), figsize=(3.2 * len(results), 5.2), layout="constrained", sharex="col", squeeze=False
+    )
+    for axis, label in zip(axes[:, 0], panels, strict=True):
+        axis.set_ylabel(label)
+    for column, (scenario, of_variants) in zip(axes.T, results.items(), strict=True):
+        column[0].set_title(scenario, fontsize=10)
+        column[1].set_xlabel("time, s")
+        for axis, (errors_of, limits) in zip(column, panels.values(), strict=True):
+            for name, logs in of_variants.items():
+                squares = np.mean([errors_of(log) ** 2 for log in logs], axis=0)
+                axis.plot(logs[0].time_s, np.sqrt(squares), lw=1.2, label=name)
+            axis.set(yscale="log", ylim=limits)
+            axis.grid(alpha=0.3)
+    axes[0, 0].legend(fontsize=8)
+    figure.savefig(file, dpi=100)
+
+
+def main() -> None:
+    """Fly, print, draw."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("study", choices=STUDIES)
+    parser.add_argument("--seeds", type=int, default=8, metavar="N")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="PNG, or what else matplotlib knows")
+    asked = parser.parse_args()
+    study, seeds = STUDIES[asked.study], range(1, asked.seeds + 1)
+    results: dict[str, dict[str, list[Log]]] = {}
+    print(f"{'':34}{'height, m':>20}{'velocity, m/s':>20}{'drift, m':>10}")
+    print(f"{'':34}{'95 %':>10}{'end':>10}{'95 %':>10}{'end':>10}{'end':>10}{'NIS':>8}")
+    with ProcessPoolExecutor() as pool:
+        for scenario in study.scenarios:
+            count = len(seeds)
+            by_seed = list(pool.map(fly_all, [scenario] * count, [study.variants] * count, seeds))
+            results[scenario] = {name: [logs[name] for logs in by_seed] for name in study.variants}
+            for name, logs in results[scenario].items():
+                print(f"{scenario:20}{name:14}{summary(logs)}", flush=True)
+    if asked.plot:
+        draw(results, asked.plot)
+
+
+if __name__ == "__main__":
+    main()

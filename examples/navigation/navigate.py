@@ -1,0 +1,130 @@
+"""Navigates by the packets of `lidar-emu run` in another process, and prints the truth beside the estimate."""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from math import acos, degrees
+
+import numpy as np
+from beams import Array, Shot, from_message
+from error_state import POSITION, VELOCITY
+from navigation import Navigator, Taken, errors, start
+from ports import from_can, from_serial
+from trust import NAMED
+from truth import Truth
+
+import lidar_emu
+from lidar_emu.errors import InputError
+from lidar_protocol import Message
+
+HEADINGS = (
+    "           height, m           error of velocity, mm/s     tilt, deg    beams taken\n"
+    "   time     true estimate      east    north       up    true   est.   range  speed\n"
+)
+
+
+def main() -> None:
+    """Read the command line, and follow the flight."""
+    asked = options().parse_args()
+    try:
+        truth = Truth(lidar_emu.load(asked.scenario, overrides(asked.set)))
+        follow(truth, messages(asked, truth.scenario.wire.unit), asked)
+    except (InputError, OSError) as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def options() -> argparse.ArgumentParser:
+    """Of the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenario", help="the one that lidar-emu run flies")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="as given to lidar-emu run"
+    )
+    parser.add_argument("--port", metavar="PATH", help="serial device, or the pty that lidar-emu prints")
+    parser.add_argument("--baud", type=int, default=921_600)
+    parser.add_argument("-i", "--interface", metavar="NAME", help="CAN interface, in python-can's words")
+    parser.add_argument("-c", "--channel", metavar="NAME", help="CAN channel, e.g. vcan0")
+    parser.add_argument("--bitrate", type=int, default=500_000)
+    parser.add_argument("--fd", action="store_true", help="CAN FD frames")
+    parser.add_argument("--rules", choices=NAMED, default="careful", help="whom to believe")
+    parser.add_argument("--seed", type=int, default=1, help="of inertial unit and first guess")
+    parser.add_argument(
+        "--every", type=float, default=1.0, metavar="S", help="seconds of flight between two lines"
+    )
+    return parser
+
+
+def overrides(settings: list[str]) -> dict[str, str]:
+    """Of `--set`."""
+    pairs = [each.partition("=") for each in settings]
+    for key, equals, value in pairs:
+        if not (key and equals and value):
+            raise InputError("--set", None, key + equals + value, "allowed: KEY=VALUE")
+    return {key: value for key, _, value in pairs}
+
+
+def messages(asked: argparse.Namespace, unit: int) -> Iterator[Message]:
+    """From the port that was asked for."""
+    if asked.port is not None and asked.interface is None:
+        return from_serial(asked.port, asked.baud, unit)
+    if asked.port is not None or None in (asked.interface, asked.channel):
+        raise InputError("--port", None, asked.port, "allowed: either --port, or --interface and --channel")
+    return from_can(asked.interface, asked.channel, asked.bitrate, asked.fd, unit)
+
+
+def follow(truth: Truth, arriving: Iterator[Message], asked: argparse.Namespace) -> None:
+    """Navigate to the end of the flight, and say how well that went."""
+    shots = (shot for message in arriving if (shot := from_message(message, truth.sheet)) is not None)
+    first = next(shots, None)
+    if first is None:
+        raise OSError("no packet has come")
+    navigator = start(truth, first.time_ns, asked.seed, NAMED[asked.rules])
+    told_ns, used, unused = -1.0, 0, 0
+    print(HEADINGS, end="")
+    for shot in shots:
+        became = navigator.take(shot)
+        if became is None:
+            unused += 1
+            continue
+        used += 1
+        again = [what for what, each in zip(("height", "velocity"), became, strict=True) if each.begun_again]
+        if again or shot.time_ns >= told_ns:
+            told_ns = shot.time_ns + asked.every * 1e9
+            print(
+                line(truth, navigator, shot, became), *(f"{what} begins again" for what in again), flush=True
+            )
+    off = errors(navigator.state, truth.at(navigator.time_ns))
+    east_m, north_m, height_m = off[POSITION]
+    speed_mmps = np.linalg.norm(off[VELOCITY]) * 1e3
+    print(
+        f"off at the end, {navigator.time_ns * 1e-9:.2f} s: {east_m:+.2f} m east, {north_m:+.2f} m north,"
+        f" {height_m:+.2f} m of height, {speed_mmps:.1f} mm/s; {used} shots used, {unused} not"
+    )
+
+
+def line(truth: Truth, navigator: Navigator, shot: Shot, became: tuple[Taken, Taken]) -> str:
+    """Truth and estimate at a shot."""
+    true, state = truth.at(shot.time_ns), navigator.state
+    east, north, up = errors(state, true)[VELOCITY] * 1e3
+    reach_m = true.position_site_m[2] * float(np.nanmax(np.hypot(*shot.directions_body[:, :2].T)))
+    true_deg = tilt_deg(true.site_from_body, truth.slope(shot.time_ns, reach_m))
+    ranges, speeds = became
+    return (
+        f"{shot.time_ns * 1e-9:7.2f} {true.position_site_m[2]:8.2f} {state.height_m:8.2f}"
+        f"  {east:+8.1f} {north:+8.1f} {up:+8.1f}"
+        f"  {true_deg:6.2f} {tilt_deg(state.site_from_body, state.slope):6.2f}"
+        f"   {ranges.taken} of {ranges.told} {speeds.taken} of {speeds.told}"
+    )
+
+
+def tilt_deg(site_from_body: Array, slope: Array) -> float:
+    """Between body z and the line that meets the ground upright."""
+    down = np.append(slope, -1.0)
+    return degrees(acos(min(1.0, float(site_from_body[:, 2] @ down / np.linalg.norm(down)))))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,48 @@
+"""Shots off a serial line or a CAN bus, as flight software reads them: pyserial or python-can, and `lidar_protocol`."""
+
+from collections.abc import Iterator
+from contextlib import suppress
+
+import can
+import serial
+
+from lidar_protocol import CanReceiver, Message, SerialReceiver, default_interface
+
+QUIET_S = 5.0
+"""A link that has been silent for so long after its first packet has ended."""
+
+
+def from_serial(path: str, baud: int, unit: int) -> Iterator[Message]:
+    """Shots until the other side hangs up or falls silent.
+
+    Raises:
+        OSError: the port cannot be opened.
+    """
+    receiver, begun = SerialReceiver(default_interface()), False
+    with serial.Serial(path, baud, timeout=QUIET_S) as port, suppress(serial.SerialException):
+        while (data := port.read(max(1, port.in_waiting))) or not begun:
+            for received in receiver.receive(data):
+                if isinstance(received, Message) and received.unit == unit:
+                    begun = True
+                    yield received
+
+
+def from_can(interface: str, channel: str, bitrate: int, fd: bool, unit: int) -> Iterator[Message]:
+    """Shots until the bus falls silent.
+
+    Raises:
+        OSError: the bus cannot be opened.
+    """
+    receiver, begun = CanReceiver(default_interface()), False
+    try:
+        bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, fd=fd)
+    except can.CanError as error:
+        raise OSError(str(error)) from None
+    with bus:
+        while (frame := bus.recv(QUIET_S)) or not begun:
+            if frame is None or frame.is_extended_id:
+                continue
+            for received in receiver.receive(frame.arbitration_id, bytes(frame.data), frame.is_fd):
+                if isinstance(received, Message) and received.unit == unit:
+                    begun = True
+                    yield received

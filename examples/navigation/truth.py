@@ -1,0 +1,74 @@
+"""The flight that a scenario describes: what an inertial unit feels, and what estimates are compared with."""
+
+from typing import NamedTuple
+
+import numpy as np
+from beams import Array, DataSheet
+
+from lidar_emu.errors import InputError
+from lidar_emu.flight import Flight
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+from lidar_emu.shots import require_known_flight
+from lidar_emu.trajectory.state import VehicleState
+
+LIGHT_MPS = 299_792_458.0
+GRAVITY_SITE_MPS2 = np.array([0.0, 0.0, -1.62])
+"""The Moon's. Inertial unit and filter share it, so that an error of gravity is none of those that are shown."""
+
+
+class TrueState(NamedTuple):
+    """Of one instant; site frame: east, north, up."""
+
+    position_site_m: Array
+    """(3,) East and north, and height above the ground straight below."""
+    velocity_site_mps: Array
+    site_from_body: Array
+
+
+class Truth:
+    """A scenario's flight over its ground.
+
+    Raises:
+        InputError: the scenario has no flight that is known beforehand, or a lidar that does not sit upright at the
+            vehicle's reference point, of which the filter knows nothing.
+    """
+
+    def __init__(self, scenario: FlightScenario | BenchScenario) -> None:
+        if not isinstance(scenario, FlightScenario):
+            raise InputError(scenario.name, "bench_pattern", "given", "allowed here: a flight")
+        require_known_flight(scenario)
+        if scenario.mounting != type(scenario.mounting)():
+            raise InputError(scenario.name, "mounting", "given", "allowed here: none, at the reference point")
+        self.scenario = scenario
+        self._flight = Flight(scenario)
+        published, waveform = self._flight.scanner.published_sensor[0], scenario.instrument.waveform
+        self.sheet = DataSheet(
+            np.degrees(np.arctan2(published[:, 1], published[:, 0])),
+            self._flight.scanner.angle_deg[0],
+            LIGHT_MPS * waveform.segment_time_s / (waveform.wavelength_m * waveform.chirp_slope_hz_per_s),
+        )
+        """Of the scenario's lidar."""
+
+    @property
+    def duration_s(self) -> float:
+        """Of the flight."""
+        return self._flight.trajectory.duration_s
+
+    def states(self, time_s: Array) -> VehicleState:
+        """Motion at instants (n,)."""
+        return self._flight.trajectory.state(time_s)
+
+    def at(self, time_ns: int) -> TrueState:
+        """The vehicle at one instant."""
+        state = self.states(np.array([time_ns * 1e-9]))
+        east_m, north_m, up_m = state.position_site_m[0]
+        height_m = up_m - self._flight.scene.height_m(np.array([east_m]), np.array([north_m]))[0]
+        position_m = np.array([east_m, north_m, height_m])
+        return TrueState(position_m, state.velocity_site_mps[0], state.site_from_body[0])
+
+    def slope(self, time_ns: int, reach_m: float) -> Array:
+        """(2,) Of the ground to the east and to the north, from points that far on either side."""
+        east_m, north_m, _ = self.states(np.array([time_ns * 1e-9])).position_site_m[0]
+        around = reach_m * np.array([[1, -1, 0, 0], [0, 0, 1, -1]])
+        up_m = self._flight.scene.height_m(east_m + around[0], north_m + around[1])
+        return (up_m[0::2] - up_m[1::2]) / (2 * reach_m)

@@ -1,0 +1,96 @@
+"""The navigation example beside `lidar-emu run` in another process."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from programs import LIMIT_S, FarEnd, Program
+
+NAVIGATE = Path(__file__).resolve().parents[2] / "examples" / "navigation" / "navigate.py"
+FOR_TEN_SECONDS = ["--set", "duration_s=10"]
+HOPPING_CLOCK = """faults=[
+    {kind: time_jump, jump_s: 100, from_s: 4, to_s: 5},
+    {kind: time_jump, jump_s: -1, from_s: 6, to_s: 7}]"""
+END = re.compile(
+    r"off at the end, (\S+) s: (\S+) m east, (\S+) m north, (\S+) m of height, (\S+) mm/s; (\d+) shots used, (\d+) not"
+)
+
+Start = Callable[..., Program]
+
+
+def test_it_navigates_by_a_serial_port(start: Start) -> None:
+    """A clock that hops ahead and back in between leaves shots that are not used, and nothing else."""
+    run = start("run", "descent.yaml", "--port", "pty", *FOR_TEN_SECONDS, "--set", HOPPING_CLOCK)
+    port = run.word_after("descent on ")
+    done = subprocess.run(
+        [sys.executable, str(NAVIGATE), "descent.yaml", *FOR_TEN_SECONDS, "--port", port],
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+    )
+    run.succeed()
+    assert (done.returncode, done.stderr) == (0, "")
+    heading, columns, *lines, end = done.stdout.splitlines()
+    assert heading.split() == [
+        "height,",
+        "m",
+        "error",
+        "of",
+        "velocity,",
+        "mm/s",
+        "tilt,",
+        "deg",
+        "beams",
+        "taken",
+    ]
+    assert columns.split() == [
+        "time",
+        "true",
+        "estimate",
+        "east",
+        "north",
+        "up",
+        "true",
+        "est.",
+        "range",
+        "speed",
+    ]
+    assert len(lines) >= 4
+    told = END.fullmatch(end)
+    assert told is not None
+    end_s, east_m, north_m, height_m, speed_mmps, used, unused = map(float, told.groups())
+    assert 9 < end_s <= 10
+    assert abs(height_m) < 5
+    assert speed_mmps < 300
+    assert max(abs(east_m), abs(north_m)) < 40
+    assert used > 50
+    assert 20 <= unused <= 40
+
+
+def test_it_navigates_by_a_can_bus(start: Start, far_end: FarEnd, other_end: FarEnd) -> None:
+    """Lines of slcan from the one adapter to the other."""
+    far_end.deliver_to(other_end)
+    process = subprocess.Popen(
+        [sys.executable, str(NAVIGATE), "descent.yaml", "-i", "slcan", "-c", other_end.path],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        run = start(
+            *("run", "descent.yaml", "-i", "slcan", "-c", far_end.path, "--bitrate", "1000000"),
+            *FOR_TEN_SECONDS,
+        )
+        run.succeed()
+        said, _ = process.communicate(timeout=LIMIT_S)
+    finally:
+        process.kill()
+        process.wait()
+    told = END.fullmatch(said.splitlines()[-1])
+    assert process.returncode == 0
+    assert told is not None
+    assert abs(float(told[4])) < 5
+    assert float(told[5]) < 300

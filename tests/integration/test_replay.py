@@ -1,0 +1,322 @@
+"""Recorded runs sent again and computed again: byte for byte, whatever came in while they were flown."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import pty
+import signal
+import socket
+import subprocess
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+import slcan_lines
+from programs import COMMAND, FarEnd, Program, eventually, read_summary
+
+from lidar_emu.recording import channels
+from lidar_emu.recording.read import read_recording
+from lidar_emu.trajectory.live_datagram import Truth
+from lidar_protocol import Acknowledge, Host, Housekeeping, Message, SerialReceiver, default_interface
+
+Start = Callable[..., Program]
+INTERFACE = default_interface()
+DOWN = (0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0)
+SERIAL = ["--baud", "3000000"]
+QUICK = ["--set", "level=geometric", "--set", "site=flat", "--set", "device.housekeeping_rate_hz=5"]
+
+
+@pytest.fixture
+def far_ends() -> Iterator[Callable[[], FarEnd]]:
+    made: list[FarEnd] = []
+
+    def make() -> FarEnd:
+        made.append(FarEnd())
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def recomputed(start: Start, tmp_path: Path, file: str = "r.mcap", code: int = 0) -> dict[str, Any]:
+    """What `replay --recompute` tells."""
+    comparing = start("replay", file, "--recompute", "--json", "--summary", "compared.json")
+    assert comparing.wait() == code, comparing.err
+    told = read_summary(tmp_path / "compared.json")
+    assert json.loads(comparing.out) == told
+    return told
+
+
+def test_the_same_bytes_again(start: Start, far_ends: Callable[[], FarEnd], tmp_path: Path) -> None:
+    first, again = far_ends(), far_ends()
+    run = ["run", "descent.yaml", *QUICK, "--duration", "2", "--record", "r.mcap"]
+    start(*run, "--port", first.path, *SERIAL).succeed()
+    replay = ["replay", "r.mcap", "--summary", "s.json", "--fail-on", "late,dropped"]
+    start(*replay, "--port", again.path, *SERIAL).succeed()
+    assert len(first.data) > 40 * 100
+    assert bytes(again.data) == bytes(first.data), "shots, housekeeping, and their order"
+    told = read_summary(tmp_path / "s.json")
+    assert told["packets"] == {
+        "due": 50, "sent": 50, "late": 0, "dropped": {"full": 0, "nobody_connected": 0, "broken": 0},
+    }  # fmt: skip
+    assert told["lateness"]["count"] == 50
+    assert told["wire"]["sent_bytes"] == len(first.data)
+
+
+def test_parts_speeds_and_laps(start: Start, far_ends: Callable[[], FarEnd]) -> None:
+    start("run", "descent.yaml", "--pace", "max", "--record", "r.mcap").succeed()
+
+    def shots(*options: str) -> tuple[list[int], int]:
+        """Numbers of the shots that arrive, and how many bytes are none."""
+        far_end = far_ends()
+        program = start("replay", "r.mcap", "--port", far_end.path, *SERIAL, *options)
+        if "--loop" in options:
+            far_end.wait_for(60 * 100)
+            program.signal(signal.SIGINT)
+        program.succeed()
+        receiver = SerialReceiver(INTERFACE)
+        messages = [m for m in receiver.receive(bytes(far_end.data)) if isinstance(m, Message)]
+        return [m.shot for m in messages if m.shot is not None], receiver.counters.skipped_bytes
+
+    assert shots("--speed", "max") == (list(range(1008)), 0)
+    assert shots("--from", "10", "--until", "11", "--speed", "4") == (list(range(200, 220)), 0)
+    looped, skipped = shots("--from", "49.5", "--until", "50", "--speed", "20", "--loop")
+    assert looped[:30] == [*range(990, 1000)] * 3
+    assert skipped == 0
+
+
+def test_two_at_once_and_a_reader_that_does_not_read(start: Start, tmp_path: Path) -> None:
+    start("run", "descent.yaml", "--pace", "max", "--record", "r.mcap").succeed()
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    replay = ["replay", "r.mcap", "--port", os.ttyname(slave), *SERIAL]
+    try:
+        first = start(*replay, "--until", "20", "--speed", "4", "--fail-on", "dropped", "--summary", "s.json")
+        first.word_after("r.mcap on ")
+        second = start(*replay)
+        assert second.wait() == 2
+        assert second.err.startswith(f"lidar-emu: --port: '{os.ttyname(slave)}' is not usable; in use by")
+        assert second.err.count("\n") == 1
+        assert first.wait() == 1
+    finally:
+        os.close(master)
+        os.close(slave)
+    packets = read_summary(tmp_path / "s.json")["packets"]
+    assert packets["due"] == 400
+    assert packets["dropped"]["full"] > 100
+    assert packets["sent"] > 50
+
+
+def test_a_kill_loses_at_most_the_last_second(start: Start, tmp_path: Path) -> None:
+    run = start("run", "descent.yaml", *QUICK, "--record", "r.mcap")
+    flight = tmp_path / "r.mcap"
+    eventually(lambda: flight.exists() and flight.read_bytes().count(b'"range_m": [') > 30)
+    run.process.kill()
+    killed = datetime.now(UTC)
+    run.wait()
+    recording = read_recording(flight)
+    measurement = recording.measurement()
+    assert not recording.is_whole
+    flown_s = (killed - recording.started_utc).total_seconds()
+    assert measurement.due_ns[-1] * 1e-9 > flown_s - 1
+    told = recomputed(start, tmp_path)
+    assert told["different"] == 0
+    assert told["equal"] >= 30
+
+
+def test_a_change_is_found_and_named(start: Start, tmp_path: Path) -> None:
+    start("run", "descent.yaml", "--pace", "max", "--duration", "3", "--record", "r.mcap").succeed()
+    assert recomputed(start, tmp_path) == {
+        "packets": 60, "equal": 60, "different": 0, "not_compared": 0, "first": None, "changed": {},
+    }  # fmt: skip
+    data = (tmp_path / "r.mcap").read_bytes()
+    assert data.count(b'"reflectance":0.2,') + data.count(b'"seed":1,') >= 1
+    (tmp_path / "other.mcap").write_bytes(data.replace(b'"seed":1,', b'"seed":2,'))
+    told = recomputed(start, tmp_path, "other.mcap", code=1)
+    assert told["different"] > 50
+    first = told["first"]
+    recorded = read_recording(tmp_path / "r.mcap").measurement()
+    value = getattr(recorded, first["field"])[first["shot"], first["beam"]]
+    assert first["recorded"] == pytest.approx(value, abs=0.01)
+    assert first["recomputed"] != first["recorded"]
+    shown = start("replay", "other.mcap", "--recompute")
+    assert shown.wait() == 1
+    assert (
+        f"shot {first['shot']}, beam {first['beam']}, {first['field']}: recorded {first['recorded']}, "
+        in shown.out
+    )
+
+
+class Commander:
+    """A host that sends a command and waits for the answer."""
+
+    def __init__(self, far_end: FarEnd) -> None:
+        self._far_end, self._host, self._sequence = far_end, Host(INTERFACE), 0
+
+    def all(self, kind: type) -> list[Any]:
+        received = SerialReceiver(INTERFACE).receive(bytes(self._far_end.data))
+        return [message for message in received if isinstance(message, kind)]
+
+    def __call__(self, name: str, **arguments: Any) -> str:
+        count = len(self.all(Acknowledge))
+        self._far_end.say(self._host.encode_command(name, sequence=self._sequence, **arguments))
+        self._sequence += 1
+        eventually(lambda: len(self.all(Acknowledge)) > count)
+        return str(self.all(Acknowledge)[-1].verdict)
+
+    def wait_for_standby(self) -> None:
+        """Until the last housekeeping says so."""
+        standby = INTERFACE.enumerations["mode"]["standby"]
+        eventually(lambda: (told := self.all(Housekeeping)) and told[-1].values["mode"] == standby)
+
+    def wait_for_shots(self, count: int) -> None:
+        before = len(self.all(Message))
+        eventually(lambda: len(self.all(Message)) >= before + count)
+
+
+@pytest.mark.parametrize("begins", ["now", "on-command"])
+def test_commands_are_followed_again(
+    begins: str, start: Start, far_ends: Callable[[], FarEnd], tmp_path: Path
+) -> None:
+    far_end, again = far_ends(), far_ends()
+    run = start("run", "descent.yaml", *QUICK, "--port", far_end.path, *SERIAL, "--record", "r.mcap", "--start", begins,
+                *(f"--set=device.{key}" for key in ("start=boot", "boot_s=0.3", "self_test_s=0.3", "acquisition_s=0.2",
+                                                    "warm_restart_s=0.2", "clock.drift_ppm=50")),
+                "--set", "timing.rate_hz=100")  # fmt: skip
+    command = Commander(far_end)
+    command.wait_for_standby()
+    assert command("set_pattern", pattern=1) == "accepted"
+    assert command("set_pattern", pattern=9) == "out_of_range"
+    assert command("set_mode", mode="track") == "accepted"
+    command.wait_for_shots(20)
+    assert command("enable_beams", beams=0b0101) == "accepted"
+    command.wait_for_shots(10)
+    assert command("set_rate_hz", rate_hz=25) == "accepted"
+    command.wait_for_shots(10)
+    assert command("reset", restart="warm") == "accepted"
+    command.wait_for_standby()
+    assert command("set_mode", mode="track") == "accepted"
+    command.wait_for_shots(10)
+    run.signal(signal.SIGINT)
+    run.succeed()
+    told = recomputed(start, tmp_path)
+    assert told["different"] == 0, told["first"]
+    assert told["equal"] > 100
+    assert told["not_compared"] <= 3
+    start("replay", "r.mcap", "--port", again.path, *SERIAL, "--speed", "max").succeed()
+    for kind in (Message, Acknowledge):
+        receiver = SerialReceiver(INTERFACE)
+        replayed = [m for m in receiver.receive(bytes(again.data)) if isinstance(m, kind)]
+        assert replayed == command.all(kind)
+
+
+ORDERS = (
+    "{kind: dropout, beams: [2], lasts_s: 0.5}",
+    "{kind: bit_errors, rate: 1.0e-3}",
+    "{kind: stuck, lasts_s: 1}",
+)
+
+
+def test_faults_ordered_in_flight_are_had_again(start: Start, tmp_path: Path) -> None:
+    run = start(
+        "run",
+        "bench.yaml",
+        "--set",
+        "timing.rate_hz=100",
+        "--duration",
+        "4",
+        "--control",
+        "c",
+        "--record",
+        "r.mcap",
+    )
+    eventually(lambda: (tmp_path / "r.mcap").exists())
+    for order in ORDERS:
+        subprocess.run([COMMAND, "inject", "c", order], cwd=tmp_path, check=True, capture_output=True)
+    run.succeed()
+    told = recomputed(start, tmp_path)
+    assert told["different"] == 0, told["first"]
+    assert len(read_recording(tmp_path / "r.mcap").told(channels.ORDERED_FAULT)) == 3
+    assert told["equal"] + told["not_compared"] == 400
+    assert told["not_compared"] <= 3
+
+
+@pytest.mark.parametrize("pace", ["wall", "lockstep"])
+def test_live_truth_is_used_again(pace: str, start: Start, tmp_path: Path) -> None:
+    """With gaps that make truth stale, datagrams that are refused, and a jump."""
+    settings = ("listen=unix:truth.sock", "when_stale=invalid", "stale_after_s=0.05")
+    run = start("run", "live.yaml", "--pace", pace, "--record", "r.mcap", "--set", "timing.rate_hz=100",
+                *(f"--set=trajectory.{setting}" for setting in settings))  # fmt: skip
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
+        link.bind(str(tmp_path / "simulator.sock"))
+        link.settimeout(60)
+        _simulate(link, str(tmp_path / "truth.sock"), waits=pace == "lockstep")
+    run.succeed()
+    told = recomputed(start, tmp_path)
+    assert told["different"] == 0, told["first"]
+    assert told["equal"] > 100
+
+
+def _simulate(link: socket.socket, there: str, waits: bool) -> None:
+    step_ns = 20_000_000
+    for step in range(81):
+        jump_m = 100.0 if step > 60 else 0.0
+        place, speed = (jump_m, 0.0, 900 - 0.6 * step), (0.0, 0.0, -30.0)
+        truth = Truth(step, step * step_ns, place, speed, None, DOWN, (0, 0, 0), step == 80)
+        if 30 <= step < 40 and not waits:
+            eventually_sent(link, b"no truth", there)
+        else:
+            eventually_sent(link, truth.to_bytes(), there)
+        if waits:
+            link.recv(65536)
+        else:
+            pause(step_ns * 1e-9)
+
+
+def eventually_sent(link: socket.socket, datagram: bytes, there: str) -> None:
+    def taken() -> bool:
+        with suppress(FileNotFoundError, ConnectionRefusedError):
+            link.sendto(datagram, there)
+            return True
+        return False
+
+    eventually(taken)
+
+
+def pause(duration_s: float) -> None:
+    threading.Event().wait(duration_s)
+
+
+def test_can_frames_come_again(start: Start, far_ends: Callable[[], FarEnd], tmp_path: Path) -> None:
+    """Over slcan, whose lines are read by hand; and through candump's format."""
+    first, second, third = far_ends(), far_ends(), far_ends()
+
+    def bus(far_end: FarEnd) -> list[str]:
+        return ["-i", "slcan", "-c", far_end.path, "--bitrate", "1000000"]
+
+    start(
+        "run", "descent.yaml", *bus(first), "--pace", "max", "--duration", "2", "--record", "r.mcap"
+    ).succeed()
+    start("replay", "r.mcap", *bus(second)).succeed()
+    said = start("replay", "r.mcap", "--to", "r.log")
+    said.succeed()
+    assert said.out == "r.log: 40 packets\n"
+    start("replay", "r.log", *bus(third), "--speed", "2").succeed()
+    frames = slcan_lines.frames(first.data)
+    assert len(frames) == 40 * 15
+    assert slcan_lines.frames(second.data) == frames
+    assert slcan_lines.frames(third.data) == frames
+    lines = (tmp_path / "r.log").read_text().splitlines()
+    assert len(lines) == len(frames)
+    assert recomputed(start, tmp_path)["equal"] == 40
+    refused = start("replay", "r.mcap", "--port", "pty")
+    assert refused.wait() == 2
+    assert refused.err == "lidar-emu: replay: CAN frames for pty; allowed: --interface and --channel\n"

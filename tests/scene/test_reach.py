@@ -1,0 +1,143 @@
+"""Ground that is left out is ground that no ray needs: the same hits, bit by bit, and none lost when one strays."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lidar_emu.scene import grids
+from lidar_emu.scene.cut import CutGround
+from lidar_emu.scene.grid import GridGround, Samples
+from lidar_emu.scene.grids import Layer, join_grids
+from lidar_emu.scene.nested import Rectangle
+from lidar_emu.scene.plane import PlaneGround
+from lidar_emu.scene.reach import Reach, Span, strays
+from lidar_emu.scene.sphere import SphereGround
+
+BEYOND = [None, PlaneGround(0.0, 0.0, 0.0), SphereGround(1.7e6, 0.0)]
+SLACK_RAD, SPREAD_M = 2e-3, 0.05
+
+
+@pytest.fixture(autouse=True)
+def cut_small_grids_too(monkeypatch):
+    monkeypatch.setattr(grids, "CUT_FROM_SAMPLES", 0)
+
+
+def layer(rng, west_m, south_m, pixel_m, columns, rows, holes=0.0):
+    north, east = np.mgrid[:rows, :columns] * pixel_m
+    height = 25 * np.sin((east + west_m) / 90) * np.cos((north + south_m) / 70)
+    height += rng.normal(0, 0.3 * pixel_m, height.shape)
+    height[rng.random(height.shape) < holes] = np.nan
+    samples = Samples(height, west_m, south_m, pixel_m, pixel_m * 1.1)
+    return Layer(samples, lambda s, beyond, name: GridGround(s, beyond, name, 0.0), "", "")
+
+
+def beams(rng, count=60):
+    """A vehicle on its way, and beams around its axis; some look up, and some not at all."""
+    path = np.linspace(0, 1, count)[:, None]
+    start, end = rng.uniform([-500, -500, 120], [500, 500, 900], (2, 3))
+    origin = start + path * (end - start)
+    axis = rng.normal(size=3) * [0.6, 0.6, 0] + [0, 0, rng.choice([-1.0, -0.2, 0.4], p=[0.8, 0.15, 0.05])]
+    direction = axis + rng.normal(0, 0.25, (count, 3))
+    direction[rng.random(count) < 0.05] = np.nan
+    return origin, direction / np.linalg.norm(direction, axis=1)[:, None]
+
+
+def beamlets(rng, origin, direction, count=20):
+    """Rays that start and point a little otherwise, by no more than is allowed for."""
+    away = rng.normal(size=(count, *origin.shape))
+    away *= SPREAD_M * rng.random((count, len(origin), 1)) / np.linalg.norm(away, axis=-1, keepdims=True)
+    turn = rng.normal(size=(count, *origin.shape))
+    turn -= (turn * direction).sum(axis=-1, keepdims=True) * direction
+    turn *= 0.999 * SLACK_RAD / np.linalg.norm(turn, axis=-1, keepdims=True)
+    turned = direction + turn * rng.random((count, len(origin), 1))
+    turned /= np.linalg.norm(turned, axis=-1, keepdims=True)
+    return (origin + away).reshape(-1, 3), turned.reshape(-1, 3)
+
+
+@given(st.integers(0, 10**9))
+@settings(max_examples=150, deadline=None)
+def test_hits_before_equal_hits_after(seed):
+    rng = np.random.default_rng(seed)
+    beyond = BEYOND[rng.integers(3)]
+    layers = [layer(rng, -800.3, -700.9, 10.1, 160, 150, rng.choice([0, 0.01]))]
+    if rng.random() < 0.5:
+        layers.insert(0, layer(rng, *rng.uniform(-300, 0, 2), 2.3, 120, 130, rng.choice([0, 0.01])))
+    axes = beams(rng)
+    reach = Reach(lambda: iter([axes]), SLACK_RAD, SPREAD_M)
+
+    def forbidden():
+        if reads:
+            raise AssertionError("a ray strayed that the reach had foreseen")
+        reads.append(True)
+        return layers, beyond
+
+    reads = []
+    cut = join_grids(forbidden, None, reach)
+    whole = join_grids(lambda: (layers, beyond), None, reach, cut=False)
+    assert isinstance(cut, CutGround)
+    origin, direction = beamlets(rng, *axes)
+    for before, after in zip(whole.cast(origin, direction), cut.cast(origin, direction), strict=True):
+        np.testing.assert_allclose(after, before, rtol=0, atol=1e-11)
+    place = origin[:, :2].T
+    np.testing.assert_array_equal(cut.height_m(*place), whole.height_m(*place))
+
+
+def test_much_is_left_out():
+    rng = np.random.default_rng(1)
+    origin = np.column_stack([np.zeros(50), np.zeros(50), np.linspace(900, 50, 50)])
+    direction = np.tile([0.3, 0.0, -np.sqrt(1 - 0.09)], (50, 1))
+    reach = Reach(lambda: iter([(origin, direction)]), SLACK_RAD, SPREAD_M)
+    ground = join_grids(lambda: ([layer(rng, -3000, -3000, 5, 1201, 1101)], None), None, reach)
+    (kept,) = ground.kept
+    # 0.3 of the range to the east and a margin of a dozen pixels: nothing of the north.
+    assert kept.samples == 1201 * 1101
+    assert kept.held < 0.01 * kept.samples
+    assert 250 < kept.area.east_m < 400
+    assert kept.area.north_m < 80
+
+
+def test_a_stray_ray_brings_the_rest_back():
+    rng = np.random.default_rng(2)
+    read = []
+
+    def layers():
+        read.append(1)
+        return [layer(np.random.default_rng(3), -1000, -1000, 5, 401, 365)], None
+
+    axes = np.array([[0.0, 0, 500]]), np.array([[0.0, 0, -1]])
+    ground = join_grids(layers, None, Reach(lambda: iter([axes]), SLACK_RAD, SPREAD_M))
+    whole = join_grids(layers, None, None)
+    read.clear()
+    origin = np.tile([0.0, 0, 500], (400, 1))
+    direction = rng.normal(size=(400, 3)) * [1, 1, 0] + [0, 0, -0.7]
+    direction[0] = [0, 0, -1]
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    for before, after in zip(whole.cast(origin, direction), ground.cast(origin, direction), strict=True):
+        np.testing.assert_allclose(after, before, rtol=0, atol=1e-11)
+    assert read == [1]
+    east = np.linspace(-1200, 1200, 49)
+    np.testing.assert_array_equal(ground.covers(east, 0 * east), whole.covers(east, 0 * east))
+    np.testing.assert_array_equal(ground.height_m(east, 0 * east), whole.height_m(east, 0 * east))
+    exact = ground.cast_exact(origin[:5], direction[:5])
+    np.testing.assert_allclose(exact.range_m, whole.cast(origin[:5], direction[:5]).range_m, atol=1e-9)
+
+
+def test_only_rays_that_need_more_are_strays():
+    span = Span(Rectangle(-100, 100, -100, 100), -10.0, 10.0)
+    kept = Rectangle(-20, 20, -20, 20)
+    rays = [
+        ([0, 0, 50], [0, 0, -1], False),
+        ([0, 0, 50], [0.6, 0, -0.8], True),  # 30 to 45 m east between ceiling and floor
+        ([0, 0, 20], [0.6, 0, -0.8], True),  # leaves what is kept above the floor
+        ([0, 0, 18], [0.5, 0, -np.sqrt(0.75)], False),
+        ([0, 0, 50], [1, 0, 0], False),  # level, above everything
+        ([0, 0, 5], [1, 0, 0], True),
+        ([0, 0, 5], [0, 0, 1], False),
+        ([0, 0, 500], [0.6, 0, -0.8], False),  # comes down beside the grid
+        ([200, 0, 5], [1, 0, 0], False),
+        ([200, 0, 5], [-1, 0, 0], True),
+        ([0, 0, 50], [np.nan] * 3, False),
+    ]
+    origin, direction, expected = (np.array(column, dtype=float) for column in zip(*rays, strict=True))
+    np.testing.assert_array_equal(strays(origin, direction, span, kept), expected.astype(bool))

@@ -1,0 +1,143 @@
+"""PDS images by their labels, written here as the archives write them."""
+
+import numpy as np
+import pytest
+
+from lidar_emu.errors import InputError
+from lidar_emu.scenario.site import Grid
+from lidar_emu.scene.terrain_raster import open_raster
+from lidar_emu.scene.terrain_read import read_terrain
+
+pytest.importorskip("rasterio", reason="the extra geo is not installed")
+
+LABEL = """PDS_VERSION_ID = PDS3
+RECORD_TYPE = FIXED_LENGTH
+FILE_RECORDS = 180
+RECORD_BYTES = 720
+^IMAGE = "{image}"
+DATA_SET_ID = "{data_set}"
+TARGET_NAME = MARS
+OBJECT = IMAGE
+  LINES = 180
+  LINE_SAMPLES = 360
+  SAMPLE_TYPE = {sample_type}
+  SAMPLE_BITS = 16
+  UNIT = {unit}
+  SCALING_FACTOR = {scale}
+  OFFSET = {offset}
+END_OBJECT = IMAGE
+OBJECT = IMAGE_MAP_PROJECTION
+  MAP_PROJECTION_TYPE = "SIMPLE CYLINDRICAL"
+  A_AXIS_RADIUS = {radius_km} <KM>
+  B_AXIS_RADIUS = {radius_km} <KM>
+  C_AXIS_RADIUS = {radius_km} <KM>
+  POSITIVE_LONGITUDE_DIRECTION = "EAST"
+  CENTER_LATITUDE = 0.0 <DEGREE>
+  CENTER_LONGITUDE = 180.0 <DEGREE>
+  MAP_RESOLUTION = 1.0 <PIXEL/DEGREE>
+  MAP_SCALE = {scale_km} <KM/PIXEL>
+  LINE_PROJECTION_OFFSET = {line_offset}
+  SAMPLE_PROJECTION_OFFSET = {sample_offset}
+END_OBJECT = IMAGE_MAP_PROJECTION
+END
+"""
+LOLA = {
+    "data_set": "LRO-L-LOLA-4-GDR-V1.0",
+    "sample_type": "LSB_INTEGER",
+    "unit": "METER",
+    "scale": 0.5,
+    "offset": 0,
+    "radius_km": 1737.4,
+    "scale_km": 30.3233504,
+    "line_offset": 89.5,
+    "sample_offset": 179.5,
+}
+MOLA = LOLA | {
+    "data_set": "MGS-M-MOLA-5-MEGDR-L3-V1.0",
+    "sample_type": "MSB_INTEGER",
+    "scale": 1,
+    "radius_km": 3396.0,
+    "scale_km": 59.2713,
+    "line_offset": 90.5,
+    "sample_offset": 180.5,
+}
+
+
+def write_pds(folder, label):
+    """A hill of one sample at latitude 24.5 north, longitude 40.5 east: of a degree, it is centred in its pixel."""
+    values = np.zeros((180, 360), dtype=">i2" if label["sample_type"] == "MSB_INTEGER" else "<i2")
+    values[65, 40] = 1000
+    (folder / "map.img").write_bytes(values.tobytes())
+    (folder / "map.lbl").write_text(LABEL.format(image="map.img", **label))
+    return folder / "map.lbl"
+
+
+def elevation_at(path, latitude_deg, longitude_deg, **keys):
+    origin = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
+    return read_terrain(Grid(kind="grid", file=str(path), origin=origin, **keys)).origin_elevation_m
+
+
+@pytest.mark.parametrize(("label", "height_m"), [(LOLA, 500.0), (MOLA, 1000.0)])
+def test_a_sample_is_found_in_its_degree(tmp_path, label, height_m):
+    """LOLA's labels count from the first sample, MOLA's from a pixel before it: both mean the same places."""
+    path = write_pds(tmp_path, label)
+    assert elevation_at(path, 24.5, 40.5) == pytest.approx(height_m, rel=0.01)
+    assert elevation_at(path, 25.5, 40.5) == pytest.approx(0, abs=0.01 * height_m)
+    assert elevation_at(path, 24.5, 39.5) == pytest.approx(0, abs=0.01 * height_m)
+
+
+def test_a_polar_image(tmp_path):
+    """Seen from below the south pole: longitude 0 is up on the map, 90 east to the right, at the map's own scale."""
+    label = LABEL.replace("SIMPLE CYLINDRICAL", "POLAR STEREOGRAPHIC").replace(
+        "CENTER_LATITUDE = 0.0", "CENTER_LATITUDE = -90"
+    )
+    label = label.replace("CENTER_LONGITUDE = 180.0", "CENTER_LONGITUDE = 0.0").replace(
+        "LINES = 180", "LINES = 360"
+    )
+    values = np.zeros((360, 360), dtype="<i2")
+    values[80, 180 + 40] = 1000
+    (tmp_path / "map.img").write_bytes(values.tobytes())
+    keys = LOLA | {"scale_km": 1.0, "line_offset": 179.5, "sample_offset": 179.5}
+    (tmp_path / "map.lbl").write_text(label.format(image="map.img", **keys))
+    x_m, y_m = 40_500.0, 99_500.0
+    # Snyder 21-1 and 21-2 on the sphere, true scale at the pole: rho = 2 R tan(colatitude / 2).
+    colatitude = 2 * np.arctan(np.hypot(x_m, y_m) / (2 * 1_737_400.0))
+    latitude_deg, longitude_deg = np.degrees(colatitude) - 90, np.degrees(np.arctan2(x_m, y_m))
+    assert elevation_at(tmp_path / "map.lbl", latitude_deg, longitude_deg) == pytest.approx(500.0, rel=1e-6)
+    assert elevation_at(tmp_path / "map.lbl", latitude_deg, -longitude_deg) == 0
+
+
+def test_unit_of_the_label(tmp_path):
+    path = write_pds(tmp_path, LOLA | {"unit": "KILOMETER", "scale": 0.001})
+    assert elevation_at(path, 24.5, 40.5) == pytest.approx(1000.0, rel=0.01)
+    assert elevation_at(path, 24.5, 40.5, elevation_scale=1.0) == pytest.approx(1.0, rel=0.01)
+
+
+def test_radii_instead_of_elevations(tmp_path):
+    path = write_pds(tmp_path, LOLA | {"offset": 1737400})
+    with pytest.raises(InputError) as caught:
+        elevation_at(path, 24.5, 40.5)
+    assert "as with ground.elevation_offset_m: -1737400" in str(caught.value)
+    assert elevation_at(path, 24.5, 40.5, elevation_offset_m=-1737400.0) == pytest.approx(500.0, rel=0.01)
+
+
+def test_the_image_instead_of_its_label(tmp_path):
+    path = write_pds(tmp_path, LOLA)
+    with pytest.raises(InputError, match=r"of a PDS image its label, such as map\.lbl"):
+        elevation_at(path.with_suffix(".img"), 0, 0)
+
+
+@pytest.mark.parametrize("text", ["", "PDS_VERSION_ID = PDS3\nEND\n", LABEL[:200]])
+def test_damaged_labels(tmp_path, text):
+    path = write_pds(tmp_path, LOLA)
+    path.write_text(text)
+    with pytest.raises(InputError, match="unreadable"):
+        elevation_at(path, 0, 0)
+
+
+def test_an_image_that_is_cut_short(tmp_path):
+    path = write_pds(tmp_path, LOLA)
+    image = path.with_suffix(".img")
+    image.write_bytes(image.read_bytes()[:1000])
+    with pytest.raises(InputError, match="unreadable"), open_raster(str(path)) as file:
+        file.read(1)

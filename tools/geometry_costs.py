@@ -1,0 +1,57 @@
+"""What recorded geometry costs and saves: the table of docs/geometry.md, for the machine that it runs on.
+
+Direct runs and runs from the record take turns, each from the scenario to the measurement; the shortest of each counts.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+
+from lidar_emu.report.geometry_export import record_geometry
+from lidar_emu.scenario.load import load
+from lidar_emu.scenario.required import require_flight
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.shots import build_model, measure_whole
+
+TURNS = 15
+FLIGHTS = {
+    "`descent`, elevation grid": ("descent.yaml", {}),
+    "`descent`, generated ground": ("descent.yaml", {"site": "cratered"}),
+    "`powered_descent`, generated ground": ("powered_descent.yaml", {"site": "cratered"}),
+}
+
+
+def main() -> None:
+    """Print the rows."""
+    with tempfile.TemporaryDirectory() as folder:
+        for name, (scenario, settings) in FLIGHTS.items():
+            for beamlets in (19, 61):
+                asked = {**settings, "instrument.optics.beamlets": str(beamlets)}
+                print(_row(name, scenario, asked, Path(folder) / "geometry.npz"), flush=True)
+
+
+def _row(name: str, scenario: str, settings: dict[str, str], path: Path) -> str:
+    cells = []
+    for level in ("statistical", "spectral"):
+        flown = require_flight(load(scenario, {**settings, "level": level}))
+        about = record_geometry(flown, path)
+        direct_s, recorded_s = _shortest(flown, path)
+        cells.append(f"{direct_s * 1e3:.0f} ms | {recorded_s * 1e3:.0f} ms | {direct_s / recorded_s:.2f}")
+    size = path.stat().st_size / about.shots / 1e3
+    return f"| {name} | {about.shots} | {about.beamlets} | {size:.1f} kB | {' | '.join(cells)} |"
+
+
+def _shortest(flown: FlightScenario, path: Path) -> tuple[float, float]:
+    direct_s, recorded_s = [], []
+    for _ in range(1 + TURNS):
+        for geometry, taken_s in ((None, direct_s), (path, recorded_s)):
+            begun = time.perf_counter()
+            measure_whole(build_model(flown, geometry))
+            taken_s.append(time.perf_counter() - begun)
+    return min(direct_s), min(recorded_s)
+
+
+if __name__ == "__main__":
+    main()
