@@ -13,7 +13,7 @@ from pyarrow import parquet
 from small_campaign import ROWS, SMALL, Here, content
 
 import lidar_emu
-from lidar_emu.campaign.batch import fly_batch
+from lidar_emu.campaign.batch import fly_batch, measured
 from lidar_emu.campaign.fly import fly_campaign, runs_per_file
 from lidar_emu.campaign.pools import LocalPool
 from lidar_emu.campaign.read import prepare
@@ -216,3 +216,17 @@ def test_runs_differ(fly, tmp_path):
     assert len({row["seed"] for row in rows}) == 12
     assert len({row["range_error_m_abs_p50"] for row in rows}) == 12
     assert np.all([row["trajectory.waypoints.0.altitude_m"] >= 800 for row in rows])
+
+
+def test_kept_ground_and_trajectories_are_those_that_would_be_made(campaign_file):
+    text = SMALL.replace("site: flat", "timing.rate_hz: 40") + (
+        "  site: {{kind: choice, of: [mare, flat, crater_wall]}}\n"
+        "  trajectory.waypoints.0.speed_mps: {{kind: choice, of: [90.0, 100.0]}}\n"
+    )
+    text = text.replace("kind: normal, mean: 900, sigma: 60, low: 800", "kind: choice, of: [2000.0, 1900.0]")
+    prepared = prepare(campaign_file(text, 24), {}, None)
+    for run in range(24):
+        values = prepared.drawn.values(run)
+        fresh = lidar_emu.simulate(prepared.base.scenario_of(values)).table()
+        kept = measured(prepared.base, values).table()
+        assert all(np.array_equal(kept[name], fresh[name], equal_nan=True) for name in fresh)
