@@ -44,7 +44,8 @@ def _row(name: str, scenario: str, settings: dict[str, str], path: Path) -> str:
 
 
 def _shortest(flown: FlightScenario, path: Path) -> tuple[float, float]:
-    direct_s, recorded_s = [], []
+    direct_s: list[float] = []
+    recorded_s: list[float] = []
     for _ in range(1 + TURNS):
         for geometry, taken_s in ((None, direct_s), (path, recorded_s)):
             begun = time.perf_counter()

@@ -241,7 +241,8 @@ class Flight:
             origin_site_m, direction_site, hits: as of `Scene.cast`.
         """
         if self._moving_scene is None:
-            return self.scene.cast(origin_site_m, direction_site, hits)
+            bundle = max(len(direction_site) // max(time_ns.size, 1), 1)
+            return self.scene.cast(origin_site_m, direction_site, hits, bundle)
         return self._moving_scene.cast_at(time_ns.reshape(-1), origin_site_m, direction_site, hits)
 
     def cast_beamlets(

@@ -13,6 +13,7 @@ from lidar_emu.plan_faults import planned_faults
 from lidar_emu.plan_ground import plan_parts
 from lidar_emu.plan_receiver import Decision, plan_receiver
 from lidar_emu.scenario.generated_ground import Generated
+from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.site import Grid, Nested
 from lidar_emu.scenario.trajectory import PoweredDescent
@@ -161,6 +162,8 @@ def _powered_descent(flight: Flight, ground_m: float) -> Decision:
 
 def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
     ground = scenario.site.ground
+    if isinstance(ground, Mesh):
+        return [Decision("ground", True, flight.scene.description, "the site has a mesh", "exact")]
     if not isinstance(ground, Grid | Generated | Nested):
         return [
             Decision("ground", True, flight.scene.description, f"a {ground.kind} is a formula", "exact"),
@@ -214,16 +217,16 @@ def _footprint(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> tupl
     """How many beamlets stand for the footprint.
 
     One where its spectrum is narrow beside a bin, as far as that can be known before the run: over a plane or a
-    sphere. A spectrum of rms width s bins loses pi² s²/3 of its peak. On a grid the facets are unknown until
-    they are hit.
+    sphere without objects. A spectrum of rms width s bins loses pi² s²/3 of its peak. Elsewhere the facets are unknown
+    until they are hit.
     """
     asked = scenario.instrument.optics.beamlets
     if scenario.level == "geometric":
         return Decision("footprint", False, "1 beamlet", "the beam's axis is reported", "exact"), 1
     if asked == 1:
         return Decision("footprint", False, "1 beamlet", "the instrument asks for one", "as asked"), 1
-    if isinstance(scenario.site.ground, Grid | Generated | Nested):
-        return Decision("footprint", True, f"{asked} beamlets", "slopes of a grid vary", "sampled"), asked
+    if not scenario.site.is_smooth:
+        return Decision("footprint", True, f"{asked} beamlets", "slopes of the ground vary", "sampled"), asked
     spread = float(np.nanmax(spread_bins(scenario.instrument, pointing, hits).widest(), initial=0.0))
     reason = f"rms spread at most {spread:.3f} bin"
     if spread < ONE_BEAMLET_BELOW_BINS and not scenario.exact:

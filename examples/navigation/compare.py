@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from beams import Array
 from error_state import MARE, POSITION, VELOCITY, Ground
-from navigation import start
-from trials import Log, fly
+from trials import Log, fly, start
 from trust import CAREFUL, NAMED, Rules
 from truth import Truth
 
@@ -58,7 +57,8 @@ def fly_all(scenario_name: str, variants: Mapping[str, Variant], seed: int) -> d
 
 def speed_errors(log: Log) -> Array:
     """(shots,) Length of the velocity's error."""
-    return np.linalg.norm(log.errors[:, VELOCITY], axis=1)
+    lengths: Array = np.linalg.norm(log.errors[:, VELOCITY], axis=1)
+    return lengths
 
 
 def height_errors(log: Log) -> Array:
@@ -80,8 +80,8 @@ def summary(logs: Sequence[Log]) -> str:
         np.sum([values[late].sum() for values, late in zip(column, settled, strict=True)])
         for column in ([log.surprise for log in logs], [log.taken for log in logs])
     )
-    nis = f"{surprise / taken:8.2f}" if taken else "       -"
-    return "".join(f"{figure:10.3f}" for figure in (*figures, drift_m)) + nis
+    nis = f"{surprise / taken:9.3g}" if taken else "        -"
+    return "".join(f"{figure:10.3g}" for figure in (*figures, drift_m)) + nis
 
 
 def rms(values: Array) -> float:
@@ -128,7 +128,7 @@ def main() -> None:
     study, seeds = STUDIES[asked.study], range(1, asked.seeds + 1)
     results: dict[str, dict[str, list[Log]]] = {}
     print(f"{'':34}{'height, m':>20}{'velocity, m/s':>20}{'drift, m':>10}")
-    print(f"{'':34}{'95 %':>10}{'end':>10}{'95 %':>10}{'end':>10}{'end':>10}{'NIS':>8}")
+    print(f"{'':34}{'95 %':>10}{'end':>10}{'95 %':>10}{'end':>10}{'end':>10}{'NIS':>9}")
     with ProcessPoolExecutor() as pool:
         for scenario in study.scenarios:
             count = len(seeds)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from beams import Array
-from inertial import Grade, Increment
+from inertial import GRAVITY_SITE_MPS2, Grade, Increment
 from numpy.typing import NDArray
 
 POSITION, VELOCITY, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -82,11 +82,11 @@ class ErrorState:
         """Above the ground; a filter that has lost it may think itself below."""
         return max(float(self.position_site_m[HEIGHT]), LEAST_HEIGHT_M)
 
-    def propagate(self, felt: Increment, gravity_site_mps2: Array) -> None:
+    def propagate(self, felt: Increment) -> None:
         """Carry estimate and covariance over an increment."""
         step_s = felt.duration_s
         force = self.site_from_body @ (felt.velocity_body_mps / step_s - self.accelerometer_bias_mps2)
-        self.acceleration_site_mps2 = force + gravity_site_mps2
+        self.acceleration_site_mps2 = force + GRAVITY_SITE_MPS2
         moved_m = (self.velocity_site_mps + self.acceleration_site_mps2 * step_s / 2) * step_s
         self._spread(force, moved_m, step_s)
         moved_m[HEIGHT] -= self.slope @ moved_m[:2]

@@ -8,8 +8,9 @@ from math import acos, degrees
 import numpy as np
 from beams import Array, Shot, from_message
 from error_state import POSITION, VELOCITY
-from navigation import Navigator, Taken, errors, start
+from navigation import Navigator, Taken
 from ports import from_can, from_serial
+from trials import errors, start
 from trust import NAMED
 from truth import Truth
 
@@ -44,17 +45,24 @@ def options() -> argparse.ArgumentParser:
         "--set", action="append", default=[], metavar="KEY=VALUE", help="as given to lidar-emu run"
     )
     parser.add_argument("--port", metavar="PATH", help="serial device, or the pty that lidar-emu prints")
-    parser.add_argument("--baud", type=int, default=921_600)
+    parser.add_argument("--baud", type=natural, default=921_600)
     parser.add_argument("-i", "--interface", metavar="NAME", help="CAN interface, in python-can's words")
     parser.add_argument("-c", "--channel", metavar="NAME", help="CAN channel, e.g. vcan0")
-    parser.add_argument("--bitrate", type=int, default=500_000)
+    parser.add_argument("--bitrate", type=natural, default=500_000)
     parser.add_argument("--fd", action="store_true", help="CAN FD frames")
     parser.add_argument("--rules", choices=NAMED, default="careful", help="whom to believe")
-    parser.add_argument("--seed", type=int, default=1, help="of inertial unit and first guess")
+    parser.add_argument("--seed", type=natural, default=1, help="of inertial unit and first guess")
     parser.add_argument(
         "--every", type=float, default=1.0, metavar="S", help="seconds of flight between two lines"
     )
     return parser
+
+
+def natural(text: str) -> int:
+    """A whole number that is not negative, for argparse."""
+    if not (text.isascii() and text.isdigit()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not usable; allowed: a whole number, 0 or more")
+    return int(text)
 
 
 def overrides(settings: list[str]) -> dict[str, str]:

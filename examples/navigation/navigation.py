@@ -5,24 +5,9 @@ from typing import NamedTuple
 import numpy as np
 import snapshot
 from beams import Array, DataSheet, Shot
-from error_state import (
-    ATTITUDE,
-    HEIGHT,
-    MARE,
-    POSITION,
-    SLOPE,
-    VELOCITY,
-    ErrorState,
-    Ground,
-    Predicted,
-    rotation,
-)
-from inertial import TACTICAL, Grade, Inertial, rotation_vectors
-from trust import CAREFUL, Rules, Watch
-from truth import GRAVITY_SITE_MPS2, TrueState, Truth
-
-START_SIGMAS = np.array([10.0, 10.0, 50.0, 1.0, 1.0, 1.0, 5e-4, 5e-4, 5e-4])
-"""Of position, velocity and attitude before the first shot."""
+from error_state import HEIGHT, SLOPE, VELOCITY, ErrorState, Predicted
+from inertial import Inertial
+from trust import Rules, Watch
 
 
 class Taken(NamedTuple):
@@ -47,17 +32,13 @@ class Navigator:
         self._inertial, self._sheet = inertial, sheet
         self._ranges, self._speeds = Watch(rules), Watch(rules)
 
-    def carry_to(self, time_ns: int) -> None:
-        """Go on by the inertial unit alone."""
-        for felt in self._inertial.between(self.time_ns, time_ns):
-            self.state.propagate(felt, GRAVITY_SITE_MPS2)
-        self.time_ns = time_ns
-
     def take(self, shot: Shot) -> tuple[Taken, Taken] | None:
         """What became of ranges and speeds; None for a shot that is not newer than the estimate, or is yet to come."""
         if not self.time_ns < shot.time_ns <= self._inertial.end_ns:
             return None
-        self.carry_to(shot.time_ns)
+        for felt in self._inertial.between(self.time_ns, shot.time_ns):
+            self.state.propagate(felt)
+        self.time_ns = shot.time_ns
         return self._take_ranges(shot), self._take_speeds(shot)
 
     def _take_ranges(self, shot: Shot) -> Taken:
@@ -119,29 +100,6 @@ class Navigator:
         return True
 
 
-def start(
-    truth: Truth,
-    time_ns: int,
-    seed: int,
-    rules: Rules = CAREFUL,
-    ground: Ground = MARE,
-    grade: Grade = TACTICAL,
-) -> Navigator:
-    """A navigator at an instant of a flight, off by errors as large as it thinks, with an inertial unit of its own."""
-    rng = np.random.default_rng(seed)
-    inertial = Inertial(truth, rng, grade)
-    true, off = truth.at(time_ns), START_SIGMAS * rng.standard_normal(9)
-    state = ErrorState(
-        true.position_site_m + off[POSITION],
-        true.velocity_site_mps + off[VELOCITY],
-        rotation(off[ATTITUDE]) @ true.site_from_body,
-        START_SIGMAS,
-        grade,
-        ground,
-    )
-    return Navigator(state, inertial, time_ns, truth.sheet, rules)
-
-
 def least_parity(*fits: snapshot.Fit | None) -> Array:
     """Of fits to the same values the least contradiction; nothing where there is none.
 
@@ -150,15 +108,3 @@ def least_parity(*fits: snapshot.Fit | None) -> Array:
     """
     parities = [fit.parity for fit in fits if fit is not None]
     return min(parities, key=lambda parity: float(parity @ parity), default=np.empty(0))
-
-
-def errors(state: ErrorState, true: TrueState) -> Array:
-    """(9,) What is to be added to position, velocity and attitude: the first rows of the covariance are about these."""
-    turned = (true.site_from_body @ state.site_from_body.T)[None]
-    return np.concatenate(
-        [
-            true.position_site_m - state.position_site_m,
-            true.velocity_site_mps - state.velocity_site_mps,
-            rotation_vectors(turned)[0],
-        ]
-    )

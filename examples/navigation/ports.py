@@ -19,7 +19,11 @@ def from_serial(path: str, baud: int, unit: int) -> Iterator[Message]:
         OSError: the port cannot be opened.
     """
     receiver, begun = SerialReceiver(default_interface()), False
-    with serial.Serial(path, baud, timeout=QUIET_S) as port, suppress(serial.SerialException):
+    try:
+        port = serial.Serial(path, baud, timeout=QUIET_S)
+    except serial.SerialException as error:
+        raise OSError(f"{path}: {error}") from None
+    with port, suppress(serial.SerialException):
         while (data := port.read(max(1, port.in_waiting))) or not begun:
             for received in receiver.receive(data):
                 if isinstance(received, Message) and received.unit == unit:
@@ -36,8 +40,8 @@ def from_can(interface: str, channel: str, bitrate: int, fd: bool, unit: int) ->
     receiver, begun = CanReceiver(default_interface()), False
     try:
         bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, fd=fd)
-    except can.CanError as error:
-        raise OSError(str(error)) from None
+    except Exception as error:  # without its vendor's driver an interface raises what it likes
+        raise OSError(f"{interface} {channel}: {error}") from None
     with bus:
         while (frame := bus.recv(QUIET_S)) or not begun:
             if frame is None or frame.is_extended_id:

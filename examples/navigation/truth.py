@@ -7,13 +7,11 @@ from beams import Array, DataSheet
 
 from lidar_emu.errors import InputError
 from lidar_emu.flight import Flight
+from lidar_emu.scenario.required import require_known_flight
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.shots import require_known_flight
 from lidar_emu.trajectory.state import VehicleState
 
 LIGHT_MPS = 299_792_458.0
-GRAVITY_SITE_MPS2 = np.array([0.0, 0.0, -1.62])
-"""The Moon's. Inertial unit and filter share it, so that an error of gravity is none of those that are shown."""
 
 
 class TrueState(NamedTuple):
@@ -51,8 +49,9 @@ class Truth:
 
     @property
     def duration_s(self) -> float:
-        """Of the flight."""
-        return self._flight.trajectory.duration_s
+        """Of the flight, or of what the scenario has flown of it."""
+        asked_s = self.scenario.duration_s
+        return self._flight.trajectory.duration_s if asked_s is None else asked_s
 
     def states(self, time_s: Array) -> VehicleState:
         """Motion at instants (n,)."""

@@ -7,8 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from error_state import VELOCITY
-from navigation import start
-from trials import Log, fly
+from trials import Log, fly, start
 from trust import NAMED
 from truth import Truth
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from beams import Array, directions, from_run
 from error_state import ERRORS, MARE, ErrorState, Ground, rotation
-from inertial import TACTICAL, Grade, Inertial, rotation_vectors
-from navigation import START_SIGMAS, errors, start
+from inertial import TACTICAL, Grade
 from scipy.stats import chi2
-from trials import Log, fly, normalised
+from simulated_inertial import SimulatedInertial, rotation_vectors
+from trials import START_SIGMAS, Log, errors, fly, normalised, start
 from trust import CAREFUL, Rules, Watch
-from truth import GRAVITY_SITE_MPS2, Truth
+from truth import Truth
 
 import lidar_emu
 from lidar_emu.errors import InputError
@@ -73,13 +73,13 @@ def test_designs_are_the_derivatives(what: str) -> None:
 def test_the_covariance_is_carried_as_errors_are() -> None:
     """Pairs of filters, one of them wrong by a little in one thing, fed the same increments."""
     truth = flown(trajectory=TURNING)
-    inertial = Inertial(truth, np.random.default_rng(1), EXACT)
+    inertial = SimulatedInertial(truth, np.random.default_rng(1), EXACT)
 
     def after(error: Array) -> ErrorState:
         state = moved(error)
         state.covariance = np.outer(error, error)
         for felt in inertial.between(0, 500_000_000):
-            state.propagate(felt, GRAVITY_SITE_MPS2)
+            state.propagate(felt)
         return state
 
     right = after(np.zeros(ERRORS))
@@ -106,8 +106,8 @@ def test_without_errors_the_inertial_unit_finds_the_way() -> None:
     state = ErrorState(
         true.position_site_m, true.velocity_site_mps, true.site_from_body, START_SIGMAS, EXACT, MARE
     )
-    for felt in Inertial(truth, np.random.default_rng(1), EXACT).between(0, 5_000_000_000):
-        state.propagate(felt, GRAVITY_SITE_MPS2)
+    for felt in SimulatedInertial(truth, np.random.default_rng(1), EXACT).between(0, 5_000_000_000):
+        state.propagate(felt)
     off = errors(state, truth.at(5_000_000_000))
     assert np.abs(off).max() < 1e-6
 
@@ -115,10 +115,10 @@ def test_without_errors_the_inertial_unit_finds_the_way() -> None:
 def test_an_inertial_unit_has_the_errors_that_its_grade_states() -> None:
     """Over units: biases by their scatter; within one: random walks by that of its ticks."""
     truth = flown(trajectory=TURNING)
-    exact = list(Inertial(truth, np.random.default_rng(0), EXACT).between(0, 4_000_000_000))
+    exact = list(SimulatedInertial(truth, np.random.default_rng(0), EXACT).between(0, 4_000_000_000))
     means, scatters = [], []
     for seed in range(60):
-        felt = list(Inertial(truth, np.random.default_rng(seed), TACTICAL).between(0, 4_000_000_000))
+        felt = list(SimulatedInertial(truth, np.random.default_rng(seed), TACTICAL).between(0, 4_000_000_000))
         off = np.array([a.velocity_body_mps - b.velocity_body_mps for a, b in zip(felt, exact, strict=True)])
         means.append(off.mean(axis=0) / 0.01)
         scatters.append(off.std(axis=0))
@@ -127,7 +127,7 @@ def test_an_inertial_unit_has_the_errors_that_its_grade_states() -> None:
 
 
 def test_increments_add_up_however_they_are_cut() -> None:
-    inertial = Inertial(flown(trajectory=TURNING), np.random.default_rng(3), TACTICAL)
+    inertial = SimulatedInertial(flown(trajectory=TURNING), np.random.default_rng(3), TACTICAL)
     whole = sum(felt.velocity_body_mps for felt in inertial.between(3_000_000, 1_003_000_000))
     cut_ns = [3_000_000, 3_500_001, 20_000_000, 777_777_777, 1_003_000_000]
     parts = [felt.velocity_body_mps for a, b in pairwise(cut_ns) for felt in inertial.between(a, b)]

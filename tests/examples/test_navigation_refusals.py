@@ -21,6 +21,7 @@ import pytest
         (["descent.yaml", "-i", "slcan", "-c", "/dev/no-such-port"], "/dev/no-such-port"),
         (["descent.yaml", "-i", "no-such-bus", "-c", "x"], "no-such-bus"),
         (["descent.yaml", "--set", "timing", "--port", "/dev/null"], "timing"),
+        (["descent.yaml", "--port", "/dev/null"], "/dev/null"),
         (["descent.yaml", "--set", "timing.rate_hz=0", "--port", "/dev/null"], "timing.rate_hz"),
     ],
 )

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from programs import LIMIT_S, FarEnd, Program
 
 NAVIGATE = Path(__file__).resolve().parents[2] / "examples" / "navigation" / "navigate.py"
@@ -22,6 +23,7 @@ END = re.compile(
 Start = Callable[..., Program]
 
 
+@pytest.mark.slow
 def test_it_navigates_by_a_serial_port(start: Start) -> None:
     """A clock that hops ahead and back in between leaves shots that are not used, and nothing else."""
     run = start("run", "descent.yaml", "--port", "pty", *FOR_TEN_SECONDS, "--set", HOPPING_CLOCK)
@@ -71,6 +73,7 @@ def test_it_navigates_by_a_serial_port(start: Start) -> None:
     assert 20 <= unused <= 40
 
 
+@pytest.mark.slow
 def test_it_navigates_by_a_can_bus(start: Start, far_end: FarEnd, other_end: FarEnd) -> None:
     """Lines of slcan from the one adapter to the other."""
     far_end.deliver_to(other_end)

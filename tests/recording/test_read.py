@@ -104,7 +104,7 @@ def test_every_message_is_what_its_schema_says(flight: Recording) -> None:
 
 def test_a_column_that_a_schema_lacks_is_refused_by_it() -> None:
     schema = channels.FATE.schema()
-    fate = {"shot": 0, "due_ns": 1, "sent_ns": None, "fate": "late"}
+    fate = {"shot": 0, "due_ns": 1, "sent_ns": None, "fate": "late", "overtaken": False}
     jsonschema.validate(fate, schema)
     for wrong in (fate | {"more": 1}, fate | {"sent_ns": "never"}, {"shot": 0}):
         with pytest.raises(jsonschema.ValidationError):

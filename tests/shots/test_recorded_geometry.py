@@ -101,6 +101,30 @@ def test_over_scenarios(scenario, settings, tmp_path):
     assert_same(measured(asked, tmp_path / "g.npz"), simulate(asked))
 
 
+MOVING = """[
+    {name: deck, kind: slab, length_m: 900, width_m: 900, height_m: 5, reflectance: 0.7,
+     motion: {velocity_mps: [9, 3, 1]}},
+]"""
+
+
+@pytest.mark.parametrize("block_shots", [7, 128])
+def test_things_that_move_keep_their_speed(block_shots, tmp_path):
+    asked = flown(
+        {"duration_s": "2", "site.objects": MOVING, "scanner": "{pattern: {kind: square, angle_deg: 10}}"}
+    )
+    record_geometry(asked, tmp_path / "g.npz")
+    run = simulate(asked)
+    assert_same(measured(asked, tmp_path / "g.npz", block_shots), run)
+    with np.load(tmp_path / "g.npz") as archive:
+        assert set(np.unique(archive["0.axis.thing"])) == {1}
+        np.testing.assert_array_equal(archive["0.axis.velocity_site_mps"][..., 0], 9)
+        np.testing.assert_array_equal(archive["0.axis.reflectance"], 0.7)
+    other = flown({"duration_s": "2", "site.objects": MOVING.replace("0.7", "0.6"),
+                   "scanner": "{pattern: {kind: square, angle_deg: 10}}"})  # fmt: skip
+    with pytest.raises(InputError, match=r"site\.objects\.0\.reflectance: 0\.6 .* 0\.7, as recorded"):
+        build_model(other, tmp_path / "g.npz")
+
+
 def test_holds_what_numpy_reads(recorded):
     run = simulate(flown({**WAY, "level": "geometric"}))
     with np.load(recorded) as archive:

@@ -6,6 +6,7 @@ import logging
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from lidar_emu.errors import Finding, InputError, one_line
 from lidar_emu.transports.can_messages import frame_of, message_of
@@ -20,14 +21,16 @@ def read_log(path: Path) -> tuple[list[tuple[int, bytes]], dict[str, int], int]:
     Raises:
         InputError: the library cannot read the file.
     """
-    from can import LogReader
+    from can.io import MESSAGE_READERS
 
     logging.getLogger("can").setLevel(logging.CRITICAL)
     frames: list[tuple[int, bytes]] = []
     buses: Counter[str] = Counter()
-    others = 0
+    others, suffix = 0, path.suffix.lower()
+    reader_of: Any = MESSAGE_READERS[suffix]
     try:
-        with LogReader(path) as reader:
+        # Opened here: a reader that does not like a file's head leaves it open.
+        with path.open("rb" if suffix == ".blf" else "r") as file, reader_of(file) as reader:
             for message in reader:
                 if message.is_error_frame or message.is_remote_frame:
                     others += 1

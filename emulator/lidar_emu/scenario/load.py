@@ -230,27 +230,28 @@ def _merged(base: Any, own: Any, key: Key, sources: Sources) -> Any:
 
 def _anchor_files(tree: Tree, folder: Path, where: str, part: str | None) -> None:
     """File names in a part are relative to the file that states them, or name shipped ground."""
-    for *above, last in _FILE_KEYS:
-        for steps, node in _nodes(tree, above):
-            if not (isinstance(node, dict) and isinstance(node.get(last), str)):
-                continue
-            name = node[last]
-            beside, own = folder / name, shipped("ground") / name
-            try:
-                chosen = own if own.is_file() and not beside.exists() else beside
-            except OSError as error:
-                key = ".".join((*([part] if part else []), *steps, last))
-                allowed = f"{error.strerror}; allowed: the name of a file"
-                raise InputError(where, key, name, allowed) from None
-            node[last] = str(chosen)
+    for keys in _FILE_KEYS:
+        for node, way in _nodes(tree, keys[:-1]):
+            if isinstance(node, dict) and isinstance(node.get(keys[-1]), str):
+                key = ".".join((*([part] if part else []), *way, keys[-1]))
+                node[keys[-1]] = str(_anchored(node[keys[-1]], folder, where, key))
 
 
-def _nodes(node: Any, keys: list[str], steps: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """What lies below keys, of which `*` is every entry of a list, each with the steps to it."""
+def _nodes(node: Any, keys: tuple[str, ...]) -> Iterator[tuple[Any, tuple[str, ...]]]:
+    """What lies at these keys, `*` being any, and the way to it. Entries of a list may be stated by index."""
     if not keys:
-        yield steps, node
-    elif keys[0] == "*" and isinstance(node, list):
-        for number, entry in enumerate(node):
-            yield from _nodes(entry, keys[1:], (*steps, str(number)))
-    elif isinstance(node, dict) and keys[0] in node:
-        yield from _nodes(node[keys[0]], keys[1:], (*steps, keys[0]))
+        yield node, ()
+        return
+    children = dict(enumerate(node)) if isinstance(node, list) else node if isinstance(node, dict) else {}
+    for name, child in children.items():
+        if keys[0] in ("*", name):
+            yield from ((found, (str(name), *way)) for found, way in _nodes(child, keys[1:]))
+
+
+def _anchored(name: str, folder: Path, where: str, key: str) -> Path:
+    beside, own = folder / name, shipped("ground") / name
+    try:
+        return own if own.is_file() and not beside.exists() else beside
+    except OSError as error:
+        allowed = f"{error.strerror}; allowed: the name of a file"
+        raise InputError(where, key, name, allowed) from None

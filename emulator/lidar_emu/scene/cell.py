@@ -1,4 +1,4 @@
-"""The ground of a single cell: the bilinear surface between four samples, and a ray's first contact with it.
+"""The ground of a single cell: the surface between four samples, and a ray's first contact with it.
 
 Grid coordinates u and v count cells to the east and to the north from the south-west sample. All is inlined by
 request: as calls, these few operations each would take a ray half as long again.
@@ -11,6 +11,9 @@ import numpy as np
 from lidar_emu.arrays import FloatArray
 from lidar_emu.kernels import kernel
 
+BILINEAR, TRIANGLES = 0, 1
+"""What spans a cell: one bilinear patch, or two triangles that share its diagonal from south-west to north-east."""
+
 
 @kernel(forceinline=True)
 def cell_of(position: float, cells: int) -> int:
@@ -19,54 +22,75 @@ def cell_of(position: float, cells: int) -> int:
 
 
 @kernel(forceinline=True)
-def surface(nodes: FloatArray, u: float, v: float) -> float:
+def corners(nodes: FloatArray, i: int, j: int) -> tuple[float, float, float, float]:
+    """Heights of the samples of cell (i, j): south-west, south-east, north-west, north-east."""
+    return nodes[j, i], nodes[j, i + 1], nodes[j + 1, i], nodes[j + 1, i + 1]
+
+
+@kernel(forceinline=True)
+def facet(
+    z00: float, z10: float, z01: float, z11: float, interpolation: int, southeast: bool
+) -> tuple[float, float, float, float]:
+    """The surface of cell (i, j), or the half of it on one side of the diagonal, which goes on beyond it.
+
+    Its height at (a, b), in the cell's own coordinates from 0 to 1, is ``corner + a east + b north + a b twist``.
+
+    Returns:
+        corner, east, north, twist; twist is NaN where one of the four samples is missing.
+    """
+    south, west, north, east = z10 - z00, z01 - z00, z11 - z01, z11 - z10
+    twist = north - south
+    if interpolation == BILINEAR:
+        return z00, south, west, twist
+    return (z00, south, east, 0.0 * twist) if southeast else (z00, north, west, 0.0 * twist)
+
+
+@kernel(forceinline=True)
+def surface(nodes: FloatArray, interpolation: int, u: float, v: float) -> float:
     """Height at a point of the grid; NaN where a corner of its cell is missing."""
     i = cell_of(u, nodes.shape[1] - 1)
     j = cell_of(v, nodes.shape[0] - 1)
     a, b = u - i, v - j
-    z00, z10, z01, z11 = nodes[j, i], nodes[j, i + 1], nodes[j + 1, i], nodes[j + 1, i + 1]
-    height: float = z00 + a * (z10 - z00) + b * (z01 - z00) + a * b * ((z11 - z01) - (z10 - z00))
+    corner, east, north, twist = facet(*corners(nodes, i, j), interpolation, a >= b)
+    height: float = corner + a * east + b * north + a * b * twist
     return height
 
 
 @kernel(forceinline=True)
-def slopes(nodes: FloatArray, i: int, j: int, u: float, v: float) -> tuple[float, float]:
-    """Rise per cell to the east and to the north, at a point of cell (i, j)."""
-    z00, z10, z01, z11 = nodes[j, i], nodes[j, i + 1], nodes[j + 1, i], nodes[j + 1, i + 1]
-    twist = (z11 - z01) - (z10 - z00)
-    return (z10 - z00) + (v - j) * twist, (z01 - z00) + (u - i) * twist
+def slopes(nodes: FloatArray, interpolation: int, i: int, j: int, a: float, b: float) -> tuple[float, float]:
+    """Rise per cell to the east and to the north, at the point (a, b) of cell (i, j)."""
+    _, east, north, twist = facet(*corners(nodes, i, j), interpolation, a >= b)
+    return east + b * twist, north + a * twist
 
 
 @kernel(forceinline=True)
-def height_along(
-    nodes: FloatArray, i: int, j: int, a: float, b: float, z: float, du: float, dv: float, dz: float
-) -> tuple[float, float, float]:
-    """Height of a ray above the surface of cell (i, j) as c0 + c1 s + c2 s².
+def descent(
+    corner: float,
+    east: float,
+    north: float,
+    twist: float,
+    a: float,
+    b: float,
+    z: float,
+    du: float,
+    dv: float,
+    dz: float,
+    before: float,
+) -> float:
+    """The s in [-before, 0] at which a ray falls through a facet, NaN where it stays above it.
 
-    The ray passes at s = 0 through (a, b) in the cell's own coordinates, at height ``z``. Where a corner is
-    missing, c0 is NaN.
+    Args:
+        corner, east, north, twist: the facet.
+        a, b, z, du, dv, dz: the ray, which passes at s = 0 through (a, b) in the cell's own coordinates, at height z.
+        before: how far back the ray is known to be above the facet.
     """
-    z00, z10, z01, z11 = nodes[j, i], nodes[j, i + 1], nodes[j + 1, i], nodes[j + 1, i + 1]
-    p, q = z10 - z00, z01 - z00
-    twist = (z11 - z01) - p
-    c0 = z - (z00 + a * p + b * q + a * b * twist)
-    c1 = dz - (p + b * twist) * du - (q + a * twist) * dv
-    return c0, c1, -twist * du * dv
-
-
-@kernel(forceinline=True)
-def first_descent(c0: float, c1: float, c2: float, length: float) -> float:
-    """Smallest s in [0, length] with ``c0 + c1 s + c2 s² <= 0``, or NaN.
-
-    The sign at the far end decides wherever it can, not the root: the next cell starts from the same point,
-    so that a ray through an edge or a vertex is taken by one of its cells whatever the rounding.
-    """
-    if c0 <= 0.0:
-        return 0.0
+    # Its height above the facet is c0 + c1 s + c2 s².
+    c0 = z - (corner + a * east + b * north + a * b * twist)
+    c1 = dz - (east + b * twist) * du - (north + a * twist) * dv
+    c2 = -twist * du * dv
     square = c1 * c1 - 4.0 * c2 * c0
-    if c0 + length * (c1 + length * c2) > 0.0:
-        dips = c2 > 0.0 and c1 < 0.0 and -c1 < 2.0 * c2 * length and square >= 0.0
-        return 2.0 * c0 / (np.sqrt(square) - c1) if dips else np.nan
-    root = np.sqrt(max(square, 0.0))
-    s = 2.0 * c0 / (root - c1) if c1 < 0.0 else (c1 + root) / (-2.0 * c2)
-    return s if s < length else length
+    dips = (c1 > 0.0) & (c1 < 2.0 * c2 * before) & (square >= 0.0)
+    # Of two roots the falling one, without cancellation.
+    twice = np.sqrt(max(square, 0.0)) + abs(c1)
+    s = (2.0 * c0 if c1 < 0.0 else -twice) / (twice if c1 < 0.0 else 2.0 * c2)
+    return max(s, -before) if (c0 <= 0.0) | dips else np.nan

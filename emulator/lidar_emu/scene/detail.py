@@ -64,6 +64,7 @@ def detailed(
         south_m=whole.south_m + rows.start * pixel_m[0],
         pixel_east_m=pixel_m[1] / 2**halvings,
         pixel_north_m=pixel_m[0] / 2**halvings,
+        interpolation=whole.interpolation,
     )
     slope_deg = math.degrees(math.atan(law.rms_slope(max(pixel_m))))
     description = (

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidar_emu.arrays import BoolArray, FloatArray
-from lidar_emu.scene import grid_cast, grid_exact
+from lidar_emu.scenario.generated_ground import Interpolation
+from lidar_emu.scene import grid_cast, grid_exact, grid_numbers
+from lidar_emu.scene.cell import BILINEAR, TRIANGLES
 from lidar_emu.scene.hits import Hits, contiguous
 from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.pyramid import build_pyramid
@@ -30,6 +32,8 @@ class Samples:
     """From column to column."""
     pixel_north_m: float
     """From row to row."""
+    interpolation: Interpolation = "bilinear"
+    """What spans a cell, see `scenario.site.Grid`."""
     first_column: int = 0
     """Place in the whole grid of the first column that is here."""
     first_row: int = 0
@@ -65,7 +69,8 @@ class Samples:
 class GridGround:
     """An elevation grid over the site's horizontal plane; where the body falls away, its heights do.
 
-    A cell is the bilinear surface between four samples; one with a missing sample counts as beyond the grid.
+    A cell is the bilinear surface between four samples, or two triangles; one with a missing sample counts as
+    beyond the grid.
     Where the grid ends higher than the ground beyond it, or lower, an upright face joins the two. With
     nothing beyond, a ray that comes to such an end from below the surface finds nothing.
 
@@ -91,6 +96,7 @@ class GridGround:
         self.description = description
         self.origin_altitude_m = origin_altitude_m
         self._kind = _kind_of(beyond)
+        self._interpolation = TRIANGLES if samples.interpolation == "triangles" else BILINEAR
         # In its holes the ground beyond, level plane or sphere, nowhere rises above the origin.
         hole_m = -np.inf if beyond is None else 0.0
         self._maxima, self._levels = build_pyramid(samples.height_m, hole_m)
@@ -105,29 +111,37 @@ class GridGround:
     def _numbers(self) -> FloatArray:
         samples = self.samples
         lowest_m, highest_m = samples.bounds_with(self.beyond)
-        numbers = np.empty(9)
-        numbers[grid_cast.WEST_M] = samples.west_m
-        numbers[grid_cast.SOUTH_M] = samples.south_m
-        numbers[grid_cast.CELLS_PER_M_EAST] = 1 / samples.pixel_east_m
-        numbers[grid_cast.CELLS_PER_M_NORTH] = 1 / samples.pixel_north_m
-        numbers[grid_cast.CEILING_M] = highest_m
-        numbers[grid_cast.FLOOR_M] = lowest_m - 1.0
-        numbers[grid_cast.RADIUS_M] = (
+        numbers = np.empty(grid_numbers.COUNT)
+        numbers[grid_numbers.WEST_M] = samples.west_m
+        numbers[grid_numbers.SOUTH_M] = samples.south_m
+        numbers[grid_numbers.CELLS_PER_M_EAST] = 1 / samples.pixel_east_m
+        numbers[grid_numbers.CELLS_PER_M_NORTH] = 1 / samples.pixel_north_m
+        numbers[grid_numbers.CEILING_M] = highest_m
+        numbers[grid_numbers.FLOOR_M] = lowest_m - 1.0
+        numbers[grid_numbers.RADIUS_M] = (
             self.beyond.radius_m if isinstance(self.beyond, SphereGround) else np.inf
         )
-        numbers[grid_cast.FIRST_COLUMN] = samples.first_column
-        numbers[grid_cast.FIRST_ROW] = samples.first_row
+        numbers[grid_numbers.FIRST_COLUMN] = samples.first_column
+        numbers[grid_numbers.FIRST_ROW] = samples.first_row
         return numbers
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
         """First contact with the surface or the ground beyond; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
         grid_cast.cast_rays(
             origin,
             direction,
+            bundle,
             self._grid,
             self.samples.height_m,
+            self._interpolation,
             self._maxima,
             self._levels,
             self._kind,
@@ -148,7 +162,7 @@ class GridGround:
         """(n,) z of the surface, or of the ground beyond."""
         east, north = contiguous(east_m, north_m)
         height = np.empty_like(east)
-        grid_cast.surface_heights(self._grid, self.samples.height_m, east, north, height)
+        grid_cast.surface_heights(self._grid, self.samples.height_m, self._interpolation, east, north, height)
         if self.beyond is None:
             return height
         return np.where(np.isnan(height), self.beyond.height_m(east, north), height)

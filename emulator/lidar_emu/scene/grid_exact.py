@@ -59,6 +59,7 @@ def _first_contact(samples: Samples, beyond: Beyond, origin: FloatArray, directi
         [
             _crossings(origin[0], direction[0], samples.east_m),
             _crossings(origin[1], direction[1], samples.north_m),
+            _diagonal_crossings(samples, origin, direction),
         ]
     )
     edges = np.concatenate([[0.0], np.unique(crossings), [np.inf]])
@@ -86,6 +87,19 @@ def _crossings(position: float, rate: float, lines: FloatArray) -> FloatArray:
     return np.asarray(t[(t > 0.0) & np.isfinite(t)])
 
 
+def _diagonal_crossings(samples: Samples, origin: FloatArray, direction: FloatArray) -> FloatArray:
+    """All t > 0 at which a ray passes the diagonal of a cell, where that is an edge."""
+    if samples.interpolation == "bilinear":
+        return np.empty(0)
+    rows, columns = samples.height_m.shape
+    east, north = (
+        (origin[0] - samples.west_m) / samples.pixel_east_m,
+        (origin[1] - samples.south_m) / samples.pixel_north_m,
+    )
+    rate = direction[0] / samples.pixel_east_m - direction[1] / samples.pixel_north_m
+    return _crossings(east - north, rate, np.arange(1.0 - rows, columns))
+
+
 def _cell_at(samples: Samples, point: FloatArray) -> tuple[int, int] | None:
     """(i, j) of the cell below or above a point; None outside the grid and where a sample is missing."""
     east, north = samples.east_m, samples.north_m
@@ -100,7 +114,12 @@ def _height(samples: Samples, cell: tuple[int, int], point: FloatArray) -> float
     i, j = cell
     a = (point[0] - samples.east_m[i]) / samples.pixel_east_m
     b = (point[1] - samples.north_m[j]) / samples.pixel_north_m
-    weights = np.array([[(1 - a) * (1 - b), a * (1 - b)], [(1 - a) * b, a * b]])
+    if samples.interpolation == "bilinear":
+        weights = np.array([[(1 - a) * (1 - b), a * (1 - b)], [(1 - a) * b, a * b]])
+    elif a >= b:
+        weights = np.array([[1 - a, a - b], [0.0, b]])
+    else:
+        weights = np.array([[1 - b, 0.0], [b - a, a]])
     return float((weights * samples.height_m[j : j + 2, i : i + 2]).sum())
 
 
@@ -148,17 +167,18 @@ def _turning_point(above: Callable[[float], float], start: float, end: float) ->
 
 
 def _normal(samples: Samples, cell: tuple[int, int], point: FloatArray) -> FloatArray:
-    """Normal of the bilinear surface, from the two straight lines through a point that lie in it."""
+    """Normal of the surface, from two straight lines that lie in it: edges of a triangle, or those of a bilinear patch
+    through the point."""
     i, j = cell
     west, east = samples.east_m[i : i + 2]
     south, north = samples.north_m[j : j + 2]
-    rise_east = _height(samples, cell, np.array([east, point[1]])) - _height(
-        samples, cell, np.array([west, point[1]])
-    )
-    rise_north = _height(samples, cell, np.array([point[0], north])) - _height(
-        samples, cell, np.array([point[0], south])
-    )
-    normal = np.cross([east - west, 0.0, rise_east], [0.0, north - south, rise_north])
+    x, y = point[:2]
+    if samples.interpolation == "triangles":
+        southeast = (x - west) * (north - south) >= (y - south) * (east - west)
+        x, y = (east, south) if southeast else (west, north)
+    ends_m = [(west, y), (east, y), (x, south), (x, north)]
+    z = [_height(samples, cell, np.array(end)) for end in ends_m]
+    normal = np.cross([east - west, 0.0, z[1] - z[0]], [0.0, north - south, z[3] - z[2]])
     return np.asarray(normal / np.linalg.norm(normal))
 
 

@@ -61,11 +61,17 @@ class Hits(NamedTuple):
         return self.velocity_site_mps.size > 0
 
     def set_rows(self, rows: IntArray | slice, found: Hits) -> None:
-        """Take over what some of the rays have found."""
-        arrays: tuple[NDArray[Any], ...] = self
-        for all_rays, some in zip(arrays, found, strict=True):
-            if len(all_rays):
+        """Take over what some of the rays have found: velocities where both tell of them."""
+        ours: tuple[NDArray[Any], ...] = self
+        theirs: tuple[NDArray[Any], ...] = found
+        for all_rays, some in zip(ours, theirs, strict=True):
+            if len(all_rays) and len(some):
                 all_rays[rows] = some
+
+    def chosen(self, which: BoolArray) -> Self:
+        """Those of some rays."""
+        arrays: tuple[NDArray[Any], ...] = self
+        return type(self)(*(values[which] if len(values) else values for values in arrays))
 
     def shaped(self, shape: tuple[int, ...]) -> Self:
         """The same hits, seen as in another arrangement: (n,) becomes ``shape``."""
@@ -91,13 +97,21 @@ class Scene(Protocol):
     def origin_altitude_m(self) -> float:
         """Height of the site frame's origin above the body's sphere."""
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
         """First contact of rays with the ground.
 
         Args:
             origin_site_m: (n, 3) starting points.
             direction_site: (n, 3) unit vectors; a row with NaN hits nothing.
             hits: to be filled and returned; None: new ones.
+            bundle: that many consecutive rays are close together, as a beam's beamlets are. It changes no result,
+                only the time that it takes.
         """
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:

@@ -57,6 +57,7 @@ def _layer(part: site.Site, grid: AnyGrid, terrain: Terrain, altitude_m: float) 
         south_m=terrain.north_m - terrain.pixel_north_m * (len(terrain.elevation_m) - 1) + north_m,
         pixel_east_m=terrain.pixel_east_m,
         pixel_north_m=terrain.pixel_north_m,
+        interpolation=grid.interpolation,
     )
 
     def build(samples: Samples, beyond: Beyond, description: str) -> GridGround:

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.scene.hits import GROUND, Hits, contiguous
-from lidar_emu.scene.mesh_cast import BUNDLE, NUMBERS, cast_rays
+from lidar_emu.scene.mesh_cast import BUNDLE, cast_rays
+from lidar_emu.scene.mesh_ray import NUMBERS
 from lidar_emu.scene.mesh_tree import build_tree
 
 

@@ -4,10 +4,7 @@ The tree is walked once for a bundle of rays: a box is opened where the bundle's
 reach a leaf's own box meet its triangles. The hull of rays from [o0, o1] along [d0, d1] is at t >= 0 within
 [o0 + t d0, o1 + t d1] on each axis; for a single ray that is the ray itself.
 
-A triangle is met in two coordinates across the ray, of which each corner has one pair whatever triangle it is seen
-from: the areas that an edge spans with the ray are equal and opposite on its two sides, so that a ray at an edge or a
-corner is met by one of the triangles there, whatever the rounding (after Woop, Benthin and Wald 2013). Which rays come
-in one bundle changes nothing that is found.
+Which rays come in one bundle changes nothing that is found.
 """
 
 from __future__ import annotations
@@ -17,7 +14,24 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.kernels import kernel
-from lidar_emu.scene.hits import NOTHING
+from lidar_emu.scene.mesh_ray import (
+    DX,
+    DY,
+    DZ,
+    ENTERED,
+    LEFT,
+    NEAR,
+    NONE,
+    RX,
+    RY,
+    RZ,
+    X,
+    Y,
+    Z,
+    meet,
+    set_ray,
+    tell,
+)
 
 BUNDLE = 128
 """Most rays of a bundle."""
@@ -25,14 +39,6 @@ BUNDLE = 128
 _APART_M, _ASKEW = 0.5, 2e-3
 """How far rays of a bundle may start apart, and point, along each axis."""
 
-NUMBERS = 17
-_X, _Y, _Z, _DX, _DY, _DZ, _RX, _RY, _RZ, _E1X, _E1Y, _E1Z, _E2X, _E2Y, _E2Z, _NEAR, _FOUND = range(NUMBERS)
-"""Of a ray: start, direction, one over it, two unit vectors across it, nearest contact, and what it met there."""
-
-_BACK = 1 << 40
-"""Added to the number of a triangle that is seen from behind."""
-
-_NONE = 2.0**60
 _SLACK = 1.0 + 1e-14
 """By how much a box is taken longer, for the rounding of where a ray leaves it."""
 
@@ -73,14 +79,13 @@ def cast_rays(
         end = _bundle_end(origin, direction, start)
         if end > start:
             for k in range(start, end):
-                _set_ray(origin[k], direction[k], rays[k - start])
-            _walk(box, first, count, corner_m, rays[: end - start], stack)
+                set_ray(origin[k], direction[k], rays[k - start])
+            _walk(box, first, count, corner_m, sheet, rays[: end - start], stack)
         else:
-            rays[0, _FOUND] = _NONE
+            rays[0, ENTERED] = rays[0, LEFT] = NONE
             end = start + 1
         for k in range(start, end):
-            ray = rays[k - start]
-            _tell(ray, corner_m, sheet, albedo, of_thing, k, range_m, normal, inside, reflectance, thing)
+            tell(rays[k - start], corner_m, albedo, of_thing, k, range_m, normal, inside, reflectance, thing)
         start = end
 
 
@@ -105,47 +110,30 @@ def _bundle_end(origin: FloatArray, direction: FloatArray, start: int) -> int:
 
 
 @kernel
-def _set_ray(origin: FloatArray, direction: FloatArray, ray: FloatArray) -> None:
-    x, y, z = direction[0], direction[1], direction[2]
-    for axis in range(3):
-        ray[_X + axis], ray[_DX + axis], ray[_RX + axis] = (
-            origin[axis],
-            direction[axis],
-            1.0 / direction[axis],
-        )
-    # Two vectors across without a case in which they vanish (Duff et al. 2017).
-    sign = 1.0 if z >= 0.0 else -1.0
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    ray[_E1X], ray[_E1Y], ray[_E1Z] = 1.0 + sign * x * x * a, sign * b, -sign * x
-    ray[_E2X], ray[_E2Y], ray[_E2Z] = b, sign + y * y * a, -y
-    ray[_NEAR], ray[_FOUND] = np.inf, _NONE
-
-
-@kernel
 def _walk(
     box: FloatArray,
     first: IntArray,
     count: IntArray,
     corner_m: FloatArray,
+    sheet: BoolArray,
     rays: FloatArray,
     stack: IntArray,
 ) -> None:
     """Find the nearest contact of each ray of a bundle."""
-    ox0 = ox1 = rays[0, _X]
-    oy0 = oy1 = rays[0, _Y]
-    oz0 = oz1 = rays[0, _Z]
-    dx0 = dx1 = rays[0, _DX]
-    dy0 = dy1 = rays[0, _DY]
-    dz0 = dz1 = rays[0, _DZ]
+    ox0 = ox1 = rays[0, X]
+    oy0 = oy1 = rays[0, Y]
+    oz0 = oz1 = rays[0, Z]
+    dx0 = dx1 = rays[0, DX]
+    dy0 = dy1 = rays[0, DY]
+    dz0 = dz1 = rays[0, DZ]
     for k in range(1, rays.shape[0]):
         ray = rays[k]
-        ox0, ox1 = min(ox0, ray[_X]), max(ox1, ray[_X])
-        oy0, oy1 = min(oy0, ray[_Y]), max(oy1, ray[_Y])
-        oz0, oz1 = min(oz0, ray[_Z]), max(oz1, ray[_Z])
-        dx0, dx1 = min(dx0, ray[_DX]), max(dx1, ray[_DX])
-        dy0, dy1 = min(dy0, ray[_DY]), max(dy1, ray[_DY])
-        dz0, dz1 = min(dz0, ray[_DZ]), max(dz1, ray[_DZ])
+        ox0, ox1 = min(ox0, ray[X]), max(ox1, ray[X])
+        oy0, oy1 = min(oy0, ray[Y]), max(oy1, ray[Y])
+        oz0, oz1 = min(oz0, ray[Z]), max(oz1, ray[Z])
+        dx0, dx1 = min(dx0, ray[DX]), max(dx1, ray[DX])
+        dy0, dy1 = min(dy0, ray[DY]), max(dy1, ray[DY])
+        dz0, dz1 = min(dz0, ray[DZ]), max(dz1, ray[DZ])
     rx0, ry0, rz0, rx1, ry1, rz1 = 1.0 / dx0, 1.0 / dy0, 1.0 / dz0, 1.0 / dx1, 1.0 / dy1, 1.0 / dz1
     farthest = _farthest(rays)
     node, height = 0, 0
@@ -154,7 +142,7 @@ def _walk(
         return
     while True:
         if count[node] > 0:
-            _meet_leaf(box[node], first[node], first[node] + count[node], corner_m, rays)
+            _meet_leaf(box[node], first[node], first[node] + count[node], corner_m, sheet, rays)
             farthest = _farthest(rays)
         else:
             left = first[node]
@@ -185,9 +173,9 @@ def _walk(
 @kernel
 def _farthest(rays: FloatArray) -> float:
     """The greatest of the rays' nearest contacts."""
-    farthest = rays[0, _NEAR]
+    farthest: float = rays[0, NEAR]
     for k in range(1, rays.shape[0]):
-        farthest = max(farthest, rays[k, _NEAR])
+        farthest = max(farthest, rays[k, NEAR])
     return farthest
 
 
@@ -230,78 +218,16 @@ def _clip(distance: float, per_rate: float, near: float, far: float) -> tuple[fl
 
 
 @kernel
-def _meet_leaf(box: FloatArray, start: int, end: int, corner_m: FloatArray, rays: FloatArray) -> None:
+def _meet_leaf(
+    box: FloatArray, start: int, end: int, corner_m: FloatArray, sheet: BoolArray, rays: FloatArray
+) -> None:
     """Take the contacts of rays with triangles start ... end-1 where they are nearer than what is known."""
     for k in range(rays.shape[0]):
         ray = rays[k]
         if rays.shape[0] > 1:
-            x, y, z = ray[_X], ray[_Y], ray[_Z]
-            rx, ry, rz = ray[_RX], ray[_RY], ray[_RZ]
-            if not _entry(box, x, y, z, x, y, z, rx, ry, rz, rx, ry, rz) <= ray[_NEAR]:
+            x, y, z = ray[X], ray[Y], ray[Z]
+            rx, ry, rz = ray[RX], ray[RY], ray[RZ]
+            if not _entry(box, x, y, z, x, y, z, rx, ry, rz, rx, ry, rz) <= ray[NEAR]:
                 continue
         for triangle in range(start, end):
-            _meet(corner_m[triangle], triangle, ray)
-
-
-@kernel(forceinline=True)
-def _meet(corner_m: FloatArray, triangle: int, ray: FloatArray) -> None:
-    x, y, z = ray[_X], ray[_Y], ray[_Z]
-    ax, ay, az = corner_m[0, 0] - x, corner_m[0, 1] - y, corner_m[0, 2] - z
-    bx, by, bz = corner_m[1, 0] - x, corner_m[1, 1] - y, corner_m[1, 2] - z
-    cx, cy, cz = corner_m[2, 0] - x, corner_m[2, 1] - y, corner_m[2, 2] - z
-    e1x, e1y, e1z = ray[_E1X], ray[_E1Y], ray[_E1Z]
-    e2x, e2y, e2z = ray[_E2X], ray[_E2Y], ray[_E2Z]
-    a1, a2 = e1x * ax + e1y * ay + e1z * az, e2x * ax + e2y * ay + e2z * az
-    b1, b2 = e1x * bx + e1y * by + e1z * bz, e2x * bx + e2y * by + e2z * bz
-    c1, c2 = e1x * cx + e1y * cy + e1z * cz, e2x * cx + e2y * cy + e2z * cz
-    u, v, w = c1 * b2 - c2 * b1, a1 * c2 - a2 * c1, b1 * a2 - b2 * a1
-    if (u < 0.0 or v < 0.0 or w < 0.0) and (u > 0.0 or v > 0.0 or w > 0.0):
-        return
-    area = u + v + w
-    if area == 0.0:
-        return
-    dx, dy, dz = ray[_DX], ray[_DY], ray[_DZ]
-    to_a, to_b, to_c = dx * ax + dy * ay + dz * az, dx * bx + dy * by + dz * bz, dx * cx + dy * cy + dz * cz
-    t = (u * to_a + v * to_b + w * to_c) / area
-    if not 0.0 <= t <= ray[_NEAR]:
-        return
-    # Of triangles at one place that which is seen from before, and of these the first, in whatever order they come.
-    found = float(triangle if area > 0.0 else triangle + _BACK)
-    if t < ray[_NEAR] or found < ray[_FOUND]:
-        ray[_NEAR], ray[_FOUND] = t, found
-
-
-@kernel
-def _tell(
-    ray: FloatArray,
-    corner_m: FloatArray,
-    sheet: BoolArray,
-    albedo: FloatArray,
-    of_thing: NDArray[np.int16],
-    k: int,
-    range_m: FloatArray,
-    normal: FloatArray,
-    inside: BoolArray,
-    reflectance: FloatArray,
-    thing: NDArray[np.int16],
-) -> None:
-    """Set hit k to what a ray has met."""
-    inside[k] = False
-    range_m[k], reflectance[k], thing[k] = np.nan, np.nan, NOTHING
-    normal[k, 0], normal[k, 1], normal[k, 2] = np.nan, np.nan, np.nan
-    if ray[_FOUND] == _NONE:
-        return
-    found = int(ray[_FOUND])
-    behind = found >= _BACK
-    triangle = found - _BACK if behind else found
-    if behind and not sheet[triangle] and ray[_NEAR] > 0.0:
-        inside[k] = True
-        return
-    a, b, c = corner_m[triangle, 0], corner_m[triangle, 1], corner_m[triangle, 2]
-    range_m[k], reflectance[k], thing[k] = ray[_NEAR], albedo[triangle], of_thing[triangle]
-    x = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
-    y = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
-    z = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-    length = np.sqrt(x * x + y * y + z * z)
-    length = -length if behind and sheet[triangle] else length
-    normal[k, 0], normal[k, 1], normal[k, 2] = x / length, y / length, z / length
+            meet(corner_m[triangle], sheet[triangle], triangle, ray)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.arrays import FloatArray, IntArray
 from lidar_emu.errors import Finding, InputError
 
 MAXIMUM_TRIANGLES = 20_000_000
@@ -73,7 +73,7 @@ def read_mesh(file: str, unit: str) -> MeshFile:
     if not np.isfinite(vertex_m).all():
         raise InputError(file, None, Finding("vertices that are infinite or not a number"), _KINDS)
     corner_m = vertex_m[np.asarray(mesh.faces)]
-    is_closed, faces_one_way = bool(mesh.is_watertight), bool(mesh.is_winding_consistent)
+    is_closed, faces_one_way = _topology(vertex_m, np.asarray(mesh.faces))
     turned = is_closed and faces_one_way and enclosed_m3(corner_m) < 0
     if turned:
         corner_m = turned_over(corner_m)
@@ -95,6 +95,20 @@ def turned_over(corner_m: FloatArray) -> FloatArray:
     return np.ascontiguousarray(corner_m[:, ::-1])
 
 
+def _topology(vertex_m: FloatArray, faces: IntArray) -> tuple[bool, bool]:
+    """Whether every edge joins two triangles, and whether neighbours agree on which side is outside.
+
+    Vertices at one place are one: an STL file states the corners of each triangle anew.
+    """
+    _, place = np.unique(vertex_m + 0.0, axis=0, return_inverse=True)
+    corners = place.reshape(-1)[faces]
+    start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+    ways = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=1)
+    _, uses = np.unique(ways @ [len(place), 1], return_counts=True)
+    runs = np.unique(start * len(place) + end)
+    return bool((uses == 2).all()), len(runs) == len(start)
+
+
 def _load(path: Path) -> Any:
     try:
         import trimesh
@@ -114,8 +128,6 @@ def _load(path: Path) -> Any:
     if len(mesh.faces) > MAXIMUM_TRIANGLES:
         allowed = f"allowed: at most {MAXIMUM_TRIANGLES} triangles; cut out the site's area"
         raise InputError(str(path), None, f"{len(mesh.faces)} triangles", allowed)
-    # An STL file states the corners of each triangle anew.
-    mesh.merge_vertices(merge_tex=True, merge_norm=True)
     return mesh
 
 

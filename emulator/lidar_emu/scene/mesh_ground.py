@@ -31,7 +31,13 @@ class MeshGround:
         self.description = description
         self.origin_altitude_m = origin_altitude_m
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,  # noqa: ARG002
+    ) -> Hits:
         """First contact with the mesh; see `Scene.cast`."""
         return self._mesh.cast(origin_site_m, direction_site, hits)
 

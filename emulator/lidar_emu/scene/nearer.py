@@ -23,6 +23,4 @@ def keep_nearer(hits: Hits, others: Hits, rows: IntArray | None = None) -> None:
     nearer = (others.range_m <= range_m) | (np.isnan(range_m) & np.isfinite(others.range_m))
     nearer = others.inside | (nearer & ~hits.inside[rows])
     if nearer.any():
-        for kept, other in zip(hits, others, strict=True):
-            if other.size:
-                kept[rows[nearer]] = other[nearer]
+        hits.set_rows(rows[nearer], others.chosen(nearer))

@@ -29,9 +29,15 @@ class PopulatedScene:
         """As of the ground."""
         return self._ground.origin_altitude_m
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
         """First contact with the ground or an object; see `Scene.cast`."""
-        hits = self._ground.cast(origin_site_m, direction_site, hits)
+        hits = self._ground.cast(origin_site_m, direction_site, hits, bundle)
         keep_nearer(hits, self._mesh.cast(origin_site_m, direction_site))
         return hits
 
@@ -72,9 +78,16 @@ class SceneInMotion:
         """As of the ground."""
         return self._still.origin_altitude_m
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
         """First contact at the start of the run; see `Scene.cast`."""
-        return self.cast_at(np.zeros(1, dtype=np.int64), origin_site_m, direction_site, hits)
+        start_ns = np.zeros(max(len(direction_site) // bundle, 1), dtype=np.int64)
+        return self.cast_at(start_ns, origin_site_m, direction_site, hits)
 
     def cast_at(
         self,
@@ -84,8 +97,9 @@ class SceneInMotion:
         hits: Hits | None = None,
     ) -> Hits:
         """First contact of rays at their times; see `MovingScene.cast_at`."""
+        hits = hits or Hits.empty(len(origin_site_m), moving=True)
         hits = self._still.cast(
-            origin_site_m, direction_site, hits or Hits.empty(len(origin_site_m), moving=True)
+            origin_site_m, direction_site, hits, bundle=max(len(direction_site) // len(time_ns), 1)
         )
         return self._with_moving(time_ns, origin_site_m, direction_site, hits, exact=False)
 

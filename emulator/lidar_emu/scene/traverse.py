@@ -6,7 +6,7 @@ import numpy as np
 
 from lidar_emu.arrays import FloatArray, IntArray
 from lidar_emu.kernels import kernel
-from lidar_emu.scene.cell import cell_of, first_descent, height_along
+from lidar_emu.scene.cell import TRIANGLES, cell_of, corners, descent, facet
 
 CLEAR, SURFACE, BEYOND, FACE = 0, 1, 2, 3
 """What a ray meets: nothing, the surface of a cell, the ground beyond the grid, or the upright face where one
@@ -59,7 +59,7 @@ def _crossing(position: float, rate: float, first: int, end: int) -> float:
 
 
 @kernel(forceinline=True)
-def _starting_level(reach: float, top_level: int) -> int:
+def starting_level(reach: float, top_level: int) -> int:
     """The level of whose blocks four are as long as the ray's way over the ground."""
     level = 0
     while level < top_level and (4 << level) < reach:
@@ -68,8 +68,45 @@ def _starting_level(reach: float, top_level: int) -> int:
 
 
 @kernel(forceinline=True)
+def _meet_facet(
+    nodes: FloatArray,
+    interpolation: int,
+    i: int,
+    j: int,
+    southeast: bool,
+    u: float,
+    v: float,
+    z: float,
+    du: float,
+    dv: float,
+    dz: float,
+    t: float,
+    t_exit: float,
+    enter: float,
+    leave: float,
+) -> tuple[int, float]:
+    """What a ray meets between t and t_exit, where it is over a facet of cell (i, j).
+
+    The sign at the far end decides wherever it can, not the root: the next facet starts from the same point, so
+    that a ray through an edge or a vertex is taken by one of its facets whatever the rounding. The root counts
+    from there too: it has the same bits from wherever the ray was followed.
+    """
+    corner, east, north, twist = facet(*corners(nodes, i, j), interpolation, southeast)
+    if twist != twist:
+        return meet_beyond(t, t_exit, enter, leave)
+    a, b = (u - i) + t * du, (v - j) + t * dv
+    height = (z + t * dz) - (corner + a * east + b * north + a * b * twist)
+    if height <= 0.0:
+        return (SURFACE if height >= -FACE_DEPTH_M else FACE), t
+    a, b, above = (u - i) + t_exit * du, (v - j) + t_exit * dv, z + t_exit * dz
+    s = descent(corner, east, north, twist, a, b, above, du, dv, dz, t_exit - t)
+    return (SURFACE, t_exit + s) if s == s else (CLEAR, np.nan)
+
+
+@kernel(forceinline=True)
 def _meet_cell(
     nodes: FloatArray,
+    interpolation: int,
     i: int,
     j: int,
     u: float,
@@ -84,19 +121,23 @@ def _meet_cell(
     leave: float,
 ) -> tuple[int, float]:
     """What a ray meets between t and t_exit, where it is over cell (i, j)."""
-    a, b = (u - i) + t * du, (v - j) + t * dv
-    c0, c1, c2 = height_along(nodes, i, j, a, b, z + t * dz, du, dv, dz)
-    if c0 != c0:
-        return meet_beyond(t, t_exit, enter, leave)
-    if c0 < -FACE_DEPTH_M:
-        return FACE, t
-    s = first_descent(c0, c1, c2, t_exit - t)
-    return (SURFACE, t + s) if s == s else (CLEAR, np.nan)
+    southeast, t_facet = u - i >= v - j, t_exit
+    if interpolation == TRIANGLES and du != dv:
+        t_diagonal = ((v - j) - (u - i)) / (du - dv)
+        southeast = (t < t_diagonal) == (du < dv)
+        if t < t_diagonal < t_exit:
+            t_facet = t_diagonal
+    ray = u, v, z, du, dv, dz
+    met, t_met = _meet_facet(nodes, interpolation, i, j, southeast, *ray, t, t_facet, enter, leave)
+    if met == CLEAR and t_facet < t_exit:
+        return _meet_facet(nodes, interpolation, i, j, not southeast, *ray, t_facet, t_exit, enter, leave)
+    return met, t_met
 
 
 @kernel(forceinline=True)
 def traverse(
     nodes: FloatArray,
+    interpolation: int,
     maxima: FloatArray,
     levels: IntArray,
     u: float,
@@ -107,6 +148,7 @@ def traverse(
     dz: float,
     t: float,
     t_end: float,
+    near: bool,
     face: int,
     enter: float,
     leave: float,
@@ -120,6 +162,7 @@ def traverse(
     Args:
         nodes, maxima, levels: heights of the samples, and their pyramid (see `build_pyramid`).
         u, v, z, du, dv, dz: the ray, horizontally in cells and upward in metres; t in metres along it.
+        near: whether the ray is known to be close to the surface at t: cells are tried before blocks.
         face: axis (0 east, 1 north) of the edge by which the ray came in.
         enter, leave: where the ray's line is in the ground beyond, which also fills cells without samples.
 
@@ -129,8 +172,8 @@ def traverse(
     rows, columns = nodes.shape[0] - 1, nodes.shape[1] - 1
     i, j = cell_of(u + t * du, columns), cell_of(v + t * dv, rows)
     # The ray never climbs above the level where it begins: few of that level's blocks are on its way.
-    top_level = _starting_level(max(abs(du), abs(dv)) * (t_end - t), levels.shape[0] - 1)
-    level = top_level
+    top_level = starting_level(max(abs(du), abs(dv)) * (t_end - t), levels.shape[0] - 1)
+    level = 0 if near else top_level
     while True:
         i_first, j_first = (i >> level) << level, (j >> level) << level
         i_end, j_end = min(i_first + (1 << level), columns), min(j_first + (1 << level), rows)
@@ -138,7 +181,7 @@ def traverse(
         t_v = _crossing(v, dv, j_first, j_end)
         t_exit = max(min(t_u, t_v, t_end), t)
         if level == 0:
-            met, t_met = _meet_cell(nodes, i, j, u, v, z, du, dv, dz, t, t_exit, enter, leave)
+            met, t_met = _meet_cell(nodes, interpolation, i, j, u, v, z, du, dv, dz, t, t_exit, enter, leave)
             if met != CLEAR:
                 return met, t_met, i, j, face
         else:

@@ -82,3 +82,32 @@ def test_the_other_sets_of_messages(
         assert_equal(rows, expected, exact=FLAGS + CODES)
     else:
         assert_equal(rows, expected, CORE_STEPS, CORE_HELD, CORE_EXACT)
+
+
+@pytest.mark.parametrize(
+    "options", [["--set", "wire.can_messages=core"], ["--fd", "--data-bitrate", "5000000"]]
+)
+def test_a_recording_and_a_log_of_candump_come_again(
+    options: list[str], start: Start, tmp_path: Path
+) -> None:
+    """What candump saw of the run, of its replay, and of the replay of what candump saw."""
+    bus = [*BUS, *(option for option in options if "=" not in option and option != "--set")]
+    with candump(tmp_path) as dump, tshark(tmp_path) as dissected:
+        start("run", "descent.yaml", *BUS, *options, *PART, "--record", "r.mcap").succeed()
+        eventually(lambda: len(dissected()) >= len(dump.frames()))
+    flown = dump.frames()
+    shots = [line for line in dump.log.splitlines(keepends=True) if " 7FF#" not in line]
+    (tmp_path / "seen.log").write_text("".join(shots))
+    assert len(flown) == 100 * 5
+    for file in ("r.mcap", "seen.log"):
+        with candump(tmp_path) as dump:
+            start("replay", file, *bus, "--speed", "max").succeed()
+        assert dump.frames() == flown, file
+    start("replay", "r.mcap", "--to", "r.pcap").succeed()
+    fields = ["-T", "fields", "-e", "can.id", "-e", "data.data"]
+    rows = [
+        line.split("\t") for line in run_tool("tshark", "-r", str(tmp_path / "r.pcap"), *fields).splitlines()
+    ]
+    assert [(int(can_id, 0), bytes.fromhex(data)) for can_id, data in rows] == [
+        (f.can_id, f.data) for f in flown
+    ]

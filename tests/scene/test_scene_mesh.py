@@ -1,0 +1,370 @@
+"""Triangle meshes: against trying every triangle, against formulas, and at edges and corners."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lidar_emu.errors import InputError
+from lidar_emu.scenario.mesh_ground import Mesh as MeshPart
+from lidar_emu.scenario.mesh_ground import MeshOrigin
+from lidar_emu.scenario.site import Body, Site, Sphere
+from lidar_emu.scene.build import build_scene
+from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.mesh import Mesh, Triangles
+from lidar_emu.scene.mesh_file import enclosed_m3, read_mesh
+from lidar_emu.scene.mesh_ground import place_mesh
+from lidar_emu.scene.object_shapes import ellipsoid
+from lidar_emu.scene.plane import PlaneGround
+
+trimesh = pytest.importorskip("trimesh")
+
+ITOKAWA = Path(__file__).resolve().parents[2].parent / "shared" / "data/smallbody/itokawa_hayabusa_49152.obj"
+RNG = np.random.default_rng
+
+
+def units(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
+
+
+def assert_same(fast: Hits, exact: Hits, atol: float = 1e-10) -> None:
+    np.testing.assert_array_equal(fast.inside, exact.inside)
+    np.testing.assert_array_equal(fast.thing, exact.thing)
+    np.testing.assert_allclose(fast.range_m, exact.range_m, rtol=0, atol=atol)
+    np.testing.assert_allclose(fast.normal_site, exact.normal_site, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(fast.reflectance, exact.reflectance)
+
+
+def hills(count: int, seed: int = 1, height_m: float = 2.0) -> np.ndarray:
+    """Random heights on a jittered grid, two triangles a cell: (triangles, 3, 3), facing up."""
+    rng = RNG(seed)
+    east, north = np.meshgrid(np.arange(count, dtype=float), np.arange(count, dtype=float))
+    vertex = np.stack([east, north, height_m * rng.random((count, count))], axis=-1)
+    vertex[..., :2] += 0.4 * rng.random((count, count, 2))
+    a, b, c, d = vertex[:-1, :-1], vertex[:-1, 1:], vertex[1:, 1:], vertex[1:, :-1]
+    both = [np.stack(three, axis=-2).reshape(-1, 3, 3) for three in ((a, b, c), (a, c, d))]
+    return np.concatenate(both)
+
+
+def test_of_triangles_anywhere_the_nearest_is_found() -> None:
+    rng = RNG(5)
+    corner_m = rng.normal(size=(400, 1, 3)) * 10 + rng.normal(size=(400, 3, 3))
+    triangles = Triangles(
+        corner_m, rng.random(400) < 0.5, rng.random(400), rng.integers(0, 9, 400).astype(np.int16)
+    )
+    origin = 15 * rng.normal(size=(2000, 3))
+    direction = units(rng.normal(size=(2000, 3)) * 8 - origin)
+    mesh = Mesh(triangles)
+    found = mesh.cast(origin, direction)
+    assert_same(found, mesh.cast_exact(origin, direction))
+    assert 200 < np.isfinite(found.range_m).sum() < 1800
+    assert found.inside.any()
+
+
+def test_what_another_library_finds_is_found() -> None:
+    corner_m = hills(12)
+    other = trimesh.Trimesh(**trimesh.triangles.to_kwargs(corner_m))
+    origin = np.column_stack([RNG(2).uniform(2, 9, (300, 2)), np.full(300, 9.0)])
+    direction = units(RNG(3).normal(size=(300, 3)) * [0.4, 0.4, 0.1] - [0, 0, 1])
+    plane, _, t = (np.asarray(x) for x in _every_triangle(other, origin, direction))
+    nearest = np.full(300, np.inf)
+    np.minimum.at(nearest, plane, t)
+    found = Mesh(Triangles.alike(corner_m, 0.2)).cast(origin, direction).range_m
+    np.testing.assert_allclose(np.nan_to_num(found, nan=np.inf), nearest, rtol=0, atol=1e-9)
+
+
+def _every_triangle(other: object, origin: np.ndarray, direction: np.ndarray) -> tuple[list, list, list]:
+    """Ray, triangle and distance of all contacts, by the other library's planes and barycentric coordinates."""
+    rays, triangles, distances = [], [], []
+    for triangle, (corners, normal) in enumerate(zip(other.triangles, other.face_normals, strict=True)):  # type: ignore[attr-defined]
+        t = ((corners[0] - origin) @ normal) / (direction @ normal)
+        inner = trimesh.triangles.points_to_barycentric(
+            np.broadcast_to(corners, (len(origin), 3, 3)), origin + t[:, None] * direction
+        )
+        for ray in np.flatnonzero((inner >= 0).all(axis=1) & (t >= 0)):
+            rays.append(ray), triangles.append(triangle), distances.append(t[ray])
+    return rays, triangles, distances
+
+
+def test_a_box_is_where_it_is() -> None:
+    mesh = Mesh(Triangles.alike(np.asarray(trimesh.creation.box((2.0, 4.0, 6.0)).triangles), 0.3))
+    origin = RNG(7).uniform(-9, 9, (5000, 3))
+    direction = units(RNG(8).normal(size=(5000, 3)))
+    half = np.array([1.0, 2.0, 3.0])
+    with np.errstate(divide="ignore"):
+        near, far = np.sort([(-half - origin) / direction, (half - origin) / direction], axis=0)
+    enter, leave = near.max(axis=1), far.min(axis=1)
+    outside = (np.abs(origin) > half).any(axis=1)
+    expected = np.where(outside & (enter <= leave) & (enter >= 0), enter, np.nan)
+    found = mesh.cast(origin, direction)
+    np.testing.assert_allclose(found.range_m, expected, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(found.inside, ~outside)
+    met = np.isfinite(expected)
+    side = near[met].argmax(axis=1)
+    normal = -np.sign(direction[met, side])[:, None] * np.eye(3)[side]
+    np.testing.assert_allclose(found.normal_site[met], normal, atol=1e-12)
+
+
+def test_a_ray_that_starts_on_the_surface_hits_it_there() -> None:
+    mesh = Mesh(Triangles.alike(np.asarray(trimesh.creation.box((2.0, 2.0, 2.0)).triangles), 0.3))
+    found = mesh.cast(np.tile([0.3, 0.2, 1.0], (2, 1)), np.array([[0, 0, -1.0], [0, 0, 1.0]]))
+    np.testing.assert_array_equal(found.range_m, 0.0)
+    assert not found.inside.any()
+
+
+def test_a_sheet_is_seen_from_both_sides() -> None:
+    corner_m = np.array([[[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]]])
+    for sheet in (True, False):
+        mesh = Mesh(Triangles.alike(corner_m, 0.5, sheet))
+        found = mesh.cast(np.array([[0, 0, 2.0], [0, 0, -2.0]]), np.array([[0, 0, -1.0], [0, 0, 1.0]]))
+        np.testing.assert_array_equal(found.range_m, [2.0, 2.0 if sheet else np.nan])
+        np.testing.assert_array_equal(found.normal_site[:, 2], [1.0, -1.0 if sheet else np.nan])
+        np.testing.assert_array_equal(found.inside, [False, not sheet])
+
+
+@pytest.mark.parametrize("away_m", [0.0, 1e5])
+def test_no_ray_is_lost_at_edges_and_corners(away_m: float) -> None:
+    # So level that no sensor sees an edge with one side hidden: there a ray may pass by.
+    corner_m = hills(41, height_m=0.3) + np.array([away_m, -away_m, 0.0])
+    inner = corner_m[(np.abs(corner_m[..., :2] - corner_m.mean(axis=(0, 1))[:2]) < 15).all(axis=(1, 2))]
+    share = RNG(3).random((len(inner), 1))
+    target = np.concatenate([inner[:, 0], inner[:, 0] * share + inner[:, 1] * (1 - share), inner[:, 1]])
+    mesh = Mesh(Triangles.alike(corner_m, 0.2))
+    for height_m in (20.0, 2e4):
+        sensor = corner_m.mean(axis=(0, 1)) + np.array([3.1, -4.7, height_m])
+        aimed = units(target - sensor)
+        down = np.broadcast_to([0.0, 0.0, -1.0], target.shape)
+        for origin, direction in (
+            (np.broadcast_to(sensor, target.shape), aimed),
+            (target - height_m * down, down),
+        ):
+            found = mesh.cast(origin, direction)
+            assert np.isfinite(found.range_m).all()
+            assert (found.range_m <= np.linalg.norm(target - origin, axis=1) * (1 + 1e-9)).all()
+
+
+def test_a_closed_body_loses_nothing_either() -> None:
+    corner_m = ellipsoid(10.0, 6.0, 0.0)
+    target = corner_m.reshape(-1, 3)
+    origin = 40 * units(RNG(1).normal(size=target.shape)) + target
+    found = Mesh(Triangles.alike(corner_m, 0.2)).cast(origin, units(target - origin))
+    # A corner on the far side is behind the body; at the rim a ray may pass by.
+    assert (found.range_m[np.isfinite(found.range_m)] <= 40 + 1e-9).all()
+    facing = (units(origin - target) * units(target / [25, 25, 9])).sum(axis=1) > 0.35
+    assert facing.sum() > 200
+    assert np.isfinite(found.range_m[facing]).all()
+
+
+def test_ten_kilometres_away_it_is_as_exact_as_a_formula() -> None:
+    plane = PlaneGround(0.3, 1.0, 0.0)
+    east, north = np.array([-9e3, 9e3, 0.0]), np.array([-9e3, -9e3, 1.2e4])
+    corner_m = np.stack([east, north, plane.height_m(east, north)], axis=-1)[None]
+    origin = np.tile([100.0, 20.0, 1e4], (200, 1))
+    direction = units(RNG(4).normal(size=(200, 3)) * 0.1 - [0, 0, 1])
+    found, exact = (
+        Mesh(Triangles.alike(corner_m, 1.0)).cast(origin, direction),
+        plane.cast_exact(origin, direction),
+    )
+    np.testing.assert_allclose(found.range_m, exact.range_m, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.normal_site, exact.normal_site, atol=1e-12)
+
+
+def test_the_bits_do_not_depend_on_the_company_of_other_rays() -> None:
+    mesh = Mesh(Triangles.alike(hills(30), 0.2))
+    # Beams of beamlets, and rays on their own.
+    beams = units(np.repeat(RNG(2).normal(size=(6, 3)) * 0.3 - [0, 0, 1], 64, axis=0))
+    direction = units(np.concatenate([beams + 3e-4 * RNG(3).normal(size=beams.shape), beams[::-7]]))
+    direction[17] = np.nan
+    origin = np.tile([14.0, 15.0, 30.0], (len(direction), 1))
+    whole = mesh.cast(origin, direction)
+    assert np.isnan(whole.range_m[17])
+    for size in (1, 7, 64):
+        parts = [
+            mesh.cast(origin[k : k + size], direction[k : k + size]) for k in range(0, len(origin), size)
+        ]
+        for name in ("range_m", "normal_site", "thing", "inside", "reflectance"):
+            np.testing.assert_array_equal(
+                getattr(whole, name), np.concatenate([getattr(p, name) for p in parts])
+            )
+    assert_same(whole, mesh.cast_exact(origin, direction))
+
+
+def test_triangles_all_at_one_place_are_still_a_tree() -> None:
+    corner_m = np.tile(np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]]), (100, 1, 1))
+    found = Mesh(Triangles.alike(corner_m, 0.5)).cast(np.array([[0, 0, 3.0]]), np.array([[0, 0, -1.0]]))
+    assert found.range_m[0] == 3.0
+
+
+# Files
+
+
+def write(mesh: object, path: Path) -> Path:
+    mesh.export(path)  # type: ignore[attr-defined]
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply", "stl"])
+def test_a_closed_mesh_is_told_and_turned_outward(tmp_path: Path, suffix: str) -> None:
+    box = trimesh.creation.box((2.0, 4.0, 6.0))
+    box.invert()
+    file = read_mesh(str(write(box, tmp_path / f"box.{suffix}")), "m")
+    assert file.is_closed
+    assert file.turned
+    assert enclosed_m3(file.corner_m) == pytest.approx(48.0)
+    assert (
+        file.description
+        == f"mesh box.{suffix}, 12 triangles, 2 x 4 x 6 m, closed, faced inward and was turned"
+    )
+
+
+def test_an_open_mesh_and_one_at_odds_with_itself_are_told(tmp_path: Path) -> None:
+    box = trimesh.creation.box((1.0, 1.0, 1.0))
+    lidless = trimesh.Trimesh(box.vertices, box.faces[:-2], process=False)
+    assert "open" in read_mesh(str(write(lidless, tmp_path / "open.obj")), "m").description
+    faces = np.array(box.faces)
+    faces[0] = faces[0, ::-1]
+    odd = read_mesh(
+        str(write(trimesh.Trimesh(box.vertices, faces, process=False), tmp_path / "odd.obj")), "m"
+    )
+    assert odd.is_closed
+    assert not odd.faces_one_way
+    assert "disagree" in odd.description
+
+
+def test_triangles_without_area_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "flat.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 2 0 0\nf 1 2 3\nf 1 2 4\n")
+    file = read_mesh(str(path), "m")
+    assert (len(file.corner_m), file.flat) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("none.obj", None, "no such file"),
+        ("empty.obj", "", "no triangles"),
+        ("points.obj", "v 0 0 0\nv 1 0 0\n", "no triangles"),
+        ("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not a number"),
+        ("line.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no triangle has an area"),
+        ("index.obj", "v 0 0 0\nf 1 2 3\n", "allowed: an OBJ, PLY or STL"),
+        ("mesh.gltf", "{}", "allowed: an OBJ, PLY or STL"),
+        (
+            "half.ply",
+            "ply\nformat binary_little_endian 1.0\nelement vertex 9\nend_header\n",
+            "allowed: an OBJ",
+        ),
+        ("short.stl", "x" * 90, "allowed: an OBJ"),
+    ],
+)
+def test_a_file_that_is_no_mesh_is_refused_in_one_line(
+    tmp_path: Path, name: str, text: str | None, words: str
+) -> None:
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    with pytest.raises(InputError) as refusal:
+        read_mesh(str(tmp_path / name), "m")
+    assert words in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+    assert name in str(refusal.value)
+
+
+# Places
+
+
+def site(path: Path, unit: str = "m", radius_m: float = 90.0, **origin: object) -> Site:
+    ground = MeshPart.model_validate(
+        {"kind": "mesh", "file": str(path), "unit": unit, "origin": origin}, strict=False
+    )
+    return Site(ground=ground, body=Body(radius_m=radius_m))
+
+
+@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), [(0, 0), (35, 120), (-80, 200), (90, 10)])
+def test_the_origin_is_on_the_surface_with_up_away_from_the_centre(
+    tmp_path: Path, latitude_deg: float, longitude_deg: float
+) -> None:
+    path = write(trimesh.creation.icosphere(4, 100.0), tmp_path / "ball.ply")
+    scene = build_scene(site(path, latitude_deg=latitude_deg, longitude_deg=longitude_deg))
+    down = np.array([[0, 0, -1.0]])
+    assert scene.cast(np.array([[0, 0, 50.0]]), down).range_m[0] == pytest.approx(50.0, abs=1e-9)
+    assert scene.height_m(np.zeros(1), np.zeros(1))[0] == pytest.approx(0.0, abs=1e-9)
+    # Faces of a sphere divided four times lie up to 0.2 % inside of it.
+    assert scene.origin_altitude_m == pytest.approx(10.0, abs=0.3)
+    assert scene.cast(np.array([[0, 0, -20.0]]), down).inside[0]
+    assert np.isnan(scene.height_m(np.array([101.0]), np.zeros(1))[0])
+    assert scene.covers(np.array([500.0]), np.zeros(1))[0]
+
+
+def test_east_north_and_up_point_where_they_should(tmp_path: Path) -> None:
+    # A body with a hill to the north pole and a pit... simply: three boxes along the axes of a small body.
+    markers = [
+        trimesh.creation.box((1, 1, 1)),
+        trimesh.creation.box((1, 1, 1)),
+        trimesh.creation.box((1, 1, 1)),
+    ]
+    for axis, marker in enumerate(markers):
+        marker.apply_translation(100.0 * np.eye(3)[axis])
+    path = write(trimesh.util.concatenate(markers), tmp_path / "axes.ply")
+    scene = build_scene(site(path, body_fixed_m=[100.0, 0.0, 0.0]))
+    # On the equator at longitude 0: east is y, north is z; both boxes lie 100 m below.
+    for way in ([100.0, 0, -100.0], [0, 100.0, -100.0]):
+        start = np.array([[0, 0, 50.0]])
+        found = scene.cast(start, units(np.array([way]) - start))
+        assert found.thing[0] == 0
+    assert scene.origin_altitude_m == pytest.approx(10.0)
+
+
+def test_kilometres_and_metres_are_the_same_ground(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(3, 100.0)
+    metres = write(ball, tmp_path / "m.ply")
+    ball.apply_scale(1e-3)
+    (tmp_path / "km.obj").write_text(
+        "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in ball.vertices.tolist())
+        + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in ball.faces.tolist())
+    )
+    where = {"latitude_deg": 10.0, "longitude_deg": 20.0}
+    scenes = [build_scene(site(metres, "m", **where)), build_scene(site(tmp_path / "km.obj", "km", **where))]
+    origin, direction = (
+        np.tile([3.0, 4.0, 80.0], (200, 1)),
+        units(RNG(1).normal(size=(200, 3)) * 0.3 - [0, 0, 1]),
+    )
+    one, other = (scene.cast(origin, direction) for scene in scenes)
+    # A PLY file has single precision.
+    np.testing.assert_allclose(one.range_m, other.range_m, rtol=0, atol=1e-3)
+
+
+def test_a_place_without_a_surface_is_refused(tmp_path: Path) -> None:
+    box = trimesh.creation.box((1, 1, 1))
+    box.apply_translation([100, 0, 0])
+    path = write(box, tmp_path / "box.obj")
+    with pytest.raises(InputError, match=r"latitude 90.*allowed: a place where the mesh has a surface"):
+        build_scene(site(path, latitude_deg=90, longitude_deg=0))
+
+
+def test_an_open_mesh_that_faces_down_is_still_ground(tmp_path: Path) -> None:
+    corner_m = hills(9)[:, ::-1]
+    path = write(trimesh.Trimesh(**trimesh.triangles.to_kwargs(corner_m)), tmp_path / "patch.obj")
+    file = read_mesh(str(path), "m")
+    scene = place_mesh(file, MeshOrigin(), Site(ground=Sphere(kind="sphere")))
+    found = scene.cast(np.array([[4.0, 4.0, 9.0], [4.0, 4.0, -9.0]]), np.array([[0, 0, -1.0], [0, 0, 1.0]]))
+    assert found.range_m[0] < 9
+    assert found.normal_site[0, 2] > 0
+    assert found.inside[1]
+    np.testing.assert_array_equal(scene.covers(np.array([4.0, 40.0]), np.array([4.0, 4.0])), [True, False])
+
+
+def test_itokawa_is_as_it_is_known() -> None:
+    if not ITOKAWA.is_file():
+        pytest.skip("the real shape model is not here")
+    file = read_mesh(str(ITOKAWA), "km")
+    assert len(file.corner_m) == 49152
+    assert file.is_closed
+    assert enclosed_m3(file.corner_m) == pytest.approx(0.017786e9, rel=1e-4)
+    scene = place_mesh(
+        file, MeshOrigin(latitude_deg=20.0, longitude_deg=30.0), Site(ground=Sphere(kind="sphere"))
+    )
+    target = file.corner_m.mean(axis=(0, 1))
+    origin = 500 * units(RNG(1).normal(size=(40, 3))) + target
+    direction = units(target - origin + 50 * RNG(2).normal(size=(40, 3)))
+    assert_same(scene.cast(origin, direction), scene.cast_exact(origin, direction))
+    assert math.isfinite(scene.height_m(np.zeros(1), np.zeros(1))[0])

@@ -1,0 +1,102 @@
+"""What moves under the beams: its own velocity in everything that is measured of it."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from lidar_emu.echoes import receive_light
+from lidar_emu.flight import Flight
+from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.pointing import VELOCITY
+from lidar_emu.rotations import dot
+from lidar_emu.shots import simulate
+
+PAD = {"name": "deck", "kind": "pad", "diameter_m": 2000, "height_m": 2, "up_m": 0}
+TILT = {"attitude": {"roll_deg": 3, "pitch_deg": 2, "yaw_deg": 30, "body_rate_radps": [0.02, 0.05, -0.02]}}
+
+
+def descent(objects: list[dict], level: str = "spectral") -> dict:
+    ways = [{"altitude_m": 150, "speed_mps": 30}, {"altitude_m": 50, "speed_mps": 5}]
+    return {
+        "level": level,
+        "trajectory": {"kind": "profile", "path_angle_deg": 60, "waypoints": ways, **TILT},
+        "site": {"ground": {"kind": "plane"}, "surface": {"reflectance": 0.3}, "objects": objects},
+    }
+
+
+def moving(velocity_mps: list[float], **keys: object) -> dict:
+    return PAD | keys | {"motion": {"velocity_mps": velocity_mps}}
+
+
+def test_at_one_instant_it_does_not_matter_which_of_the_two_moves(make_flight) -> None:
+    """A deck that moves by v is seen as one at rest is from a sensor that moves by -v more."""
+    velocity_mps = np.array([7.0, -4.0, 2.0])
+    shot = np.array([0])
+    scenario = make_flight(**descent([moving(velocity_mps.tolist())]))
+    flight = Flight(scenario)
+    pointing, _ = flight.point(shot, flight.scanner.initial)
+    at_rest = Flight(make_flight(**descent([moving([0.0, 0.0, 0.0])])))
+    beams = pointing.beams.copy()
+    beams[VELOCITY] -= velocity_mps
+    # The first instants lie within a millisecond of the start, when both decks are at one place.
+    pointing.time_ns[:] = 0
+    seen = []
+    for over, where in ((flight, pointing), (at_rest, pointing._replace(beams=beams))):
+        hits = over.cast(where)
+        assert (hits.thing == 1).all()
+        seen.append(receive_light(scenario.instrument, scenario.site, over, 19, where, hits))
+    for field in fields(Echoes):
+        one, other = (getattr(echoes, field.name) for echoes in seen)
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-11, err_msg=field.name)
+
+
+def test_the_closing_speed_is_that_of_both(make_flight) -> None:
+    velocity_mps = np.array([5.0, 3.0, 1.5])
+    run = simulate(make_flight(**descent([moving(velocity_mps.tolist())], level="geometric")))
+    still = simulate(make_flight(**descent([PAD], level="geometric")))
+    axis = (run.point_site_m - run.position_site_m[:, None]) / run.range_m[..., None]
+    np.testing.assert_allclose(
+        run.closing_speed_mps, still.closing_speed_mps - dot(velocity_mps, axis), rtol=0, atol=1e-9
+    )
+    np.testing.assert_allclose(run.true_closing_speed_mps, run.closing_speed_mps, rtol=0, atol=1e-12)
+    # It rises: each range is shorter by what it has risen, over the cosine of its beam.
+    risen_m = velocity_mps[2] * run.time_ns * 1e-9
+    np.testing.assert_allclose(still.range_m - run.range_m, risen_m / -axis[..., 2], rtol=0, atol=1e-9)
+
+
+def test_the_receiver_measures_it(make_flight) -> None:
+    run = simulate(make_flight(**descent([moving([0.0, 0.0, 4.0])])))
+    still = simulate(make_flight(**descent([moving([0.0, 0.0, 0.0])])))
+    good = run.speed_valid & still.speed_valid
+    apart = (run.closing_speed_mps - still.closing_speed_mps)[good]
+    axis_up = ((still.point_site_m - still.position_site_m[:, None]) / still.range_m[..., None])[good, 2]
+    assert good.mean() > 0.8
+    assert np.median(np.abs(apart + 4.0 * axis_up)) < 0.01
+
+
+@pytest.mark.parametrize("block", [1, 5])
+def test_blocks_make_no_difference(make_flight, block: int) -> None:
+    from lidar_emu.shots import build_model, measure_in_blocks
+
+    objects = [
+        moving([3.0, 0.0, 0.0], diameter_m=60),
+        {"name": "rocks", "kind": "boulder", "diameter_m": 2, "scatter": {"count": 300, "radius_m": 100}},
+    ]
+    model = build_model(make_flight(**descent(objects)))
+    whole = np.concatenate([m.range_m for m in measure_in_blocks(model, 64)])[:20]
+    parts = np.concatenate([m.range_m for m in measure_in_blocks(model, block)])[:20]
+    np.testing.assert_array_equal(whole, parts)
+
+
+def test_light_that_falls_on_a_dark_object_is_fainter(make_flight) -> None:
+    snr_db = {}
+    for reflectance in (0.3, 0.03):
+        deck = PAD | {"reflectance": reflectance}
+        run = simulate(make_flight(**descent([deck])))
+        snr_db[reflectance] = float(np.median(run.snr_db[run.range_valid]))
+    bare = simulate(make_flight(**descent([PAD])))
+    assert snr_db[0.3] == pytest.approx(float(np.median(bare.snr_db[bare.range_valid])), abs=1e-9)
+    assert snr_db[0.3] - snr_db[0.03] == pytest.approx(10.0, abs=1.0)
