@@ -10,7 +10,7 @@ from lidar_emu.echoes import receive_light
 from lidar_emu.flight import Flight, Pointing, sensor_height_m
 from lidar_emu.geometry.recorded_flight import RecordedFlight
 from lidar_emu.plan_faults import planned_faults
-from lidar_emu.plan_ground import plan_parts
+from lidar_emu.plan_ground import plan_objects, plan_parts
 from lidar_emu.plan_receiver import Decision, plan_receiver
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.mesh_ground import Mesh
@@ -111,6 +111,7 @@ def _flown(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: H
         _trajectory(scenario, flight),
         *_bridges(flight),
         *_ground(scenario, flight, pointing, hits),
+        *plan_objects(flight.scene, flight.ground),
         *_switching(flight),
     ]
 

@@ -95,7 +95,7 @@ class FlightModel:
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
         self.initial_state = self.flight.scanner.initial
-        self.pattern_count = len(self.flight.scanner.angle_deg)
+        self.pattern_count = self.flight.scanner.set_count
         self._order(scenario)
 
     def with_faults(self, faults: list[Fault]) -> Self:

@@ -18,6 +18,7 @@ from lidar_emu.cli.listen import listen
 from lidar_emu.cli.output import silence
 from lidar_emu.cli.plan import plan
 from lidar_emu.cli.replay import replay
+from lidar_emu.cli.report import report
 from lidar_emu.cli.run import run
 from lidar_emu.cli.send import send
 from lidar_emu.cli.simulate import simulate
@@ -44,6 +45,7 @@ def cli(context: click.Context) -> None:
     lidar-emu send --port /dev/ttyUSB1 set_mode mode=track
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
     lidar-emu campaign dispersed_descent.yaml --out results
+    lidar-emu report --paper-figure 2                 figures of the published simulation, drawn again
     lidar-emu detection descent.yaml                  what the instrument will detect, by altitude
     lidar-emu ground descent.yaml --set site=cratered --plot ground.png
     lidar-emu plan descent.yaml                       what the run computes and what it leaves out
@@ -62,6 +64,7 @@ for command in (
     inject,
     simulate,
     campaign,
+    report,
     detection,
     ground,
     plan,

@@ -27,8 +27,8 @@ def build_scene(part: site.Site) -> Scene:
     return with_objects(build_ground(part), part)
 
 
-def with_objects(ground: Scene, part: site.Site) -> Scene:
-    """The ground of a site with what stands on it.
+def with_objects(ground: Scene, part: site.Site, reach: Reach | None = None) -> Scene:
+    """The ground of a site with what stands on it, as far as the rays of a run may come to it.
 
     Raises:
         InputError: a mesh cannot be used as the site asks.
@@ -37,7 +37,7 @@ def with_objects(ground: Scene, part: site.Site) -> Scene:
         return ground
     from lidar_emu.scene.objects import populated
 
-    return populated(ground, part)
+    return populated(ground, part, reach)
 
 
 def build_ground(part: site.Site, reach: Reach | None = None) -> Scene:

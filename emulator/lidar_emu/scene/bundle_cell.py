@@ -43,6 +43,7 @@ def cast_onto_cell(
         u, v = in_cells(grid, origin[3 * k], origin[3 * k + 1])
         du, dv = direction[3 * k] * east_scale, direction[3 * k + 1] * north_scale
         z, dz = origin[3 * k + 2], direction[3 * k + 2]
+        before = normal[3 * k], normal[3 * k + 1], normal[3 * k + 2]
         t_from = -range_m[k]
         a, b = (u - i) + t_from * du, (v - j) + t_from * dv
         over = (t_from > 0.0) & (abs(a - 0.5) <= _HALF_CELL) & (abs(b - 0.5) <= _HALF_CELL)
@@ -67,6 +68,6 @@ def cast_onto_cell(
         east, north = (east + b * twist) * east_scale, (north + a * twist) * north_scale
         up = 1.0 / np.sqrt(1.0 + east * east + north * north)
         range_m[k] = t if meets else (-t_exit if goes else range_m[k])
-        normal[3 * k] = -east * up if meets else normal[3 * k]
-        normal[3 * k + 1] = -north * up if meets else normal[3 * k + 1]
-        normal[3 * k + 2] = up if meets else normal[3 * k + 2]
+        normal[3 * k] = -east * up if meets else before[0]
+        normal[3 * k + 1] = -north * up if meets else before[1]
+        normal[3 * k + 2] = up if meets else before[2]

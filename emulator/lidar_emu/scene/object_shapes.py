@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.scenario.objects import Boulder, Cliff, MeshObject, Pad, PlacedObject, Ramp, Slab, Tree
+from lidar_emu.scenario.objects import Boulder, Cliff, MeshObject, Pad, PlacedObject, RampObject, Slab, Tree
 
 _ROUND = 48
 """Corners of a round pad: 0.2 % of its radius off the circle. Trunks have a quarter of them."""
@@ -31,7 +31,7 @@ def corners_m(part: PlacedObject) -> FloatArray:
             foot, top = -part.height_m / np.tan(np.radians(part.face_deg)), part.height_m
             foot = 0.0 if part.face_deg == 90 else float(foot)
             return _across([(foot, 0), (part.length_m, 0), (part.length_m, top), (0, top)], part.width_m)
-        case Ramp():
+        case RampObject():
             return _across([(0, 0), (part.length_m, 0), (part.length_m, part.height_m)], part.width_m)
         case Tree():
             return _tree(part)

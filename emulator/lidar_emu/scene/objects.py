@@ -11,19 +11,31 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.rotations import SITE_FROM_NED, chained, from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.objects import MeshObject, PlacedObject, Scatter
 from lidar_emu.scenario.site import Site
+from lidar_emu.scene.cut import CutGround, Kept
 from lidar_emu.scene.hits import GROUND, Scene
 from lidar_emu.scene.mesh import Mesh, Triangles
 from lidar_emu.scene.mesh_file import read_mesh
+from lidar_emu.scene.nested import Rectangle
 from lidar_emu.scene.object_motion import MovingObject
 from lidar_emu.scene.object_shapes import corners_m
 from lidar_emu.scene.populated import PopulatedScene, SceneInMotion
+from lidar_emu.scene.reach import Reach, Span
 
 _NED_FROM_OBJECT = np.diag([1.0, -1.0, -1.0])
 """Forward-right-down angles, for shapes that are forward-left-up."""
 
 
-def populated(ground: Scene, part: Site) -> Scene:
+CUT_FROM_TRIANGLES = 20_000
+"""Of fewer all are held: there is little to be saved."""
+
+
+def populated(ground: Scene, part: Site, reach: Reach | None) -> Scene:
     """A ground with the objects of its site.
+
+    Args:
+        ground: below them.
+        part: the site.
+        reach: the rays of the run, so that objects that they cannot meet are left out; None: all are built.
 
     Raises:
         InputError: the file of an object cannot be used, or there is no ground under one that is to stand on it.
@@ -39,10 +51,28 @@ def populated(ground: Scene, part: Site) -> Scene:
     scene = ground
     if still:
         joined = Triangles.joined(still)
-        scene = PopulatedScene(scene, Mesh(joined), _counted(part.objects, len(joined.corner_m)))
+        scene = _within_reach(ground, joined, _counted(part.objects, len(joined.corner_m)), reach)
     if moving:
         scene = SceneInMotion(scene, moving, f"{len(moving)} moving")
     return scene
+
+
+def _within_reach(ground: Scene, triangles: Triangles, description: str, reach: Reach | None) -> Scene:
+    """The ground with those triangles that rays can meet; the others come back if one needs them after all."""
+
+    def whole() -> Scene:
+        return PopulatedScene(ground, Mesh(triangles), description)
+
+    if reach is None or len(triangles.corner_m) < CUT_FROM_TRIANGLES:
+        return whole()
+    low_m, high_m = triangles.corner_m.min(axis=1), triangles.corner_m.max(axis=1)
+    (west_m, south_m, floor_m), (east_m, north_m, ceiling_m) = low_m.min(axis=0), high_m.max(axis=0)
+    span = Span(Rectangle(west_m, east_m, south_m, north_m), floor_m, ceiling_m)
+    area = reach.over(span)
+    meets_across = (low_m[:, 0] <= area.east_m) & (area.west_m <= high_m[:, 0])
+    met = np.flatnonzero(meets_across & (low_m[:, 1] <= area.north_m) & (area.south_m <= high_m[:, 1]))
+    held = PopulatedScene(ground, Mesh(triangles.chosen(met)), description) if met.size else ground
+    return CutGround(held, (Kept(span, area, len(low_m), met.size),), whole)
 
 
 def _counted(parts: list[PlacedObject], triangles: int) -> str:

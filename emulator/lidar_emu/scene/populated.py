@@ -69,14 +69,14 @@ class SceneInMotion:
     """
 
     def __init__(self, still: Scene, moving: list[MovingObject], description: str) -> None:
-        self._still, self._moving = still, moving
+        self.still, self._moving = still, moving
         self.description = f"{still.description}; {description}"
         self.height_m, self.covers = still.height_m, still.covers
 
     @property
     def origin_altitude_m(self) -> float:
         """As of the ground."""
-        return self._still.origin_altitude_m
+        return self.still.origin_altitude_m
 
     def cast(
         self,
@@ -98,14 +98,14 @@ class SceneInMotion:
     ) -> Hits:
         """First contact of rays at their times; see `MovingScene.cast_at`."""
         hits = hits or Hits.empty(len(origin_site_m), moving=True)
-        hits = self._still.cast(
+        hits = self.still.cast(
             origin_site_m, direction_site, hits, bundle=max(len(direction_site) // len(time_ns), 1)
         )
         return self._with_moving(time_ns, origin_site_m, direction_site, hits, exact=False)
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
         """All by their own slow paths, at the start of the run."""
-        still = self._still.cast_exact(origin_site_m, direction_site)
+        still = self.still.cast_exact(origin_site_m, direction_site)
         hits = still._replace(velocity_site_mps=np.empty((len(origin_site_m), 3)))
         return self._with_moving(np.zeros(1, dtype=np.int64), origin_site_m, direction_site, hits, exact=True)
 

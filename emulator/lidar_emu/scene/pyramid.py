@@ -6,6 +6,9 @@ import numpy as np
 
 from lidar_emu.arrays import FloatArray, IntArray
 
+_ROWS_AT_ONCE = 64
+"""An even number."""
+
 
 def cell_maxima(nodes_m: FloatArray, hole_m: float) -> FloatArray:
     """Greatest height of each cell; ``hole_m`` where a corner is missing.
@@ -28,14 +31,25 @@ def build_pyramid(nodes_m: FloatArray, hole_m: float) -> tuple[FloatArray, IntAr
         The maxima, one after another, and for each level L its (first index, blocks per row). Level 0, the
         cells themselves, is not kept, since a cell's corners are read anyway: its entry is empty.
     """
-    blocks = cell_maxima(nodes_m, hole_m)
     maxima: list[FloatArray] = [np.empty(0)]
     levels = [(0, 0)]
-    while blocks.size > 1:
-        blocks = _halved(blocks)
-        levels.append((sum(level.size for level in maxima), blocks.shape[1]))
-        maxima.append(blocks.ravel())
+    if nodes_m.size > 4:
+        blocks = _blocks_of_four(nodes_m, hole_m)
+        while True:
+            levels.append((sum(level.size for level in maxima), blocks.shape[1]))
+            maxima.append(blocks.ravel())
+            if blocks.size == 1:
+                break
+            blocks = _halved(blocks)
     return np.concatenate(maxima), np.array(levels, dtype=np.int64)
+
+
+def _blocks_of_four(nodes_m: FloatArray, hole_m: float) -> FloatArray:
+    """Level 1, a few rows at a time: the maxima of all cells would take as much memory as the samples."""
+    firsts = range(0, len(nodes_m) - 1, _ROWS_AT_ONCE)
+    return np.concatenate(
+        [_halved(cell_maxima(nodes_m[first : first + _ROWS_AT_ONCE + 1], hole_m)) for first in firsts]
+    )
 
 
 def _halved(blocks: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.waveform.conclude import Conclusion
-from lidar_emu.waveform.measure import Footprint, measure_waveform
+from lidar_emu.waveform.measure import Footprint, Measurement, measure_waveform
 from lidar_emu.waveform.receive import Digitiser, Response, noise_level
 from lidar_emu.waveform.samples import ComplexArray
 
@@ -43,15 +43,34 @@ def measure_echoes(
     """
     field = echo_field(model, echoes, shot, seed)
     beams = [
-        _measure_beam(
-            instrument, model, echoes, field[s, b], s, b, np.random.default_rng((seed, int(shot[s]), b))
-        )
+        _measure_beam(instrument, model, echoes, field[s, b], s, b, _rng(seed, int(shot[s]), b))
         for s, b in np.ndindex(echoes.fired.shape)
     ]
     columns = {f.name: np.concatenate([getattr(beam, f.name) for beam in beams]) for f in fields(Conclusion)}
     shaped = {name: np.reshape(a, (*echoes.fired.shape, *a.shape[1:])) for name, a in columns.items()}
     valid = shaped["reason"] == Reason.VALID
     return Returns(**shaped, range_valid=valid, speed_valid=valid.copy())
+
+
+def listen_to_beam(
+    instrument: Instrument,
+    model: ReceiverModel,
+    echoes: Echoes,
+    shot: NDArray[np.int64],
+    seed: int,
+    s: int,
+    b: int,
+) -> Measurement:
+    """What `measure_echoes` finds on its way to beam `b` of shot `shot[s]`, a beam that fires: its three whole spectra.
+
+    Args and errors are those of `measure_echoes`.
+    """
+    field = echo_field(model, echoes, shot, seed)[s, b]
+    return _listen(instrument, model, echoes, field, s, b, _rng(seed, int(shot[s]), b), keep_bins=True)
+
+
+def _rng(seed: int, shot: int, b: int) -> np.random.Generator:
+    return np.random.default_rng((seed, shot, b))
 
 
 def _measure_beam(
@@ -66,9 +85,27 @@ def _measure_beam(
     """One beam of one shot."""
     if not echoes.fired[s, b]:
         return _nothing(Reason.NOT_FIRED)
-    range_m, power_w = echoes.range_m[s, b], echoes.power_w[s, b]
+    range_m = echoes.range_m[s, b]
     if echoes.inside[s, b] or (range_m <= 0.0).any():
         return _nothing(Reason.INSIDE_GROUND)
+    measured = _listen(instrument, model, echoes, field, s, b, rng)
+    if measured.reason[0] == Reason.BELOW_THRESHOLD:
+        return replace(measured, reason=np.array([_unseen(range_m, model.record_edge_range_m)], np.int8))
+    return measured
+
+
+def _listen(
+    instrument: Instrument,
+    model: ReceiverModel,
+    echoes: Echoes,
+    field: ComplexArray,
+    s: int,
+    b: int,
+    rng: np.random.Generator,
+    keep_bins: bool = False,
+) -> Measurement:
+    """The records of a beam, measured."""
+    range_m, power_w = echoes.range_m[s, b], echoes.power_w[s, b]
     waveform, receiver = instrument.waveform, instrument.receiver
     lit = np.abs(field).max(axis=0) > 0.0
     footprint = _DARK
@@ -89,7 +126,7 @@ def _measure_beam(
     digitiser = None
     if receiver.adc is not None:
         digitiser = Digitiser(2.0 * model.response.full_scale, receiver.adc.effective_bits)
-    measured = measure_waveform(
+    return measure_waveform(
         waveform,
         instrument.detection,
         footprint,
@@ -99,10 +136,8 @@ def _measure_beam(
         digitiser=digitiser,
         noise_level=level,
         edges=bool((range_m > model.record_edge_range_m).any()),
+        keep_bins=keep_bins,
     )
-    if measured.reason[0] == Reason.BELOW_THRESHOLD:
-        return replace(measured, reason=np.array([_unseen(range_m, model.record_edge_range_m)], np.int8))
-    return measured
 
 
 def _unseen(range_m: FloatArray, edge_m: float) -> Reason:

@@ -55,6 +55,10 @@ class Measurement(Conclusion):
 
     targets: tuple[Targets, Targets, Targets]
     """Of up-chirp, constant segment and down-chirp."""
+    noise_power: FloatArray
+    """() or (N/2 + 1,): mean power of noise in a bin under the window of detection, as the detector knows it."""
+    threshold: FloatArray
+    """In the same shape: the power that a detected bin exceeds."""
     bins: ComplexArray | None
     """(records, 3, N/2 + 1) under the window of detection, if asked for."""
 
@@ -131,8 +135,9 @@ def measure_waveform(
                 kept[rows, s] = bins
         found.append(Targets(*(np.concatenate(column) for column in zip(*parts, strict=True))))
     targets = found[0], found[1], found[2]
+    concluded = conclude(waveform, detection, targets, windowed_level)
     return Measurement(
-        **vars(conclude(waveform, detection, targets, windowed_level)), targets=targets, bins=kept
+        **vars(concluded), targets=targets, noise_power=windowed_level, threshold=threshold, bins=kept
     )
 
 
