@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from lidar_emu.cli.bench_campaign import campaign
 from lidar_emu.cli.bench_casting import casting
 from lidar_emu.cli.bench_protocol import protocol
 from lidar_emu.cli.bench_realtime import realtime
@@ -26,6 +27,7 @@ def bench() -> None:
     """Measure the emulator itself, on this machine."""
 
 
+bench.add_command(campaign)
 bench.add_command(casting)
 bench.add_command(protocol)
 bench.add_command(realtime)

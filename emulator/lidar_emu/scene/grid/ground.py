@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,6 +101,12 @@ class GridGround:
         hole_m = -np.inf if beyond is None else 0.0
         self._maxima, self._levels = build_pyramid(samples.height_m, hole_m)
         self._grid = self._numbers()
+
+    def with_reflectance(self, reflectance: float) -> GridGround:
+        """The same ground, samples shared, of another albedo."""
+        twin = copy(self)
+        twin.reflectance = reflectance
+        return twin
 
     def _numbers(self) -> FloatArray:
         samples = self.samples
