@@ -25,7 +25,7 @@ from lidar_emu.probability.false_lock import false_lock_probability
 from lidar_emu.probability.noise import log_false_alarm
 from lidar_emu.probability.quadrature import nodes_and_weights
 from lidar_emu.rotations import rotate
-from lidar_emu.scanner.model import build_scanner, mounting_rotation
+from lidar_emu.scanner.model import build_scanner, mounting_rotation, off_axis_rad
 from lidar_emu.scenario.instrument import Detection
 from lidar_emu.scenario.schema import FlightScenario
 
@@ -138,10 +138,14 @@ def measured(detection: Detection, segment: FloatArray) -> FloatArray:
 
 
 def beam_angles_deg(scenario: FlightScenario) -> FloatArray:
-    """Angles of the published beams of all patterns from body z, straight down in an upright vehicle."""
-    body = rotate(mounting_rotation(scenario.mounting), build_scanner(scenario.scanner).published_sensor)
-    across = np.hypot(body[..., 0], body[..., 1])
-    angle_deg = np.round(np.degrees(np.arctan2(across, body[..., 2])), 6)
+    """Angles of the published beams of all patterns from body z, straight down in an upright vehicle.
+
+    Of a scan its ends and its middle count.
+    """
+    scanner = build_scanner(scenario.scanner)
+    sets = scanner.published_sensor.reshape(-1, scanner.steps, scanner.beam_count, 3)
+    body = rotate(mounting_rotation(scenario.mounting), sets[:, [0, scanner.steps // 2, -1]])
+    angle_deg = np.round(np.degrees(off_axis_rad(body)), 6)
     return np.unique(angle_deg[~np.isnan(angle_deg)])
 
 

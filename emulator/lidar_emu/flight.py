@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import InputError
+from lidar_emu.over_ground import may_leave_its_ground, refuse_to_leave
 from lidar_emu.pointing import (
     ACCELERATION,
     PUBLISHED,
@@ -23,17 +24,13 @@ from lidar_emu.pointing import (
 )
 from lidar_emu.rotations import rotate
 from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
-from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
-from lidar_emu.scenario.site import Grid, Nested
 from lidar_emu.scene.build import build_ground, with_objects
 from lidar_emu.scene.hits import Hits, MovingScene, Scene
 from lidar_emu.scene.reach import Reach
 from lidar_emu.sweep import MOST_SHOTS, slack, sweep
 from lidar_emu.trajectory.build import build_trajectory
 from lidar_emu.trajectory.state import Trajectory, VehicleState
-
-_CHECKED_SHOTS = 4096
 
 _Shot = TypeVar("_Shot", int, NDArray[np.int64])
 
@@ -147,7 +144,8 @@ class Flight:
         self._needs_ground_altitude = self.scanner.needs_ground_altitude
         self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
         self.shot_count = self._count_shots()
-        self._refuse_to_leave_the_ground()
+        if may_leave_its_ground(scenario):
+            refuse_to_leave(scenario, self.trajectory, self.ground, self.shot_count, self.period_ns)
 
     @cached_property
     def trajectory(self) -> Trajectory:
@@ -155,19 +153,23 @@ class Flight:
         return build_trajectory(self.scenario.trajectory, self.scenario.site.body.radius_m)
 
     @cached_property
+    def _reach(self) -> Reach | None:
+        """The rays of the flight, where they are known beforehand."""
+        if self.is_live or self.shot_count > MOST_SHOTS:
+            return None
+        beams = self._validity_ns, self._lever_arm_body_m, self.scanner, self._true_body
+        lines = partial(sweep, self.trajectory, self.shot_count, self.period_ns, *beams)
+        return Reach(lines, *slack(self.scenario))
+
+    @cached_property
     def ground(self) -> Scene:
         """What the beams of this flight can come to, without the objects on it."""
-        site = self.scenario.site
-        if self.is_live or self.shot_count > MOST_SHOTS:
-            return build_ground(site)
-        beams = self._validity_ns, self._lever_arm_body_m, self._true_body
-        lines = partial(sweep, self.trajectory, self.shot_count, self.period_ns, *beams)
-        return build_ground(site, Reach(lines, *slack(self.scenario)))
+        return build_ground(self.scenario.site, self._reach)
 
     @cached_property
     def scene(self) -> Scene:
         """What the beams hit."""
-        return with_objects(self.ground, self.scenario.site)
+        return with_objects(self.ground, self.scenario.site, self._reach)
 
     @cached_property
     def _moving_scene(self) -> MovingScene | None:
@@ -204,7 +206,7 @@ class Flight:
             vehicle.site_from_body,
             vehicle.body_rate_radps,
             self._lever_arm_body_m,
-            pointing.pattern,
+            self.scanner.row(pointing.pattern, shot),
             self.scanner.angle_deg,
             self._true_body,
             self._published_body,
@@ -241,7 +243,8 @@ class Flight:
             origin_site_m, direction_site, hits: as of `Scene.cast`.
         """
         if self._moving_scene is None:
-            return self.scene.cast(origin_site_m, direction_site, hits)
+            bundle = max(len(direction_site) // max(time_ns.size, 1), 1)
+            return self.scene.cast(origin_site_m, direction_site, hits, bundle)
         return self._moving_scene.cast_at(time_ns.reshape(-1), origin_site_m, direction_site, hits)
 
     def cast_beamlets(
@@ -277,28 +280,6 @@ class Flight:
             allowed = f"allowed: at most {flown_s:.6g} s, the flight"
             raise InputError(scenario.name, "duration_s", duration_s, allowed)
         return scenario.timing.shots_within(duration_s)
-
-    def _refuse_to_leave_the_ground(self) -> None:
-        ground, shots = self.scenario.site.ground, self.shot_count
-        if not isinstance(ground, Grid | Generated | Nested) or ground.beyond != "none" or self.is_live:
-            return
-        for first in range(0, shots, _CHECKED_SHOTS):
-            shot = np.arange(first, min(first + _CHECKED_SHOTS, shots), dtype=np.int64)
-            self._refuse_outside(_seconds(shot * self.period_ns))
-
-    def _refuse_outside(self, time_s: FloatArray) -> None:
-        position_m = self.trajectory.state(time_s).position_site_m
-        outside = np.flatnonzero(~self.scene.covers(position_m[:, 0], position_m[:, 1]))
-        if outside.size:
-            east_m, north_m, up_m = position_m[outside[0]]
-            raise InputError(
-                self.scenario.name,
-                "trajectory",
-                Finding(
-                    f"{time_s[outside[0]]:.3f} s: {east_m:.1f} m east, {north_m:.1f} m north, {up_m:.1f} m up"
-                ),
-                f"allowed: positions over the ground ({self.scene.description}), or beyond: plane or sphere",
-            )
 
 
 def _seconds(time_ns: NDArray[np.int64]) -> FloatArray:

@@ -10,7 +10,7 @@ from lidar_emu.echoes import receive_light
 from lidar_emu.flight import Flight, Pointing, sensor_height_m
 from lidar_emu.geometry.recorded_flight import RecordedFlight
 from lidar_emu.plan_faults import planned_faults
-from lidar_emu.plan_ground import plan_parts
+from lidar_emu.plan_ground import plan_objects, plan_parts
 from lidar_emu.plan_receiver import Decision, plan_receiver
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.mesh_ground import Mesh
@@ -18,7 +18,7 @@ from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.site import Grid, Nested
 from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.scene.hits import Hits
-from lidar_emu.scene.terrain_read import lies_flat
+from lidar_emu.scene.terrain.read import lies_flat
 from lidar_emu.spread import spread_bins
 
 ONE_BEAMLET_BELOW_BINS = 0.1
@@ -111,6 +111,7 @@ def _flown(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: H
         _trajectory(scenario, flight),
         *_bridges(flight),
         *_ground(scenario, flight, pointing, hits),
+        *plan_objects(flight.scene, flight.ground),
         *_switching(flight),
     ]
 

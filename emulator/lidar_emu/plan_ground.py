@@ -26,6 +26,25 @@ def plan_parts(ground: Scene) -> Iterator[Decision]:
         ground = ground.outer
 
 
+def plan_objects(scene: Scene, ground: Scene) -> Iterator[Decision]:
+    """A line for the objects on a ground that are left out."""
+    if scene is ground:
+        return
+    from lidar_emu.scene.objects.populated import SceneInMotion
+
+    if isinstance(scene, SceneInMotion):
+        scene = scene.still
+    if isinstance(scene, CutGround) and scene is not ground:
+        (cut,) = scene.kept
+        yield Decision(
+            "objects out of reach",
+            False,
+            f"{cut.held} of {cut.samples} triangles held",
+            "no beam of any pattern comes there on the whole flight",
+            "exact",
+        )
+
+
 def _cut(grid: Kept) -> Decision:
     saved_mb = (grid.samples - grid.held) * _BYTES_PER_SAMPLE * 1e-6
     west_m, east_m, south_m, north_m = grid.area

@@ -54,8 +54,8 @@ def point_beams(
     site_from_body: FloatArray,
     body_rate_radps: FloatArray,
     lever_arm_m: FloatArray,
-    chosen: NDArray[np.int64],
-    pattern_angle_deg: FloatArray,
+    row: NDArray[np.int64],
+    row_angle_deg: FloatArray,
     true_body: FloatArray,
     published_body: FloatArray,
     fired: BoolArray,
@@ -68,6 +68,7 @@ def point_beams(
     The lever arm turns with the body: r, ω x r and ω x (ω x r) are added.
 
     Args:
+        row: (shots,) of directions and angles (rows, beams) that each shot takes.
         vectors: (6, shots, beams, 3) in the order of `Pointing`.
         vehicle: (2, shots, 3) the vehicle's position and velocity at the first beam's validity.
     """
@@ -90,10 +91,9 @@ def point_beams(
                 sensor[axis] += position_m[k, axis]
                 velocity[axis] += velocity_mps[k, axis]
                 acceleration[axis] += acceleration_mps2[k, axis]
-            pattern = chosen[s]
-            set_rotated(rotation, true_body[pattern, b], vectors[TRUE, s, b])
-            set_rotated(rotation, published_body[pattern, b], vectors[PUBLISHED, s, b])
-            angle_deg[s, b] = pattern_angle_deg[pattern, b]
+            set_rotated(rotation, true_body[row[s], b], vectors[TRUE, s, b])
+            set_rotated(rotation, published_body[row[s], b], vectors[PUBLISHED, s, b])
+            angle_deg[s, b] = row_angle_deg[row[s], b]
             fired[s, b] = angle_deg[s, b] == angle_deg[s, b]
         for axis in range(3):
             vehicle[0, s, axis] = position_m[s * (1 + beams) + 1, axis]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lidar_emu.arrays import FloatArray, IntArray
 from lidar_emu.rotations import rotate
 from lidar_emu.scanner.footprint import beamlet_pattern
+from lidar_emu.scanner.model import ScannerModel
 from lidar_emu.scenario.faults import Misalignment
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.reach import Lines
@@ -26,6 +27,7 @@ def sweep(
     period_ns: int,
     validity_ns: IntArray,
     lever_arm_body_m: FloatArray,
+    scanner: ScannerModel,
     true_body: FloatArray,
 ) -> Iterator[Lines]:
     """The axes of all beams of all patterns at each beam's time of validity, block by block.
@@ -38,17 +40,19 @@ def sweep(
         period_ns: from one to the next.
         validity_ns: (beams,) of each beam, from the shot's start.
         lever_arm_body_m: (3,) of the sensor.
-        true_body: (patterns, beams, 3) where the light goes; NaN beyond the beams that a pattern has.
+        scanner: its patterns.
+        true_body: (rows, beams, 3) where the light goes, as the scanner has them; NaN beyond the beams that a pattern
+            has.
     """
     after_ns = np.concatenate([[0], validity_ns])
     for first in range(0, shots, _SHOTS_AT_ONCE):
         shot = np.arange(first, min(first + _SHOTS_AT_ONCE, shots), dtype=np.int64)
         vehicle = trajectory.state(_seconds(shot[:, None] * period_ns + after_ns).reshape(-1))
         sensor_site_m = vehicle.position_site_m + rotate(vehicle.site_from_body, lever_arm_body_m)
-        for pattern in true_body:
-            body = np.concatenate([np.full((1, 3), np.nan), pattern])
-            direction = rotate(vehicle.site_from_body, np.tile(body, (len(shot), 1)))
-            yield sensor_site_m, direction
+        body = np.full((len(shot), len(after_ns), 3), np.nan)
+        for pattern in range(scanner.set_count):
+            body[:, 1:] = true_body[scanner.row(pattern, shot)]
+            yield sensor_site_m, rotate(vehicle.site_from_body, body.reshape(-1, 3))
 
 
 def slack(scenario: FlightScenario) -> tuple[float, float]:

@@ -7,8 +7,8 @@ from beams import Array, DataSheet
 
 from lidar_emu.errors import InputError
 from lidar_emu.flight import Flight
+from lidar_emu.scenario.required import require_known_flight
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.shots import require_known_flight
 from lidar_emu.trajectory.state import VehicleState
 
 LIGHT_MPS = 299_792_458.0

@@ -179,3 +179,37 @@ def test_mounting() -> None:
     np.testing.assert_allclose(mounting_rotation(part), expected, atol=1e-15)
     forward = rotate(mounting_rotation(Mounting(pitch_deg=20.0)), np.array([0.0, 0.0, 1.0]))
     np.testing.assert_allclose(forward, [np.sin(np.radians(20)), 0, np.cos(np.radians(20))], atol=1e-15)
+
+
+def test_scan_sweeps_the_beams_across_track() -> None:
+    """Against scipy's rotations: a positive turn about x takes z to the left, so a scan to the right is negative."""
+    fore_and_aft = {"kind": "directions", "beams": [(2.0, 0.0), (2.0, 180.0)]}
+    model = scanner(fore_and_aft, scan={"half_angle_deg": 10.0, "steps": 5})
+    assert (model.steps, model.set_count) == (5, 1)
+    for step, turn_deg in enumerate([-10.0, -5.0, 0.0, 5.0, 10.0]):
+        expected = Rotation.from_euler("x", -turn_deg, degrees=True).apply(
+            scanner(fore_and_aft).true_sensor[0]
+        )
+        np.testing.assert_allclose(model.true_sensor[step], expected, atol=1e-15)
+    np.testing.assert_allclose(model.angle_deg[2], 2.0)
+    np.testing.assert_allclose(
+        np.cos(np.radians(model.angle_deg[4])), np.cos(np.radians([2, 2])) * np.cos(np.radians(10))
+    )
+    assert model.published_sensor[4, 0, 1] > 0 > model.published_sensor[0, 0, 1]
+
+
+def test_scan_goes_on_from_shot_to_shot_whatever_the_pattern() -> None:
+    model = scanner(WIDE, below(100.0), scan={"half_angle_deg": 3.0, "steps": 4, "azimuth_deg": 0.0})
+    assert model.set_count == 2
+    chosen = np.array([0, 0, 0, 1, 1, 1])
+    assert model.row(chosen, np.arange(6)).tolist() == [0, 1, 2, 7, 4, 5]
+    np.testing.assert_array_equal(model.row(chosen, np.arange(6)) // 4, chosen)
+
+
+def test_scan_swings_misaligned_beams_with_the_head() -> None:
+    nadir = {"kind": "directions", "beams": [(0.0, 0.0)]}
+    model = scanner(nadir, scan={"half_angle_deg": 10.0, "steps": 2}, misalignment_mrad=[(1.0, 0.0)])
+    apart = np.linalg.norm(model.true_sensor - model.published_sensor, axis=-1)
+    np.testing.assert_allclose(apart, 1e-3, rtol=1e-6)
+    steps = np.degrees(np.arctan2(model.true_sensor[:, 0, 1], model.true_sensor[:, 0, 2]))
+    np.testing.assert_allclose(np.diff(steps), 20.0)

@@ -4,28 +4,40 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.tri import LinearTriInterpolator, Triangulation
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import bisect
 
-from lidar_emu.scene.grid import GridGround, Samples
+from lidar_emu.scene.grid.ground import GridGround, Samples
+from lidar_emu.scene.grid.pyramid import build_pyramid
 from lidar_emu.scene.plane import PlaneGround
-from lidar_emu.scene.pyramid import build_pyramid
 from lidar_emu.scene.sphere import SphereGround
 
 BEYOND = {"none": None, "plane": PlaneGround(0.0, 0.0, 0.0), "sphere": SphereGround(5000.0, 0.0)}
+INTERPOLATIONS = ("bilinear", "triangles")
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
-def ground(height_m, pixel_m=1.0, beyond="none", west_m=0.0, south_m=0.0, pixel_north_m=None):
-    samples = Samples(np.asarray(height_m, dtype=float), west_m, south_m, pixel_m, pixel_north_m or pixel_m)
+def ground(
+    height_m,
+    pixel_m=1.0,
+    beyond="none",
+    west_m=0.0,
+    south_m=0.0,
+    pixel_north_m=None,
+    interpolation="bilinear",
+):
+    pixels_m = pixel_m, pixel_north_m or pixel_m
+    samples = Samples(np.asarray(height_m, dtype=float), west_m, south_m, *pixels_m, interpolation)
     return GridGround(samples, BEYOND[beyond], "", 0.0)
 
 
-def hills(rng, rows=40, columns=53, pixel_m=4.0, beyond="none", roughness_m=1.5):
+def hills(rng, rows=40, columns=53, pixel_m=4.0, beyond="none", roughness_m=1.5, interpolation="bilinear"):
     """Rough ground around the origin, as steep as 60 degrees in places."""
     north, east = np.mgrid[:rows, :columns] * pixel_m
     height = 9 * np.sin(east / 31) * np.cos(north / 23) + rng.normal(0, roughness_m, (rows, columns))
-    return ground(height, pixel_m, beyond, -columns / 2 * pixel_m, -rows / 2 * pixel_m)
+    west_m, south_m = -columns / 2 * pixel_m, -rows / 2 * pixel_m
+    return ground(height, pixel_m, beyond, west_m, south_m, interpolation=interpolation)
 
 
 def random_rays(rng, count, reach_m, low_m, high_m):
@@ -51,10 +63,11 @@ def assert_same(fast, exact, atol=1e-9):
     np.testing.assert_allclose(fast.normal_site, exact.normal_site, rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize("interpolation", INTERPOLATIONS)
 @pytest.mark.parametrize("beyond", BEYOND)
-def test_equals_the_slow_path(beyond):
+def test_equals_the_slow_path(beyond, interpolation):
     rng = np.random.default_rng(4)
-    scene = hills(rng, beyond=beyond)
+    scene = hills(rng, beyond=beyond, interpolation=interpolation)
     origin, direction = random_rays(rng, 400, 140.0, -25.0, 120.0)
     exact = scene.cast_exact(origin, direction)
     assert_same(scene.cast(origin, direction), exact)
@@ -63,12 +76,14 @@ def test_equals_the_slow_path(beyond):
     assert np.isnan(exact.range_m[~exact.inside]).sum() > 20
 
 
+@pytest.mark.parametrize("interpolation", INTERPOLATIONS)
 @pytest.mark.parametrize("beyond", BEYOND)
-def test_equals_the_slow_path_over_holes(beyond):
+def test_equals_the_slow_path_over_holes(beyond, interpolation):
     rng = np.random.default_rng(5)
     whole = hills(rng)
     height = np.where(rng.random(whole.samples.height_m.shape) < 0.05, np.nan, whole.samples.height_m)
-    scene = ground(height, 4.0, beyond, whole.samples.west_m, whole.samples.south_m)
+    south_west = whole.samples.west_m, whole.samples.south_m
+    scene = ground(height, 4.0, beyond, *south_west, interpolation=interpolation)
     origin, direction = random_rays(rng, 400, 140.0, -25.0, 120.0)
     assert_same(scene.cast(origin, direction), scene.cast_exact(origin, direction))
 
@@ -98,15 +113,18 @@ def test_equals_bisection_on_scipys_surface():
     np.testing.assert_allclose(scene.height_m(found[:, 0], found[:, 1]), found[:, 2], rtol=0, atol=1e-10)
 
 
-def test_no_ray_aimed_at_a_vertex_or_an_edge_is_lost():
+@pytest.mark.parametrize("interpolation", INTERPOLATIONS)
+def test_no_ray_aimed_at_a_vertex_or_an_edge_is_lost(interpolation):
     rng = np.random.default_rng(7)
-    scene = hills(rng, 100, 100, roughness_m=0.3)
+    scene = hills(rng, 100, 100, roughness_m=0.3, interpolation=interpolation)
     samples, count = scene.samples, 100_000
     i, j = rng.integers(1, 98, count), rng.integers(1, 98, count)
     place = np.stack([i, j], 1).astype(float)
-    # Half at vertices, a quarter each along the two kinds of edge.
-    place[count // 2 : 3 * count // 4, 0] += rng.random(count // 4)
-    place[3 * count // 4 :, 1] += rng.random(count // 4)
+    # At vertices, and along the three kinds of edge: to the east, to the north and diagonal.
+    quarter = count // 4
+    place[quarter : 2 * quarter, 0] += rng.random(quarter)
+    place[2 * quarter : 3 * quarter, 1] += rng.random(quarter)
+    place[3 * quarter :] += rng.random((quarter, 1))
     east, north = samples.west_m + 4.0 * place[:, 0], samples.south_m + 4.0 * place[:, 1]
     target = np.stack([east, north, scene.height_m(east, north)], 1)
     # Steeper than the ground anywhere, so that each ray meets it once, at its target.
@@ -118,6 +136,23 @@ def test_no_ray_aimed_at_a_vertex_or_an_edge_is_lost():
     hits = scene.cast(origin, direction)
     distance = np.linalg.norm(target - origin, axis=1)
     np.testing.assert_allclose(hits.range_m, distance, rtol=0, atol=1e-10)
+
+
+def test_triangles_are_those_of_a_triangulation():
+    """As matplotlib interpolates on a mesh that is made face by face."""
+    rng = np.random.default_rng(16)
+    height = rng.normal(size=(9, 12))
+    north, east = np.mgrid[:9, :12]
+    corner = np.arange(108).reshape(9, 12)
+    south_west, south_east = corner[:-1, :-1].ravel(), corner[:-1, 1:].ravel()
+    north_west, north_east = corner[1:, :-1].ravel(), corner[1:, 1:].ravel()
+    halves = [(south_west, south_east, north_east), (south_west, north_east, north_west)]
+    faces = np.concatenate([np.stack(half, 1) for half in halves])
+    mesh = Triangulation(3.0 * east.ravel(), 2.0 * north.ravel(), faces)
+    expected = LinearTriInterpolator(mesh, height.ravel())
+    scene = ground(height, 3.0, pixel_north_m=2.0, interpolation="triangles")
+    east_m, north_m = rng.uniform(0, 33, 500), rng.uniform(0, 16, 500)
+    np.testing.assert_allclose(scene.height_m(east_m, north_m), expected(east_m, north_m), rtol=0, atol=1e-13)
 
 
 def test_rays_along_grid_lines():
@@ -269,12 +304,14 @@ heights = st.integers(-3, 3).map(float) | st.floats(-20, 20).map(lambda x: round
 
 @st.composite
 def small_grids(draw, holes):
+    interpolation = draw(st.sampled_from(INTERPOLATIONS))
     rows, columns = draw(st.integers(2, 7)), draw(st.integers(2, 7))
     values = heights | st.just(np.nan) if holes else heights
     nodes = draw(st.lists(values, min_size=rows * columns, max_size=rows * columns))
     nodes = np.array(nodes).reshape(rows, columns)
     nodes[:2, :2] = np.nan_to_num(nodes[:2, :2])
-    return ground(nodes, draw(st.sampled_from([1.0, 3.5])), draw(st.sampled_from(list(BEYOND))))
+    pixel_m, beyond = draw(st.sampled_from([1.0, 3.5])), draw(st.sampled_from(list(BEYOND)))
+    return ground(nodes, pixel_m, beyond, interpolation=interpolation)
 
 
 shares = st.sampled_from([0.0, 0.25, 1 / 3, 0.5, 1.0]) | st.floats(0, 1)

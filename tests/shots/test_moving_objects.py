@@ -10,6 +10,7 @@ import pytest
 from lidar_emu.echoes import receive_light
 from lidar_emu.flight import Flight
 from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.plan import plan_flight
 from lidar_emu.pointing import VELOCITY
 from lidar_emu.rotations import dot
 from lidar_emu.shots import simulate
@@ -100,3 +101,28 @@ def test_light_that_falls_on_a_dark_object_is_fainter(make_flight) -> None:
     bare = simulate(make_flight(**descent([PAD])))
     assert snr_db[0.3] == pytest.approx(float(np.median(bare.snr_db[bare.range_valid])), abs=1e-9)
     assert snr_db[0.3] - snr_db[0.03] == pytest.approx(10.0, abs=1.0)
+
+
+def test_objects_out_of_reach_are_left_out_and_nothing_is_missed(make_flight, monkeypatch) -> None:
+    from lidar_emu.scene.cut import CutGround
+
+    rocks = {"name": "rocks", "kind": "boulder", "diameter_m": 3, "scatter": {"count": 500, "radius_m": 600}}
+    scenario = make_flight(**descent([rocks, moving([3.0, 0.0, 0.0], diameter_m=60)]))
+    cut = simulate(scenario)
+    scene = Flight(scenario).scene.still
+    assert isinstance(scene, CutGround)
+    (kept,) = scene.kept
+    assert kept.samples == 500 * 320
+    assert 0 < kept.held < kept.samples / 2
+    told = {row["stage"]: row["how"] for row in plan_flight(scenario, Flight(scenario)).rows()}
+    assert told["objects out of reach"] == f"{kept.held} of 160000 triangles held"
+    # Whoever looks elsewhere finds them there.
+    origin = np.column_stack([np.random.default_rng(1).uniform(-600, 600, (2000, 2)), np.full(2000, 50.0)])
+    down = np.broadcast_to([0.0, 0.0, -1.0], origin.shape)
+    monkeypatch.setattr("lidar_emu.scene.objects.build.CUT_FROM_TRIANGLES", 10**9)
+    uncut = Flight(scenario).scene
+    np.testing.assert_array_equal(scene.cast(origin, down).thing, uncut.still.cast(origin, down).thing)
+    np.testing.assert_array_equal(scene.height_m(*origin.T[:2]), uncut.still.height_m(*origin.T[:2]))
+    whole = simulate(scenario)
+    for name in ("range_m", "closing_speed_mps", "snr_db"):
+        np.testing.assert_array_equal(getattr(cut, name), getattr(whole, name))

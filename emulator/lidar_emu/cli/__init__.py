@@ -9,6 +9,7 @@ import click
 
 from lidar_emu import __version__
 from lidar_emu.cli.bench import bench
+from lidar_emu.cli.campaign import campaign
 from lidar_emu.cli.detection import detection
 from lidar_emu.cli.documents import icd, scenarios, schema
 from lidar_emu.cli.ground import ground
@@ -44,6 +45,8 @@ def cli(context: click.Context) -> None:
     lidar-emu listen --port /dev/ttyUSB1 --baud 921600 --json
     lidar-emu send --port /dev/ttyUSB1 set_mode mode=track
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
+    lidar-emu campaign dispersed_descent.yaml --out results
+    lidar-emu report --paper-figure 2                 figures of the published simulation, drawn again
     lidar-emu detection descent.yaml                  what the instrument will detect, by altitude
     lidar-emu ground descent.yaml --set site=cratered --plot ground.png
     lidar-emu plan descent.yaml                       what the run computes and what it leaves out
@@ -57,11 +60,12 @@ def cli(context: click.Context) -> None:
 for command in (
     run,
     replay,
-    report,
     listen,
     send,
     inject,
     simulate,
+    campaign,
+    report,
     detection,
     ground,
     plan,

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from lidar_emu.cli.output import say
 from lidar_emu.cli.progress import COMPILING, busy
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.report.whole_file import check_destination
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @click.command(short_help="What is in a recording: table, files for other tools, a page with figures.")
-@click.argument("file")
+@click.argument("file", required=False)
 @click.option("--out", metavar="FILE", multiple=True,
               help="Write measurements (.csv, .parquet, .npz), points (.ply), or what was on the link (.pcap; of a CAN "
                    "bus .log as candump has it, .asc, .blf). Repeatable.")  # fmt: skip
@@ -30,13 +30,16 @@ if TYPE_CHECKING:
 @click.option("--spectra-at", metavar="S", multiple=True,
               help="Show the spectra of the valid measurement nearest to this instant (repeatable).")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON, nothing else.")
+@click.option("--paper-figure", metavar="2|3|4|5",
+              help="Instead of FILE: draw this figure of Budge et al. from its own scenario.")  # fmt: skip
 def report(
-    file: str,
+    file: str | None,
     out: tuple[str, ...],
     html: str | None,
     figures: str | None,
     spectra_at: tuple[str, ...],
     as_json: bool,
+    paper_figure: str | None,
 ) -> None:
     """Say what is in FILE, a recording of `lidar-emu run --record`, also one that was cut short.
 
@@ -45,7 +48,21 @@ def report(
     lidar-emu report flight.mcap --out flight.parquet --out flight.pcap
     lidar-emu report flight.mcap --html flight.html --figures pictures
     lidar-emu report flight.mcap --html flight.html --spectra-at 12.5
+    lidar-emu report --paper-figure 2
+    lidar-emu report --paper-figure 5 --out slant.png
     """
+    if paper_figure is not None:
+        others: dict[str, Any] = {
+            "FILE": file,
+            "--html": html,
+            "--figures": figures,
+            "--json": as_json or None,
+        }
+        _draw_paper_figure(paper_figure, out, others)
+        return
+    if file is None:
+        allowed = "allowed: a recording, or --paper-figure 2, 3, 4 or 5"
+        raise InputError("report", None, Finding("nothing to report"), allowed)
     outputs = [Path(name) for name in out]
     for path in outputs:
         _check_output(path)
@@ -72,6 +89,15 @@ def report(
         written += _draw(flown, lines, page, folder, at_s)
     if not as_json and written:
         say("\n".join(written))
+
+
+def _draw_paper_figure(figure: str, out: tuple[str, ...], others: dict[str, Any]) -> None:
+    from lidar_emu.cli.paper_figure import draw_paper_figure
+
+    for name, value in (others | {"--out": out[1] if len(out) > 1 else None}).items():
+        if value is not None:
+            raise InputError(name, None, value, "allowed with --paper-figure: one --out FILE.png")
+    draw_paper_figure(figure, out[0] if out else None)
 
 
 def _write(flown: Flown, path: Path) -> str:

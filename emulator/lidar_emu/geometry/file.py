@@ -117,8 +117,8 @@ class GeometryFile:
 
     def beamlet_hits(self, shot: NDArray[np.int64], hits: Hits) -> Hits:
         """Fill `hits` (rays,) of the beamlets, one beam after another, where the file has more than one a beam."""
-        values: NDArray[Any]
-        for values, recorded in zip(hits, self._rows("beamlets", shot), strict=True):
+        arrays: tuple[NDArray[Any], ...] = hits
+        for values, recorded in zip(arrays, self._rows("beamlets", shot), strict=True):
             values[:] = recorded.reshape(values.shape)
         return hits
 

@@ -57,7 +57,7 @@ def keep(ground: Generated, elevation: Elevation) -> Path | None:
 
 def kept_path(ground: Generated) -> Path | None:
     """Where a ground is kept, named after all that it depends on; None for a user without a home."""
-    asked = ground.model_dump_json(exclude={"beyond", "at_m", "detail"})
+    asked = ground.model_dump_json(exclude={"at_m", "beyond", "detail", "interpolation"})
     digest = hashlib.sha256(f"{asked} numpy {version('numpy')} scipy {version('scipy')}".encode())
     for source in (*sorted(Path(__file__).parent.glob("*.py")), Path(generated_ground.__file__)):
         digest.update(source.read_bytes())

@@ -91,7 +91,9 @@ class Recording:
         self.origin: Mapping[str, str] = self._file.metadata("run") or {}
         """What `provenance` says, with `port` and `started_utc`; `waited_ns` of a flight that waited for a command."""
         if not {"scenario", "interface", "port_options"} <= self.origin.keys():
-            raise InputError(str(path), None, Finding("no recording of this version of lidar-emu"), ALLOWED)
+            raise InputError(
+                str(path), None, Finding("no recording of lidar-emu, or cut within its head"), ALLOWED
+            )
         self.scenario = self._scenario()
         """What was flown, without faults ordered in flight."""
         self.epoch_ns = (self.scenario.timing.epoch - _UNIX_EPOCH) // timedelta(microseconds=1) * 1000

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.kernels import kernel
 from lidar_emu.rotations import from_rotation_vector, from_yaw_pitch_roll, rotate
-from lidar_emu.scenario.scanner import AltitudeSwitch, Mounting, Pattern, Scanner, TimeSwitch
+from lidar_emu.scenario.scanner import AltitudeSwitch, Mounting, Pattern, Scan, Scanner, TimeSwitch
 
 
 @dataclass(frozen=True)
@@ -29,15 +29,18 @@ class ScannerState:
 class ScannerModel:
     """The patterns of a scanner: set 0 at the start, set k + 1 of switch k.
 
-    Arrays are (sets, beams); a set with fewer beams than another is filled up with NaN.
+    Arrays are (rows, beams): a row for each step of a scan of each set, one set after another, or one for each set. A
+    set with fewer beams than another is filled up with NaN.
     """
 
     published_sensor: FloatArray
-    """(sets, beams, 3) Unit vectors in the sensor frame that the flight software believes."""
+    """(rows, beams, 3) Unit vectors in the sensor frame that the flight software believes."""
     true_sensor: FloatArray
-    """(sets, beams, 3) Where the light goes."""
+    """(rows, beams, 3) Where the light goes."""
     angle_deg: FloatArray
-    """Published off-boresight angle."""
+    """(rows, beams) Published off-boresight angle."""
+    steps: int
+    """Of a scan; 1 without."""
     firing_cycle: NDArray[np.int64]
     """(beams,) Cycle of the shot in which a beam fires."""
     switches: tuple[AltitudeSwitch | TimeSwitch, ...]
@@ -49,6 +52,15 @@ class ScannerModel:
     def beam_count(self) -> int:
         """Beams of the largest set."""
         return len(self.firing_cycle)
+
+    @property
+    def set_count(self) -> int:
+        """Patterns of beams."""
+        return len(self.angle_deg) // self.steps
+
+    def row(self, chosen: IntArray | int, shot: NDArray[np.int64]) -> IntArray:
+        """(n,) Rows of the arrays for the sets of shots (n,), or for one set in all of them."""
+        return chosen * self.steps + shot % self.steps
 
     @property
     def needs_ground_altitude(self) -> bool:
@@ -144,10 +156,19 @@ def build_scanner(part: Scanner) -> ScannerModel:
     misaligned = _misalignment(part, beam_count)
     published = [_directions(pattern, beam_count) for pattern in part.patterns]
     angle_deg, published_sensor = (np.stack(arrays) for arrays in zip(*published, strict=True))
+    true_sensor = rotate(misaligned, published_sensor)
+    steps = 1
+    if part.scan is not None:
+        steps = part.scan.steps
+        published_sensor, true_sensor = (
+            _swung(part.scan, beams) for beams in (published_sensor, true_sensor)
+        )
+        angle_deg = np.degrees(off_axis_rad(published_sensor))
     return ScannerModel(
         published_sensor=published_sensor,
-        true_sensor=rotate(misaligned, published_sensor),
+        true_sensor=true_sensor,
         angle_deg=angle_deg,
+        steps=steps,
         firing_cycle=np.arange(beam_count) * (part.firing == "in_turn"),
         switches=tuple(part.switches),
         thresholds=_thresholds(part.switches),
@@ -170,6 +191,20 @@ def _directions(pattern: Pattern, beam_count: int) -> tuple[FloatArray, FloatArr
         [np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=-1
     )
     return beams_deg[:, 0], unit
+
+
+def off_axis_rad(direction: FloatArray) -> FloatArray:
+    """Angles (...) of vectors (..., 3) from the z axis of their frame, with all digits of small ones."""
+    return np.asarray(np.arctan2(np.hypot(direction[..., 0], direction[..., 1]), direction[..., 2]))
+
+
+def _swung(part: Scan, beams: FloatArray) -> FloatArray:
+    """Beams (sets, beams, 3) at every step of a scan, one set after another: (sets * steps, beams, 3)."""
+    azimuth = np.radians(part.azimuth_deg)
+    turn_rad = np.radians(np.linspace(-part.half_angle_deg, part.half_angle_deg, part.steps))
+    # The axis is a quarter turn on from the azimuth, so that z goes towards it.
+    turn = from_rotation_vector(turn_rad[:, None] * np.array([-np.sin(azimuth), np.cos(azimuth), 0.0]))
+    return rotate(turn[:, None], beams[:, None]).reshape(-1, *beams.shape[1:])
 
 
 def _misalignment(part: Scanner, beam_count: int) -> FloatArray:

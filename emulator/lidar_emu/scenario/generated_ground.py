@@ -16,6 +16,9 @@ CRATER_SAMPLES, ROCK_SAMPLES = 4, 2
 HeightRatio = Annotated[float, Field(ge=0.01, le=1)]
 
 
+Interpolation = Literal["bilinear", "triangles"]
+
+
 class Relief(Part):
     """Fractional Brownian relief: the rms difference of height between points r apart grows as r^H."""
 
@@ -97,6 +100,8 @@ class Generated(Part):
     """Left out: none."""
     rocks: Annotated[Rocks, Field(discriminator="kind")] | None = None
     """Left out: none."""
+    interpolation: Interpolation = "bilinear"
+    """What spans the cells, as of `grid`."""
     beyond: Literal["none", "plane", "sphere"] = "none"
     """What lies outside the grid: nothing, the level plane through the origin, or the body's sphere through it."""
     at_m: tuple[float, float] | None = None

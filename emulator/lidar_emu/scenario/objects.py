@@ -35,7 +35,7 @@ class Scatter(Part):
         return self
 
 
-class Waypoint(Part):
+class TimedPlace(Part):
     """Where an object is at a time."""
 
     time_s: NonNegative
@@ -53,7 +53,7 @@ class Motion(Part):
 
     velocity_mps: Vector3 | None = None
     """East, north and up, from its place at the start."""
-    waypoints: Annotated[list[Waypoint], Field(min_length=1)] | None = None
+    waypoints: Annotated[list[TimedPlace], Field(min_length=1)] | None = None
     """Instead: straight from one to the next, at rest before the first and after the last. They replace its place."""
     turn_rate_dps: Annotated[float, Field(ge=-3600, le=3600)] = 0.0
     """Degrees per second about the upward axis through its place, clockwise as seen from above."""
@@ -142,7 +142,7 @@ class Cliff(Placed):
     """How steep the face is."""
 
 
-class Ramp(Placed):
+class RampObject(Placed):
     """A wedge that rises forward from the ground, to an upright back."""
 
     kind: Literal["ramp"]
@@ -200,4 +200,6 @@ class MeshObject(Placed):
     """How many times larger it is than the file says."""
 
 
-PlacedObject = Annotated[Boulder | Slab | Cliff | Ramp | Tree | Pad | MeshObject, Field(discriminator="kind")]
+PlacedObject = Annotated[
+    Boulder | Slab | Cliff | RampObject | Tree | Pad | MeshObject, Field(discriminator="kind")
+]

@@ -88,6 +88,18 @@ class TimeSwitch(Part):
     """The beams from then on."""
 
 
+class Scan(Part):
+    """A scan program: with each shot all beams are swung one step on, along a line from one side to the other, and then
+    at once back to its start. They stand still during a shot."""
+
+    half_angle_deg: Annotated[float, Field(gt=0, lt=90)]
+    """To each side of where the pattern points."""
+    steps: Annotated[int, Field(ge=2, le=10_000)]
+    """Shots of a line, evenly spaced in angle, both ends included."""
+    azimuth_deg: float = 90.0
+    """Side that a line ends on, from sensor x towards y: at 90 the scan runs across track to the right."""
+
+
 class Scanner(Part):
     """Non-mechanical scanner: patterns change between shots."""
 
@@ -97,6 +109,8 @@ class Scanner(Part):
     """Changes in flight, taken at the start of a shot; where several are active the last one listed counts."""
     firing: Literal["together", "in_turn"] = "together"
     """All beams in one cycle (one receiver each), or one cycle after another, each with its own validity."""
+    scan: Scan | None = None
+    """Left out: the beams stay where their pattern points."""
     misalignment_mrad: list[tuple[float, float]] = []
     """True direction less published one, per beam, as small rotations about sensor x and y. Left out: none. The
     published direction is what the flight software believes."""

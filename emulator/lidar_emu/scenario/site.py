@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from lidar_emu.errors import Finding
-from lidar_emu.scenario.generated_ground import Generated
+from lidar_emu.scenario.generated_ground import Generated, Interpolation
 from lidar_emu.scenario.ground_detail import Detail
 from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scenario.objects import PlacedObject
@@ -68,7 +68,7 @@ class Origin(Part):
 
 
 class Grid(Part):
-    """An elevation grid, read as the bilinear surface through its samples."""
+    """An elevation grid, read as a surface through its samples."""
 
     kind: Literal["grid"]
     """Chooses this kind of ground."""
@@ -102,6 +102,9 @@ class Grid(Part):
     samples are missing."""
     rock_abundance_band: str | Annotated[int, Field(ge=1)] | None = None
     """Band with the share of the area that rocks cover, 0 to 1; `plan` tells it, nothing else comes of it."""
+    interpolation: Interpolation = "bilinear"
+    """What spans the cell between four samples: one bilinear patch, or two triangles that share the diagonal from
+    south-west to north-east. The surface chosen is the truth that ranges are measured to."""
     beyond: Literal["none", "plane", "sphere"] = "none"
     """What lies outside the grid: nothing (beams that leave it find no surface), the level plane through the
     origin, or the body's sphere through the origin. Missing samples count as outside."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.kernels import kernel
-from lidar_emu.scene.cell import surface
+from lidar_emu.scene.grid.cell import BILINEAR, surface
 from lidar_emu.scene.hits import GROUND, Hits, Scene, contiguous
 
 
@@ -50,7 +50,7 @@ def _paint(
         u = (origin[k, 0] + range_m[k] * direction[k, 0] - west) * columns_per_m - first_column
         v = (origin[k, 1] + range_m[k] * direction[k, 1] - south) * rows_per_m - first_row
         if 0.0 <= u <= share.shape[1] - 1 and 0.0 <= v <= share.shape[0] - 1:
-            found = surface(share, u, v)
+            found = surface(share, BILINEAR, u, v)
             if found == found:
                 reflectance[k] = found
 
@@ -87,11 +87,16 @@ class PaintedGround:
         """Height of the site frame's origin above the body's sphere."""
         return self.ground.origin_altitude_m
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
         """First contact with the ground; see `Scene.cast`."""
-        return self._painted(
-            origin_site_m, direction_site, self.ground.cast(origin_site_m, direction_site, hits)
-        )
+        hits = self.ground.cast(origin_site_m, direction_site, hits, bundle)
+        return self._painted(origin_site_m, direction_site, hits)
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
         """First contact by the ground's own slow path."""

@@ -51,10 +51,16 @@ class CutGround:
         """Uncut."""
         return self._build_whole()
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
         """First contact with the ground; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
-        hits = self.held.cast(origin, direction, hits)
+        hits = self.held.cast(origin, direction, hits, bundle)
         stray = self._strays(origin, direction)
         if stray.any():
             hits.set_rows(np.flatnonzero(stray), self.whole.cast(origin[stray], direction[stray]))
@@ -78,10 +84,14 @@ class CutGround:
         return self.held.covers(east_m, north_m) | self._cut_away(east_m, north_m)
 
     def _strays(self, origin: FloatArray, direction: FloatArray) -> BoolArray:
-        stray = [strays(origin, direction, grid.span, grid.area) for grid in self.kept]
-        return np.asarray(np.logical_or.reduce(stray))
+        stray = np.zeros(len(origin), dtype=np.bool_)
+        for grid in self.kept:
+            stray |= strays(origin, direction, grid.span, grid.area)
+        return stray
 
     def _cut_away(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
         """(n,) Whether there is a grid of which this place has been cut away."""
-        cut = [g.span.area.holds(east_m, north_m) & ~g.area.holds(east_m, north_m) for g in self.kept]
-        return np.asarray(np.logical_or.reduce(cut))
+        cut = np.zeros(np.shape(east_m), dtype=np.bool_)
+        for grid in self.kept:
+            cut |= grid.span.area.holds(east_m, north_m) & ~grid.area.holds(east_m, north_m)
+        return cut

@@ -11,7 +11,7 @@ from lidar_emu.arrays import FloatArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.ground.detail import MARGIN, Law, law_of, law_with, refine
 from lidar_emu.scenario.ground_detail import Detail
-from lidar_emu.scene.grid import GridGround, Samples
+from lidar_emu.scene.grid.ground import GridGround, Samples
 from lidar_emu.scene.hits import Scene
 from lidar_emu.scene.nested import Rectangle
 from lidar_emu.scene.seam import extent, nest
@@ -64,6 +64,7 @@ def detailed(
         south_m=whole.south_m + rows.start * pixel_m[0],
         pixel_east_m=pixel_m[1] / 2**halvings,
         pixel_north_m=pixel_m[0] / 2**halvings,
+        interpolation=whole.interpolation,
     )
     slope_deg = math.degrees(math.atan(law.rms_slope(max(pixel_m))))
     description = (

@@ -62,8 +62,9 @@ class Hits(NamedTuple):
 
     def set_rows(self, rows: IntArray | slice, found: Hits) -> None:
         """Take over what some of the rays have found: velocities where both tell of them."""
-        arrays: tuple[NDArray[Any], ...] = self
-        for all_rays, some in zip(arrays, found, strict=True):
+        ours: tuple[NDArray[Any], ...] = self
+        theirs: tuple[NDArray[Any], ...] = found
+        for all_rays, some in zip(ours, theirs, strict=True):
             if len(all_rays) and len(some):
                 all_rays[rows] = some
 
@@ -96,13 +97,21 @@ class Scene(Protocol):
     def origin_altitude_m(self) -> float:
         """Height of the site frame's origin above the body's sphere."""
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
         """First contact of rays with the ground.
 
         Args:
             origin_site_m: (n, 3) starting points.
             direction_site: (n, 3) unit vectors; a row with NaN hits nothing.
             hits: to be filled and returned; None: new ones.
+            bundle: that many consecutive rays are close together, as a beam's beamlets are. It changes no result,
+                only the time that it takes.
         """
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
@@ -113,6 +122,13 @@ class Scene(Protocol):
 
     def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
         """(n,) False where a vehicle has left the ground for good."""
+
+
+def incidence_deg(hits: Hits, direction_site: FloatArray) -> FloatArray:
+    """Between rays (..., 3) and the normals that they met; NaN where nothing is hit."""
+    along = hits.normal_site * direction_site
+    # Axis by axis: a sum over an axis adds in an order of its own.
+    return np.degrees(np.arccos(np.clip(-(along[..., 0] + along[..., 1] + along[..., 2]), -1.0, 1.0)))
 
 
 @runtime_checkable

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, Self
 
 import numpy as np
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.kernels import kernel
-from lidar_emu.scene.grid import GridGround
+from lidar_emu.scene.grid.ground import GridGround
+from lidar_emu.scene.grid.traverse import FACE_DEPTH_M, clip
 from lidar_emu.scene.hits import Hits, Scene, contiguous
-from lidar_emu.scene.traverse import FACE_DEPTH_M, clip
 
 
 class Rectangle(NamedTuple):
@@ -70,16 +71,22 @@ class NestedGround:
         self.origin_altitude_m = inner.origin_altitude_m
         self._lift_m = seam.step_m + FACE_DEPTH_M
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
         """First contact with either ground; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
         t_in, t_out = np.empty(len(origin)), np.empty(len(origin))
         _set_stretches(origin, direction, *self.rectangle, t_in, t_out)
         if (t_in == 0.0).all():
-            self.inner.cast(origin, direction, hits)
+            self.inner.cast(origin, direction, hits, bundle)
         else:
-            self.outer.cast(origin, direction, hits)
+            self.outer.cast(origin, direction, hits, bundle)
             begins_here = t_in == 0.0
             comes_here = (t_in <= t_out) & ~(hits.range_m <= t_in) & ~hits.inside
             self._go_on(self.inner, origin, direction, hits, begins_here | comes_here, t_in)
@@ -100,8 +107,8 @@ class NestedGround:
             for start, end in zip([0.0, *ends], [*ends, np.inf], strict=True):
                 east, north, _ = origin[0] + min((start + end) / 2, start + 1.0) * direction[0]
                 ground = self.inner if self.rectangle.holds(east, north) else self.outer
-                found = ground.cast_exact(self._at(ground, origin, direction, np.array([start])), direction)
-                if (found.inside[0] and start == 0.0) or found.range_m[0] <= end - start:
+                found = self._cast_from(ground.cast_exact, ground, origin, direction, np.array([start]))
+                if found.inside[0] or found.range_m[0] <= end - start:
                     hits.set_rows(ray, found)
                     hits.range_m[k] += start
                     break
@@ -127,20 +134,32 @@ class NestedGround:
     ) -> None:
         """Let some rays go on over a ground from t (n,) on, and set their hits."""
         rows = np.flatnonzero(rays)
-        start = self._at(ground, origin[rows], direction[rows], t[rows])
-        found = ground.cast(start, direction[rows])
-        hits.set_rows(rows, found)
+        hits.set_rows(rows, self._cast_from(ground.cast, ground, origin[rows], direction[rows], t[rows]))
         hits.range_m[rows] += t[rows]
-        # One that comes from afar, and lower than the seam's step explains, came out of a hole without any ground.
-        hits.inside[rows] &= t[rows] == 0.0
 
-    def _at(self, ground: Scene, origin: FloatArray, direction: FloatArray, t: FloatArray) -> FloatArray:
-        """(n, 3) Points of rays; those on the seam are clear of the ground ahead, by more than rounding."""
-        point = origin + t[:, None] * direction
-        least_m = ground.height_m(point[:, 0], point[:, 1]) + 8 * np.spacing(np.abs(point).max(axis=1))
-        lifted = (t > 0.0) & (point[:, 2] < least_m) & (least_m - point[:, 2] <= self._lift_m)
-        point[:, 2] = np.where(lifted, least_m, point[:, 2])
-        return point
+    def _cast_from(
+        self,
+        cast: Callable[[FloatArray, FloatArray], Hits],
+        ground: Scene,
+        origin: FloatArray,
+        direction: FloatArray,
+        t: FloatArray,
+    ) -> Hits:
+        """Hits of rays on a ground, counted from t (n,). Those that are below it at the seam are set on it."""
+        start = origin + t[:, None] * direction
+        hits = cast(start, direction)
+        below = np.flatnonzero(hits.inside & (t > 0.0))
+        if below.size:
+            # Clear of the ground by more than rounding.
+            least_m = ground.height_m(start[below, 0], start[below, 1]) + 8 * np.spacing(
+                np.abs(start[below]).max(axis=1)
+            )
+            lifted = below[least_m - start[below, 2] <= self._lift_m]
+            start[below, 2] = least_m
+            hits.set_rows(lifted, cast(start[lifted], direction[lifted]))
+            # What is lower than the seam's step explains came out of a hole without any ground.
+            hits.inside[below] = False
+        return hits
 
     def _crossings_m(self, origin: FloatArray, direction: FloatArray) -> list[float]:
         """Where a single ray crosses the lines on which the edges lie."""

@@ -84,7 +84,13 @@ class PlaneGround:
             slope_deg, azimuth_deg = math.degrees(slope_rad), math.degrees(downhill_azimuth_rad)
             self.description = f"plane, falling {slope_deg:g}° toward azimuth {azimuth_deg:g}°"
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,  # noqa: ARG002
+    ) -> Hits:
         """First contact with the plane; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))

@@ -81,7 +81,13 @@ class SphereGround:
         self.origin_altitude_m = origin_altitude_m
         self.description = f"sphere, radius {radius_m / 1e3:.10g} km"
 
-    def cast(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits | None = None) -> Hits:
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,  # noqa: ARG002
+    ) -> Hits:
         """First contact with the sphere; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))

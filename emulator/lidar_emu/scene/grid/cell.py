@@ -1,0 +1,96 @@
+"""The ground of a single cell: the surface between four samples, and a ray's first contact with it.
+
+Grid coordinates u and v count cells to the east and to the north from the south-west sample. All is inlined by
+request: as calls, these few operations each would take a ray half as long again.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.kernels import kernel
+
+BILINEAR, TRIANGLES = 0, 1
+"""What spans a cell: one bilinear patch, or two triangles that share its diagonal from south-west to north-east."""
+
+
+@kernel(forceinline=True)
+def cell_of(position: float, cells: int) -> int:
+    """Index of the cell at a grid coordinate; the last cell includes its far edge."""
+    return min(max(int(position), 0), cells - 1)
+
+
+@kernel(forceinline=True)
+def corners(nodes: FloatArray, i: int, j: int) -> tuple[float, float, float, float]:
+    """Heights of the samples of cell (i, j): south-west, south-east, north-west, north-east."""
+    return nodes[j, i], nodes[j, i + 1], nodes[j + 1, i], nodes[j + 1, i + 1]
+
+
+@kernel(forceinline=True)
+def facet(
+    z00: float, z10: float, z01: float, z11: float, interpolation: int, southeast: bool
+) -> tuple[float, float, float, float]:
+    """The surface of cell (i, j), or the half of it on one side of the diagonal, which goes on beyond it.
+
+    Its height at (a, b), in the cell's own coordinates from 0 to 1, is ``corner + a east + b north + a b twist``.
+
+    Returns:
+        corner, east, north, twist; twist is NaN where one of the four samples is missing.
+    """
+    south, west, north, east = z10 - z00, z01 - z00, z11 - z01, z11 - z10
+    twist = north - south
+    if interpolation == BILINEAR:
+        return z00, south, west, twist
+    return (z00, south, east, 0.0 * twist) if southeast else (z00, north, west, 0.0 * twist)
+
+
+@kernel(forceinline=True)
+def surface(nodes: FloatArray, interpolation: int, u: float, v: float) -> float:
+    """Height at a point of the grid; NaN where a corner of its cell is missing."""
+    i = cell_of(u, nodes.shape[1] - 1)
+    j = cell_of(v, nodes.shape[0] - 1)
+    a, b = u - i, v - j
+    corner, east, north, twist = facet(*corners(nodes, i, j), interpolation, a >= b)
+    height: float = corner + a * east + b * north + a * b * twist
+    return height
+
+
+@kernel(forceinline=True)
+def slopes(nodes: FloatArray, interpolation: int, i: int, j: int, a: float, b: float) -> tuple[float, float]:
+    """Rise per cell to the east and to the north, at the point (a, b) of cell (i, j)."""
+    _, east, north, twist = facet(*corners(nodes, i, j), interpolation, a >= b)
+    return east + b * twist, north + a * twist
+
+
+@kernel(forceinline=True)
+def descent(
+    corner: float,
+    east: float,
+    north: float,
+    twist: float,
+    a: float,
+    b: float,
+    z: float,
+    du: float,
+    dv: float,
+    dz: float,
+    before: float,
+) -> float:
+    """The s in [-before, 0] at which a ray falls through a facet, NaN where it stays above it.
+
+    Args:
+        corner, east, north, twist: the facet.
+        a, b, z, du, dv, dz: the ray, which passes at s = 0 through (a, b) in the cell's own coordinates, at height z.
+        before: how far back the ray is known to be above the facet.
+    """
+    # Its height above the facet is c0 + c1 s + c2 s².
+    c0 = z - (corner + a * east + b * north + a * b * twist)
+    c1 = dz - (east + b * twist) * du - (north + a * twist) * dv
+    c2 = -twist * du * dv
+    square = c1 * c1 - 4.0 * c2 * c0
+    dips = (c1 > 0.0) & (c1 < 2.0 * c2 * before) & (square >= 0.0)
+    # Of two roots the falling one, without cancellation.
+    twice = np.sqrt(max(square, 0.0)) + abs(c1)
+    s = (2.0 * c0 if c1 < 0.0 else -twice) / (twice if c1 < 0.0 else 2.0 * c2)
+    return max(s, -before) if (c0 <= 0.0) | dips else np.nan
