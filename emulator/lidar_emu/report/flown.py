@@ -98,8 +98,8 @@ class Flown:
             **self.tally().to_json(),
             "measured": len(self.measurement),
             "said": self.said,
-            "commands": [_row(told) for told in self.commands],
-            "faults_in_flight": [_row(told) for told in self.ordered],
+            "commanded": [_row(told) for told in self.commands],
+            "ordered": [_row(told) for told in self.ordered],
             "events": [_row(told) for told in self.events],
         }
 
@@ -113,9 +113,9 @@ def read_flown(recording: Recording) -> Flown:
     try:
         measurement, packets = recording.measurement(), recording.packets()
         told = recording.told(channels.FAULT, channels.ORDERED_FAULT, channels.COMMAND, channels.EVENT)
-    except (KeyError, ValueError, TypeError) as error:
-        found = Finding(f"a message that is none of ours ({type(error).__name__}: {error})")
-        raise InputError(str(recording.path), None, found, "allowed: a recording as it was written") from None
+    except KeyError as error:
+        found = Finding(f"a message without {error}, of another version of lidar-emu")
+        raise InputError(str(recording.path), None, found, "allowed: one of this version") from None
     of: dict[str, list[Told]] = {}
     for each in told:
         of.setdefault(each.topic, []).append(each)
