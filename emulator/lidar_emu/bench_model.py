@@ -85,6 +85,7 @@ class BenchModel:
             second_range_m=unknown,
             true_range_m=np.where(valid, range_m, np.nan),
             true_closing_speed_mps=closing_mps,
+            true_incidence_deg=unknown,
             true_in_gap=np.zeros_like(valid),
             point_site_m=np.full((*valid.shape, 3), np.nan),
             position_site_m=nowhere,

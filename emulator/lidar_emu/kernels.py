@@ -35,7 +35,7 @@ def _sources_digest() -> str:
     package = Path(__file__).parent
     digest = hashlib.sha256()
     for room in (*_ROOMS, *_OTHERS):
-        for path in sorted((package / room).glob("*.py")):
+        for path in sorted((package / room).glob("**/*.py" if room in _ROOMS else "*.py")):
             source = path.read_bytes()
             if room in _ROOMS or b"lidar_emu.kernels" in source:
                 digest.update(source)

@@ -50,6 +50,8 @@ class Measurement:
     """Along the true beam axis to the ground; NaN where there is none."""
     true_closing_speed_mps: FloatArray
     """Of the sensor along the true beam axis."""
+    true_incidence_deg: FloatArray
+    """Between the true beam axis and the ground's normal where they meet; NaN where they do not."""
     true_in_gap: BoolArray
     """The truth is bridged there: the table of the trajectory has a gap longer than it allows."""
     point_site_m: FloatArray
@@ -164,5 +166,6 @@ _TABLE_FIELDS = (
     "second_range_m",
     "true_range_m",
     "true_closing_speed_mps",
+    "true_incidence_deg",
     "true_in_gap",
 )

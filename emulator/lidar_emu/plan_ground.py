@@ -30,7 +30,7 @@ def plan_objects(scene: Scene, ground: Scene) -> Iterator[Decision]:
     """A line for the objects on a ground that are left out."""
     if scene is ground:
         return
-    from lidar_emu.scene.populated import SceneInMotion
+    from lidar_emu.scene.objects.populated import SceneInMotion
 
     if isinstance(scene, SceneInMotion):
         scene = scene.still

@@ -30,7 +30,7 @@ from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.required import require_flight, require_known_flight
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.hits import Hits, incidence_deg
 
 if TYPE_CHECKING:
     from lidar_emu.faults.measured import BeamFaults, Held
@@ -184,6 +184,7 @@ class FlightModel:
             second_range_m=returns.second_range_m,
             true_range_m=axis_hits.range_m,
             true_closing_speed_mps=true_closing_mps,
+            true_incidence_deg=incidence_deg(axis_hits, pointing.true_site),
             true_in_gap=pointing.in_gap,
             point_site_m=point_site_m,
             position_site_m=pointing.position_site_m,

@@ -21,7 +21,7 @@ import lidar_emu
 from lidar_emu.errors import InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.scenario.site import Grid, Origin
-from lidar_emu.scene.terrain_read import read_terrain
+from lidar_emu.scene.terrain.read import read_terrain
 
 rasterio = pytest.importorskip("rasterio")
 

@@ -49,6 +49,7 @@ def flight():
         second_range_m=np.full(shape, np.nan),
         true_range_m=true_range_m.copy(),
         true_closing_speed_mps=true_speed_mps.copy(),
+        true_incidence_deg=np.full(shape, 20.0),
         true_in_gap=np.zeros(shape, dtype=np.bool_),
         point_site_m=np.where(range_valid[..., None], points_m, np.nan),
         position_site_m=np.concatenate([np.zeros((SHOTS, 2)), altitude_m], axis=1),

@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from lidar_emu.scene import seam
-from lidar_emu.scene.grid import GridGround, Samples
+from lidar_emu.scene.grid.ground import GridGround, Samples
 from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.seam import extent
 

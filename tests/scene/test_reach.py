@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from lidar_emu.scene import grids
 from lidar_emu.scene.cut import CutGround
-from lidar_emu.scene.grid import GridGround, Samples
+from lidar_emu.scene.grid.ground import GridGround, Samples
 from lidar_emu.scene.grids import Layer, join_grids
 from lidar_emu.scene.nested import Rectangle
 from lidar_emu.scene.plane import PlaneGround

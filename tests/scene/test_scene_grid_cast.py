@@ -8,9 +8,9 @@ from matplotlib.tri import LinearTriInterpolator, Triangulation
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import bisect
 
-from lidar_emu.scene.grid import GridGround, Samples
+from lidar_emu.scene.grid.ground import GridGround, Samples
+from lidar_emu.scene.grid.pyramid import build_pyramid
 from lidar_emu.scene.plane import PlaneGround
-from lidar_emu.scene.pyramid import build_pyramid
 from lidar_emu.scene.sphere import SphereGround
 
 BEYOND = {"none": None, "plane": PlaneGround(0.0, 0.0, 0.0), "sphere": SphereGround(5000.0, 0.0)}

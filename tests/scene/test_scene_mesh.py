@@ -1,6 +1,8 @@
 """Triangle meshes: against trying every triangle, against formulas, and at edges and corners."""
 
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +14,10 @@ from lidar_emu.scenario.mesh_ground import MeshOrigin
 from lidar_emu.scenario.site import Body, Site, Sphere
 from lidar_emu.scene.build import build_scene
 from lidar_emu.scene.hits import Hits
-from lidar_emu.scene.mesh import Mesh, Triangles
-from lidar_emu.scene.mesh_file import enclosed_m3, read_mesh
-from lidar_emu.scene.mesh_ground import place_mesh
-from lidar_emu.scene.object_shapes import ellipsoid
+from lidar_emu.scene.mesh.file import enclosed_m3, read_mesh
+from lidar_emu.scene.mesh.ground import place_mesh
+from lidar_emu.scene.mesh.model import Mesh, Triangles
+from lidar_emu.scene.objects.shapes import ellipsoid
 from lidar_emu.scene.plane import PlaneGround
 
 trimesh = pytest.importorskip("trimesh")
@@ -368,3 +370,30 @@ def test_itokawa_is_as_it_is_known() -> None:
     direction = units(target - origin + 50 * RNG(2).normal(size=(40, 3)))
     assert_same(scene.cast(origin, direction), scene.cast_exact(origin, direction))
     assert math.isfinite(scene.height_m(np.zeros(1), np.zeros(1))[0])
+
+
+def test_itokawa_is_flown_over(tmp_path: Path) -> None:
+    if not ITOKAWA.is_file():
+        pytest.skip("the real shape model is not here")
+    from lidar_emu import load, simulate
+
+    ground = f"{{kind: mesh, file: {ITOKAWA}, unit: km, origin: {{latitude_deg: 20, longitude_deg: 30}}}}"
+    ways = "[{altitude_m: 300, speed_mps: 20}, {altitude_m: 20, speed_mps: 5}]"
+    (tmp_path / "itokawa.yaml").write_text(
+        "name: itokawa\ninstrument: ndl_fine\nscanner: ndl_four_beam\n"
+        f"site: {{body: {{name: Itokawa, radius_m: 162}}, ground: {ground}}}\n"
+        f"trajectory: {{kind: profile, waypoints: {ways}}}\n"
+    )
+    run = simulate(load(tmp_path / "itokawa.yaml", {"timing.rate_hz": "5"}))
+    assert run.range_valid.mean() > 0.9
+    assert np.nanmedian(np.abs(run.range_m - run.true_range_m)) < 0.05
+    assert np.isfinite(run.true_range_m).all()
+
+
+def test_without_a_mesh_nothing_of_it_is_imported() -> None:
+    code = (
+        "import sys; from lidar_emu import load; from lidar_emu.flight import Flight;"
+        "Flight(load('descent')).scene;"
+        "sys.exit(any(name in sys.modules for name in ('trimesh', 'lidar_emu.scene.mesh.model')))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

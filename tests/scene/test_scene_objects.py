@@ -11,8 +11,8 @@ from lidar_emu.scenario.objects import PlacedObject
 from lidar_emu.scenario.site import Body, Plane, Site, Sphere, Surface
 from lidar_emu.scene.build import build_scene
 from lidar_emu.scene.hits import MovingScene, Scene
-from lidar_emu.scene.mesh_file import enclosed_m3
-from lidar_emu.scene.object_shapes import corners_m
+from lidar_emu.scene.mesh.file import enclosed_m3
+from lidar_emu.scene.objects.shapes import corners_m
 
 trimesh = pytest.importorskip("trimesh")
 

@@ -10,10 +10,10 @@ import pytest
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.site import Grid, Site
 from lidar_emu.scene import build_scene
-from lidar_emu.scene.terrain_flat import read_flat_raster
-from lidar_emu.scene.terrain_npz import read_npz
-from lidar_emu.scene.terrain_raster import open_raster
-from lidar_emu.scene.terrain_read import read_terrain
+from lidar_emu.scene.terrain.flat import read_flat_raster
+from lidar_emu.scene.terrain.npz import read_npz
+from lidar_emu.scene.terrain.raster import open_raster
+from lidar_emu.scene.terrain.read import read_terrain
 
 rasterio = pytest.importorskip("rasterio", reason="the extra geo is not installed")
 

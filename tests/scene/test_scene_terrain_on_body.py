@@ -9,9 +9,9 @@ import pytest
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.site import Grid, Site
 from lidar_emu.scene import build_scene
-from lidar_emu.scene.terrain_frame import Ellipsoid, LocalFrame
-from lidar_emu.scene.terrain_local import Extent
-from lidar_emu.scene.terrain_read import read_terrain
+from lidar_emu.scene.terrain.frame import Ellipsoid, LocalFrame
+from lidar_emu.scene.terrain.local import Extent
+from lidar_emu.scene.terrain.read import read_terrain
 
 rasterio = pytest.importorskip("rasterio", reason="the extra geo is not installed")
 pyproj = pytest.importorskip("pyproj", reason="needs pyproj")

@@ -5,8 +5,8 @@ import pytest
 
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.site import Grid
-from lidar_emu.scene.terrain_raster import open_raster
-from lidar_emu.scene.terrain_read import read_terrain
+from lidar_emu.scene.terrain.raster import open_raster
+from lidar_emu.scene.terrain.read import read_terrain
 
 pytest.importorskip("rasterio", reason="the extra geo is not installed")
 

@@ -104,7 +104,6 @@ def test_light_that_falls_on_a_dark_object_is_fainter(make_flight) -> None:
 
 
 def test_objects_out_of_reach_are_left_out_and_nothing_is_missed(make_flight, monkeypatch) -> None:
-    from lidar_emu.scene import objects
     from lidar_emu.scene.cut import CutGround
 
     rocks = {"name": "rocks", "kind": "boulder", "diameter_m": 3, "scatter": {"count": 500, "radius_m": 600}}
@@ -120,7 +119,7 @@ def test_objects_out_of_reach_are_left_out_and_nothing_is_missed(make_flight, mo
     # Whoever looks elsewhere finds them there.
     origin = np.column_stack([np.random.default_rng(1).uniform(-600, 600, (2000, 2)), np.full(2000, 50.0)])
     down = np.broadcast_to([0.0, 0.0, -1.0], origin.shape)
-    monkeypatch.setattr(objects, "CUT_FROM_TRIANGLES", 10**9)
+    monkeypatch.setattr("lidar_emu.scene.objects.build.CUT_FROM_TRIANGLES", 10**9)
     uncut = Flight(scenario).scene
     np.testing.assert_array_equal(scene.cast(origin, down).thing, uncut.still.cast(origin, down).thing)
     np.testing.assert_array_equal(scene.height_m(*origin.T[:2]), uncut.still.height_m(*origin.T[:2]))

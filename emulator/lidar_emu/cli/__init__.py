@@ -9,6 +9,7 @@ import click
 
 from lidar_emu import __version__
 from lidar_emu.cli.bench import bench
+from lidar_emu.cli.campaign import campaign
 from lidar_emu.cli.detection import detection
 from lidar_emu.cli.documents import icd, scenarios, schema
 from lidar_emu.cli.ground import ground
@@ -44,6 +45,7 @@ def cli(context: click.Context) -> None:
     lidar-emu listen --port /dev/ttyUSB1 --baud 921600 --json
     lidar-emu send --port /dev/ttyUSB1 set_mode mode=track
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
+    lidar-emu campaign dispersed_descent.yaml --out results
     lidar-emu report --paper-figure 2                 figures of the published simulation, drawn again
     lidar-emu detection descent.yaml                  what the instrument will detect, by altitude
     lidar-emu hazards hazards.yaml                    which boulders, steps and slopes the points tell
@@ -63,6 +65,7 @@ for command in (
     send,
     inject,
     simulate,
+    campaign,
     report,
     detection,
     hazards,

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from lidar_emu.cli.bench_campaign import campaign
+from lidar_emu.cli.bench_casting import casting
 from lidar_emu.cli.bench_protocol import protocol
 from lidar_emu.cli.bench_realtime import realtime
 from lidar_emu.cli.bench_response import response
@@ -25,6 +27,8 @@ def bench() -> None:
     """Measure the emulator itself, on this machine."""
 
 
+bench.add_command(campaign)
+bench.add_command(casting)
 bench.add_command(protocol)
 bench.add_command(realtime)
 bench.add_command(response)

@@ -10,15 +10,16 @@ import click
 from lidar_emu.errors import InputError, RunError
 
 
-@click.command(short_help="The scenarios that come with the tool.")
+@click.command(short_help="The scenarios and campaigns that come with the tool.")
 def scenarios() -> None:
-    """List the shipped scenarios and where they are, to be copied and changed."""
-    from lidar_emu.scenario.load import shipped, shipped_scenarios
+    """List the shipped scenarios and campaigns, and where they are, to be copied and changed."""
+    from lidar_emu.scenario.load import shipped, shipped_names
 
-    for name in shipped_scenarios():
-        path = shipped("scenarios") / name
-        click.echo(f"{name:24} {path.read_text().splitlines()[0].lstrip('# ')}")
-    click.echo(f"in {shipped('scenarios')}")
+    for folder in ("scenarios", "campaigns"):
+        for name in shipped_names(folder):
+            path = shipped(folder) / name
+            click.echo(f"{name:24} {path.read_text().splitlines()[0].lstrip('# ')}")
+        click.echo(f"in {shipped(folder)}")
 
 
 @click.command(short_help="The scenario's JSON schema, or its reference for people.")

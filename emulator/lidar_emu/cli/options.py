@@ -76,7 +76,7 @@ def load_scenario(
     }
     given = {key: (option, text) for key, (option, text) in options.items() if text is not None}
     try:
-        return load(scenario, _keys_and_values(settings) | {key: text for key, (_, text) in given.items()})
+        return load(scenario, keys_and_values(settings) | {key: text for key, (_, text) in given.items()})
     except InputError as error:
         for key, (option, _) in given.items():
             if (error.where, error.key) == ("--set", key) or error.where == f"--set {key}":
@@ -99,7 +99,23 @@ def as_number(option: str, text: str) -> float:
     return number
 
 
-def _keys_and_values(settings: tuple[str, ...]) -> dict[str, str]:
+def as_whole(option: str, text: str) -> int:
+    """What an option says.
+
+    Raises:
+        InputError: it is no whole number above 0.
+    """
+    if not (text.isascii() and text.isdecimal() and 0 < len(text) < 10 and int(text) > 0):
+        raise InputError(option, None, text, "allowed: a whole number above 0")
+    return int(text)
+
+
+def keys_and_values(settings: tuple[str, ...]) -> dict[str, str]:
+    """What `settings_option` says.
+
+    Raises:
+        InputError: a setting without a key or a value.
+    """
     result = {}
     for setting in settings:
         key, separator, value = setting.partition("=")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.special import chndtr
 
@@ -166,6 +168,7 @@ def _haze(instrument: Instrument, site: Site | None, snr_per_w: float) -> Haze:
     )
 
 
+@lru_cache(16)
 def followed(window: Window, threshold: float) -> float:
     """Probability that a bin of noise above the threshold is followed by another: windows correlate neighbours.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
+from copy import deepcopy
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from pydantic import ValidationError
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.explain import Source, explained, source_of
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.scenario.yaml_text import MAXIMUM_DEPTH, Key, Tree, parse, read_mapping
+from lidar_emu.scenario.yaml_text import MAXIMUM_DEPTH, Key, Tree, dotted, parse, read_mapping
 
 Sources = dict[Key, Source]
 
@@ -24,6 +25,7 @@ PART_FOLDERS = {
     "scanner": "scanners",
     "bench_pattern": "bench_patterns",
 }
+_OPTION, _CAMPAIGN = "--set", "campaign"
 _FILE_KEYS = (("ground", "file"), ("ground", "grids", "*", "file"), ("objects", "*", "file"), ("file",))
 """Where parts name files; `*` is every entry of a list."""
 
@@ -35,24 +37,36 @@ def shipped(folder: str) -> Path:
 
 def shipped_scenarios() -> list[str]:
     """Names of the scenarios that come with the package."""
-    return sorted(path.name for path in shipped("scenarios").glob("*.yaml"))
+    return shipped_names("scenarios")
 
 
-def load(scenario: str | Path, overrides: Mapping[str, str] | None = None) -> FlightScenario | BenchScenario:
+def shipped_names(folder: str) -> list[str]:
+    """Names of the YAML files that come with the package in one of its folders."""
+    return sorted(path.name for path in shipped(folder).glob("*.yaml"))
+
+
+def load(
+    scenario: str | Path,
+    overrides: Mapping[str, str] | None = None,
+    campaign: Mapping[str, Any] | None = None,
+) -> FlightScenario | BenchScenario:
     """Read and check a scenario.
 
     Args:
         scenario: path of a YAML file, or the name of a shipped one (`descent.yaml` or `descent`).
         overrides: dotted keys and YAML values that replace what the file says, e.g. `{"timing.rate_hz": "100"}`.
+        campaign: dotted keys and values as they are, which a campaign has drawn; they replace both.
 
     Raises:
         InputError: names the file, key and value that cannot be used, and what is allowed.
     """
-    path = _find_scenario(Path(scenario))
+    path = find_file(Path(scenario), "scenarios")
     tree = read_mapping(path)
     sources: Sources = {(): Source(str(path))}
     for key, text in (overrides or {}).items():
-        _override(tree, key, text, sources)
+        _override(tree, key, parse(text, f"{_OPTION} {key}"), _OPTION, sources)
+    for key, value in (campaign or {}).items():
+        _override(tree, key, deepcopy(value), _CAMPAIGN, sources)
     _anchor_interface(tree, path.parent, sources)
     model = BenchScenario if "bench_pattern" in tree else FlightScenario
     for part in PART_FOLDERS:
@@ -68,24 +82,30 @@ def load(scenario: str | Path, overrides: Mapping[str, str] | None = None) -> Fl
 def _anchor_interface(tree: Tree, folder: Path, sources: Sources) -> None:
     """An interface's file is relative to the scenario that names it; of an option, to where the user is."""
     wire = tree.get("wire")
-    if not isinstance(wire, dict) or source_of(("wire", "interface"), sources).name == "--set":
+    if not isinstance(wire, dict) or source_of(("wire", "interface"), sources).name == _OPTION:
         return
     name = wire.get("interface")
     if isinstance(name, str) and name.endswith(".toml"):
         wire["interface"] = str(folder / name)
 
 
-def _find_scenario(given: Path) -> Path:
+def find_file(given: Path, folder: str) -> Path:
+    """A file that the user names: its path, or the name of one that is shipped in `folder`.
+
+    Raises:
+        InputError: there is none.
+    """
     if _is(given.is_file):
         return given
+    names = shipped_names(folder)
     for name in (given.name, given.name + ".yaml"):
-        if given.parent == Path() and name in shipped_scenarios():
-            return shipped("scenarios") / name
+        if given.parent == Path() and name in names:
+            return shipped(folder) / name
     raise InputError(
         str(given),
         None,
         Finding("a folder" if _is(given.is_dir) else "no such file"),
-        f"allowed: a path to a YAML file, or one of those shipped: {', '.join(shipped_scenarios())}",
+        f"allowed: a path to a YAML file, or one of those shipped: {', '.join(names)}",
     )
 
 
@@ -97,42 +117,42 @@ def _is(look: Callable[[], bool]) -> bool:
         return False
 
 
-def _override(tree: Tree, key: str, text: str, sources: Sources) -> None:
+def _override(tree: Tree, key: str, value: Any, stated_by: str, sources: Sources) -> None:
     """Set one dotted key; a part that is named by reference keeps its reference as `base`."""
     steps = key.split(".")
     if len(steps) > MAXIMUM_DEPTH:
-        raise InputError("--set", key[:60], Finding(f"{len(steps)} steps"), f"allowed: {MAXIMUM_DEPTH}")
+        raise InputError(stated_by, key[:60], Finding(f"{len(steps)} steps"), f"allowed: {MAXIMUM_DEPTH}")
     node: Any = tree
     for depth, name in enumerate(steps[:-1]):
-        step = _step(node, name, key)
+        step = _step(node, name, key, stated_by)
         child = node.get(step) if isinstance(node, dict) else node[step]
         if depth == 0 and isinstance(child, str) and step in PART_FOLDERS:
             child = node[step] = {"base": child}
         elif child is None:
             child = node[step] = {}
-            sources[_key(steps[: depth + 1])] = Source("--set")
+            sources[_key(steps[: depth + 1])] = Source(stated_by)
         node = child
-    node[_step(node, steps[-1], key)] = parse(text, f"--set {key}")
-    sources[_key(steps)] = Source("--set")
+    node[_step(node, steps[-1], key, stated_by)] = value
+    sources[_key(steps)] = Source(stated_by)
 
 
 def _key(steps: list[str]) -> Key:
     return tuple(int(step) if step.isdecimal() else step for step in steps)
 
 
-def _step(node: Any, name: str, key: str) -> str | int:
+def _step(node: Any, name: str, key: str, stated_by: str) -> str | int:
     """One step of a dotted key: a key of a mapping, or an index into a list."""
     if isinstance(node, dict):
         return name
     if not isinstance(node, list):
-        raise InputError("--set", key, name, "allowed: a key that has keys below it")
-    return _index(node, name, key)
+        raise InputError(stated_by, key, name, "allowed: a key that has keys below it")
+    return _index(node, name, key, stated_by)
 
 
-def _index(entries: list[Any], name: str, key: str) -> int:
+def _index(entries: list[Any], name: str, key: str, stated_by: str) -> int:
     if name.isdecimal() and int(name) < len(entries):
         return int(name)
-    raise InputError("--set", key, name, f"allowed: an index from 0 to {len(entries) - 1}")
+    raise InputError(stated_by, key, name, f"allowed: an index from 0 to {len(entries) - 1}")
 
 
 def _refuse_foreign(part: str, value: Any, model: type[Any], sources: Sources) -> None:
@@ -157,7 +177,7 @@ def _resolve_part(part: str, value: Any, owner: Path, sources: Sources) -> Any:
         raise InputError(source.name, f"{part}.base", value["base"], "allowed: the name of a file")
     # What lies below the part is the base's from here on, other than this.
     sources.update({key: source_of(key, sources) for key in _leaves(own, (part,))})
-    return _merged(_read_part(part, value["base"], owner, source, sources), own, part)
+    return _merged(_read_part(part, value["base"], owner, source, sources), own, (part,), sources)
 
 
 def _read_part(part: str, name: str, owner: Path, source: Source, sources: Sources) -> Tree:
@@ -189,20 +209,23 @@ def _leaves(node: Any, key: Key) -> list[Key]:
     return [leaf for step, child in node.items() for leaf in _leaves(child, (*key, step))]
 
 
-def _merged(base: Any, own: Any, key: str) -> Any:
+def _merged(base: Any, own: Any, key: Key, sources: Sources) -> Any:
     """`own` laid over `base`, mappings key by key; a mapping of another `kind` replaces the base's.
 
     Overrides state entries of a list of the base by index.
     """
     if isinstance(base, list) and isinstance(own, dict) and own and all(map(str.isdecimal, own)):
-        entries = {_index(base, name, f"{key}.{name}"): item for name, item in own.items()}
-        return [_merged(old, entries.get(k, old), f"{key}.{k}") for k, old in enumerate(base)]
+        entries = {}
+        for name, item in own.items():
+            at = (*key, int(name))
+            entries[_index(base, name, dotted(at) or "", source_of(at, sources).name)] = item
+        return [_merged(old, entries.get(k, old), (*key, k), sources) for k, old in enumerate(base)]
     if not (isinstance(base, dict) and isinstance(own, dict)):
         return own
     if own.get("kind", base.get("kind")) != base.get("kind"):
         return own
-    merged = {name: _merged(base[name], item, f"{key}.{name}") for name, item in own.items() if name in base}
-    return base | own | merged
+    both = own.keys() & base.keys()
+    return base | own | {name: _merged(base[name], own[name], (*key, name), sources) for name in both}
 
 
 def _anchor_files(tree: Tree, folder: Path, where: str, part: str | None) -> None:

@@ -83,10 +83,11 @@ def _models_below(model: str, place: str, definitions: Node) -> Iterator[tuple[s
     yield model, place
     for key, node in definitions[model]["properties"].items():
         below = f"{place}.{key}" if place else key
-        for entry, where in ((node, below), (node.get("items", {}), f"{below}.N")):
-            for choice in choices(entry):
-                if "$ref" in choice:
-                    yield from _models_below(target(choice), where, definitions)
+        own = [(choice, below) for choice in choices(node)]
+        listed = [(item, f"{below}.N") for choice, _ in own for item in choices(choice.get("items", {}))]
+        for choice, where in own + listed:
+            if "$ref" in choice:
+                yield from _models_below(target(choice), where, definitions)
 
 
 def _contents(definitions: Node, places: dict[str, list[str]]) -> str:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from copy import deepcopy
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,12 @@ def read_mapping(path: Path) -> Tree:
     except OSError as error:
         reason = Finding(error.strerror or "unreadable")
         raise InputError(str(path), None, reason, "allowed: a readable YAML file") from None
+    return deepcopy(_mapping(path, data))
+
+
+@lru_cache(maxsize=32)
+def _mapping(path: Path, data: bytes) -> Tree:
+    """Kept, since who flies a scenario many times reads the same few files again and again."""
     if len(data) > _MAXIMUM_BYTES:
         raise InputError(str(path), None, Finding(f"{len(data)} bytes"), f"allowed: at most {_MAXIMUM_BYTES}")
     try:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.kernels import kernel
-from lidar_emu.scene.cell import BILINEAR, surface
+from lidar_emu.scene.grid.cell import BILINEAR, surface
 from lidar_emu.scene.hits import GROUND, Hits, Scene, contiguous
 
 

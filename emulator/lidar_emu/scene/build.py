@@ -35,7 +35,7 @@ def with_objects(ground: Scene, part: site.Site, reach: Reach | None = None) -> 
     """
     if not part.objects:
         return ground
-    from lidar_emu.scene.objects import populated
+    from lidar_emu.scene.objects.build import populated
 
     return populated(ground, part, reach)
 
@@ -57,8 +57,8 @@ def build_ground(part: site.Site, reach: Reach | None = None) -> Scene:
     if isinstance(part.ground, site.Plane):
         return _plane(part, part.ground, part.origin_altitude_m or 0.0)
     if isinstance(part.ground, Mesh):
-        from lidar_emu.scene.mesh_file import read_mesh
-        from lidar_emu.scene.mesh_ground import place_mesh
+        from lidar_emu.scene.mesh.file import read_mesh
+        from lidar_emu.scene.mesh.ground import place_mesh
 
         return place_mesh(read_mesh(part.ground.file, part.ground.unit), part.ground.origin, part)
     return _sphere(part, part.body.radius_m, part.origin_altitude_m or 0.0)

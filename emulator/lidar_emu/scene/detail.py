@@ -11,7 +11,7 @@ from lidar_emu.arrays import FloatArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.ground.detail import MARGIN, Law, law_of, law_with, refine
 from lidar_emu.scenario.ground_detail import Detail
-from lidar_emu.scene.grid import GridGround, Samples
+from lidar_emu.scene.grid.ground import GridGround, Samples
 from lidar_emu.scene.hits import Scene
 from lidar_emu.scene.nested import Rectangle
 from lidar_emu.scene.seam import extent, nest

@@ -11,7 +11,7 @@ from lidar_emu.scenario.ground_detail import Detail
 from lidar_emu.scene.albedo import Albedo, PaintedGround
 from lidar_emu.scene.cut import CutGround, Kept
 from lidar_emu.scene.detail import around, detailed
-from lidar_emu.scene.grid import GridGround, Samples
+from lidar_emu.scene.grid.ground import GridGround, Samples
 from lidar_emu.scene.hits import Scene
 from lidar_emu.scene.nested import Rectangle
 from lidar_emu.scene.plane import PlaneGround

@@ -11,9 +11,9 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario import site
 from lidar_emu.scenario.generated_ground import Generated
-from lidar_emu.scene.grid import GridGround, Samples
+from lidar_emu.scene.grid.ground import GridGround, Samples
 from lidar_emu.scene.grids import Beyond, Layer
-from lidar_emu.scene.terrain import Terrain
+from lidar_emu.scene.terrain.model import Terrain
 
 BODY_TOLERANCE = 0.01
 """Maps of one body are drawn on spheres and ellipsoids that differ by up to 0.6 % (Mars)."""
@@ -73,7 +73,7 @@ def _read(part: site.Site, grid: AnyGrid, first: tuple[AnyGrid, Terrain] | None)
         return _generated(grid)
     if first is not None and grid.at_m is None and grid.origin == site.Origin():
         grid = grid.model_copy(update={"origin": _origin_of(*first, grid.file)})
-    from lidar_emu.scene.terrain_read import read_terrain
+    from lidar_emu.scene.terrain.read import read_terrain
 
     terrain = read_terrain(grid)
     _check_body(part.body, terrain)
@@ -109,7 +109,7 @@ def _check_body(body: site.Body, terrain: Terrain) -> None:
 def _generated(ground: Generated) -> Terrain:
     """What was made is a grid like any other, with the origin at its centre."""
     from lidar_emu.ground.kept import elevation_m
-    from lidar_emu.scene.terrain_flat import FlatMap, placed_flat
+    from lidar_emu.scene.terrain.flat import FlatMap, placed_flat
 
     half_m, spacing_m = ground.size_m / 2, ground.size_m / ground.cells
     flat = FlatMap(

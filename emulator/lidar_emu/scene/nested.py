@@ -9,9 +9,9 @@ import numpy as np
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.kernels import kernel
-from lidar_emu.scene.grid import GridGround
+from lidar_emu.scene.grid.ground import GridGround
+from lidar_emu.scene.grid.traverse import FACE_DEPTH_M, clip
 from lidar_emu.scene.hits import Hits, Scene, contiguous
-from lidar_emu.scene.traverse import FACE_DEPTH_M, clip
 
 
 class Rectangle(NamedTuple):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from lidar_emu.arrays import FloatArray
-from lidar_emu.scene.grid import GridGround, Samples
+from lidar_emu.scene.grid.ground import GridGround, Samples
 from lidar_emu.scene.hits import Scene
 from lidar_emu.scene.nested import NestedGround, Rectangle, Seam
 

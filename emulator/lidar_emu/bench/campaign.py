@@ -1,0 +1,119 @@
+"""How fast campaigns are flown: one core beside the flight itself, all cores beside as many processes on their own."""
+
+from __future__ import annotations
+
+import multiprocessing
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+
+import numpy as np
+
+from lidar_emu.campaign.batch import Batch, Orders, fly_batch
+from lidar_emu.campaign.fly import fly_campaign
+from lidar_emu.campaign.pools import LocalPool, one_thread_each
+from lidar_emu.campaign.read import Prepared, prepare
+from lidar_emu.campaign.tables import column_kinds
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.shots import build_model
+
+CAMPAIGN = "dispersed_descent.yaml"
+LEVELS = ("statistical", "spectral")
+_ROUNDS = 7
+_RUNS_A_ROUND = 10
+_COMPARISONS = 3
+
+
+@dataclass(frozen=True)
+class CoreSpeed:
+    """One process, with all that it keeps of a run."""
+
+    level: str
+    flight_s: float
+    """Length of the first flight."""
+    run_s: float
+    """Median of wall time for a run."""
+    core_s: float
+    """Median of processor time for a run."""
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """The same runs by a pool, and by as many processes that know nothing of each other; both from their start on."""
+
+    workers: int
+    runs: int
+    pool_s: float
+    alone_s: float
+
+
+def measure_cores(show: Callable[[str], None]) -> list[CoreSpeed]:
+    """Every level in turn, round by round, so that whatever else the machine does hits all alike."""
+    prepared = {level: prepare(Path(CAMPAIGN), {"level": level}, _ROUNDS * _RUNS_A_ROUND) for level in LEVELS}
+    clock, wall_s, core_s = Clock(), np.empty((len(LEVELS), _ROUNDS)), np.empty((len(LEVELS), _ROUNDS))
+    with tempfile.TemporaryDirectory() as kept:
+        for one in prepared.values():
+            fly_batch(_orders(one, Path(kept)), _batch(one, 0, 1))
+        for k in range(_ROUNDS):
+            show(f"one core: round {k + 1} of {_ROUNDS}")
+            for i, one in enumerate(prepared.values()):
+                begun_ns, computed_ns = clock.now_ns(), clock.computed_ns()
+                fly_batch(_orders(one, Path(kept)), _batch(one, k * _RUNS_A_ROUND, _RUNS_A_ROUND))
+                wall_s[i, k] = (clock.now_ns() - begun_ns) * 1e-9 / _RUNS_A_ROUND
+                core_s[i, k] = (clock.computed_ns() - computed_ns) * 1e-9 / _RUNS_A_ROUND
+    return [
+        CoreSpeed(level, _flight_s(one), float(np.median(wall_s[i])), float(np.median(core_s[i])))
+        for i, (level, one) in enumerate(prepared.items())
+    ]
+
+
+def measure_scaling(workers: int, runs: int, show: Callable[[str], None]) -> Scaling:
+    """Fly `runs` at the statistical level, where what a pool costs counts most; medians of several rounds."""
+    prepared = prepare(Path(CAMPAIGN), {"level": LEVELS[0]}, runs)
+    rows = build_model(prepared.first).shot_count
+    clock, times_s = Clock(), np.empty((2, _COMPARISONS))
+    for k in range(_COMPARISONS):
+        show(f"{workers} processes in a pool, and on their own: round {k + 1} of {_COMPARISONS}")
+        with tempfile.TemporaryDirectory() as folder:
+            begun_ns = clock.now_ns()
+            fly_campaign(prepared, rows, Path(folder) / "pool", lambda: LocalPool(workers), lambda _: None)
+            between_ns = clock.now_ns()
+            _fly_alone(prepared, workers, Path(folder) / "alone")
+            times_s[:, k] = (between_ns - begun_ns) * 1e-9, (clock.now_ns() - between_ns) * 1e-9
+    pool_s, alone_s = (float(time_s) for time_s in np.median(times_s, axis=1))
+    return Scaling(workers, runs, pool_s, alone_s)
+
+
+def _fly_alone(prepared: Prepared, workers: int, folder: Path) -> None:
+    context = multiprocessing.get_context("spawn")
+    processes: list[SpawnProcess] = []
+    with one_thread_each():
+        for shares in np.array_split(np.arange(prepared.campaign.runs), workers):
+            own = _orders(prepared, folder / str(len(processes)))
+            batches = [_batch(prepared, int(run), 1) for run in shares]
+            processes.append(context.Process(target=_fly_batches, args=(own, batches)))
+            processes[-1].start()
+    for process in processes:
+        process.join()
+
+
+def _fly_batches(orders: Orders, batches: list[Batch]) -> None:
+    for batch in batches:
+        fly_batch(orders, batch)
+
+
+def _orders(prepared: Prepared, folder: Path) -> Orders:
+    for table in ("runs", "beams"):
+        (folder / table).mkdir(parents=True, exist_ok=True)
+    return Orders(prepared.base, folder, column_kinds(prepared.campaign), prepared.campaign.beams_every)
+
+
+def _batch(prepared: Prepared, first: int, count: int) -> Batch:
+    return Batch(first, first, [prepared.drawn.values(run) for run in range(first, first + count)])
+
+
+def _flight_s(prepared: Prepared) -> float:
+    model = build_model(prepared.first)
+    return model.shot_count * model.period_ns * 1e-9

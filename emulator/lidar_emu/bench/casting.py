@@ -1,0 +1,174 @@
+"""The caster of elevation grids beside ray tracers of triangles: times, errors, lost rays, and what building takes.
+
+All on one core, where the system lets a process choose, and in one run: the tools take turns, call by call. Ours takes
+and gives float64, with range, normal, reflectance and what is hit; the peers give distance, normal and triangle.
+"""
+
+from __future__ import annotations
+
+import os
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.bench.casting_exact import SiteFrame, exact_range_m, lunar_site
+from lidar_emu.bench.casting_peers import Tracer, installed_peers
+from lidar_emu.bench.casting_scene import (
+    KINDS,
+    Rays,
+    aimed_at_edges,
+    rolling_ground,
+    shots,
+    triangles,
+    unrelated,
+)
+from lidar_emu.bench.stopwatch import median_times_s
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.scene.grid.ground import GridGround
+from lidar_emu.scene.hits import Hits
+
+OURS, BILINEAR = "lidar-emu", "lidar-emu, bilinear"
+
+_CELLS, _MANY_CELLS = 707, 2000
+_SHOTS, _ROUNDS = 32, 40
+_AIMED, _CHUNK = 1_000_000, 50_000
+_EXACT_RAYS = 200
+_NEAR_M, _FAR_M = 2_000.0, 10_000.0
+_MOON_M = 1_737_400.0
+
+Progress = Callable[[str], None]
+Ranges = Callable[[FloatArray, FloatArray], FloatArray]
+
+
+@dataclass(frozen=True)
+class Built:
+    """What it took to make a scene ready."""
+
+    time_s: float
+    memory_mb: float | None
+    """At its peak, the samples themselves included; None where it cannot be told."""
+
+
+@dataclass(frozen=True)
+class CastingReport:
+    """Figures by tool; a tool's error is a root mean square and a maximum, in metres."""
+
+    absent: dict[str, str]
+    """Peers that could not be had, and why."""
+    time_s: dict[str, dict[str, float]]
+    """By kind of rays and tool: mean over different shots of the median time of a call."""
+    error_m: dict[str, dict[str, tuple[float, float]]]
+    """By place and tool, against fractions."""
+    lost: dict[str, int]
+    """Of `aimed` rays to vertices and edges, those that met nothing."""
+    aimed: int
+    built: dict[str, Built]
+    """Half a million cells, a million triangles."""
+    built_large: Built
+    """Ours, four million cells."""
+
+
+def measure_casting(progress: Progress) -> CastingReport:
+    """Build, time and check all that is installed."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    builds, absent = installed_peers()
+    progress("grids and trees")
+    built = {OURS: _built(_CELLS)}
+    ground, smooth = rolling_ground(_CELLS, "triangles"), rolling_ground(_CELLS, "bilinear")
+    vertex_m, face = triangles(ground.samples)
+    peers: dict[str, Tracer] = {}
+    clock = Clock()
+    for name, build in builds.items():
+        start_ns, before_mb = clock.now_ns(), _resident_mb()
+        peers[name] = build(vertex_m, face)
+        grown_mb = None if before_mb is None else (_resident_mb() or 0.0) - before_mb
+        built[name] = Built((clock.now_ns() - start_ns) * 1e-9, grown_mb)
+    times = {}
+    for kind in KINDS:
+        progress(kind)
+        times[kind] = _times_s({OURS: ground, BILINEAR: smooth}, peers, shots(kind, _SHOTS))
+    tools: dict[str, Ranges] = {OURS: lambda o, d: ground.cast(o, d).range_m}
+    tools |= {name: peer.range_m for name, peer in peers.items()}
+    progress("errors")
+    near, far = (unrelated(np.random.default_rng(3), _EXACT_RAYS, height_m) for height_m in (_NEAR_M, _FAR_M))
+    errors = {"2 km": _errors(ground, tools, near), "10 km": _errors(ground, tools, far)}
+    progress("errors in Moon-fixed coordinates")
+    frame = lunar_site(0.44, -0.82, _MOON_M)
+    fixed: dict[str, Ranges] = {
+        OURS: lambda o, d: ground.cast(frame.to_site(o), frame.to_site(d, False)).range_m
+    }
+    fixed |= {name: build(frame.to_fixed(vertex_m), face).range_m for name, build in builds.items()}
+    errors["2 km, Moon-fixed"] = _errors(ground, fixed, near, frame)
+    progress("rays to vertices and edges")
+    lost = dict.fromkeys((OURS, *peers), 0)
+    rng = np.random.default_rng(4)
+    for _ in range(_AIMED // _CHUNK):
+        rays = aimed_at_edges(rng, ground, _CHUNK)
+        lost[OURS] += int(np.isnan(ground.cast(rays.origin_m, rays.direction).range_m).sum())
+        for name, peer in peers.items():
+            lost[name] += int(np.isnan(peer.range_m(rays.origin_m, rays.direction)).sum())
+    progress("four million cells")
+    return CastingReport(absent, times, errors, lost, _AIMED, built, _built(_MANY_CELLS))
+
+
+def _times_s(grounds: dict[str, GridGround], peers: dict[str, Tracer], rays: list[Rays]) -> dict[str, float]:
+    """Of one call, by tool."""
+    jobs: dict[str, list[Callable[[], object]]] = {}
+    for name, ground in grounds.items():
+        rooms = [Hits.empty(len(each.direction)) for each in rays]
+        jobs[name] = [
+            partial(ground.cast, each.origin_m, each.direction, room, each.bundle)
+            for each, room in zip(rays, rooms, strict=True)
+        ]
+    for name, peer in peers.items():
+        jobs[name] = [peer.prepare(each.origin_m, each.direction) for each in rays]
+    # Shot by shot: scenes and tools stay warm.
+    times = np.array([median_times_s(of_shot, _ROUNDS) for of_shot in zip(*jobs.values(), strict=True)])
+    return dict(zip(jobs, times.mean(axis=0).tolist(), strict=True))
+
+
+def _errors(
+    ground: GridGround, tools: dict[str, Ranges], rays: Rays, frame: SiteFrame | None = None
+) -> dict[str, tuple[float, float]]:
+    """Root mean square and maximum by tool, of rays given in the site's axes or in the body's."""
+    frame = frame or SiteFrame(np.eye(3), np.zeros(3))
+    origin, direction = frame.to_fixed(rays.origin_m), frame.to_fixed(rays.direction, False)
+    found = {name: ranges(origin, direction) for name, ranges in tools.items()}
+    exact = []
+    for k in range(len(origin)):
+        ray = frame.exactly_to_site(origin[k]), frame.exactly_to_site(direction[k], False)
+        exact.append(exact_range_m(ground.samples, *ray, float(found[OURS][k])))
+    told = {}
+    for name, range_m in found.items():
+        pairs = zip(range_m.tolist(), exact, strict=True)
+        apart = np.array([float(Fraction(r) - t) for r, t in pairs if t is not None and r == r])
+        told[name] = float(np.sqrt((apart**2).mean())), float(np.abs(apart).max())
+    return told
+
+
+def _built(cells: int) -> Built:
+    samples = rolling_ground(cells, "bilinear").samples
+    clock = Clock()
+    start_ns = clock.now_ns()
+    GridGround(samples, None, "", 0.0)
+    time_s = (clock.now_ns() - start_ns) * 1e-9
+    tracemalloc.start()
+    GridGround(samples, None, "", 0.0)
+    peak_mb = (tracemalloc.get_traced_memory()[1] + samples.height_m.nbytes) / 1e6
+    tracemalloc.stop()
+    return Built(time_s, peak_mb)
+
+
+def _resident_mb() -> float | None:
+    """Memory of this process, where the system tells."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+    except OSError:
+        return None

@@ -1,0 +1,96 @@
+"""The piece of work that a process gets: some runs in a row, flown one after another, kept in a file of each table.
+
+Which runs make a batch follows from the campaign alone, and a batch's files from the batch alone: whoever flies it, and
+however often, the bytes are the same.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from lidar_emu.campaign.kept_flight import KeptFlight
+from lidar_emu.campaign.read import Base
+from lidar_emu.campaign.tables import FlownRun, beams_table, runs_table, write_table
+from lidar_emu.errors import InputError, RunError, one_line
+from lidar_emu.measurement import Measurement
+from lidar_emu.shots import FlightModel, measure_whole
+
+
+class Batch(NamedTuple):
+    """Runs in a row."""
+
+    number: int
+    first_run: int
+    values: list[dict[str, Any]]
+    """What each of them sets."""
+    deadly: frozenset[int] = frozenset()
+    """Those of them that no process survives."""
+
+    @property
+    def runs(self) -> range:
+        """Their numbers."""
+        return range(self.first_run, self.first_run + len(self.values))
+
+
+class Orders(NamedTuple):
+    """What all batches have in common."""
+
+    base: Base
+    folder: Path
+    """Where the tables are kept: `runs` and `beams`."""
+    kinds: dict[str, str]
+    """Of the columns that hold what was drawn."""
+    beams_every: int
+
+
+def fly_batch(orders: Orders, batch: Batch) -> int:
+    """Fly the runs and keep them; how many of them failed.
+
+    Raises:
+        InputError: the folder is not there.
+        RunError: a file could not be written.
+    """
+    flown = [_fly(orders.base, run, batch) for run in batch.runs]
+    kept = [one for one in flown if one.measurement is not None and one.run % orders.beams_every == 0]
+    if kept:
+        write_table(beams_table(kept), part_path(orders.folder, "beams", batch.number))
+    # Last, because by this file a batch is known to be done.
+    write_table(runs_table(flown, orders.kinds), part_path(orders.folder, "runs", batch.number))
+    return sum(one.reason is not None for one in flown)
+
+
+def probe(base: Base, values: dict[str, Any]) -> int:
+    """Fly a run for nothing, to see whether the process survives it; how many died, which is 0."""
+    with suppress(Exception):
+        measured(base, values)
+    return 0
+
+
+def part_path(folder: Path, table: str, number: int) -> Path:
+    """The file of a batch."""
+    return folder / table / f"part-{number:05d}.parquet"
+
+
+def _fly(base: Base, run: int, batch: Batch) -> FlownRun:
+    values = batch.values[run - batch.first_run]
+    if run in batch.deadly:
+        return FlownRun(run, values, None, "its process died, with other runs beside it and alone")
+    try:
+        return FlownRun(run, values, measured(base, values), None)
+    except (InputError, RunError) as error:
+        reason = str(error)
+    except Exception as error:  # a run that cannot be flown is one of the results, whatever the reason
+        reason = f"{type(error).__name__}: {error}"
+    return FlownRun(run, values, None, one_line(reason))
+
+
+def measured(base: Base, values: dict[str, Any]) -> Measurement:
+    """One run; ground and trajectory are those of a run before where they are the same.
+
+    Raises:
+        InputError: the values are not allowed, or the flight is not possible.
+    """
+    scenario = base.scenario_of(values)
+    return measure_whole(FlightModel(scenario, KeptFlight(scenario)))

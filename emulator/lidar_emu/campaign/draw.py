@@ -1,0 +1,122 @@
+"""What the runs of a campaign differ in: shares spread as the campaign asks, correlated, made values."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.campaign.quantiles import values_at
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.scenario.campaign import Campaign, Distribution, JointNormal, Normal
+
+_NEAREST_END = 2.0**-32
+"""Shares keep away from 0 and 1, where normal distributions have no value: 6.2 sigma, and less than Sobol's step."""
+_SHARES, _SEEDS = 0, 1
+"""What a generator is for; each has a stream of its own."""
+
+
+class Drawn(NamedTuple):
+    """The runs' differences."""
+
+    columns: dict[str, list[Any]]
+    """By dotted key, a value per run."""
+    seeds: list[int]
+    """Of each run, unless the key `seed` is drawn."""
+
+    def values(self, run: int) -> dict[str, Any]:
+        """What one run sets."""
+        return {"seed": self.seeds[run]} | {key: column[run] for key, column in self.columns.items()}
+
+
+def draw(campaign: Campaign, path: str) -> Drawn:
+    """All values of all runs, from the campaign alone.
+
+    Args:
+        campaign: as read.
+        path: of its file, for complaints.
+
+    Raises:
+        InputError: a matrix is not positive definite.
+    """
+    distributions = _distributions(campaign)
+    share = _shares(campaign, len(distributions))
+    places = {key: i for i, key in enumerate(distributions)}
+    for keys, lower in _triangles(campaign, path):
+        rows = [places[key] for key in keys]
+        share[rows] = _correlated(share[rows], lower)
+    columns = {
+        key: values_at(distribution, np.clip(share[i], _NEAREST_END, 1 - _NEAREST_END))
+        for i, (key, distribution) in enumerate(distributions.items())
+    }
+    seeds = _generator(campaign, _SEEDS).integers(0, 2**63, size=campaign.runs, dtype=np.int64)
+    return Drawn(columns, [int(seed) for seed in seeds])
+
+
+def _generator(campaign: Campaign, purpose: int) -> np.random.Generator:
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence([campaign.seed, purpose])))
+
+
+def _distributions(campaign: Campaign) -> dict[str, Distribution]:
+    """Of every drawn key; joint normals by their margins."""
+    margins = {
+        key: Normal(kind="normal", mean=mean, sigma=sigma)
+        for joint in campaign.joint_normals
+        for key, mean, sigma in zip(joint.keys, joint.mean, _sigmas(joint), strict=True)
+    }
+    return {**campaign.dispersions, **margins}
+
+
+def _sigmas(joint: JointNormal) -> list[float]:
+    return [max(row[i], 0.0) ** 0.5 or 1.0 for i, row in enumerate(joint.covariance)]
+
+
+def _shares(campaign: Campaign, count: int) -> FloatArray:
+    """(count, runs) Numbers from 0 to 1."""
+    generator = _generator(campaign, _SHARES)
+    if count == 0:
+        return np.empty((0, campaign.runs))
+    if campaign.sampling == "random":
+        # Run by run, so that more runs begin with the same ones.
+        return generator.random((campaign.runs, count)).T.copy()
+    from scipy.stats import qmc
+
+    if campaign.sampling == "latin_hypercube":
+        return np.asarray(qmc.LatinHypercube(count, seed=generator).random(campaign.runs)).T.copy()
+    whole = qmc.Sobol(count, seed=generator).random_base2((campaign.runs - 1).bit_length())
+    return np.asarray(whole)[: campaign.runs].T.copy()
+
+
+def _triangles(campaign: Campaign, path: str) -> list[tuple[list[str], FloatArray]]:
+    """Keys that hang together, and the lower triangle of their correlation matrix."""
+    found = []
+    for i, joint in enumerate(campaign.joint_normals):
+        sigma = np.array(_sigmas(joint))
+        matrix = np.array(joint.covariance) / (sigma[:, None] * sigma)
+        found.append((joint.keys, _triangle(matrix, path, f"joint_normals.{i}.covariance")))
+    for i, correlation in enumerate(campaign.correlations):
+        matrix = np.array(correlation.matrix)
+        found.append((correlation.keys, _triangle(matrix, path, f"correlations.{i}.matrix")))
+    return found
+
+
+def _triangle(matrix: FloatArray, path: str, key: str) -> FloatArray:
+    try:
+        return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        least = Finding(f"a least eigenvalue of {np.linalg.eigvalsh(matrix)[0]:.3g} times the variances")
+        raise InputError(path, key, least, "allowed: a positive definite matrix") from None
+
+
+def _correlated(share: FloatArray, lower: FloatArray) -> FloatArray:
+    """Shares (keys, runs) of correlated normal variables from those of independent ones."""
+    from scipy.special import ndtr, ndtri
+
+    alone = ndtri(np.clip(share, _NEAREST_END, 1 - _NEAREST_END))
+    together = np.zeros_like(share)
+    # Term by term: a matrix product adds in an order of its own.
+    for i, row in enumerate(lower):
+        for j in range(i + 1):
+            together[i] += row[j] * alone[j]
+    return np.asarray(ndtr(together))

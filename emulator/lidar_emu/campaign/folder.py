@@ -1,0 +1,112 @@
+"""The folder of a campaign: whose it is, what of it is done, and that one process at a time works on it."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from lidar_emu import __version__
+from lidar_emu.campaign.batch import part_path
+from lidar_emu.campaign.read import Prepared
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.report.whole_file import whole_file
+
+_TABLES = ("runs", "beams")
+_STATED = "campaign.json"
+
+
+@contextmanager
+def campaign_folder(folder: Path, prepared: Prepared, batch_runs: int) -> Iterator[None]:
+    """Make the folder, or go on with one that holds the beginning of the same campaign; ours alone meanwhile.
+
+    Raises:
+        InputError: it holds something else, cannot be made, or another process works on it.
+    """
+    stated = _statement(prepared, batch_runs)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not (folder / _STATED).exists() and any(entry.name != ".lock" for entry in folder.iterdir()):
+            raise InputError("--out", None, Finding(f"{folder} holds other files"), _ALLOWED)
+        lock = (folder / ".lock").open("w")
+    except (OSError, ValueError) as error:
+        reason = Finding(f"{folder}: {getattr(error, 'strerror', None) or error}")
+        raise InputError("--out", None, reason, "allowed: a folder that you may write") from None
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise InputError(
+                "--out", None, Finding(f"{folder} is worked on"), "allowed: one at a time"
+            ) from None
+        _claim(folder, stated)
+        _sweep(folder)
+        try:
+            yield
+        finally:
+            _sweep(folder)
+
+
+_ALLOWED = "allowed: a new or empty folder, or that of the same campaign, which is then continued"
+
+
+def _claim(folder: Path, stated: dict[str, Any]) -> None:
+    path = folder / _STATED
+    if path.exists():
+        try:
+            before = json.loads(path.read_text())
+        except (OSError, ValueError):
+            before = None
+        if before != stated:
+            raise InputError("--out", None, Finding(f"{folder} {_difference(before, stated)}"), _ALLOWED)
+    for table in _TABLES:
+        (folder / table).mkdir(exist_ok=True)
+    if not path.exists():
+        with whole_file(path) as file:
+            file.write(json.dumps(stated, indent=2).encode() + b"\n")
+
+
+def _sweep(folder: Path) -> None:
+    """Away with what those who died have left half written."""
+    for table in _TABLES:
+        for left_over in (folder / table).glob(".part-*"):
+            left_over.unlink(missing_ok=True)
+
+
+def _difference(before: Any, stated: dict[str, Any]) -> str:
+    if not isinstance(before, dict):
+        return f"has a {_STATED} that cannot be read"
+    differ = [key for key in stated if before.get(key) != stated[key]]
+    return f"holds another campaign (another {' and '.join(differ)})"
+
+
+def _statement(prepared: Prepared, batch_runs: int) -> dict[str, Any]:
+    """All that decides what the files of the folder hold."""
+    campaign = json.loads(prepared.campaign.model_dump_json())
+    first = json.loads(prepared.first.model_dump_json())
+    return {
+        "lidar_emu": __version__,
+        "name": campaign["name"],
+        "campaign": campaign,
+        "runs_per_file": batch_runs,
+        "first_run": first,
+        "files_sha256": _digests(first),
+    }
+
+
+def _digests(part: Any) -> dict[str, str]:
+    """Of the files that a scenario, resolved, only names; by name."""
+    below = part.values() if isinstance(part, dict) else part if isinstance(part, list) else ()
+    found = {name: digest for child in below for name, digest in _digests(child).items()}
+    if isinstance(part, dict) and isinstance(part.get("file"), str):
+        found[part["file"]] = hashlib.sha256(Path(part["file"]).read_bytes()).hexdigest()
+    return found
+
+
+def finished(folder: Path, batches: int) -> set[int]:
+    """Numbers of the batches whose runs are kept."""
+    return {number for number in range(batches) if part_path(folder, "runs", number).exists()}

@@ -1,0 +1,48 @@
+"""A flight that takes over ground and trajectory from earlier ones of the same: a process reads its ground once."""
+
+from __future__ import annotations
+
+from functools import cached_property, lru_cache
+
+from lidar_emu.flight import Flight
+from lidar_emu.scenario.trajectory import Trajectory as TrajectoryPart
+from lidar_emu.scene.grid import GridGround
+from lidar_emu.scene.hits import Scene
+from lidar_emu.trajectory.build import build_trajectory
+from lidar_emu.trajectory.state import Trajectory
+
+_KEPT = 4
+_NOT_OF_THE_GRID = {"name", "surface", "atmosphere", "sunlight_w_per_m2_um"}
+
+
+class KeptFlight(Flight):
+    """Its whole grids are kept; other ground is quickly made, or cut to what this flight can reach."""
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """See `Flight`."""
+        part = self.scenario.trajectory
+        return _trajectory(type(part), part.model_dump_json(), self.scenario.site.body.radius_m)
+
+    @cached_property
+    def ground(self) -> Scene:
+        """See `Flight`."""
+        site = self.scenario.site
+        kept = _grids(site.model_dump_json(exclude=_NOT_OF_THE_GRID))
+        if not kept:
+            made = super().ground
+            if isinstance(made, GridGround):
+                kept.append(made)
+            return made
+        return kept[0].with_reflectance(site.surface.reflectance)
+
+
+@lru_cache(_KEPT)
+def _grids(_site: str) -> list[GridGround]:
+    """Room for the grid of a site."""
+    return []
+
+
+@lru_cache(_KEPT)
+def _trajectory(kind: type[TrajectoryPart], part: str, body_radius_m: float) -> Trajectory:
+    return build_trajectory(kind.model_validate_json(part), body_radius_m)

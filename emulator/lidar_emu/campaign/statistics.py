@@ -1,0 +1,199 @@
+"""Errors and dropouts of a whole campaign, by altitude and by incidence, with confidence intervals.
+
+Shots of one run are not independent: they share what was drawn. So runs are dealt to groups, each group has its own
+counts, and the groups' scatter tells how far the figures of another campaign would be off. Errors are counted in
+narrow bins, so that a million runs need no more memory than ten.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from lidar_emu.arrays import FloatArray, IntArray
+
+LEVELS = (0.05, 0.5, 0.95)
+"""Quantiles that are told."""
+CONFIDENCE = 0.95
+_GROUPS = 50
+_STEP = 0.01
+"""Width of an error's bin, in its area sine: one per cent of the error."""
+_REACH = 20.0
+_BINS = 2 * round(_REACH / _STEP)
+
+
+class Axis(NamedTuple):
+    """What errors are looked at against."""
+
+    name: str
+    edges: FloatArray
+
+
+class Error(NamedTuple):
+    """An error that is looked at."""
+
+    name: str
+    quantity: str
+    scale: float
+    """Below this, bins are equally wide: a hundredth of it."""
+
+
+AXES = (
+    Axis("altitude_m", np.array([m * 10.0**k for k in range(-1, 7) for m in (1, 1.5, 2, 3, 5, 7)])),
+    Axis("true_incidence_deg", np.arange(0.0, 91.0, 5.0)),
+)
+ERRORS = (Error("range_error_m", "range_m", 1e-3), Error("speed_error_mps", "closing_speed_mps", 1e-5))
+
+
+class Estimate(NamedTuple):
+    """A figure and its confidence interval; NaN where it is not known."""
+
+    value: float
+    low: float
+    high: float
+
+
+class BandStatistics(NamedTuple):
+    """Measurements within a band of altitude or incidence."""
+
+    axis: str
+    low: float
+    high: float
+    runs: int
+    expected: int
+    """Beams that fired at ground."""
+    dropout: Estimate
+    """Share of these without a valid range."""
+    quantiles: dict[str, list[Estimate]]
+    """By error, at `LEVELS`, of those that are valid."""
+
+
+def campaign_statistics(folder: Path) -> list[BandStatistics]:
+    """Of all beams that a campaign's folder holds; band by band, altitudes first."""
+    counts = defaultdict[tuple[str, int], _Counts](_Counts)
+    for beams in _files(folder):
+        for axis in AXES:
+            band = np.searchsorted(axis.edges, beams[axis.name], side="right") - 1
+            # The last edge belongs to the last band: a ray may graze at 90 degrees.
+            band[beams[axis.name] == axis.edges[-1]] -= 1
+            for k in np.unique(band[(band >= 0) & (band < len(axis.edges) - 1)]).tolist():
+                counts[axis.name, k].add({name: column[band == k] for name, column in beams.items()})
+    return [
+        counts[axis.name, k].told(axis.name, float(axis.edges[k]), float(axis.edges[k + 1]))
+        for axis in AXES
+        for k in range(len(axis.edges) - 1)
+        if (axis.name, k) in counts
+    ]
+
+
+def _files(folder: Path) -> Iterator[dict[str, FloatArray]]:
+    """The beams of each file that fired at ground: bands, run, and errors, NaN where there is no valid value."""
+    from pyarrow import parquet
+
+    truths = [f"true_{error.quantity}" for error in ERRORS]
+    names = ["run", "fired", "range_valid", *(axis.name for axis in AXES)]
+    names += [*(error.quantity for error in ERRORS), *truths]
+    for path in sorted((folder / "beams").glob("part-*.parquet")):
+        # One thread: the files are small, and a pool of threads for each costs more than it saves.
+        table = parquet.read_table(path, columns=names, use_threads=False)
+        columns = {name: np.asarray(table[name].to_numpy(), dtype=np.float64) for name in names}
+        asked = (columns["fired"] == 1.0) & np.isfinite(columns["true_range_m"])
+        for error, truth in zip(ERRORS, truths, strict=True):
+            columns[error.name] = columns[error.quantity] - columns[truth]
+        yield {name: column[asked] for name, column in columns.items()}
+
+
+class _Counts:
+    """Of one band, group by group."""
+
+    def __init__(self) -> None:
+        self.runs = 0
+        self.expected = np.zeros(_GROUPS, dtype=np.int64)
+        self.dropped = np.zeros(_GROUPS, dtype=np.int64)
+        self.errors = {error.name: np.zeros((_GROUPS, _BINS), dtype=np.int64) for error in ERRORS}
+
+    def add(self, beams: dict[str, FloatArray]) -> None:
+        """The beams of runs that were not counted before."""
+        run = beams["run"].astype(np.int64)
+        self.runs += len(np.unique(run))
+        group = run % _GROUPS
+        self.expected += np.bincount(group, minlength=_GROUPS)
+        self.dropped += np.bincount(group[beams["range_valid"] == 0.0], minlength=_GROUPS)
+        for error in ERRORS:
+            value = beams[error.name]
+            known = np.isfinite(value)
+            place = np.floor((np.arcsinh(value[known] / error.scale) + _REACH) / _STEP).astype(np.int64)
+            np.add.at(self.errors[error.name], (group[known], np.clip(place, 0, _BINS - 1)), 1)
+
+    def told(self, axis: str, low: float, high: float) -> BandStatistics:
+        """The figures of the band from `low` to `high`."""
+        return BandStatistics(
+            axis,
+            low,
+            high,
+            self.runs,
+            int(self.expected.sum()),
+            share(self.dropped, self.expected, self.runs),
+            {e.name: [_quantile(self.errors[e.name], level, e.scale) for level in LEVELS] for e in ERRORS},
+        )
+
+
+def share(part: IntArray, whole: IntArray, runs: int) -> Estimate:
+    """The ratio of two counts (groups,): Wilson's interval for as many trials as the groups' scatter is worth.
+
+    Where all or none of them are part there is no scatter: then a run counts as one trial.
+    """
+    count = int(whole.sum())
+    if count == 0:
+        return Estimate(math.nan, math.nan, math.nan)
+    value = float(part.sum() / count)
+    spread, factor = _scatter(part.astype(np.float64), whole)
+    if not math.isfinite(factor):
+        return Estimate(value, 0.0, 1.0)
+    trials = min(count, value * (1 - value) / spread**2) if spread > 0 else float(runs)
+    square = factor**2 / trials
+    middle = (value + square / 2) / (1 + square)
+    half = math.sqrt(value * (1 - value) * square + square**2 / 4) / (1 + square)
+    return Estimate(value, max(0.0, middle - half), min(1.0, middle + half))
+
+
+def _scatter(part: FloatArray, whole: IntArray) -> tuple[float, float]:
+    """Standard error of the ratio of two sums over groups, and Student's factor that goes with it."""
+    from scipy.stats import t
+
+    groups = int((whole > 0).sum())
+    if groups < 2:
+        return 0.0, math.inf
+    apart = part - part.sum() / whole.sum() * whole
+    variance = float((apart**2).sum()) * groups / (groups - 1)
+    return math.sqrt(variance) / float(whole.sum()), float(t.ppf((1 + CONFIDENCE) / 2, groups - 1))
+
+
+def _quantile(counts: IntArray, level: float, scale: float) -> Estimate:
+    """Of counts (groups, bins); the interval is where the share below may be the level (Woodruff).
+
+    An end is not known where that share may be none or all.
+    """
+    below = np.concatenate([np.zeros((_GROUPS, 1)), np.cumsum(counts, axis=1)], axis=1)
+    whole = counts.sum(axis=1)
+    if not whole.any():
+        return Estimate(math.nan, math.nan, math.nan)
+    together = below.sum(axis=0) / whole.sum()
+
+    def at(wanted: float) -> float:
+        """Place, in bins, below which a share of all errors lies."""
+        k = int(np.clip(np.searchsorted(together, wanted, side="left"), 1, _BINS))
+        step = together[k] - together[k - 1]
+        return k - 1 + (float((wanted - together[k - 1]) / step) if step > 0 else 0.0)
+
+    place = at(level)
+    k = min(int(place), _BINS - 1)
+    spread, factor = _scatter(below[:, k] + (place - k) * (below[:, k + 1] - below[:, k]), whole)
+    half = spread * factor if math.isfinite(factor) else 1.0
+    ends = (at(wanted) if 0.0 < wanted < 1.0 else math.nan for wanted in (level - half, level + half))
+    return Estimate(*(float(scale * np.sinh(end * _STEP - _REACH)) for end in (place, *ends)))

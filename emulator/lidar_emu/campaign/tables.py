@@ -1,0 +1,128 @@
+"""The two tables of a campaign: a row per run, and a row per beam of every shot."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.measurement import Measurement
+from lidar_emu.report.whole_file import whole_file
+from lidar_emu.scenario.campaign import Campaign, Choice, Integer
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_SHARES = {"p50": 0.5, "p95": 0.95}
+
+
+class FlownRun(NamedTuple):
+    """A run that was flown, or the reason why not."""
+
+    run: int
+    values: dict[str, Any]
+    measurement: Measurement | None
+    reason: str | None
+
+
+def column_kinds(campaign: Campaign) -> dict[str, str]:
+    """What the column of each drawn key holds: a `number`, a `whole` one, `text`, or `json` where values are mixed."""
+    return {key: _kind(campaign.dispersions.get(key)) for key in campaign.drawn_keys}
+
+
+def _kind(distribution: object) -> str:
+    if isinstance(distribution, Integer):
+        return "whole"
+    if not isinstance(distribution, Choice):
+        return "number"
+    if all(isinstance(value, str) for value in distribution.of):
+        return "text"
+    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in distribution.of)
+    return "number" if numbers else "json"
+
+
+def expected(measurement: Measurement) -> BoolArray:
+    """(shots, beams) Which beams fired at ground."""
+    return measurement.fired & np.isfinite(measurement.true_range_m)
+
+
+def runs_table(flown: Sequence[FlownRun], kinds: dict[str, str]) -> pa.Table:
+    """A row per run: what was drawn, why it failed if it did, and what came out."""
+    import pyarrow as pa
+
+    types = {"number": pa.float64(), "whole": pa.int64(), "text": pa.string(), "json": pa.string()}
+    columns = {
+        "run": pa.array([one.run for one in flown], pa.int64()),
+        "seed": pa.array([one.values["seed"] for one in flown], pa.int64()),
+        "failed": pa.array([one.reason for one in flown], pa.string()),
+    }
+    for key, kind in kinds.items():
+        drawn = [one.values[key] for one in flown]
+        columns[key] = pa.array(
+            [json.dumps(value) for value in drawn] if kind == "json" else drawn, types[kind]
+        )
+    outcomes = [{} if one.measurement is None else _outcome(one.measurement) for one in flown]
+    for name in _OUTCOMES:
+        kind = pa.int64() if name in _COUNTS else pa.float64()
+        columns[name] = pa.array([outcome.get(name) for outcome in outcomes], kind, from_pandas=True)
+    return pa.table(columns)
+
+
+_COUNTS = ("shots", "expected", "range_valid", "speed_valid")
+_ERRORS = {"range_error_m": "range_m", "speed_error_mps": "closing_speed_mps"}
+_OUTCOMES = (*_COUNTS, *(f"{error}_abs_{share}" for error in _ERRORS for share in _SHARES))
+
+
+def _outcome(measurement: Measurement) -> dict[str, float]:
+    asked = expected(measurement)
+    outcome: dict[str, float] = {
+        "shots": len(measurement),
+        "expected": int(asked.sum()),
+        "range_valid": int((asked & measurement.range_valid).sum()),
+        "speed_valid": int((asked & measurement.speed_valid).sum()),
+    }
+    for error, name in _ERRORS.items():
+        apart = np.abs(getattr(measurement, name) - getattr(measurement, f"true_{name}"))
+        known = apart[asked & np.isfinite(apart)]
+        for share, level in _SHARES.items():
+            outcome[f"{error}_abs_{share}"] = float(np.quantile(known, level)) if known.size else np.nan
+    return outcome
+
+
+def beams_table(flown: Sequence[FlownRun]) -> pa.Table:
+    """A row per shot and beam: `Measurement.table()`, with the run and the altitude above the site's origin."""
+    import pyarrow as pa
+
+    return pa.concat_tables(
+        [_beams(one.run, one.measurement) for one in flown if one.measurement is not None]
+    )
+
+
+def _beams(run: int, measurement: Measurement) -> pa.Table:
+    import pyarrow as pa
+
+    altitude_m: FloatArray = np.repeat(measurement.position_site_m[:, 2], measurement.beam_count)
+    columns = {"run": np.full(altitude_m.size, run), "altitude_m": altitude_m, **measurement.table()}
+    return pa.table({name: pa.array(column, from_pandas=True) for name, column in columns.items()})
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """A file, whole or not at all; the same bytes for the same table.
+
+    Raises:
+        InputError: the folder is not there.
+        RunError: writing failed on the way.
+    """
+    import pyarrow.parquet as parquet
+
+    with whole_file(path) as file:
+        # Measured values hardly repeat: a dictionary of them costs half of the time and saves nothing.
+        repeating = [name for name in table.column_names if name in _REPEATING]
+        parquet.write_table(table, file, compression="zstd", use_dictionary=repeating)
+
+
+_REPEATING = ("run", "beam", "reason", "segments", "returns", "beam_angle_deg")

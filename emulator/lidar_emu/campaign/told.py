@@ -1,0 +1,99 @@
+"""What a campaign came to, for people, tables and pictures."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.campaign.statistics import AXES, ERRORS, LEVELS, BandStatistics, Estimate
+from lidar_emu.report.campaign_plot import CampaignColumn
+from lidar_emu.report.whole_file import whole_file
+
+_LABELS = {
+    "altitude_m": "altitude (m)",
+    "true_incidence_deg": "incidence (°)",
+    "range_error_m": "range error (m)",
+    "speed_error_mps": "closing speed error (m/s)",
+}
+_ENDS = ("", "_low", "_high")
+
+
+def rows(bands: Sequence[BandStatistics]) -> list[dict[str, float | int | str]]:
+    """A row per band with a column per figure, and two more for its confidence interval."""
+    return [_row(band) for band in bands]
+
+
+def _row(band: BandStatistics) -> dict[str, float | int | str]:
+    row: dict[str, float | int | str] = {
+        "axis": band.axis,
+        "low": band.low,
+        "high": band.high,
+        "runs": band.runs,
+        "expected": band.expected,
+        **_ended("dropout", band.dropout),
+    }
+    for error in ERRORS:
+        for level, estimate in zip(LEVELS, band.quantiles[error.name], strict=True):
+            row |= _ended(f"{error.name}_p{100 * level:02.0f}", estimate)
+    return row
+
+
+def _ended(name: str, estimate: Estimate) -> dict[str, float]:
+    return {name + end: value for end, value in zip(_ENDS, estimate, strict=True)}
+
+
+def write_statistics(bands: Sequence[BandStatistics], path: Path) -> None:
+    """A CSV file; an empty cell where nothing is known.
+
+    Raises:
+        RunError: writing failed on the way.
+    """
+    told = rows(bands)
+    text = io.StringIO(newline="")
+    if told:
+        writer = csv.DictWriter(text, list(told[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({key: "" if value != value else value for key, value in row.items()} for row in told)
+    with whole_file(path) as file:
+        file.write(text.getvalue().encode())
+
+
+def plot_columns(bands: Sequence[BandStatistics]) -> list[CampaignColumn]:
+    """What `report.campaign_plot` draws."""
+    return [_column(axis.name, [band for band in bands if band.axis == axis.name]) for axis in AXES]
+
+
+def _column(axis: str, bands: Sequence[BandStatistics]) -> CampaignColumn:
+    return CampaignColumn(
+        label=_LABELS[axis],
+        logarithmic=axis == "altitude_m",
+        edge=np.array([(band.low, band.high) for band in bands]).reshape(-1, 2),
+        dropout=_estimates([band.dropout for band in bands]),
+        quantiles={
+            _LABELS[error.name]: np.stack(
+                [_estimates([band.quantiles[error.name][i] for band in bands]) for i in range(len(LEVELS))]
+            )
+            for error in ERRORS
+        },
+    )
+
+
+def _estimates(estimates: Sequence[Estimate]) -> FloatArray:
+    return np.array(estimates, dtype=np.float64).reshape(-1, len(_ENDS))
+
+
+def failures(folder: Path) -> dict[str, int]:
+    """How many runs failed, by reason, the most frequent first."""
+    from pyarrow import parquet
+
+    reasons = Counter[str]()
+    for path in sorted((folder / "runs").glob("part-*.parquet")):
+        told = parquet.read_table(path, columns=["failed"], use_threads=False)["failed"].to_pylist()
+        reasons.update(reason for reason in told if reason is not None)
+    return dict(reasons.most_common())

@@ -1,0 +1,91 @@
+"""One page of a campaign: dropouts and errors by altitude and by incidence, with their confidence bands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.report.descent_plot import check_plot_path
+from lidar_emu.report.whole_file import whole_file
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["CampaignColumn", "check_plot_path", "plot_campaign"]
+
+_SIZE_INCH = (16.0, 12.0)
+_DOTS_PER_INCH = 100
+
+
+@dataclass(frozen=True)
+class CampaignColumn:
+    """What one column of the page shows over one axis; arrays end with value, low and high."""
+
+    label: str
+    logarithmic: bool
+    edge: FloatArray
+    """(bands, 2)"""
+    dropout: FloatArray
+    """(bands, 3)"""
+    quantiles: dict[str, FloatArray]
+    """By label of the error, (levels, bands, 3)."""
+
+
+def plot_campaign(columns: Sequence[CampaignColumn], levels: Sequence[str], title: str, path: Path) -> None:
+    """Draw a PNG of 1600 by 1200 pixels: a column per axis; dropouts above, quantiles of errors below.
+
+    Raises:
+        InputError: as `check_plot_path`.
+        RunError: writing failed on the way.
+    """
+    check_plot_path(path)
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=_SIZE_INCH, dpi=_DOTS_PER_INCH, layout="constrained")
+    figure.suptitle(title, fontsize=15)
+    rows = 1 + max(len(column.quantiles) for column in columns)
+    panels = figure.subplots(rows, len(columns), sharex="col", squeeze=False)
+    for j, column in enumerate(columns):
+        _draw_dropout(panels[0, j], column)
+        for axes, (label, quantiles) in zip(panels[1:, j], column.quantiles.items(), strict=True):
+            _draw_errors(axes, column, label, quantiles, levels)
+        panels[-1, j].set_xlabel(column.label)
+    with whole_file(path) as file:
+        figure.savefig(file, format="png")
+
+
+def _draw_dropout(axes: Axes, column: CampaignColumn) -> None:
+    _draw_bands(axes, column, 100.0 * column.dropout, "C3", None)
+    largest = float(np.nanmax(column.dropout[:, 0], initial=0.0))
+    axes.set(ylabel="without a valid range (%)", ylim=(0.0, 160.0 * largest or 1.0))
+
+
+def _draw_errors(
+    axes: Axes, column: CampaignColumn, label: str, quantiles: FloatArray, levels: Sequence[str]
+) -> None:
+    for i, level in enumerate(levels):
+        _draw_bands(axes, column, quantiles[i], f"C{i}", level)
+    # Where most are false locks, kilometres off, these must not hide what errors are elsewhere.
+    known = np.abs(quantiles[:, :, 0][np.isfinite(quantiles[:, :, 0])])
+    largest = float(np.percentile(known, 90)) if known.size else 0.0
+    axes.set(ylabel=label, ylim=(-1.8 * largest, 1.8 * largest) if largest > 0 else None)
+    axes.legend(loc="upper right")
+
+
+def _draw_bands(
+    axes: Axes, column: CampaignColumn, estimate: FloatArray, colour: str, label: str | None
+) -> None:
+    """A line through the middles of the bands, and what is uncertain about it."""
+    low, high = column.edge.T
+    middle = np.sqrt(low * high) if column.logarithmic else (low + high) / 2
+    value, least, most = estimate.T
+    axes.fill_between(middle, least, most, color=colour, alpha=0.25, linewidth=0)
+    axes.plot(middle, value, color=colour, marker=".", linewidth=1.2, label=label)
+    if column.logarithmic:
+        axes.set_xscale("log")
+    axes.grid(alpha=0.3)

@@ -1,0 +1,218 @@
+"""A campaign: many runs of one scenario, some of its keys drawn by chance."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+from pydantic import Field, model_validator
+
+from lidar_emu.errors import Finding
+from lidar_emu.scenario.part import Part, Positive, unusable
+
+_Bounded = TypeVar("_Bounded", bound=Part)
+_Matrix = list[list[float]]
+
+
+class Uniform(Part):
+    """Any number between two bounds alike."""
+
+    kind: Literal["uniform"]
+    """Chooses this distribution."""
+    low: float
+    """Least value."""
+    high: float
+    """Largest value."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        return _ascending(self, "low", "high")
+
+
+class Integer(Part):
+    """Any whole number between two bounds alike, as for seeds and counts."""
+
+    kind: Literal["integer"]
+    """Chooses this distribution."""
+    low: Annotated[int, Field(ge=-(2**52), le=2**52)]
+    """Least value."""
+    high: Annotated[int, Field(ge=-(2**52), le=2**52)]
+    """Largest value."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        return _ascending(self, "low", "high")
+
+
+class Normal(Part):
+    """A normal distribution, truncated where bounds are given."""
+
+    kind: Literal["normal"]
+    """Chooses this distribution."""
+    mean: float
+    """Before truncation."""
+    sigma: Positive
+    """Standard deviation, before truncation."""
+    low: float | None = None
+    """Nothing below this is drawn."""
+    high: float | None = None
+    """Nothing above this is drawn."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        return self if self.low is None or self.high is None else _ascending(self, "low", "high")
+
+
+class Lognormal(Part):
+    """A number whose logarithm is normal: a factor that is as often doubled as halved."""
+
+    kind: Literal["lognormal"]
+    """Chooses this distribution."""
+    median: Positive
+    """As many values are below it as above."""
+    sigma_log: Positive
+    """Standard deviation of the natural logarithm; for small ones the relative standard deviation."""
+
+
+class Triangular(Part):
+    """Least, likeliest and largest value, and straight lines between."""
+
+    kind: Literal["triangular"]
+    """Chooses this distribution."""
+    low: float
+    """Least value."""
+    mode: float
+    """Likeliest value."""
+    high: float
+    """Largest value."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if not self.low <= self.mode <= self.high:
+            raise unusable("mode", self.mode, f"from {self.low:g} to {self.high:g}")
+        return _ascending(self, "low", "high")
+
+
+class Choice(Part):
+    """One of some values: numbers, text, names of parts, whole mappings."""
+
+    kind: Literal["choice"]
+    """Chooses this distribution."""
+    of: Annotated[list[Any], Field(min_length=1, max_length=10_000)]
+    """The values."""
+    weights: list[Annotated[float, Field(ge=0)]] = []
+    """How often each, one number per value in any unit. Left out: all alike."""
+
+    @model_validator(mode="after")
+    def _one_weight_each(self) -> Self:
+        if self.weights and (len(self.weights) != len(self.of) or sum(self.weights) <= 0):
+            raise unusable("weights", self.weights, f"{len(self.of)} numbers, not all of them 0, or none")
+        return self
+
+
+Distribution = Annotated[
+    Uniform | Integer | Normal | Lognormal | Triangular | Choice, Field(discriminator="kind")
+]
+
+
+class JointNormal(Part):
+    """Several keys that are normal together, as a navigation filter states its errors."""
+
+    keys: Annotated[list[str], Field(min_length=1)]
+    """Dotted keys of the scenario."""
+    mean: list[float]
+    """One per key."""
+    covariance: _Matrix
+    """A row per key, in the units of the keys: symmetric and positive definite."""
+
+    @model_validator(mode="after")
+    def _sizes_agree(self) -> Self:
+        if len(self.mean) != len(self.keys):
+            raise unusable("mean", self.mean, f"{len(self.keys)} numbers, one per key")
+        _check_square(self.covariance, "covariance", len(self.keys))
+        return self
+
+
+class Correlation(Part):
+    """How the keys of single dispersions hang together: a Gaussian copula, of normal ones their correlation."""
+
+    keys: Annotated[list[str], Field(min_length=2)]
+    """Keys of `dispersions`."""
+    matrix: _Matrix
+    """A row per key, ones on the diagonal: symmetric and positive definite."""
+
+    @model_validator(mode="after")
+    def _sizes_agree(self) -> Self:
+        _check_square(self.matrix, "matrix", len(self.keys))
+        for i, row in enumerate(self.matrix):
+            if row[i] != 1.0:
+                raise unusable(f"matrix.{i}.{i}", row[i], "1 on the diagonal")
+        return self
+
+
+class Campaign(Part):
+    """A file of its own, which names the scenario that is flown."""
+
+    name: Annotated[str, Field(min_length=1, max_length=200)]
+    """Shown in plans and pictures."""
+    scenario: str
+    """A scenario's file, relative to this one, or the name of a shipped scenario."""
+    set: dict[str, Any] = {}
+    """Dotted keys of the scenario and the values that all runs have instead of its own."""
+    runs: Annotated[int, Field(ge=1, le=10_000_000)]
+    """How many."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    """Of what is drawn here, and of the runs' own seeds."""
+    sampling: Literal["random", "latin_hypercube", "sobol"] = "random"
+    """How the dispersions are drawn: each run for itself, or spread evenly over all runs."""
+    dispersions: dict[str, Distribution] = {}
+    """Dotted keys of the scenario, each with its distribution."""
+    joint_normals: list[JointNormal] = []
+    """Keys that are drawn together."""
+    correlations: list[Correlation] = []
+    """Between dispersions."""
+    beams_every: Annotated[int, Field(ge=1)] = 1
+    """Every how many-th run keeps the table of its beams, of which the statistics are made; 1: each."""
+
+    @model_validator(mode="after")
+    def _keys_once(self) -> Self:
+        seen = {*self.set}
+        for place, keys in (
+            *((f"dispersions.{key}", [key]) for key in self.dispersions),
+            *((f"joint_normals.{i}.keys", joint.keys) for i, joint in enumerate(self.joint_normals)),
+        ):
+            for key in keys:
+                if key in seen:
+                    raise unusable(place, Finding(f"{key} twice"), "each key in one place")
+                seen.add(key)
+        return self
+
+    @model_validator(mode="after")
+    def _correlated_are_dispersed(self) -> Self:
+        seen = set[str]()
+        for i, correlation in enumerate(self.correlations):
+            for key in correlation.keys:
+                if key not in self.dispersions or key in seen:
+                    raise unusable(f"correlations.{i}.keys", key, "keys of dispersions, each once")
+                seen.add(key)
+        return self
+
+    @property
+    def drawn_keys(self) -> list[str]:
+        """All keys that are drawn, in the order of the file."""
+        return [*self.dispersions, *(key for joint in self.joint_normals for key in joint.keys)]
+
+
+def _ascending(part: _Bounded, low: str, high: str) -> _Bounded:
+    least, largest = getattr(part, low), getattr(part, high)
+    if not least < largest:
+        raise unusable(high, largest, f"above {low}, {least:g}")
+    return part
+
+
+def _check_square(matrix: _Matrix, key: str, size: int) -> None:
+    if len(matrix) != size or any(len(row) != size for row in matrix):
+        raise unusable(key, Finding("another size"), f"{size} rows of {size} numbers")
+    for i in range(size):
+        for j in range(i):
+            if matrix[i][j] != matrix[j][i]:
+                raise unusable(f"{key}.{i}.{j}", matrix[i][j], f"{matrix[j][i]:g}, as in row {j}: symmetric")

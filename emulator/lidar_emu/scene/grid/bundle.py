@@ -1,0 +1,176 @@
+"""How far the rays of a bundle, nearly parallel and close together, are clear of all ground: found once for all.
+
+The bundle is followed as a box that holds all its rays, so what is found is true of each of them, whatever they are;
+of rays that go different ways it is little.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lidar_emu.arrays import FloatArray, IntArray
+from lidar_emu.kernels import kernel
+from lidar_emu.scene.grid.cell import BILINEAR, corners, facet
+from lidar_emu.scene.grid.numbers import (
+    CEILING_M,
+    CELLS_PER_M_EAST,
+    CELLS_PER_M_NORTH,
+    FLOOR_M,
+    in_cells,
+)
+from lidar_emu.scene.grid.traverse import starting_level
+
+_MARGIN_CELLS = 1e-6
+"""The box is wider than the rays by this, and takes in the blocks that it is as near to as this: where it leaves a
+block, by rounding or not, its rays are still within, and the next block is among those that count."""
+_MARGIN_M = 1e-6
+"""What is called clear is so by this, whatever the rounding: a single ray cannot find anything there."""
+
+
+@kernel
+def clear_way_m(
+    origin: FloatArray,
+    direction: FloatArray,
+    grid: FloatArray,
+    nodes: FloatArray,
+    interpolation: int,
+    maxima: FloatArray,
+    levels: IntArray,
+) -> float:
+    """How far all rays of a bundle stay above the ground and come to be over the grid; 0 where nothing can be said.
+
+    A block is passed over where the box stays above its maximum; else the box is taken down to that maximum, and
+    smaller blocks are tried, down to those as wide as the box. In a cell it is the surface on the box's way that
+    counts, which is tried again until the box moves by less than its width.
+
+    Args:
+        origin, direction: (3n,) the rays, x, y, z of one after another.
+        grid, nodes, interpolation, maxima, levels: as of `grid_cast.cast_rays`.
+    """
+    (x, x_far), (y, y_far), (z, _) = _bounds(origin)
+    (dx, dx_far), (dy, dy_far), (dz, _) = _bounds(direction)
+    if not -np.inf < dz < 0.0:
+        return 0.0
+    east, north = grid[CELLS_PER_M_EAST], grid[CELLS_PER_M_NORTH]
+    (u, v), (u_far, v_far) = in_cells(grid, x, y), in_cells(grid, x_far, y_far)
+    u, u_far, v, v_far = u - _MARGIN_CELLS, u_far + _MARGIN_CELLS, v - _MARGIN_CELLS, v_far + _MARGIN_CELLS
+    du, du_far, dv, dv_far = dx * east, dx_far * east, dy * north, dy_far * north
+    t: float = max((grid[CEILING_M] + _MARGIN_M - z) / dz, 0.0)
+    t_end: float = (grid[FLOOR_M] - z) / dz
+    rows, columns, top_level = nodes.shape[0] - 1, nodes.shape[1] - 1, levels.shape[0] - 1
+    width = max(u_far - u + t_end * (du_far - du), v_far - v + t_end * (dv_far - dv))
+    if not width < 1 << top_level:
+        return 0.0
+    least_level = 0
+    while (1 << least_level) < width:
+        least_level += 1
+    rate = max(-du, du_far, -dv, dv_far)
+    level = max(starting_level(rate * (t_end - t), top_level), least_level)
+    while t < t_end:
+        west, south = u + t * du - _MARGIN_CELLS, v + t * dv - _MARGIN_CELLS
+        east, north = u_far + t * du_far + _MARGIN_CELLS, v_far + t * dv_far + _MARGIN_CELLS
+        if not (west >= 0.0 and south >= 0.0 and east < columns and north < rows):
+            return t
+        i_first, i_last = int(west) >> level, int(east) >> level
+        j_first, j_last = int(south) >> level, int(north) >> level
+        t_exit = min(
+            _leaving(u, u_far, du, du_far, i_first << level, (i_last + 1) << level),
+            _leaving(v, v_far, dv, dv_far, j_first << level, (j_last + 1) << level),
+            t_end,
+        )
+        if level > 0:
+            highest = _highest_block(maxima, levels[level], i_first, i_last, j_first, j_last)
+        else:
+            west, south = min(west, u + t_exit * du), min(south, v + t_exit * dv)
+            east, north = max(east, u_far + t_exit * du_far), max(north, v_far + t_exit * dv_far)
+            highest = _highest_below(
+                nodes, interpolation, i_first, i_last, j_first, j_last, west, south, east, north
+            )
+            if highest != highest:
+                return t
+        highest += _MARGIN_M
+        if z + t_exit * dz > highest:
+            t, level = t_exit, min(level + 1, top_level)
+            continue
+        t_before, t = t, min(max(t, (highest - z) / dz), t_exit)
+        if level > least_level:
+            level -= 1
+        elif rate * (t - t_before) <= width:
+            return t
+    return t
+
+
+@kernel(forceinline=True)
+def _bounds(vectors: FloatArray) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
+    """Least and greatest of each component of vectors (3n,), NaN aside."""
+    x, y, z = np.inf, np.inf, np.inf
+    x_far, y_far, z_far = -np.inf, -np.inf, -np.inf
+    for k in range(vectors.size // 3):
+        a, b, c = vectors[3 * k], vectors[3 * k + 1], vectors[3 * k + 2]
+        x, x_far = (a if a < x else x), (a if a > x_far else x_far)
+        y, y_far = (b if b < y else y), (b if b > y_far else y_far)
+        z, z_far = (c if c < z else z), (c if c > z_far else z_far)
+    return (x, x_far), (y, y_far), (z, z_far)
+
+
+@kernel(forceinline=True)
+def _leaving(near: float, far: float, near_rate: float, far_rate: float, first: int, end: int) -> float:
+    """t at which an interval that moves and widens leaves the cells first ... end-1."""
+    t = np.inf
+    if far_rate > 0.0:
+        t = (end - far) / far_rate
+    if near_rate < 0.0:
+        t = min(t, (first - near) / near_rate)
+    return t
+
+
+@kernel(forceinline=True)
+def _highest_block(
+    maxima: FloatArray, level: IntArray, i_first: int, i_last: int, j_first: int, j_last: int
+) -> float:
+    """Greatest height of some blocks of a level."""
+    highest = -np.inf
+    for j in range(j_first, j_last + 1):
+        for i in range(i_first, i_last + 1):
+            highest = max(highest, maxima[level[0] + j * level[1] + i])
+    return highest
+
+
+@kernel(forceinline=True)
+def _highest_below(
+    nodes: FloatArray,
+    interpolation: int,
+    i_first: int,
+    i_last: int,
+    j_first: int,
+    j_last: int,
+    west: float,
+    south: float,
+    east: float,
+    north: float,
+) -> float:
+    """Greatest height of some cells within a rectangle; NaN where a sample is missing.
+
+    A facet, bilinear or plane, is highest in a corner of the rectangle.
+    """
+    highest = -np.inf
+    for j in range(j_first, j_last + 1):
+        for i in range(i_first, i_last + 1):
+            a_first, a_last = max(west - i, 0.0), min(east - i, 1.0)
+            b_first, b_last = max(south - j, 0.0), min(north - j, 1.0)
+            for southeast in (False, True):
+                if interpolation == BILINEAR:
+                    needed = southeast  # one of the two, which are the same
+                else:
+                    needed = a_last >= b_first if southeast else a_first <= b_last
+                if not needed:
+                    continue
+                corner, eastward, northward, twist = facet(*corners(nodes, i, j), interpolation, southeast)
+                for a in (a_first, a_last):
+                    for b in (b_first, b_last):
+                        height = corner + a * eastward + b * northward + a * b * twist
+                        if not height <= highest:
+                            highest = height
+                        if highest != highest:
+                            return highest
+    return highest

@@ -1,0 +1,181 @@
+"""An elevation grid: the bilinear surface through its samples, and what lies beyond it."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.scenario.generated_ground import Interpolation
+from lidar_emu.scene.grid import cast, exact, numbers
+from lidar_emu.scene.grid.cell import BILINEAR, TRIANGLES
+from lidar_emu.scene.grid.pyramid import build_pyramid
+from lidar_emu.scene.hits import Hits, contiguous
+from lidar_emu.scene.plane import PlaneGround
+from lidar_emu.scene.sphere import SphereGround
+
+
+@dataclass(frozen=True)
+class Samples:
+    """The samples of a grid in the site frame, or of a part cut from one; some four neighbours are there to span a
+    surface. A part counts its places as the whole does: rays meet it with the same bits."""
+
+    height_m: FloatArray
+    """(rows, columns) site z, rows from south to north, columns from west to east; NaN where missing."""
+    west_m: float
+    """East coordinate of the whole grid's first column."""
+    south_m: float
+    """North coordinate of the whole grid's first row."""
+    pixel_east_m: float
+    """From column to column."""
+    pixel_north_m: float
+    """From row to row."""
+    interpolation: Interpolation = "bilinear"
+    """What spans a cell, see `scenario.site.Grid`."""
+    first_column: int = 0
+    """Place in the whole grid of the first column that is here."""
+    first_row: int = 0
+    """Place in the whole grid of the first row that is here."""
+    bounds_m: tuple[float, float] | None = None
+    """Lowest and highest of the whole grid and of what fills its holes, where it is known; the same for each part."""
+
+    @property
+    def east_m(self) -> FloatArray:
+        """(columns,) east coordinates."""
+        columns = np.arange(self.first_column, self.first_column + self.height_m.shape[1], dtype=np.float64)
+        return self.west_m + self.pixel_east_m * columns
+
+    @property
+    def north_m(self) -> FloatArray:
+        """(rows,) north coordinates."""
+        rows = np.arange(self.first_row, self.first_row + self.height_m.shape[0], dtype=np.float64)
+        return self.south_m + self.pixel_north_m * rows
+
+    def bounds_with(self, beyond: PlaneGround | SphereGround | None) -> tuple[float, float]:
+        """Lowest and highest height of the samples, and of the ground beyond where it fills holes."""
+        if self.bounds_m is not None:
+            return self.bounds_m
+        lowest_m, highest_m = float(np.nanmin(self.height_m)), float(np.nanmax(self.height_m))
+        if beyond is None:
+            return lowest_m, highest_m
+        radius_m = beyond.radius_m if isinstance(beyond, SphereGround) else np.inf
+        # A sphere falls by less than the square of the distance over its radius.
+        square_m2 = max(np.square(self.east_m)) + max(np.square(self.north_m))
+        return min(lowest_m, -float(square_m2) / radius_m), max(highest_m, 0.0)
+
+
+class GridGround:
+    """An elevation grid over the site's horizontal plane; where the body falls away, its heights do.
+
+    A cell is the bilinear surface between four samples, or two triangles; one with a missing sample counts as
+    beyond the grid.
+    Where the grid ends higher than the ground beyond it, or lower, an upright face joins the two. With
+    nothing beyond, a ray that comes to such an end from below the surface finds nothing.
+
+    Args:
+        samples: heights in the site frame.
+        beyond: the ground around the grid and in its holes, through the origin; None where there is none.
+        description: one line for plans.
+        origin_altitude_m: height of the origin above the body's sphere.
+        reflectance: albedo, also of the ground beyond.
+    """
+
+    def __init__(
+        self,
+        samples: Samples,
+        beyond: PlaneGround | SphereGround | None,
+        description: str,
+        origin_altitude_m: float,
+        reflectance: float = 1.0,
+    ) -> None:
+        self.samples = samples
+        self.reflectance = reflectance
+        self.beyond = beyond
+        self.description = description
+        self.origin_altitude_m = origin_altitude_m
+        self._kind = _kind_of(beyond)
+        self._interpolation = TRIANGLES if samples.interpolation == "triangles" else BILINEAR
+        # In its holes the ground beyond, level plane or sphere, nowhere rises above the origin.
+        hole_m = -np.inf if beyond is None else 0.0
+        self._maxima, self._levels = build_pyramid(samples.height_m, hole_m)
+        self._grid = self._numbers()
+
+    def with_reflectance(self, reflectance: float) -> GridGround:
+        """The same ground, samples shared, of another albedo."""
+        twin = copy(self)
+        twin.reflectance = reflectance
+        return twin
+
+    def _numbers(self) -> FloatArray:
+        samples = self.samples
+        lowest_m, highest_m = samples.bounds_with(self.beyond)
+        values = np.empty(numbers.COUNT)
+        values[numbers.WEST_M] = samples.west_m
+        values[numbers.SOUTH_M] = samples.south_m
+        values[numbers.CELLS_PER_M_EAST] = 1 / samples.pixel_east_m
+        values[numbers.CELLS_PER_M_NORTH] = 1 / samples.pixel_north_m
+        values[numbers.CEILING_M] = highest_m
+        values[numbers.FLOOR_M] = lowest_m - 1.0
+        values[numbers.RADIUS_M] = self.beyond.radius_m if isinstance(self.beyond, SphereGround) else np.inf
+        values[numbers.FIRST_COLUMN] = samples.first_column
+        values[numbers.FIRST_ROW] = samples.first_row
+        return values
+
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
+        """First contact with the surface or the ground beyond; see `Scene.cast`."""
+        origin, direction = contiguous(origin_site_m, direction_site)
+        hits = hits or Hits.empty(len(origin))
+        cast.cast_rays(
+            origin,
+            direction,
+            bundle,
+            self._grid,
+            self.samples.height_m,
+            self._interpolation,
+            self._maxima,
+            self._levels,
+            self._kind,
+            self.reflectance,
+            hits.range_m,
+            hits.normal_site,
+            hits.inside,
+            hits.reflectance,
+            hits.thing,
+        )
+        return hits
+
+    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
+        """Every cell on the way, and bisection in it; see `exact`."""
+        return exact.cast(self.samples, self.beyond, origin_site_m, direction_site, self.reflectance)
+
+    def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        """(n,) z of the surface, or of the ground beyond."""
+        east, north = contiguous(east_m, north_m)
+        height = np.empty_like(east)
+        cast.surface_heights(self._grid, self.samples.height_m, self._interpolation, east, north, height)
+        if self.beyond is None:
+            return height
+        return np.where(np.isnan(height), self.beyond.height_m(east, north), height)
+
+    def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
+        """True over the grid, holes included, and wherever there is ground beyond it."""
+        if self.beyond is not None:
+            return self.beyond.covers(east_m, north_m)
+        east, north = self.samples.east_m, self.samples.north_m
+        return np.asarray(
+            (east[0] <= east_m) & (east_m <= east[-1]) & (north[0] <= north_m) & (north_m <= north[-1])
+        )
+
+
+def _kind_of(beyond: PlaneGround | SphereGround | None) -> int:
+    if beyond is None:
+        return cast.NOTHING
+    return cast.PLANE if isinstance(beyond, PlaneGround) else cast.SPHERE

@@ -1,0 +1,213 @@
+"""The way of a ray over an elevation grid, block by block and cell by cell."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lidar_emu.arrays import FloatArray, IntArray
+from lidar_emu.kernels import kernel
+from lidar_emu.scene.grid.cell import TRIANGLES, cell_of, corners, descent, facet
+
+CLEAR, SURFACE, BEYOND, FACE = 0, 1, 2, 3
+"""What a ray meets: nothing, the surface of a cell, the ground beyond the grid, or the upright face where one
+of the two ends higher than the other begins."""
+
+FACE_DEPTH_M = 1e-6
+"""Being this far below the ground on entering it makes a face; less is rounding at a continuous edge."""
+
+
+@kernel(forceinline=True)
+def meet_beyond(start: float, end: float, enter: float, leave: float) -> tuple[int, float]:
+    """First t in [start, end] inside the ground beyond, which the ray's line crosses from enter to leave."""
+    t = max(start, enter)
+    if not t <= min(end, leave):
+        return CLEAR, np.nan
+    return (FACE if start - enter > FACE_DEPTH_M else BEYOND), t
+
+
+@kernel(forceinline=True)
+def clip(position: float, rate: float, length: float) -> tuple[float, float]:
+    """First and last t with ``0 <= position + rate * t <= length``; (inf, -inf) if there is none."""
+    if rate == 0.0:
+        return (-np.inf, np.inf) if 0.0 <= position <= length else (np.inf, -np.inf)
+    t0, t1 = -position / rate, (length - position) / rate
+    return min(t0, t1), max(t0, t1)
+
+
+@kernel(forceinline=True)
+def _index(position: float, rate: float, index: int, first: int, last: int) -> int:
+    """Cell at a coordinate, kept within its block and never behind ``index`` on the way."""
+    if rate > 0.0:
+        first = index
+    elif rate < 0.0:
+        last = index
+    else:
+        return index
+    if position < first:
+        return first
+    return min(int(position), last)
+
+
+@kernel(forceinline=True)
+def _crossing(position: float, rate: float, first: int, end: int) -> float:
+    """t at which a coordinate leaves the cells first ... end-1."""
+    if rate > 0.0:
+        return (end - position) / rate
+    if rate < 0.0:
+        return (first - position) / rate
+    return np.inf
+
+
+@kernel(forceinline=True)
+def starting_level(reach: float, top_level: int) -> int:
+    """The level of whose blocks four are as long as the ray's way over the ground."""
+    level = 0
+    while level < top_level and (4 << level) < reach:
+        level += 1
+    return level
+
+
+@kernel(forceinline=True)
+def _meet_facet(
+    nodes: FloatArray,
+    interpolation: int,
+    i: int,
+    j: int,
+    southeast: bool,
+    u: float,
+    v: float,
+    z: float,
+    du: float,
+    dv: float,
+    dz: float,
+    t: float,
+    t_exit: float,
+    enter: float,
+    leave: float,
+) -> tuple[int, float]:
+    """What a ray meets between t and t_exit, where it is over a facet of cell (i, j).
+
+    The sign at the far end decides wherever it can, not the root: the next facet starts from the same point, so
+    that a ray through an edge or a vertex is taken by one of its facets whatever the rounding. The root counts
+    from there too: it has the same bits from wherever the ray was followed.
+    """
+    corner, east, north, twist = facet(*corners(nodes, i, j), interpolation, southeast)
+    if twist != twist:
+        return meet_beyond(t, t_exit, enter, leave)
+    a, b = (u - i) + t * du, (v - j) + t * dv
+    height = (z + t * dz) - (corner + a * east + b * north + a * b * twist)
+    if height <= 0.0:
+        return (SURFACE if height >= -FACE_DEPTH_M else FACE), t
+    a, b, above = (u - i) + t_exit * du, (v - j) + t_exit * dv, z + t_exit * dz
+    s = descent(corner, east, north, twist, a, b, above, du, dv, dz, t_exit - t)
+    return (SURFACE, t_exit + s) if s == s else (CLEAR, np.nan)
+
+
+@kernel(forceinline=True)
+def _meet_cell(
+    nodes: FloatArray,
+    interpolation: int,
+    i: int,
+    j: int,
+    u: float,
+    v: float,
+    z: float,
+    du: float,
+    dv: float,
+    dz: float,
+    t: float,
+    t_exit: float,
+    enter: float,
+    leave: float,
+) -> tuple[int, float]:
+    """What a ray meets between t and t_exit, where it is over cell (i, j)."""
+    southeast, t_facet = u - i >= v - j, t_exit
+    if interpolation == TRIANGLES and du != dv:
+        t_diagonal = ((v - j) - (u - i)) / (du - dv)
+        southeast = (t < t_diagonal) == (du < dv)
+        if t < t_diagonal < t_exit:
+            t_facet = t_diagonal
+    ray = u, v, z, du, dv, dz
+    met, t_met = _meet_facet(nodes, interpolation, i, j, southeast, *ray, t, t_facet, enter, leave)
+    if met == CLEAR and t_facet < t_exit:
+        return _meet_facet(nodes, interpolation, i, j, not southeast, *ray, t_facet, t_exit, enter, leave)
+    return met, t_met
+
+
+@kernel(forceinline=True)
+def traverse(
+    nodes: FloatArray,
+    interpolation: int,
+    maxima: FloatArray,
+    levels: IntArray,
+    u: float,
+    v: float,
+    z: float,
+    du: float,
+    dv: float,
+    dz: float,
+    t: float,
+    t_end: float,
+    near: bool,
+    face: int,
+    enter: float,
+    leave: float,
+) -> tuple[int, float, int, int, int]:
+    """First contact of a ray between t and t_end, where it is over the grid.
+
+    A block is passed over where the ray stays above its maximum; else the ray is taken down to that maximum
+    and the block is opened. Cells are followed by index, from the edge by which the ray left the one before,
+    and never looked up by position alone: none is left out.
+
+    Args:
+        nodes, maxima, levels: heights of the samples, and their pyramid (see `build_pyramid`).
+        u, v, z, du, dv, dz: the ray, horizontally in cells and upward in metres; t in metres along it.
+        near: whether the ray is known to be close to the surface at t: cells are tried before blocks.
+        face: axis (0 east, 1 north) of the edge by which the ray came in.
+        enter, leave: where the ray's line is in the ground beyond, which also fills cells without samples.
+
+    Returns:
+        What it meets, t, the cell (i, j), and the axis of the edge by which the ray came into it.
+    """
+    rows, columns = nodes.shape[0] - 1, nodes.shape[1] - 1
+    i, j = cell_of(u + t * du, columns), cell_of(v + t * dv, rows)
+    # The ray never climbs above the level where it begins: few of that level's blocks are on its way.
+    top_level = starting_level(max(abs(du), abs(dv)) * (t_end - t), levels.shape[0] - 1)
+    level = 0 if near else top_level
+    while True:
+        i_first, j_first = (i >> level) << level, (j >> level) << level
+        i_end, j_end = min(i_first + (1 << level), columns), min(j_first + (1 << level), rows)
+        t_u = _crossing(u, du, i_first, i_end)
+        t_v = _crossing(v, dv, j_first, j_end)
+        t_exit = max(min(t_u, t_v, t_end), t)
+        if level == 0:
+            met, t_met = _meet_cell(nodes, interpolation, i, j, u, v, z, du, dv, dz, t, t_exit, enter, leave)
+            if met != CLEAR:
+                return met, t_met, i, j, face
+        else:
+            highest = maxima[levels[level, 0] + (j >> level) * levels[level, 1] + (i >> level)]
+            if z + (t_exit if dz < 0.0 else t) * dz <= highest:
+                if dz < 0.0:
+                    t = min(max(t, (highest - z) / dz), t_exit)
+                    i = _index(u + t * du, du, i, i_first, i_end - 1)
+                    j = _index(v + t * dv, dv, j, j_first, j_end - 1)
+                level -= 1
+                continue
+        if t_exit >= t_end:
+            return CLEAR, np.nan, i, j, face
+        t = t_exit
+        parent = level + 1
+        if t_u <= t_v:
+            face, i_before = 0, i
+            i = i_end if du > 0.0 else i_first - 1
+            j = _index(v + t * dv, dv, j, j_first, j_end - 1)
+            climbs = (i >> parent) != (i_before >> parent)
+        else:
+            face, j_before = 1, j
+            j = j_end if dv > 0.0 else j_first - 1
+            i = _index(u + t * du, du, i, i_first, i_end - 1)
+            climbs = (j >> parent) != (j_before >> parent)
+        if not (0 <= i < columns and 0 <= j < rows):
+            return CLEAR, np.nan, i, j, face
+        if climbs and level < top_level:
+            level += 1

@@ -1,0 +1,1 @@
+"""Meshes: reading them, and the casting of rays onto their triangles."""

@@ -1,0 +1,131 @@
+"""Ground that is a triangle mesh, and the place of the site frame on it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.errors import InputError
+from lidar_emu.rotations import rotate
+from lidar_emu.scenario.mesh_ground import MeshOrigin
+from lidar_emu.scenario.site import Site
+from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.mesh.file import MeshFile, enclosed_m3, turned_over
+from lidar_emu.scene.mesh.model import Mesh, Triangles
+
+
+class MeshGround:
+    """Triangles in the site frame.
+
+    Args:
+        mesh: the triangles.
+        closed: whether they are the whole surface of a body, which no vehicle leaves.
+        description: one line for plans.
+        origin_altitude_m: height of the origin above the body's sphere.
+    """
+
+    def __init__(self, mesh: Mesh, closed: bool, description: str, origin_altitude_m: float) -> None:
+        self._mesh, self._closed = mesh, closed
+        self.description = description
+        self.origin_altitude_m = origin_altitude_m
+
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,  # noqa: ARG002
+    ) -> Hits:
+        """First contact with the mesh; see `Scene.cast`."""
+        return self._mesh.cast(origin_site_m, direction_site, hits)
+
+    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
+        """Every triangle; see `Mesh.cast_exact`."""
+        return self._mesh.cast_exact(origin_site_m, direction_site)
+
+    def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        """(n,) z of the highest place straight above or below; NaN beside the mesh."""
+        return self._mesh.top_m(east_m, north_m)
+
+    def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
+        """True around a closed mesh, and within the rectangle that holds an open one."""
+        east, north = np.broadcast_arrays(east_m, north_m)
+        low_m, high_m = self._mesh.low_m, self._mesh.high_m
+        within = (low_m[0] <= east) & (east <= high_m[0]) & (low_m[1] <= north) & (north <= high_m[1])
+        return np.asarray(within | self._closed)
+
+
+def place_mesh(file: MeshFile, origin: MeshOrigin, part: Site) -> MeshGround:
+    """The mesh in the site frame.
+
+    Raises:
+        InputError: there is no surface at the place that the origin is to have.
+    """
+    corner_m, altitude_m = file.corner_m, 0.0
+    if origin.is_body_fixed:
+        corner_m, radius_m = _at_place(file, origin)
+        altitude_m = radius_m - part.body.radius_m
+    if not file.is_closed and file.faces_one_way:
+        corner_m = _facing_up(corner_m, altitude_m + part.body.radius_m if origin.is_body_fixed else None)
+    triangles = Triangles.alike(corner_m, part.surface.reflectance, sheet=not file.faces_one_way)
+    if part.origin_altitude_m is not None:
+        altitude_m = part.origin_altitude_m
+    return MeshGround(Mesh(triangles), file.is_closed, file.description, altitude_m)
+
+
+def _facing_up(corner_m: FloatArray, centre_below_m: float | None) -> FloatArray:
+    """An open mesh that faces away from the body's centre, or where there is none up."""
+    a, b, c = np.moveaxis(corner_m, 1, 0)
+    if centre_below_m is None:
+        outward = float(np.cross(b - a, c - a)[:, 2].sum())
+    else:
+        outward = enclosed_m3(corner_m + np.array([0.0, 0.0, centre_below_m]))
+    return corner_m if outward >= 0 else turned_over(corner_m)
+
+
+def _at_place(file: MeshFile, origin: MeshOrigin) -> tuple[FloatArray, float]:
+    """Corners east, north and up of the origin, and how far that is from the body's centre."""
+    if origin.body_fixed_m is not None:
+        x, y, z = origin.body_fixed_m
+        latitude_rad, longitude_rad = math.atan2(z, math.hypot(x, y)), math.atan2(y, x)
+        upright_m = rotate(_site_from_body_fixed(latitude_rad, longitude_rad), file.corner_m)
+        radius_m = math.sqrt(x * x + y * y + z * z)
+    else:
+        assert origin.latitude_deg is not None
+        assert origin.longitude_deg is not None
+        latitude_rad, longitude_rad = math.radians(origin.latitude_deg), math.radians(origin.longitude_deg)
+        upright_m = rotate(_site_from_body_fixed(latitude_rad, longitude_rad), file.corner_m)
+        radius_m = _height_over_centre_m(upright_m)
+        if not radius_m > 0:
+            found = f"latitude {origin.latitude_deg:g}, longitude {origin.longitude_deg:g}"
+            raise InputError(
+                file.source, "ground.origin", found, "allowed: a place where the mesh has a surface"
+            )
+    return upright_m - np.array([0.0, 0.0, radius_m]), radius_m
+
+
+def _site_from_body_fixed(latitude_rad: float, longitude_rad: float) -> FloatArray:
+    """East, north and up as rows, along the body's axes."""
+    sin_lat, cos_lat = math.sin(latitude_rad), math.cos(latitude_rad)
+    sin_lon, cos_lon = math.sin(longitude_rad), math.cos(longitude_rad)
+    return np.array(
+        [
+            [-sin_lon, cos_lon, 0.0],
+            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
+            [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
+        ]
+    )
+
+
+def _height_over_centre_m(corner_m: FloatArray) -> float:
+    """Greatest z of the triangles on the z axis; NaN where there is none."""
+    across = corner_m[..., :2]
+    about = (across.min(axis=1) <= 0).all(axis=1) & (across.max(axis=1) >= 0).all(axis=1)
+    a, b, c = np.moveaxis(corner_m[about], 1, 0)
+    u, v, w = (p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((b, c), (c, a), (a, b)))
+    area = u + v + w
+    met = (((u >= 0) & (v >= 0) & (w >= 0)) | ((u <= 0) & (v <= 0) & (w <= 0))) & (area != 0)
+    z_m = (u * a[:, 2] + v * b[:, 2] + w * c[:, 2])[met] / area[met]
+    return float(z_m.max(initial=-np.inf)) if met.any() else math.nan

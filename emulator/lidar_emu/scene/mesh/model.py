@@ -1,0 +1,141 @@
+"""Triangles ready for rays."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.scene.hits import GROUND, Hits, contiguous
+from lidar_emu.scene.mesh.cast import BUNDLE, cast_rays
+from lidar_emu.scene.mesh.ray import NUMBERS
+from lidar_emu.scene.mesh.tree import build_tree
+
+
+class Triangles(NamedTuple):
+    """n triangles of one or of several things."""
+
+    corner_m: FloatArray
+    """(n, 3, 3) their corners, counter-clockwise as seen from outside."""
+    sheet: BoolArray
+    """(n,) whether it is seen from both sides, as part of a sheet; others are the skin of something solid."""
+    reflectance: FloatArray
+    """(n,) albedo."""
+    thing: NDArray[np.int16]
+    """(n,) what it belongs to, see `Hits.thing`."""
+
+    @classmethod
+    def alike(
+        cls, corner_m: FloatArray, reflectance: float, sheet: bool = False, thing: int = GROUND
+    ) -> Self:
+        """Triangles that differ by their corners alone."""
+        count = len(corner_m)
+        return cls(
+            corner_m,
+            np.full(count, sheet),
+            np.full(count, reflectance),
+            np.full(count, thing, dtype=np.int16),
+        )
+
+    def chosen(self, which: IntArray) -> Self:
+        """Some of them, or some of them several times."""
+        return type(self)(
+            np.ascontiguousarray(self.corner_m[which]),
+            self.sheet[which],
+            self.reflectance[which],
+            self.thing[which],
+        )
+
+    @classmethod
+    def joined(cls, parts: list[Self]) -> Self:
+        """All of several."""
+        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+class Mesh:
+    """Triangles in a tree of boxes; any frame, as long as it is that of the rays."""
+
+    def __init__(self, triangles: Triangles) -> None:
+        self._tree = build_tree(triangles.corner_m.min(axis=1), triangles.corner_m.max(axis=1))
+        # Neighbours in space are neighbours in memory.
+        self._triangles = triangles.chosen(self._tree.order)
+        self._rays = np.empty((BUNDLE, NUMBERS))
+        self._stack = np.empty(self._tree.depth + 1, dtype=np.int64)
+
+    @property
+    def low_m(self) -> FloatArray:
+        """(3,) least coordinates."""
+        return self._tree.box[0, :3]
+
+    @property
+    def high_m(self) -> FloatArray:
+        """(3,) greatest coordinates."""
+        return self._tree.box[0, 3:]
+
+    def cast(self, origin_m: FloatArray, direction: FloatArray, hits: Hits | None = None) -> Hits:
+        """First contact of rays with the triangles; see `Scene.cast`."""
+        origin, way = contiguous(origin_m, direction)
+        hits = hits or Hits.empty(len(origin))
+        tree, triangles = self._tree, self._triangles
+        cast_rays(
+            origin,
+            way,
+            tree.box,
+            tree.first,
+            tree.held,
+            triangles.corner_m,
+            triangles.sheet,
+            triangles.reflectance,
+            triangles.thing,
+            self._rays,
+            self._stack,
+            hits.range_m,
+            hits.normal_site,
+            hits.inside,
+            hits.reflectance,
+            hits.thing,
+        )
+        return hits
+
+    def top_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        """(n,) z of the highest place straight above or below, z being up; NaN beside the triangles."""
+        east, north = np.broadcast_arrays(east_m, north_m)
+        above_m = float(self.high_m[2]) + 1.0
+        start_m = np.stack([east, north, np.full(east.shape, above_m)], axis=-1)
+        down = np.broadcast_to([0.0, 0.0, -1.0], start_m.shape)
+        return above_m - self.cast(start_m, down).range_m
+
+    def cast_exact(self, origin_m: FloatArray, direction: FloatArray) -> Hits:
+        """The same by trying every triangle (Möller and Trumbore 1997), in the longest numbers there are."""
+        hits = Hits.none(len(origin_m))
+        for k, (origin, way) in enumerate(zip(origin_m, direction, strict=True)):
+            if np.isfinite([origin, way]).all():
+                self._cast_one_exactly(origin.astype(np.longdouble), way.astype(np.longdouble), k, hits)
+        return hits
+
+    def _cast_one_exactly(
+        self, origin: NDArray[np.longdouble], way: NDArray[np.longdouble], k: int, hits: Hits
+    ) -> None:
+        triangles = self._triangles
+        a, b, c = np.moveaxis(triangles.corner_m.astype(np.longdouble), 1, 0)
+        p = np.cross(way, c - a)
+        volume = ((b - a) * p).sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            q = np.cross(origin - a, b - a)
+            along_b, along_c = ((origin - a) * p).sum(axis=1) / volume, (q @ way) / volume
+            t = ((c - a) * q).sum(axis=1) / volume
+            met = (along_b >= 0) & (along_c >= 0) & (along_b + along_c <= 1) & (t >= 0)
+        if not met.any():
+            return
+        # Of several at one place the one that is seen from before.
+        nearest = np.flatnonzero(met)[np.lexsort((volume[met] < 0, t[met]))[0]]
+        behind = volume[nearest] < 0
+        hits.inside[k] = behind and not triangles.sheet[nearest] and t[nearest] > 0
+        if not hits.inside[k]:
+            normal = np.cross((b - a)[nearest], (c - a)[nearest])
+            normal *= -1 if behind and triangles.sheet[nearest] else 1
+            hits.range_m[k] = t[nearest]
+            hits.normal_site[k] = normal / np.sqrt((normal * normal).sum())
+            hits.reflectance[k], hits.thing[k] = triangles.reflectance[nearest], triangles.thing[nearest]

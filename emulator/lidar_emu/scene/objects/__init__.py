@@ -1,0 +1,1 @@
+"""Objects on the ground: their shapes, their places and how they move."""

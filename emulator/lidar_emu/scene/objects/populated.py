@@ -1,0 +1,123 @@
+"""A ground with objects on it and above it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lidar_emu.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.scene.hits import Hits, Scene
+from lidar_emu.scene.mesh.model import Mesh
+from lidar_emu.scene.objects.motion import MovingObject
+from lidar_emu.scene.objects.nearer import keep_nearer
+
+
+class PopulatedScene:
+    """A ground and objects that stay where they are.
+
+    Args:
+        ground: below them.
+        mesh: all objects, in the site frame.
+        description: of the objects, for plans.
+    """
+
+    def __init__(self, ground: Scene, mesh: Mesh, description: str) -> None:
+        self._ground, self._mesh = ground, mesh
+        self.description = f"{ground.description}; {description}"
+
+    @property
+    def origin_altitude_m(self) -> float:
+        """As of the ground."""
+        return self._ground.origin_altitude_m
+
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
+        """First contact with the ground or an object; see `Scene.cast`."""
+        hits = self._ground.cast(origin_site_m, direction_site, hits, bundle)
+        keep_nearer(hits, self._mesh.cast(origin_site_m, direction_site))
+        return hits
+
+    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
+        """Both by their own slow paths."""
+        hits = self._ground.cast_exact(origin_site_m, direction_site)
+        keep_nearer(hits, self._mesh.cast_exact(origin_site_m, direction_site))
+        return hits
+
+    def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        """(n,) z of the ground, or of the top of the highest object there."""
+        ground_m = self._ground.height_m(east_m, north_m)
+        return np.fmax(ground_m, self._mesh.top_m(east_m, north_m))
+
+    def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
+        """As the ground does."""
+        return self._ground.covers(east_m, north_m)
+
+
+class SceneInMotion:
+    """A scene that stays, and objects that move above it.
+
+    Heights and covered places are those of what stays.
+
+    Args:
+        still: the ground and all that stays on it.
+        moving: the others.
+        description: of these, for plans.
+    """
+
+    def __init__(self, still: Scene, moving: list[MovingObject], description: str) -> None:
+        self.still, self._moving = still, moving
+        self.description = f"{still.description}; {description}"
+        self.height_m, self.covers = still.height_m, still.covers
+
+    @property
+    def origin_altitude_m(self) -> float:
+        """As of the ground."""
+        return self.still.origin_altitude_m
+
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
+        """First contact at the start of the run; see `Scene.cast`."""
+        start_ns = np.zeros(max(len(direction_site) // bundle, 1), dtype=np.int64)
+        return self.cast_at(start_ns, origin_site_m, direction_site, hits)
+
+    def cast_at(
+        self,
+        time_ns: IntArray,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+    ) -> Hits:
+        """First contact of rays at their times; see `MovingScene.cast_at`."""
+        hits = hits or Hits.empty(len(origin_site_m), moving=True)
+        hits = self.still.cast(
+            origin_site_m, direction_site, hits, bundle=max(len(direction_site) // len(time_ns), 1)
+        )
+        return self._with_moving(time_ns, origin_site_m, direction_site, hits, exact=False)
+
+    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
+        """All by their own slow paths, at the start of the run."""
+        still = self.still.cast_exact(origin_site_m, direction_site)
+        hits = still._replace(velocity_site_mps=np.empty((len(origin_site_m), 3)))
+        return self._with_moving(np.zeros(1, dtype=np.int64), origin_site_m, direction_site, hits, exact=True)
+
+    def _with_moving(
+        self,
+        time_ns: IntArray,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits,
+        exact: bool,
+    ) -> Hits:
+        hits.velocity_site_mps[:] = np.where(np.isnan(hits.range_m), np.nan, 0.0)[:, None]
+        for each in self._moving:
+            each.meet(time_ns, origin_site_m, direction_site, hits, exact)
+        return hits

@@ -1,0 +1,1 @@
+"""Elevation files: reading them, and placing them in the site frame."""

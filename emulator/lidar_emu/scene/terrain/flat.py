@@ -1,0 +1,176 @@
+"""Grids that lie flat: their map's plane is the horizontal plane of the site."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.scenario.site import Grid
+from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing
+
+_METRES = "allowed where ground.placement is flat: a map in metres; reproject it (gdalwarp -t_srs)"
+
+
+@dataclass(frozen=True)
+class FlatMap:
+    """Elevations on a map in metres, north up."""
+
+    elevation_m: FloatArray
+    """(rows, columns) above the datum, rows from north to south; NaN where missing."""
+    first_x_m: float
+    """Map easting of the first column."""
+    first_y_m: float
+    """Map northing of the first row."""
+    pixel_x_m: float
+    """From column to column."""
+    pixel_y_m: float
+    """From row to row."""
+    source: str
+    """The file."""
+    has_map: bool = True
+    """Whether the file says where on a map it lies."""
+    projection: str | None = None
+    """The map's projection as WKT, where the file states one."""
+    reflectance: FloatArray | None = None
+    """(rows, columns) albedo."""
+    rock_abundance: FloatArray | None = None
+    """(rows, columns) share of the area that rocks cover."""
+
+    @property
+    def last_x_m(self) -> float:
+        """Map easting of the last column."""
+        return float(self.first_x_m + self.pixel_x_m * (self.elevation_m.shape[1] - 1))
+
+    @property
+    def last_y_m(self) -> float:
+        """Map northing of the last row."""
+        return float(self.first_y_m - self.pixel_y_m * (self.elevation_m.shape[0] - 1))
+
+
+def read_flat_raster(ground: Grid, file: Any) -> FlatMap:
+    """The bands of an open raster file on its map.
+
+    Raises:
+        InputError: it is no map in metres with north up, or holds no such bands.
+    """
+    from lidar_emu.scene.terrain.raster import (
+        band_number,
+        elevations_m,
+        other_bands,
+        place_in_pixel,
+        shares,
+    )
+
+    _check_map(ground.file, file)
+    check_size(ground.file, file.height, file.width)
+    place = place_in_pixel(ground, file)
+    transform = file.transform
+    others = {name: shares(ground, file, name, number) for name, number in other_bands(ground, file).items()}
+    return FlatMap(
+        elevation_m=elevations_m(ground, file, band_number(ground.file, file, "band", ground.band)),
+        first_x_m=transform.c + place * transform.a,
+        first_y_m=transform.f + place * transform.e,
+        pixel_x_m=transform.a,
+        pixel_y_m=-transform.e,
+        source=ground.file,
+        projection=file.crs.to_wkt() if file.crs else None,
+        reflectance=others.get("reflectance"),
+        rock_abundance=others.get("rock_abundance"),
+    )
+
+
+def placed_flat(flat: FlatMap, ground: Grid) -> Terrain:
+    """The map's plane as the site's horizontal plane, the map's north as the site's.
+
+    Raises:
+        InputError: the origin lies outside the grid or where samples are missing, or the file states no such map,
+            or every sample is missing.
+    """
+    refuse_nothing(flat.source, flat.elevation_m)
+    x_m, y_m = _origin(flat, ground)
+    found = f"map x {x_m:.9g} m, y {y_m:.9g} m"
+    if not (flat.first_x_m <= x_m <= flat.last_x_m and flat.last_y_m <= y_m <= flat.first_y_m):
+        area = (
+            f"x from {flat.first_x_m:.9g} to {flat.last_x_m:.9g} m, "
+            f"y from {flat.last_y_m:.9g} to {flat.first_y_m:.9g} m"
+        )
+        raise InputError(flat.source, "ground.origin", found, f"it is off the grid; allowed: {area}")
+    elevation_m = _bilinear(flat, x_m, y_m)
+    if np.isnan(elevation_m):
+        allowed = "samples are missing there; allowed: a point on the ground"
+        raise InputError(flat.source, "ground.origin", found, allowed)
+    return Terrain(
+        elevation_m=flat.elevation_m,
+        west_m=flat.first_x_m - x_m,
+        north_m=flat.first_y_m - y_m,
+        pixel_east_m=flat.pixel_x_m,
+        pixel_north_m=flat.pixel_y_m,
+        origin_elevation_m=elevation_m,
+        source=flat.source,
+        reflectance=flat.reflectance,
+        rock_abundance=flat.rock_abundance,
+    )
+
+
+def _check_map(where: str, file: Any) -> None:
+    """Refuse what is no map in metres with north up; ASCII grids mostly state no projection and pass."""
+    transform = file.transform
+    if transform.is_identity:
+        raise InputError(
+            where, None, Finding("no georeference"), "allowed: a file that states its place on a map"
+        )
+    if transform.b or transform.d or transform.a <= 0 or transform.e >= 0:
+        found = "a rotated or mirrored grid"
+        raise InputError(where, None, found, "allowed: rows from north to south, columns from west to east")
+    if not file.crs:
+        return
+    if not file.crs.is_projected:
+        raise InputError(where, None, Finding("a grid on no projected map, such as one in degrees"), _METRES)
+    unit, metres = file.crs.linear_units_factor
+    if not np.isclose(metres, 1.0, rtol=1e-12):
+        raise InputError(where, None, Finding(f"a map in {unit}"), _METRES)
+
+
+def _origin(flat: FlatMap, ground: Grid) -> tuple[float, float]:
+    """Map coordinates of the point that becomes the origin of the site frame."""
+    origin = ground.origin
+    centre = "or none for the grid's centre"
+    if origin.latitude_deg is not None and origin.longitude_deg is not None:
+        if flat.projection is None:
+            allowed = f"no projection is stated; allowed: map_x_m and map_y_m, {centre}"
+            raise InputError(flat.source, "ground.origin.latitude_deg", origin.latitude_deg, allowed)
+        return _on_map(flat.source, flat.projection, origin.latitude_deg, origin.longitude_deg)
+    if origin.map_x_m is not None and origin.map_y_m is not None:
+        if not flat.has_map:
+            allowed = f"no map is stated; allowed: a file with map_x_m and map_y_m, {centre}"
+            raise InputError(flat.source, "ground.origin.map_x_m", origin.map_x_m, allowed)
+        return origin.map_x_m, origin.map_y_m
+    return (flat.first_x_m + flat.last_x_m) / 2, (flat.first_y_m + flat.last_y_m) / 2
+
+
+def _on_map(source: str, wkt: str, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
+    """Map coordinates of a planetocentric latitude and an east longitude."""
+    from lidar_emu.scene.terrain.projection import Projection
+
+    projection = Projection(wkt)
+    latitude = projection.normal_angle(np.radians([latitude_deg]))
+    (x_m,), (y_m,) = projection.map_xy(latitude, np.radians([longitude_deg]))
+    if np.isnan(x_m):
+        found = f"latitude {latitude_deg:g}, longitude {longitude_deg:g}"
+        raise InputError(source, "ground.origin", found, "allowed: a point on the map of the file")
+    return float(x_m), float(y_m)
+
+
+def _bilinear(flat: FlatMap, x_m: float, y_m: float) -> float:
+    """Elevation between four samples; NaN where one is missing."""
+    rows, columns = flat.elevation_m.shape
+    across = (x_m - flat.first_x_m) / flat.pixel_x_m
+    down = (flat.first_y_m - y_m) / flat.pixel_y_m
+    column, row = min(int(across), columns - 2), min(int(down), rows - 2)
+    a, b = across - column, down - row
+    (z00, z10), (z01, z11) = flat.elevation_m[row : row + 2, column : column + 2].tolist()
+    return float((z00 * (1 - a) + z10 * a) * (1 - b) + (z01 * (1 - a) + z11 * a) * b)

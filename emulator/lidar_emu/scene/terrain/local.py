@@ -1,0 +1,211 @@
+"""Grids that follow the body: the part of a map around the site, in a frame tangent to the body there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.scenario.site import Grid
+from lidar_emu.scene.terrain.frame import LocalFrame
+from lidar_emu.scene.terrain.map import RasterMap, read_window, window_of
+from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing
+from lidar_emu.scene.terrain.raster import band_number, elevations_m, other_bands, shares
+from lidar_emu.scene.terrain.resample import Surface, resampled
+
+SAMPLES_TO_EACH_SIDE = 1000
+"""How far a grid reaches from the origin where the site does not say it."""
+SHARE_OF_RADIUS = 0.1
+"""How far at most, of the body's radius."""
+
+
+@dataclass(frozen=True)
+class Extent:
+    """A rectangle of the site frame."""
+
+    west_m: float
+    east_m: float
+    south_m: float
+    north_m: float
+
+
+def read_on_body(
+    ground: Grid, file: Any, within: Extent | None = None, frame: LocalFrame | None = None
+) -> Terrain:
+    """The part of an open raster file around the site, in the site frame.
+
+    Args:
+        ground: the site's words on the file.
+        file: the open file, which states a projection.
+        within: the part that is wanted; None: as the site says.
+        frame: the site frame; None: at the origin that the site names.
+
+    Raises:
+        InputError: the origin lies off the grid or where samples are missing, the grid is too large, or the file
+            holds no such bands.
+    """
+    raster = RasterMap(ground, file)
+    band = band_number(ground.file, file, "band", ground.band)
+    if frame is None:
+        frame = _frame(ground, raster, file, band)
+    at = raster.sample_at(np.array([frame.latitude_rad]), np.array([frame.longitude_rad]), raster.columns / 2)
+    column, row = float(at[0][0]), float(at[1][0])
+    steps_m = _steps_m(raster, frame, column, row)
+    spacing_m = _spacing_m(steps_m)
+    extent = _extent(ground, raster, frame, spacing_m, within)
+    # The sample next to the origin is a node, so that a grid along the meridians of its map stays as it is there.
+    east_m = _nodes(float(steps_m[0, 0]), spacing_m, extent.west_m, extent.east_m)
+    north_m = _nodes(float(steps_m[0, 1]), spacing_m, extent.south_m, extent.north_m)[::-1]
+    check_size(ground.file, len(north_m), len(east_m))
+    window = window_of(raster, *_spread(raster, frame, extent, column), column, _has_pole(frame, extent))
+    samples = read_window(raster, window, partial(elevations_m, ground, file, band))
+    refuse_nothing(ground.file, samples.values)
+    surface = Surface(raster, frame, samples, column)
+    others = {
+        name: read_window(raster, window, partial(shares, ground, file, name, number))
+        for name, number in other_bands(ground, file).items()
+    }
+    return resampled(surface, others, east_m, north_m)
+
+
+def _frame(ground: Grid, raster: RasterMap, file: Any, band: int) -> LocalFrame:
+    """The site frame at the origin that the site names, on the ground of the file."""
+    found, latitude, longitude = _origin(ground, raster)
+    column, row = raster.sample_at(latitude, longitude, raster.columns / 2)
+    north, south = raster.pole_rows
+    in_columns = raster.is_closed or -0.5 <= column[0] <= raster.columns - 0.5
+    if not (in_columns and -0.5 - north <= row[0] <= raster.rows - 0.5 + south):
+        raise InputError(ground.file, "ground.origin", found, f"it is off the grid; allowed: {_area(raster)}")
+    window = window_of(raster, column, row, float(column[0]), around_pole=False)
+    samples = read_window(raster, window, partial(elevations_m, ground, file, band))
+    altitude_m = float(samples.at(column, row)[0])
+    if np.isnan(altitude_m):
+        allowed = "samples are missing there; allowed: a point on the ground"
+        raise InputError(ground.file, "ground.origin", found, allowed)
+    ellipsoid = raster.projection.ellipsoid
+    if altitude_m > ellipsoid.polar_m / 2:
+        found = f"elevations of {altitude_m:.7g} m, from the body's centre"
+        allowed = (
+            f"allowed: above its surface, as with ground.elevation_offset_m: {-ellipsoid.equatorial_m:.10g}"
+        )
+        raise InputError(ground.file, None, Finding(found), allowed)
+    return LocalFrame(ellipsoid, float(latitude[0]), float(longitude[0]), altitude_m)
+
+
+def _origin(ground: Grid, raster: RasterMap) -> tuple[str, FloatArray, FloatArray]:
+    """The origin of the site frame, in words, and its latitude and longitude (1,); NaN off the body."""
+    origin = ground.origin
+    if origin.latitude_deg is not None and origin.longitude_deg is not None:
+        found = f"latitude {origin.latitude_deg:g}, longitude {origin.longitude_deg:g}"
+        latitude = raster.projection.normal_angle(np.radians([origin.latitude_deg]))
+        return found, latitude, np.radians([origin.longitude_deg])
+    if origin.map_x_m is not None and origin.map_y_m is not None:
+        found = f"map x {origin.map_x_m:.9g} m, y {origin.map_y_m:.9g} m"
+        place = np.array([origin.map_x_m]), np.array([origin.map_y_m])
+        return found, *raster.projection.geodetic(*place)
+    middle = np.array([(raster.columns - 1) / 2]), np.array([(raster.rows - 1) / 2])
+    return "the grid's centre", *raster.geodetic(*middle)
+
+
+def _area(raster: RasterMap) -> str:
+    """What the corners and edges of a map span, in words."""
+    latitude, longitude = (np.degrees(angle) for angle in raster.geodetic(*_outline(raster)))
+    if np.isnan(latitude).any() or raster.is_closed:
+        return "a point on the map of the file"
+    return (
+        f"latitude from {latitude.min():.6g} to {latitude.max():.6g}, "
+        f"longitude from {longitude.min():.6g} to {longitude.max():.6g}"
+    )
+
+
+def _outline(raster: RasterMap) -> tuple[FloatArray, FloatArray]:
+    """Columns and rows of places along the edges."""
+    way, rest = np.linspace(0.0, 1.0, 65), np.zeros(65)
+    column = np.concatenate([way, way, rest, rest + 1]) * (raster.columns - 1)
+    row = np.concatenate([rest, rest + 1, way, way]) * (raster.rows - 1)
+    return column, row
+
+
+def _steps_m(raster: RasterMap, frame: LocalFrame, column: float, row: float) -> FloatArray:
+    """(3, 3) the sample next to a place, its neighbour in the row, and that in the column, in the site frame."""
+    column = float(np.clip(round(column), 0, raster.columns - 1))
+    row = float(np.clip(round(row), 0, raster.rows - 1))
+    right = 1 if column < raster.columns / 2 else -1
+    below = 1 if row < raster.rows / 2 else -1
+    places = np.array([column, column + right, column]), np.array([row, row, row + below])
+    latitude, longitude = raster.geodetic(*places)
+    return frame.place_m(latitude, longitude, np.full(3, frame.altitude_m))
+
+
+def _spacing_m(steps_m: FloatArray) -> float:
+    """The lesser of the distances to the next column and row, but no less than half the greater one.
+
+    Towards the poles of a cylinder columns crowd without telling more.
+    """
+    lengths = np.sqrt(np.sum((steps_m[1:] - steps_m[0]) ** 2, axis=1))
+    return float(max(lengths.min(), lengths.max() / 2))
+
+
+def _extent(
+    ground: Grid, raster: RasterMap, frame: LocalFrame, spacing_m: float, within: Extent | None
+) -> Extent:
+    """What is wanted of the file, and what of that it can have."""
+    radius_m = frame.ellipsoid.equatorial_m
+    half_m = min(SAMPLES_TO_EACH_SIDE * spacing_m, SHARE_OF_RADIUS * radius_m)
+    if ground.half_size_m is not None:
+        half_m = ground.half_size_m
+        if half_m > radius_m / 2:
+            allowed = f"allowed: at most {radius_m / 2:g}, half of the body's radius"
+            raise InputError(ground.file, "ground.half_size_m", half_m, allowed)
+    wanted = within or Extent(-half_m, half_m, -half_m, half_m)
+    latitude, longitude = raster.geodetic(*_outline(raster))
+    east, north, up = frame.place_m(latitude, longitude, np.full_like(latitude, frame.altitude_m)).T
+    if raster.is_closed or not (up > -radius_m / 2).all():
+        # It runs around the body.
+        return wanted
+    return Extent(
+        max(wanted.west_m, float(east.min())),
+        min(wanted.east_m, float(east.max())),
+        max(wanted.south_m, float(north.min())),
+        min(wanted.north_m, float(north.max())),
+    )
+
+
+def _nodes(through_m: float, spacing_m: float, first_m: float, last_m: float) -> FloatArray:
+    """Coordinates a spacing apart within limits, one of which is, or would be, ``through_m``."""
+    # The sample at the very edge of a file may be moved off it by rounding, and comes back by the same.
+    first = np.ceil((first_m - through_m) / spacing_m - 1e-6)
+    last = np.floor((last_m - through_m) / spacing_m + 1e-6)
+    return np.asarray(through_m + spacing_m * np.arange(first, last + 1))
+
+
+def _spread(
+    raster: RasterMap, frame: LocalFrame, extent: Extent, near_column: float
+) -> tuple[FloatArray, FloatArray]:
+    """Columns and rows of places all over an extent, at any height that ground may have."""
+    lattice = np.meshgrid(
+        np.linspace(extent.west_m, extent.east_m, 17), np.linspace(extent.south_m, extent.north_m, 17)
+    )
+    east, north = (place.ravel() for place in lattice)
+    radius_m = frame.ellipsoid.equatorial_m
+    level = -(east**2 + north**2) / (2 * radius_m)
+    places = [
+        raster.sample_at(*frame.geodetic(east, north, level + share * radius_m)[:2], near_column)
+        for share in (-0.01, 0.01)
+    ]
+    column, row = np.concatenate(places, axis=1)
+    return column, row
+
+
+def _has_pole(frame: LocalFrame, extent: Extent) -> bool:
+    """Whether a pole lies in an extent, or so near that the columns of a cylinder fan out over it."""
+    poles = frame.place_m(np.radians([90.0, -90.0]), np.zeros(2), np.zeros(2))
+    east, north, up = poles[:, 0], poles[:, 1], poles[:, 2]
+    width, height = extent.east_m - extent.west_m, extent.north_m - extent.south_m
+    in_width = (extent.west_m - width < east) & (east < extent.east_m + width)
+    in_height = (extent.south_m - height < north) & (north < extent.north_m + height)
+    return bool((in_width & in_height & (up > -frame.ellipsoid.polar_m)).any())

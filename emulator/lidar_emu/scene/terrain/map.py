@@ -1,0 +1,212 @@
+"""An open raster file as a map of a body: which sample is where, and windows of samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from lidar_emu.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.scenario.site import Grid
+from lidar_emu.scene.terrain.model import check_size
+from lidar_emu.scene.terrain.projection import Projection
+from lidar_emu.scene.terrain.raster import place_in_pixel
+
+
+class RasterMap:
+    """The samples of a file, counted in columns and rows from the first one, on the body of its projection.
+
+    Args:
+        ground: the site's words on the file.
+        file: the open file, which states a projection.
+
+    Raises:
+        InputError: it states no place on the map.
+    """
+
+    def __init__(self, ground: Grid, file: Any) -> None:
+        if file.transform.is_identity or not file.transform.determinant:
+            allowed = "allowed: a file that states its place on a map"
+            raise InputError(ground.file, None, Finding("no georeference"), allowed)
+        self.source = ground.file
+        self.projection = Projection(file.crs.to_wkt())
+        self.columns: int = file.width
+        self.rows: int = file.height
+        self._place = place_in_pixel(ground, file)
+        self._map_of_pixel = file.transform
+
+    def sample_at(
+        self, latitude_rad: FloatArray, longitude_rad: FloatArray, near_column: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Columns and rows (n,), with fractions, at places on the body; NaN off the map.
+
+        Where the map is a cylinder a column is told as the one, of all that lie a turn apart, next to ``near_column``.
+        """
+        column, row = self.sample_at_map(*self.projection.map_xy(latitude_rad, longitude_rad))
+        if self.turn:
+            column = column - self.turn * np.round((column - near_column) / self.turn)
+        return column, row
+
+    def sample_at_map(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Columns and rows (n,) at places on the map."""
+        column, row = _mapped(~self._map_of_pixel, x, y)
+        return column - self._place, row - self._place
+
+    def geodetic(self, column: FloatArray, row: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Latitude of the normal and east longitude of places (n,) among the samples; NaN off the body."""
+        return self.projection.geodetic(*_mapped(self._map_of_pixel, column + self._place, row + self._place))
+
+    @cached_property
+    def turn(self) -> float | None:
+        """Columns in a full turn, where the map is a cylinder."""
+        width = self.projection.turn
+        if width is None or self._map_of_pixel.b or self._map_of_pixel.d:
+            return None
+        columns = float(abs(width / self._map_of_pixel.a))
+        # Scales are told with few digits: a map of the whole turn has a whole number of columns.
+        return (
+            float(round(columns))
+            if abs(columns - round(columns)) < 0.5 and self._closes(columns)
+            else columns
+        )
+
+    @cached_property
+    def is_closed(self) -> bool:
+        """Whether the last column of the map is followed by the first."""
+        return self.turn is not None and self._closes(self.turn)
+
+    def _closes(self, turn: float) -> bool:
+        return self.columns > turn - 0.5
+
+    @cached_property
+    def pole_rows(self) -> tuple[bool, bool]:
+        """Whether a pole lies half a row beyond the first row, and beyond the last one, of a closed map."""
+        if not self.is_closed:
+            return False, False
+        _, row = self.sample_at(np.radians([90.0, -90.0]), np.zeros(2), 0.0)
+        beyond = np.stack([-row, row - (self.rows - 1)])
+        near: BoolArray = (beyond > 0.25) & (beyond < 0.75)
+        return bool(near[0].any()), bool(near[1].any())
+
+
+def _mapped(affine: Any, first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """An affine map of pairs (n,)."""
+    return (
+        affine.a * first + affine.b * second + affine.c,
+        affine.d * first + affine.e * second + affine.f,
+    )
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of samples: rows and columns that may lie beyond the file where the map goes on."""
+
+    first_column: int
+    end_column: int
+    first_row: int
+    end_row: int
+
+
+Read = Callable[[Any], FloatArray]
+"""Takes a `rasterio.windows.Window`, gives its samples."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A window of samples as a bilinear surface."""
+
+    values: FloatArray
+    """(rows, columns)"""
+    first_column: int
+    first_row: int
+
+    def at(self, column: FloatArray, row: FloatArray) -> FloatArray:
+        """(n,) the surface at columns and rows of the file; NaN outside the window and beside missing samples.
+
+        The outermost cells go on for half a cell, over the rest of the outermost pixels.
+        """
+        rows, columns = self.values.shape
+        across, down = column - self.first_column, row - self.first_row
+        outside = ~((across >= -0.5) & (across <= columns - 0.5) & (down >= -0.5) & (down <= rows - 0.5))
+        left = np.clip(np.where(outside, 0.0, across), 0.0, columns - 2.0).astype(np.int64)
+        top = np.clip(np.where(outside, 0.0, down), 0.0, rows - 2.0).astype(np.int64)
+        a, b = across - left, down - top
+        upper = self._between(top, left, a)
+        lower = self._between(top + 1, left, a)
+        return np.where(outside, np.nan, upper * (1 - b) + lower * b)
+
+    def _between(self, row: IntArray, left: IntArray, share: FloatArray) -> FloatArray:
+        return np.asarray(self.values[row, left] * (1 - share) + self.values[row, left + 1] * share)
+
+
+def window_of(
+    raster: RasterMap, column: FloatArray, row: FloatArray, near_column: float, around_pole: bool
+) -> Window:
+    """The window with all samples around places (n,), some of which may be off the map (NaN).
+
+    Args:
+        raster: the map.
+        column, row, near_column: places as `RasterMap.sample_at` tells them.
+        around_pole: whether every meridian of a closed map is among them.
+
+    Raises:
+        InputError: it is too small or too large.
+    """
+    margin = 2
+    columns = np.nanmin(column) - margin, np.nanmax(column) + margin + 1
+    rows = np.nanmin(row) - margin, np.nanmax(row) + margin + 1
+    north, south = raster.pole_rows
+    first_row = max(int(np.floor(rows[0])), -1 if north else 0)
+    end_row = min(int(np.ceil(rows[1])), raster.rows + (1 if south else 0))
+    if raster.is_closed and (around_pole or first_row < 0 or end_row > raster.rows):
+        assert raster.turn is not None
+        middle, half = round(near_column), int(raster.turn) // 2 + margin
+        window = Window(middle - half, middle + half + 1, first_row, end_row)
+    elif raster.is_closed:
+        window = Window(int(np.floor(columns[0])), int(np.ceil(columns[1])), first_row, end_row)
+    else:
+        first, end = max(int(np.floor(columns[0])), 0), min(int(np.ceil(columns[1])), raster.columns)
+        window = Window(first, end, first_row, end_row)
+    check_size(raster.source, window.end_row - window.first_row, window.end_column - window.first_column)
+    return window
+
+
+def read_window(raster: RasterMap, window: Window, read: Read) -> Samples:
+    """The samples of a window, carried on around the body where it leaves a closed map.
+
+    Beyond the row next to a pole the map goes on with the same row, half a turn away.
+    """
+    first, end = max(window.first_row, 0), min(window.end_row, raster.rows)
+    values = _around(raster, window, first, end, read)
+    pieces = [values]
+    if window.first_row < 0:
+        pieces.insert(0, _beyond_pole(raster, window, 0, read))
+    if window.end_row > raster.rows:
+        pieces.append(_beyond_pole(raster, window, raster.rows - 1, read))
+    return Samples(np.concatenate(pieces), window.first_column, window.first_row)
+
+
+def _beyond_pole(raster: RasterMap, window: Window, row: int, read: Read) -> FloatArray:
+    assert raster.turn is not None
+    half = round(raster.turn / 2)
+    opposite = Window(window.first_column + half, window.end_column + half, row, row + 1)
+    return _around(raster, opposite, row, row + 1, read)
+
+
+def _around(raster: RasterMap, window: Window, first_row: int, end_row: int, read: Read) -> FloatArray:
+    """Rows of the file, in pieces where the columns run over its edge."""
+    from rasterio.windows import Window as Cut
+
+    pieces, column = [], window.first_column
+    while column < window.end_column:
+        start = column % round(raster.turn) if raster.is_closed and raster.turn else column
+        width = min(window.end_column - column, raster.columns - start)
+        if raster.is_closed and raster.turn:
+            width = min(width, round(raster.turn) - start)
+        pieces.append(read(Cut(start, first_row, width, end_row - first_row)))
+        column += width
+    return np.concatenate(pieces, axis=1)

@@ -1,0 +1,114 @@
+"""An elevation grid in the site frame, as it comes from a file or is made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.scene.terrain.frame import LocalFrame
+
+MAXIMUM_SAMPLES = 100_000_000
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Elevations at places east and north of the origin of the site frame."""
+
+    elevation_m: FloatArray
+    """(rows, columns) height above the level plane that lies `origin_elevation_m` below the ground at the origin;
+    rows from north to south, columns from west to east; NaN where missing."""
+    west_m: float
+    """East coordinate of the first column."""
+    north_m: float
+    """North coordinate of the first row."""
+    pixel_east_m: float
+    """From column to column."""
+    pixel_north_m: float
+    """From row to row."""
+    origin_elevation_m: float
+    """Of the ground at the origin above the datum of the file."""
+    source: str
+    """The file."""
+    frame: LocalFrame | None = None
+    """Where on the body the origin lies; None: the grid is flat, as its map is."""
+    placed: str = ""
+    """How the samples were taken from the file, for plans; empty: as they are."""
+    reflectance: FloatArray | None = None
+    """(rows, columns) albedo, where the file has it; NaN where missing."""
+    rock_abundance: FloatArray | None = None
+    """(rows, columns) share of the area that rocks cover, where the file has it; NaN where missing."""
+
+    @property
+    def description(self) -> str:
+        """One line for plans."""
+        rows, columns = self.elevation_m.shape
+        pixel = f"{self.pixel_east_m:.6g} m"
+        if self.pixel_north_m != self.pixel_east_m:
+            pixel = f"{self.pixel_east_m:.6g} m x {self.pixel_north_m:.6g} m"
+        missing = np.isnan(self.elevation_m).mean()
+        holes = f", {missing:.2%} missing" if missing else ""
+        told = [
+            self.placed,
+            _range("albedo", self.reflectance),
+            _range("rock abundance", self.rock_abundance),
+        ]
+        grid = f"grid {Path(self.source).name}, {columns} x {rows} samples at {pixel}{holes}"
+        return ", ".join([grid, *filter(None, told)])
+
+
+def _range(name: str, values: FloatArray | None) -> str:
+    """What a band says, in words; empty where there is none."""
+    if values is None or np.isnan(values).all():
+        return ""
+    return f"{name} {np.nanmin(values):.3g} to {np.nanmax(values):.3g} (median {np.nanmedian(values):.3g})"
+
+
+def check_size(where: str, rows: int, columns: int) -> None:
+    """Refuse a grid that is too small to be a surface, or too large to be held."""
+    size = f"{columns} x {rows} samples"
+    if rows < 2 or columns < 2:
+        raise InputError(where, None, size, "allowed: at least 2 x 2 samples")
+    if rows * columns > MAXIMUM_SAMPLES:
+        allowed = (
+            f"allowed: at most {MAXIMUM_SAMPLES} samples; a smaller ground.half_size_m, or a part of the file"
+        )
+        raise InputError(where, None, size, allowed)
+
+
+def numbers(
+    stored: npt.NDArray[np.generic], marker: float | None, missing: BoolArray | None = None
+) -> FloatArray:
+    """Samples as floating-point numbers, NaN where missing.
+
+    Args:
+        stored: the file's own numbers.
+        marker: the number that stands for a missing sample, where the site names one.
+        missing: samples that the file itself marks.
+    """
+    values = stored.astype(np.float64)
+    absent = ~np.isfinite(values)
+    if missing is not None:
+        absent |= missing
+    if marker is not None:
+        absent |= values == _as_stored(marker, stored.dtype)
+    values[absent] = np.nan
+    return values
+
+
+def refuse_nothing(where: str, elevation_m: FloatArray) -> None:
+    """Refuse a grid without a single sample."""
+    if np.isnan(elevation_m).all():
+        raise InputError(where, None, Finding("every sample is missing"), "allowed: an elevation grid")
+
+
+def _as_stored(marker: float, dtype: np.dtype[np.generic]) -> float:
+    """A marker in the precision of the file: -3.4028e38 and its like are rounded when they are stored."""
+    if dtype.kind != "f":
+        return marker
+    with np.errstate(over="ignore"):
+        return float(np.array(marker).astype(dtype))

@@ -1,0 +1,178 @@
+"""Raster files through rasterio: GeoTIFF, PDS images by their labels, ESRI ASCII and whatever else it knows."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.scenario.site import Grid
+from lidar_emu.scene.terrain.model import numbers
+
+_METRES_PER_UNIT = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("km", "kilometre", "kilometres", "kilometer", "kilometers"), 1000.0),
+}
+# The labels of the MOLA grids count from a pixel further out than the standard, and all other labels, do; GDAL's
+# page on PDS names this setting for them. Without it the map lies a pixel to the north-west: up to 15 km.
+_MOLA = {"PDS_SampleProjOffset_Shift": "-0.5", "PDS_LineProjOffset_Shift": "-0.5"}
+
+
+@contextmanager
+def open_raster(path: str) -> Iterator[Any]:
+    """The open file, a `rasterio.DatasetReader`.
+
+    Raises:
+        InputError: rasterio is absent, or the file is damaged or of another kind.
+    """
+    rasterio = _import_rasterio(path)
+    try:
+        with warnings.catch_warnings():
+            # A file without a place on a map is refused elsewhere, in the project's own words.
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            with rasterio.Env(**_settings(rasterio, path)), rasterio.open(path) as file:
+                yield file
+    except failures() as error:
+        raise InputError(path, None, Finding("unreadable"), f"{error}; {_allowed(path)}") from None
+
+
+def failures() -> tuple[type[Exception], ...]:
+    """What rasterio raises, and GDAL's own errors that pass through it: their base has no public name."""
+    from rasterio._err import CPLE_BaseError
+    from rasterio.errors import CRSError, RasterioError
+
+    return RasterioError, CRSError, CPLE_BaseError
+
+
+def band_number(path: str, file: Any, key: str, band: str | int) -> int:
+    """Number of the band asked for under a key of the ground.
+
+    Raises:
+        InputError: the file has no such band, or more than one.
+    """
+    names = [(name or "").lower() for name in file.descriptions]
+    allowed = ", ".join(repr(name) for name in file.descriptions if name)
+    allowed = f"allowed: {allowed + ', or ' if allowed else ''}a number from 1 to {file.count}"
+    if isinstance(band, int):
+        if band > file.count:
+            raise InputError(path, f"ground.{key}", band, allowed)
+        return band
+    matches = [number for number, name in enumerate(names, start=1) if name == band.lower()]
+    if len(matches) == 1:
+        return matches[0]
+    if key == "band" and file.count == 1 and (band == "elevation" or not names[0]):
+        return 1
+    raise InputError(path, f"ground.{key}", band, allowed)
+
+
+def read_band(path: str, file: Any, band: int, marker: float | None, window: Any = None) -> FloatArray:
+    """(rows, columns) the numbers that a band stands for, in its own unit; NaN where missing.
+
+    Args:
+        path: for refusals.
+        file: the open file.
+        band: its number.
+        marker: the number that stands for a missing sample, beside what the file itself marks.
+        window: a `rasterio.windows.Window`; None: all of it.
+
+    Raises:
+        InputError: the band holds no real numbers.
+    """
+    stored = file.read(band, window=window)
+    if stored.dtype.kind not in "fiu":
+        raise InputError(path, "ground.band", str(stored.dtype), "allowed: a band of real numbers")
+    values = numbers(stored, marker, file.read_masks(band, window=window) == 0)
+    return values * float(file.scales[band - 1]) + float(file.offsets[band - 1])
+
+
+def elevations_m(ground: Grid, file: Any, band: int, window: Any = None) -> FloatArray:
+    """(rows, columns) elevations in metres above the site's datum, NaN where missing; see `read_band`."""
+    values = read_band(ground.file, file, band, ground.nodata, window)
+    scale = _metres_per_unit(file, band) if ground.elevation_scale is None else ground.elevation_scale
+    return values * scale + ground.elevation_offset_m
+
+
+def other_bands(ground: Grid, file: Any) -> dict[str, int]:
+    """Numbers of the bands beside the elevation that the site names, by their names in a `Terrain`.
+
+    Raises:
+        InputError: the file has no such band.
+    """
+    asked = {"reflectance": ground.reflectance_band, "rock_abundance": ground.rock_abundance_band}
+    return {
+        name: band_number(ground.file, file, f"{name}_band", band)
+        for name, band in asked.items()
+        if band is not None
+    }
+
+
+def shares(ground: Grid, file: Any, name: str, number: int, window: Any = None) -> FloatArray:
+    """(rows, columns) one of the other bands, NaN where missing; see `read_band`.
+
+    Raises:
+        InputError: its numbers are no shares of one.
+    """
+    values = read_band(ground.file, file, number, ground.nodata, window)
+    outside = values[(values < 0) | (values > 1)]
+    if outside.size:
+        raise InputError(
+            ground.file, f"ground.{name}_band", float(outside[0]), "allowed: numbers from 0 to 1"
+        )
+    return values
+
+
+def place_in_pixel(ground: Grid, file: Any) -> float:
+    """Where in its pixel the sample lies, in pixels from the north-west corner, by rasterio's transform.
+
+    rasterio reports every file by the corners of its pixels: where the file says that its samples are points
+    (GeoTIFF PixelIsPoint, ESRI xllcenter), the transform is already moved by half a pixel, so that the
+    centre is right for both. Where the site contradicts the file, that half pixel is added or taken away.
+    """
+    stated = "point" if file.tags().get("AREA_OR_POINT", "Area").lower() == "point" else "area"
+    if ground.registration in ("file", stated):
+        return 0.5
+    return 0.0 if ground.registration == "point" else 1.0
+
+
+def _import_rasterio(where: str) -> Any:
+    try:
+        import rasterio
+    except ImportError:
+        raise InputError(
+            where,
+            None,
+            Finding("a file of this kind"),
+            "it needs rasterio (pip install 'lidar-emu[geo]'); allowed without it: .npz",
+        ) from None
+    return rasterio
+
+
+def _settings(rasterio: Any, path: str) -> dict[str, str]:
+    with rasterio.open(path) as file:
+        return _MOLA if file.driver == "PDS" and "MOLA" in file.tags().get("DATA_SET_ID", "") else {}
+
+
+def _allowed(path: str) -> str:
+    label = Path(path).with_suffix(".lbl")
+    if Path(path).suffix.lower() == ".img":
+        return f"allowed: of a PDS image its label, such as {label.name}"
+    return "allowed: an intact GeoTIFF, PDS label or ESRI ASCII grid"
+
+
+def _metres_per_unit(file: Any, band: int) -> float:
+    """By the unit that the file states; a file that states none is in metres."""
+    unit = file.units[band - 1] or _unit_of_label(file)
+    return _METRES_PER_UNIT.get(unit.strip().lower(), 1.0)
+
+
+def _unit_of_label(file: Any) -> str:
+    """The unit that a PDS label states for its image."""
+    # rasterio takes the label, one text in JSON, for a key and a value, and cuts it at its first equals sign or colon.
+    text = ":".join(part for pair in file.tags(ns="json:PDS").items() for part in pair)
+    image = json.loads(text).get("IMAGE", {}) if text else {}
+    return str(image.get("UNIT", ""))

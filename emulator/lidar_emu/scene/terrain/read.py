@@ -1,0 +1,74 @@
+"""The elevation file of a site, whatever its kind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.scenario.site import Grid
+from lidar_emu.scene.terrain.flat import FlatMap, placed_flat, read_flat_raster
+from lidar_emu.scene.terrain.frame import LocalFrame
+from lidar_emu.scene.terrain.local import Extent, read_on_body
+from lidar_emu.scene.terrain.model import Terrain
+from lidar_emu.scene.terrain.npz import read_npz
+from lidar_emu.scene.terrain.raster import open_raster
+
+
+def read_terrain(ground: Grid, within: Extent | None = None, frame: LocalFrame | None = None) -> Terrain:
+    """The elevation file of a site, around the origin that the site names.
+
+    Args:
+        ground: what the site says of it.
+        within: the part that is wanted of a file that lies on a body; None: as the site says.
+        frame: the site frame, where another file's origin is that of the site; None: at this one's.
+
+    Raises:
+        InputError: the file is not there, cannot be read, is no elevation grid, or does not reach the origin.
+    """
+    _check_is_there(ground)
+    if _is_npz(ground):
+        return _flat(ground, read_npz(ground))
+    with open_raster(ground.file) as file:
+        if _is_on_body(ground, file):
+            return read_on_body(ground, file, within, frame)
+        return _flat(ground, read_flat_raster(ground, file))
+
+
+def _flat(ground: Grid, flat: FlatMap) -> Terrain:
+    if ground.half_size_m is not None:
+        allowed = "allowed: none, since this grid lies flat and is taken whole"
+        raise InputError(ground.file, "ground.half_size_m", ground.half_size_m, allowed)
+    return placed_flat(flat, ground)
+
+
+def lies_flat(ground: Grid) -> bool:
+    """Whether the map's plane of a site's file is the horizontal plane, instead of following the body.
+
+    Raises:
+        InputError: the file is not there or cannot be read.
+    """
+    _check_is_there(ground)
+    if _is_npz(ground):
+        return True
+    with open_raster(ground.file) as file:
+        return not _is_on_body(ground, file)
+
+
+def _check_is_there(ground: Grid) -> None:
+    if not Path(ground.file).is_file():
+        allowed = "allowed: GeoTIFF, PDS label, ESRI ASCII grid or .npz"
+        raise InputError(ground.file, None, Finding("no such file"), allowed)
+
+
+def _is_npz(ground: Grid) -> bool:
+    return ground.file.lower().endswith(".npz")
+
+
+def _is_on_body(ground: Grid, file: Any) -> bool:
+    """Whether the file's coordinates are those of a body and count: a map in metres around a bench has none."""
+    return (
+        ground.placement == "projected"
+        and bool(file.crs)
+        and (file.crs.is_projected or file.crs.is_geographic)
+    )

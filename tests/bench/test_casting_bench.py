@@ -1,0 +1,99 @@
+"""The comparison of casters: its exact ranges, its ground as triangles, and its report without peers."""
+
+import json
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from lidar_emu.bench import casting, casting_peers
+from lidar_emu.bench.casting_exact import exact_range_m, lunar_site
+from lidar_emu.bench.casting_scene import KINDS, aimed_at_edges, rolling_ground, shots, triangles, unrelated
+from lidar_emu.cli.bench import bench
+from lidar_emu.scene.grid.ground import Samples
+
+
+def test_exact_ranges_are_those_known_by_hand():
+    """A peak of 2 m: at it, on the diagonal that rises to it, and below that on the triangle beside."""
+    height_m = np.zeros((6, 6))
+    height_m[2, 2] = 2.0
+    samples = Samples(height_m, 0, 0, 1, 1, "triangles")
+    down = [Fraction(0), Fraction(0), Fraction(-1)]
+    half, third = Fraction(1, 2), Fraction(1, 3)
+    for east, north, height in ((2, 2, 2), (1 + half, 1 + half, 1), (1 + 2 * third, 1 + third, 2 * third)):
+        origin = [Fraction(east), Fraction(north), Fraction(9)]
+        assert exact_range_m(samples, origin, down, 5.0) == 9 - height
+    assert exact_range_m(samples, [Fraction(1), Fraction(1), Fraction(-1)], down, 0.0) is None
+
+
+def test_body_axes_lose_only_what_rounding_takes():
+    frame = lunar_site(0.44, -0.82, 1_737_400.0)
+    site = np.random.default_rng(1).uniform(-3000, 3000, (50, 3))
+    np.testing.assert_allclose(frame.to_site(frame.to_fixed(site)), site, rtol=0, atol=2e-9)
+    fixed = frame.to_fixed(site)
+    exact = [[float(v) for v in frame.exactly_to_site(point)] for point in fixed]
+    np.testing.assert_allclose(frame.to_site(fixed), exact, rtol=0, atol=2e-12)
+
+
+def test_less_than_a_nanometre_from_fractions_in_body_axes_and_at_ten_kilometres():
+    ground, frame = rolling_ground(300, "triangles"), lunar_site(0.44, -0.82, 1_737_400.0)
+    for altitude_m in (2000.0, 10_000.0):
+        rays = unrelated(np.random.default_rng(2), 12, altitude_m)
+        origin, direction = frame.to_fixed(rays.origin_m), frame.to_fixed(rays.direction, False)
+        found = ground.cast(frame.to_site(origin), frame.to_site(direction, False)).range_m
+        for k in range(12):
+            ray = frame.exactly_to_site(origin[k]), frame.exactly_to_site(direction[k], False)
+            exact = exact_range_m(ground.samples, *ray, float(found[k]))
+            assert abs(Fraction(float(found[k])) - exact) < Fraction(1, 10**9)
+
+
+def test_triangles_are_the_surface():
+    """Their planes at their own centres, all facing up."""
+    ground = rolling_ground(20, "triangles")
+    vertex_m, face = triangles(ground.samples)
+    corners = vertex_m[face]
+    assert len(face) == 800
+    assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0).all()
+    centre = corners.mean(axis=1)
+    np.testing.assert_allclose(ground.height_m(centre[:, 0], centre[:, 1]), centre[:, 2], rtol=0, atol=1e-12)
+
+
+def test_all_rays_meet_the_ground():
+    ground = rolling_ground(707, "bilinear")
+    for kind in KINDS:
+        for rays in shots(kind, 3):
+            assert np.isfinite(ground.cast(rays.origin_m, rays.direction).range_m).all(), kind
+    rays = aimed_at_edges(np.random.default_rng(3), rolling_ground(300, "triangles"), 1000)
+    assert np.isfinite(rolling_ground(300, "triangles").cast(rays.origin_m, rays.direction).range_m).all()
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """A comparison that takes a second, on whatever core, without peers."""
+    for name, value in {
+        "_CELLS": 300,
+        "_MANY_CELLS": 60,
+        "_SHOTS": 2,
+        "_ROUNDS": 2,
+        "_AIMED": 2000,
+        "_CHUNK": 1000,
+        "_EXACT_RAYS": 3,
+    }.items():
+        monkeypatch.setattr(casting, name, value)
+    monkeypatch.delattr("os.sched_setaffinity", raising=False)
+    monkeypatch.setattr(casting_peers, "find_spec", lambda _: None)
+
+
+@pytest.mark.usefixtures("small")
+def test_report_for_machines_and_for_people():
+    told = json.loads(CliRunner().invoke(bench, ["casting", "--json"]).stdout)
+    assert told["absent"] == {"embreex": "not installed", "open3d": "not installed"}
+    assert told["lost"] == {"lidar-emu": 0}
+    assert set(told["time_s"]) == set(KINDS)
+    for place in ("2 km", "10 km", "2 km, Moon-fixed"):
+        assert 0 < told["error_m"][place]["lidar-emu"][1] < 1e-9
+    assert set(told["built_large"]) == {"time_s", "memory_mb"}
+    shown = CliRunner().invoke(bench, ["casting"]).stdout
+    assert "embreex: left out, not installed (pip install 'lidar-emu[peers]')" in shown
+    assert "256 unrelated" in shown

@@ -1,0 +1,37 @@
+"""For the tests of campaigns."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from small_campaign import ROWS, SMALL, Here
+
+from lidar_emu.campaign.fly import fly_campaign
+from lidar_emu.campaign.read import prepare
+
+
+@pytest.fixture
+def campaign_file(tmp_path):
+    def write(text: str = SMALL, runs: int = 12) -> Path:
+        path = tmp_path / "campaign.yaml"
+        path.write_text(text.format(runs=runs))
+        return path
+
+    return write
+
+
+@pytest.fixture
+def fly(campaign_file, tmp_path):
+    """Fly a small campaign into a folder; its pool."""
+
+    def flown(name="out", pool=None, text=SMALL, runs=12, told=lambda _: None):
+        pool = pool or Here()
+        fly_campaign(prepare(campaign_file(text, runs), {}, None), ROWS, tmp_path / name, lambda: pool, told)
+        return pool
+
+    return flown

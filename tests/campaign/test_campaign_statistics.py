@@ -1,0 +1,98 @@
+"""Quantiles against numpy's, intervals against what repeated campaigns do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from lidar_emu.campaign.statistics import LEVELS, campaign_statistics, share
+
+RUNS, BEAMS = 200, 100
+
+
+def write(folder, rng, runs=RUNS, lost=0.1, spread=0.05):
+    """A campaign whose runs differ in how much they lose and in a bias; all at 300 to 500 m, 12 degrees."""
+    (folder / "beams").mkdir(parents=True)
+    own_loss = np.clip(lost + spread * rng.standard_normal(runs), 0, 1)
+    bias_m = 0.2 * rng.standard_normal(runs)
+    valid = rng.random((runs, BEAMS)) >= own_loss[:, None]
+    error_m = bias_m[:, None] + 0.3 * rng.standard_normal((runs, BEAMS))
+    error_mps = 1e-3 * rng.standard_normal((runs, BEAMS))
+    columns = {
+        "run": np.repeat(np.arange(runs), BEAMS),
+        "altitude_m": rng.uniform(300, 499, runs * BEAMS),
+        "true_incidence_deg": np.full(runs * BEAMS, 12.0),
+        "fired": np.ones(runs * BEAMS, dtype=bool),
+        "range_valid": valid.ravel(),
+        "true_range_m": np.full(runs * BEAMS, 400.0),
+        "true_closing_speed_mps": np.full(runs * BEAMS, 20.0),
+        "range_m": np.where(valid, 400.0 + error_m, np.nan).ravel(),
+        "closing_speed_mps": np.where(valid, 20.0 + error_mps, np.nan).ravel(),
+    }
+    halves = np.array_split(np.arange(runs * BEAMS), [runs // 2 * BEAMS])
+    for k, rows in enumerate(halves):
+        table = pa.table({name: pa.array(column[rows], from_pandas=True) for name, column in columns.items()})
+        parquet.write_table(table, folder / "beams" / f"part-{k:05d}.parquet")
+    return columns
+
+
+def test_figures_are_those_of_all_beams_together(tmp_path):
+    columns = write(tmp_path, np.random.default_rng(1))
+    altitude, incidence = campaign_statistics(tmp_path)
+    assert (altitude.axis, altitude.low, altitude.high) == ("altitude_m", 300.0, 500.0)
+    assert (incidence.axis, incidence.low, incidence.high) == ("true_incidence_deg", 10.0, 15.0)
+    errors = {
+        "range_error_m": columns["range_m"] - 400.0,
+        "speed_error_mps": columns["closing_speed_mps"] - 20.0,
+    }
+    for band in (altitude, incidence):
+        assert (band.runs, band.expected) == (RUNS, RUNS * BEAMS)
+        assert band.dropout.value == pytest.approx(1 - columns["range_valid"].mean(), rel=1e-12)
+        for name, error in errors.items():
+            for level, told in zip(LEVELS, band.quantiles[name], strict=True):
+                exact = np.nanquantile(error, level)
+                assert told.value == pytest.approx(exact, rel=0.01, abs=1e-2 * np.nanstd(error))
+                assert told.low < told.value < told.high
+
+
+def test_intervals_hold_what_they_promise(tmp_path):
+    """Of 60 campaigns about 57 should have the truth within 95 %; 50 or fewer happen once in 3000 times."""
+    rng = np.random.default_rng(2)
+    held = {"dropout": 0, "median": 0, "tail": 0}
+    tail_m = 1.6448536 * np.hypot(0.2, 0.3)
+    for k in range(60):
+        write(tmp_path / str(k), rng)
+        band = campaign_statistics(tmp_path / str(k))[0]
+        middle, tail = band.quantiles["range_error_m"][1:]
+        held["dropout"] += band.dropout.low <= 0.1007 <= band.dropout.high
+        held["median"] += middle.low <= 0.0 <= middle.high
+        held["tail"] += tail.low <= tail_m <= tail.high
+    assert min(held.values()) > 50
+    # Runs are biased as a whole: as if beams were independent, the medians' intervals would be a fifth as wide.
+    assert max(held.values()) <= 60
+
+
+@pytest.mark.parametrize(("part", "value", "high"), [(0, 0.0, 0.0885), (1000, 1.0, 1.0)])
+def test_none_and_all_are_not_certain(part, value, high):
+    """Wilson's interval of 0 of 50 runs, with Student's factor of 49 degrees of freedom: t² / (n + t²)."""
+    told = share(np.full(50, part // 50), np.full(50, 20), 50)
+    square = 2.0095752**2
+    bound = square / (50 + square)
+    assert told.value == value
+    assert (told.low, told.high) == pytest.approx((0.0, bound) if part == 0 else (1 - bound, 1.0), abs=1e-6)
+    assert high == pytest.approx(told.high, abs=0.02)
+
+
+def test_a_single_run_tells_no_interval(tmp_path):
+    write(tmp_path, np.random.default_rng(3), runs=1)
+    band = campaign_statistics(tmp_path)[0]
+    assert (band.dropout.low, band.dropout.high) == (0.0, 1.0)
+    for told in band.quantiles["range_error_m"]:
+        assert np.isfinite(told.value)
+        assert np.isnan([told.low, told.high]).all()
+
+
+def test_nothing_kept_is_nothing_told(tmp_path):
+    assert campaign_statistics(tmp_path) == []

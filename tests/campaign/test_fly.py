@@ -1,0 +1,232 @@
+"""Whoever flies a campaign, in whatever order, and whoever dies meanwhile: the same files."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import multiprocessing
+from collections import Counter
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+from small_campaign import ROWS, SMALL, Here, content
+
+import lidar_emu
+from lidar_emu.campaign.batch import fly_batch, measured
+from lidar_emu.campaign.fly import fly_campaign, runs_per_file
+from lidar_emu.campaign.pools import LocalPool
+from lidar_emu.campaign.read import prepare
+from lidar_emu.errors import InputError, RunError
+
+
+def runs_of(folder):
+    return parquet.read_table(folder / "runs").to_pylist()
+
+
+def test_a_run_is_the_scenario_with_what_was_drawn(fly, tmp_path):
+    fly()
+    for row in runs_of(tmp_path / "out"):
+        drawn = {key: json.dumps(value) for key, value in row.items() if "." in key or key == "instrument"}
+        fixed = {
+            "level": "statistical",
+            "site": "flat",
+            "duration_s": "0.4",
+            "instrument.optics.beamlets": "1",
+        }
+        order = {"instrument": drawn.pop("instrument")}
+        scenario = lidar_emu.load("descent.yaml", order | fixed | drawn)
+        alone = lidar_emu.simulate(scenario, seed=row["seed"]).table()
+        filters = [("run", "=", row["run"])]
+        kept = parquet.read_table(tmp_path / "out" / "beams", filters=filters).to_pydict()
+        assert row["failed"] is None
+        for name, column in alone.items():
+            values = [None if value != value else value for value in column.tolist()]
+            assert kept[name] == values, name
+
+
+class Backwards(Here):
+    """The last batch is done first."""
+
+    def __init__(self):
+        super().__init__(slots=1000)
+        self.waiting = []
+
+    def submit(self, work, *args):
+        future = super().submit(lambda *_: 0)
+        self.waiting.append((work, args))
+        if len(self.waiting) == 12:
+            for late, its in reversed(self.waiting):
+                late(*its)
+        return future
+
+
+def test_order_leaves_no_trace(fly, tmp_path):
+    fly("forwards")
+    fly("backwards", Backwards())
+    assert content(tmp_path / "backwards") == content(tmp_path / "forwards")
+
+
+@pytest.mark.slow
+def test_processes_leave_no_trace(fly, tmp_path):
+    fly("here", runs=40)
+    fly("three", LocalPool(3), runs=40)
+    assert content(tmp_path / "three") == content(tmp_path / "here")
+
+
+@pytest.mark.slow
+def test_the_death_of_a_process_leaves_no_trace(fly, tmp_path):
+    fly("here", runs=40)
+    pool, deaths = LocalPool(2), []
+
+    def told(progress):
+        if progress.done == 10:
+            victim = multiprocessing.active_children()[0]
+            deaths.append(victim.pid)
+            victim.kill()
+
+    fly("killed", pool, runs=40, told=told)
+    assert deaths
+    assert content(tmp_path / "killed") == content(tmp_path / "here")
+
+
+def test_a_run_that_no_process_survives_is_found_and_kept_as_failed(fly, tmp_path):
+    def dies(work, args):
+        batch = args[1]
+        if work is fly_batch:
+            return 7 in set(batch.runs) - batch.deadly
+        return batch["wire.unit"] == deadly_unit
+
+    fly("well")
+    deadly_unit = runs_of(tmp_path / "well")[7]["wire.unit"]
+    fly("ill", Here(slots=4, dies=dies))
+    well, ill = runs_of(tmp_path / "well"), runs_of(tmp_path / "ill")
+    assert "its process died" in ill[7]["failed"]
+    assert [row for row in ill if row["run"] != 7] == [row for row in well if row["run"] != 7]
+
+
+def test_deaths_without_end_end_the_campaign(fly):
+    with pytest.raises(RunError, match="workers died in a row"):
+        fly(pool=Here(dies=lambda _work, _args: True))
+
+
+class Interrupted(Here):
+    """Ctrl-C after some batches."""
+
+    def submit(self, work, *args):
+        if len(self.flown) == 5:
+            raise KeyboardInterrupt
+        return super().submit(work, *args)
+
+
+def test_what_was_interrupted_is_gone_on_with_and_no_run_is_flown_twice(fly, tmp_path):
+    whole = fly("whole")
+    first = Interrupted()
+    with pytest.raises(KeyboardInterrupt):
+        fly("parts", first)
+    assert first.stopped
+    (tmp_path / "parts" / "runs" / ".part-00009.parquet.123").write_bytes(b"cut")
+    second = fly("parts")
+    assert content(tmp_path / "parts") == content(tmp_path / "whole")
+    numbers = Counter(args[1].number for _, args in first.flown + second.flown)
+    assert numbers == Counter(range(12)) == Counter(args[1].number for _, args in whole.flown)
+    assert fly("parts").flown == []
+
+
+def test_failed_runs_are_kept_with_their_reason_and_others_do_not_suffer(fly, tmp_path):
+    text = SMALL.replace("low: 0.1, high: 0.3", "low: 0.5, high: 1.5")
+    told = []
+    fly(text=text, told=told.append)
+    rows = runs_of(tmp_path / "out")
+    out_of_range = [row for row in rows if row["site.surface.reflectance"] > 1]
+    assert 0 < len(out_of_range) < 12
+    for row in rows:
+        expected = "campaign: site.surface.reflectance" if row in out_of_range else "None"
+        assert str(row["failed"]).startswith(expected)
+        assert (row["shots"] is None) == (row in out_of_range)
+    beams = parquet.read_table(tmp_path / "out" / "beams", columns=["run"])["run"].to_pylist()
+    assert set(beams) == {row["run"] for row in rows if row not in out_of_range}
+    assert told[-1] == (12, 12, len(out_of_range))
+
+
+def test_only_some_runs_keep_their_beams(fly, tmp_path):
+    fly(text=SMALL + "beams_every: 5\n")
+    beams = parquet.read_table(tmp_path / "out" / "beams", columns=["run"])["run"].to_pylist()
+    assert set(beams) == {0, 5, 10}
+    assert len(runs_of(tmp_path / "out")) == 12
+
+
+def test_another_campaign_does_not_get_into_the_folder(fly):
+    fly()
+    with pytest.raises(InputError, match="holds another campaign"):
+        fly(text=SMALL.replace("seed: 5", "seed: 6"))
+    with pytest.raises(InputError, match="holds another campaign"):
+        fly(runs=13)
+
+
+def test_a_folder_with_something_else_is_left_alone(fly, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "thesis.tex").write_text("x")
+    with pytest.raises(InputError, match="holds other files"):
+        fly()
+    assert content(tmp_path / "out") == {"thesis.tex": b"x"}
+
+
+def test_one_process_at_a_time(fly, tmp_path):
+    fly()
+    with (tmp_path / "out" / ".lock").open() as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with pytest.raises(InputError, match="is worked on"):
+            fly()
+
+
+@pytest.mark.parametrize(
+    ("runs", "rows", "every", "expected"),
+    [
+        (1, 4032, 1, 1),
+        (1000, 4032, 1, 3),
+        (10**6, 4032, 1, 124),
+        (10**6, 4032, 100, 256),
+        (10**6, 10**9, 1, 1),
+    ],
+)
+def test_files_are_neither_tiny_nor_huge(campaign_file, runs, rows, every, expected):
+    prepared = prepare(campaign_file(SMALL + f"beams_every: {every}\n", 1), {}, None)
+    many = prepared.campaign.model_copy(update={"runs": runs})
+    assert (
+        runs_per_file(prepared.__class__(many, prepared.base, prepared.drawn, prepared.first), rows)
+        == expected
+    )
+
+
+def test_a_full_disk_is_told(campaign_file, tmp_path, monkeypatch):
+    def full(*_):
+        raise RunError("out: could not be written: No space left on device")
+
+    monkeypatch.setattr("lidar_emu.campaign.batch.write_table", full)
+    pool = Here()
+    with pytest.raises(RunError, match="No space left"):
+        fly_campaign(prepare(campaign_file(), {}, None), ROWS, tmp_path / "out", lambda: pool, lambda _: None)
+    assert pool.stopped
+
+
+def test_runs_differ(fly, tmp_path):
+    fly()
+    rows = runs_of(tmp_path / "out")
+    assert len({row["seed"] for row in rows}) == 12
+    assert len({row["range_error_m_abs_p50"] for row in rows}) == 12
+    assert np.all([row["trajectory.waypoints.0.altitude_m"] >= 800 for row in rows])
+
+
+def test_kept_ground_and_trajectories_are_those_that_would_be_made(campaign_file):
+    text = SMALL.replace("site: flat", "timing.rate_hz: 40") + (
+        "  site: {{kind: choice, of: [mare, flat, crater_wall]}}\n"
+        "  trajectory.waypoints.0.speed_mps: {{kind: choice, of: [90.0, 100.0]}}\n"
+    )
+    text = text.replace("kind: normal, mean: 900, sigma: 60, low: 800", "kind: choice, of: [2000.0, 1900.0]")
+    prepared = prepare(campaign_file(text, 24), {}, None)
+    for run in range(24):
+        values = prepared.drawn.values(run)
+        fresh = lidar_emu.simulate(prepared.base.scenario_of(values)).table()
+        kept = measured(prepared.base, values).table()
+        assert all(np.array_equal(kept[name], fresh[name], equal_nan=True) for name in fresh)
