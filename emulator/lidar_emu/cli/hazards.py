@@ -66,13 +66,13 @@ def _print_bands(name: str, bands: list[Band]) -> None:
 
     table = Table(title=name, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     for heading in (
-        "altitude\n\nm", "points\n\n", "spacing\n\nm", "height\ntold from\nm", "higher\n\n", "of them\ntold\n%",
+        "altitude\nfrom\nm", "points\n\n", "spacing\n\nm", "height\ntold from\nm", "higher\n\n", "of them\ntold\n%",
         "level\n\n", "false\nalarms\n%", "slope\nover\nm", "slope\nerror\n°", "as fore-\ntold\n°",
     ):  # fmt: skip
         table.add_column(heading, justify="right")
     for band in bands:
         table.add_row(
-            f"{band.low_m:g}-{band.high_m:g}",
+            f"{band.low_m:.0f}",
             str(band.points),
             f"{band.spacing_m:.2g}",
             f"{band.told_from_m:.2g}",
@@ -80,7 +80,7 @@ def _print_bands(name: str, bands: list[Band]) -> None:
             _percent(band.told),
             str(band.level),
             _percent(band.alarms),
-            "-" if math.isnan(band.slope_base_m) else f"{band.slope_base_m:.3g}",
+            "-" if math.isnan(band.slope_base_m) else f"{band.slope_base_m:.0f}",
             _number(band.slope_error_deg),
             _number(band.slope_sigma_deg),
         )
