@@ -41,7 +41,8 @@ def cli(context: click.Context) -> None:
     lidar-emu run descent.yaml                        fly on an in-memory loopback, show what arrives
     lidar-emu run descent.yaml --port /dev/ttyUSB0 --baud 921600
     lidar-emu run descent.yaml -i socketcan -c vcan0
-    lidar-emu replay flight.mcap --port /dev/ttyUSB0    what run --record has kept, again
+    lidar-emu replay flight.mcap --port /dev/ttyUSB0  what run --record has kept, again
+    lidar-emu report flight.mcap --html flight.html   what is in it: table, exports, a page with figures
     lidar-emu listen --port /dev/ttyUSB1 --baud 921600 --json
     lidar-emu send --port /dev/ttyUSB1 set_mode mode=track
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
