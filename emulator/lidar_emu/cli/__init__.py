@@ -13,6 +13,7 @@ from lidar_emu.cli.campaign import campaign
 from lidar_emu.cli.detection import detection
 from lidar_emu.cli.documents import icd, scenarios, schema
 from lidar_emu.cli.ground import ground
+from lidar_emu.cli.hazards import hazards
 from lidar_emu.cli.inject import inject
 from lidar_emu.cli.listen import listen
 from lidar_emu.cli.output import silence
@@ -48,6 +49,7 @@ def cli(context: click.Context) -> None:
     lidar-emu campaign dispersed_descent.yaml --out results
     lidar-emu report --paper-figure 2                 figures of the published simulation, drawn again
     lidar-emu detection descent.yaml                  what the instrument will detect, by altitude
+    lidar-emu hazards hazards.yaml                    which boulders, steps and slopes the points tell
     lidar-emu ground descent.yaml --set site=cratered --plot ground.png
     lidar-emu plan descent.yaml                       what the run computes and what it leaves out
     lidar-emu bench accuracy descent.yaml             error and time of every level
@@ -67,6 +69,7 @@ for command in (
     campaign,
     report,
     detection,
+    hazards,
     ground,
     plan,
     bench,
