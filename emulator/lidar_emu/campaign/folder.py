@@ -14,7 +14,7 @@ from lidar_emu import __version__
 from lidar_emu.campaign.batch import part_path
 from lidar_emu.campaign.read import Prepared
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.report.whole_file import whole_file
+from lidar_emu.whole_file import whole_file
 
 _TABLES = ("runs", "beams")
 _STATED = "campaign.json"
