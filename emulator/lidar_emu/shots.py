@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.bench_model import BenchModel
-from lidar_emu.dust import build_dust
 from lidar_emu.echoes import Light
 from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight import Flight, Pointing
@@ -33,6 +32,7 @@ from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scene.hits import Hits, incidence_deg
 
 if TYPE_CHECKING:
+    from lidar_emu.dust import Dust
     from lidar_emu.faults.measured import BeamFaults, Held
     from lidar_emu.faults.physics import PhysicsFaults
     from lidar_emu.faults.schedule import Injected
@@ -90,7 +90,7 @@ class FlightModel:
         self.flight = Flight(scenario) if flight is None else flight
         self.plan = plan_flight(scenario, self.flight)
         self.light = Light(scenario.instrument, scenario.site, self.flight, self.plan.beamlets)
-        self.dust = build_dust(scenario)
+        self.dust = _dust(scenario)
         self.level = build_level(scenario)
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
@@ -190,6 +190,15 @@ class FlightModel:
             position_site_m=pointing.position_site_m,
             velocity_site_mps=pointing.velocity_site_mps,
         )
+
+
+def _dust(scenario: FlightScenario) -> Dust | None:
+    """None where no plume raises any, or the level reports the truth."""
+    if scenario.plume is None or scenario.level == "geometric":
+        return None
+    from lidar_emu.dust import Dust
+
+    return Dust(scenario, scenario.plume)
 
 
 def build_model(scenario: FlightScenario | BenchScenario, geometry: Path | None = None) -> Model:

@@ -159,3 +159,5 @@ _WRITERS: dict[str, Callable[[Measurement, BinaryIO], None]] = {
     ".parquet": _write_parquet,
     ".ply": _write_ply,
 }
+SUFFIXES = tuple(_WRITERS)
+"""Of the files that `export` writes."""
