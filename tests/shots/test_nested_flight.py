@@ -10,7 +10,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.flight import Flight
 from lidar_emu.ground.relief import fractional_surface
 from lidar_emu.plan import plan_flight
-from lidar_emu.scene import grids
+from lidar_emu.scene.joined import grids
 from lidar_emu.scene.cut import CutGround
 
 SCENARIO = """
