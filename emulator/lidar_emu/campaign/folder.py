@@ -12,7 +12,7 @@ from typing import Any
 from lidar_emu import __version__
 from lidar_emu.campaign.batch import part_path
 from lidar_emu.campaign.read import Prepared
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import Finding, InputError, reason_of
 from lidar_emu.recording.provenance import hashed_files
 from lidar_emu.whole_file import whole_file
 
@@ -34,7 +34,7 @@ def campaign_folder(folder: Path, prepared: Prepared, batch_runs: int) -> Iterat
             raise InputError("--out", None, Finding(f"{folder} holds other files"), _ALLOWED)
         lock = (folder / ".lock").open("w")
     except (OSError, ValueError) as error:
-        reason = Finding(f"{folder}: {getattr(error, 'strerror', None) or error}")
+        reason = Finding(f"{folder}: {reason_of(error)}")
         raise InputError("--out", None, reason, "allowed: a folder that you may write") from None
     with lock:
         try:
