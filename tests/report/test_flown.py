@@ -68,19 +68,17 @@ def test_it_is_the_summary_of_the_run(tmp_path):
 
 def test_a_file_that_was_cut_anywhere_is_read_or_refused(bench_flown, tmp_path):
     data = bench_flown.recording.path.read_bytes()
-    shots, refusals = [], []
+    shots = []
     for share in np.linspace(0.0, 1.0, 23):
         path = tmp_path / "cut.mcap"
         path.write_bytes(data[: int(share * len(data))])
         try:
             flown = read_flown(read_recording(path))
-        except InputError as error:
-            refusals.append(error.where)
+        except InputError:
             continue
         assert flown.recording.is_whole == (share == 1.0)
         assert flown.contents()["measured"] == len(flown.measurement)
         shots.append(len(flown.measurement))
-    assert set(refusals) == {str(tmp_path / "cut.mcap")}
     assert shots[-1] == 20
     assert shots == sorted(shots)
     assert shots[0] < 20

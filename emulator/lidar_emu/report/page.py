@@ -34,6 +34,7 @@ table { border-collapse: collapse; font-size: 0.88rem; }
 th { text-align: left; font-weight: 600; }
 td, th { padding: 0.15rem 0.9rem 0.15rem 0; vertical-align: top; border-bottom: 1px solid var(--rule);
   overflow-wrap: anywhere; }
+thead th { white-space: nowrap; overflow-wrap: normal; }
 tbody th { min-width: 6rem; max-width: 16rem; }
 """
 _NOTHING_FROM_OUTSIDE = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"

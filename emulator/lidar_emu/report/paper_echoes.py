@@ -83,14 +83,14 @@ def _most_shared(model: FlightModel, least_apart_m: float) -> tuple[int, int, Sc
         shot = np.arange(first, min(first + BLOCK_SHOTS, model.shot_count), dtype=np.int64)
         echoes, state = _echoes(model, shot, before)
         share = lesser_share(echoes.range_m, echoes.power_w, least_apart_m)
-        row, beam = (int(place) for place in np.unravel_index(share.argmax(), share.shape))
-        if share[row, beam] > best:
-            best, found = share[row, beam], (first, row, beam, before)
+        if share.max() > best:
+            after, beam = divmod(int(share.argmax()), model.beam_count)
+            best, found = share.max(), (first, after, beam, before)
     if found is None:
         nothing = Finding("a flight of which no beam meets two things")
         raise InputError(model.scenario.name, None, nothing, "allowed: one over trees, boulders or edges")
-    first, row, beam, before = found
-    return first + row, beam, model.state_after(first, row, before) if row else before
+    first, after, beam, before = found
+    return first + after, beam, model.state_after(first, after, before) if after else before
 
 
 def _echoes(model: FlightModel, shot: NDArray[np.int64], state: ScannerState) -> tuple[Echoes, ScannerState]:
