@@ -29,7 +29,7 @@ from lidar_emu.scene.hits import Hits, MovingScene, Scene
 from lidar_emu.scene.reach import Reach
 from lidar_emu.sweep import MOST_SHOTS, slack, sweep
 from lidar_emu.trajectory.build import build_trajectory
-from lidar_emu.trajectory.state import Trajectory, VehicleState
+from lidar_emu.trajectory.state import Trajectory, VehicleState, seconds
 
 _Shot = TypeVar("_Shot", int, NDArray[np.int64])
 
@@ -213,7 +213,7 @@ class Flight:
 
     def patterns(self, shot: NDArray[np.int64], state: ScannerState) -> IntArray:
         """(shots,) Number of the pattern of consecutive shots, decided as each begins."""
-        begins_s = _seconds(shot * self.period_ns)
+        begins_s = seconds(shot * self.period_ns)
         return self._choose_patterns(begins_s[:, None], self.trajectory.state(begins_s), state)[0]
 
     def cast(self, pointing: Pointing) -> Hits:
@@ -274,7 +274,3 @@ class Flight:
             allowed = f"allowed: at most {flown_s:.6g} s, the flight"
             raise InputError(scenario.name, "duration_s", duration_s, allowed)
         return scenario.timing.shots_within(duration_s)
-
-
-def _seconds(time_ns: NDArray[np.int64]) -> FloatArray:
-    return time_ns.astype(np.float64) * 1e-9

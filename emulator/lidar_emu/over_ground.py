@@ -10,7 +10,7 @@ from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.site import Grid, Nested
 from lidar_emu.scene.hits import Scene
-from lidar_emu.trajectory.state import Trajectory
+from lidar_emu.trajectory.state import Trajectory, seconds
 
 _CHECKED_SHOTS = 4096
 
@@ -31,7 +31,7 @@ def refuse_to_leave(
     """
     for first in range(0, shots, _CHECKED_SHOTS):
         shot = np.arange(first, min(first + _CHECKED_SHOTS, shots), dtype=np.int64)
-        _refuse_outside(scenario, trajectory, ground, (shot * period_ns).astype(np.float64) * 1e-9)
+        _refuse_outside(scenario, trajectory, ground, seconds(shot * period_ns))
 
 
 def _refuse_outside(

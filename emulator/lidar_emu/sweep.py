@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidar_emu.arrays import FloatArray, IntArray
 from lidar_emu.rotations import rotate
@@ -14,7 +13,7 @@ from lidar_emu.scanner.model import ScannerModel
 from lidar_emu.scenario.faults import Misalignment
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.reach import Lines
-from lidar_emu.trajectory.state import Trajectory
+from lidar_emu.trajectory.state import Trajectory, seconds
 
 MOST_SHOTS = 1_000_000
 """Of a longer flight nothing is known beforehand: to follow it would take longer than it saves."""
@@ -47,7 +46,7 @@ def sweep(
     after_ns = np.concatenate([[0], validity_ns])
     for first in range(0, shots, _SHOTS_AT_ONCE):
         shot = np.arange(first, min(first + _SHOTS_AT_ONCE, shots), dtype=np.int64)
-        vehicle = trajectory.state(_seconds(shot[:, None] * period_ns + after_ns).reshape(-1))
+        vehicle = trajectory.state(seconds(shot[:, None] * period_ns + after_ns).reshape(-1))
         sensor_site_m = vehicle.position_site_m + rotate(vehicle.site_from_body, lever_arm_body_m)
         body = np.full((len(shot), len(after_ns), 3), np.nan)
         for pattern in range(scanner.set_count):
@@ -68,7 +67,3 @@ def slack(scenario: FlightScenario) -> tuple[float, float]:
     tilts_mrad = [fault.tilt_mrad for fault in scenario.faults if isinstance(fault, Misalignment)]
     tilt_rad = 1e-3 * sum(float(np.hypot(*tilt)) for tilt in tilts_mrad)
     return farthest_w * far_field + tilt_rad + 1e-9, farthest_w * waist_m + 1e-6
-
-
-def _seconds(time_ns: NDArray[np.int64]) -> FloatArray:
-    return time_ns.astype(np.float64) * 1e-9

@@ -20,6 +20,7 @@ from lidar_emu.rotations import from_rotation_vector, rotate
 from lidar_emu.scanner.model import mounting_rotation
 from lidar_emu.scenario import faults as kinds
 from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.trajectory.state import seconds
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ class LightFaults:
     def _with_tilt(
         self, pointing: Pointing, hit: BoolArray, size: FloatArray, tilt_mrad: tuple[float, float]
     ) -> Pointing:
-        vehicle = self._flight.trajectory.state(pointing.time_ns.reshape(-1).astype(np.float64) * 1e-9)
+        vehicle = self._flight.trajectory.state(seconds(pointing.time_ns.reshape(-1)))
         sensor_rad = np.array([*tilt_mrad, 0.0]) * 1e-3
         axis_site = rotate(vehicle.site_from_body, rotate(self._body_from_sensor, sensor_rad))
         turn = from_rotation_vector(size[..., None] * axis_site.reshape(*hit.shape, 3))

@@ -6,7 +6,12 @@ from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.arrays import FloatArray, IntArray
+
+
+def seconds(time_ns: IntArray) -> FloatArray:
+    """Instants as trajectories take them."""
+    return time_ns.astype(np.float64) * 1e-9
 
 
 class Gap(NamedTuple):

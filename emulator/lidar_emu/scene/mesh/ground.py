@@ -14,6 +14,7 @@ from lidar_emu.scenario.site import Site
 from lidar_emu.scene.hits import Hits
 from lidar_emu.scene.mesh.file import MeshFile, enclosed_m3, turned_over
 from lidar_emu.scene.mesh.model import Mesh, Triangles
+from lidar_emu.scene.terrain.frame import site_from_body_fixed
 
 
 class MeshGround:
@@ -90,13 +91,13 @@ def _at_place(file: MeshFile, origin: MeshOrigin) -> tuple[FloatArray, float]:
     if origin.body_fixed_m is not None:
         x, y, z = origin.body_fixed_m
         latitude_rad, longitude_rad = math.atan2(z, math.hypot(x, y)), math.atan2(y, x)
-        upright_m = rotate(_site_from_body_fixed(latitude_rad, longitude_rad), file.corner_m)
+        upright_m = rotate(site_from_body_fixed(latitude_rad, longitude_rad), file.corner_m)
         radius_m = math.sqrt(x * x + y * y + z * z)
     else:
         assert origin.latitude_deg is not None
         assert origin.longitude_deg is not None
         latitude_rad, longitude_rad = math.radians(origin.latitude_deg), math.radians(origin.longitude_deg)
-        upright_m = rotate(_site_from_body_fixed(latitude_rad, longitude_rad), file.corner_m)
+        upright_m = rotate(site_from_body_fixed(latitude_rad, longitude_rad), file.corner_m)
         radius_m = _height_over_centre_m(upright_m)
         if not radius_m > 0:
             found = f"latitude {origin.latitude_deg:g}, longitude {origin.longitude_deg:g}"
@@ -104,19 +105,6 @@ def _at_place(file: MeshFile, origin: MeshOrigin) -> tuple[FloatArray, float]:
                 file.source, "ground.origin", found, "allowed: a place where the mesh has a surface"
             )
     return upright_m - np.array([0.0, 0.0, radius_m]), radius_m
-
-
-def _site_from_body_fixed(latitude_rad: float, longitude_rad: float) -> FloatArray:
-    """East, north and up as rows, along the body's axes."""
-    sin_lat, cos_lat = math.sin(latitude_rad), math.cos(latitude_rad)
-    sin_lon, cos_lon = math.sin(longitude_rad), math.cos(longitude_rad)
-    return np.array(
-        [
-            [-sin_lon, cos_lon, 0.0],
-            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
-            [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
-        ]
-    )
 
 
 def _height_over_centre_m(corner_m: FloatArray) -> float:

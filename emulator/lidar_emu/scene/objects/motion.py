@@ -12,6 +12,7 @@ from lidar_emu.scenario.objects import Motion
 from lidar_emu.scene.hits import Hits
 from lidar_emu.scene.mesh.model import Mesh
 from lidar_emu.scene.objects.nearer import keep_nearer
+from lidar_emu.trajectory.state import seconds
 
 
 class Poses(NamedTuple):
@@ -71,7 +72,7 @@ class MovingObject:
         Args:
             exact: by the slow path.
         """
-        poses = self.poses(1e-9 * time_ns.astype(np.float64))
+        poses = self.poses(seconds(time_ns))
         each = len(origin_site_m) // len(time_ns)
         place_m, velocity_mps, site_from_object = (np.repeat(column, each, axis=0) for column in poses)
         rows = np.flatnonzero(_passes(origin_site_m, direction_site, place_m, self._reach_m))

@@ -43,7 +43,7 @@ class LocalFrame:
         """(n, 3) east, north and up of points (n,)."""
         body_m = _body_fixed_m(self.ellipsoid, latitude_rad, longitude_rad, altitude_m)
         offset_m = body_m - self._origin_m
-        return np.stack([_along(offset_m, axis) for axis in self._axes], axis=-1)
+        return np.stack([_along(offset_m, axis) for axis in self._site_from_body_fixed], axis=-1)
 
     def geodetic(
         self, east_m: FloatArray, north_m: FloatArray, up_m: FloatArray
@@ -53,7 +53,7 @@ class LocalFrame:
         Bowring's formula, once more with its own result: better than 1e-9 m within the relief of a planet. On a
         sphere it is exact at once.
         """
-        east, north, up = self._axes
+        east, north, up = self._site_from_body_fixed
         x, y, z = (self._origin_m[k] + east_m * east[k] + north_m * north[k] + up_m * up[k] for k in range(3))
         a, b, e2 = self.ellipsoid.equatorial_m, self.ellipsoid.polar_m, self.ellipsoid.square_eccentricity
         from_axis = np.hypot(x, y)
@@ -72,15 +72,21 @@ class LocalFrame:
         return _body_fixed_m(self.ellipsoid, *at)
 
     @property
-    def _axes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Unit vectors east, north and up in the body-fixed frame."""
-        sine, cosine = np.sin(self.latitude_rad), np.cos(self.latitude_rad)
-        sine_lon, cosine_lon = np.sin(self.longitude_rad), np.cos(self.longitude_rad)
-        return (
-            np.array([-sine_lon, cosine_lon, 0.0]),
-            np.array([-sine * cosine_lon, -sine * sine_lon, cosine]),
-            np.array([cosine * cosine_lon, cosine * sine_lon, sine]),
-        )
+    def _site_from_body_fixed(self) -> FloatArray:
+        return site_from_body_fixed(self.latitude_rad, self.longitude_rad)
+
+
+def site_from_body_fixed(latitude_rad: float, longitude_rad: float) -> FloatArray:
+    """(3, 3) East, north and up as rows, along the body's axes: x toward longitude 0, z toward the north pole."""
+    sine, cosine = np.sin(latitude_rad), np.cos(latitude_rad)
+    sine_lon, cosine_lon = np.sin(longitude_rad), np.cos(longitude_rad)
+    return np.array(
+        [
+            [-sine_lon, cosine_lon, 0.0],
+            [-sine * cosine_lon, -sine * sine_lon, cosine],
+            [cosine * cosine_lon, cosine * sine_lon, sine],
+        ]
+    )
 
 
 def _body_fixed_m(
