@@ -11,7 +11,7 @@ from typing import Any
 from lidar_emu.plan import Plan
 from lidar_emu.report.flown import Flown
 from lidar_emu.report.page_style import Drawing, as_svg
-from lidar_emu.report.whole_file import whole_file
+from lidar_emu.whole_file import whole_file
 
 _LABEL_WIDTH = 11
 """Of a line of the summary."""
