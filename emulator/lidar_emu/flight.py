@@ -144,7 +144,7 @@ class Flight:
         self._needs_ground_altitude = self.scanner.needs_ground_altitude
         self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
         self.shot_count = self._count_shots()
-        if may_leave_its_ground(scenario):
+        if may_leave_its_ground(scenario) and not self.is_recorded:
             refuse_to_leave(scenario, self.trajectory, self.ground, self.shot_count, self.period_ns)
 
     @cached_property

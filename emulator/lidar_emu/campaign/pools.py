@@ -17,7 +17,7 @@ from lidar_emu.errors import Finding, InputError
 _ONE_THREAD = dict.fromkeys(
     ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
 )
-_CONNECT_S = "10s"
+_CONNECT = "10s"
 
 
 class Pool(Protocol):
@@ -88,7 +88,7 @@ class ClusterPool:
             allowed = "allowed after: pip install 'lidar-emu[cluster]'"
             raise InputError("--scheduler", None, Finding("Dask is not installed"), allowed) from None
         try:
-            self._client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+            self._client = Client(address, timeout=_CONNECT, set_as_default=False)
         except (OSError, ValueError) as error:
             found = Finding(f"{address}: no scheduler ({type(error).__name__})")
             raise InputError(

@@ -16,8 +16,8 @@ from lidar_emu.cli.options import load_scenario, plain_option, scenario_options
 from lidar_emu.cli.output import say, write_text
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import InputError, RunError
-from lidar_emu.report.whole_file import check_destination
 from lidar_emu.transports.options import port_options
+from lidar_emu.whole_file import check_destination
 
 if TYPE_CHECKING:
     from lidar_emu.cli.dashboard import Dashboard

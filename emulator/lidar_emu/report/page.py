@@ -11,7 +11,7 @@ from typing import Any
 from lidar_emu.plan import Plan
 from lidar_emu.report.flown import Flown
 from lidar_emu.report.page_style import Drawing, as_svg
-from lidar_emu.report.whole_file import whole_file
+from lidar_emu.whole_file import whole_file
 
 _LABEL_WIDTH = 11
 """Of a line of the summary."""
@@ -34,6 +34,7 @@ table { border-collapse: collapse; font-size: 0.88rem; }
 th { text-align: left; font-weight: 600; }
 td, th { padding: 0.15rem 0.9rem 0.15rem 0; vertical-align: top; border-bottom: 1px solid var(--rule);
   overflow-wrap: anywhere; }
+thead th { white-space: nowrap; overflow-wrap: normal; }
 tbody th { min-width: 6rem; max-width: 16rem; }
 """
 _NOTHING_FROM_OUTSIDE = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"

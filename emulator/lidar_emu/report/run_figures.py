@@ -75,7 +75,9 @@ def lateness(flown: Flown) -> Drawing | None:
         shown_us = np.maximum(late_us, _LEAST_US)
         bins = np.geomspace(shown_us.min() * 0.99, max(shown_us.max(), 10.0) * 1.01, 80)
         spread.hist(shown_us, bins=bins.tolist(), color="C0", alpha=0.8)
-        spread.set(xscale="log", yscale="log", xlabel="due to written (us)", ylabel="packets")
+        spread.set(
+            xscale="log", yscale="log", xlabel="due to written (us)", ylabel="packets", ylim=(0.7, None)
+        )
         stretches = np.array_split(np.argsort(due_s, kind="stable"), min(_STRETCHES, len(due_s)))
         begins_s = [due_s[stretch[0]] for stretch in stretches]
         for label, quantile in (("largest", 1.0), ("median", 0.5)):
@@ -103,7 +105,9 @@ def timeline(flown: Flown) -> Drawing | None:
         axes.set_yticks(range(len(names)), names)
         axes.set(ylim=(len(names) - 0.4, -0.6), xlabel="time (s)")
         time_s = flown.measurement.time_ns * 1e-9
-        axes.set_xlim(min(time_s.min(), *(m.min() for m in marks.values())), time_s.max())
+        first_s, last_s = min(time_s.min(), *(m.min() for m in marks.values())), time_s.max()
+        margin_s = 0.01 * (last_s - first_s) + 1e-3
+        axes.set_xlim(first_s - margin_s, last_s + margin_s)
 
     said = "; ".join(f"{name} {len(times)} times from {times.min():.1f} s" for name, times in marks.items())
     return draw(

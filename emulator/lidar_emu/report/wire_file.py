@@ -18,9 +18,9 @@ from lidar_emu.recording.link_layers import (
 )
 from lidar_emu.recording.pcap import PcapWriter
 from lidar_emu.recording.traffic import Traffic
-from lidar_emu.report.whole_file import check_destination, whole_file
 from lidar_emu.transports.frames import unpack_frames
 from lidar_emu.transports.spec import Kind
+from lidar_emu.whole_file import check_destination, whole_file
 
 _CAPTURE, _LOGS = ".pcap", (".log", ".asc", ".blf")
 WIRE_SUFFIXES = (_CAPTURE, *_LOGS)

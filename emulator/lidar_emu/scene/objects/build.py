@@ -15,12 +15,12 @@ from lidar_emu.scene.cut import CutGround, Kept
 from lidar_emu.scene.hits import GROUND, Scene
 from lidar_emu.scene.mesh.file import MAXIMUM_TRIANGLES, read_mesh
 from lidar_emu.scene.mesh.model import Mesh, Triangles
-from lidar_emu.scene.nested import Rectangle
 from lidar_emu.scene.objects.motion import MovingObject
 from lidar_emu.scene.objects.populated import PopulatedScene, SceneInMotion
 from lidar_emu.scene.objects.shapes import corners_m
 from lidar_emu.scene.objects.standing import Standing, strewn
 from lidar_emu.scene.reach import Reach, Span
+from lidar_emu.scene.rectangle import Rectangle
 
 _NED_FROM_OBJECT = np.diag([1.0, -1.0, -1.0])
 """Forward-right-down angles, for shapes that are forward-left-up."""
