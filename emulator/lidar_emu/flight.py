@@ -13,7 +13,6 @@ from lidar_emu.errors import InputError
 from lidar_emu.over_ground import may_leave_its_ground, refuse_to_leave
 from lidar_emu.pointing import (
     ACCELERATION,
-    PUBLISHED,
     SENSOR,
     TRUE,
     TURNING,
@@ -91,11 +90,6 @@ class Pointing(NamedTuple):
     def true_site(self) -> FloatArray:
         """Where the light goes."""
         return self._of_beams(TRUE)
-
-    @property
-    def published_site(self) -> FloatArray:
-        """Where the flight software believes that it goes."""
-        return self._of_beams(PUBLISHED)
 
     @property
     def position_site_m(self) -> FloatArray:
