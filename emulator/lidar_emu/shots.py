@@ -29,7 +29,7 @@ from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.required import require_flight, require_known_flight
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.scene.hits import Hits, incidence_deg
+from lidar_emu.scene.hits import Hits
 
 if TYPE_CHECKING:
     from lidar_emu.dust import Dust
@@ -161,7 +161,14 @@ class FlightModel:
     ) -> Measurement:
         true_closing_mps = np.empty(pointing.fired.shape)
         point_site_m = np.empty((*pointing.fired.shape, 3))
-        approach(pointing.beams, axis_hits.velocity_site_mps, true_closing_mps)
+        true_incidence_deg = np.empty(pointing.fired.shape)
+        approach(
+            pointing.beams,
+            axis_hits.normal_site,
+            axis_hits.velocity_site_mps,
+            true_closing_mps,
+            true_incidence_deg,
+        )
         locate(pointing.beams, returns.range_m, point_site_m)
         return Measurement(
             shot=shot,
@@ -184,7 +191,7 @@ class FlightModel:
             second_range_m=returns.second_range_m,
             true_range_m=axis_hits.range_m,
             true_closing_speed_mps=true_closing_mps,
-            true_incidence_deg=incidence_deg(axis_hits, pointing.true_site),
+            true_incidence_deg=true_incidence_deg,
             true_in_gap=pointing.in_gap,
             point_site_m=point_site_m,
             position_site_m=pointing.position_site_m,

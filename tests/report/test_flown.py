@@ -120,3 +120,27 @@ def test_a_bench_pattern_says_why_it_has_no_path(bench_flown):
     assert {drawing.name for drawing in drawings} == {"truth", "errors", "validity"}
     assert any("bench pattern" in note for note in notes)
     assert plan is not None
+
+
+def test_a_flight_without_a_valid_measurement_has_a_path(record):
+    blind = read_flown(record("descent.yaml", duration_s="0.2", instrument__detection__maximum_range_m="10"))
+    assert not blind.measurement.range_valid.any()
+    drawings, notes, _ = draw_all(blind, ())
+    assert [drawing.name for drawing in drawings] == ["path", "validity"]
+    assert any("no measurement is valid" in note for note in notes)
+
+
+def test_a_scenario_whose_files_are_gone_is_drawn_without_them(record, tmp_path):
+    ground = tmp_path / "gone.npz"
+    up_m = np.zeros((16, 16))
+    np.savez(ground, elevation_m=up_m, pixel_m=500.0)
+    flown = read_flown(
+        record(
+            "descent.yaml", duration_s="0.2", site__ground=f"{{kind: grid, file: {ground}, beyond: plane}}"
+        )
+    )
+    ground.unlink()
+    drawings, notes, plan = draw_all(flown, ())
+    assert {drawing.name for drawing in drawings} == {"path", "truth", "errors", "validity"}
+    assert plan is None
+    assert any("gone.npz" in note for note in notes)

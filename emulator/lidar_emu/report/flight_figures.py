@@ -13,6 +13,7 @@ from lidar_emu.report.page_style import GRID, Drawing, beam_points, draw, name_b
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.collections import PathCollection
     from matplotlib.figure import Figure
 
     from lidar_emu.scene.hits import Scene
@@ -29,7 +30,9 @@ def where(measurement: Measurement, scene: Scene | None) -> Drawing:
 
     def on(figure: Figure) -> None:
         above, side = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
-        _from_above(above, measurement, scene)
+        ranges = _from_above(above, measurement, scene)
+        if measurement.range_valid.any():
+            figure.colorbar(ranges, ax=above, shrink=0.8, label="range (m)")
         _from_the_side(side, measurement)
 
     low_m, high_m = (f(measurement.position_site_m[:, 2]) for f in (np.nanmin, np.nanmax))
@@ -41,7 +44,8 @@ def where(measurement: Measurement, scene: Scene | None) -> Drawing:
     return draw("path", "Path and footprints", says, 4.4, on)
 
 
-def _from_above(axes: Axes, measurement: Measurement, scene: Scene | None) -> None:
+def _from_above(axes: Axes, measurement: Measurement, scene: Scene | None) -> PathCollection:
+    """Returns the coloured points."""
     extent = extent_of(measurement)
     if scene is not None:
         light = slope_to_sun(sample_ground(scene, extent, _GROUND_SAMPLES))
@@ -60,7 +64,7 @@ def _from_above(axes: Axes, measurement: Measurement, scene: Scene | None) -> No
     axes.plot(*measurement.position_site_m[-1, :2], "o", color=_PATH, markersize=4, label="its end")
     axes.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
-    axes.get_figure(root=True).colorbar(drawn, ax=axes, shrink=0.8, label="range (m)")  # type: ignore[union-attr]
+    return drawn
 
 
 def _from_the_side(axes: Axes, measurement: Measurement) -> None:
