@@ -113,8 +113,12 @@ def _at_place(file: MeshFile, origin: MeshOrigin, part: Site) -> tuple[FloatArra
 def _require_alike(radius_m: float, file: MeshFile, body_radius_m: float) -> None:
     """A mesh in the wrong unit, or on the body of another site, is not flown."""
     if not body_radius_m / _ALIKE <= radius_m <= body_radius_m * _ALIKE:
-        allowed = f"allowed: within a factor of {_ALIKE:g} of the mesh's surface, {radius_m:.4g} m from its centre"
-        raise InputError(file.source, "site.body.radius_m", body_radius_m, f"{allowed}; or another ground.unit")
+        allowed = (
+            f"allowed: within a factor of {_ALIKE:g} of the mesh's surface, {radius_m:.4g} m from its centre"
+        )
+        raise InputError(
+            file.source, "site.body.radius_m", body_radius_m, f"{allowed}; or another ground.unit"
+        )
 
 
 def _site_from_body_fixed(latitude_rad: float, longitude_rad: float) -> FloatArray:

@@ -10,8 +10,8 @@ from lidar_emu.arrays import FloatArray
 from lidar_emu.rotations import from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.objects import Scatter
 from lidar_emu.scene.mesh.model import Triangles
-from lidar_emu.scene.nested import Rectangle
 from lidar_emu.scene.reach import Span
+from lidar_emu.scene.rectangle import Rectangle
 
 _ROUNDING = 1 + 1e-9
 """Turned corners may come to lie further out than the widest by so much."""
