@@ -145,8 +145,10 @@ def _child(node: dict[str, Any], step: str | int) -> dict[str, Any] | None:
     below: dict[str, Any] = node.get("properties", {})
     if below.get("kind", {}).get("const") == step:
         return node
-    child: dict[str, Any] | None = node.get("items") if isinstance(step, int) else below.get(step)
-    return child
+    child: Any = (
+        node.get("items") if isinstance(step, int) else below.get(step, node.get("additionalProperties"))
+    )
+    return child if isinstance(child, dict) else None
 
 
 def _alternatives(node: dict[str, Any], definitions: dict[str, Any]) -> Iterator[dict[str, Any]]:

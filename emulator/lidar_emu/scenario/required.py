@@ -25,5 +25,5 @@ def require_known_flight(scenario: FlightScenario | BenchScenario) -> None:
         InputError: the trajectory is live.
     """
     if scenario.live is not None:
-        allowed = "allowed here: profile or table; live truth is flown by lidar-emu run"
+        allowed = "allowed here: profile, table or powered_descent; live truth is flown by lidar-emu run"
         raise InputError(scenario.name, "trajectory.kind", "live", allowed)
