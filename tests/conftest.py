@@ -1,7 +1,38 @@
 """For all tests."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
 from hypothesis import settings
+
+from lidar_emu.recording.read import Recording, read_recording
+from lidar_emu.recording.write import Recorder
+from lidar_emu.runtime.fly import Run
+from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.run_options import RunOptions
+from lidar_emu.scenario.load import load
+from lidar_emu.shots import build_model
+from lidar_emu.transports.spec import PortSpec
 
 # The first example of a test may compile a kernel; no test is about time.
 settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
+
+
+@pytest.fixture(scope="session")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Recording]:
+    """Fly a scenario on the in-memory loopback as fast as it goes, and read what was recorded."""
+
+    def record(name: str, /, **settings: str) -> Recording:
+        scenario = load(name, {key.replace("__", "."): value for key, value in settings.items()})
+        path: Path = tmp_path_factory.mktemp("recording") / "r.mcap"
+        options = RunOptions(PortSpec(), Pace.MAX)
+        with Recorder(path, scenario, options) as recorder:
+            Run(scenario, build_model(scenario), options, [recorder]).fly()
+        assert recorder.error is None
+        return read_recording(path)
+
+    return record

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
-from lidar_emu.faults.chance import Chance
+from lidar_emu.chance import Chance
 from lidar_emu.flight import Pointing, sensor_height_m
 from lidar_emu.fmcw.echo import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
@@ -125,12 +125,6 @@ class Dust:
         site = self._scenario.site
         white = site.surface.model_copy(update={"reflectance": 1.0})
         return coherent_power_w(self._scenario.instrument, white, site.atmosphere, range_m, 1.0)
-
-
-def build_dust(scenario: FlightScenario) -> Dust | None:
-    """None where no plume raises any, or the level reports the truth."""
-    plume = scenario.plume
-    return None if plume is None or scenario.level == "geometric" else Dust(scenario, plume)
 
 
 def _passed(depth: FloatArray | float) -> FloatArray:

@@ -47,6 +47,11 @@ def shown(value: object, limit: int = 60) -> str:
     return text if len(text) <= limit else text[: limit - 3] + "..."
 
 
+def reason_of(error: BaseException) -> str:
+    """Why the system, or a library, would not: in the system's words where it has some."""
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__
+
+
 def one_line(text: str) -> str:
     """``text`` with every run of white space made one blank, and nothing that would move a terminal's cursor."""
     return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))

@@ -13,7 +13,6 @@ from lidar_emu.errors import InputError
 from lidar_emu.over_ground import may_leave_its_ground, refuse_to_leave
 from lidar_emu.pointing import (
     ACCELERATION,
-    PUBLISHED,
     SENSOR,
     TRUE,
     TURNING,
@@ -93,11 +92,6 @@ class Pointing(NamedTuple):
         return self._of_beams(TRUE)
 
     @property
-    def published_site(self) -> FloatArray:
-        """Where the flight software believes that it goes."""
-        return self._of_beams(PUBLISHED)
-
-    @property
     def position_site_m(self) -> FloatArray:
         """(shots, 3) Of the vehicle at the first beam's validity."""
         return np.asarray(self.vehicle[0])
@@ -144,7 +138,7 @@ class Flight:
         self._needs_ground_altitude = self.scanner.needs_ground_altitude
         self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
         self.shot_count = self._count_shots()
-        if may_leave_its_ground(scenario):
+        if may_leave_its_ground(scenario) and not self.is_recorded:
             refuse_to_leave(scenario, self.trajectory, self.ground, self.shot_count, self.period_ns)
 
     @cached_property

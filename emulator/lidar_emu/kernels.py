@@ -20,6 +20,8 @@ from numba import njit
 from numba.core import config, event
 from numba.core.registry import CPUDispatcher
 
+from lidar_emu.cache_folder import cache_folder
+
 __all__ = ["CACHED", "interpreted", "kernel", "njit", "with_fields"]
 
 _ROOMS = ("fmcw", "scene")
@@ -42,18 +44,15 @@ def _sources_digest() -> str:
     return digest.hexdigest()[:16]
 
 
-def _cache_folder() -> Path:
-    if config.CACHE_DIR:  # type: ignore[attr-defined]
-        home = Path(config.CACHE_DIR)  # type: ignore[attr-defined]
-    else:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lidar-emu"
-    return home / f"kernels-{_sources_digest()}"
+def _kernels_folder() -> Path:
+    stated: str = config.CACHE_DIR  # type: ignore[attr-defined]
+    return (Path(stated) if stated else cache_folder()) / f"kernels-{_sources_digest()}"
 
 
 def _use_cache() -> bool:
     """Tell numba where to keep what it compiles; whether it can be kept."""
     try:
-        folder = _cache_folder()
+        folder = _kernels_folder()
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, RuntimeError):  # read-only, or a user without a home
         return False

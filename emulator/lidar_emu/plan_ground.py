@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from lidar_emu.plan_receiver import Decision
-from lidar_emu.scene.albedo import PaintedGround
 from lidar_emu.scene.cut import CutGround, Kept
 from lidar_emu.scene.hits import Scene
-from lidar_emu.scene.nested import NestedGround
+from lidar_emu.scene.joined.albedo import PaintedGround
+from lidar_emu.scene.joined.nested import NestedGround
 
 _BYTES_PER_SAMPLE = 8 * 4 / 3
 """A height, and its share of the pyramid of maxima over it."""

@@ -101,13 +101,24 @@ def point_beams(
 
 
 @kernel(outermost=True)
-def approach(beams: FloatArray, surface_mps: FloatArray, true_closing_mps: FloatArray) -> None:
-    """The sensor's speed along the true axis, less that of what is hit, if it moves."""
+def approach(
+    beams: FloatArray,
+    normals: FloatArray,
+    surface_mps: FloatArray,
+    true_closing_mps: FloatArray,
+    true_incidence_deg: FloatArray,
+) -> None:
+    """The sensor's speed along the true axis, less that of what is hit, if it moves; and the angle between the axis
+    and the normal (shots, beams, 3) of what it hits, NaN where that is nothing."""
     for s in range(true_closing_mps.shape[0]):
         for b in range(true_closing_mps.shape[1]):
-            true_closing_mps[s, b] = dot_3(beams[VELOCITY, s, b], beams[TRUE, s, b])
+            axis = beams[TRUE, s, b]
+            true_closing_mps[s, b] = dot_3(beams[VELOCITY, s, b], axis)
             if surface_mps.size > 0:
-                true_closing_mps[s, b] -= known(dot_3(surface_mps[s, b], beams[TRUE, s, b]))
+                true_closing_mps[s, b] -= known(dot_3(surface_mps[s, b], axis))
+            # Bounds first: np.minimum passes NaN on, min() may not.
+            cosine = np.minimum(np.maximum(-dot_3(normals[s, b], axis), -1.0), 1.0)
+            true_incidence_deg[s, b] = np.degrees(np.arccos(cosine))
 
 
 @kernel(outermost=True)

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.bench_model import BenchModel
-from lidar_emu.dust import build_dust
 from lidar_emu.echoes import Light
 from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight import Flight, Pointing
@@ -30,9 +29,10 @@ from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.required import require_flight, require_known_flight
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.scene.hits import Hits, incidence_deg
+from lidar_emu.scene.hits import Hits
 
 if TYPE_CHECKING:
+    from lidar_emu.dust import Dust
     from lidar_emu.faults.measured import BeamFaults, Held
     from lidar_emu.faults.physics import PhysicsFaults
     from lidar_emu.faults.schedule import Injected
@@ -90,7 +90,7 @@ class FlightModel:
         self.flight = Flight(scenario) if flight is None else flight
         self.plan = plan_flight(scenario, self.flight)
         self.light = Light(scenario.instrument, scenario.site, self.flight, self.plan.beamlets)
-        self.dust = build_dust(scenario)
+        self.dust = _dust(scenario)
         self.level = build_level(scenario)
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
@@ -161,7 +161,14 @@ class FlightModel:
     ) -> Measurement:
         true_closing_mps = np.empty(pointing.fired.shape)
         point_site_m = np.empty((*pointing.fired.shape, 3))
-        approach(pointing.beams, axis_hits.velocity_site_mps, true_closing_mps)
+        true_incidence_deg = np.empty(pointing.fired.shape)
+        approach(
+            pointing.beams,
+            axis_hits.normal_site,
+            axis_hits.velocity_site_mps,
+            true_closing_mps,
+            true_incidence_deg,
+        )
         locate(pointing.beams, returns.range_m, point_site_m)
         return Measurement(
             shot=shot,
@@ -184,12 +191,21 @@ class FlightModel:
             second_range_m=returns.second_range_m,
             true_range_m=axis_hits.range_m,
             true_closing_speed_mps=true_closing_mps,
-            true_incidence_deg=incidence_deg(axis_hits, pointing.true_site),
+            true_incidence_deg=true_incidence_deg,
             true_in_gap=pointing.in_gap,
             point_site_m=point_site_m,
             position_site_m=pointing.position_site_m,
             velocity_site_mps=pointing.velocity_site_mps,
         )
+
+
+def _dust(scenario: FlightScenario) -> Dust | None:
+    """None where no plume raises any, or the level reports the truth."""
+    if scenario.plume is None or scenario.level == "geometric":
+        return None
+    from lidar_emu.dust import Dust
+
+    return Dust(scenario, scenario.plume)
 
 
 def build_model(scenario: FlightScenario | BenchScenario, geometry: Path | None = None) -> Model:

@@ -12,7 +12,7 @@ from lidar_emu.campaign.statistics import LEVELS, campaign_statistics, share
 RUNS, BEAMS = 200, 100
 
 
-def write(folder, rng, runs=RUNS, lost=0.1, spread=0.05):
+def write(folder, rng, runs=RUNS, lost=0.1, spread=0.05, every=1):
     """A campaign whose runs differ in how much they lose and in a bias; all at 300 to 500 m, 12 degrees."""
     (folder / "beams").mkdir(parents=True)
     own_loss = np.clip(lost + spread * rng.standard_normal(runs), 0, 1)
@@ -21,7 +21,7 @@ def write(folder, rng, runs=RUNS, lost=0.1, spread=0.05):
     error_m = bias_m[:, None] + 0.3 * rng.standard_normal((runs, BEAMS))
     error_mps = 1e-3 * rng.standard_normal((runs, BEAMS))
     columns = {
-        "run": np.repeat(np.arange(runs), BEAMS),
+        "run": np.repeat(every * np.arange(runs), BEAMS),
         "altitude_m": rng.uniform(300, 499, runs * BEAMS),
         "true_incidence_deg": np.full(runs * BEAMS, 12.0),
         "fired": np.ones(runs * BEAMS, dtype=bool),
@@ -61,6 +61,7 @@ def test_intervals_hold_what_they_promise(tmp_path):
     """Of 60 campaigns about 57 should have the truth within 95 %; 50 or fewer happen once in 3000 times."""
     rng = np.random.default_rng(2)
     held = {"dropout": 0, "median": 0, "tail": 0}
+    half_m = []
     tail_m = 1.6448536 * np.hypot(0.2, 0.3)
     for k in range(60):
         write(tmp_path / str(k), rng)
@@ -69,9 +70,20 @@ def test_intervals_hold_what_they_promise(tmp_path):
         held["dropout"] += band.dropout.low <= 0.1007 <= band.dropout.high
         held["median"] += middle.low <= 0.0 <= middle.high
         held["tail"] += tail.low <= tail_m <= tail.high
+        half_m.append((middle.high - middle.low) / 2)
     assert min(held.values()) > 50
-    # Runs are biased as a whole: as if beams were independent, the medians' intervals would be a fifth as wide.
-    assert max(held.values()) <= 60
+    # Runs are biased as a whole: were beams independent, the intervals would be a fifth as wide. The share of a run's
+    # errors below 0 has the variance arcsin(0.04/0.13)/2π, and that of drawing 100 of them.
+    of_bias = np.arcsin(0.04 / 0.13) / (2 * np.pi)
+    share_sigma = np.sqrt((of_bias + (0.25 - of_bias) / BEAMS) / RUNS)
+    density_per_m = 1 / np.sqrt(2 * np.pi * 0.13)
+    assert np.mean(half_m) == pytest.approx(2.0095752 * share_sigma / density_per_m, rel=0.05)
+
+
+def test_intervals_are_the_same_of_whichever_runs_are_kept(tmp_path):
+    for every in (1, 50):
+        write(tmp_path / str(every), np.random.default_rng(4), every=every)
+    assert campaign_statistics(tmp_path / "50") == campaign_statistics(tmp_path / "1")
 
 
 @pytest.mark.parametrize(("part", "value", "high"), [(0, 0.0, 0.0885), (1000, 1.0, 1.0)])

@@ -7,8 +7,8 @@ import pytest
 from matplotlib import colormaps
 from matplotlib.image import imread
 
+from lidar_emu import whole_file
 from lidar_emu.errors import InputError
-from lidar_emu.report import whole_file
 from lidar_emu.report.descent_plot import check_plot_path, plot_descent
 from lidar_emu.scene.plane import PlaneGround
 

@@ -8,8 +8,8 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
+from lidar_emu import whole_file
 from lidar_emu.errors import InputError, RunError
-from lidar_emu.report import whole_file
 from lidar_emu.report.exports import check_export_path, export
 
 PLY_CODES = {"double": "d", "float": "f", "uchar": "B"}
@@ -156,4 +156,16 @@ def test_export_replaces_an_older_file_and_leaves_no_other(flight, tmp_path):
     path.write_text("older")
     export(flight, path)
     assert path.read_text().startswith("shot,beam,time_s,")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_one_name_may_be_written_by_several_at_once(tmp_path):
+    path = tmp_path / "run.csv"
+    with whole_file.whole_file(path) as first:
+        first.write(b"first")
+        with whole_file.whole_file(path) as second:
+            second.write(b"second")
+        assert path.read_bytes() == b"second"
+        first.write(b" and whole")
+    assert path.read_bytes() == b"first and whole"
     assert list(tmp_path.iterdir()) == [path]

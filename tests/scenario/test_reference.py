@@ -43,7 +43,9 @@ def at(node, path):
 
 def models(model=Part):
     for below in model.__subclasses__():
-        yield below
+        # Campaigns are described on a page of their own, docs/campaigns.md.
+        if below.__module__ != "lidar_emu.scenario.campaign":
+            yield below
         yield from models(below)
 
 

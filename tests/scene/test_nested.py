@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from lidar_emu.scene import seam
 from lidar_emu.scene.grid.ground import GridGround, Samples
+from lidar_emu.scene.joined import seam
+from lidar_emu.scene.joined.seam import extent
 from lidar_emu.scene.plane import PlaneGround
-from lidar_emu.scene.seam import extent
 
 
 def hills_m(east_m, north_m):

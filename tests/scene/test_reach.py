@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.scene import grids
 from lidar_emu.scene.cut import CutGround
 from lidar_emu.scene.grid.ground import GridGround, Samples
-from lidar_emu.scene.grids import Layer, join_grids
-from lidar_emu.scene.nested import Rectangle
+from lidar_emu.scene.joined import grids
+from lidar_emu.scene.joined.grids import Layer, join_grids
 from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.reach import Reach, Span, strays
+from lidar_emu.scene.rectangle import Rectangle
 from lidar_emu.scene.sphere import SphereGround
 
 BEYOND = [None, PlaneGround(0.0, 0.0, 0.0), SphereGround(1.7e6, 0.0)]

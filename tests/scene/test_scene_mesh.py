@@ -343,6 +343,15 @@ def test_a_place_without_a_surface_is_refused(tmp_path: Path) -> None:
         build_scene(site(path, latitude_deg=90, longitude_deg=0))
 
 
+def test_a_mesh_in_the_wrong_unit_is_refused(tmp_path: Path) -> None:
+    path = write(trimesh.creation.icosphere(3, 0.1), tmp_path / "km.ply")
+    with pytest.raises(
+        InputError, match=r"km.ply: site.body.radius_m: 90.0 .* m from its centre; or another ground.unit"
+    ):
+        build_scene(site(path, "m", latitude_deg=10.0, longitude_deg=20.0))
+    build_scene(site(path, "km", latitude_deg=10.0, longitude_deg=20.0))
+
+
 def test_an_open_mesh_that_faces_down_is_still_ground(tmp_path: Path) -> None:
     corner_m = hills(9)[:, ::-1]
     path = write(trimesh.Trimesh(**trimesh.triangles.to_kwargs(corner_m)), tmp_path / "patch.obj")
@@ -362,9 +371,8 @@ def test_itokawa_is_as_it_is_known() -> None:
     assert len(file.corner_m) == 49152
     assert file.is_closed
     assert enclosed_m3(file.corner_m) == pytest.approx(0.017786e9, rel=1e-4)
-    scene = place_mesh(
-        file, MeshOrigin(latitude_deg=20.0, longitude_deg=30.0), Site(ground=Sphere(kind="sphere"))
-    )
+    part = Site(ground=Sphere(kind="sphere"), body=Body(radius_m=162.0))
+    scene = place_mesh(file, MeshOrigin(latitude_deg=20.0, longitude_deg=30.0), part)
     target = file.corner_m.mean(axis=(0, 1))
     origin = 500 * units(RNG(1).normal(size=(40, 3))) + target
     direction = units(target - origin + 50 * RNG(2).normal(size=(40, 3)))

@@ -242,3 +242,11 @@ def test_names_are_given_once() -> None:
     pad = part(kind="pad", diameter_m=1)
     with pytest.raises(ValidationError, match="a name that no other object has"):
         Site(ground=Plane(kind="plane"), objects=[pad, pad])
+
+
+def test_more_triangles_than_fit_into_memory_are_refused_before_they_are_made(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("lidar_emu.scene.objects.build.MAXIMUM_TRIANGLES", 3 * 320 - 1)
+    with pytest.raises(InputError, match=r"site.objects: 960 triangles that beams may come to.*at most 959"):
+        scene(part(kind="boulder", diameter_m=1, scatter={"count": 3, "radius_m": 5}))

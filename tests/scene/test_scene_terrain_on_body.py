@@ -10,7 +10,6 @@ from lidar_emu.errors import InputError
 from lidar_emu.scenario.site import Grid, Site
 from lidar_emu.scene import build_scene
 from lidar_emu.scene.terrain.frame import Ellipsoid, LocalFrame
-from lidar_emu.scene.terrain.local import Extent
 from lidar_emu.scene.terrain.read import read_terrain
 
 rasterio = pytest.importorskip("rasterio", reason="the extra geo is not installed")
@@ -354,21 +353,16 @@ def test_places_that_are_refused(tmp_path, keys, expected):
     assert expected in str(caught.value)
 
 
-def test_a_part_in_the_frame_of_another_grid(tmp_path):
-    """What a second file tells in the frame of the first is the same ground."""
+def test_another_map_of_the_same_place_is_the_same_ground(tmp_path):
     crs, latitude_deg, longitude_deg = MAPS["south polar stereographic"]
     fine = write_map(tmp_path / "fine.tif", crs, latitude_deg, longitude_deg, pixel_m=100.0)
     wide = write_map(
         tmp_path / "wide.tif", MAPS["equirectangular"][0].replace("3394839.8", "1737400"), -85.2, 41.5
     )
-    first = terrain_of(fine)
-    extent = Extent(-1000.0, 3000.0, -2000.0, 2000.0)
-    second = read_terrain(Grid(kind="grid", file=str(wide)), extent, first.frame)
-    assert second.frame == first.frame
-    assert second.origin_elevation_m == first.origin_elevation_m
+    origin = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
+    first, second = terrain_of(fine, origin=origin), terrain_of(wide, origin=origin, half_size_m=2000.0)
     east, north, z = nodes(second)
-    assert (east.min(), north.min()) >= (-1000.0, -2000.0)
-    assert (east.max(), north.max()) <= (3000.0, 2000.0)
+    assert np.abs([east, north]).max() <= 2000.0
     column, row = (east - first.west_m) / 100.0, (first.north_m - north) / 100.0
     heights = nodes(first)[2][np.rint(row).astype(int), np.rint(column).astype(int)]
     assert np.nanmax(np.abs(z - heights)) < 20.0

@@ -153,6 +153,18 @@ def test_goes_with_faults_of_light():
     np.testing.assert_allclose(np.median(brighter_db), 10 * np.log10(0.9 / 0.18), atol=0.2)
 
 
+def test_a_patch_of_the_ground_does_not_shine_through_a_streak():
+    plume = {"streak_share": 1.0, "streak_optical_depth": 5.0}
+    patch = "[{kind: reflectance_patch, centre_m: [0, 0], radius_m: 99, reflectance: 0.02}]"
+    plain, patched = (
+        simulate(landing(plume, level="statistical", faults=faults)) for faults in ("[]", patch)
+    )
+    low = plain.position_site_m[:, 2] < 12
+    assert (plain.range_m < plain.true_range_m)[low].any()
+    np.testing.assert_array_equal(patched.snr_db[low], plain.snr_db[low])
+    assert (patched.snr_db[:40] < plain.snr_db[:40] - 9).all()
+
+
 @pytest.mark.parametrize(
     ("plume", "key"),
     [

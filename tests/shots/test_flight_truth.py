@@ -25,6 +25,7 @@ def test_vertical_descent_over_a_plane(make_flight):
     np.testing.assert_allclose(
         run.true_closing_speed_mps, np.broadcast_to(speed_mps / SLANT, run.true_range_m.shape), rtol=1e-12
     )
+    np.testing.assert_allclose(run.true_incidence_deg, 22.5, rtol=1e-12)
     # v² falls linearly with altitude: 60 to 20 m/s over 900 m.
     np.testing.assert_allclose(speed_mps**2, 400 + (up_m - 100) * (3600 - 400) / 900, rtol=1e-9)
 
@@ -147,6 +148,12 @@ def test_plane_with_a_slope(make_flight):
     east = np.sin(np.radians(45 + 90 * np.arange(4))) * np.sin(angle)
     expected = run.position_site_m[:, 2:] / (np.cos(angle) - tilt * east)
     np.testing.assert_allclose(run.true_range_m, expected, rtol=1e-12)
+    against_normal = np.cos(np.radians(20)) * np.cos(angle) - np.sin(np.radians(20)) * east
+    np.testing.assert_allclose(
+        np.cos(np.radians(run.true_incidence_deg)),
+        np.broadcast_to(against_normal, run.true_incidence_deg.shape),
+        rtol=1e-12,
+    )
 
 
 def test_a_curved_body_falls_away_under_the_outer_beams(make_flight):

@@ -10,8 +10,8 @@ from lidar_emu.errors import InputError
 from lidar_emu.flight import Flight
 from lidar_emu.ground.relief import fractional_surface
 from lidar_emu.plan import plan_flight
-from lidar_emu.scene import grids
 from lidar_emu.scene.cut import CutGround
+from lidar_emu.scene.joined import grids
 
 SCENARIO = """
 name: nested

@@ -72,6 +72,18 @@ def test_through_any_receiver(settings, recorded):
     assert_same(measured(scenario, recorded), simulate(scenario))
 
 
+def test_the_ground_itself_is_not_needed(tmp_path):
+    """Nor the way over it checked again, which was when it was recorded."""
+    grid = tmp_path / "dem.npz"
+    np.savez(grid, elevation_m=np.random.default_rng(1).normal(size=(300, 300)), pixel_m=20.0)
+    ground = f"{{ground: {{kind: grid, file: '{grid}', beyond: none}}}}"
+    scenario = flown({"site": ground, "duration_s": "2", "level": "geometric"})
+    record_geometry(scenario, tmp_path / "flight.npz")
+    whole = simulate(scenario)
+    grid.unlink()
+    assert_same(measured(scenario, tmp_path / "flight.npz"), whole)
+
+
 @pytest.mark.parametrize("block_shots", [1, 50, 128, 300])
 def test_in_any_blocks(block_shots, recorded):
     scenario = flown({**WAY, "level": "statistical"})

@@ -72,7 +72,8 @@ def measure_cores(show: Callable[[str], None]) -> list[CoreSpeed]:
 def measure_scaling(workers: int, runs: int, show: Callable[[str], None]) -> Scaling:
     """Fly `runs` at the statistical level, where what a pool costs counts most; medians of several rounds."""
     prepared = prepare(Path(CAMPAIGN), {"level": LEVELS[0]}, runs)
-    rows = build_model(prepared.first).shot_count
+    model = build_model(prepared.first)
+    rows = model.shot_count * model.beam_count
     clock, times_s = Clock(), np.empty((2, _COMPARISONS))
     for k in range(_COMPARISONS):
         show(f"{workers} processes in a pool, and on their own: round {k + 1} of {_COMPARISONS}")

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from lidar_emu.arrays import FloatArray
 
-Single = NDArray[np.float32]
-
 
 class Tracer(Protocol):
     """A scene of triangles, built and warm."""

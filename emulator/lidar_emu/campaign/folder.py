@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,8 +12,9 @@ from typing import Any
 from lidar_emu import __version__
 from lidar_emu.campaign.batch import part_path
 from lidar_emu.campaign.read import Prepared
-from lidar_emu.errors import Finding, InputError
-from lidar_emu.report.whole_file import whole_file
+from lidar_emu.errors import Finding, InputError, reason_of
+from lidar_emu.recording.provenance import hashed_files
+from lidar_emu.whole_file import whole_file
 
 _TABLES = ("runs", "beams")
 _STATED = "campaign.json"
@@ -34,7 +34,7 @@ def campaign_folder(folder: Path, prepared: Prepared, batch_runs: int) -> Iterat
             raise InputError("--out", None, Finding(f"{folder} holds other files"), _ALLOWED)
         lock = (folder / ".lock").open("w")
     except (OSError, ValueError) as error:
-        reason = Finding(f"{folder}: {getattr(error, 'strerror', None) or error}")
+        reason = Finding(f"{folder}: {reason_of(error)}")
         raise InputError("--out", None, reason, "allowed: a folder that you may write") from None
     with lock:
         try:
@@ -96,24 +96,14 @@ def _differing(before: Any, stated: Any) -> Iterator[str]:
 def _statement(prepared: Prepared, batch_runs: int) -> dict[str, Any]:
     """All that decides what the files of the folder hold."""
     campaign = json.loads(prepared.campaign.model_dump_json())
-    first = json.loads(prepared.first.model_dump_json())
     return {
         "lidar_emu": __version__,
         "name": campaign["name"],
         "campaign": campaign,
         "runs_per_file": batch_runs,
-        "first_run": first,
-        "files_sha256": _digests(first),
+        "first_run": json.loads(prepared.first.model_dump_json()),
+        "files_sha256": dict(hashed_files(prepared.first)),
     }
-
-
-def _digests(part: Any) -> dict[str, str]:
-    """Of the files that a scenario, resolved, only names; by name."""
-    below = part.values() if isinstance(part, dict) else part if isinstance(part, list) else ()
-    found = {name: digest for child in below for name, digest in _digests(child).items()}
-    if isinstance(part, dict) and isinstance(part.get("file"), str):
-        found[part["file"]] = hashlib.sha256(Path(part["file"]).read_bytes()).hexdigest()
-    return found
 
 
 def finished(folder: Path, batches: int) -> set[int]:

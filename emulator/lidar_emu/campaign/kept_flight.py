@@ -12,7 +12,7 @@ from lidar_emu.trajectory.build import build_trajectory
 from lidar_emu.trajectory.state import Trajectory
 
 _KEPT = 4
-_NOT_OF_THE_GRID = {"name", "surface", "atmosphere", "sunlight_w_per_m2_um"}
+_NOT_OF_THE_GRID = {"name", "surface", "atmosphere", "sunlight_w_per_m2_um", "objects"}
 
 
 class KeptFlight(Flight):

@@ -17,7 +17,7 @@ from lidar_emu.errors import Finding, InputError
 _ONE_THREAD = dict.fromkeys(
     ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
 )
-_CONNECT_S = "10s"
+_CONNECT = "10s"
 
 
 class Pool(Protocol):
@@ -91,7 +91,7 @@ class ClusterPool:
         try:
             # A client of no address at all would be half made, and its end waits and prints.
             resolve_address(address)
-            self._client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+            self._client = Client(address, timeout=_CONNECT, set_as_default=False)
         except (OSError, ValueError) as error:
             found = Finding(f"{address}: no scheduler ({type(error).__name__})")
             raise InputError(

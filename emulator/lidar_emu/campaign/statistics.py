@@ -1,7 +1,7 @@
 """Errors and dropouts of a whole campaign, by altitude and by incidence, with confidence intervals.
 
-Shots of one run are not independent: they share what was drawn. So runs are dealt to groups, each group has its own
-counts, and the groups' scatter tells how far the figures of another campaign would be off. Errors are counted in
+Shots of one run are not independent: they share what was drawn. So runs are dealt to groups in turn, each group has its
+own counts, and the groups' scatter tells how far the figures of another campaign would be off. Errors are counted in
 narrow bins, so that a million runs need no more memory than ten.
 """
 
@@ -92,16 +92,21 @@ def campaign_statistics(folder: Path) -> list[BandStatistics]:
 
 
 def _files(folder: Path) -> Iterator[dict[str, FloatArray]]:
-    """The beams of each file that fired at ground: bands, run, and errors, NaN where there is no valid value."""
+    """The beams of each file that fired at ground: bands, errors, NaN where there is no valid value, and the run, as
+    the how manieth of those that are kept: a campaign may keep the beams of every fiftieth alone."""
     from pyarrow import parquet
 
     truths = [f"true_{error.quantity}" for error in ERRORS]
     names = ["run", "fired", "range_valid", *(axis.name for axis in AXES)]
     names += [*(error.quantity for error in ERRORS), *truths]
+    before = 0
     for path in sorted((folder / "beams").glob("part-*.parquet")):
         # One thread: the files are small, and a pool of threads for each costs more than it saves.
         table = parquet.read_table(path, columns=names, use_threads=False)
         columns = {name: np.asarray(table[name].to_numpy(), dtype=np.float64) for name in names}
+        runs, place = np.unique(columns["run"], return_inverse=True)
+        columns["run"] = (before + place).astype(np.float64)
+        before += len(runs)
         asked = (columns["fired"] == 1.0) & np.isfinite(columns["true_range_m"])
         for error, truth in zip(ERRORS, truths, strict=True):
             columns[error.name] = columns[error.quantity] - columns[truth]

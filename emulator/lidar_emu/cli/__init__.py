@@ -13,6 +13,7 @@ from lidar_emu.cli.campaign import campaign
 from lidar_emu.cli.detection import detection
 from lidar_emu.cli.documents import icd, scenarios, schema
 from lidar_emu.cli.ground import ground
+from lidar_emu.cli.hazards import hazards
 from lidar_emu.cli.inject import inject
 from lidar_emu.cli.listen import listen
 from lidar_emu.cli.output import silence
@@ -40,13 +41,15 @@ def cli(context: click.Context) -> None:
     lidar-emu run descent.yaml                        fly on an in-memory loopback, show what arrives
     lidar-emu run descent.yaml --port /dev/ttyUSB0 --baud 921600
     lidar-emu run descent.yaml -i socketcan -c vcan0
-    lidar-emu replay flight.mcap --port /dev/ttyUSB0    what run --record has kept, again
+    lidar-emu replay flight.mcap --port /dev/ttyUSB0  what run --record has kept, again
+    lidar-emu report flight.mcap --html flight.html   what is in it: table, exports, a page with figures
     lidar-emu listen --port /dev/ttyUSB1 --baud 921600 --json
     lidar-emu send --port /dev/ttyUSB1 set_mode mode=track
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
     lidar-emu campaign dispersed_descent.yaml --out results
     lidar-emu report --paper-figure 2                 figures of the published simulation, drawn again
     lidar-emu detection descent.yaml                  what the instrument will detect, by altitude
+    lidar-emu hazards hazards.yaml                    which boulders, steps and slopes the points tell
     lidar-emu ground descent.yaml --set site=cratered --plot ground.png
     lidar-emu plan descent.yaml                       what the run computes and what it leaves out
     lidar-emu bench accuracy descent.yaml             error and time of every level
@@ -66,6 +69,7 @@ for command in (
     campaign,
     report,
     detection,
+    hazards,
     ground,
     plan,
     bench,

@@ -94,7 +94,7 @@ def _cell(row: dict[str, Any], interface: Interface) -> str:
         value is not None for value, is_sent in zip(values, sent, strict=True) if is_sent
     )
     if not usable or not any(sent):
-        return f"{_reason(row, interface):>26}"
+        return f"{reason(row, interface):>26}"
     range_m, speed_mps = values
     return " ".join(
         (
@@ -104,11 +104,12 @@ def _cell(row: dict[str, Any], interface: Interface) -> str:
     )
 
 
-def _reason(row: dict[str, Any], interface: Interface) -> str:
-    reason = row.get("reason")
-    if reason is None:
+def reason(row: dict[str, Any], interface: Interface) -> str:
+    """Why a beam is invalid, in words."""
+    code = row.get("reason")
+    if code is None:
         return "invalid" if row.get("fired", True) else "not fired"
-    return (interface.word("reason", reason) or str(reason)).replace("_", " ")
+    return (interface.word("reason", code) or str(code)).replace("_", " ")
 
 
 def counter_line(counters: dict[str, int]) -> str:

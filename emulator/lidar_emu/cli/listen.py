@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import require_port, wire_interface_option
+from lidar_emu.cli.options import plain_option, require_port, wire_interface_option
 from lidar_emu.cli.output import say, silence
 from lidar_emu.errors import InputError
 from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
+    from lidar_emu.cli.far_end import Decoder
     from lidar_emu.transports.spec import PortSpec
     from lidar_protocol import Interface, Received
+
+    Show = Callable[[Received], None]
 
 _READ_S = 0.2
 
@@ -28,12 +32,14 @@ _READ_S = 0.2
     is_flag=True,
     help="A line of JSON per beam, acknowledgement and housekeeping.",
 )
+@plain_option
 @wire_interface_option
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N shots.")
-def listen(port: PortSpec, as_json: bool, wire_interface: str, count: int | None) -> None:
+def listen(port: PortSpec, as_json: bool, plain: bool, wire_interface: str, count: int | None) -> None:
     """Decode what arrives, and count gaps and bad bytes.
 
-    Shots line by line; acknowledgements of commands; and of housekeeping what has changed: mode, flags, counters.
+    A terminal shows the last shot of each unit, its mode and the counters. Elsewhere, and with --plain, shots line by
+    line; acknowledgements of commands; and of housekeeping what has changed: mode, flags, counters.
 
     `--port pty` opens a pseudo-terminal and prints the path for `lidar-emu run --port PATH`. Ctrl-C ends it.
 
@@ -59,15 +65,15 @@ def listen(port: PortSpec, as_json: bool, wire_interface: str, count: int | None
     host = open_host(port)
     click.echo(f"listening on {host.description}", err=True)
     decoder = Decoder(interface)
-    show = _json_view(interface) if as_json else _text_view(interface)
     left = count
     try:
-        while left != 0:
-            for message in decoder.receive(host.read(_READ_S)):
-                if left != 0:
-                    show(message)
-                if left and isinstance(message, Message):
-                    left -= 1
+        with _view(decoder, as_json, plain) as show:
+            while left != 0:
+                for message in decoder.receive(host.read(_READ_S)):
+                    if left != 0:
+                        show(message)
+                    if left and isinstance(message, Message):
+                        left -= 1
     except KeyboardInterrupt:
         pass
     except BrokenPipeError:
@@ -78,7 +84,21 @@ def listen(port: PortSpec, as_json: bool, wire_interface: str, count: int | None
         click.echo(f"received: {counter_line(decoder.counters())}{lost}", err=True)
 
 
-def _json_view(interface: Interface) -> Callable[[Received], None]:
+@contextmanager
+def _view(decoder: Decoder, as_json: bool, plain: bool) -> Iterator[Show]:
+    from lidar_emu.cli.dashboard import Dashboard, has_terminal
+
+    if as_json or plain or not has_terminal():
+        yield _json_view(decoder.interface) if as_json else _text_view(decoder.interface)
+        return
+    from lidar_emu.cli.boards import ListenBoard
+
+    with Dashboard() as dashboard:
+        board = ListenBoard(dashboard, decoder, "what arrives")
+        yield lambda message: board.take([message])
+
+
+def _json_view(interface: Interface) -> Show:
     from lidar_emu.cli.device_lines import DeviceLines
     from lidar_emu.cli.far_end import json_lines
     from lidar_protocol import Message
@@ -92,7 +112,7 @@ def _json_view(interface: Interface) -> Callable[[Received], None]:
     return show
 
 
-def _text_view(interface: Interface) -> Callable[[Received], None]:
+def _text_view(interface: Interface) -> Show:
     from lidar_emu.cli.device_lines import DeviceLines
     from lidar_emu.cli.far_end import Screen
     from lidar_protocol import Message

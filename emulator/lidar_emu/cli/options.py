@@ -30,6 +30,7 @@ geometry_option = click.option(
 wire_interface_option = click.option(
     "--wire-interface", metavar="FILE", default="default", help="Message definitions: a name, or FILE.toml."
 )
+plain_option = click.option("--plain", is_flag=True, help="Print lines on a terminal, too, and draw nothing.")
 _SCENARIO_OPTIONS = (
     scenario_argument,
     click.option("--duration", metavar="S", help="Fly only the first seconds."),

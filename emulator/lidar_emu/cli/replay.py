@@ -14,8 +14,8 @@ from lidar_emu.cli.options import as_number, require_port
 from lidar_emu.cli.output import say, write_text
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import Finding, InputError, RunError
-from lidar_emu.report.whole_file import check_destination
 from lidar_emu.transports.options import port_options
+from lidar_emu.whole_file import check_destination
 
 if TYPE_CHECKING:
     from lidar_emu.recording.traffic import Traffic

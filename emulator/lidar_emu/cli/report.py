@@ -1,51 +1,176 @@
-"""`lidar-emu report`: pages about what was flown."""
+"""`lidar-emu report`: what is in a recording, as a table, files for other tools, figures and a page."""
 
 from __future__ import annotations
 
+import json
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from lidar_emu.cli.output import say
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.whole_file import check_destination
+
+if TYPE_CHECKING:
+    from lidar_emu.report.flown import Flown
 
 
-@click.command(short_help="Figures 2 to 5 of the published simulation, drawn again.")
+@click.command(short_help="What is in a recording: table, files for other tools, a page with figures.")
+@click.argument("file", required=False)
+@click.option("--out", metavar="FILE", multiple=True,
+              help="Write measurements (.csv, .parquet, .npz), points (.ply), or what was on the link (.pcap; of a CAN "
+                   "bus .log as candump has it, .asc, .blf). Repeatable.")  # fmt: skip
 @click.option(
-    "--paper-figure", metavar="2|3|4|5", help="Draw this figure of Budge et al. from its own scenario."
+    "--html", metavar="FILE", help="Write one page with everything, that asks nothing of a network."
 )
-@click.option("--out", metavar="FILE.png", help="Where to; left out: paper_figN.png.")
-def report(paper_figure: str | None, out: str | None) -> None:
-    """Draw what was flown.
+@click.option("--figures", metavar="DIR", help="Write the page's figures as PNG.")
+@click.option("--spectra-at", metavar="S", multiple=True,
+              help="Show the spectra of the valid measurement nearest to this instant (repeatable).")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print the table as JSON, nothing else.")
+@click.option("--paper-figure", metavar="2|3|4|5",
+              help="Instead of FILE: draw this figure of Budge et al. from its own scenario.")  # fmt: skip
+def report(
+    file: str | None,
+    out: tuple[str, ...],
+    html: str | None,
+    figures: str | None,
+    spectra_at: tuple[str, ...],
+    as_json: bool,
+    paper_figure: str | None,
+) -> None:
+    """Say what is in FILE, a recording of `lidar-emu run --record`, also one that was cut short.
 
     \b
+    lidar-emu report flight.mcap
+    lidar-emu report flight.mcap --out flight.parquet --out flight.pcap
+    lidar-emu report flight.mcap --html flight.html --figures pictures
+    lidar-emu report flight.mcap --html flight.html --spectra-at 12.5
     lidar-emu report --paper-figure 2
     lidar-emu report --paper-figure 5 --out slant.png
     """
-    if paper_figure is None:
-        raise InputError("report", None, Finding("nothing to report"), "allowed: --paper-figure 2, 3, 4 or 5")
-    draw_paper_figure(paper_figure, out)
+    if paper_figure is not None:
+        others: dict[str, Any] = {
+            "FILE": file,
+            "--html": html,
+            "--figures": figures,
+            "--json": as_json or None,
+        }
+        _draw_paper_figure(paper_figure, out, others)
+        return
+    if file is None:
+        allowed = "allowed: a recording, or --paper-figure 2, 3, 4 or 5"
+        raise InputError("report", None, Finding("nothing to report"), allowed)
+    outputs = [Path(name) for name in out]
+    for path in outputs:
+        _check_output(path)
+    at_s = [_instant(text) for text in spectra_at]
+    page = None if html is None else _page_path(html)
+    folder = None if figures is None else _folder(figures)
+    if at_s and page is None and folder is None:
+        raise InputError("--spectra-at", None, spectra_at[0], "allowed: with --html or --figures")
+    if page is not None or folder is not None:
+        from lidar_emu.whole_file import check_extra
+
+        check_extra(Path("figure.png"), "matplotlib", "plots")
+    from lidar_emu.cli.report_display import contents_lines
+    from lidar_emu.recording.read import read_recording
+    from lidar_emu.report.flown import read_flown
+
+    with busy(f"reading {file}"):
+        flown = read_flown(read_recording(file))
+        told = flown.contents()
+    lines = contents_lines(told)
+    say(json.dumps(told, indent=2) if as_json else "\n".join(lines))
+    written = [_write(flown, path) for path in outputs]
+    if page is not None or folder is not None:
+        written += _draw(flown, lines, page, folder, at_s)
+    if not as_json and written:
+        say("\n".join(written))
 
 
-def draw_paper_figure(figure: str, out: str | None) -> None:
-    """Draw figure `2`, `3`, `4` or `5`.
+def _draw_paper_figure(figure: str, out: tuple[str, ...], others: dict[str, Any]) -> None:
+    from lidar_emu.cli.paper_figure import draw_paper_figure
 
-    Raises:
-        InputError: another figure, or a file that cannot be written.
-        RunError: writing failed on the way.
-    """
-    if figure not in ("2", "3", "4", "5"):
-        raise InputError("--paper-figure", None, figure, "allowed: 2, 3, 4 or 5")
-    from lidar_emu.report.paper_figures import errors_of, plot_paper_figure
+    for name, value in (others | {"--out": out[1] if len(out) > 1 else None}).items():
+        if value is not None:
+            raise InputError(name, None, value, "allowed with --paper-figure: one --out FILE.png")
+    draw_paper_figure(figure, out[0] if out else None)
 
-    path = Path(f"paper_fig{figure}.png" if out is None else out)
+
+def _write(flown: Flown, path: Path) -> str:
+    from lidar_emu.report.exports import export
+    from lidar_emu.report.wire_file import WIRE_SUFFIXES, write_wire_file
+
+    if path.suffix.lower() not in WIRE_SUFFIXES:
+        export(flown.measurement, path)
+        return f"{path}: {len(flown.measurement)} shots of {flown.measurement.beam_count} beams"
+    from lidar_emu.recording.traffic import read_traffic
+
+    traffic = read_traffic(flown.recording.path, as_sent=True)
+    write_wire_file(traffic, path)
+    return f"{path}: {len(traffic.packets)} packets"
+
+
+def _draw(
+    flown: Flown, lines: list[str], page: Path | None, folder: Path | None, at_s: list[float]
+) -> list[str]:
+    from lidar_emu.report.flight_pages import check_instants, draw_all
+    from lidar_emu.report.page import write_page
+    from lidar_emu.report.page_style import write_png
+
+    check_instants(flown, at_s)
     with busy(COMPILING):
-        errors = errors_of(plot_paper_figure(figure, path))
-    click.echo(f"{path}: figure {figure} of Budge et al., {errors.measured} of {errors.asked} beams measured")
-    click.echo(
-        f"range error: mean {errors.range_mean_m:+.4f} m, standard deviation {errors.range_deviation_m:.4f} m"
-    )
-    click.echo(
-        f"speed error: mean {1e3 * errors.speed_mean_mps:+.4f} mm/s, "
-        f"standard deviation {1e3 * errors.speed_deviation_mps:.4f} mm/s"
-    )
+        drawings, notes, plan = draw_all(flown, at_s)
+        written = []
+        if page is not None:
+            write_page(page, flown, lines, drawings, notes, plan)
+            written.append(f"{page}: {len(drawings)} figures, {page.stat().st_size / 1e6:.2f} MB")
+        if folder is not None:
+            for drawing in drawings:
+                write_png(drawing, folder / f"{drawing.name}.png")
+            written.append(f"{folder}: {', '.join(f'{drawing.name}.png' for drawing in drawings)}")
+    return written + notes
+
+
+def _check_output(path: Path) -> None:
+    from lidar_emu.report.exports import SUFFIXES, check_export_path
+    from lidar_emu.report.wire_file import WIRE_SUFFIXES, check_wire_file
+
+    if path.suffix in SUFFIXES:
+        check_export_path(path)
+    elif path.suffix.lower() in WIRE_SUFFIXES:
+        check_wire_file(path, "--out")
+    else:
+        allowed = f"allowed: a file {', '.join((*SUFFIXES, *WIRE_SUFFIXES))}"
+        raise InputError("--out", None, str(path), allowed)
+
+
+def _page_path(name: str) -> Path:
+    path = Path(name)
+    check_destination(path, "--html")
+    if path.suffix not in (".html", ".htm"):
+        raise InputError("--html", None, name, "allowed: a file .html")
+    return path
+
+
+def _folder(name: str) -> Path:
+    path = Path(name)
+    try:
+        path.mkdir(exist_ok=True)
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise InputError("--figures", None, name, f"allowed: a folder; {why}") from None
+    return path
+
+
+def _instant(text: str) -> float:
+    try:
+        instant_s = float(text)
+    except ValueError:
+        instant_s = math.nan
+    if not math.isfinite(instant_s):
+        raise InputError("--spectra-at", None, text, "allowed: a number of seconds")
+    return instant_s

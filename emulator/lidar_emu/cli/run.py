@@ -12,17 +12,20 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.fail_on import fail_on_option, failures_named, has_failed
-from lidar_emu.cli.options import load_scenario, scenario_options
+from lidar_emu.cli.options import load_scenario, plain_option, scenario_options
 from lidar_emu.cli.output import say, write_text
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import InputError, RunError
-from lidar_emu.report.whole_file import check_destination
 from lidar_emu.transports.options import port_options
+from lidar_emu.whole_file import check_destination
 
 if TYPE_CHECKING:
+    from lidar_emu.cli.dashboard import Dashboard
     from lidar_emu.runtime.observer import Observer
+    from lidar_emu.runtime.summary import Tally
     from lidar_emu.scenario.schema import BenchScenario, FlightScenario
     from lidar_emu.transports.spec import PortSpec
+    from lidar_protocol import Interface
 
 
 @click.command(short_help="Fly a scenario in real time over a serial line, a CAN bus or a loopback.")
@@ -39,6 +42,7 @@ if TYPE_CHECKING:
 @click.option("--record", metavar="FILE", help="Keep truth, measurements and packets (MCAP).")
 @click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
 @fail_on_option
+@plain_option
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON, nothing else.")
 def run(
     scenario: str,
@@ -53,6 +57,7 @@ def run(
     record: str | None,
     summary_file: str | None,
     fail_on: str,
+    plain: bool,
     as_json: bool,
 ) -> int:
     """Fly SCENARIO, a YAML file or a shipped one by name, and send every shot when it is due.
@@ -79,6 +84,7 @@ def run(
             check_destination(Path(file), option)
     if record is not None and record == summary_file:
         raise InputError("--summary", None, summary_file, "it is the recording; allowed: another file")
+    from lidar_emu.cli.dashboard import Dashboard, has_terminal
     from lidar_emu.cli.run_display import Announcer, LoopbackView, Progress, summary_lines
     from lidar_emu.runtime.fly import Run
     from lidar_emu.runtime.pacing import Pace
@@ -91,13 +97,14 @@ def run(
     from lidar_emu.wire import interface_named
 
     interface = interface_named(flown.wire.interface, "scenario", "wire.interface")
-    view = LoopbackView(interface, quiet=as_json)
-    observers: list[Observer] = [view] if as_json else [Announcer(flown.name, pace), view]
+    draws = not (as_json or plain) and has_terminal()
+    view = LoopbackView(interface, quiet=as_json or draws)
+    observers: list[Observer] = [view]
     with busy(COMPILING):
         model = build_model(flown)
         options = RunOptions(port, Pace(pace), start_utc, start == "on-command", control)
         this_run = Run(flown, model, options, observers)
-    if port.kind is not Kind.LOOPBACK and sys.stderr is not None and sys.stderr.isatty():
+    if not (draws or port.kind is Kind.LOOPBACK) and sys.stderr is not None and sys.stderr.isatty():
         observers.append(Progress(this_run.tally))
     for warning in this_run.warnings:
         click.echo(f"lidar-emu: warning: {warning}", err=True)
@@ -107,7 +114,11 @@ def run(
 
         recorder = Recorder(Path(record), flown, options)
         observers.append(recorder)
-    with recorder or nullcontext():
+    with Dashboard() if draws else nullcontext() as dashboard, recorder or nullcontext():
+        if dashboard is not None:
+            observers += _drawn_on(dashboard, flown, interface, this_run.tally, port, pace)
+        elif not as_json:
+            observers.insert(0, Announcer(flown.name, pace))
         outcome = this_run.fly()
     recording_error = None if recorder is None else recorder.error
     told = outcome.to_json() | {"far_end": view.counters(), "recording_error": recording_error}
@@ -119,6 +130,23 @@ def run(
         if error is not None:
             raise RunError(error)
     return int(has_failed(outcome.tally, outcome.details["interrupted"], failures))
+
+
+def _drawn_on(
+    dashboard: Dashboard,
+    flown: FlightScenario | BenchScenario,
+    interface: Interface,
+    tally: Tally,
+    port: PortSpec,
+    pace: str,
+) -> list[Observer]:
+    from lidar_emu.cli.boards import RunBoard
+    from lidar_emu.cli.run_display import Announcer
+    from lidar_emu.transports.spec import Kind
+
+    title, is_can = f"{flown.name} on {port}, pace {pace}", port.kind is Kind.CAN
+    board = RunBoard(dashboard, interface, is_can, title, tally, flown.duration_s)
+    return [Announcer(flown.name, pace, dashboard.say), board]
 
 
 def _check_start(text: str | None, flown: FlightScenario | BenchScenario) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime
 from typing import Any
 
@@ -15,26 +16,30 @@ from lidar_emu.runtime.summary import Tally
 from lidar_protocol import Interface
 
 _SHOW_EVERY_S = 0.5
+_ERRORS = {"range": ("range_error_m", 1, "m"), "speed": ("speed_error_mps", 1000, "mm/s")}
+"""Key of the summary, factor and unit."""
 
 
 class Announcer(Observer):
     """Says which port was opened, before the first packet."""
 
-    def __init__(self, name: str, pace: str) -> None:
-        self._name = name
-        self._pace = pace
+    def __init__(self, name: str, pace: str, say: Callable[[str], None] = say) -> None:
+        self._name, self._pace = name, pace
+        self._say = say
 
     def awaiting(self, port: str, what: str) -> None:
         """The port is open; the run begins with something that is waited for."""
-        say(f"{self._name} on {port}, pace {self._pace}, waits for {what}; Ctrl-C ends it")
+        self._say(f"{self._name} on {port}, pace {self._pace}, waits for {what}; Ctrl-C ends it")
 
     def opened(self, port: str, start: datetime) -> None:
         """The port is open under this name."""
-        say(f"{self._name} on {port}, pace {self._pace}, from {start:%Y-%m-%d %H:%M:%S} UTC; Ctrl-C ends it")
+        self._say(
+            f"{self._name} on {port}, pace {self._pace}, from {start:%Y-%m-%d %H:%M:%S} UTC; Ctrl-C ends it"
+        )
 
     def noticed(self, time_ns: int, what: str) -> None:
         """A process stands still, or goes on."""
-        say(_at(time_ns * 1e-9, what))
+        self._say(_at(time_ns * 1e-9, what))
 
 
 def _at(time_s: float, what: str) -> str:
@@ -77,25 +82,14 @@ class LoopbackView(Observer):
 
 def summary_lines(told: dict[str, Any]) -> list[str]:
     """The summary for the eye."""
-    shots, lateness = told["shots"], told["lateness"]
-    lines = [
-        "",
-        f"shots      {shots['due']} due{_planned(told)}: {shots['sent']} sent, "
-        f"{shots['late']} late, {dropped_text(shots['dropped'])}"
-        + (f", {shots['withheld']} not fired by the device" if shots["withheld"] else ""),
-    ]
-    lines += _faults(told["faults"])
-    lines += lateness_lines(lateness, told["steal_ticks"])
+    lines = ["", *shot_lines(told, _planned(told))]
+    lines += lateness_lines(told["lateness"], told["steal_ticks"])
     lines += _truth(told["truth"])
     lines += _commands(told["commands"])
     lines += system_lines(told["granted"], told["missing"])
-    lines += [f"beam {beam:<6}{_reasons(counts)}" for beam, counts in enumerate(told["beams"])]
-    for name, key, factor, unit in (
-        ("range", "range_error_m", 1, "m"),
-        ("speed", "speed_error_mps", 1000, "mm/s"),
-    ):
-        lines.append(f"{name:<10} error {_error(told[key], factor, unit)}")
-        lines += _expected(told[f"expected_{key}"], factor, unit)
+    lines += beam_lines(told)
+    for name in _ERRORS:
+        lines += [error_line(told, name), *_expected(told, name)]
     if told["wire"]["sent_bytes"] is not None:
         load = f", {100 * told['wire']['load']:.1f} % of the link" if told["wire"]["load"] else ""
         lines.append(f"wire       {told['wire']['sent_bytes']} bytes{load}")
@@ -109,6 +103,25 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
     if told["interrupted"]:
         lines.append("the run was interrupted")
     return lines
+
+
+def shot_lines(told: dict[str, Any], planned: str = "") -> list[str]:
+    """What became of the shots, and how many faults acted on them."""
+    shots = told["shots"]
+    withheld = f", {shots['withheld']} not fired by the device" if shots["withheld"] else ""
+    counts = f"{shots['sent']} sent, {shots['late']} late, {dropped_text(shots['dropped'])}{withheld}"
+    return [f"shots      {shots['due']} due{planned}: {counts}", *_faults(told["faults"])]
+
+
+def beam_lines(told: dict[str, Any]) -> list[str]:
+    """What became of each beam's measurements."""
+    return [f"beam {beam:<6}{_reasons(counts)}" for beam, counts in enumerate(told["beams"])]
+
+
+def error_line(told: dict[str, Any], name: str) -> str:
+    """How far `range` or `speed` was off the truth."""
+    key, factor, unit = _ERRORS[name]
+    return f"{name:<10} error {_error(told[key], factor, unit)}"
 
 
 def dropped_text(dropped: dict[str, int]) -> str:
@@ -204,8 +217,10 @@ def _reasons(counts: dict[str, int]) -> str:
     return ", ".join(f"{name.replace('_', ' ')} {100 * n / total:.1f} %" for name, n in counts.items())
 
 
-def _expected(statistics: dict[str, Any] | None, factor: float, unit: str) -> list[str]:
+def _expected(told: dict[str, Any], name: str) -> list[str]:
     """A line, where there is an expectation."""
+    key, factor, unit = _ERRORS[name]
+    statistics = told[f"expected_{key}"]
     if statistics is None or statistics["rms"] is None:
         return []
     rms, mean = factor * statistics["rms"], factor * statistics["mean"]

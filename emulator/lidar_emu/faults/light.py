@@ -113,7 +113,9 @@ def _patched(echoes: Echoes, act: _Act) -> Echoes:
     start_m, ray, hits = act.spots
     east_m, north_m = (start_m[..., k] + hits.range_m * ray[..., k] for k in range(2))
     away_m = np.hypot(east_m - act.fault.centre_m[0], north_m - act.fault.centre_m[1])
-    within = act.hit[..., None] & (away_m <= act.fault.radius_m)
+    # What clutter and dust have added lies behind the beamlets; dust that is seen instead of the ground has its place.
+    of_ground = echoes.range_m[..., : away_m.shape[-1]] == hits.range_m
+    within = act.hit[..., None] & of_ground & (away_m <= act.fault.radius_m)
     # Of a place that is wholly black there is no echo to change.
     ratio = np.divide(
         act.fault.reflectance,
@@ -122,6 +124,5 @@ def _patched(echoes: Echoes, act: _Act) -> Echoes:
         where=within & (hits.reflectance > 0.0),
     )
     power_w = echoes.power_w.copy()
-    # What clutter and dust have added lies behind the beamlets, and is none of the ground.
     power_w[..., : ratio.shape[-1]] *= ratio
     return replace(echoes, power_w=power_w)

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.chance import Chance
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.faults.chance import Chance
 from lidar_emu.faults.rewritten import REWRITING, Rewriter
 from lidar_emu.faults.schedule import Injected, Schedule
 from lidar_emu.scenario import faults as kinds

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.arrays import BoolArray, FloatArray
-from lidar_emu.faults.chance import Chance
+from lidar_emu.chance import Chance
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.scenario.faults.when import OfBeams
 

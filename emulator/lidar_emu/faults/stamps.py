@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.faults.chance import Chance
+from lidar_emu.chance import Chance
 from lidar_emu.faults.hold import Row, hold
 from lidar_emu.faults.schedule import Injected, Schedule
 from lidar_emu.measurement import Measurement

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import tempfile
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from lidar_emu.cache_folder import cache_folder
+from lidar_emu.errors import InputError, RunError
 from lidar_emu.scenario import generated_ground
 from lidar_emu.scenario.generated_ground import Generated
+from lidar_emu.whole_file import whole_file
 
 Elevation = npt.NDArray[np.float32]
 
@@ -40,18 +41,10 @@ def keep(ground: Generated, elevation: Elevation) -> Path | None:
         return None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".npy")
-    except OSError:
-        return None
-    unfinished = Path(name)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
+        with whole_file(path) as file:
             np.save(file, elevation)
-        unfinished.replace(path)
-    except OSError:  # a full disk, say: the run goes on with what is in memory
+    except (OSError, InputError, RunError):  # a full disk, say: the run goes on with what is in memory
         return None
-    finally:
-        unfinished.unlink(missing_ok=True)
     return path
 
 
@@ -62,10 +55,9 @@ def kept_path(ground: Generated) -> Path | None:
     for source in (*sorted(Path(__file__).parent.glob("*.py")), Path(generated_ground.__file__)):
         digest.update(source.read_bytes())
     try:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        return cache_folder() / "ground" / f"{digest.hexdigest()[:20]}.npy"
     except RuntimeError:
         return None
-    return home / "lidar-emu" / "ground" / f"{digest.hexdigest()[:20]}.npy"
 
 
 def _read(path: Path, side: int) -> Elevation | None:

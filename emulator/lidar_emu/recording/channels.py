@@ -64,6 +64,7 @@ TRUTH = Channel(
             _each(_NUMBER),
             "Of the sensor along each beam, positive toward the ground.",
         ),
+        "true_incidence_deg": (_each(_NUMBER), "Between each beam and the ground's normal; null: unknown."),
         "true_in_gap": (_each(_FLAG), "Whether it is bridged: the trajectory's table has a gap there."),
         "age_s": (_NUMBER, "Of live truth: how much older than the shot it was."),
         "truth_time_ns": (_INTEGER, "Of live truth: the scenario time of the newest that was used."),

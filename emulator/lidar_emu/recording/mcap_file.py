@@ -11,8 +11,10 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Footer, Message, Metadata
 from mcap.stream_reader import StreamReader
 
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import Finding, InputError, reason_of
 
+MAGIC = b"\x89MCAP0\r\n"
+"""How the file begins."""
 _LONGEST_RECORD = 1 << 28
 ALLOWED = "allowed: a recording made by lidar-emu run --record"
 
@@ -34,11 +36,11 @@ class McapFile:
         have been gone through."""
         try:
             with path.open("rb") as file:
-                begins = file.read(8)
+                begins = file.read(len(MAGIC))
         except (OSError, ValueError) as error:
-            found = Finding(getattr(error, "strerror", None) or str(error))
+            found = Finding(reason_of(error))
             raise InputError(str(path), None, found, ALLOWED) from None
-        if begins != b"\x89MCAP0\r\n":
+        if begins != MAGIC:
             raise InputError(str(path), None, Finding("empty" if not begins else "no MCAP"), ALLOWED)
 
     def metadata(self, name: str) -> dict[str, str] | None:

@@ -10,7 +10,6 @@ late_us = (packets.sent_ns - packets.due_ns)[packets.fate == Fate.SENT] / 1e3
 from __future__ import annotations
 
 import json
-from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
@@ -33,6 +32,7 @@ from lidar_emu.transports.spec import PortSpec
 from lidar_protocol import DefinitionError, Interface, load
 
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_BLOCK_SHOTS = 4096
 _POINT = ("point_east_m", "point_north_m", "point_up_m")
 
 
@@ -132,21 +132,23 @@ class Recording:
         Raises:
             InputError: there is none.
         """
-        columns: dict[str, list[Any]] = defaultdict(list)
+        blocks: list[Measurement] = []
+        shots: list[dict[str, Any]] = []
         truth: dict[str, Any] = {}
         for topic, _, data in self._file.messages(channels.TRUTH.topic, channels.MEASUREMENT.topic):
             values = self._values(data)
             if topic == channels.TRUTH.topic:
                 truth = values
                 continue
-            values |= truth | {"point_site_m": list(zip(*(values[name] for name in _POINT), strict=True))}
-            for field in fields(Measurement):
-                columns[field.name].append(values[field.name])
-        if not columns:
+            shots.append(values | truth)
+            if len(shots) == _BLOCK_SHOTS:
+                blocks.append(_measured(shots))
+                shots.clear()
+        if shots:
+            blocks.append(_measured(shots))
+        if not blocks:
             raise InputError(str(self.path), None, Finding("without a measurement"), ALLOWED)
-        return Measurement(
-            **{name: np.array(rows, dtype=_KINDS.get(name, np.float64)) for name, rows in columns.items()}
-        )
+        return Measurement.joined(blocks)
 
     def packets(self) -> Packets:
         """All packets that were due."""
@@ -195,6 +197,18 @@ class Recording:
             first = error.errors()[0]
             key = ".".join(map(str, first["loc"])) or None
             raise InputError(str(self.path), key, Finding(first["msg"]), ALLOWED) from None
+
+
+def _measured(shots: list[dict[str, Any]]) -> Measurement:
+    """Shots as arrays, which take a tenth of the memory."""
+    columns: dict[str, list[Any]] = {f.name: [] for f in fields(Measurement)}
+    for values in shots:
+        values["point_site_m"] = list(zip(*(values[name] for name in _POINT), strict=True))
+        for name, rows in columns.items():
+            rows.append(values[name])
+    return Measurement(
+        **{name: np.array(rows, dtype=_KINDS.get(name, np.float64)) for name, rows in columns.items()}
+    )
 
 
 def read_recording(path: str | Path) -> Recording:

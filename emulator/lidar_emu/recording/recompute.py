@@ -23,12 +23,10 @@ from lidar_emu.runtime.prepared import rules_of
 from lidar_emu.runtime.run_options import RunOptions
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Session
-from lidar_emu.shots import FlightModel, Model, build_model
+from lidar_emu.shots import BLOCK_SHOTS, FlightModel, Model, build_model
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.transports.spec import Kind
 from lidar_emu.wire import Encoder
-
-_BLOCK_SHOTS = 128
 
 
 @dataclass
@@ -102,7 +100,7 @@ def _computed(recording: Recording, recorded: Packets) -> Iterator[Outgoing]:
         while session.next_shot < end:
             changes.follow()
             until = end if changes.next_shot is None else min(end, changes.next_shot)
-            block = session.shoot(min(_BLOCK_SHOTS, until - session.next_shot))
+            block = session.shoot(min(BLOCK_SHOTS, until - session.next_shot))
             if block is None:
                 return
             yield from outgoing(block)

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from pathlib import Path
 
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import Finding, InputError, reason_of
 from lidar_emu.recording import channels
 from lidar_emu.recording.can_log import LOG_SUFFIXES, read_log
 from lidar_emu.recording.link_layers import carried, is_known
+from lidar_emu.recording.mcap_file import MAGIC as MCAP_MAGIC
 from lidar_emu.recording.pcap import MAGICS, NEXT_GENERATION_MAGIC, read_capture
 from lidar_emu.recording.read import Recording, read_recording
 from lidar_emu.runtime.packets import Fate, Outgoing
@@ -20,7 +21,6 @@ _ALLOWED = (
     f"allowed: a recording of lidar-emu (.mcap), a capture (.pcap, .pcapng), or a log of a CAN bus "
     f"({', '.join(LOG_SUFFIXES)})"
 )
-_MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
 @dataclass(frozen=True)
@@ -87,11 +87,11 @@ def read_traffic(path: Path, as_sent: bool = False) -> Traffic:
     """
     try:
         with path.open("rb") as file:
-            magic = file.read(8)
+            magic = file.read(len(MCAP_MAGIC))
     except (OSError, ValueError) as error:
-        found = Finding(getattr(error, "strerror", None) or str(error))
+        found = Finding(reason_of(error))
         raise InputError(str(path), None, found, _ALLOWED) from None
-    if magic == _MCAP_MAGIC:
+    if magic == MCAP_MAGIC:
         traffic = _of_recording(read_recording(path), as_sent)
     elif magic[:4] in (*MAGICS, NEXT_GENERATION_MAGIC):
         traffic = _of_capture(path)

@@ -34,7 +34,7 @@ from lidar_emu.session import Block
 _EARLY = 1000
 """Messages that are kept until the file is begun: of a device that waits for the command to fly."""
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_TRUTH = ("true_range_m", "true_closing_speed_mps", "true_in_gap")
+_TRUTH = ("true_range_m", "true_closing_speed_mps", "true_incidence_deg", "true_in_gap")
 
 
 class Recorder(Observer):

@@ -5,7 +5,6 @@ The two upper panels are in the manner of figures 3 to 5 of Budge et al.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +14,8 @@ from numpy.typing import NDArray
 from lidar_emu.arrays import FloatArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
-from lidar_emu.report.whole_file import check_destination, check_extra, whole_file
+from lidar_emu.report.ground_below import Extent, extent_of, sample_ground, slope_to_sun
+from lidar_emu.whole_file import check_destination, check_extra, whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 _SIZE_INCH = (16.0, 11.0)
 _DOTS_PER_INCH = 100
 _GROUND_SAMPLES = 80
-_WIDEST_RATIO = 3.0
-"""Of the longer to the shorter horizontal axis: a long approach stays readable."""
 _BEAMS_IN_LEGEND = 12
 _PATH_COLOUR = "#b22222"
 _BRIDGE_COLOUR = "#e0a030"
@@ -81,8 +79,8 @@ def _draw(measurement: Measurement, scene: Scene | None, title: str) -> Figure:
 
     figure = Figure(figsize=_SIZE_INCH, dpi=_DOTS_PER_INCH)
     figure.suptitle(title, x=0.5, y=0.975, fontsize=17)
-    extent = _extent_of(measurement)
-    ground_m = None if scene is None else _sample_ground(scene, extent)
+    extent = extent_of(measurement)
+    ground_m = None if scene is None else sample_ground(scene, extent, _GROUND_SAMPLES)
     has_speed = measurement.range_valid & measurement.speed_valid
     panels = (
         (0.0, measurement.range_m, measurement.range_valid, "viridis", "range (m)"),
@@ -100,57 +98,18 @@ def _draw(measurement: Measurement, scene: Scene | None, title: str) -> Figure:
     return figure
 
 
-@dataclass(frozen=True)
-class _Extent:
-    """The box that is drawn, in the site frame."""
-
-    low_m: FloatArray
-    """(3,) East, north, up."""
-    high_m: FloatArray
-    """(3,)"""
-
-
-def _extent_of(measurement: Measurement) -> _Extent:
-    """Room for the path and the points, with a margin, and never flat."""
-    seen_m = np.concatenate([measurement.position_site_m, measurement.point_site_m[measurement.range_valid]])
-    low_m, high_m = np.nanmin(seen_m, axis=0), np.nanmax(seen_m, axis=0)
-    centre_m, half_m = (high_m + low_m) / 2, (high_m - low_m) / 2
-    half_m[:2] = np.maximum(half_m[:2], max(half_m[:2].max() / _WIDEST_RATIO, 0.05 * half_m[2], 0.5)) * 1.08
-    half_m[2] = max(half_m[2], 0.5) * 1.02
-    return _Extent(centre_m - half_m, centre_m + half_m)
-
-
-def _sample_ground(scene: Scene, extent: _Extent) -> FloatArray:
-    """(n, n, 3) points of the ground over the extent; NaN up where there is none."""
-    axes_m = (np.linspace(extent.low_m[k], extent.high_m[k], _GROUND_SAMPLES) for k in range(2))
-    east_m, north_m = np.meshgrid(*axes_m)
-    up_m = scene.height_m(east_m.ravel(), north_m.ravel()).reshape(east_m.shape)
-    return np.stack([east_m, north_m, up_m], axis=-1)
-
-
 def _surface(ground_m: FloatArray) -> Any:
     """The ground as light grey quadrilaterals in the light of a low sun, where all four corners exist."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
     quads_m = np.stack([ground_m[:-1, :-1], ground_m[:-1, 1:], ground_m[1:, 1:], ground_m[1:, :-1]], axis=2)
-    shade = 0.84 + 0.09 * _slope_to_sun(ground_m)
+    shade = 0.84 + 0.09 * slope_to_sun(ground_m)
     exists = ~np.isnan(quads_m).any(axis=(2, 3))
     grey = np.repeat(shade[exists][:, None], 3, axis=1)
     return Poly3DCollection(quads_m[exists], facecolors=grey, edgecolors=grey, linewidths=0.3, zorder=1)
 
 
-def _slope_to_sun(ground_m: FloatArray) -> FloatArray:
-    """(n-1, n-1) slope of each quadrilateral toward the north-west, within -1 and 1 for the steepest."""
-    east_m, north_m, up_m = np.moveaxis(ground_m, -1, 0)
-    rise_east = np.diff(up_m, axis=1)[:-1] / np.diff(east_m, axis=1)[:-1]
-    rise_north = np.diff(up_m, axis=0)[:, :-1] / np.diff(north_m, axis=0)[:, :-1]
-    facing: FloatArray = rise_east - rise_north
-    steepest = np.nanmax(np.abs(facing), initial=0.0)
-    # A slope below a thousandth is rounding on level ground, not relief.
-    return facing / max(float(steepest), 1e-3)
-
-
-def _set_up(axes: Any, extent: _Extent) -> None:
+def _set_up(axes: Any, extent: Extent) -> None:
     # matplotlib orders whole collections by depth, which hides points in the ground; the given order holds
     # from every view above it.
     axes.computed_zorder = False

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lidar_emu.arrays import FloatArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
-from lidar_emu.report.whole_file import check_destination, check_extra, whole_file
+from lidar_emu.whole_file import check_destination, check_extra, whole_file
 
 _PLY_VERTEX = np.dtype(
     [
@@ -159,3 +159,5 @@ _WRITERS: dict[str, Callable[[Measurement, BinaryIO], None]] = {
     ".parquet": _write_parquet,
     ".ply": _write_ply,
 }
+SUFFIXES = tuple(_WRITERS)
+"""Of the files that `export` writes."""

@@ -9,10 +9,10 @@ import numpy as np
 from lidar_emu.echoes import Light
 from lidar_emu.geometry.conditions import conditions
 from lidar_emu.geometry.file import BLOCK_SHOTS, About, GeometryWriter
-from lidar_emu.report.whole_file import whole_file
 from lidar_emu.scenario.required import require_known_flight
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots import FlightModel
+from lidar_emu.whole_file import whole_file
 
 
 def record_geometry(scenario: FlightScenario, path: Path) -> About:

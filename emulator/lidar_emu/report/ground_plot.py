@@ -13,8 +13,8 @@ from lidar_emu.ground.generate import Layers
 from lidar_emu.ground.population import Population
 from lidar_emu.ground.statistics import doubling_lags, structure_function
 from lidar_emu.report.descent_plot import check_plot_path
-from lidar_emu.report.whole_file import whole_file
 from lidar_emu.scenario.generated_ground import Generated, diameter_range_m
+from lidar_emu.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,17 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.arrays import FloatArray, IntArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.fmcw.build import build_receiver
+from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.scanner.model import ScannerState
 from lidar_emu.shots import BLOCK_SHOTS, FlightModel
 from lidar_emu.waveform.level import listen_to_beam
 
 _LEAST_APART_BINS = 8.0
 """Between two targets that the spectrum keeps apart."""
 _LEAST_SHARE = 0.05
-_DOWN = 2
+_CONSTANT, _DOWN = 1, 2
 
 
 @dataclass(frozen=True)
@@ -51,48 +54,49 @@ def find_two_targets(model: FlightModel) -> TwoTargets:
     """
     scenario = model.scenario
     receiver = build_receiver(scenario.instrument, scenario.site, scenario.exact)
-    state, best = model.initial_state, (_LEAST_SHARE, -1, -1, model.initial_state)
-    for first in range(0, model.shot_count, BLOCK_SHOTS):
-        shot = np.arange(first, min(first + BLOCK_SHOTS, model.shot_count), dtype=np.int64)
-        pointing, after = model.aim(shot, state)
-        echoes = model.light.echoes(pointing, model.flight.cast(pointing))
-        share = lesser_share(echoes.range_m, echoes.power_w, _LEAST_APART_BINS * receiver.range_bin_m)
-        s, b = np.unravel_index(share.argmax(), share.shape)
-        if share[s, b] > best[0]:
-            best = float(share[s, b]), int(shot[s]), int(b), state
-        state = after
-    _, number, beam, state = best
-    if number < 0:
-        raise InputError(
-            scenario.name,
-            None,
-            Finding("a flight of which no beam meets two things"),
-            "allowed: one that has",
-        )
-    first = number - number % BLOCK_SHOTS
-    shot = np.arange(first, number + 1, dtype=np.int64)
-    pointing, _ = model.aim(shot, state)
-    echoes = model.light.echoes(pointing, model.flight.cast(pointing))
-    last = len(shot) - 1
-    heard = listen_to_beam(scenario.instrument, receiver, echoes, shot, scenario.seed, last, beam)
+    number, beam, before = _most_shared(model, _LEAST_APART_BINS * receiver.range_bin_m)
+    shot = np.arange(number, number + 1, dtype=np.int64)
+    echoes, _ = _echoes(model, shot, before)
+    heard = listen_to_beam(scenario.instrument, receiver, echoes, shot, scenario.seed, 0, beam)
     assert heard.bins is not None
-    noise = np.broadcast_to(heard.noise_power, heard.bins.shape[-1:])
-    power = np.abs(heard.bins[0, _DOWN]) ** 2 / noise
+    power = np.abs(heard.bins[0, _DOWN]) ** 2 / heard.noise_power
     peak = heard.targets[_DOWN].peak_bin[0]
-    doppler_bin = float(heard.targets[1].peak_bin[0, 0])
-    if heard.closing_speed_mps[0] < 0:
-        doppler_bin = -doppler_bin
+    range_m = echoes.range_m[0, beam]
     return TwoTargets(
         shot=number,
         beam=beam,
-        true_range_m=(float(echoes.range_m[last, beam].min()), float(echoes.range_m[last, beam].max())),
-        doppler_bin=doppler_bin,
+        true_range_m=(float(range_m.min()), float(range_m.max())),
+        doppler_bin=float(np.copysign(heard.targets[_CONSTANT].peak_bin[0, 0], heard.closing_speed_mps[0])),
         range_bin_m=receiver.range_bin_m,
         power=power,
         threshold=float(-scenario.instrument.log_false_alarm_per_bin),
         group_power=float(scenario.instrument.detection.group_fraction**2 * power[1:-1].max()),
         peak_bin=peak[np.isfinite(peak)].astype(np.int64),
     )
+
+
+def _most_shared(model: FlightModel, least_apart_m: float) -> tuple[int, int, ScannerState]:
+    """The shot and the beam, and the scanner's state before that shot."""
+    state, best, found = model.initial_state, _LEAST_SHARE, None
+    for first in range(0, model.shot_count, BLOCK_SHOTS):
+        before = state
+        shot = np.arange(first, min(first + BLOCK_SHOTS, model.shot_count), dtype=np.int64)
+        echoes, state = _echoes(model, shot, before)
+        share = lesser_share(echoes.range_m, echoes.power_w, least_apart_m)
+        if share.max() > best:
+            after, beam = divmod(int(share.argmax()), model.beam_count)
+            best, found = share.max(), (first, after, beam, before)
+    if found is None:
+        nothing = Finding("a flight of which no beam meets two things")
+        raise InputError(model.scenario.name, None, nothing, "allowed: one over trees, boulders or edges")
+    first, after, beam, before = found
+    return first + after, beam, model.state_after(first, after, before) if after else before
+
+
+def _echoes(model: FlightModel, shot: NDArray[np.int64], state: ScannerState) -> tuple[Echoes, ScannerState]:
+    """They hold until the next echoes."""
+    pointing, after = model.aim(shot, state)
+    return model.light.echoes(pointing, model.flight.cast(pointing)), after
 
 
 def lesser_share(range_m: FloatArray, power_w: FloatArray, least_apart_m: float) -> FloatArray:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import BinaryIO
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.recording.can_log import write_log
 from lidar_emu.recording.link_layers import (
     RAW_IP,
@@ -18,23 +18,24 @@ from lidar_emu.recording.link_layers import (
 )
 from lidar_emu.recording.pcap import PcapWriter
 from lidar_emu.recording.traffic import Traffic
-from lidar_emu.report.whole_file import check_destination, whole_file
 from lidar_emu.transports.frames import unpack_frames
 from lidar_emu.transports.spec import Kind
+from lidar_emu.whole_file import check_destination, whole_file
 
 _CAPTURE, _LOGS = ".pcap", (".log", ".asc", ".blf")
+WIRE_SUFFIXES = (_CAPTURE, *_LOGS)
 
 
-def check_wire_file(path: Path) -> None:
+def check_wire_file(path: Path, option: str = "--to") -> None:
     """Refuse a name that cannot be written, or whose kind is not known.
 
     Raises:
         InputError: it is one of them.
     """
-    check_destination(path, "--to")
-    if path.suffix.lower() not in (_CAPTURE, *_LOGS):
+    check_destination(path, option)
+    if path.suffix.lower() not in WIRE_SUFFIXES:
         raise InputError(
-            "--to", None, str(path), f"allowed: a file {_CAPTURE}, and of a CAN bus {', '.join(_LOGS)}"
+            option, None, str(path), f"allowed: a file {_CAPTURE}, and of a CAN bus {', '.join(_LOGS)}"
         )
 
 
@@ -52,7 +53,8 @@ def write_wire_file(traffic: Traffic, path: Path) -> None:
             _write_capture(traffic, packets, file)
         return
     if not traffic.is_can:
-        raise InputError("--to", None, str(path), f"it is a log of a CAN bus; allowed: a file {_CAPTURE}")
+        found = Finding("a log of a CAN bus, and there was none")
+        raise InputError(str(path), None, found, f"allowed: a file {_CAPTURE}")
     write_log(path, packets)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from lidar_emu.report.descent_plot import check_plot_path
-from lidar_emu.report.whole_file import whole_file
+from lidar_emu.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,6 +13,7 @@ from lidar_emu.device.rules import Event
 from lidar_emu.runtime.changes import Changes
 from lidar_emu.runtime.child import PortDiedError
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.datagram_socket import DatagramSocket
 from lidar_emu.runtime.events import EventLog, told
 from lidar_emu.runtime.feed import Desk, Feed
 from lidar_emu.runtime.feed_live import LiveFeed
@@ -32,8 +33,7 @@ from lidar_emu.runtime.run import PortRunner
 from lidar_emu.runtime.run_options import RunOptions, port_of, start_instant_ns
 from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import Tally, of_scenario
-from lidar_emu.runtime.truth_socket import TruthSocket
-from lidar_emu.runtime.truth_source import TruthSource
+from lidar_emu.runtime.truth_source import TruthSource, truth_socket
 from lidar_emu.runtime.voice import Voice
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.shots import Model
@@ -98,7 +98,7 @@ class Run:
         stolen = steal_ticks()
         gc.freeze()  # a collection in mid-flight need not look at all that was built for it
         ready, live = self._ready, self._ready.live
-        truth_address = TruthSocket(live.listen, self._clock) if live else nullcontext()
+        truth_address = truth_socket(live.listen, self._clock) if live else nullcontext()
         with (
             truth_address as socket,
             on_signals(self._interrupt),
@@ -170,7 +170,7 @@ class Run:
         for observer in self._observers:
             observer.noticed(time_ns, what)
 
-    def _source(self, socket: TruthSocket | None, watching: list[Observer]) -> TruthSource | None:
+    def _source(self, socket: DatagramSocket | None, watching: list[Observer]) -> TruthSource | None:
         live = self._ready.live
         if socket is None or live is None:
             return None

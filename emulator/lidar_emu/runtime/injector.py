@@ -10,14 +10,14 @@ from functools import partial
 from typing import Any, Self
 
 from lidar_emu.device.rules import Event, all_events
-from lidar_emu.errors import Finding, InputError, one_line
+from lidar_emu.errors import Finding, InputError, one_line, reason_of
 from lidar_emu.faulty_packets import FaultyPackets, faulty_packets
 from lidar_emu.runtime.changes import Change, Changes
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.datagram_socket import DatagramSocket
 from lidar_emu.runtime.link_orders import link_order
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.run_options import RunOptions
-from lidar_emu.runtime.truth_socket import TruthSocket
 from lidar_emu.scenario.faults import Dropout, FalseAlarms, LinkFault, Lost, ScheduledFault
 from lidar_emu.scenario.faults.on_order import read_fault, shifted
 from lidar_emu.scenario.schema import Scenario
@@ -155,12 +155,12 @@ def _with_fault(scenario: Scenario, fault: Order) -> Scenario:
     return scenario.model_copy(update={"faults": [*scenario.faults, fault]})
 
 
-def _private_socket(path: str, clock: Clock) -> TruthSocket:
+def _private_socket(path: str, clock: Clock) -> DatagramSocket:
     before = os.umask(_OWNER_ONLY)
     try:
-        return TruthSocket(f"unix:{path}", clock)
-    except InputError as error:
-        why = error.allowed.partition(";")[0]
-        raise InputError("--control", None, path, f"{why}; allowed: a path where nothing is") from None
+        return DatagramSocket(f"unix:{path}", clock)
+    except (OSError, ValueError) as error:
+        allowed = f"{reason_of(error)}; allowed: a path where nothing is"
+        raise InputError("--control", None, path, allowed) from None
     finally:
         os.umask(before)

@@ -6,15 +6,30 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from lidar_emu.errors import InputError, reason_of
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.datagram_socket import DatagramSocket
 from lidar_emu.runtime.lateness import LatenessHistogram
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.packets import Fate, Outgoing, Report
-from lidar_emu.runtime.truth_socket import TruthSocket
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict, sequence_of
 
 _UNTOLD = 1000
 """Datagrams before the run that observers hear of once it has begun."""
+
+
+def truth_socket(address: str, clock: Clock) -> DatagramSocket:
+    """The socket on which a simulator's truth arrives.
+
+    Raises:
+        InputError: it cannot be bound.
+    """
+    try:
+        return DatagramSocket(address, clock)
+    except (OSError, ValueError) as error:
+        allowed = f"{reason_of(error)}; allowed: udp:HOST:PORT or unix:PATH"
+        raise InputError("trajectory", "listen", address, allowed) from None
 
 
 class Arrival(NamedTuple):
@@ -40,7 +55,7 @@ class TruthSource(Observer):
 
     def __init__(
         self,
-        socket: TruthSocket,
+        socket: DatagramSocket,
         trajectory: LiveTrajectory,
         stale_after_ns: int,
         observers: Sequence[Observer],

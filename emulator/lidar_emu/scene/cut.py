@@ -10,8 +10,8 @@ import numpy as np
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.scene.hits import Hits, Scene, contiguous
-from lidar_emu.scene.nested import Rectangle
 from lidar_emu.scene.reach import Span, strays
+from lidar_emu.scene.rectangle import Rectangle
 
 
 class Kept(NamedTuple):

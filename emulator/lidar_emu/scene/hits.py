@@ -124,13 +124,6 @@ class Scene(Protocol):
         """(n,) False where a vehicle has left the ground for good."""
 
 
-def incidence_deg(hits: Hits, direction_site: FloatArray) -> FloatArray:
-    """Between rays (..., 3) and the normals that they met; NaN where nothing is hit."""
-    along = hits.normal_site * direction_site
-    # Axis by axis: a sum over an axis adds in an order of its own.
-    return np.degrees(np.arccos(np.clip(-(along[..., 0] + along[..., 1] + along[..., 2]), -1.0, 1.0)))
-
-
 @runtime_checkable
 class MovingScene(Scene, Protocol):
     """A scene of which something moves: what `Scene` tells of it holds at the start of the run."""

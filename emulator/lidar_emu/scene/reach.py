@@ -9,7 +9,7 @@ import numpy as np
 
 from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.kernels import kernel
-from lidar_emu.scene.nested import Rectangle
+from lidar_emu.scene.rectangle import Rectangle
 
 Lines = tuple[FloatArray, FloatArray]
 """Origins and unit directions (n, 3) of rays."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 import errno
 import socket
 from collections import Counter
-from collections.abc import Callable
 from typing import Any
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import InputError, reason_of
 from lidar_emu.transports.byte_channel import queued_bytes
+from lidar_emu.transports.datagrams import Join, udp_socket
 from lidar_emu.transports.link import NO_EXTRAS, NOTHING, LinkLostError, Noticed
 from lidar_emu.transports.socketcan import enlarge_receive_buffer, lost_frames
 from lidar_emu.transports.spec import PortSpec
@@ -164,19 +164,8 @@ def open_udp_host(spec: PortSpec) -> UdpHostChannel:
     return UdpHostChannel(_socket(spec, socket.socket.bind), str(spec))
 
 
-def _socket(spec: PortSpec, join: Callable[[socket.socket, Any], None]) -> socket.socket:
-    host, _, number = spec.path.rpartition(":")
+def _socket(spec: PortSpec, join: Join) -> socket.socket:
     try:
-        (family, _, _, _, address), *_ = socket.getaddrinfo(
-            host.strip("[]"), int(number), type=socket.SOCK_DGRAM
-        )
-        sock = socket.socket(family, socket.SOCK_DGRAM)
-        try:
-            join(sock, address)
-        except BaseException:
-            sock.close()
-            raise
-    except (OSError, UnicodeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError("--port", None, str(spec), f"it cannot be opened: {reason}") from None
-    return sock
+        return udp_socket(spec.path, join)
+    except (OSError, ValueError) as error:
+        raise InputError("--port", None, str(spec), f"it cannot be opened: {reason_of(error)}") from None

@@ -45,7 +45,7 @@ def clear_way_m(
 
     Args:
         origin, direction: (3n,) the rays, x, y, z of one after another.
-        grid, nodes, interpolation, maxima, levels: as of `grid_cast.cast_rays`.
+        grid, nodes, interpolation, maxima, levels: as of `cast.cast_rays`.
     """
     (x, x_far), (y, y_far), (z, _) = _bounds(origin)
     (dx, dx_far), (dy, dy_far), (dz, _) = _bounds(direction)

@@ -32,7 +32,7 @@ def cast_onto_cell(
 
     Args:
         origin, direction: (3n,) the rays, x, y, z of one after another.
-        grid, interpolation: as of `grid_cast.cast_rays`.
+        grid, interpolation: as of `cast.cast_rays`.
         samples: corners of the cell.
         range_m: (n,) less than 0: the ray is clear of all ground for -range_m. Becomes the range of those that meet
             the facet, and minus the way past it of those that do not.

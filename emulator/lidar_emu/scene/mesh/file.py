@@ -103,10 +103,12 @@ def _topology(vertex_m: FloatArray, faces: IntArray) -> tuple[bool, bool]:
     _, place = np.unique(vertex_m + 0.0, axis=0, return_inverse=True)
     corners = place.reshape(-1)[faces]
     start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
-    ways = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=1)
-    _, uses = np.unique(ways @ [len(place), 1], return_counts=True)
-    runs = np.unique(start * len(place) + end)
-    return bool((uses == 2).all()), len(runs) == len(start)
+    # Sorted rather than by np.unique, which takes ten times as long for a million triangles.
+    ways = np.sort(np.minimum(start, end) * len(place) + np.maximum(start, end))
+    by_twos = len(ways) % 2 == 0 and bool((ways[::2] == ways[1::2]).all())
+    is_closed = by_twos and bool((ways[1:-1:2] != ways[2::2]).all())
+    runs = np.sort(start * len(place) + end)
+    return is_closed, bool((runs[1:] != runs[:-1]).all())
 
 
 def _load(path: Path) -> Any:

@@ -15,6 +15,9 @@ from lidar_emu.scene.hits import Hits
 from lidar_emu.scene.mesh.file import MeshFile, enclosed_m3, turned_over
 from lidar_emu.scene.mesh.model import Mesh, Triangles
 
+_ALIKE = 10.0
+"""A body's sphere and the surface of its mesh are this many times as far from its centre as the other, at most."""
+
 
 class MeshGround:
     """Triangles in the site frame.
@@ -61,11 +64,11 @@ def place_mesh(file: MeshFile, origin: MeshOrigin, part: Site) -> MeshGround:
     """The mesh in the site frame.
 
     Raises:
-        InputError: there is no surface at the place that the origin is to have.
+        InputError: there is no surface at the place that the origin is to have, or one of another size than the body.
     """
     corner_m, altitude_m = file.corner_m, 0.0
     if origin.is_body_fixed:
-        corner_m, radius_m = _at_place(file, origin)
+        corner_m, radius_m = _at_place(file, origin, part)
         altitude_m = radius_m - part.body.radius_m
     if not file.is_closed and file.faces_one_way:
         corner_m = _facing_up(corner_m, altitude_m + part.body.radius_m if origin.is_body_fixed else None)
@@ -85,7 +88,7 @@ def _facing_up(corner_m: FloatArray, centre_below_m: float | None) -> FloatArray
     return corner_m if outward >= 0 else turned_over(corner_m)
 
 
-def _at_place(file: MeshFile, origin: MeshOrigin) -> tuple[FloatArray, float]:
+def _at_place(file: MeshFile, origin: MeshOrigin, part: Site) -> tuple[FloatArray, float]:
     """Corners east, north and up of the origin, and how far that is from the body's centre."""
     if origin.body_fixed_m is not None:
         x, y, z = origin.body_fixed_m
@@ -103,7 +106,19 @@ def _at_place(file: MeshFile, origin: MeshOrigin) -> tuple[FloatArray, float]:
             raise InputError(
                 file.source, "ground.origin", found, "allowed: a place where the mesh has a surface"
             )
+        _require_alike(radius_m, file, part.body.radius_m)
     return upright_m - np.array([0.0, 0.0, radius_m]), radius_m
+
+
+def _require_alike(radius_m: float, file: MeshFile, body_radius_m: float) -> None:
+    """A mesh in the wrong unit, or on the body of another site, is not flown."""
+    if not body_radius_m / _ALIKE <= radius_m <= body_radius_m * _ALIKE:
+        allowed = (
+            f"allowed: within a factor of {_ALIKE:g} of the mesh's surface, {radius_m:.4g} m from its centre"
+        )
+        raise InputError(
+            file.source, "site.body.radius_m", body_radius_m, f"{allowed}; or another ground.unit"
+        )
 
 
 def _site_from_body_fixed(latitude_rad: float, longitude_rad: float) -> FloatArray:

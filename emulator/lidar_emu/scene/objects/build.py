@@ -9,17 +9,18 @@ import numpy as np
 from lidar_emu.arrays import FloatArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.rotations import SITE_FROM_NED, chained, from_yaw_pitch_roll, rotate
-from lidar_emu.scenario.objects import MeshObject, PlacedObject, Scatter
+from lidar_emu.scenario.objects import MeshObject, PlacedObject
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene.cut import CutGround, Kept
 from lidar_emu.scene.hits import GROUND, Scene
-from lidar_emu.scene.mesh.file import read_mesh
+from lidar_emu.scene.mesh.file import MAXIMUM_TRIANGLES, read_mesh
 from lidar_emu.scene.mesh.model import Mesh, Triangles
-from lidar_emu.scene.nested import Rectangle
 from lidar_emu.scene.objects.motion import MovingObject
 from lidar_emu.scene.objects.populated import PopulatedScene, SceneInMotion
 from lidar_emu.scene.objects.shapes import corners_m
+from lidar_emu.scene.objects.standing import Standing, strewn
 from lidar_emu.scene.reach import Reach, Span
+from lidar_emu.scene.rectangle import Rectangle
 
 _NED_FROM_OBJECT = np.diag([1.0, -1.0, -1.0])
 """Forward-right-down angles, for shapes that are forward-left-up."""
@@ -40,7 +41,7 @@ def populated(ground: Scene, part: Site, reach: Reach | None) -> Scene:
     Raises:
         InputError: the file of an object cannot be used, or there is no ground under one that is to stand on it.
     """
-    still: list[Triangles] = []
+    still: list[Standing] = []
     moving: list[MovingObject] = []
     for number, each in enumerate(part.objects):
         triangles = _triangles(each, GROUND + 1 + number, part.surface.reflectance)
@@ -50,29 +51,58 @@ def populated(ground: Scene, part: Site, reach: Reach | None) -> Scene:
             still.append(_standing(each, number, triangles, ground, part))
     scene = ground
     if still:
-        joined = Triangles.joined(still)
-        scene = _within_reach(ground, joined, _counted(part.objects, len(joined.corner_m)), reach)
+        scene = _within_reach(ground, still, part, reach)
     if moving:
-        scene = SceneInMotion(scene, moving, f"{len(moving)} moving")
+        scene = SceneInMotion(scene, moving, f"moving objects: {len(moving)}")
     return scene
 
 
-def _within_reach(ground: Scene, triangles: Triangles, description: str, reach: Reach | None) -> Scene:
-    """The ground with those triangles that rays can meet; the others come back if one needs them after all."""
+def _within_reach(ground: Scene, still: list[Standing], part: Site, reach: Reach | None) -> Scene:
+    """The ground with what rays can meet of its objects; the rest comes back if one needs it after all."""
+    count = sum(each.triangle_count for each in still)
+    description = _counted(part.objects, count)
 
     def whole() -> Scene:
-        return PopulatedScene(ground, Mesh(triangles), description)
+        return PopulatedScene(ground, Mesh(_joined(still)), description)
 
-    if reach is None or len(triangles.corner_m) < CUT_FROM_TRIANGLES:
+    if reach is None or count < CUT_FROM_TRIANGLES:
+        _require_room(count, part)
         return whole()
-    low_m, high_m = triangles.corner_m.min(axis=1), triangles.corner_m.max(axis=1)
-    (west_m, south_m, floor_m), (east_m, north_m, ceiling_m) = low_m.min(axis=0), high_m.max(axis=0)
-    span = Span(Rectangle(west_m, east_m, south_m, north_m), floor_m, ceiling_m)
+    span = _around([each.span for each in still])
     area = reach.over(span)
-    meets_across = (low_m[:, 0] <= area.east_m) & (area.west_m <= high_m[:, 0])
-    met = np.flatnonzero(meets_across & (low_m[:, 1] <= area.north_m) & (area.south_m <= high_m[:, 1]))
-    held = PopulatedScene(ground, Mesh(triangles.chosen(met)), description) if met.size else ground
-    return CutGround(held, (Kept(span, area, len(low_m), met.size),), whole)
+    near = [each.near(area) for each in still]
+    _require_room(sum(each.triangle_count for each in near), part)
+    met = _over(area, _joined(near))
+    held = PopulatedScene(ground, Mesh(met), description) if len(met.corner_m) else ground
+    return CutGround(held, (Kept(span, area, count, len(met.corner_m)),), whole)
+
+
+def _require_room(triangles: int, part: Site) -> None:
+    if triangles > MAXIMUM_TRIANGLES:
+        found = Finding(f"{triangles} triangles that beams may come to")
+        allowed = f"allowed: at most {MAXIMUM_TRIANGLES}; scatter fewer copies, or over less ground"
+        raise InputError(part.name, "site.objects", found, allowed)
+
+
+def _joined(still: list[Standing]) -> Triangles:
+    return Triangles.joined([each.triangles() for each in still])
+
+
+def _around(spans: list[Span]) -> Span:
+    """What holds all of them."""
+    areas = np.array([span.area for span in spans])
+    west_m, _, south_m, _ = areas.min(axis=0).tolist()
+    _, east_m, _, north_m = areas.max(axis=0).tolist()
+    floor_m, ceiling_m = min(span.floor_m for span in spans), max(span.ceiling_m for span in spans)
+    return Span(Rectangle(west_m, east_m, south_m, north_m), floor_m, ceiling_m)
+
+
+def _over(area: Rectangle, triangles: Triangles) -> Triangles:
+    """Those that reach into an area."""
+    east_m, north_m = triangles.corner_m[..., 0], triangles.corner_m[..., 1]
+    met = (east_m.min(axis=1) <= area.east_m) & (area.west_m <= east_m.max(axis=1))
+    met &= (north_m.min(axis=1) <= area.north_m) & (area.south_m <= north_m.max(axis=1))
+    return triangles.chosen(np.flatnonzero(met))
 
 
 def _counted(parts: list[PlacedObject], triangles: int) -> str:
@@ -106,28 +136,12 @@ def _moving(part: PlacedObject, number: int, triangles: Triangles, ground: Scene
     return MovingObject(Mesh(triangles), place_m[0], part.motion)
 
 
-def _standing(part: PlacedObject, number: int, triangles: Triangles, ground: Scene, site: Site) -> Triangles:
-    """In the site frame; copy after copy, if there are several."""
+def _standing(part: PlacedObject, number: int, shape: Triangles, ground: Scene, site: Site) -> Standing:
     here = np.array([[part.east_m, part.north_m]])
     if part.scatter is None:
-        corner_m = triangles.corner_m + _on_ground(part, number, here, ground, site)[0]
-        return triangles._replace(corner_m=corner_m)
-    away_m, scale, turn = _strewn(part.scatter)
-    place_m = _on_ground(part, number, here + away_m, ground, site)
-    turned = rotate(turn[:, None, None], triangles.corner_m[None])
-    corner_m = place_m[:, None, None] + scale[:, None, None, None] * turned
-    alike = triangles.chosen(np.tile(np.arange(len(triangles.corner_m)), len(corner_m)))
-    return alike._replace(corner_m=corner_m.reshape(-1, 3, 3))
-
-
-def _strewn(scatter: Scatter) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of each copy its place (n, 2) east and north of the centre, size (n,), and turn (n, 3, 3) about the vertical."""
-    random = np.random.default_rng(scatter.seed).random((scatter.count, 4))
-    away_m, towards = scatter.radius_m * np.sqrt(random[:, 0]), 2 * np.pi * random[:, 1]
-    place_m = away_m[:, None] * np.stack([np.sin(towards), np.cos(towards)], axis=-1)
-    least, greatest = scatter.scale
-    scale = least * (greatest / least) ** random[:, 2]
-    return place_m, scale, from_yaw_pitch_roll(2 * np.pi * random[:, 3], 0.0, 0.0)
+        return Standing(shape, _on_ground(part, number, here, ground, site), np.ones(1), np.zeros(1))
+    away_m, scale, turn_rad = strewn(part.scatter)
+    return Standing(shape, _on_ground(part, number, here + away_m, ground, site), scale, turn_rad)
 
 
 def _on_ground(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from lidar_emu.arrays import FloatArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import Grid
+from lidar_emu.scene.rectangle import Rectangle
 from lidar_emu.scene.terrain.frame import LocalFrame
 from lidar_emu.scene.terrain.map import RasterMap, read_window, window_of
 from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing
@@ -23,26 +23,12 @@ SHARE_OF_RADIUS = 0.1
 """How far at most, of the body's radius."""
 
 
-@dataclass(frozen=True)
-class Extent:
-    """A rectangle of the site frame."""
-
-    west_m: float
-    east_m: float
-    south_m: float
-    north_m: float
-
-
-def read_on_body(
-    ground: Grid, file: Any, within: Extent | None = None, frame: LocalFrame | None = None
-) -> Terrain:
+def read_on_body(ground: Grid, file: Any) -> Terrain:
     """The part of an open raster file around the site, in the site frame.
 
     Args:
         ground: the site's words on the file.
         file: the open file, which states a projection.
-        within: the part that is wanted; None: as the site says.
-        frame: the site frame; None: at the origin that the site names.
 
     Raises:
         InputError: the origin lies off the grid or where samples are missing, the grid is too large, or the file
@@ -50,13 +36,12 @@ def read_on_body(
     """
     raster = RasterMap(ground, file)
     band = band_number(ground.file, file, "band", ground.band)
-    if frame is None:
-        frame = _frame(ground, raster, file, band)
+    frame = _frame(ground, raster, file, band)
     at = raster.sample_at(np.array([frame.latitude_rad]), np.array([frame.longitude_rad]), raster.columns / 2)
     column, row = float(at[0][0]), float(at[1][0])
     steps_m = _steps_m(raster, frame, column, row)
     spacing_m = _spacing_m(steps_m)
-    extent = _extent(ground, raster, frame, spacing_m, within)
+    extent = _extent(ground, raster, frame, spacing_m)
     # The sample next to the origin is a node, so that a grid along the meridians of its map stays as it is there.
     east_m = _nodes(float(steps_m[0, 0]), spacing_m, extent.west_m, extent.east_m)
     north_m = _nodes(float(steps_m[0, 1]), spacing_m, extent.south_m, extent.north_m)[::-1]
@@ -150,9 +135,7 @@ def _spacing_m(steps_m: FloatArray) -> float:
     return float(max(lengths.min(), lengths.max() / 2))
 
 
-def _extent(
-    ground: Grid, raster: RasterMap, frame: LocalFrame, spacing_m: float, within: Extent | None
-) -> Extent:
+def _extent(ground: Grid, raster: RasterMap, frame: LocalFrame, spacing_m: float) -> Rectangle:
     """What is wanted of the file, and what of that it can have."""
     radius_m = frame.ellipsoid.equatorial_m
     half_m = min(SAMPLES_TO_EACH_SIDE * spacing_m, SHARE_OF_RADIUS * radius_m)
@@ -161,13 +144,13 @@ def _extent(
         if half_m > radius_m / 2:
             allowed = f"allowed: at most {radius_m / 2:g}, half of the body's radius"
             raise InputError(ground.file, "ground.half_size_m", half_m, allowed)
-    wanted = within or Extent(-half_m, half_m, -half_m, half_m)
+    wanted = Rectangle(-half_m, half_m, -half_m, half_m)
     latitude, longitude = raster.geodetic(*_outline(raster))
     east, north, up = frame.place_m(latitude, longitude, np.full_like(latitude, frame.altitude_m)).T
     if raster.is_closed or not (up > -radius_m / 2).all():
         # It runs around the body.
         return wanted
-    return Extent(
+    return Rectangle(
         max(wanted.west_m, float(east.min())),
         min(wanted.east_m, float(east.max())),
         max(wanted.south_m, float(north.min())),
@@ -184,7 +167,7 @@ def _nodes(through_m: float, spacing_m: float, first_m: float, last_m: float) ->
 
 
 def _spread(
-    raster: RasterMap, frame: LocalFrame, extent: Extent, near_column: float
+    raster: RasterMap, frame: LocalFrame, extent: Rectangle, near_column: float
 ) -> tuple[FloatArray, FloatArray]:
     """Columns and rows of places all over an extent, at any height that ground may have."""
     lattice = np.meshgrid(
@@ -201,7 +184,7 @@ def _spread(
     return column, row
 
 
-def _has_pole(frame: LocalFrame, extent: Extent) -> bool:
+def _has_pole(frame: LocalFrame, extent: Rectangle) -> bool:
     """Whether a pole lies in an extent, or so near that the columns of a cylinder fan out over it."""
     poles = frame.place_m(np.radians([90.0, -90.0]), np.zeros(2), np.zeros(2))
     east, north, up = poles[:, 0], poles[:, 1], poles[:, 2]

@@ -8,20 +8,17 @@ from typing import Any
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import Grid
 from lidar_emu.scene.terrain.flat import FlatMap, placed_flat, read_flat_raster
-from lidar_emu.scene.terrain.frame import LocalFrame
-from lidar_emu.scene.terrain.local import Extent, read_on_body
+from lidar_emu.scene.terrain.local import read_on_body
 from lidar_emu.scene.terrain.model import Terrain
 from lidar_emu.scene.terrain.npz import read_npz
 from lidar_emu.scene.terrain.raster import open_raster
 
 
-def read_terrain(ground: Grid, within: Extent | None = None, frame: LocalFrame | None = None) -> Terrain:
+def read_terrain(ground: Grid) -> Terrain:
     """The elevation file of a site, around the origin that the site names.
 
     Args:
         ground: what the site says of it.
-        within: the part that is wanted of a file that lies on a body; None: as the site says.
-        frame: the site frame, where another file's origin is that of the site; None: at this one's.
 
     Raises:
         InputError: the file is not there, cannot be read, is no elevation grid, or does not reach the origin.
@@ -31,7 +28,7 @@ def read_terrain(ground: Grid, within: Extent | None = None, frame: LocalFrame |
         return _flat(ground, read_npz(ground))
     with open_raster(ground.file) as file:
         if _is_on_body(ground, file):
-            return read_on_body(ground, file, within, frame)
+            return read_on_body(ground, file)
         return _flat(ground, read_flat_raster(ground, file))
 
 

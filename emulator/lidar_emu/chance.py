@@ -1,4 +1,4 @@
-"""Numbers for faults, by counter: those of one fault do not depend on any other, nor on the receiver's."""
+"""Numbers by counter for what befalls a run: those of one fault depend on no other's, nor on the receiver's."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _WHOLE_SHOT = 0xFFFF
 
 
 class Chance:
-    """The numbers of one fault.
+    """The numbers of one fault, or of the dust.
 
     Args:
         seed: of the run.
-        number: of the fault in the scenario's list.
+        number: of the fault in the scenario's list; 4096 the dust.
     """
 
     def __init__(self, seed: int, number: int) -> None:

@@ -10,7 +10,8 @@ import numpy as np
 from lidar_emu.arrays import FloatArray
 from lidar_emu.scene.grid.ground import GridGround, Samples
 from lidar_emu.scene.hits import Scene
-from lidar_emu.scene.nested import NestedGround, Rectangle, Seam
+from lidar_emu.scene.joined.nested import NestedGround, Seam
+from lidar_emu.scene.rectangle import Rectangle
 
 _COMPARED = 10_000
 """Samples, at most, by which two grids are compared: more tell nothing new."""

@@ -13,8 +13,8 @@ from lidar_emu.ground.detail import MARGIN, Law, law_of, law_with, refine
 from lidar_emu.scenario.ground_detail import Detail
 from lidar_emu.scene.grid.ground import GridGround, Samples
 from lidar_emu.scene.hits import Scene
-from lidar_emu.scene.nested import Rectangle
-from lidar_emu.scene.seam import extent, nest
+from lidar_emu.scene.joined.seam import extent, nest
+from lidar_emu.scene.rectangle import Rectangle
 
 MAXIMUM_SAMPLES = 40_000_000
 EDGE = 3

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,29 +12,7 @@ from lidar_emu.kernels import kernel
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.grid.traverse import FACE_DEPTH_M, clip
 from lidar_emu.scene.hits import Hits, Scene, contiguous
-
-
-class Rectangle(NamedTuple):
-    """A part of the map, edges included, in metres of the site frame."""
-
-    west_m: float
-    east_m: float
-    south_m: float
-    north_m: float
-
-    def holds(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """(n,) Whether points lie in it."""
-        across = (self.west_m <= east_m) & (east_m <= self.east_m)
-        return np.asarray(across & (self.south_m <= north_m) & (north_m <= self.north_m))
-
-    def common(self, other: Self) -> Self:
-        """What lies in both; empty, its edges the wrong way round, where nothing does."""
-        return type(self)(
-            max(self.west_m, other.west_m),
-            min(self.east_m, other.east_m),
-            max(self.south_m, other.south_m),
-            min(self.north_m, other.north_m),
-        )
+from lidar_emu.scene.rectangle import Rectangle
 
 
 class Seam(NamedTuple):

@@ -1,4 +1,4 @@
-"""The socket on which a simulator's truth arrives."""
+"""The sockets that others send to: a simulator its truth, whoever may the faults that he orders."""
 
 from __future__ import annotations
 
@@ -8,46 +8,35 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
-from lidar_emu.errors import InputError
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.transports.datagrams import datagram_socket, udp_socket
 
 _LONGEST_BYTES = 65536
 _AT_ONCE = 64
-_ALLOWED = "allowed: udp:HOST:PORT or unix:PATH"
 
 
-class TruthSocket:
-    """A bound datagram socket, UDP or Unix.
+class DatagramSocket:
+    """A bound datagram socket, UDP or Unix, that answers whom it hears.
 
     Args:
         address: `udp:HOST:PORT` or `unix:PATH`; a path that a dead process left behind is taken over.
 
     Raises:
-        InputError: it cannot be bound.
+        OSError: it cannot be bound.
+        ValueError: that is no address.
     """
 
     def __init__(self, address: str, clock: Clock) -> None:
         self._clock = clock
         self._path: str | None = None
         kind, _, place = address.partition(":")
-        try:
-            self._socket = self._unix(place) if kind == "unix" else self._udp(place)
-        except (OSError, OverflowError, ValueError) as error:
-            why = getattr(error, "strerror", None) or str(error)
-            raise InputError("trajectory", "listen", address, f"{why}; {_ALLOWED}") from None
+        self._socket = self._unix(place) if kind == "unix" else udp_socket(place, socket.socket.bind)
         self._socket.setblocking(False)
-
-    def _udp(self, place: str) -> socket.socket:
-        host, _, port = place.rpartition(":")
-        if not 0 < int(port) < 1 << 16:  # the system would take it modulo 65536
-            raise ValueError("ports are 1 to 65535")
-        (family, _, _, _, where), *_ = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_DGRAM)
-        return _bound(family, where)
 
     def _unix(self, path: str) -> socket.socket:
         if _is_abandoned(path):
             Path(path).unlink()
-        bound = _bound(socket.AF_UNIX, path)
+        bound = datagram_socket(socket.AF_UNIX, path, socket.socket.bind)
         self._path = path
         return bound
 
@@ -91,16 +80,6 @@ class TruthSocket:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _bound(family: int, where: Any) -> socket.socket:
-    made = socket.socket(family, socket.SOCK_DGRAM)
-    try:
-        made.bind(where)
-    except BaseException:
-        made.close()
-        raise
-    return made
 
 
 def _is_abandoned(path: str) -> bool:

@@ -12,7 +12,7 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario import site
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scene.grid.ground import GridGround, Samples
-from lidar_emu.scene.grids import Beyond, Layer
+from lidar_emu.scene.joined.grids import Beyond, Layer
 from lidar_emu.scene.terrain.model import Terrain
 
 BODY_TOLERANCE = 0.01

@@ -8,15 +8,15 @@ from functools import partial
 
 from lidar_emu.arrays import FloatArray
 from lidar_emu.scenario.ground_detail import Detail
-from lidar_emu.scene.albedo import Albedo, PaintedGround
 from lidar_emu.scene.cut import CutGround, Kept
-from lidar_emu.scene.detail import around, detailed
 from lidar_emu.scene.grid.ground import GridGround, Samples
 from lidar_emu.scene.hits import Scene
-from lidar_emu.scene.nested import Rectangle
+from lidar_emu.scene.joined.albedo import Albedo, PaintedGround
+from lidar_emu.scene.joined.detail import around, detailed
+from lidar_emu.scene.joined.seam import extent, nest
 from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.reach import Reach, Span
-from lidar_emu.scene.seam import extent, nest
+from lidar_emu.scene.rectangle import Rectangle
 from lidar_emu.scene.sphere import SphereGround
 
 CUT_FROM_SAMPLES = 1_000_000

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from secrets import token_hex
 from typing import BinaryIO
 
 from lidar_emu.errors import Finding, InputError, RunError
@@ -48,13 +49,15 @@ def check_extra(path: Path, module: str, extra: str) -> None:
 def whole_file(path: Path) -> Iterator[BinaryIO]:
     """An open file that takes the name `path` once it is complete; an older file stays until then.
 
+    Any number of threads, processes and machines may write the same file at once; the last to be done has it.
+
     Raises:
         InputError: nothing can be written there.
         RunError: writing failed on the way (a full disk).
     """
     check_destination(path)
     # A sibling, since a rename is atomic within one file system only.
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    unfinished = path.with_name(f".{path.name}.{token_hex(4)}")
     try:
         file = unfinished.open("wb")
     except OSError as error:

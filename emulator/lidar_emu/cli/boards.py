@@ -1,0 +1,206 @@
+"""What the picture of a run and that of a listener show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from datetime import datetime
+from typing import Any
+
+from lidar_emu.cli.dashboard import Dashboard
+from lidar_emu.cli.far_end import Decoder, counter_line, reason
+from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.summary import Tally
+from lidar_emu.session import Block
+from lidar_emu.transports.frames import unpack_frames
+from lidar_emu.wire import rows
+from lidar_protocol import Acknowledge, Interface, Message, Received
+
+_BEAMS_SENT = 256
+_FAULT_STAYS_NS = 1_000_000_000
+
+Line = tuple[str, str]
+
+
+class Instruments:
+    """What the last messages of each unit say."""
+
+    def __init__(self, interface: Interface) -> None:
+        self._interface = interface
+        self._shots: dict[int, Message] = {}
+        self._states: dict[int, dict[str, Any]] = {}
+        self._answer = ""
+
+    def take(self, messages: Iterable[Received]) -> None:
+        """Know these as the last ones."""
+        for message in messages:
+            if isinstance(message, Acknowledge):
+                self._answer = f"{message.command or 'unknown'}: {message.verdict.replace('_', ' ')}"
+                continue
+            if isinstance(message, Message):
+                self._shots[message.unit] = message
+            said = message.header if isinstance(message, Message) else message.values
+            self._states.setdefault(message.unit, {}).update(said)
+
+    def beams(self) -> list[tuple[str, Any, Any, Any, str | None]]:
+        """As the screen wants them."""
+        several = len(self._shots) > 1
+        return [
+            (f"{unit}.{beam}" if several else str(beam), *self._cells(row))
+            for unit, message in sorted(self._shots.items())
+            for beam, row in enumerate(rows(message))
+        ][:_BEAMS_SENT]
+
+    def _cells(self, row: dict[str, Any]) -> tuple[Any, Any, Any, str | None]:
+        valid = row.get("range_valid", row.get("range_m") is not None)
+        why = None if valid else reason(row, self._interface)
+        return row.get("range_m"), row.get("closing_speed_mps"), row.get("snr_db"), why
+
+    def lines(self) -> list[Line]:
+        """Mode and flags of each unit; the last answer."""
+        told = [("device", self._state(unit, state)) for unit, state in sorted(self._states.items())]
+        return [*told, *([("answer", self._answer)] if self._answer else [])]
+
+    def _state(self, unit: int, state: dict[str, Any]) -> str:
+        said = [f"unit {unit}"]
+        if (mode := state.get("mode")) is not None:
+            said.append(self._interface.word("mode", int(mode)) or str(mode))
+        flags = (("laser_on", "laser"), ("clock_locked", "clock"), ("interlock_closed", "interlock"))
+        words = {"laser": ("off", "on"), "clock": ("free", "locked"), "interlock": ("open", "closed")}
+        said += [f"{word} {words[word][bool(state[name])]}" for name, word in flags if name in state]
+        if (temperature_c := state.get("temperature_c")) is not None:
+            said.append(f"{temperature_c:.1f} °C")
+        return ", ".join(said).replace("_", " ")
+
+    def last_shot(self) -> Message | None:
+        """Of any unit."""
+        return max(self._shots.values(), key=lambda message: message.time_ns or 0, default=None)
+
+
+def _time_line(instruments: Instruments, until: str = "") -> list[Line]:
+    last = instruments.last_shot()
+    if last is None:
+        return []
+    time = "-" if last.time_ns is None else f"{last.time_ns * 1e-9:.3f} s{until}"
+    number = last.sequence if last.shot is None else last.shot
+    return [("time", time + ("" if number is None else f", shot {number}"))]
+
+
+class ListenBoard:
+    """Draws what a listener hears."""
+
+    def __init__(self, dashboard: Dashboard, decoder: Decoder, title: str) -> None:
+        self._dashboard, self._decoder, self._title = dashboard, decoder, title
+        self._instruments = Instruments(decoder.interface)
+
+    def take(self, messages: Iterable[Received]) -> None:
+        """Know what came, and draw it if it is time."""
+        self._instruments.take(messages)
+        if self._dashboard.is_due:
+            lines = [
+                *_time_line(self._instruments),
+                ("received", counter_line(self._decoder.counters())),
+                *self._instruments.lines(),
+            ]
+            self._dashboard.show({"title": self._title, "beams": self._instruments.beams(), "lines": lines})
+
+
+class RunBoard(Observer):
+    """Draws a run: what the last packet that went out says, and how it goes.
+
+    Args:
+        dashboard: draws.
+        interface: of the packets.
+        is_can: whether packets are frame records.
+        title: stands above.
+        tally: counts the run.
+        seconds: how long it is planned to be; None: nobody knows.
+    """
+
+    def __init__(
+        self,
+        dashboard: Dashboard,
+        interface: Interface,
+        is_can: bool,
+        title: str,
+        tally: Tally,
+        seconds: float | None,
+    ) -> None:
+        self._dashboard, self._decoder, self._is_can = dashboard, Decoder(interface), is_can
+        self._instruments = Instruments(interface)
+        self._title, self._tally = title, tally
+        self._until = "" if seconds is None else f" of {seconds:g} s"
+        self._late_ns = self._latest_ns = self._sent_bytes = 0
+        self._acting: dict[str, int] = {}
+        self._notice = ""
+
+    def awaiting(self, port: str, what: str) -> None:  # noqa: ARG002
+        """Say what the run waits for."""
+        self._notice = f"waits for {what}"
+        self._draw()
+
+    def opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
+        """It waits no more."""
+        self._notice = ""
+
+    def kept_house(self, payload: bytes, time_ns: int) -> None:  # noqa: ARG002
+        """Know how the device is."""
+        self._decode(payload)
+        if self._dashboard.is_due:
+            self._draw()
+
+    def answered(self, payload: bytes, time_ns: int) -> None:  # noqa: ARG002
+        """Know what it answered."""
+        self._decode(payload)
+
+    def settled(self, block: Block) -> None:
+        """Know which faults acted, and when."""
+        for fault in block.faults:
+            beams = f" ({', '.join(map(str, fault.beams))})" if fault.beams else ""
+            row = fault.shot - int(block.measurement.shot[0])
+            self._acting[fault.kind.replace("_", " ") + beams] = block.due_ns[row]
+
+    def noticed(self, time_ns: int, what: str) -> None:
+        """Show the last thing that happened."""
+        self._notice = f"{time_ns * 1e-9:.3f} s: {what}"
+
+    def link_noticed(self, time_ns: int, what: str) -> None:
+        """Show the last thing that happened."""
+        self.noticed(time_ns, what)
+
+    def report(self, packet: Outgoing, report: Report) -> None:
+        """Draw, if it is time."""
+        if report.fate is Fate.SENT:
+            self._sent_bytes += len(packet.payload)
+            self._late_ns = max(self._late_ns, report.sent_ns - report.due_ns)
+        if self._dashboard.is_due:
+            if report.fate is Fate.SENT:
+                self._decode(packet.payload)
+            self._draw(report.due_ns)
+
+    def _decode(self, payload: bytes) -> None:
+        arrived = unpack_frames(payload) if self._is_can else payload
+        self._instruments.take(self._decoder.receive(arrived))
+
+    def _draw(self, now_ns: int = 0) -> None:
+        tally = self._tally
+        lines = [
+            *_time_line(self._instruments, self._until),
+            ("shots", f"{tally.sent} sent, {tally.late} late, {tally.dropped} dropped"),
+            *self._lateness(),
+            ("link", f"{self._sent_bytes / 1e3:.1f} kB" + (f"; {self._notice}" if self._notice else "")),
+            *self._instruments.lines(),
+        ]
+        self._acting = {what: at for what, at in self._acting.items() if now_ns - at < _FAULT_STAYS_NS}
+        if self._acting:
+            lines.append(("faults", ", ".join(self._acting)))
+        self._dashboard.show({"title": self._title, "beams": self._instruments.beams(), "lines": lines})
+
+    def _lateness(self) -> list[Line]:
+        """Of what went out since the last picture, and of all."""
+        if self._tally.pace is not Pace.WALL:
+            return []
+        late_ns, self._late_ns = self._late_ns, 0
+        self._latest_ns = max(self._latest_ns, late_ns)
+        return [("lateness", f"{late_ns / 1e3:.0f} us, at most {self._latest_ns / 1e3:.0f} us so far")]

@@ -1,0 +1,80 @@
+"""The process that draws: `python -m lidar_emu.cli.dashboard_screen DESCRIPTOR` shows what comes through a socket."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+_LONGEST = 1 << 18
+_NARROW, _ROOMY = 52, 70
+"""Columns of a terminal: below the first, signal to noise is not shown; from the second on, columns stand apart."""
+_LABEL_WIDTH = 9
+
+
+def main(descriptor: int) -> None:
+    """Draw until the other end is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    console = Console()
+    with (
+        socket.socket(fileno=descriptor) as told,
+        Live(console=console, auto_refresh=False, transient=True, vertical_overflow="crop") as live,
+    ):
+        while message := told.recv(_LONGEST):
+            news = json.loads(message)
+            if "say" in news:
+                console.print(news["say"], markup=False, highlight=False, soft_wrap=True)
+            else:
+                live.update(picture(news, console.width, console.height), refresh=True)
+
+
+def picture(told: dict[str, Any], width: int, height: int) -> RenderableType:
+    """What is shown on a terminal of this size.
+
+    Args:
+        told: `title`; `beams`: name, range in m, closing speed in m/s, SNR in dB, and why it is invalid or None;
+            `lines`: label and text.
+        width: in columns.
+        height: in rows.
+    """
+    lines: Sequence[tuple[str, str]] = told["lines"]
+    room = max(1, height - len(lines) - 5)
+    beams, rest = told["beams"][:room], told["beams"][room:]
+    table = Table(box=None, pad_edge=False, padding=(0, 2 if width >= _ROOMY else 1, 0, 0))
+    for heading in ("beam", "range m", "speed m/s", *(("SNR dB",) if width >= _NARROW else ())):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("state", no_wrap=True, overflow="ellipsis")
+    for name, range_m, speed_mps, snr_db, why in beams:
+        numbers = [_number(range_m, ".3f"), _number(speed_mps, "+.4f")]
+        if width >= _NARROW:
+            numbers.append(_number(snr_db, ".1f"))
+        table.add_row(name, *numbers, Text(why or "valid", style="yellow" if why else "green"))
+    more = [Text(f"and {len(rest)} beams more", style="dim")] if rest else []
+    below = [_line(label, text) for label, text in lines]
+    return Group(_one_row(Text(told["title"], style="bold")), table, *more, Text(), *below)
+
+
+def _number(value: float | None, how: str) -> str:
+    return "-" if value is None else format(value, how)
+
+
+def _line(label: str, text: str) -> Text:
+    style = "red" if label == "faults" else ""
+    return _one_row(Text.assemble((f"{label:<{_LABEL_WIDTH}} ", "dim"), (text, style)))
+
+
+def _one_row(text: Text) -> Text:
+    text.no_wrap, text.overflow = True, "ellipsis"
+    return text
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))

@@ -1,0 +1,112 @@
+"""`lidar-emu hazards`: which boulders, steps and slopes a flight's points tell."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING
+
+import click
+
+from lidar_emu.cli.options import load_scenario, scenario_argument, settings_option
+from lidar_emu.cli.progress import COMPILING, busy
+
+if TYPE_CHECKING:
+    from lidar_emu.arrays import FloatArray
+    from lidar_emu.report.hazards import Band
+
+
+@click.command(short_help="Which boulders, steps and slopes the points of a flight tell.")
+@scenario_argument
+@settings_option
+@click.option("--json", "as_json", is_flag=True, help="For machines.")
+def hazards(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
+    """Fly SCENARIO, and tell from its points what stands out of the ground, and how the ground slopes.
+
+    A point stands out if it is off the plane through the points around it by four standard deviations; beside it stands
+    how far it really is off. A slope is that of the plane through the beams of one shot. What no beam touches nobody
+    tells: the second table has how many boulders are touched.
+
+    \b
+    lidar-emu hazards hazards.yaml
+    lidar-emu hazards hazards.yaml --set scanner.pattern.angle_deg=7.5 --set instrument=ndl_fine
+    """
+    flown = load_scenario(scenario, None, None, settings)
+    from lidar_emu.report.hazards import bands_of, cloud_of, touched_shares
+    from lidar_emu.scenario.required import require_flight, require_known_flight
+    from lidar_emu.shots import FlightModel
+
+    require_known_flight(flown)
+    with busy(COMPILING):
+        cloud = cloud_of(FlightModel(require_flight(flown)))
+    bands, shares = bands_of(cloud), touched_shares(cloud)
+    if as_json:
+        click.echo(json.dumps(_document(flown.name, bands, shares), indent=2))
+        return
+    _print_bands(flown.name, bands)
+    _print_shares(shares)
+
+
+def _document(name: str, bands: list[Band], shares: FloatArray) -> dict[str, object]:
+    from lidar_emu.report.hazards import BOULDERS_M, CIRCLES_M
+
+    rows = [{key: _known(value) for key, value in vars(band).items()} for band in bands]
+    touched = {"circles_m": CIRCLES_M, "boulders_m": BOULDERS_M, "shares": shares.tolist()}
+    return {"scenario": name, "bands": rows, "touched": touched}
+
+
+def _known(value: float | None) -> float | None:
+    return None if value is None or math.isnan(value) else value
+
+
+def _print_bands(name: str, bands: list[Band]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=name, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
+    for heading in (
+        "altitude\nfrom\nm", "points\n\n", "spacing\n\nm", "height\ntold from\nm", "higher\n\n", "of them\ntold\n%",
+        "level\n\n", "false\nalarms\n%", "slope\nover\nm", "slope\nerror\n°", "as fore-\ntold\n°",
+    ):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for band in bands:
+        table.add_row(
+            f"{band.low_m:.0f}",
+            str(band.points),
+            f"{band.spacing_m:.2g}",
+            f"{band.told_from_m:.2g}",
+            str(band.higher),
+            _percent(band.told),
+            str(band.level),
+            _percent(band.alarms),
+            "-" if math.isnan(band.slope_base_m) else f"{band.slope_base_m:.0f}",
+            _number(band.slope_error_deg),
+            _number(band.slope_sigma_deg),
+        )
+    Console().print(table)
+
+
+def _print_shares(shares: FloatArray) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    from lidar_emu.report.hazards import BOULDERS_M, CIRCLES_M
+
+    title = "boulders with a point on them, % of all within a circle about the origin"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
+    table.add_column("radius, m", justify="right")
+    for diameter_m in BOULDERS_M:
+        table.add_column(f"{diameter_m:g} m across", justify="right")
+    for circle_m, row in zip(CIRCLES_M, shares, strict=True):
+        table.add_row(f"{circle_m:g}", *(f"{100 * share:.1f}" for share in row))
+    Console().print(table)
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f}"
+
+
+def _number(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.2g}"

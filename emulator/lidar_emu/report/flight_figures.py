@@ -1,0 +1,190 @@
+"""Figures of what a flight measured: where, how far, how fast, and how far off the truth."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.measurement import Measurement
+from lidar_emu.report.ground_below import extent_of, sample_ground, slope_to_sun
+from lidar_emu.report.page_style import GRID, Drawing, beam_points, draw, name_beams, points
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import PathCollection
+    from matplotlib.figure import Figure
+
+    from lidar_emu.scene.hits import Scene
+
+_GROUND_SAMPLES = 300
+_BAND_POINTS = 240
+_PATH = "#d1495b"
+_TRUTH = "#8a919c"
+_WIDEST_SIGMA = 5.0
+
+
+def where(measurement: Measurement, scene: Scene | None) -> Drawing:
+    """Path and footprints over the ground: from above, and from the side along the way."""
+
+    def on(figure: Figure) -> None:
+        above, side = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
+        ranges = _from_above(above, measurement, scene)
+        if measurement.range_valid.any():
+            figure.colorbar(ranges, ax=above, shrink=0.8, label="range (m)")
+        _from_the_side(side, measurement)
+
+    low_m, high_m = (f(measurement.position_site_m[:, 2]) for f in (np.nanmin, np.nanmax))
+    count = int(measurement.range_valid.sum())
+    says = (
+        f"Path of the vehicle between {low_m:.0f} m and {high_m:.0f} m above the site, and {count} measured points on "
+        "the ground, seen from above and from the side."
+    )
+    return draw("path", "Path and footprints", says, 4.4, on)
+
+
+def _from_above(axes: Axes, measurement: Measurement, scene: Scene | None) -> PathCollection:
+    """Returns the coloured points."""
+    extent = extent_of(measurement)
+    if scene is not None:
+        light = slope_to_sun(sample_ground(scene, extent, _GROUND_SAMPLES))
+        edges = (extent.low_m[0], extent.high_m[0], extent.low_m[1], extent.high_m[1])
+        axes.imshow(light, cmap="gray", vmin=-1.6, vmax=1.6, extent=edges, origin="lower", zorder=0)
+    valid = measurement.range_valid
+    drawn = axes.scatter(
+        measurement.point_site_m[valid, 0],
+        measurement.point_site_m[valid, 1],
+        c=measurement.range_m[valid],
+        s=4.0 if valid.sum() < 4000 else 1.0,
+        linewidths=0,
+        rasterized=True,
+    )
+    axes.plot(*measurement.position_site_m[:, :2].T, color=_PATH, linewidth=1.5, label="path")
+    axes.plot(*measurement.position_site_m[-1, :2], "o", color=_PATH, markersize=4, label="its end")
+    axes.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    return drawn
+
+
+def _from_the_side(axes: Axes, measurement: Measurement) -> None:
+    """Height over the distance along the straight line from the path's beginning to its end."""
+    position_m = measurement.position_site_m
+    way_m = position_m[-1, :2] - position_m[0, :2]
+    length_m = float(np.hypot(*way_m))
+    ahead = way_m / length_m if length_m > 1.0 else np.array([1.0, 0.0])
+    point_m = measurement.point_site_m[measurement.range_valid]
+    along_m = (point_m[:, :2] - position_m[0, :2]) @ ahead
+    points(axes, along_m, point_m[:, 2], color="C0", label="measured points")
+    axes.plot((position_m[:, :2] - position_m[0, :2]) @ ahead, position_m[:, 2], color=_PATH, linewidth=1.5)
+    towards = "along the path" if length_m > 1.0 else "east"
+    axes.set(xlabel=f"distance {towards} (m)", ylabel="up (m)")
+
+
+def against_truth(measurement: Measurement) -> Drawing:
+    """Range and closing speed with their truth."""
+    pairs = (
+        ("range (m)", measurement.range_m, measurement.true_range_m, measurement.range_valid),
+        (
+            "closing speed (m/s)",
+            measurement.closing_speed_mps,
+            measurement.true_closing_speed_mps,
+            measurement.speed_valid,
+        ),
+    )
+    time_s = np.asarray(measurement.time_ns * 1e-9, dtype=np.float64)
+
+    def on(figure: Figure) -> None:
+        for axes, (label, measured, true, valid) in zip(figure.subplots(2, sharex=True), pairs, strict=True):
+            for beam in range(measurement.beam_count):
+                axes.plot(
+                    time_s[:, beam], true[:, beam], color=_TRUTH, linewidth=0.8, zorder=1, rasterized=True
+                )
+                shown = valid[:, beam]
+                beam_points(axes, beam, measurement.beam_count, time_s[shown, beam], measured[shown, beam])
+                axes.plot([], [], ".", color=f"C{beam % 10}", label=f"beam {beam}")
+            axes.plot([], [], color=_TRUTH, label="truth")
+            axes.set_ylabel(label)
+        name_beams(figure.axes[0], measurement.beam_count)
+        figure.axes[-1].set_xlabel("time (s)")
+
+    ranges = _span(measurement.range_m[measurement.range_valid], "m")
+    speeds = _span(measurement.closing_speed_mps[measurement.speed_valid], "m/s")
+    says = f"Measured ranges ({ranges}) and closing speeds ({speeds}) of each beam over time, on lines of their truth."
+    return draw("truth", "Range and speed against truth", says, 4.6, on)
+
+
+def _span(values: FloatArray, unit: str) -> str:
+    return f"{values.min():.4g} to {values.max():.4g} {unit}" if values.size else "none valid"
+
+
+def errors(measurement: Measurement) -> Drawing:
+    """Errors over time with twice the standard deviation that the device states, and their distribution over it."""
+    rows = (
+        ("range error (m)", 1.0, measurement.range_m - measurement.true_range_m,
+         measurement.sigma_range_m, measurement.range_valid),
+        ("speed error (mm/s)", 1e3, measurement.closing_speed_mps - measurement.true_closing_speed_mps,
+         measurement.sigma_speed_mps, measurement.speed_valid),
+    )  # fmt: skip
+    time_s = np.asarray(measurement.time_ns * 1e-9, dtype=np.float64)
+
+    def on(figure: Figure) -> None:
+        grid = figure.subplots(2, 2, width_ratios=(3.0, 1.0), sharex="col")
+        for (along, spread), (label, factor, error, sigma, valid) in zip(grid, rows, strict=True):
+            for beam in range(measurement.beam_count):
+                shown = valid[:, beam]
+                beam_points(
+                    along, beam, measurement.beam_count, time_s[shown, beam], factor * error[shown, beam]
+                )
+            _add_band(along, time_s[valid], factor * sigma[valid])
+            along.set_ylabel(label)
+            _add_spread(spread, error[valid], sigma[valid])
+        grid[1, 0].set_xlabel("time (s)")
+        grid[1, 1].set_xlabel("error / stated sigma")
+        if grid[0, 0].get_legend_handles_labels()[0]:
+            grid[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
+            grid[0, 1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
+
+    error_m, error_mps = (row[2][row[4]] for row in rows)
+    says = (
+        f"Errors of {error_m.size} ranges ({_moments(error_m, 1.0, 'm')}) and {error_mps.size} speeds "
+        f"({_moments(error_mps, 1e3, 'mm/s')}) over time with the band of two stated standard deviations, and "
+        "their distribution in units of the stated standard deviation beside a normal one."
+    )
+    return draw("errors", "Errors and the stated sigma", says, 4.6, on)
+
+
+def _moments(error: FloatArray, factor: float, unit: str) -> str:
+    if not np.isfinite(error).any():
+        return "unknown"
+    rms, mean = factor * np.sqrt(np.nanmean(error**2)), factor * np.nanmean(error)
+    return f"{rms:.3g} {unit} rms, {mean:+.2g} {unit} mean"
+
+
+def _add_band(axes: Axes, time_s: FloatArray, sigma: FloatArray) -> None:
+    """Twice the median of what the device states, stretch by stretch; nothing where it states none."""
+    stated: BoolArray = np.isfinite(sigma) & (sigma > 0.0)
+    if not stated.any():
+        return
+    time_s, sigma = time_s[stated], sigma[stated]
+    order = np.argsort(time_s, kind="stable")
+    parts = np.array_split(order, min(_BAND_POINTS, len(order)))
+    middle_s = np.array([np.median(time_s[part]) for part in parts])
+    twice = 2.0 * np.array([np.median(sigma[part]) for part in parts])
+    axes.fill_between(
+        middle_s, -twice, twice, color=GRID, alpha=0.3, linewidth=0, label="2 stated sigma", zorder=0
+    )
+
+
+def _add_spread(axes: Axes, error: FloatArray, sigma: FloatArray) -> None:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = error / sigma
+    ratio = ratio[np.isfinite(ratio)]
+    axes.set_yticks([])
+    if not ratio.size:
+        axes.text(0.5, 0.5, "no sigma is stated", ha="center", transform=axes.transAxes)
+        return
+    bins = np.linspace(-_WIDEST_SIGMA, _WIDEST_SIGMA, 61)
+    clipped = np.clip(ratio, -_WIDEST_SIGMA, _WIDEST_SIGMA)
+    axes.hist(clipped, bins=bins.tolist(), density=True, color="C0", alpha=0.7, label="errors")
+    axes.plot(bins, np.exp(-0.5 * bins**2) / np.sqrt(2.0 * np.pi), color=_PATH, linewidth=1.3, label="normal")

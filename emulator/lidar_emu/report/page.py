@@ -1,0 +1,162 @@
+"""One self-contained page about a flight: figures, counts, what was left out, where it comes from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from lidar_emu.plan import Plan
+from lidar_emu.report.flown import Flown
+from lidar_emu.report.page_style import Drawing, as_svg
+from lidar_emu.whole_file import whole_file
+
+_LABEL_WIDTH = 11
+"""Of a line of the summary."""
+_ROWS = 50
+_STYLE = """
+:root { color-scheme: light dark; --paper: #fff; --ink: #1f2328; --faint: #6a727d; --rule: #d6dae0; }
+@media (prefers-color-scheme: dark) {
+  :root { --paper: #14171b; --ink: #dde1e6; --faint: #9aa2ad; --rule: #363c45; }
+}
+body { margin: 2rem auto; max-width: 62rem; padding: 0 1rem; background: var(--paper); color: var(--ink);
+  font: 15px/1.5 system-ui, sans-serif; }
+h1 { font-size: 1.6rem; margin-bottom: 0.2rem; }
+h2 { font-size: 1.15rem; margin-top: 2.4rem; border-bottom: 1px solid var(--rule); }
+figure { margin: 0.8rem 0; }
+figure svg { width: 100%; height: auto; color: var(--ink); }
+svg text { font-family: system-ui, sans-serif !important; }
+figcaption, .note { color: var(--faint); font-size: 0.88rem; }
+.wide { overflow-x: auto; }
+table { border-collapse: collapse; font-size: 0.88rem; }
+th { text-align: left; font-weight: 600; }
+td, th { padding: 0.15rem 0.9rem 0.15rem 0; vertical-align: top; border-bottom: 1px solid var(--rule);
+  overflow-wrap: anywhere; }
+thead th { white-space: nowrap; overflow-wrap: normal; }
+tbody th { min-width: 6rem; max-width: 16rem; }
+"""
+_NOTHING_FROM_OUTSIDE = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+
+
+def write_page(
+    path: Path,
+    flown: Flown,
+    summary: Sequence[str],
+    drawings: Sequence[Drawing],
+    notes: Sequence[str],
+    plan: Plan | None,
+) -> None:
+    """Write the page.
+
+    Args:
+        path: of the page.
+        flown: what it is about.
+        summary: lines, each with a label in its first eleven columns.
+        drawings: in their order.
+        notes: what is not shown, and why.
+        plan: what the run computed and left out; None: it is not known here.
+
+    Raises:
+        InputError: nothing can be written there.
+        RunError: writing failed on the way.
+    """
+    parts = [
+        f"<h1>{escape(flown.name)}</h1>",
+        f'<p class="note">{escape(flown.recording.path.name)}</p>',
+        _table((), ((line[:_LABEL_WIDTH].strip(), line[_LABEL_WIDTH:]) for line in summary if line)),
+        *(_figure(drawing) for drawing in drawings),
+        *(f'<p class="note">{escape(note)}</p>' for note in notes),
+        *_happenings(flown),
+        *_left_out(plan),
+        "<h2>Origin</h2>",
+        _table((), _origin(flown)),
+    ]
+    with whole_file(path) as file:
+        file.write(_document(flown.name, parts).encode())
+
+
+def _document(title: str, parts: Iterable[str]) -> str:
+    body = "\n".join(parts)
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="{_NOTHING_FROM_OUTSIDE}">
+<link rel="icon" href="data:,">
+<title>{escape(title)}</title>
+<style>{_STYLE}</style>
+</head>
+<body>
+{body}
+</body>
+</html>
+"""
+
+
+def _figure(drawing: Drawing) -> str:
+    svg = as_svg(drawing).replace("<svg", f'<svg role="img" aria-label="{escape(drawing.says)}"', 1)
+    return (
+        f'<h2>{escape(drawing.title)}</h2>\n<figure id="{drawing.name}">{svg}'
+        f"<figcaption>{escape(drawing.says)}</figcaption></figure>"
+    )
+
+
+def _happenings(flown: Flown) -> list[str]:
+    """Commands, faults ordered in flight and events, as they came."""
+    rows: list[tuple[float, str, str]] = [
+        *(
+            (told.time_ns, f"command {told.values['command']}", _command(told.values))
+            for told in flown.commands
+        ),
+        *((told.time_ns, "fault ordered", _order(told.values["order"])) for told in flown.ordered),
+        *((told.time_ns, f"{told.values['of']}", str(told.values["what"])) for told in flown.events),
+    ]
+    if not rows:
+        return []
+    rows.sort()
+    shown = [(f"{time_ns * 1e-9:.3f}", what, how) for time_ns, what, how in rows[:_ROWS]]
+    more = [f'<p class="note">and {len(rows) - _ROWS} more</p>'] if len(rows) > _ROWS else []
+    return ["<h2>Commands, orders, events</h2>", _table(("time (s)", "what", "how"), shown), *more]
+
+
+def _command(values: dict[str, Any]) -> str:
+    arguments = " ".join(f"{name}={value}" for name, value in values["values"].items())
+    return f"{arguments} {str(values['verdict']).replace('_', ' ')}".strip()
+
+
+def _order(order: dict[str, Any]) -> str:
+    return " ".join(f"{name}={value}" for name, value in order.items() if value is not None)
+
+
+def _left_out(plan: Plan | None) -> list[str]:
+    if plan is None:
+        return []
+    rows = (
+        (d.stage, "yes" if d.computed else "left out", d.how, d.reason, d.bound)
+        for d in sorted(plan.decisions, key=lambda d: d.computed)
+    )
+    heads = ("stage", "computed", "how", "reason", "bound")
+    return ["<h2>What was left out, and what was not</h2>", _table(heads, rows)]
+
+
+def _origin(flown: Flown) -> list[tuple[str, str]]:
+    origin = flown.recording.origin
+    build, named = json.loads(origin["build"]), json.loads(origin["files_sha256"])
+    hashes = {name: origin[f"{name}_sha256"] for name in ("scenario", "interface")} | named
+    return [*build.items(), *((name, f"SHA-256 {value}") for name, value in hashes.items())]
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """The first cell of each row names it."""
+    head = "".join(f'<th scope="col">{escape(text)}</th>' for text in heads)
+    body = "\n".join(
+        f'<tr><th scope="row">{escape(first)}</th>'
+        + "".join(f"<td>{escape(cell)}</td>" for cell in rest)
+        + "</tr>"
+        for first, *rest in rows
+    )
+    begin = f"<thead><tr>{head}</tr></thead>" if heads else ""
+    return f'<div class="wide"><table>{begin}<tbody>\n{body}\n</tbody></table></div>'

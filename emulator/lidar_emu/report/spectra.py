@@ -1,0 +1,137 @@
+"""Whole spectra of chosen shots of a recording, computed again from its scenario, sample by sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.fmcw.build import build_receiver
+from lidar_emu.measurement import Measurement
+from lidar_emu.report.page_style import Drawing, draw
+from lidar_emu.shots import FlightModel
+from lidar_emu.waveform.level import listen_to_beam
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_CHOSEN = 3
+_SEGMENTS = ("up-chirp", "constant", "down-chirp")
+_COLUMNS = 1400
+"""Of the drawing: more bins than that are shown by the highest of each."""
+_SAME_M = 1e-6
+_LOOK_BACK_SHOTS = 4096
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """The three spectra of one beam of one shot; powers are over the mean noise of a bin."""
+
+    shot: int
+    beam: int
+    time_s: float
+    range_m: float
+    """As recorded."""
+    closing_speed_mps: float
+    """As recorded."""
+    power: FloatArray
+    """(3, N/2 + 1) under the window of detection."""
+    threshold: float
+    """Over the mean noise of a bin."""
+    bin_hz: float
+
+
+class CannotHearError(Exception):
+    """Why there are no spectra."""
+
+
+def choose(measurement: Measurement, at_s: Sequence[float]) -> list[tuple[int, int]]:
+    """Rows and beams of valid measurements: the nearest to these times, or the first, a middle one and the last."""
+    rows, beams = np.nonzero(measurement.range_valid & measurement.speed_valid)
+    if not len(rows):
+        return []
+    time_s = measurement.time_ns[rows, beams] * 1e-9
+    near = [int(np.abs(time_s - instant_s).argmin()) for instant_s in at_s]
+    places = near or np.unique(np.linspace(0, len(rows) - 1, _CHOSEN).astype(np.int64)).tolist()
+    return [(int(rows[place]), int(beams[place])) for place in places]
+
+
+def listen(model: FlightModel, measurement: Measurement, row: int, beam: int) -> Spectra:
+    """Compute one measurement's spectra: its speckle is that of the run, its noise is drawn anew.
+
+    Raises:
+        CannotHearError: the beam did not point there without a command or live truth, or the instrument's detection
+            is none that is computed from samples.
+    """
+    scenario, shot = model.scenario, measurement.shot[row : row + 1]
+    state, first = model.initial_state, int(shot[0])
+    for before in range(0, first, _LOOK_BACK_SHOTS):
+        state = model.state_after(before, min(_LOOK_BACK_SHOTS, first - before), state)
+    pointing, _ = model.aim(shot, state)
+    hits = model.flight.cast(pointing)
+    apart_m = abs(hits.range_m[0, beam] - measurement.true_range_m[row, beam])
+    if not (pointing.fired[0, beam] and apart_m <= _SAME_M * measurement.true_range_m[row, beam]):
+        raise CannotHearError(
+            f"shot {first} is not as the scenario alone has it: commands changed what follows"
+        )
+    receiver = build_receiver(scenario.instrument, scenario.site, scenario.exact)
+    echoes = model.light.echoes(pointing, hits)
+    try:
+        heard = listen_to_beam(scenario.instrument, receiver, echoes, shot, scenario.seed, 0, beam)
+    except ValueError as error:
+        raise CannotHearError(f"this instrument is not computed from samples: {error}") from None
+    assert heard.bins is not None
+    noise = np.broadcast_to(heard.noise_power, heard.bins.shape[-1:])
+    return Spectra(
+        shot=first,
+        beam=beam,
+        time_s=float(measurement.time_ns[row, beam] * 1e-9),
+        range_m=float(measurement.range_m[row, beam]),
+        closing_speed_mps=float(measurement.closing_speed_mps[row, beam]),
+        power=np.abs(heard.bins[0]) ** 2 / np.maximum(noise, np.finfo(float).tiny),
+        threshold=float(-scenario.instrument.log_false_alarm_per_bin),
+        bin_hz=scenario.instrument.waveform.bin_width_hz,
+    )
+
+
+def draw_spectra(spectra: list[Spectra]) -> Drawing:
+    """A row per measurement."""
+
+    def on(figure: Figure) -> None:
+        for axes, one in zip(np.atleast_1d(figure.subplots(len(spectra), sharex=True)), spectra, strict=True):
+            for segment, power in zip(_SEGMENTS, one.power, strict=True):
+                frequency_mhz, highest = _thinned(power, one.bin_hz * 1e-6)
+                axes.plot(frequency_mhz, highest, linewidth=0.8, label=segment)
+            axes.axhline(
+                10.0 * np.log10(one.threshold),
+                color="#d1495b",
+                linestyle="--",
+                linewidth=1.0,
+                label="threshold",
+            )
+            axes.set_title(
+                f"shot {one.shot}, beam {one.beam}, {one.time_s:.2f} s: {one.range_m:.2f} m, "
+                f"{one.closing_speed_mps:+.3f} m/s",
+                loc="left",
+                fontsize=9,
+            )
+            axes.set(ylim=(0.0, None), ylabel="dB over noise")
+        figure.axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4)
+        figure.axes[-1].set_xlabel("frequency (MHz); where many bins share a place, the highest")
+
+    says = "Power of the bins of the three segments over their noise, with the threshold: " + "; ".join(
+        f"shot {one.shot}, beam {one.beam}, peaks at "
+        + ", ".join(f"{power[1:-1].argmax() * one.bin_hz * 1e-6:.2f} MHz" for power in one.power)
+        for one in spectra
+    )
+    return draw("spectra", "Spectra of chosen shots", says + ".", 0.5 + 1.7 * len(spectra), on)
+
+
+def _thinned(power: FloatArray, bin_mhz: float) -> tuple[FloatArray, FloatArray]:
+    """Frequencies and the highest decibels there; the first and last bin hold no target."""
+    parts = np.array_split(np.arange(1, len(power) - 1), min(_COLUMNS, len(power) - 2))
+    at = np.array([part[power[part].argmax()] for part in parts])
+    return at * bin_mhz, 10.0 * np.log10(np.maximum(power[at], 1e-3))

@@ -1,0 +1,80 @@
+"""Objects that stay where they are, before they become triangles: copies are many, and few of them are ever met."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from lidar_emu.arrays import FloatArray
+from lidar_emu.rotations import from_yaw_pitch_roll, rotate
+from lidar_emu.scenario.objects import Scatter
+from lidar_emu.scene.mesh.model import Triangles
+from lidar_emu.scene.reach import Span
+from lidar_emu.scene.rectangle import Rectangle
+
+_ROUNDING = 1 + 1e-9
+"""Turned corners may come to lie further out than the widest by so much."""
+
+
+class Standing(NamedTuple):
+    """n copies of an object, or the one."""
+
+    shape: Triangles
+    """About its place, along the site's axes."""
+    place_m: FloatArray
+    """(n, 3) in the site frame."""
+    scale: FloatArray
+    """(n,) sizes relative to the shape."""
+    turn_rad: FloatArray
+    """(n,) about the vertical."""
+
+    @property
+    def triangle_count(self) -> int:
+        """Of all copies."""
+        return len(self.shape.corner_m) * len(self.place_m)
+
+    def near(self, area: Rectangle) -> Self:
+        """The copies that may reach into an area."""
+        (east_m, north_m, _), away_m = self.place_m.T, self._away_m
+        near = (area.west_m - away_m <= east_m) & (east_m <= area.east_m + away_m)
+        near &= (area.south_m - away_m <= north_m) & (north_m <= area.north_m + away_m)
+        return self._replace(place_m=self.place_m[near], scale=self.scale[near], turn_rad=self.turn_rad[near])
+
+    def triangles(self) -> Triangles:
+        """In the site frame, copy after copy."""
+        turn = from_yaw_pitch_roll(self.turn_rad, 0.0, 0.0)[:, None, None]
+        corner_m = rotate(turn, self.shape.corner_m[None])
+        corner_m *= self.scale[:, None, None, None]
+        corner_m += self.place_m[:, None, None]
+        alike = self.shape.chosen(np.tile(np.arange(len(self.shape.corner_m)), len(corner_m)))
+        return alike._replace(corner_m=corner_m.reshape(-1, 3, 3))
+
+    @property
+    def _away_m(self) -> FloatArray:
+        """(n,) How far a copy reaches from its place, in any horizontal direction."""
+        corner_m = self.shape.corner_m
+        return np.asarray(self.scale * (_ROUNDING * np.hypot(corner_m[..., 0], corner_m[..., 1]).max()))
+
+    @property
+    def span(self) -> Span:
+        """What all copies fill, and somewhat more."""
+        (east_m, north_m, up_m), away_m = self.place_m.T, self._away_m
+        z_m = self.shape.corner_m[..., 2]
+        across = Rectangle(
+            float((east_m - away_m).min()),
+            float((east_m + away_m).max()),
+            float((north_m - away_m).min()),
+            float((north_m + away_m).max()),
+        )
+        floor_m, ceiling_m = (up_m + self.scale * z_m.min()).min(), (up_m + self.scale * z_m.max()).max()
+        return Span(across, float(floor_m), float(ceiling_m))
+
+
+def strewn(scatter: Scatter) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of each copy its place (n, 2) east and north of the centre, size (n,), and turn (n,) about the vertical."""
+    random = np.random.default_rng(scatter.seed).random((scatter.count, 4))
+    away_m, towards = scatter.radius_m * np.sqrt(random[:, 0]), 2 * np.pi * random[:, 1]
+    place_m = away_m[:, None] * np.stack([np.sin(towards), np.cos(towards)], axis=-1)
+    least, greatest = scatter.scale
+    return place_m, least * (greatest / least) ** random[:, 2], 2 * np.pi * random[:, 3]

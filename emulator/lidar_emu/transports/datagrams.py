@@ -1,0 +1,40 @@
+"""Datagram sockets by address: made, and bound or connected, or closed again."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from typing import Any
+
+Join = Callable[[socket.socket, Any], None]
+"""`socket.socket.bind` or `socket.socket.connect`."""
+
+
+def udp_socket(place: str, join: Join) -> socket.socket:
+    """A UDP socket that joins `HOST:PORT`, which IPv6 has in brackets.
+
+    Raises:
+        OSError: there is no such host, or it cannot be joined.
+        ValueError: that is no address.
+    """
+    host, _, number = place.rpartition(":")
+    port = int(number)
+    if not 0 < port < 1 << 16:  # the system would take it modulo 65536
+        raise ValueError("ports are 1 to 65535")
+    (family, _, _, _, address), *_ = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_DGRAM)
+    return datagram_socket(family, address, join)
+
+
+def datagram_socket(family: int, address: Any, join: Join) -> socket.socket:
+    """A datagram socket that joins an address of its family.
+
+    Raises:
+        OSError: it cannot.
+    """
+    made = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        join(made, address)
+    except BaseException:
+        made.close()
+        raise
+    return made

@@ -1,0 +1,191 @@
+"""The picture of a run: what fits a terminal of any size, and what becomes of the terminal."""
+
+from __future__ import annotations
+
+import fcntl
+import io
+import json
+import os
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from lidar_emu.cli.boards import Instruments, RunBoard
+from lidar_emu.cli.dashboard import Dashboard
+from lidar_emu.cli.dashboard_screen import picture
+from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.summary import Tally
+from lidar_emu.scenario.load import load
+from lidar_emu.shots import simulate
+from lidar_emu.wire import Encoder
+from lidar_protocol import Housekeeping, SerialReceiver, default_interface
+
+COMMAND = Path(sys.executable).parent / "lidar-emu"
+HIDDEN, SHOWN = b"\x1b[?25l", b"\x1b[?25h"
+
+
+def told(beams: int) -> dict[str, Any]:
+    rows = [(str(k), 12345.678, -123.4567, 31.5, None if k % 2 else "below threshold") for k in range(beams)]
+    lines = [
+        ("time", "1.000 s, shot 20"),
+        ("device", "unit 0, track, " + "laser on, " * 9),
+        ("faults", "lost"),
+    ]
+    return {"title": "a descent on a port with a very long name indeed", "beams": rows, "lines": lines}
+
+
+@pytest.mark.parametrize(("width", "height"), [(40, 16), (80, 24), (120, 40), (20, 5)])
+@pytest.mark.parametrize("beams", [0, 4, 100])
+def test_it_fits_the_terminal(width: int, height: int, beams: int) -> None:
+    console = Console(width=width, file=io.StringIO())
+    console.print(picture(told(beams), width, height))
+    assert isinstance(console.file, io.StringIO)
+    lines = console.file.getvalue().splitlines()
+    assert max(map(len, lines)) <= width
+    assert len(lines) <= max(height, 8)
+    shown = sum("12345.678" in line for line in lines)
+    if width >= 40:
+        assert shown == min(beams, max(1, height - 8))
+        assert (f"and {beams - shown} beams more" in "".join(lines)) == (shown < beams)
+
+
+class Slate:
+    """A dashboard that keeps what it is shown."""
+
+    is_due = True
+
+    def show(self, told: dict[str, Any]) -> None:
+        self.told = json.loads(json.dumps(told))
+
+
+def test_a_run_shows_what_is_on_the_wire() -> None:
+    scenario = load("bench.yaml")
+    measured = simulate(scenario).part(0, 3)
+    packets = list(Encoder(scenario.wire, can=False, fd=False, beam_count=4).packets(measured))
+    slate, tally = Slate(), Tally(Pace.WALL)
+    board = RunBoard(slate, default_interface(), False, "bench", tally, 20.0)  # type: ignore[arg-type]
+    for shot, late_ns in enumerate((5000, 9000, 2000)):
+        report = Report(shot, shot * 10**8, shot * 10**8 + late_ns, Fate.SENT)
+        tally.report(report)
+        board.report(Outgoing(shot, report.due_ns, bytes(packets[shot])), report)
+    lines = dict(slate.told["lines"])
+    assert lines["shots"] == "3 sent, 0 late, 0 dropped"
+    assert lines["lateness"] == "2 us, at most 9 us so far"
+    assert lines["time"] == "0.200 s of 20 s, shot 2"
+    ranges = [beam[1] for beam in slate.told["beams"][:3]]
+    assert ranges == pytest.approx(measured.range_m[2, :3], abs=1e-3)
+    assert slate.told["beams"][3][1] is None
+    assert slate.told["beams"][3][4] is not None
+
+
+def test_several_units_and_their_modes() -> None:
+    scenario, arrived = load("bench.yaml"), b""
+    for unit in (3, 1):
+        twin = load("bench.yaml", {"wire.unit": str(unit)})
+        encoder = Encoder(twin.wire, can=False, fd=False, beam_count=4)
+        arrived += b"".join(map(bytes, encoder.packets(simulate(scenario).part(0, 1))))
+    instruments = Instruments(default_interface())
+    instruments.take(SerialReceiver(default_interface()).receive(arrived))
+    instruments.take([Housekeeping(3, {"mode": 4, "interlock_closed": False})])
+    assert [beam[0] for beam in instruments.beams()] == [f"{u}.{b}" for u in (1, 3) for b in range(4)]
+    (_, first), (_, second) = instruments.lines()
+    assert first.startswith("unit 1, ")
+    assert second.startswith("unit 3, ")
+    assert "interlock open" in second
+
+
+class Terminal:
+    """A program on a terminal of 80 by 24, as a shell starts it."""
+
+    def __init__(self, arguments: list[str], folder: Path) -> None:
+        self._master, slave = os.openpty()
+        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        self.seen = b""
+        self.process = subprocess.Popen(
+            [COMMAND, *arguments], cwd=folder, stdin=slave, stdout=slave, stderr=slave,
+            env={**os.environ, "TERM": "xterm"}, start_new_session=True,
+        )  # fmt: skip
+        os.close(slave)
+
+    def read_until(self, what: bytes) -> None:
+        """Up to these bytes, or to the end of everybody who writes there."""
+        while what not in self.seen:
+            assert select.select([self._master], [], [], 60.0)[0], self.seen[-2000:]
+            try:
+                self.seen += os.read(self._master, 65536)
+            except OSError:  # nobody is left
+                assert what == b"the end"
+                return
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        os.close(self._master)
+
+
+@contextmanager
+def on_terminal(folder: Path, *arguments: str) -> Iterator[Terminal]:
+    terminal = Terminal(list(arguments), folder)
+    try:
+        yield terminal
+    finally:
+        terminal.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_the_terminal_is_given_back(number: signal.Signals, tmp_path: Path) -> None:
+    """Ctrl-C goes to all that are in the foreground; after `kill -9` only the one that draws can clean up."""
+    with on_terminal(tmp_path, "run", "bench.yaml") as terminal:
+        terminal.read_until(b"lateness")
+        os.killpg(terminal.process.pid, number)
+        terminal.read_until(b"the end")
+    assert terminal.seen.rindex(SHOWN) > terminal.seen.rindex(HIDDEN)
+    after = terminal.seen[terminal.seen.rindex(SHOWN) :].decode()
+    assert ("the run was interrupted" in after) == (number != signal.SIGKILL)
+    assert "Traceback" not in terminal.seen.decode()
+
+
+def test_lines_if_asked_for(tmp_path: Path) -> None:
+    with on_terminal(
+        tmp_path, "run", "bench.yaml", "--plain", "--duration", "1", "--pace", "max"
+    ) as terminal:
+        terminal.read_until(b"the end")
+    assert b"SNR dB" not in terminal.seen
+    assert terminal.seen.count(b" shot ") >= 2
+
+
+def test_what_is_said_stays_above_the_picture(tmp_path: Path) -> None:
+    with on_terminal(tmp_path, "listen", "--port", "pty") as listener:
+        listener.read_until(b"\n")
+        (path,) = re.findall(r"/dev/pts/\d+", listener.seen.decode())
+        with on_terminal(tmp_path, "run", "bench.yaml", "--port", path, "--duration", "2") as run:
+            run.read_until(b"the end")
+        listener.read_until(b"unit 0, track")
+        os.killpg(listener.process.pid, signal.SIGINT)
+        listener.read_until(b"the end")
+    assert b"bench on " + path.encode() in run.seen
+    assert b"received: frames 2" in listener.seen[listener.seen.rindex(SHOWN) :]
+
+
+def test_who_flies_does_not_wait_for_who_draws(capfd: pytest.CaptureFixture[str]) -> None:
+    """One that stands still, and one that is gone."""
+    with Dashboard() as dashboard:
+        dashboard._process.send_signal(signal.SIGSTOP)
+        for _ in range(2000):
+            dashboard.show(told(100))
+        dashboard._process.kill()
+        dashboard._process.wait()
+        dashboard.say("said all the same")
+    assert "said all the same" in capfd.readouterr().out

@@ -1,0 +1,146 @@
+"""What a recording tells afterwards, beside what the run told itself, and whatever has become of the file."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lidar_emu.errors import InputError
+from lidar_emu.recording.read import read_recording
+from lidar_emu.report.flight_pages import draw_all
+from lidar_emu.report.flown import Flown, read_flown
+from lidar_emu.runtime.packets import Fate
+
+COMMAND = Path(sys.executable).parent / "lidar-emu"
+FAULTS = "faults=[{kind: dropout, beams: [2], from_s: 0.5, to_s: 1}, {kind: lost, from_s: 1, to_s: 1.2}]"
+
+
+@pytest.fixture(scope="module")
+def bench_flown(record) -> Flown:
+    return read_flown(record("bench.yaml", duration_s="2"))
+
+
+def test_it_is_the_summary_of_the_run(tmp_path):
+    run = [
+        "run",
+        "bench.yaml",
+        "--json",
+        "--pace",
+        "max",
+        "--record",
+        "r.mcap",
+        "--duration",
+        "2",
+        "--set",
+        FAULTS,
+    ]
+    report = ["report", "r.mcap", "--json", "--out", "r.npz", "--out", "r.pcap"]
+    ran, told = (
+        json.loads(subprocess.run([COMMAND, *words], cwd=tmp_path, capture_output=True, check=True).stdout)
+        for words in (run, report)
+    )
+    same = (
+        "scenario",
+        "seed",
+        "rate_hz",
+        "started_utc",
+        "port",
+        "pace",
+        "shots",
+        "beams",
+        "lateness",
+        "faults",
+    )
+    assert {name: told[name] for name in same} == {name: ran[name] for name in same}
+    assert ran["faults"]["withheld"] == 2
+    for name in ("range_error_m", "speed_error_mps"):
+        assert told[name] == pytest.approx(ran[name], rel=1e-9)
+    with np.load(tmp_path / "r.npz") as table:
+        assert len(table["range_m"]) == 20 * 4
+    assert (tmp_path / "r.pcap").stat().st_size > 18 * 100
+
+
+def test_a_file_that_was_cut_anywhere_is_read_or_refused(bench_flown, tmp_path):
+    data = bench_flown.recording.path.read_bytes()
+    shots = []
+    for share in np.linspace(0.0, 1.0, 23):
+        path = tmp_path / "cut.mcap"
+        path.write_bytes(data[: int(share * len(data))])
+        try:
+            flown = read_flown(read_recording(path))
+        except InputError:
+            continue
+        assert flown.recording.is_whole == (share == 1.0)
+        assert flown.contents()["measured"] == len(flown.measurement)
+        shots.append(len(flown.measurement))
+    assert shots[-1] == 20
+    assert shots == sorted(shots)
+    assert shots[0] < 20
+
+
+def test_a_recording_without_a_column_is_refused_in_one_line(bench_flown, tmp_path):
+    path = tmp_path / "other.mcap"
+    path.write_bytes(
+        bench_flown.recording.path.read_bytes().replace(b'"residual_mps": [', b'"residual_mpz": [')
+    )
+    with pytest.raises(InputError, match="residual_mps"):
+        read_flown(read_recording(path))
+
+
+def test_all_packets_late(bench_flown):
+    packets = replace(
+        bench_flown.packets,
+        fate=np.full_like(bench_flown.packets.fate, Fate.LATE),
+        sent_ns=np.full_like(bench_flown.packets.sent_ns, -1),
+    )
+    late = replace(bench_flown, packets=packets)
+    assert late.contents()["shots"]["late"] == 20
+    assert late.contents()["shots"]["sent"] == 0
+    assert "lateness" not in {drawing.name for drawing in draw_all(late, ()).drawings}
+
+
+def test_lateness_is_drawn_where_time_was_kept(bench_flown):
+    recording = bench_flown.recording
+    packets = bench_flown.packets
+    kept = replace(bench_flown, packets=replace(packets, sent_ns=packets.due_ns + 1500))
+    recording.origin = {**recording.origin, "pace": "wall"}
+    drawings = {drawing.name: drawing for drawing in draw_all(kept, ()).drawings}
+    recording.origin = {**recording.origin, "pace": "max"}
+    assert drawings["lateness"].says == ("From due to written: median 2 us, 99 % below 2 us, largest 2 us.")
+
+
+def test_a_bench_pattern_says_why_it_has_no_path(bench_flown):
+    drawings, notes, plan = draw_all(bench_flown, ())
+    assert {drawing.name for drawing in drawings} == {"truth", "errors", "validity"}
+    assert any("bench pattern" in note for note in notes)
+    assert plan is not None
+
+
+def test_a_flight_without_a_valid_measurement_has_a_path(record):
+    blind = read_flown(record("descent.yaml", duration_s="0.2", instrument__detection__maximum_range_m="10"))
+    assert not blind.measurement.range_valid.any()
+    drawings, notes, _ = draw_all(blind, ())
+    assert [drawing.name for drawing in drawings] == ["path", "validity"]
+    assert any("no measurement is valid" in note for note in notes)
+
+
+def test_a_scenario_whose_files_are_gone_is_drawn_without_them(record, tmp_path):
+    ground = tmp_path / "gone.npz"
+    up_m = np.zeros((16, 16))
+    np.savez(ground, elevation_m=up_m, pixel_m=500.0)
+    flown = read_flown(
+        record(
+            "descent.yaml", duration_s="0.2", site__ground=f"{{kind: grid, file: {ground}, beyond: plane}}"
+        )
+    )
+    ground.unlink()
+    drawings, notes, plan = draw_all(flown, ())
+    assert {drawing.name for drawing in drawings} == {"path", "truth", "errors", "validity"}
+    assert plan is None
+    assert any("gone.npz" in note for note in notes)
