@@ -67,8 +67,8 @@ def test_the_plan_is_told_and_nothing_kept(campaign_file, tmp_path, monkeypatch)
     [
         ("runs: 12", "runs: 0", r"campaign.yaml: runs: 0 is not usable; allowed: greater than or equal to 1"),
         ("runs: 12", "", r"campaign.yaml: runs: missing"),
+        ("kind: uniform", "kind: gauss", r"site.surface.reflectance.kind: 'gauss' is not usable; allowed: uniform, in"),
         ("seed: 5", "sampling: sobl", r"sampling: 'sobl' is not usable"),
-        ("kind: uniform", "kind: unifrom", "dispersions.site.surface.reflectance.kind: 'unifrom' is not usable"),
         ("low: 0.1, high: 0.3", "low: 0.3, high: 0.1", "reflectance.high: 0.1 is not usable; allowed: above low"),
         ("low: 0.1, high: 0.3", "low: .nan, high: 0.1", "reflectance.low: nan is not usable"),
         ("sigma: 60", "sigma: -60", "sigma: -60 is not usable"),
@@ -103,6 +103,10 @@ def test_no_campaign_is_refused(tmp_path, text):
         (["--out", "x", "--plan"], "--out and --plan"),
         (["--plan", "--workers", "0"], "--workers: '0' is not usable; allowed: a whole number above 0"),
         (["--plan", "--runs", "1e3"], "--runs: '1e3' is not usable"),
+        (
+            ["--plan", "--runs", "20000000"],
+            "--runs: 20000000 is not usable; allowed: less than or equal to 1",
+        ),
         (["--plan", "--set", "site.surface.reflectance=0.2"], "--set: site.surface.reflectance: drawn"),
         (["--plan", "--set", "level=quick"], "campaign: level: 'quick' is not usable"),
         (["--plan", "--workers", "2", "--scheduler", "tcp://h:1"], "with --scheduler"),

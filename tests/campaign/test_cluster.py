@@ -34,8 +34,7 @@ def test_a_killed_worker_leaves_no_trace(fly, tmp_path):
     assert content(tmp_path / "cluster") == content(tmp_path / "here")
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense", ""])
-@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense", "", "foo://here:1"])
 def test_no_scheduler_is_told(address, monkeypatch):
     monkeypatch.setattr("lidar_emu.campaign.pools._CONNECT", "1s")
     with pytest.raises(InputError, match=r"--scheduler: .*no scheduler"):

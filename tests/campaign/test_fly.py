@@ -158,9 +158,9 @@ def test_only_some_runs_keep_their_beams(fly, tmp_path):
 
 def test_another_campaign_does_not_get_into_the_folder(fly):
     fly()
-    with pytest.raises(InputError, match="holds another campaign"):
+    with pytest.raises(InputError, match=r"holds another campaign \(of another campaign.seed, "):
         fly(text=SMALL.replace("seed: 5", "seed: 6"))
-    with pytest.raises(InputError, match="holds another campaign"):
+    with pytest.raises(InputError, match=r"holds another campaign \(of another campaign.runs\)"):
         fly(runs=13)
 
 

@@ -80,8 +80,17 @@ def _sweep(folder: Path) -> None:
 def _difference(before: Any, stated: dict[str, Any]) -> str:
     if not isinstance(before, dict):
         return f"has a {_STATED} that cannot be read"
-    differ = [key for key in stated if before.get(key) != stated[key]]
-    return f"holds another campaign (another {' and '.join(differ)})"
+    return f"holds another campaign (of another {', '.join(_differing(before, stated))})"
+
+
+def _differing(before: Any, stated: Any) -> Iterator[str]:
+    """Dotted keys of what is stated otherwise, as far down as both are mappings."""
+    for key in dict.fromkeys((*stated, *before)):
+        then, now = before.get(key), stated.get(key)
+        if isinstance(then, dict) and isinstance(now, dict):
+            yield from (f"{key}.{below}" for below in _differing(then, now))
+        elif then != now:
+            yield key
 
 
 def _statement(prepared: Prepared, batch_runs: int) -> dict[str, Any]:

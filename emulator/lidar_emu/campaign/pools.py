@@ -84,10 +84,13 @@ class ClusterPool:
     def __init__(self, address: str) -> None:
         try:
             from distributed import Client, KilledWorker
+            from distributed.comm import resolve_address
         except ImportError:
             allowed = "allowed after: pip install 'lidar-emu[cluster]'"
             raise InputError("--scheduler", None, Finding("Dask is not installed"), allowed) from None
         try:
+            # A client of no address at all would be half made, and its end waits and prints.
+            resolve_address(address)
             self._client = Client(address, timeout=_CONNECT, set_as_default=False)
         except (OSError, ValueError) as error:
             found = Finding(f"{address}: no scheduler ({type(error).__name__})")

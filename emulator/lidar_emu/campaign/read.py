@@ -17,7 +17,7 @@ from lidar_emu.scenario.explain import Source, explained
 from lidar_emu.scenario.load import find_file, load
 from lidar_emu.scenario.required import require_flight, require_known_flight
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.scenario.yaml_text import parse, read_mapping
+from lidar_emu.scenario.yaml_text import Key, parse, read_mapping
 
 _FIRST_RUNS = 16
 
@@ -55,18 +55,26 @@ class Prepared:
     """The first run that can be."""
 
 
-def read_campaign(path: Path) -> tuple[Path, Campaign]:
-    """Where a campaign is, and what it says: a path, or the name of a shipped one.
+def read_campaign(path: Path, runs: int | None = None) -> tuple[Path, Campaign]:
+    """Where a campaign is, and what it says.
+
+    Args:
+        path: of its file, or the name of a shipped one.
+        runs: instead of its own, as `--runs` says.
 
     Raises:
         InputError: names the file, key and value that cannot be used, and what is allowed.
     """
     found = find_file(path, "campaigns")
     tree = read_mapping(found)
+    sources: dict[Key, Source] = {(): Source(str(found))}
+    if runs is not None:
+        tree["runs"] = runs
+        sources["runs",] = Source("--runs", outer=1)
     try:
         return found, Campaign.model_validate_json(json.dumps(tree))
     except ValidationError as error:
-        raise explained(error, Campaign, tree, {(): Source(str(found))}) from None
+        raise explained(error, Campaign, tree, sources) from None
 
 
 def prepare(path: Path, overrides: Mapping[str, str], runs: int | None) -> Prepared:
@@ -80,9 +88,7 @@ def prepare(path: Path, overrides: Mapping[str, str], runs: int | None) -> Prepa
     Raises:
         InputError: the campaign or its scenario cannot be used, or none of the first runs.
     """
-    found, campaign = read_campaign(path)
-    if runs is not None:
-        campaign = campaign.model_copy(update={"runs": runs})
+    found, campaign = read_campaign(path, runs)
     for key in overrides:
         if key in campaign.drawn_keys:
             raise InputError("--set", key, Finding("drawn"), f"allowed: keys that {found} does not draw")

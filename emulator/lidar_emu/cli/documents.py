@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from lidar_emu.errors import InputError, RunError
+from lidar_emu.errors import Finding, InputError, RunError
 
 
 @click.command(short_help="The scenarios and campaigns that come with the tool.")
@@ -23,8 +23,9 @@ def scenarios() -> None:
 
 
 @click.command(short_help="The scenario's JSON schema, or its reference for people.")
-@click.option("--markdown", is_flag=True, help="Every key with its documentation.")
-def schema(markdown: bool) -> None:
+@click.option("--markdown", is_flag=True, help="Every key of both with its documentation.")
+@click.option("--campaign", is_flag=True, help="The schema of campaign files instead.")
+def schema(markdown: bool, campaign: bool) -> None:
     """Print the JSON schema of scenario files.
 
     \b
@@ -32,11 +33,16 @@ def schema(markdown: bool) -> None:
     then in the scenario's first line, for editors with a YAML language server:
     # yaml-language-server: $schema=lidar-emu.schema.json
     """
-    from lidar_emu.scenario import reference
+    from lidar_emu.scenario import json_schema, reference
 
-    click.echo(
-        reference.markdown() if markdown else json.dumps(reference.json_schema(), indent=2), nl=not markdown
-    )
+    if markdown and campaign:
+        allowed = "allowed: one of them; --markdown has scenarios and campaigns"
+        raise InputError("--campaign", None, Finding("with --markdown"), allowed)
+    if markdown:
+        click.echo(reference.markdown(), nl=False)
+        return
+    made = json_schema.campaign_schema() if campaign else json_schema.json_schema()
+    click.echo(json.dumps(made, indent=2))
 
 
 @click.command(short_help="The interface document, the CAN database and a decoder in C.")

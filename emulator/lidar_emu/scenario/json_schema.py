@@ -1,4 +1,4 @@
-"""The scenario's JSON Schema for editors: the models, and parts by reference as `load` takes them."""
+"""JSON Schemas for editors: of a scenario, with parts by reference as `load` takes them, and of a campaign."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
+from lidar_emu.scenario.campaign import Campaign
 from lidar_emu.scenario.load import PART_FOLDERS, shipped
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 
@@ -35,9 +36,9 @@ class _Generator(GenerateJsonSchema):
         return node
 
 
-def models_schema() -> Node:
-    """What a scenario says once its references are resolved: `anyOf` the scenarios, and `$defs` of all models."""
-    adapter: TypeAdapter[Any] = TypeAdapter(FlightScenario | BenchScenario)
+def models_schema(models: Any = FlightScenario | BenchScenario) -> Node:
+    """What a file of these models says once its references are resolved: `anyOf` them, and `$defs` of all below."""
+    adapter: TypeAdapter[Any] = TypeAdapter(models)
     return adapter.json_schema(schema_generator=_Generator)
 
 
@@ -54,6 +55,11 @@ def json_schema() -> Node:
         for part in (part for part in PART_FOLDERS if part in properties):
             properties[part] = _or_reference(part, properties[part], definitions)
     return {"$schema": _DIALECT, "title": "lidar-emu scenario", **schema}
+
+
+def campaign_schema() -> Node:
+    """JSON Schema (draft 2020-12) of a campaign's file. What it sets and draws is the scenario's business."""
+    return {**models_schema(Campaign), "$schema": _DIALECT, "title": "lidar-emu campaign"}
 
 
 def shipped_parts(part: str) -> list[str]:

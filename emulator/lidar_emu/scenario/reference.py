@@ -1,4 +1,4 @@
-"""What a scenario may say, for editors and for people, both from the models and their docstrings."""
+"""What a scenario and a campaign may say, for people, from the models and their docstrings."""
 
 from __future__ import annotations
 
@@ -6,18 +6,19 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from lidar_emu.scenario.json_schema import Node, choices, json_schema, models_schema, shipped_parts, target
+from lidar_emu.scenario.campaign import Campaign
+from lidar_emu.scenario.json_schema import Node, choices, models_schema, shipped_parts, target
 from lidar_emu.scenario.load import PART_FOLDERS, shipped_scenarios
-
-__all__ = ["json_schema", "markdown"]
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 
 _INTRODUCTION = """\
 # Scenario reference
 
 A scenario is one YAML 1.2 file. It states either a flight (instrument, site, trajectory and scanner) or a bench
-pattern. Unknown keys, text in place of numbers, infinities and NaN are refused with the file, the key and what is
-allowed. This page is printed by `lidar-emu schema --markdown`; `lidar-emu schema` prints the same as JSON Schema,
-which editors use to complete and check what you write:
+pattern. A campaign, last on this page, is a file of its own that names a scenario and dotted keys of it (below: `KEY`)
+that are set or drawn. Unknown keys, text in place of numbers, infinities and NaN are refused with the file, the key
+and what is allowed. This page is printed by `lidar-emu schema --markdown`; `lidar-emu schema` prints the same as JSON
+Schema (`--campaign`: that of a campaign), which editors use to complete and check what you write:
 
 ```yaml
 # yaml-language-server: $schema=lidar-emu.schema.json
@@ -54,7 +55,7 @@ lidar-emu simulate descent.yaml --out descent.csv --set site=flat --set trajecto
 
 def markdown() -> str:
     """The reference page: an introduction, then a section with a table of keys for each model."""
-    schema = models_schema()
+    schema = models_schema(FlightScenario | BenchScenario | Campaign)
     definitions: Node = schema["$defs"]
     places: dict[str, list[str]] = {}
     for choice in choices(schema):
@@ -85,15 +86,22 @@ def _models_below(model: str, place: str, definitions: Node) -> Iterator[tuple[s
         below = f"{place}.{key}" if place else key
         own = [(choice, below) for choice in choices(node)]
         listed = [(item, f"{below}.N") for choice, _ in own for item in choices(choice.get("items", {}))]
-        for choice, where in own + listed:
+        named = [(value, f"{below}.KEY") for choice, _ in own for value in choices(_named(choice))]
+        for choice, where in own + listed + named:
             if "$ref" in choice:
                 yield from _models_below(target(choice), where, definitions)
+
+
+def _named(node: Node) -> Node:
+    """What stands at each key of a mapping whose keys are the author's; empty if that may be anything."""
+    below: Node | bool = node.get("additionalProperties", False)
+    return below if isinstance(below, dict) else {}
 
 
 def _contents(definitions: Node, places: dict[str, list[str]]) -> str:
     lines = []
     for model, (first, *_) in places.items():
-        indent = "  " * len([step for step in first.split(".") if step not in ("", "N")])
+        indent = "  " * len([step for step in first.split(".") if step not in ("", "N", "KEY")])
         key = f"`{first}`: " if first else ""
         lines.append(f"{indent}- {key}{_link(definitions[model]['title'])}")
     return "\n".join([*lines, ""])
@@ -147,6 +155,10 @@ def _type(node: Node) -> str:
         return ", ".join(f"`{_value(value)}`" for value in node.get("enum", [node.get("const")]))
     if "prefixItems" in node:
         return f"[{'; '.join(_type(item) for item in node['prefixItems'])}]"
+    if not node:
+        return "anything"
+    if node["type"] == "object":
+        return f"mapping of keys to {_type(_named(node))}"
     if node["type"] == "array":
         return f"list{_length(node)} of {_type(node['items'])}"
     if node.get("format") == "date-time":

@@ -1,0 +1,54 @@
+"""The schema of campaign files for editors, against what the command takes."""
+
+import json
+
+import jsonschema
+import pytest
+from ruamel.yaml import YAML
+
+from lidar_emu.campaign.read import read_campaign
+from lidar_emu.errors import InputError
+from lidar_emu.scenario.json_schema import campaign_schema
+from lidar_emu.scenario.load import shipped, shipped_names
+
+VALIDATOR = jsonschema.Draft202012Validator(campaign_schema())
+KEY = "site.surface.reflectance"
+NORMAL = {"kind": "normal", "mean": 0.2, "sigma": 0.01}
+
+
+@pytest.mark.parametrize("name", shipped_names("campaigns"))
+def test_shipped_campaigns_are_accepted(name):
+    VALIDATOR.check_schema(VALIDATOR.schema)
+    VALIDATOR.validate(YAML(typ="safe", pure=True).load((shipped("campaigns") / name).read_text()))
+
+
+@pytest.mark.parametrize(
+    ("keys", "usable"),
+    [
+        ({}, True),
+        ({"dispersions": {KEY: NORMAL}}, True),
+        ({"dispersions": {KEY: {**NORMAL, "low": 0.1}}}, True),
+        ({"dispersions": {KEY: {"kind": "choice", "of": [0.1, "x", {"a": 1}]}}}, True),
+        ({"set": {"level": "statistical"}, "beams_every": 10, "sampling": "sobol"}, True),
+        ({"joint_normals": [{"keys": [KEY], "mean": [0.2], "covariance": [[0.1]]}]}, True),
+        ({"runs": 0}, False),
+        ({"runs": "many"}, False),
+        ({"run": 3}, False),
+        ({"sampling": "halton"}, False),
+        ({"dispersions": {KEY: {**NORMAL, "kind": "gauss"}}}, False),
+        ({"dispersions": {KEY: {**NORMAL, "sigma": 0}}}, False),
+        ({"dispersions": {KEY: {**NORMAL, "median": 0.2}}}, False),
+        ({"dispersions": {KEY: 0.2}}, False),
+        ({"correlations": [{"keys": [KEY], "matrix": [[1]]}]}, False),
+    ],
+)
+def test_campaigns_are_judged_as_the_command_judges_them(keys, usable, tmp_path):
+    tree = {"name": "x", "scenario": "descent.yaml", "runs": 3, **keys}
+    path = tmp_path / "campaign.yaml"
+    path.write_text(json.dumps(tree))
+    assert VALIDATOR.is_valid(tree) is usable
+    if usable:
+        assert read_campaign(path)[1].name == "x"
+    else:
+        with pytest.raises(InputError):
+            read_campaign(path)
