@@ -3,15 +3,15 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# Bytecode is made of the modules that are imported: most of what is installed never is.
+INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile --editable
 
-.PHONY: run test check docs clean
+.PHONY: run test check kernels docs clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
 
-# The flight fills the cache of compiled kernels once, where the test workers would each fill it for themselves.
-test: $(VENV)/.ready-dev check
-	$(BIN)/lidar-emu run paper_fig4.yaml --pace max > /dev/null
+test: check kernels
 	$(BIN)/pytest -n auto --dist worksteal
 
 check: $(VENV)/.ready-dev
@@ -19,6 +19,10 @@ check: $(VENV)/.ready-dev
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
+
+# A flight fills the cache of compiled kernels once, where the test workers would each fill it for themselves.
+kernels: $(VENV)/.ready-dev
+	$(BIN)/lidar-emu run paper_fig4.yaml --pace max > /dev/null
 
 # Everything in docs/ and in the protocol package that is generated from code and definitions.
 docs: $(VENV)/.ready-dev
@@ -31,11 +35,11 @@ $(VENV)/.ready: pyproject.toml
 	  { echo "lidar-emu needs Python 3.11 or later; say which: make $(MAKECMDGOALS) PYTHON=python3.12" >&2; exit 2; }
 	@test -e $@ || $(PYTHON) -m venv --clear $(VENV) || \
 	  { rm -rf $(VENV); echo "No venv here; on Debian and Ubuntu: apt install python3-venv" >&2; exit 2; }
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	$(INSTALL) .
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(INSTALL) '.[dev]'
 	@touch $@
 
 clean:
