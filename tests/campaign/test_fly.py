@@ -74,7 +74,7 @@ def test_processes_leave_no_trace(fly, tmp_path):
     assert content(tmp_path / "three") == content(tmp_path / "here")
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_the_death_of_a_process_leaves_no_trace(fly, tmp_path):
     fly("here", runs=40)
     pool, deaths = LocalPool(2), []

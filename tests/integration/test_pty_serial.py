@@ -60,7 +60,7 @@ def test_what_listen_decodes_is_what_simulate_computes(
     }  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_a_whole_descent_read_by_listen_and_by_hand(
     start: Start, far_end: FarEnd, simulated: Simulated, tmp_path: Path
 ) -> None:

@@ -205,6 +205,7 @@ def fly_live(
     return source
 
 
+@pytest.mark.soak
 def test_an_hour_of_truth_every_20_ms() -> None:
     """A shot is computed when the first truth that covers it arrives, and never waits for the next one."""
     shots = 72_000
