@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from lidar_emu.cli.far_end import counter_line
-from lidar_emu.cli.run_display import dropped_text, event_lines, lateness_lines, system_lines
+from lidar_emu.cli.run_display import dropped_text, lateness_lines, system_lines, traffic_lines
 
 
 def replay_lines(told: dict[str, Any]) -> list[str]:
@@ -20,12 +19,7 @@ def replay_lines(told: dict[str, Any]) -> list[str]:
         lines.append(f"left out   {_counts(told['left_out'])}")
     lines += lateness_lines(told["lateness"], told["steal_ticks"])
     lines += system_lines(told["granted"], told["missing"])
-    if told["wire"]["sent_bytes"] is not None:
-        load = f", {100 * told['wire']['load']:.1f} % of the link" if told["wire"]["load"] else ""
-        lines.append(f"wire       {told['wire']['sent_bytes']} bytes{load}")
-    if any(told["far_end"].values()):
-        lines.append(f"far end    {counter_line(told['far_end'])}")
-    lines += event_lines("link", told) + event_lines("process", told)
+    lines += traffic_lines(told)
     if told["interrupted"]:
         lines.append("the replay was interrupted")
     return lines

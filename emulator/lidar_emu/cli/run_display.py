@@ -90,12 +90,7 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
     lines += beam_lines(told)
     for name in _ERRORS:
         lines += [error_line(told, name), *_expected(told, name)]
-    if told["wire"]["sent_bytes"] is not None:
-        load = f", {100 * told['wire']['load']:.1f} % of the link" if told["wire"]["load"] else ""
-        lines.append(f"wire       {told['wire']['sent_bytes']} bytes{load}")
-    if any(told["far_end"].values()):
-        lines.append(f"far end    {counter_line(told['far_end'])}")
-    lines += event_lines("link", told) + event_lines("process", told)
+    lines += traffic_lines(told)
     if told["last_words"] is not None:
         lines.append(f"last words {told['last_words']}")
     left_out = ", ".join(row["stage"] for row in told["left_out"])
@@ -103,6 +98,17 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
     if told["interrupted"]:
         lines.append("the run was interrupted")
     return lines
+
+
+def traffic_lines(told: dict[str, Any]) -> list[str]:
+    """What went over the link, what arrived, and what happened to the link and to the processes."""
+    lines = []
+    if told["wire"]["sent_bytes"] is not None:
+        load = f", {100 * told['wire']['load']:.1f} % of the link" if told["wire"]["load"] else ""
+        lines.append(f"wire       {told['wire']['sent_bytes']} bytes{load}")
+    if any(told["far_end"].values()):
+        lines.append(f"far end    {counter_line(told['far_end'])}")
+    return lines + event_lines("link", told) + event_lines("process", told)
 
 
 def shot_lines(told: dict[str, Any], planned: str = "") -> list[str]:
