@@ -19,6 +19,19 @@ _LONGEST_RECORD = 1 << 28
 ALLOWED = "allowed: a recording made by lidar-emu run --record"
 
 
+def first_bytes(path: Path, allowed: str) -> bytes:
+    """As many as tell an MCAP file from others; fewer of a shorter file.
+
+    Raises:
+        InputError: it cannot be read; tells what is allowed.
+    """
+    try:
+        with path.open("rb") as file:
+            return file.read(len(MAGIC))
+    except (OSError, ValueError) as error:
+        raise InputError(str(path), None, Finding(reason_of(error)), allowed) from None
+
+
 class McapFile:
     """A file that can be gone through again and again.
 
@@ -34,12 +47,7 @@ class McapFile:
         self.is_whole = False
         """Whether the end was reached, and it was the end that the writer made; known after `metadata` or `messages`
         have been gone through."""
-        try:
-            with path.open("rb") as file:
-                begins = file.read(len(MAGIC))
-        except (OSError, ValueError) as error:
-            found = Finding(reason_of(error))
-            raise InputError(str(path), None, found, ALLOWED) from None
+        begins = first_bytes(path, ALLOWED)
         if begins != MAGIC:
             raise InputError(str(path), None, Finding("empty" if not begins else "no MCAP"), ALLOWED)
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from pathlib import Path
 
-from lidar_emu.errors import Finding, InputError, reason_of
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.recording import channels
 from lidar_emu.recording.can_log import LOG_SUFFIXES, read_log
 from lidar_emu.recording.link_layers import carried, is_known
 from lidar_emu.recording.mcap_file import MAGIC as MCAP_MAGIC
+from lidar_emu.recording.mcap_file import first_bytes
 from lidar_emu.recording.pcap import MAGICS, NEXT_GENERATION_MAGIC, read_capture
 from lidar_emu.recording.read import Recording, read_recording
 from lidar_emu.runtime.packets import Fate, Outgoing
@@ -85,12 +86,7 @@ def read_traffic(path: Path, as_sent: bool = False) -> Traffic:
     Raises:
         InputError: the file cannot be read, is none of these, or holds nothing that went onto one link.
     """
-    try:
-        with path.open("rb") as file:
-            magic = file.read(len(MCAP_MAGIC))
-    except (OSError, ValueError) as error:
-        found = Finding(reason_of(error))
-        raise InputError(str(path), None, found, _ALLOWED) from None
+    magic = first_bytes(path, _ALLOWED)
     if magic == MCAP_MAGIC:
         traffic = _of_recording(read_recording(path), as_sent)
     elif magic[:4] in (*MAGICS, NEXT_GENERATION_MAGIC):
