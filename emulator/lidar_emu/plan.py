@@ -8,7 +8,6 @@ import numpy as np
 
 from lidar_emu.echoes import receive_light
 from lidar_emu.flight import Flight, Pointing, sensor_height_m
-from lidar_emu.geometry.recorded_flight import RecordedFlight
 from lidar_emu.plan_faults import planned_faults
 from lidar_emu.plan_ground import plan_objects, plan_parts
 from lidar_emu.plan_receiver import Decision, plan_receiver
@@ -96,17 +95,8 @@ def _look(flight: Flight) -> tuple[Pointing, Hits]:
 
 def _flown(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
     """What says where the beams are and what they meet."""
-    if isinstance(flight, RecordedFlight):
-        about = flight.file.about
-        how = (
-            f"{flight.file.path.name}: {about.shots} shots of {about.beams} beams, {about.beamlets} rays each"
-        )
-        kept = "as recorded, bit for bit"
-        return [
-            Decision(
-                "trajectory, ground, casting", False, how, f"the geometry of {about.name} is given", kept
-            )
-        ]
+    if flight.is_recorded:
+        return [_recorded(flight)]
     return [
         _trajectory(scenario, flight),
         *_bridges(flight),
@@ -114,6 +104,16 @@ def _flown(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: H
         *plan_objects(flight.scene, flight.ground),
         *_switching(flight),
     ]
+
+
+def _recorded(flight: Flight) -> Decision:
+    from lidar_emu.geometry.recorded_flight import RecordedFlight
+
+    assert isinstance(flight, RecordedFlight)
+    about = flight.file.about
+    how = f"{flight.file.path.name}: {about.shots} shots of {about.beams} beams, {about.beamlets} rays each"
+    reason = f"the geometry of {about.name} is given"
+    return Decision("trajectory, ground, casting", False, how, reason, "as recorded, bit for bit")
 
 
 def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:

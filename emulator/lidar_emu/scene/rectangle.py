@@ -1,7 +1,8 @@
-"""A part of the map."""
+"""A part of the map, and the rows and columns of a grid that lie there."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -21,3 +22,10 @@ class Rectangle(NamedTuple):
         """(n,) Whether points lie in it."""
         across = (self.west_m <= east_m) & (east_m <= self.east_m)
         return np.asarray(across & (self.south_m <= north_m) & (north_m <= self.north_m))
+
+
+def around(low_m: float, high_m: float, first_m: float, pixel_m: float, count: int, margin: int) -> range:
+    """Rows or columns of a grid from one coordinate to another, and so many more on each side as there are."""
+    first = min(max(math.floor((low_m - first_m) / pixel_m) - margin, 0), count - 2)
+    end = min(max(math.ceil((high_m - first_m) / pixel_m) + margin + 1, first + 2), count)
+    return range(first, end)

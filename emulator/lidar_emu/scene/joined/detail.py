@@ -14,7 +14,7 @@ from lidar_emu.scenario.ground_detail import Detail
 from lidar_emu.scene.grid.ground import GridGround, Samples
 from lidar_emu.scene.hits import Scene
 from lidar_emu.scene.joined.seam import extent, nest
-from lidar_emu.scene.rectangle import Rectangle
+from lidar_emu.scene.rectangle import Rectangle, around
 
 MAXIMUM_SAMPLES = 40_000_000
 EDGE = 3
@@ -72,13 +72,6 @@ def detailed(
         f"{height_m.shape[1]} x {height_m.shape[0]} samples"
     )
     return nest(samples, extent(samples), outer, SEAM_PIXELS * max(pixel_m), lambda s: build(s, description))
-
-
-def around(low_m: float, high_m: float, first_m: float, pixel_m: float, count: int, margin: int) -> range:
-    """Rows or columns of a grid from one coordinate to another, and so many more on each side as there are."""
-    first = min(max(math.floor((low_m - first_m) / pixel_m) - margin, 0), count - 2)
-    end = min(max(math.ceil((high_m - first_m) / pixel_m) + margin + 1, first + 2), count)
-    return range(first, end)
 
 
 def _check_size(where: str, rows: range, columns: range, pixel_m: tuple[float, float], halvings: int) -> None:

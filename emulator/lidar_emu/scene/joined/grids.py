@@ -12,11 +12,10 @@ from lidar_emu.scene.cut import CutGround, Kept
 from lidar_emu.scene.grid.ground import GridGround, Samples
 from lidar_emu.scene.hits import Scene
 from lidar_emu.scene.joined.albedo import Albedo, PaintedGround
-from lidar_emu.scene.joined.detail import around, detailed
 from lidar_emu.scene.joined.seam import extent, nest
 from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.reach import Reach, Span
-from lidar_emu.scene.rectangle import Rectangle
+from lidar_emu.scene.rectangle import Rectangle, around
 from lidar_emu.scene.sphere import SphereGround
 
 CUT_FROM_SAMPLES = 1_000_000
@@ -47,6 +46,10 @@ class Layer:
     def pixel_m(self) -> float:
         """The longer side of a pixel."""
         return max(self.samples.pixel_east_m, self.samples.pixel_north_m)
+
+    def alone(self, samples: Samples, description: str) -> GridGround:
+        """The ground of samples with nothing beyond."""
+        return self.build(samples, None, description)
 
 
 def join_grids(
@@ -82,7 +85,8 @@ def join_grids(
             ground = base = layer.build(samples, beyond, layer.description)
         else:
             strip_m = _feather_m(span.area, layers[place + 1]) if feather_m is None else feather_m
-            ground = nest(samples, span.area, ground, strip_m, _inner(layer, layer.description))
+            inner = partial(layer.alone, description=layer.description)
+            ground = nest(samples, span.area, ground, strip_m, inner)
             base = ground.inner
         if layer.albedo is not None:
             albedos.append(_albedo(samples, layer.albedo))
@@ -132,10 +136,6 @@ def _albedo(samples: Samples, share: FloatArray) -> Albedo:
     )
 
 
-def _inner(layer: Layer, description: str) -> Callable[[Samples], GridGround]:
-    return lambda samples: layer.build(samples, None, description)
-
-
 def _feather_m(area: Rectangle, wider: Layer) -> float:
     side_m = min(area.east_m - area.west_m, area.north_m - area.south_m)
     return min(FEATHER_PIXELS * wider.pixel_m, side_m / 4)
@@ -144,11 +144,9 @@ def _feather_m(area: Rectangle, wider: Layer) -> float:
 def _with_detail(
     ground: Scene, base: Samples, layer: Layer, part: Detail, span: Span, reach: Reach | None
 ) -> Scene:
+    from lidar_emu.scene.joined.detail import detailed
+
     needed = span.area
     if reach is not None:
         needed = reach.over(span) if part.below_m is None else reach.over(span, part.below_m)
-
-    def build(samples: Samples, description: str) -> GridGround:
-        return layer.build(samples, None, description)
-
-    return detailed(ground, base, layer.samples, needed, part, layer.source, build)
+    return detailed(ground, base, layer.samples, needed, part, layer.source, layer.alone)
