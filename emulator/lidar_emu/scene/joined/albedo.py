@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.arrays import FloatArray
 from lidar_emu.kernels import kernel
 from lidar_emu.scene.grid.cell import BILINEAR, surface
 from lidar_emu.scene.hits import GROUND, Hits, Scene, contiguous
@@ -66,6 +66,8 @@ class PaintedGround:
     def __init__(self, ground: Scene, albedo: Albedo) -> None:
         self.ground = ground
         self.albedo = albedo
+        self.description, self.origin_altitude_m = ground.description, ground.origin_altitude_m
+        self.height_m, self.covers = ground.height_m, ground.covers
         self._place = np.array(
             [
                 albedo.west_m,
@@ -76,16 +78,6 @@ class PaintedGround:
                 albedo.first_row,
             ]
         )
-
-    @property
-    def description(self) -> str:
-        """One line for plans."""
-        return self.ground.description
-
-    @property
-    def origin_altitude_m(self) -> float:
-        """Height of the site frame's origin above the body's sphere."""
-        return self.ground.origin_altitude_m
 
     def cast(
         self,
@@ -103,14 +95,6 @@ class PaintedGround:
         return self._painted(
             origin_site_m, direction_site, self.ground.cast_exact(origin_site_m, direction_site)
         )
-
-    def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        """(n,) z of the ground; see `Scene.height_m`."""
-        return self.ground.height_m(east_m, north_m)
-
-    def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """Where the ground is."""
-        return self.ground.covers(east_m, north_m)
 
     def _painted(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits) -> Hits:
         origin, direction = contiguous(origin_site_m, direction_site)

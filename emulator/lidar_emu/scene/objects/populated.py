@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.arrays import FloatArray, IntArray
 from lidar_emu.scene.hits import Hits, Scene
 from lidar_emu.scene.mesh.model import Mesh
 from lidar_emu.scene.objects.motion import MovingObject
@@ -23,11 +23,7 @@ class PopulatedScene:
     def __init__(self, ground: Scene, mesh: Mesh, description: str) -> None:
         self._ground, self._mesh = ground, mesh
         self.description = f"{ground.description}; {description}"
-
-    @property
-    def origin_altitude_m(self) -> float:
-        """As of the ground."""
-        return self._ground.origin_altitude_m
+        self.origin_altitude_m, self.covers = ground.origin_altitude_m, ground.covers
 
     def cast(
         self,
@@ -52,10 +48,6 @@ class PopulatedScene:
         ground_m = self._ground.height_m(east_m, north_m)
         return np.fmax(ground_m, self._mesh.top_m(east_m, north_m))
 
-    def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """As the ground does."""
-        return self._ground.covers(east_m, north_m)
-
 
 class SceneInMotion:
     """A scene that stays, and objects that move above it.
@@ -71,12 +63,8 @@ class SceneInMotion:
     def __init__(self, still: Scene, moving: list[MovingObject], description: str) -> None:
         self.still, self._moving = still, moving
         self.description = f"{still.description}; {description}"
+        self.origin_altitude_m = still.origin_altitude_m
         self.height_m, self.covers = still.height_m, still.covers
-
-    @property
-    def origin_altitude_m(self) -> float:
-        """As of the ground."""
-        return self.still.origin_altitude_m
 
     def cast(
         self,
