@@ -10,11 +10,11 @@ from hypothesis import settings
 
 from lidar_emu.recording.read import Recording, read_recording
 from lidar_emu.recording.write import Recorder
-from lidar_emu.runtime.fly import Run
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.run_options import RunOptions
+from lidar_emu.runtime.options import RunOptions
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.run import Run
 from lidar_emu.scenario.load import load
-from lidar_emu.shots import build_model
+from lidar_emu.shots.model import build_model
 from lidar_emu.transports.spec import PortSpec
 
 # The first example of a test may compile a kernel; no test is about time.

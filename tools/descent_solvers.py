@@ -20,15 +20,15 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import lidar_emu
-from lidar_emu.arrays import FloatArray
-from lidar_emu.dynamics.actuators import Acting, Lags
-from lidar_emu.dynamics.control import asked_at, throttle, turning_torque
-from lidar_emu.dynamics.descent import Descent, prepare, solve
-from lidar_emu.dynamics.motion import gravity_at, inertia_at, set_derivative
-from lidar_emu.dynamics.steps import Mesh
-from lidar_emu.dynamics.vectors import vector_at
-from lidar_emu.dynamics.vehicle import POSITION, SIZE, VELOCITY, Body
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.vectors import vector_at
+from lidar_emu.trajectory.powered.actuators import Acting, Lags
+from lidar_emu.trajectory.powered.control import asked_at, throttle, turning_torque
+from lidar_emu.trajectory.powered.motion import gravity_at, inertia_at, set_derivative
+from lidar_emu.trajectory.powered.solution import Descent, prepare, solve
+from lidar_emu.trajectory.powered.steps import Mesh
+from lidar_emu.trajectory.powered.vehicle import POSITION, SIZE, VELOCITY, Body
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "flights.md"
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"

@@ -13,7 +13,7 @@ from lidar_emu.report.geometry_export import record_geometry
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.required import require_flight
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.shots import build_model, measure_whole
+from lidar_emu.shots.model import build_model, measure_whole
 
 TURNS = 15
 FLIGHTS = {

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lidar_emu.scenario.load import load as load
-    from lidar_emu.shots import simulate as simulate
+    from lidar_emu.shots.model import simulate as simulate
 
 __version__ = "0.1.0"
 __all__ = ["__version__", "load", "simulate"]
 
-_HOMES = {"load": "lidar_emu.scenario.load", "simulate": "lidar_emu.shots"}
+_HOMES = {"load": "lidar_emu.scenario.load", "simulate": "lidar_emu.shots.model"}
 
 
 def __getattr__(name: str) -> Any:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)

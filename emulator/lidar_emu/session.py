@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from lidar_emu.arrays import BoolArray
 from lidar_emu.device.conduct import Conduct, conduct
 from lidar_emu.device.machine import advance, initial, timed
 from lidar_emu.device.rules import Event, Rules, device_rules
 from lidar_emu.device.settling import Settling
 from lidar_emu.device.state import DeviceState
 from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import BoolArray
 from lidar_emu.scanner.model import ScannerState
 from lidar_emu.scenario.device import Device
-from lidar_emu.shots import Model, ModelState, initial_state, measure
+from lidar_emu.shots.model import Model, ModelState, initial_state, measure
 from lidar_emu.wire import Encoder, Packet
 
 if TYPE_CHECKING:
+    from lidar_emu.faults.encoder import FaultyPackets, WireState
     from lidar_emu.faults.schedule import Injected
-    from lidar_emu.faulty_packets import FaultyPackets, WireState
 
 
 _NOT_SETTLING = Settling()

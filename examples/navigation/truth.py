@@ -6,7 +6,7 @@ import numpy as np
 from beams import Array, DataSheet
 
 from lidar_emu.errors import InputError
-from lidar_emu.flight import Flight
+from lidar_emu.flight.flight import Flight
 from lidar_emu.scenario.required import require_known_flight
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.trajectory.state import VehicleState

@@ -11,7 +11,7 @@ from lidar_emu.bench import casting, casting_peers
 from lidar_emu.bench.casting_exact import exact_range_m, lunar_site
 from lidar_emu.bench.casting_scene import KINDS, aimed_at_edges, rolling_ground, shots, triangles, unrelated
 from lidar_emu.cli.bench import bench
-from lidar_emu.scene.grid.ground import Samples
+from lidar_emu.scene.grid.samples import Samples
 
 
 def test_exact_ranges_are_those_known_by_hand():

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lidar_emu.expected_error import expected_error
+from lidar_emu.plan.expected_error import expected_error
 from lidar_emu.runtime.summary import of_scenario
 from lidar_emu.scenario.load import load
-from lidar_emu.shots import build_model, measure_whole
+from lidar_emu.shots.model import build_model, measure_whole
 
 FLIGHTS = {
     "published": ("descent.yaml", {}),

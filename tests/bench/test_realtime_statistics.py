@@ -20,7 +20,7 @@ from lidar_emu.bench.realtime_statistics import (
     median_excess_ns,
     windows,
 )
-from lidar_emu.shots import build_model
+from lidar_emu.shots.model import build_model
 
 SECOND_NS = 1_000_000_000
 VALUES = st.lists(st.integers(0, 10**10), min_size=1, max_size=200)

@@ -11,8 +11,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from small_campaign import ROWS, SMALL, Here
 
-from lidar_emu.campaign.fly import fly_campaign
 from lidar_emu.campaign.read import prepare
+from lidar_emu.campaign.run import fly_campaign
 
 
 @pytest.fixture

@@ -14,9 +14,9 @@ from small_campaign import ROWS, SMALL, Here, content
 
 import lidar_emu
 from lidar_emu.campaign.batch import fly_batch, measured
-from lidar_emu.campaign.fly import fly_campaign, runs_per_file
 from lidar_emu.campaign.pools import LocalPool
 from lidar_emu.campaign.read import prepare
+from lidar_emu.campaign.run import fly_campaign, runs_per_file
 from lidar_emu.errors import InputError, RunError
 
 

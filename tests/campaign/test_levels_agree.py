@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from small_campaign import Here
 
-from lidar_emu.campaign.fly import fly_campaign
 from lidar_emu.campaign.read import prepare
+from lidar_emu.campaign.run import fly_campaign
 from lidar_emu.campaign.statistics import ERRORS, campaign_statistics
 
 RUNS = 50

@@ -14,7 +14,7 @@ from bad_case import BENCH, FLIGHT, Case, Content
 
 from lidar_emu import cli
 from lidar_emu.scenario.load import load
-from lidar_emu.shots import build_model
+from lidar_emu.shots.model import build_model
 
 CASES = [*bad_scenarios.CASES, *bad_files.CASES, *bad_commands.CASES]
 JARGON = (

@@ -13,10 +13,10 @@ from lidar_emu.cli.commander import SENT, UNANSWERED, Commander
 from lidar_emu.device.machine import initial
 from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.rules import device_rules
-from lidar_emu.runtime.changes import Changes
-from lidar_emu.runtime.command_post import CommandPost
-from lidar_emu.runtime.heard import Heard
-from lidar_emu.runtime.voice import Voice
+from lidar_emu.runtime.change_queue import Changes
+from lidar_emu.runtime.device_link.command_handler import CommandPost
+from lidar_emu.runtime.device_link.encoder import Voice
+from lidar_emu.runtime.device_link.received_command import Heard
 from lidar_emu.scenario.device import Device
 from lidar_emu.transports.can_port import open_can
 from lidar_emu.transports.host import CanHost

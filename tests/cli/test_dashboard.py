@@ -24,11 +24,11 @@ from rich.console import Console
 from lidar_emu.cli.boards import Instruments, RunBoard
 from lidar_emu.cli.dashboard import Dashboard
 from lidar_emu.cli.dashboard_screen import picture
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.load import load
-from lidar_emu.shots import simulate
+from lidar_emu.shots.model import simulate
 from lidar_emu.wire import Encoder
 from lidar_protocol import Housekeeping, SerialReceiver, default_interface
 

@@ -10,8 +10,8 @@ import pytest
 from lidar_emu.cli.device_lines import DeviceLines
 from lidar_emu.cli.far_end import Decoder
 from lidar_emu.transports.frames import Frame
+from lidar_icd.example import values
 from lidar_protocol import Device, default_interface
-from lidar_protocol.example import values
 
 INTERFACE = default_interface()
 DEVICE = Device(INTERFACE, unit=3)

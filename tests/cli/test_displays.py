@@ -12,7 +12,7 @@ import pytest
 from lidar_emu.cli.far_end import Decoder, Screen
 from lidar_emu.cli.plan import plan
 from lidar_emu.scenario.load import load
-from lidar_emu.shots import simulate
+from lidar_emu.shots.model import simulate
 from lidar_emu.wire import Encoder
 
 COMMAND = Path(sys.executable).parent / "lidar-emu"

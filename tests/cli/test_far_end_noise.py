@@ -5,11 +5,11 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.bench_model import BenchModel
 from lidar_emu.cli.far_end import Decoder
-from lidar_emu.runtime.outbox import payload_of
+from lidar_emu.runtime.feed.packet_queue import payload_of
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import BenchScenario, Wire
+from lidar_emu.shots.bench_model import BenchModel
 from lidar_emu.transports.frames import Frame, unpack_frames
 from lidar_emu.wire import Encoder
 

@@ -14,13 +14,13 @@ from lidar_emu.device.machine import initial
 from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.state import DeviceState
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.changes import Changes
-from lidar_emu.runtime.command_post import CommandPost
-from lidar_emu.runtime.heard import Heard
-from lidar_emu.runtime.housekeeper import Housekeeper
-from lidar_emu.runtime.pacing import Pace
+from lidar_emu.runtime.change_queue import Changes
+from lidar_emu.runtime.device_link.command_handler import CommandPost
+from lidar_emu.runtime.device_link.encoder import Voice
+from lidar_emu.runtime.device_link.housekeeping import Housekeeper
+from lidar_emu.runtime.device_link.received_command import Heard
+from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.summary import Tally
-from lidar_emu.runtime.voice import Voice
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_protocol import (
     Acknowledge,

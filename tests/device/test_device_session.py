@@ -18,12 +18,12 @@ from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.obey import Order
 from lidar_emu.device.rules import Rules, device_rules
 from lidar_emu.device.state import Mode
-from lidar_emu.faulty_packets import faulty_packets
+from lidar_emu.faults.encoder import faulty_packets
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.scenario.device import Device
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.session import Block, Session
-from lidar_emu.shots import FlightModel, Model, build_model
+from lidar_emu.shots.model import FlightModel, Model, build_model
 from lidar_emu.wire import Encoder
 from lidar_protocol import Message, SerialReceiver, default_interface
 

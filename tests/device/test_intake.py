@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lidar_emu.runtime.intake import Intake
+from lidar_emu.runtime.device_link.rate_limiter import Intake
 
 S = 1_000_000_000
 

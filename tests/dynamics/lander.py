@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lidar_emu.dynamics.actuators import Acting, Lags
-from lidar_emu.dynamics.steps import set_slope, set_stepped
-from lidar_emu.dynamics.vehicle import BEND, BENDING, HANG, SIZE, SWAY, Body, body_of
 from lidar_emu.scenario.trajectory import PoweredDescent
+from lidar_emu.trajectory.powered.actuators import Acting, Lags
+from lidar_emu.trajectory.powered.steps import set_slope, set_stepped
+from lidar_emu.trajectory.powered.vehicle import BEND, BENDING, HANG, SIZE, SWAY, Body, body_of
 
 Floats = NDArray[np.float64]
 RIGID: dict[str, Any] = {

@@ -9,15 +9,15 @@ import pytest
 from lander import MODE, RIGID, SLOSH, Floats, descent
 from scipy.integrate import solve_ivp
 
-from lidar_emu.dynamics.contact import lowest_foot_m
-from lidar_emu.dynamics.control import asked_at, throttle, turning_torque
-from lidar_emu.dynamics.descent import Descent, prepare, solve
-from lidar_emu.dynamics.fly import ALOFT, ENDED
-from lidar_emu.dynamics.motion import gravity_at, inertia_at, set_derivative
-from lidar_emu.dynamics.steps import Mesh
 from lidar_emu.errors import InputError
 from lidar_emu.trajectory.build import build_trajectory
-from lidar_emu.trajectory.descent import DescentTrajectory
+from lidar_emu.trajectory.powered.contact import lowest_foot_m
+from lidar_emu.trajectory.powered.control import asked_at, throttle, turning_torque
+from lidar_emu.trajectory.powered.integration import ALOFT, ENDED
+from lidar_emu.trajectory.powered.motion import gravity_at, inertia_at, set_derivative
+from lidar_emu.trajectory.powered.solution import Descent, prepare, solve
+from lidar_emu.trajectory.powered.steps import Mesh
+from lidar_emu.trajectory.powered.trajectory import DescentTrajectory
 
 MOON_M = 1_737_400.0
 GRAVITY_TURN = {"kind": "gravity_turn"}

@@ -10,9 +10,9 @@ import pytest
 from lander import EXHAUST_MPS, MODE, NONE, SLOSH, at_rest, body, coast, sums
 from scipy.spatial.transform import Rotation
 
-from lidar_emu.dynamics.actuators import Acting, Lags, mass_after, thrust_after, torque_after
-from lidar_emu.dynamics.steps import Mesh, next_step_s, set_slope, set_stepped
-from lidar_emu.dynamics.vehicle import BEND, HANG, SIZE, SWAY
+from lidar_emu.trajectory.powered.actuators import Acting, Lags, mass_after, thrust_after, torque_after
+from lidar_emu.trajectory.powered.steps import Mesh, next_step_s, set_slope, set_stepped
+from lidar_emu.trajectory.powered.vehicle import BEND, HANG, SIZE, SWAY
 
 TUMBLING = Rotation.from_rotvec([0.4, -1.1, 0.7])
 

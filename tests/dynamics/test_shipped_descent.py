@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import lidar_emu
-from lidar_emu.flight import Flight
-from lidar_emu.plan import plan_flight
+from lidar_emu.flight.flight import Flight
+from lidar_emu.plan.plan import plan_flight
 from lidar_emu.scenario.schema import FlightScenario
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from lidar_emu.device.rules import Rules, device_rules
-from lidar_emu.faulty_packets import faulty_packets
+from lidar_emu.faults.encoder import faulty_packets
 from lidar_emu.scenario.schema import BenchScenario, Scenario
 from lidar_emu.session import Block, Session
-from lidar_emu.shots import Model, build_model
+from lidar_emu.shots.model import Model, build_model
 from lidar_emu.wire import Encoder
 
 RATE_HZ = 50

@@ -11,7 +11,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.scenario.schema import BenchScenario
-from lidar_emu.shots import build_model, simulate
+from lidar_emu.shots.model import build_model, simulate
 
 BEAMS, INVALID = [0, 1, 2], 3
 WINDOW = {"from_s": 0.4, "to_s": 1.0}

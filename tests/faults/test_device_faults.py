@@ -12,10 +12,10 @@ from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.obey import Order
 from lidar_emu.device.rules import Rules, all_events
 from lidar_emu.errors import InputError
-from lidar_emu.faulty_packets import faulty_packets
+from lidar_emu.faults.encoder import faulty_packets
 from lidar_emu.scenario.faults.on_order import read_fault, shifted
 from lidar_emu.session import Block, Session
-from lidar_emu.shots import build_model
+from lidar_emu.shots.model import build_model
 from lidar_emu.wire import Encoder
 from lidar_protocol import Message, SerialReceiver, default_interface
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.chance import Chance
 from lidar_emu.faults.hold import hold
 from lidar_emu.faults.schedule import Schedule
+from lidar_emu.numerics.random_streams import Chance
 from lidar_emu.scenario.faults import Dropout
 
 PERIOD_NS = 20_000_000

@@ -22,16 +22,16 @@ from lidar_emu.device.machine import initial
 from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.rules import all_events
 from lidar_emu.errors import InputError
-from lidar_emu.faulty_packets import faulty_packets
-from lidar_emu.runtime.changes import Changes
+from lidar_emu.faults.encoder import faulty_packets
+from lidar_emu.runtime.change_queue import Changes
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.injector import Injector
+from lidar_emu.runtime.fault_injector import Injector
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.run_options import RunOptions
+from lidar_emu.runtime.options import RunOptions
+from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.scenario.faults.on_order import read_fault, shifted
 from lidar_emu.session import Block, Session
-from lidar_emu.shots import build_model
+from lidar_emu.shots.model import build_model
 from lidar_emu.transports.spec import PortSpec
 from lidar_emu.wire import Encoder
 

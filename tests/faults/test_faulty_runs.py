@@ -17,9 +17,9 @@ from mcap.reader import make_reader
 from ruamel.yaml import YAML
 
 import lidar_emu
-from lidar_emu.faulty_packets import faulty_packets
-from lidar_emu.runtime.link_orders import link_orders
-from lidar_emu.runtime.pacing import Pace
+from lidar_emu.faults.encoder import faulty_packets
+from lidar_emu.runtime.link_faults import link_orders
+from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.scenario.faults import (
     BeamFault,
     DeviceFault,
@@ -30,7 +30,7 @@ from lidar_emu.scenario.faults import (
     StampFault,
 )
 from lidar_emu.session import Block, Session
-from lidar_emu.shots import build_model, simulate
+from lidar_emu.shots.model import build_model, simulate
 from lidar_emu.wire import Encoder
 
 CATALOGUE = Path(__file__).resolve().parents[2] / "docs" / "faults.md"
@@ -239,7 +239,7 @@ def test_summary_recording_and_plan_tell_of_faults(tmp_path: Path) -> None:
 
 def test_a_run_without_faults_has_nothing_to_do_with_them() -> None:
     code = (
-        "import sys, lidar_emu, lidar_emu.runtime.fly\n"
+        "import sys, lidar_emu, lidar_emu.runtime.run\n"
         "lidar_emu.simulate(lidar_emu.load('bench.yaml'))\n"
         "print(sorted(name for name in sys.modules if name.startswith('lidar_emu.fault')))"
     )

@@ -12,9 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lidar_emu.errors import InputError
-from lidar_emu.faulty_packets import FaultyPackets
+from lidar_emu.faults.encoder import FaultyPackets
 from lidar_emu.session import Block
-from lidar_emu.shots import build_model
+from lidar_emu.shots.model import build_model
 from lidar_emu.wire import Encoder
 from lidar_protocol import SerialReceiver, cobs, shipped_interface
 
@@ -329,7 +329,7 @@ PACKET_FAULTS = st.sampled_from(
 def test_no_packet_is_longer_than_was_said(
     bench: Any, shoot: Any, faults: list[Any], fd: bool, can: bool
 ) -> None:
-    from lidar_emu.runtime.outbox import payload_of
+    from lidar_emu.runtime.feed.packet_queue import payload_of
 
     if can and {"kind": "wrong_crc"} in faults:
         faults = [fault for fault in faults if fault["kind"] != "wrong_crc"]

@@ -10,7 +10,7 @@ import pytest
 import lidar_emu
 from lidar_emu.measurement import Measurement
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
-from lidar_emu.shots import simulate
+from lidar_emu.shots.model import simulate
 
 
 @cache

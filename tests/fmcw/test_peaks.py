@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from lidar_emu.fmcw.peaks import BIN_VARIANCE, METHODS, peak
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, ROWS, TAPS, WINDOWS
-from lidar_emu.kernels import njit
+from lidar_emu.numerics.kernels import njit
 from lidar_emu.scenario.instrument import Detection
 
 LENGTH = 2048

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lidar_emu.fmcw.philox import complex_normal, fill_complex_normals, philox4x32, uniform_pair
+from lidar_emu.numerics.philox import complex_normal, fill_complex_normals, philox4x32, uniform_pair
 
 
 # Known answers published with the Random123 library: counter, key, result.

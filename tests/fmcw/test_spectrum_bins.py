@@ -12,7 +12,6 @@ from mpmath import mp, mpf
 from scipy import stats
 from synthesis import COSINES, fft_bins, tones_in_time
 
-from lidar_emu.fmcw.sine import sin_pi
 from lidar_emu.fmcw.spectrum import (
     BIN,
     NOISE,
@@ -31,6 +30,7 @@ from lidar_emu.fmcw.spectrum import (
     set_tones,
     windowed_bin,
 )
+from lidar_emu.numerics.sine import sin_pi
 
 
 def _lay(signed_bin: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarray]:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from lidar_emu.ground.detail import MARGIN, Law, lattice, law_of, law_with, refine
-from lidar_emu.ground.relief import fractional_surface
-from lidar_emu.ground.statistics import structure_function
+from lidar_emu.scene.generated.detail import MARGIN, Law, lattice, law_of, law_with, refine
+from lidar_emu.scene.generated.relief import fractional_surface
+from lidar_emu.scene.generated.statistics import structure_function
 
 HALVINGS = 3
 FINER = 2**HALVINGS

@@ -5,8 +5,8 @@ import pytest
 from scipy import fft
 from scipy.interpolate import RegularGridInterpolator
 
-from lidar_emu.ground.generate import generate
-from lidar_emu.ground.relief import fractional_surface, torus_spectrum
+from lidar_emu.scene.generated.generate import generate
+from lidar_emu.scene.generated.relief import fractional_surface, torus_spectrum
 
 
 @pytest.mark.parametrize("hurst", [0.05, 0.3, 0.5, 0.75, 0.76, 0.9, 0.99])

@@ -5,15 +5,15 @@ import pytest
 from scipy.ndimage import gaussian_filter, label
 from scipy.optimize import brentq
 
-from lidar_emu.ground.crater_profile import depth_left, fresh_profile, worn_profiles
-from lidar_emu.ground.craters import (
+from lidar_emu.scenario.generated_ground import Craters
+from lidar_emu.scene.generated.crater_profile import depth_left, fresh_profile, worn_profiles
+from lidar_emu.scene.generated.craters import (
     equilibrium_per_m2,
     produced_per_m2,
     scatter_craters,
     visible_per_m2,
 )
-from lidar_emu.ground.generate import generate
-from lidar_emu.scenario.generated_ground import Craters
+from lidar_emu.scene.generated.generate import generate
 
 
 def at(diameter_m, age_gyr):

@@ -73,6 +73,6 @@ def port_is_open(pid: int) -> bool:
     for process in Path("/proc").iterdir():
         with suppress(OSError):
             is_child = process.name.isdecimal() and f"\nPPid:\t{pid}\n" in (process / "status").read_text()
-            if is_child and "lidar_emu.runtime.port_process" in (process / "cmdline").read_text():
+            if is_child and "lidar_emu.runtime.port.process" in (process / "cmdline").read_text():
                 return True
     return False

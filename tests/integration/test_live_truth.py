@@ -15,7 +15,7 @@ import pytest
 from programs import Program, eventually, read_summary
 
 import lidar_emu
-from lidar_emu.shots import build_model
+from lidar_emu.shots.model import build_model
 from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict
 
 Start = Callable[..., Program]

@@ -14,7 +14,7 @@ from programs import FarEnd, Program, is_running, read_summary
 
 import lidar_emu
 from lidar_emu.session import Session
-from lidar_emu.shots import build_model
+from lidar_emu.shots.model import build_model
 from lidar_emu.wire import Encoder
 
 SHOTS = 200

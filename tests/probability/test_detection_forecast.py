@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 
-from lidar_emu.detection_forecast import beam_angles_deg, forecast_detection, mean_straddling_gain, measured
 from lidar_emu.fmcw.build import build_receiver
-from lidar_emu.fmcw.echo import coherent_power_w
+from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.spectrum import WINDOWS
+from lidar_emu.plan.detection_forecast import (
+    beam_angles_deg,
+    forecast_detection,
+    mean_straddling_gain,
+    measured,
+)
 from lidar_emu.scenario.load import load
 
 SAMPLES = 256

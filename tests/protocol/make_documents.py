@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import lidar_protocol
-from lidar_protocol import documents
+from lidar_icd import documents
 
 
 def main() -> None:

@@ -8,7 +8,8 @@ from any_interface import document, trees, values
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from lidar_protocol import EncodeError, Host, default_interface, documents, load
+from lidar_icd import documents
+from lidar_protocol import EncodeError, Host, default_interface, load
 from lidar_protocol.fields import Constant, Counter, Number
 from lidar_protocol.reading import files
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from lidar_protocol import Device, default_interface, documents, load, shipped_interface
+from lidar_icd import documents
+from lidar_protocol import Device, default_interface, load, shipped_interface
 from lidar_protocol.reading import files
 
 HERE = Path(__file__).parent

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lidar_protocol import CanReceiver, Device, EncodeError, default_interface, example
+from lidar_icd import example
+from lidar_protocol import CanReceiver, Device, EncodeError, default_interface
 
 INTERFACE = default_interface()
 OWN_IDS = range(0x100, 0x500)

@@ -211,7 +211,7 @@ def test_a_host_refuses_what_a_device_would(name, values, complaint):
 
 @pytest.mark.parametrize("step", [1, 1000])
 def test_answers_and_health_arrive_between_shots(step):
-    from lidar_protocol import example
+    from lidar_icd import example
 
     device = Device(DEFAULT, 6)
     shot = device.serial_bytes(example.HEADER, example.BEAMS)
@@ -268,7 +268,7 @@ def test_an_altimeter_tells_how_it_is():
 def test_cantools_reads_commands_answers_and_health():
     import cantools
 
-    from lidar_protocol import documents
+    from lidar_icd import documents
 
     database = cantools.database.load_string(documents.dbc(DEFAULT), "dbc", strict=True)
     host, device = Host(DEFAULT), Device(DEFAULT)

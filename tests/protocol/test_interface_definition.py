@@ -4,7 +4,8 @@ from importlib.resources import files
 
 import pytest
 
-from lidar_protocol import DefinitionError, default_interface, example
+from lidar_icd import example
+from lidar_protocol import DefinitionError, default_interface
 from lidar_protocol.can_frames import addresses
 from lidar_protocol.reading import load
 

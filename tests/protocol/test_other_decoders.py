@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import lidar_protocol
-from lidar_protocol import Device, default_interface, documents, example, packet
+from lidar_icd import documents, example
+from lidar_protocol import Device, default_interface, packet
 from lidar_protocol.can_frames import block_addresses, command_addresses
 
 INTERFACE = default_interface()

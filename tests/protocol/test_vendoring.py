@@ -16,7 +16,6 @@ sys.path.insert(0, sys.argv[1])
 before = set(sys.modules)
 import lidar_protocol
 from lidar_protocol import *
-from lidar_protocol import documents
 interface = default_interface()
 for shot in json.loads(pathlib.Path(sys.argv[2]).read_text()):
     frame = bytes.fromhex(shot["frame"])
@@ -24,7 +23,6 @@ for shot in json.loads(pathlib.Path(sys.argv[2]).read_text()):
     assert Device(interface, shot["unit"]).serial_bytes(message.header, message.beams) == frame
 load_file(pathlib.Path(lidar_protocol.__file__).parent / "altimeter.toml")
 shipped_interface("altimeter")
-documents.interface_markdown(interface), documents.c_header(interface), documents.dbc(interface)
 loaded = {name.partition(".")[0] for name in set(sys.modules) - before}
 print(json.dumps(sorted(loaded - set(sys.stdlib_module_names))))
 """

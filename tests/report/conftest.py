@@ -60,6 +60,6 @@ def flight():
 @pytest.fixture
 def bench():
     from lidar_emu.scenario.load import load
-    from lidar_emu.shots import simulate
+    from lidar_emu.shots.model import simulate
 
     return simulate(load("bench.yaml", {"duration_s": "1"}))

@@ -7,7 +7,7 @@ import pytest
 from matplotlib import colormaps
 from matplotlib.image import imread
 
-from lidar_emu import whole_file
+from lidar_emu import files
 from lidar_emu.errors import InputError
 from lidar_emu.report.descent_plot import check_plot_path, plot_descent
 from lidar_emu.scene.plane import PlaneGround
@@ -106,6 +106,6 @@ def test_unusable_plot_paths_are_refused_early(tmp_path, name, message):
 
 
 def test_without_matplotlib_the_extra_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr(whole_file, "find_spec", lambda _: None)
+    monkeypatch.setattr(files, "find_spec", lambda _: None)
     with pytest.raises(InputError, match=r"pip install 'lidar-emu\[plots\]'"):
         check_plot_path(tmp_path / "run.png")

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from lidar_emu import whole_file
+from lidar_emu import files
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.report.exports import check_export_path, export
 
@@ -130,7 +130,7 @@ def test_unusable_paths_are_refused_before_and_at_export(flight, tmp_path, name,
 
 
 def test_parquet_without_pyarrow_names_the_extra(flight, tmp_path, monkeypatch):
-    monkeypatch.setattr(whole_file, "find_spec", lambda _: None)
+    monkeypatch.setattr(files, "find_spec", lambda _: None)
     for attempt in (check_export_path, lambda path: export(flight, path)):
         with pytest.raises(InputError, match=r"pip install 'lidar-emu\[tables\]'"):
             attempt(tmp_path / "run.parquet")
@@ -161,9 +161,9 @@ def test_export_replaces_an_older_file_and_leaves_no_other(flight, tmp_path):
 
 def test_one_name_may_be_written_by_several_at_once(tmp_path):
     path = tmp_path / "run.csv"
-    with whole_file.whole_file(path) as first:
+    with files.whole_file(path) as first:
         first.write(b"first")
-        with whole_file.whole_file(path) as second:
+        with files.whole_file(path) as second:
             second.write(b"second")
         assert path.read_bytes() == b"second"
         first.write(b" and whole")

@@ -15,7 +15,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.recording.read import read_recording
 from lidar_emu.report.flight_pages import draw_all
 from lidar_emu.report.flown import Flown, read_flown
-from lidar_emu.runtime.packets import Fate
+from lidar_emu.runtime.port.packets import Fate
 
 COMMAND = Path(sys.executable).parent / "lidar-emu"
 FAULTS = "faults=[{kind: dropout, beams: [2], from_s: 0.5, to_s: 1}, {kind: lost, from_s: 1, to_s: 1.2}]"

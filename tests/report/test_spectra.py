@@ -9,7 +9,7 @@ import pytest
 
 from lidar_emu.report.flown import Flown, read_flown
 from lidar_emu.report.spectra import CannotHearError, choose, listen
-from lidar_emu.shots import build_model
+from lidar_emu.shots.model import build_model
 
 LIGHT_MPS = 299_792_458.0
 

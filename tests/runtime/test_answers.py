@@ -6,8 +6,8 @@ import json
 import os
 from collections.abc import Sequence
 
-from lidar_emu.runtime.answers import Answers
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.port.answers import Answers
 
 SECOND_NS = 1_000_000_000
 

@@ -15,9 +15,9 @@ import pytest
 RUN_FOR_EVER = """
 import sys
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Outgoing
-from lidar_emu.runtime.run import PortRunner
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Outgoing
+from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.spec import Kind, PortSpec
 
 with PortRunner(slots=16) as runner:
@@ -42,9 +42,9 @@ RUN_ONCE = """
 import sys
 from pathlib import Path
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Outgoing
-from lidar_emu.runtime.run import PortRunner
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Outgoing
+from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.spec import PortSpec
 
 with PortRunner(slots=16) as runner:
@@ -133,7 +133,7 @@ def test_a_run_without_standard_descriptors(closed: tuple[int, ...], tmp_path: P
 def test_a_parent_that_dies_at_once_leaves_nothing() -> None:
     """The port process finds its lifeline closed before it was told anything."""
     child = subprocess.Popen(
-        [sys.executable, "-m", "lidar_emu.runtime.port_process"],
+        [sys.executable, "-m", "lidar_emu.runtime.port.process"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     )

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Fate, Outgoing, Report
-from lidar_emu.runtime.run import PortRunner
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.faulty_link import LinkOrder
 from lidar_emu.transports.spec import PortSpec
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from lidar_emu.runtime.changes import Change, Changes
-from lidar_emu.runtime.feed import Desk
-from lidar_emu.runtime.feed_ahead import AheadFeed
-from lidar_emu.runtime.feed_live import LiveFeed
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Outgoing
-from lidar_emu.runtime.truth_source import TruthSource
+from lidar_emu.runtime.change_queue import Change, Changes
+from lidar_emu.runtime.feed.ahead import AheadFeed
+from lidar_emu.runtime.feed.base import Desk
+from lidar_emu.runtime.feed.live import LiveFeed
+from lidar_emu.runtime.feed.truth_source import TruthSource
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Outgoing
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.trajectory.live_datagram import Truth

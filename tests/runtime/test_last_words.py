@@ -17,13 +17,13 @@ from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.rules import device_rules
 from lidar_emu.errors import RunError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.housekeeper import Housekeeper
-from lidar_emu.runtime.last_words import LastWords, unsayable
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Fate, Outgoing, Report, unpack_frames
-from lidar_emu.runtime.run import PortRunner
+from lidar_emu.runtime.device_link.encoder import Voice
+from lidar_emu.runtime.device_link.final_message import LastWords, unsayable
+from lidar_emu.runtime.device_link.housekeeping import Housekeeper
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Fate, Outgoing, Report, unpack_frames
+from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.summary import Tally
-from lidar_emu.runtime.voice import Voice
 from lidar_emu.scenario.device import Device
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_protocol import default_interface, shipped_interface

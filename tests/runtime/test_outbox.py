@@ -6,14 +6,14 @@ from collections import deque
 
 import lidar_emu
 from lidar_emu.device.state import DeviceState
-from lidar_emu.runtime.events import LinkEvent
+from lidar_emu.runtime.feed.packet_queue import Outbox
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.outbox import Outbox
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.events import LinkEvent
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block, Session
-from lidar_emu.shots import build_model
+from lidar_emu.shots.model import build_model
 from lidar_emu.wire import Encoder
 
 

@@ -16,9 +16,9 @@ import pytest
 
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Fate, Outgoing, Report
-from lidar_emu.runtime.run import PortRunner
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.spec import Kind, PortSpec
 
 SECOND_NS = 1_000_000_000
@@ -246,7 +246,7 @@ def test_closing_in_mid_run_keeps_what_is_known(runner: PortRunner, eventually: 
 
 
 def test_the_port_process_imports_little() -> None:
-    code = "import sys, lidar_emu.runtime.port_process; print(*sys.modules)"
+    code = "import sys, lidar_emu.runtime.port.process; print(*sys.modules)"
     modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     heavy = {"numpy", "scipy", "numba", "pydantic", "click", "can", "serial", "ctypes.wintypes", "asyncio"}
     assert heavy.isdisjoint(modules.split())

@@ -7,11 +7,11 @@ from collections import deque
 from typing import Any
 
 import lidar_emu
-from lidar_emu.faulty_packets import faulty_packets
+from lidar_emu.faults.encoder import faulty_packets
+from lidar_emu.runtime.feed.truth_source import TruthSource
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.truth_source import TruthSource
 from lidar_emu.session import Session
-from lidar_emu.shots import build_model
+from lidar_emu.shots.model import build_model
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.trajectory.live_datagram import Truth
 from lidar_emu.wire import Encoder

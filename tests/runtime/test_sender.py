@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.pacing import Action, Pace, Pacing, WhenLate
-from lidar_emu.runtime.packets import Fate, Outgoing, Report
-from lidar_emu.runtime.ring import Ring
-from lidar_emu.runtime.sender import Sender, Wait
+from lidar_emu.runtime.port.pacing import Action, Pace, Pacing, WhenLate
+from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.ring import Ring
+from lidar_emu.runtime.port.sender import Sender, Wait
 
 START_NS = 5_000_000_000_000
 SECOND_NS = 1_000_000_000

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Fate, Report
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Fate, Report
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.load import load
-from lidar_emu.shots import build_model, measure_in_blocks, simulate
+from lidar_emu.shots.model import build_model, measure_in_blocks, simulate
 
 
 def test_counts_of_shots_and_of_their_errors():

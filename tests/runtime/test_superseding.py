@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.pacing import Pace, Pacing
-from lidar_emu.runtime.packets import Fate, Outgoing, Report
-from lidar_emu.runtime.ring import Ring
-from lidar_emu.runtime.sender import Sender
+from lidar_emu.runtime.port.pacing import Pace, Pacing
+from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.ring import Ring
+from lidar_emu.runtime.port.sender import Sender
 
 
 class Line:

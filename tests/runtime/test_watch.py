@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from lidar_emu.runtime.watch import Watch
+from lidar_emu.runtime.port.stall_monitor import Watch
 
 MS = 1_000_000
 START_NS = 77_000 * MS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.runtime.windows import LatenessWindows
+from lidar_emu.runtime.rolling_lateness import LatenessWindows
 
 SECOND_NS = 1_000_000_000
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from lidar_emu.scene.grid.ground import GridGround, Samples
-from lidar_emu.scene.joined import seam
-from lidar_emu.scene.joined.seam import extent
+from lidar_emu.scene.grid.ground import GridGround
+from lidar_emu.scene.grid.samples import Samples
+from lidar_emu.scene.mosaic import seam
+from lidar_emu.scene.mosaic.seam import extent
 from lidar_emu.scene.plane import PlaneGround
 
 

@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lidar_emu.scene.cut import CutGround
-from lidar_emu.scene.grid.ground import GridGround, Samples
-from lidar_emu.scene.joined import grids
-from lidar_emu.scene.joined.grids import Layer, join_grids
+from lidar_emu.scene.grid.ground import GridGround
+from lidar_emu.scene.grid.samples import Samples
+from lidar_emu.scene.mosaic import grids
+from lidar_emu.scene.mosaic.grids import Layer, join_grids
 from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.reach import Reach, Span, strays
 from lidar_emu.scene.rectangle import Rectangle

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from lidar_emu.scene.grid.ground import GridGround, Samples
+from lidar_emu.scene.grid.ground import GridGround
+from lidar_emu.scene.grid.samples import Samples
 from lidar_emu.scene.hits import Hits
 from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.sphere import SphereGround

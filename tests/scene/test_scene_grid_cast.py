@@ -8,8 +8,9 @@ from matplotlib.tri import LinearTriInterpolator, Triangulation
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import bisect
 
-from lidar_emu.scene.grid.ground import GridGround, Samples
+from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.grid.pyramid import build_pyramid
+from lidar_emu.scene.grid.samples import Samples
 from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.sphere import SphereGround
 

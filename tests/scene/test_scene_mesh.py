@@ -400,7 +400,7 @@ def test_itokawa_is_flown_over(tmp_path: Path) -> None:
 
 def test_without_a_mesh_nothing_of_it_is_imported() -> None:
     code = (
-        "import sys; from lidar_emu import load; from lidar_emu.flight import Flight;"
+        "import sys; from lidar_emu import load; from lidar_emu.flight.flight import Flight;"
         "Flight(load('descent')).scene;"
         "sys.exit(any(name in sys.modules for name in ('trimesh', 'lidar_emu.scene.mesh.model')))"
     )

@@ -6,7 +6,7 @@ import numpy as np
 
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.scenario.load import load
-from lidar_emu.shots import simulate
+from lidar_emu.shots.model import simulate
 
 
 def test_constants_ramps_and_an_invalid_beam():

@@ -11,7 +11,7 @@ import pytest
 from lidar_emu.errors import InputError
 from lidar_emu.report.geometry_export import record_geometry
 from lidar_emu.scenario.load import load
-from lidar_emu.shots import build_model, measure_in_blocks, measure_whole, simulate
+from lidar_emu.shots.model import build_model, measure_in_blocks, measure_whole, simulate
 
 SLANT = 1 / np.cos(np.radians(22.5))
 SIDE = np.sin(np.radians(22.5))

@@ -7,10 +7,10 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from lidar_emu.flight import Flight
+from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
-from lidar_emu.shots import build_model, measure_in_blocks, simulate
+from lidar_emu.shots.model import build_model, measure_in_blocks, simulate
 
 SLANT = 1 / np.cos(np.radians(22.5))
 

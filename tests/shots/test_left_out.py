@@ -14,7 +14,7 @@ from lidar_emu.fmcw.limits import LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
 from lidar_emu.fmcw.modulation import smear_taps
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.returns import Echoes, Returns
-from lidar_emu.plan_receiver import LINE_BOUND_BINS, LINE_BOUND_POWER, SMEAR_BOUND, largest_smear_bins
+from lidar_emu.plan.receiver import LINE_BOUND_BINS, LINE_BOUND_POWER, SMEAR_BOUND, largest_smear_bins
 from lidar_emu.scenario.instrument import Detection, Instrument, Waveform
 
 SHOTS = 64

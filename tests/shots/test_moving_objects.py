@@ -7,13 +7,13 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from lidar_emu.echoes import receive_light
-from lidar_emu.flight import Flight
+from lidar_emu.echo.echoes import receive_light
+from lidar_emu.flight.flight import Flight
+from lidar_emu.flight.pointing import VELOCITY
 from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.plan import plan_flight
-from lidar_emu.pointing import VELOCITY
-from lidar_emu.rotations import dot
-from lidar_emu.shots import simulate
+from lidar_emu.numerics.rotations import dot
+from lidar_emu.plan.plan import plan_flight
+from lidar_emu.shots.model import simulate
 
 PAD = {"name": "deck", "kind": "pad", "diameter_m": 2000, "height_m": 2, "up_m": 0}
 TILT = {"attitude": {"roll_deg": 3, "pitch_deg": 2, "yaw_deg": 30, "body_rate_radps": [0.02, 0.05, -0.02]}}
@@ -80,7 +80,7 @@ def test_the_receiver_measures_it(make_flight) -> None:
 
 @pytest.mark.parametrize("block", [1, 5])
 def test_blocks_make_no_difference(make_flight, block: int) -> None:
-    from lidar_emu.shots import build_model, measure_in_blocks
+    from lidar_emu.shots.model import build_model, measure_in_blocks
 
     objects = [
         moving([3.0, 0.0, 0.0], diameter_m=60),

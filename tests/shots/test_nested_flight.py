@@ -7,11 +7,11 @@ import pytest
 
 import lidar_emu
 from lidar_emu.errors import InputError
-from lidar_emu.flight import Flight
-from lidar_emu.ground.relief import fractional_surface
-from lidar_emu.plan import plan_flight
+from lidar_emu.flight.flight import Flight
+from lidar_emu.plan.plan import plan_flight
 from lidar_emu.scene.cut import CutGround
-from lidar_emu.scene.joined import grids
+from lidar_emu.scene.generated.relief import fractional_surface
+from lidar_emu.scene.mosaic import grids
 
 SCENARIO = """
 name: nested
@@ -97,7 +97,7 @@ def test_same_measurements_before_and_after_the_cut(folder, monkeypatch):
 
 
 def test_a_misalignment_ordered_in_flight_finds_its_ground(folder, monkeypatch):
-    from lidar_emu.shots import build_model, measure_whole
+    from lidar_emu.shots.model import build_model, measure_whole
 
     faults = "[{kind: misalignment, from_s: 3, tilt_mrad: [400, 300]}]"
     expected = lidar_emu.simulate(load(folder, nested(), faults))

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from lidar_emu.errors import InputError
-from lidar_emu.geometry import file
 from lidar_emu.report import geometry_export
 from lidar_emu.report.geometry_export import record_geometry
 from lidar_emu.scenario.load import load
-from lidar_emu.shots import build_model, measure_in_blocks, simulate
+from lidar_emu.shots.model import build_model, measure_in_blocks, simulate
 
 OVER_GROUND = {"duration_s": "12", "timing.rate_hz": "25"}
 
@@ -41,7 +40,7 @@ def recorded(tmp_path_factory):
     """Over a grid: 300 shots of 4 beams with 7 beamlets, misaligned in between; three blocks of them."""
     path = tmp_path_factory.mktemp("geometry") / "flight.npz"
     with pytest.MonkeyPatch.context() as patch:
-        for module in (file, geometry_export):
+        for module in (recorded_file, geometry_export):
             patch.setattr(module, "BLOCK_SHOTS", 128)
         about = record_geometry(flown(WAY), path)
     assert (about.shots, about.beams, about.beamlets) == (300, 4, 7)
@@ -223,7 +222,7 @@ def test_a_file_that_was_cut_damaged_or_is_none_is_refused(recorded, tmp_path):
 def test_neither_ground_nor_trajectory_is_built(recorded, monkeypatch):
     scenario = flown({**WAY, "level": "statistical"})
     for name in ("build_ground", "build_trajectory"):
-        monkeypatch.setattr(f"lidar_emu.flight.{name}", None)
+        monkeypatch.setattr(f"lidar_emu.flight.flight.{name}", None)
     model = build_model(scenario, recorded)
     next(measure_in_blocks(model))
     (told,) = [d for d in model.plan.decisions if d.stage == "trajectory, ground, casting"]

@@ -6,7 +6,7 @@ import numpy as np
 
 from lidar_emu.measurement import Measurement
 from lidar_emu.scenario.load import load
-from lidar_emu.shots import build_model, measure_in_blocks
+from lidar_emu.shots.model import build_model, measure_in_blocks
 
 STEPS = 5
 SCAN = {

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 
 from lidar_emu.scenario.load import load
-from lidar_emu.shots import simulate
+from lidar_emu.shots.model import simulate
 
 SETTINGS = {"duration_s": "0.1", "instrument.detection": "{peak: hann, combine: least_squares}"}
 CODE = (

@@ -12,7 +12,7 @@ from outcomes import Extreme, Outcome, check_report, compare, joined
 from lidar_emu.fmcw.build import build_receiver
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver import receive
-from lidar_emu.waveform.measure import Footprint, measure_waveform
+from lidar_emu.fmcw.waveform.measure import Footprint, measure_waveform
 
 _JOINT = plain(peak="hann", combine="least_squares")
 _SNR = 1e14

@@ -13,7 +13,7 @@ import pytest
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.trajectory import Table
-from lidar_emu.shots import build_model, measure_whole
+from lidar_emu.shots.model import build_model, measure_whole
 from lidar_emu.trajectory.build import build_trajectory
 
 FILE = (

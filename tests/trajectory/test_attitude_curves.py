@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.rotations import SITE_FROM_NED
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.rotations import SITE_FROM_NED
 from lidar_emu.trajectory.attitude import Attitude, EulerAttitude
 from lidar_emu.trajectory.curve import through
 from lidar_emu.trajectory.quaternion import QuaternionAttitude

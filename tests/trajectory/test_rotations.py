@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lidar_emu.rotations import (
+from lidar_emu.numerics.rotations import (
     chained,
     cross,
     dot,

@@ -11,9 +11,9 @@ from typing import Protocol
 from far_ends import FarEnd
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Outgoing
-from lidar_emu.runtime.run import PortRunner
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Outgoing
+from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.link import Fate, Link
 from lidar_emu.transports.opening import opener
 

@@ -20,9 +20,9 @@ from lidar_emu.fmcw.spectrum import (
     lay_bins,
     set_tones,
 )
+from lidar_emu.fmcw.waveform.detect import transform
+from lidar_emu.fmcw.waveform.samples import Beamlets, Segment, frequency_plan, sample_record
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
-from lidar_emu.waveform.detect import transform
-from lidar_emu.waveform.samples import Beamlets, Segment, frequency_plan, sample_record
 
 WINDOW_NAMES = ["rect", "hann", "hamming"]
 SHORT = Waveform(fft_length=4096, sample_rate_hz=600e6 / 32)

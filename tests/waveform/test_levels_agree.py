@@ -24,6 +24,9 @@ from lidar_emu.fmcw.model import ReceiverModel
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.fmcw.waveform.level import measure_echoes
+from lidar_emu.fmcw.waveform.measure import Footprint, Measurement, measure_waveform
+from lidar_emu.fmcw.waveform.receive import Response, noise_level
 from lidar_emu.probability.fading import detection_probability, shared_fade_probability
 from lidar_emu.probability.false_lock import false_lock_probability
 from lidar_emu.scenario.instrument import (
@@ -35,9 +38,6 @@ from lidar_emu.scenario.instrument import (
     Receiver,
     Waveform,
 )
-from lidar_emu.waveform.level import measure_echoes
-from lidar_emu.waveform.measure import Footprint, Measurement, measure_waveform
-from lidar_emu.waveform.receive import Response, noise_level
 
 BRIGHT_OSCILLATOR = Receiver(
     local_oscillator_power_w=1e6,

@@ -12,12 +12,12 @@ from scipy.stats import ncx2
 
 from lidar_emu.fmcw import estimate
 from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.waveform.combine import chirp_minus_doppler, least_squares
+from lidar_emu.fmcw.waveform.detect import TARGETS, find_peaks, find_targets, transform, window_noise_power
+from lidar_emu.fmcw.waveform.measure import Footprint, measure_waveform
+from lidar_emu.fmcw.waveform.receive import Digitiser
+from lidar_emu.fmcw.waveform.samples import Beamlets, frequency_plan, sample_record
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
-from lidar_emu.waveform.combine import chirp_minus_doppler, least_squares
-from lidar_emu.waveform.detect import TARGETS, find_peaks, find_targets, transform, window_noise_power
-from lidar_emu.waveform.measure import Footprint, measure_waveform
-from lidar_emu.waveform.receive import Digitiser
-from lidar_emu.waveform.samples import Beamlets, frequency_plan, sample_record
 
 FINE = Detection(peak="hann", combine="least_squares")
 SMALL = Waveform(fft_length=256, sample_rate_hz=600e6 / 512)
@@ -149,7 +149,7 @@ def test_blocks_do_not_change_what_is_drawn(monkeypatch: pytest.MonkeyPatch) -> 
     weight = np.full((7, 3, 1), 6.0 + 0j)
     beam = Footprint(np.array([100.0]), np.array([1.0]), weight)
     whole = measure_waveform(SMALL, Detection(), beam, rng=np.random.default_rng(3), keep_bins=True)
-    monkeypatch.setattr("lidar_emu.waveform.measure._BLOCK_SAMPLES", 512)
+    monkeypatch.setattr("lidar_emu.fmcw.waveform.measure._BLOCK_SAMPLES", 512)
     parts = measure_waveform(SMALL, Detection(), beam, rng=np.random.default_rng(3), keep_bins=True)
     np.testing.assert_array_equal(whole.bins, parts.bins)
     np.testing.assert_array_equal(whole.range_m, parts.range_m)

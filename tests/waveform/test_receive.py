@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
+from lidar_emu.fmcw.waveform.detect import transform, window_noise_power
+from lidar_emu.fmcw.waveform.line import draw_drift
+from lidar_emu.fmcw.waveform.receive import FLAT, Digitiser, Response, draw_noise, noise_level, receive_record
+from lidar_emu.fmcw.waveform.samples import Beamlets, frequency_plan, phasor, sample_record
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
-from lidar_emu.waveform.detect import transform, window_noise_power
-from lidar_emu.waveform.line import draw_drift
-from lidar_emu.waveform.receive import FLAT, Digitiser, Response, draw_noise, noise_level, receive_record
-from lidar_emu.waveform.samples import Beamlets, frequency_plan, phasor, sample_record
 
 RATE_HZ = 20e6
 WAVEFORM = Waveform(fft_length=2048, sample_rate_hz=RATE_HZ)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
-from lidar_emu.waveform.samples import (
+from lidar_emu.fmcw.waveform.samples import (
     Beamlets,
     Segment,
     frequency_plan,
@@ -15,6 +14,7 @@ from lidar_emu.waveform.samples import (
     record_times,
     sample_record,
 )
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
 
 C = mpf(SPEED_OF_LIGHT_MPS)
 SHORT = Waveform(fft_length=256, sample_rate_hz=600e6 / 512)

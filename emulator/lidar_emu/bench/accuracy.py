@@ -35,8 +35,8 @@ from lidar_emu.bench.spectra import SpectrumMethod, compare_spectra
 from lidar_emu.bench.stopwatch import median_times_s
 from lidar_emu.bench.work_precision import cheapest, pareto_front
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.flight import Flight
-from lidar_emu.levels import Level, build_level
+from lidar_emu.flight.flight import Flight
+from lidar_emu.fmcw.levels import Level, build_level
 from lidar_emu.scenario.schema import FlightScenario
 
 _TIMED_SHOTS = 16

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from lidar_emu.campaign.batch import Batch, Orders, fly_batch
-from lidar_emu.campaign.fly import fly_campaign
 from lidar_emu.campaign.pools import LocalPool, one_thread_each
 from lidar_emu.campaign.read import Prepared, prepare
+from lidar_emu.campaign.run import fly_campaign
 from lidar_emu.campaign.tables import column_kinds
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.shots import build_model
+from lidar_emu.shots.model import build_model
 
 CAMPAIGN = "dispersed_descent.yaml"
 LEVELS = ("statistical", "spectral")

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.bench.casting_exact import SiteFrame, exact_range_m, lunar_site
 from lidar_emu.bench.casting_peers import Tracer, installed_peers
 from lidar_emu.bench.casting_scene import (
@@ -29,6 +28,7 @@ from lidar_emu.bench.casting_scene import (
     unrelated,
 )
 from lidar_emu.bench.stopwatch import median_times_s
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.hits import Hits

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.scene.grid.ground import Samples
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.scene.grid.samples import Samples
 
 Point = list[Fraction]
 

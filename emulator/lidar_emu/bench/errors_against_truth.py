@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 
 _SHARES = np.arange(0.01, 0.995, 0.01)
 """Quantiles 1 % to 99 %: beyond them a single false lock, kilometres off, would outweigh a thousand measurements."""

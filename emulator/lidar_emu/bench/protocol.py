@@ -9,6 +9,7 @@ from math import floor
 from typing import Final, NamedTuple
 
 from lidar_emu.bench.stopwatch import median_times_s
+from lidar_icd.example import BEAMS, HEADER
 from lidar_protocol import (
     CanFrame,
     CanReceiver,
@@ -22,7 +23,6 @@ from lidar_protocol import (
 from lidar_protocol import packet as packets
 from lidar_protocol.can_frames import addresses
 from lidar_protocol.crc import CRCS, Crc
-from lidar_protocol.example import BEAMS, HEADER
 from lidar_protocol.fields import Counter, Field, Number, Time, Value
 from lidar_protocol.layout import Layout
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft, ifft
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.spectrum import Window
-from lidar_emu.kernels import CACHED, njit
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import CACHED, njit
 
 Deposit = Literal["nearest", "cubic"]
 """A tone on the grid's nearest point, or on four by Lagrange's cubic."""

@@ -13,21 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.arrays import IntArray
 from lidar_emu.bench.cyclictest import Cyclictest
 from lidar_emu.bench.realtime_helper import Helper
 from lidar_emu.bench.realtime_statistics import NEVER, Side, Window, windows
+from lidar_emu.numerics.arrays import IntArray
 from lidar_emu.recording.write import Recorder
-from lidar_emu.runtime.fly import Run
+from lidar_emu.runtime.feed.packet_queue import payload_of
 from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.outbox import payload_of
-from lidar_emu.runtime.packets import Fate, Outgoing, Report
-from lidar_emu.runtime.run_options import RunOptions
+from lidar_emu.runtime.options import RunOptions
+from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.run import Run
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.session import Block
-from lidar_emu.shots import build_model
+from lidar_emu.shots.model import build_model
 from lidar_emu.transports.spec import Kind, PortSpec
 
 _BAUD = 3_000_000

@@ -14,8 +14,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from lidar_emu.arrays import IntArray
 from lidar_emu.errors import RunError
+from lidar_emu.numerics.arrays import IntArray
 
 
 class Helper:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lidar_emu.arrays import BoolArray, IntArray
+from lidar_emu.numerics.arrays import BoolArray, IntArray
 
 WINDOW_NS = 1_000_000_000
 NEVER = -1

@@ -12,17 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.arrays import IntArray
 from lidar_emu.bench.realtime_helper import Helper
 from lidar_emu.bench.realtime_statistics import NEVER
+from lidar_emu.numerics.arrays import IntArray
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.fly import Run
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.packets import Outgoing, Report
-from lidar_emu.runtime.run_options import RunOptions
+from lidar_emu.runtime.options import RunOptions
+from lidar_emu.runtime.port.packets import Outgoing, Report
+from lidar_emu.runtime.run import Run
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.shots import FlightModel, build_model
+from lidar_emu.shots.model import FlightModel, build_model
 from lidar_emu.transports.spec import Kind, PortSpec
 
 _BAUD = 3_000_000

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.bench.errors_against_truth import ErrorSpread, spread
-from lidar_emu.echoes import receive_light
-from lidar_emu.flight import Flight
+from lidar_emu.echo.echoes import receive_light
+from lidar_emu.flight.flight import Flight
+from lidar_emu.fmcw.levels import build_level
 from lidar_emu.fmcw.returns import Echoes, Returns
-from lidar_emu.levels import build_level
-from lidar_emu.rotations import dot
+from lidar_emu.numerics.rotations import dot
 from lidar_emu.scenario.schema import FlightScenario
 
 BEAMLETS = (1, 7, 19, 37, 61, 127)

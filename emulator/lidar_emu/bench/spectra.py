@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.bench.published_spectrum import Deposit, build_published_spectrum, published_bins
 from lidar_emu.bench.settings import light
 from lidar_emu.bench.stopwatch import median_times_s
-from lidar_emu.flight import Flight
+from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.build import build_receiver
 from lidar_emu.fmcw.cauchy import TONES_PER_DIVISION, are_close, set_close_tones
 from lidar_emu.fmcw.field import echo_field
@@ -33,7 +32,8 @@ from lidar_emu.fmcw.spectrum import (
     windowed_bin,
 )
 from lidar_emu.fmcw.tones import signed_bin
-from lidar_emu.kernels import CACHED, njit
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import CACHED, njit
 from lidar_emu.scenario.schema import FlightScenario
 
 BEAMLETS = 61

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.campaign.quantiles import values_at
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.campaign import Campaign, Distribution, JointNormal, Normal
 
 _NEAREST_END = 2.0**-32

@@ -13,8 +13,8 @@ from lidar_emu import __version__
 from lidar_emu.campaign.batch import part_path
 from lidar_emu.campaign.read import Prepared
 from lidar_emu.errors import Finding, InputError, reason_of
+from lidar_emu.files import whole_file
 from lidar_emu.recording.provenance import hashed_files
-from lidar_emu.whole_file import whole_file
 
 _TABLES = ("runs", "beams")
 _STATED = "campaign.json"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property, lru_cache
 
-from lidar_emu.flight import Flight
+from lidar_emu.flight.flight import Flight
 from lidar_emu.scenario.trajectory import Trajectory as TrajectoryPart
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.hits import Scene

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.campaign import (
     Choice,
     Distribution,

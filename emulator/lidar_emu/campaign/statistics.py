@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray, IntArray
+from lidar_emu.numerics.arrays import FloatArray, IntArray
 
 LEVELS = (0.05, 0.5, 0.95)
 """Quantiles that are told."""

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.files import whole_file
 from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.scenario.campaign import Campaign, Choice, Integer
-from lidar_emu.whole_file import whole_file
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.campaign.statistics import AXES, ERRORS, LEVELS, BandStatistics, Estimate
+from lidar_emu.files import whole_file
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.campaign_plot import CampaignColumn
-from lidar_emu.whole_file import whole_file
 
 _LABELS = {
     "altitude_m": "altitude (m)",

@@ -9,8 +9,8 @@ from typing import Any
 from lidar_emu.cli.dashboard import Dashboard
 from lidar_emu.cli.far_end import Decoder, counter_line, reason
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block
 from lidar_emu.transports.frames import unpack_frames

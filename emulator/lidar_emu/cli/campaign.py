@@ -17,9 +17,9 @@ from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
-    from lidar_emu.campaign.fly import Progress
     from lidar_emu.campaign.pools import Pool
     from lidar_emu.campaign.read import Prepared
+    from lidar_emu.campaign.run import Progress
 
 _STATISTICS = "statistics.csv"
 
@@ -103,8 +103,8 @@ def _pool_maker(slots: int, scheduler: str | None) -> Callable[[], Pool]:
 
 
 def _fly(prepared: Prepared, out: Path, make_pool: Callable[[], Pool]) -> Progress:
-    from lidar_emu.campaign.fly import fly_campaign
-    from lidar_emu.shots import build_model, initial_state, measure
+    from lidar_emu.campaign.run import fly_campaign
+    from lidar_emu.shots.model import build_model, initial_state, measure
 
     with busy(COMPILING):
         # Once, here: the workers find the kernels compiled.

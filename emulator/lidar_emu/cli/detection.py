@@ -14,7 +14,7 @@ from lidar_emu.cli.options import load_scenario, scenario_argument, settings_opt
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
-    from lidar_emu.detection_forecast import DetectionForecast
+    from lidar_emu.plan.detection_forecast import DetectionForecast
     from lidar_emu.scenario.schema import FlightScenario
 
 _TABLE_ALTITUDES, _PLOT_ALTITUDES = 16, 200
@@ -68,7 +68,7 @@ def detection(
         )
     import numpy as np
 
-    from lidar_emu.detection_forecast import forecast_detection
+    from lidar_emu.plan.detection_forecast import forecast_detection
 
     def forecast(count: int) -> DetectionForecast:
         return forecast_detection(flown, np.geomspace(low_m, high_m, count))

@@ -64,7 +64,7 @@ def icd(out: str, name: str) -> None:
     lidar-emu icd --interface my.toml --out docs/
     """
     from lidar_emu.wire import interface_named
-    from lidar_protocol import documents
+    from lidar_icd import documents
 
     folder = Path(out)
     if not folder.is_dir():

@@ -12,9 +12,9 @@ from lidar_emu.cli.options import load_scenario, scenario_argument, settings_opt
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
-    from lidar_emu.arrays import FloatArray
-    from lidar_emu.ground.compare import Comparison
+    from lidar_emu.numerics.arrays import FloatArray
     from lidar_emu.scenario.generated_ground import Generated
+    from lidar_emu.scene.generated.compare import Comparison
 
 
 @click.command(short_help="Make generated ground: see it, measure it, export it.")
@@ -40,9 +40,9 @@ def ground(
     asked = _generated(scenario, settings)
     import numpy as np
 
-    from lidar_emu.ground.compare import compare
-    from lidar_emu.ground.generate import generate
-    from lidar_emu.ground.kept import keep
+    from lidar_emu.scene.generated.compare import compare
+    from lidar_emu.scene.generated.generate import generate
+    from lidar_emu.scene.generated.kept import keep
 
     layers = generate(asked)
     elevation_m = layers.elevation_m(asked)
@@ -104,7 +104,7 @@ def _whole(asked: Generated, elevation_m: FloatArray) -> dict[str, Any]:
     """What nobody asked for by itself, since relief, craters and rocks all have a share in it."""
     import numpy as np
 
-    from lidar_emu.ground.statistics import doubling_lags, structure_function
+    from lidar_emu.scene.generated.statistics import doubling_lags, structure_function
 
     lags = doubling_lags(len(elevation_m), 1 / 8)
     distance_m = lags * asked.spacing_m

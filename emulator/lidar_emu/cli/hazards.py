@@ -12,7 +12,7 @@ from lidar_emu.cli.options import load_scenario, scenario_argument, settings_opt
 from lidar_emu.cli.progress import COMPILING, busy
 
 if TYPE_CHECKING:
-    from lidar_emu.arrays import FloatArray
+    from lidar_emu.numerics.arrays import FloatArray
     from lidar_emu.report.hazards import Band
 
 
@@ -34,7 +34,7 @@ def hazards(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
     flown = load_scenario(scenario, None, None, settings)
     from lidar_emu.report.hazards import bands_of, cloud_of, touched_shares
     from lidar_emu.scenario.required import require_flight, require_known_flight
-    from lidar_emu.shots import FlightModel
+    from lidar_emu.shots.model import FlightModel
 
     require_known_flight(flown)
     with busy(COMPILING):

@@ -34,7 +34,7 @@ def plan(
     lidar-emu plan my.yaml --json
     lidar-emu plan descent.yaml --geometry flight.npz
     """
-    from lidar_emu.shots import build_model
+    from lidar_emu.shots.model import build_model
 
     flown = load_scenario(scenario, duration, seed, settings, exact)
     decisions = build_model(flown, None if geometry is None else Path(geometry)).plan.decisions

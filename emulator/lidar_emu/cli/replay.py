@@ -14,8 +14,8 @@ from lidar_emu.cli.options import as_number, require_port
 from lidar_emu.cli.output import say, write_text
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import Finding, InputError, RunError
+from lidar_emu.files import check_destination
 from lidar_emu.transports.options import port_options
-from lidar_emu.whole_file import check_destination
 
 if TYPE_CHECKING:
     from lidar_emu.recording.traffic import Traffic
@@ -95,7 +95,7 @@ def _send(
     from lidar_emu.cli.replay_display import replay_lines
     from lidar_emu.cli.run_display import Announcer, LoopbackView, Progress
     from lidar_emu.recording.traffic import read_traffic
-    from lidar_emu.runtime.pacing import Pace
+    from lidar_emu.runtime.port.pacing import Pace
     from lidar_emu.runtime.replay import Replay
     from lidar_emu.transports.spec import Kind
     from lidar_protocol import default_interface

@@ -12,7 +12,7 @@ import click
 from lidar_emu.cli.output import say
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.whole_file import check_destination
+from lidar_emu.files import check_destination
 
 if TYPE_CHECKING:
     from lidar_emu.report.flown import Flown
@@ -72,7 +72,7 @@ def report(
     if at_s and page is None and folder is None:
         raise InputError("--spectra-at", None, spectra_at[0], "allowed: with --html or --figures")
     if page is not None or folder is not None:
-        from lidar_emu.whole_file import check_extra
+        from lidar_emu.files import check_extra
 
         check_extra(Path("figure.png"), "matplotlib", "plots")
     from lidar_emu.cli.report_display import contents_lines

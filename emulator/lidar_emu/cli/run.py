@@ -16,8 +16,8 @@ from lidar_emu.cli.options import load_scenario, plain_option, scenario_options
 from lidar_emu.cli.output import say, write_text
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import InputError, RunError
+from lidar_emu.files import check_destination
 from lidar_emu.transports.options import port_options
-from lidar_emu.whole_file import check_destination
 
 if TYPE_CHECKING:
     from lidar_emu.cli.dashboard import Dashboard
@@ -86,14 +86,14 @@ def run(
         raise InputError("--summary", None, summary_file, "it is the recording; allowed: another file")
     from lidar_emu.cli.dashboard import Dashboard, has_terminal
     from lidar_emu.cli.run_display import Announcer, LoopbackView, Progress, summary_lines
-    from lidar_emu.runtime.fly import Run
-    from lidar_emu.runtime.pacing import Pace
-    from lidar_emu.runtime.run_options import RunOptions
+    from lidar_emu.runtime.options import RunOptions
+    from lidar_emu.runtime.port.pacing import Pace
+    from lidar_emu.runtime.run import Run
     from lidar_emu.transports.spec import Kind
 
     flown = load_scenario(scenario, duration, seed, settings, exact)
     _check_start(start, flown)
-    from lidar_emu.shots import build_model
+    from lidar_emu.shots.model import build_model
     from lidar_emu.wire import interface_named
 
     interface = interface_named(flown.wire.interface, "scenario", "wire.interface")

@@ -11,7 +11,7 @@ import click
 from lidar_emu.cli.far_end import Decoder, Screen, counter_line
 from lidar_emu.cli.output import say
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.runtime.port.packets import Outgoing, Report
 from lidar_emu.runtime.summary import Tally
 from lidar_protocol import Interface
 

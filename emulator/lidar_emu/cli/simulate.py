@@ -57,7 +57,7 @@ def simulate(
         check_plot_path(Path(plot))
     flown = load_scenario(scenario, duration, seed, settings, exact)
     from lidar_emu.scenario.required import require_known_flight
-    from lidar_emu.shots import FlightModel, build_model, measure_whole
+    from lidar_emu.shots.model import FlightModel, build_model, measure_whole
 
     require_known_flight(flown)
     if geometry_out is not None:

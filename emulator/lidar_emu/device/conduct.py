@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.arrays import BoolArray
 from lidar_emu.device.state import DeviceState, Mode, Status
+from lidar_emu.numerics.arrays import BoolArray
 
 
 class Conduct(NamedTuple):

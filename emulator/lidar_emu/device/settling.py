@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.arrays import BoolArray, IntArray
+from lidar_emu.numerics.arrays import BoolArray, IntArray
 
 
 class Settling(NamedTuple):

@@ -11,8 +11,8 @@ from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario
 if TYPE_CHECKING:
     from lidar_emu.faults.measured import BeamFaults
     from lidar_emu.faults.physics import PhysicsFaults
-    from lidar_emu.flight import Flight
-    from lidar_emu.levels import Level
+    from lidar_emu.flight.flight import Flight
+    from lidar_emu.fmcw.levels import Level
 
 _PHYSICS = LightFault | ReceiverFault
 

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import BoolArray
+from lidar_emu.numerics.arrays import BoolArray
 
 Row = NDArray[Any]
 _Held = TypeVar("_Held")

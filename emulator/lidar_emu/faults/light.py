@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import BoolArray, FloatArray
-from lidar_emu.echoes import Spots
+from lidar_emu.echo.echoes import Spots
 from lidar_emu.faults.schedule import Ordered
-from lidar_emu.flight import Flight, Pointing
-from lidar_emu.fmcw.echo import coherent_power_w
+from lidar_emu.flight.flight import Flight, Pointing
+from lidar_emu.flight.pointing import TRUE
+from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.pointing import TRUE
-from lidar_emu.rotations import from_rotation_vector, rotate
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.rotations import from_rotation_vector, rotate
 from lidar_emu.scanner.model import mounting_rotation
 from lidar_emu.scenario import faults as kinds
 from lidar_emu.scenario.schema import FlightScenario

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.faults.hold import Row, hold, resumed
 from lidar_emu.faults.schedule import Injected, Ordered
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.scenario import faults as kinds
 
 Held = dict[str, Row]

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.chance import Chance
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.rewritten import REWRITING, Rewriter
 from lidar_emu.faults.schedule import Injected, Schedule
+from lidar_emu.numerics.random_streams import Chance
 from lidar_emu.scenario import faults as kinds
 from lidar_protocol import CanFrame, DecodeError, Interface
 from lidar_protocol.framing import Stuffed

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import BoolArray
-from lidar_emu.echoes import Spots
+from lidar_emu.echo.echoes import Spots
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.light import LightFaults
 from lidar_emu.faults.receivers import FaultyReceivers
 from lidar_emu.faults.schedule import Injected, Ordered
-from lidar_emu.flight import Flight, Pointing
+from lidar_emu.flight.flight import Flight, Pointing
+from lidar_emu.fmcw.levels import Level
 from lidar_emu.fmcw.returns import Echoes, Returns
-from lidar_emu.levels import Level
+from lidar_emu.numerics.arrays import BoolArray
 from lidar_emu.scenario import faults as kinds
 from lidar_emu.scenario.schema import FlightScenario
 

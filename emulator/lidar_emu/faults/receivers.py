@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import BoolArray
 from lidar_emu.faults.schedule import Ordered
 from lidar_emu.fmcw.build import build_receiver
+from lidar_emu.fmcw.levels import Level
 from lidar_emu.fmcw.model import ReceiverModel
 from lidar_emu.fmcw.receiver import Receiver
 from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.fmcw.variants import decimated, noisier, on_wrong_branch, without_segments
-from lidar_emu.levels import Level
+from lidar_emu.numerics.arrays import BoolArray
 from lidar_emu.scenario import faults as kinds
 from lidar_emu.scenario.schema import FlightScenario
 

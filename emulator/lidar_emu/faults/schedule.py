@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import BoolArray, FloatArray
-from lidar_emu.chance import Chance
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.random_streams import Chance
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.scenario.faults.when import OfBeams
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.chance import Chance
 from lidar_emu.faults.hold import Row, hold
 from lidar_emu.faults.schedule import Injected, Schedule
 from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.random_streams import Chance
 from lidar_emu.scenario import faults as kinds
 
 _IN_METRES = (

@@ -16,7 +16,7 @@ from lidar_emu.fmcw.modulation import (
     smear_taps,
 )
 from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS, signed_bin
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.kernels import kernel
 
 _MOST_TAPS = 512
 _INDICES = 4 * _MOST_TAPS

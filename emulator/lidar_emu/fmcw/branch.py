@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lidar_emu.fmcw.estimate import ALL, CONSTANT, UP, Estimate
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.kernels import kernel
 
 
 @kernel

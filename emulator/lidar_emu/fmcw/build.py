@@ -9,7 +9,6 @@ from scipy.special import chndtr
 
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.constants import BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C, PLANCK_J_S
-from lidar_emu.fmcw.echo import haze_w_per_m, sunlight_over_shot
 from lidar_emu.fmcw.false_alarms import quantile
 from lidar_emu.fmcw.limits import (
     LEAST_FALSE_ALARM,
@@ -17,11 +16,12 @@ from lidar_emu.fmcw.limits import (
     LEAST_LINE_SCATTER_BINS,
     LEAST_SMEAR_BINS,
 )
+from lidar_emu.fmcw.link_budget import haze_w_per_m, sunlight_over_shot
 from lidar_emu.fmcw.model import Haze, ReceiverModel
 from lidar_emu.fmcw.peaks import METHODS
 from lidar_emu.fmcw.response import Response
 from lidar_emu.fmcw.spectrum import WINDOWS, Window
-from lidar_emu.kernels import interpreted
+from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Receiver
 from lidar_emu.scenario.site import Site
 

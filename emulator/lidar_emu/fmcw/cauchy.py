@@ -14,10 +14,10 @@ from math import copysign, pi
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.fmcw.sine import FAST, sin_pi
 from lidar_emu.fmcw.spectrum import BIN
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.sine import FAST, sin_pi
 
 TONES_PER_DIVISION = 4
 """Tones come in multiples of it; fill up with tones of no weight."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
 
 MAX_GROUPS = 4
 """Groups kept of one spectrum, the strongest."""

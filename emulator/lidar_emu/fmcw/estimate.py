@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.kernels import kernel
 
 UP, CONSTANT, DOWN = 1, 2, 4
 """Bits of a mask of segments."""

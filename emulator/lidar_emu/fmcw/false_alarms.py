@@ -6,8 +6,8 @@ from math import exp, expm1, log, log1p
 
 import numpy as np
 
-from lidar_emu.fmcw.philox import uniform_pair
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.philox import uniform_pair
 
 
 @kernel

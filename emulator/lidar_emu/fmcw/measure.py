@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.beam_filter import widest_filter
 from lidar_emu.fmcw.branch import other_branch
 from lidar_emu.fmcw.estimate import DOWN, UP, Estimate, chirp_minus_doppler, least_squares
@@ -21,7 +20,8 @@ from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.fmcw.statistical import draw_targets
 from lidar_emu.fmcw.targets import find_targets
 from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS, gather_beamlets
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
 
 BEAM_RETURN = np.dtype(
     [

@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.cauchy import TONES_PER_DIVISION
 from lidar_emu.fmcw.detect import MAX_GROUPS
 from lidar_emu.fmcw.modulation import LEAST_TAPS
 from lidar_emu.fmcw.response import Response
 from lidar_emu.fmcw.speckle import SLOTS
 from lidar_emu.fmcw.spectrum import REACH, ROWS, grid_capacity
-from lidar_emu.kernels import with_fields
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import with_fields
 
 
 class Haze(NamedTuple):

@@ -10,11 +10,11 @@ from math import cos, erf, exp, factorial, log, pi, sin, sqrt
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.fmcw.philox import complex_normal
-from lidar_emu.fmcw.sine import FAST
 from lidar_emu.fmcw.spectrum import BIN
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.philox import complex_normal
+from lidar_emu.numerics.sine import FAST
 
 LEAST_TAPS = 8
 """Taps on each side of the central one, before a wide smear or line asks for more."""

@@ -24,10 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.fmcw.sine import FAST, sin_pi
 from lidar_emu.fmcw.spectrum import BIN, LOW, NOISE, POWER, TAPS, TOP
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.sine import FAST, sin_pi
 
 BIN_CENTRE, PARABOLA, JACOBSEN, HANN, ABOUTANIOS_MULGREW = range(5)
 METHODS = {

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.measure import BEAM_RETURN, measure_spectra, measure_statistically, prepare
 from lidar_emu.fmcw.model import ReceiverModel, Workspace, as_records, build_workspace
 from lidar_emu.fmcw.returns import Echoes, Returns
-from lidar_emu.kernels import with_fields
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import with_fields
 
 _COLUMNS = tuple(field.name for field in fields(Returns))
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)

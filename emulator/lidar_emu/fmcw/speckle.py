@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.fmcw.philox import fill_complex_normals, unit_phasor
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.philox import fill_complex_normals, unit_phasor
 
 SLOTS = 9
 """Corners kept, by their coordinates modulo 3: a measurement seldom moves by more than a cell."""

@@ -23,10 +23,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.fmcw.philox import fill_complex_normals
-from lidar_emu.fmcw.sine import FAST, sin_pi
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.philox import fill_complex_normals
+from lidar_emu.numerics.sine import FAST, sin_pi
 
 BIN, COS, SIN, NOISE, POWER, TOP, LOW = range(7)
 """Rows of a grid: index k of the bin, cosine and sine of πk/N, mean noise power of the rectangular bin, power

@@ -6,7 +6,6 @@ from math import pi, sin
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.beam_filter import line_variance
 from lidar_emu.fmcw.detect import MAX_GROUPS, find_groups
 from lidar_emu.fmcw.false_alarms import exceeding_bins, noise_peak
@@ -16,7 +15,8 @@ from lidar_emu.fmcw.records import FALSE_ALARM
 from lidar_emu.fmcw.response import noise_level
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, TAPS
 from lidar_emu.fmcw.tones import RANGE_M
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
 
 _PEAK_VARIANCE_TIMES_SNR = 0.5
 """Of the estimators that resolve part of a bin, for peaks in noise, whose bins are not computed."""

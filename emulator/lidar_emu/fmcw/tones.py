@@ -15,14 +15,14 @@ from math import pi, sin, sqrt
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.model import ReceiverModel
-from lidar_emu.fmcw.philox import unit_phasor
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.response import is_flat, tone_gain
-from lidar_emu.fmcw.sine import FAST
 from lidar_emu.fmcw.spectrum import fold
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.philox import unit_phasor
+from lidar_emu.numerics.sine import FAST
 
 RANGE_M, RANGE_RATE_MPS, SPEED_MPS, AMPLITUDE, SHARE = range(5)
 """Rows of a beam's beamlets: what returns light, square root of its SNR, and SNR over the root of the beam's."""

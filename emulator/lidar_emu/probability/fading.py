@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaincc, gammaln
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.probability.marcum import marcum_q
 from lidar_emu.probability.noise import threshold_power
 from lidar_emu.probability.quadrature import nodes_and_weights

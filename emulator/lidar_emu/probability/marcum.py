@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erfcx, i0e
 
-from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 
 _TERMS = 50
 _BELL_ABOVE = 25.0

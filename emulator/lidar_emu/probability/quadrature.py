@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from lidar_emu.runtime.packets import Outgoing
+from lidar_emu.runtime.port.packets import Outgoing
 from lidar_emu.transports.frames import unpack_frames
 from lidar_protocol import CanReceiver, Interface, Message, SerialReceiver
 

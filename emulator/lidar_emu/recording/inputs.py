@@ -11,14 +11,14 @@ from lidar_emu.device.machine import initial
 from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.obey import Order
 from lidar_emu.device.rules import all_events
-from lidar_emu.faulty_packets import faulty_packets
+from lidar_emu.faults.encoder import faulty_packets
 from lidar_emu.recording import channels
 from lidar_emu.recording.read import Recording, Told
-from lidar_emu.runtime.feed_on_command import waiting_device
+from lidar_emu.runtime.feed.on_command import waiting_device
 from lidar_emu.scenario.faults.on_order import read_fault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Session
-from lidar_emu.shots import Model
+from lidar_emu.shots.model import Model
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.trajectory.live_datagram import Truth
 from lidar_emu.wire import Encoder

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar_emu import __version__
-from lidar_emu.runtime.run_options import RunOptions
+from lidar_emu.runtime.options import RunOptions
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_protocol import SHIPPED
 

@@ -26,7 +26,7 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import Channel
 from lidar_emu.recording.mcap_file import ALLOWED, McapFile
-from lidar_emu.runtime.packets import Fate
+from lidar_emu.runtime.port.packets import Fate
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.transports.spec import PortSpec
 from lidar_protocol import DefinitionError, Interface, load

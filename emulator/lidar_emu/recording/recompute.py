@@ -16,14 +16,14 @@ from lidar_emu.recording.inputs import Changes, LiveTruths
 from lidar_emu.recording.mcap_file import ALLOWED
 from lidar_emu.recording.provenance import build, hashed_files, interface_text
 from lidar_emu.recording.read import Packets, Recording
-from lidar_emu.runtime.on_order import packets_on_order
-from lidar_emu.runtime.outbox import outgoing
-from lidar_emu.runtime.packets import Fate, Outgoing
-from lidar_emu.runtime.prepared import rules_of
-from lidar_emu.runtime.run_options import RunOptions
+from lidar_emu.runtime.feed.packet_queue import outgoing
+from lidar_emu.runtime.options import RunOptions
+from lidar_emu.runtime.port.packets import Fate, Outgoing
+from lidar_emu.runtime.port_faults import packets_on_order
+from lidar_emu.runtime.prepare import rules_of
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Session
-from lidar_emu.shots import BLOCK_SHOTS, FlightModel, Model, build_model
+from lidar_emu.shots.model import BLOCK_SHOTS, FlightModel, Model, build_model
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.transports.spec import Kind
 from lidar_emu.wire import Encoder

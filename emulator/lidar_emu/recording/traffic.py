@@ -15,7 +15,7 @@ from lidar_emu.recording.mcap_file import MAGIC as MCAP_MAGIC
 from lidar_emu.recording.mcap_file import first_bytes
 from lidar_emu.recording.pcap import MAGICS, NEXT_GENERATION_MAGIC, read_capture
 from lidar_emu.recording.read import Recording, read_recording
-from lidar_emu.runtime.packets import Fate, Outgoing
+from lidar_emu.runtime.port.packets import Fate, Outgoing
 from lidar_emu.transports.spec import Kind
 
 _ALLOWED = (

@@ -23,10 +23,10 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import Channel
 from lidar_emu.recording.provenance import provenance
-from lidar_emu.runtime.heard import Heard
+from lidar_emu.runtime.device_link.received_command import Heard
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.packets import Outgoing, Report
-from lidar_emu.runtime.run_options import RunOptions
+from lidar_emu.runtime.options import RunOptions
+from lidar_emu.runtime.port.packets import Outgoing, Report
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.files import whole_file
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.descent_plot import check_plot_path
-from lidar_emu.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import check_destination, check_extra, whole_file
 from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.ground_below import Extent, extent_of, sample_ground, slope_to_sun
-from lidar_emu.whole_file import check_destination, check_extra, whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,10 +11,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import check_destination, check_extra, whole_file
 from lidar_emu.measurement import Measurement
-from lidar_emu.whole_file import check_destination, check_extra, whole_file
+from lidar_emu.numerics.arrays import FloatArray
 
 _PLY_VERTEX = np.dtype(
     [

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.report.ground_below import extent_of, sample_ground, slope_to_sun
 from lidar_emu.report.page_style import GRID, Drawing, beam_points, draw, name_beams, points
 

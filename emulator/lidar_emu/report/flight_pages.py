@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.plan import Plan
+from lidar_emu.plan.plan import Plan
 from lidar_emu.report import flight_figures, run_figures
 from lidar_emu.report.flown import Flown
 from lidar_emu.report.page_style import Drawing
 from lidar_emu.report.spectra import CannotHearError, choose, draw_spectra, listen
-from lidar_emu.shots import FlightModel, Model, build_model
+from lidar_emu.shots.model import FlightModel, Model, build_model
 
 
 class Figures(NamedTuple):

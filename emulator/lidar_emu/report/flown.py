@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.recording import channels
 from lidar_emu.recording.read import Packets, Recording, Told
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Fate, Report
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Fate, Report
 from lidar_emu.runtime.summary import Tally
 
 

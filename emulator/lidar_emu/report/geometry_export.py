@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar_emu.echoes import Light
-from lidar_emu.geometry.conditions import conditions
-from lidar_emu.geometry.file import BLOCK_SHOTS, About, GeometryWriter
+from lidar_emu.echo.echoes import Light
+from lidar_emu.files import whole_file
+from lidar_emu.flight.recorded_conditions import conditions
+from lidar_emu.flight.recorded_file import BLOCK_SHOTS, About, GeometryWriter
 from lidar_emu.scenario.required import require_known_flight
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.shots import FlightModel
-from lidar_emu.whole_file import whole_file
+from lidar_emu.shots.model import FlightModel
 
 
 def record_geometry(scenario: FlightScenario, path: Path) -> About:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import FloatArray
 
 if TYPE_CHECKING:
     from lidar_emu.scene.hits import Scene

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lidar_emu.errors import InputError
+from lidar_emu.files import check_destination, check_extra, whole_file
 from lidar_emu.scenario.generated_ground import Generated
-from lidar_emu.whole_file import check_destination, check_extra, whole_file
 
 Elevation = npt.NDArray[np.float32]
 

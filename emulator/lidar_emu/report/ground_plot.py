@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.ground.compare import Comparison, asked_number
-from lidar_emu.ground.generate import Layers
-from lidar_emu.ground.population import Population
-from lidar_emu.ground.statistics import doubling_lags, structure_function
+from lidar_emu.files import whole_file
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.descent_plot import check_plot_path
 from lidar_emu.scenario.generated_ground import Generated, diameter_range_m
-from lidar_emu.whole_file import whole_file
+from lidar_emu.scene.generated.compare import Comparison, asked_number
+from lidar_emu.scene.generated.generate import Layers
+from lidar_emu.scene.generated.population import Population
+from lidar_emu.scene.generated.statistics import doubling_lags, structure_function
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,10 +8,10 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from lidar_emu.plan import Plan
+from lidar_emu.files import whole_file
+from lidar_emu.plan.plan import Plan
 from lidar_emu.report.flown import Flown
 from lidar_emu.report.page_style import Drawing, as_svg
-from lidar_emu.whole_file import whole_file
 
 _LABEL_WIDTH = 11
 """Of a line of the summary."""

@@ -9,7 +9,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lidar_emu.whole_file import whole_file
+from lidar_emu.files import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import FloatArray, IntArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.fmcw.build import build_receiver
 from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.fmcw.waveform.level import listen_to_beam
+from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.scanner.model import ScannerState
-from lidar_emu.shots import BLOCK_SHOTS, FlightModel
-from lidar_emu.waveform.level import listen_to_beam
+from lidar_emu.shots.model import BLOCK_SHOTS, FlightModel
 
 _LEAST_APART_BINS = 8.0
 """Between two targets that the spectrum keeps apart."""

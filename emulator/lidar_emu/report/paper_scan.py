@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.files import whole_file
 from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.report.descent_plot import check_plot_path
 from lidar_emu.report.paper_echoes import TwoTargets
-from lidar_emu.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.recording.read import Told
 from lidar_emu.report.flown import Flown
 from lidar_emu.report.page_style import Drawing, draw

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.fmcw.build import build_receiver
+from lidar_emu.fmcw.waveform.level import listen_to_beam
 from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.page_style import Drawing, draw
-from lidar_emu.shots import FlightModel
-from lidar_emu.waveform.level import listen_to_beam
+from lidar_emu.shots.model import FlightModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import check_destination, whole_file
 from lidar_emu.recording.can_log import write_log
 from lidar_emu.recording.link_layers import (
     RAW_IP,
@@ -20,7 +21,6 @@ from lidar_emu.recording.pcap import PcapWriter
 from lidar_emu.recording.traffic import Traffic
 from lidar_emu.transports.frames import unpack_frames
 from lidar_emu.transports.spec import Kind
-from lidar_emu.whole_file import check_destination, whole_file
 
 _CAPTURE, _LOGS = ".pcap", (".log", ".asc", ".blf")
 WIRE_SUFFIXES = (_CAPTURE, *_LOGS)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from lidar_emu.files import whole_file
 from lidar_emu.report.descent_plot import check_plot_path
-from lidar_emu.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

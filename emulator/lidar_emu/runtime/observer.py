@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from datetime import datetime
 
-from lidar_emu.runtime.heard import Heard
-from lidar_emu.runtime.packets import Outgoing, Report
+from lidar_emu.runtime.device_link.received_command import Heard
+from lidar_emu.runtime.port.packets import Outgoing, Report
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.session import Block
 

@@ -7,15 +7,15 @@ from contextlib import suppress
 from datetime import datetime, timedelta
 from typing import Any
 
-from lidar_emu.runtime.child import PortDiedError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.events import EventLog, told
-from lidar_emu.runtime.feed import POLL_NS
+from lidar_emu.runtime.feed.base import POLL_NS
 from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Outgoing
-from lidar_emu.runtime.run import PortRunner
+from lidar_emu.runtime.port.child import PortDiedError
+from lidar_emu.runtime.port.events import EventLog, told
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Outgoing
+from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.transports.spec import PortSpec

@@ -1,296 +1,256 @@
-"""The model's side of the port process: start it, feed it, learn what became of each packet, end it."""
+"""A run: a scenario flown over a port, from its first shot to its summary."""
 
 from __future__ import annotations
 
-import os
-from collections import deque
-from collections.abc import Sequence
-from types import TracebackType
-from typing import Any, Self
+import gc
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from datetime import datetime, timedelta
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
-from lidar_emu.errors import InputError, RunError
-from lidar_emu.runtime.child import PortChild, complaints
+from lidar_emu.device.rules import Event
+from lidar_emu.runtime.abort_on_late import LateEnds
+from lidar_emu.runtime.change_queue import Changes
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.events import LinkEvent
-from lidar_emu.runtime.loopback_end import LoopbackEnd
-from lidar_emu.runtime.pacing import Pace, WhenLate
-from lidar_emu.runtime.packets import ALERT, NEWS, Outgoing, Report
-from lidar_emu.runtime.port_story import Arrival, PortStory
-from lidar_emu.runtime.ring import Ring
-from lidar_emu.runtime.watch import Notice, Watch
-from lidar_emu.transports.spec import Kind, PortSpec
+from lidar_emu.runtime.device_link.build import Front, open_front
+from lidar_emu.runtime.device_link.encoder import Voice
+from lidar_emu.runtime.device_link.final_message import LastWords
+from lidar_emu.runtime.feed.base import Desk, Feed
+from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
+from lidar_emu.runtime.feed.live import LiveFeed
+from lidar_emu.runtime.feed.lockstep import LockstepFeed
+from lidar_emu.runtime.feed.on_command import OnCommandFeed
+from lidar_emu.runtime.feed.packet_queue import Outbox
+from lidar_emu.runtime.feed.truth_source import TruthSource, truth_socket
+from lidar_emu.runtime.lateness import steal_ticks
+from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.options import RunOptions, port_of, start_instant_ns
+from lidar_emu.runtime.outcome import Outcome
+from lidar_emu.runtime.port.child import PortDiedError
+from lidar_emu.runtime.port.events import EventLog, told
+from lidar_emu.runtime.port.pacing import Pace, WhenLate
+from lidar_emu.runtime.port.runner import PortRunner
+from lidar_emu.runtime.prepare import prepared
+from lidar_emu.runtime.realtime import awake_share
+from lidar_emu.runtime.signals import on_signals
+from lidar_emu.runtime.summary import Tally, of_scenario
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+from lidar_emu.shots.model import Model
+from lidar_emu.trajectory.live import LiveTrajectory
 
-_START_LIMIT_NS = 30_000_000_000
-_STOP_LIMIT_NS = 2_000_000_000  # the process itself takes half a second for what is still unread
-_POLL_NS = 2_000_000
-_OPENING_POLL_NS = 100_000_000
+if TYPE_CHECKING:
+    from lidar_emu.runtime.fault_injector import Injector
 
 
-class PortRunner:
-    """A port in a process of its own. Leaving its context ends the process, whatever happened; where that is an error
-    of ours, after its last words (see `prepare`).
-
-    Order of use: `start`; `begin`, before or after the first `push`; `push` and `reports`; `finish`.
+class Run:
+    """One flight of a scenario over a port.
 
     Args:
-        slots: packets that the ring holds: the longest look-ahead.
-        packet_bytes: the longest packet.
-        notice: told when one of the two processes stood still; see `Watch`.
+        scenario: what is flown.
+        model: of the scenario.
+        options: port, pace and start.
+        observers: told of everything, in the loop: they must be quick.
+
+    Raises:
+        InputError: the wire is too slow for the rate, the interface too small for the beams, or the pace is none for
+            this scenario.
     """
 
-    def __init__(self, slots: int = 1024, packet_bytes: int = 4096, notice: Notice | None = None) -> None:
-        self._clock = Clock()
-        self._watch = Watch(self._clock, notice)
-        self._child: PortChild | None = None
-        packets_fd = Ring.create(slots, Outgoing.HEAD_BYTES + packet_bytes)
-        # Reports are fetched at least once in `slots` packets, and as many can be under way: twice that is never full.
-        reports_fd = Ring.create(2 * slots, Report.SIZE_BYTES)
-        self._packets = Ring(packets_fd)
-        self._reports = Ring(reports_fd)
-        self._fetched: deque[Report] = deque()
-        self._slots, self._uncollected = slots, 0
-        doorbell_fd, self._doorbell = os.pipe()
-        os.set_blocking(self._doorbell, False)
-        self._passed = {"packets": packets_fd, "reports": reports_fd, "doorbell": doorbell_fd}
-        self._far_end: LoopbackEnd | None = None
-        self._begun = False
-        self._closed = False
-        self.told = PortStory()
-        """What the process has said about itself, the port and the link."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    def __init__(
+        self,
+        scenario: FlightScenario | BenchScenario,
+        model: Model,
+        options: RunOptions,
+        observers: list[Observer],
+        clock: Clock | None = None,
     ) -> None:
-        self.close(in_order=kind is None or issubclass(kind, InputError | KeyboardInterrupt))
-
-    def start(self, spec: PortSpec, faults: list[dict[str, Any]] | None = None) -> str:
-        """Start the process and open the port; returns its description.
-
-        Args:
-            spec: the port.
-            faults: of the port, each a `LinkOrder` as a mapping; None: there are none, nor will be.
-
-        Raises:
-            InputError: the port cannot be opened.
-            RunError: the process did not start.
-        """
-        passed = self._passed | complaints()
-        if spec.kind is Kind.LOOPBACK:
-            self._far_end = LoopbackEnd()
-            with self._far_end.device_end as device_end:
-                self._child = PortChild(passed | {"loopback": device_end.fileno()})
-        else:
-            self._child = PortChild(passed)
-        self._child.tell(port=spec.to_json(), faults=faults, **self._child.inherited)
-        deadline_ns = self._clock.now_ns() + _START_LIMIT_NS
-        while not self.told.description:
-            if self._clock.now_ns() > deadline_ns:
-                raise RunError(f"opening {spec} took more than {_START_LIMIT_NS // 10**9} s")
-            self.wait(self._clock.now_ns() + _OPENING_POLL_NS)
-        self.told.start_ns = self._clock.now_ns()
-        return self.told.description
-
-    def begin(
-        self, start_ns: int, late_after_ns: int, pace: Pace, when_late: WhenLate = WhenLate.SKIP
-    ) -> None:
-        """Say when the run starts.
-
-        Args:
-            start_ns: instant of `Clock.now_ns` from which `due_ns` counts.
-            late_after_ns: packets later than this are skipped.
-            pace: see `Pace`.
-            when_late: see `WhenLate`.
-        """
-        self.told.start_ns, self._begun = start_ns, True
-        begin = {"start_ns": start_ns, "late_after_ns": late_after_ns, "pace": pace, "when_late": when_late}
-        self._running().tell(begin=begin)
-        if pace is Pace.WALL:
-            self._watch.begin(start_ns)
-
-    def push(self, packet: Outgoing) -> bool:
-        """Hand over a packet, in the order of the due times; False if the ring is full (see `wait`).
-
-        Raises:
-            ValueError: the packet is longer than `packet_bytes`.
-            PortDiedError: as `wait`.
-        """
-        self._running()
-        self._uncollected += 1
-        if self._uncollected >= self._slots:
-            self._collect()
-        if not self._packets.push(packet.to_bytes()):
-            self._collect()
-            return False
-        self._watch.pushed(packet.due_ns)
-        self._ring()
-        return True
-
-    def alert(self) -> None:
-        """A packet that is due will be pushed within a millisecond: the process had better be awake by then."""
-        self._ring(ALERT)
-
-    def supersede(self, generation: int, from_shot: int) -> None:
-        """Packets of earlier generations are not to be sent any more, from this shot on; they are reported as such."""
-        self._running().tell(supersede=[generation, from_shot, self._packets.written])
-
-    def send_now(self, payload: bytes) -> None:
-        """Send what is no shot, between shots; there is no report."""
-        self._running().tell(send=payload.hex())
-
-    def prepare(self, last_words: bytes) -> None:
-        """What the process is to send, instead of whatever it was given, should ours die; each time anew."""
-        self._running().tell(last_words=last_words.hex())
-
-    def order_fault(self, order: dict[str, Any]) -> None:
-        """One more fault of the port, if there was a list of them at the start."""
-        self._running().tell(fault=order)
-
-    def arrivals(self) -> list[Arrival]:
-        """What arrived on the port since the last call."""
-        arrived, self.told.arrived = self.told.arrived, []
-        return arrived
-
-    def link_events(self) -> list[LinkEvent]:
-        """What happened to the link since the last call; also after `close`."""
-        happened, self.told.happened = self.told.happened, []
-        return happened
-
-    def reports(self) -> list[Report]:
-        """What became of packets since the last call, in the order of `push`; also after `close`.
-
-        Raises:
-            PortDiedError: as `wait`.
-        """
-        if not self._closed:
-            self._collect()
-        fetched, self._fetched = list(self._fetched), deque()
-        return fetched
-
-    def far_end(self) -> bytes:
-        """What the in-memory loopback delivered since the last call; also after `close`.
-
-        It must be fetched as a host would read: an in-memory line can be full, too.
-        """
-        if not self._closed:
-            self._collect()
-        return b"" if self._far_end is None else self._far_end.take()
+        self._ready = prepared(scenario, model, options)
+        self._options, self._timing = options, scenario.timing
+        self._observers = observers
+        self._clock = clock or Clock()
+        self._changes = Changes()
+        self._injector: Injector | None = None
+        self._opening = True
+        self._interrupted = False
+        self._error: str | None = None
+        self._description = ""
+        self._start_utc: datetime | None = None
+        self.start_ns: int | None = None
+        """Instant of the monotonic clock from which due times count; known once observers hear `opened`."""
+        self.tally = Tally(options.pace)
+        self._known = of_scenario(scenario, model)
+        self._process_events = EventLog()
+        self._last_words: LastWords | None = None
 
     @property
-    def pid(self) -> int | None:
-        """The port process; None before `start`."""
-        return None if self._child is None else self._child.pid
+    def warnings(self) -> list[str]:
+        """What the user should know before the run."""
+        return self._ready.warnings
 
-    def wait(self, until_ns: int, readable: Sequence[int] = (), awake: bool = False) -> None:
-        """Sleep, or stay awake, until an instant of the monotonic clock, or until the process says something, the
-        loopback delivers or one of the descriptors is ready. Who stays awake is in a hurry: the process is heard later.
-
-        Raises:
-            PortDiedError: the process died. What it had reported before can still be fetched, after `close`.
-        """
-        descriptors = [*readable, self._running().descriptor]
-        if self._far_end is not None:
-            descriptors.append(self._far_end.fileno())
-        ready, _ = self._clock.wait(until_ns, descriptors, awake=awake)
-        if not (awake and set(readable).intersection(ready)):
-            self._collect()
-
-    def last_packet_pushed(self) -> None:
-        """No more packets will come: `finished` turns true once the process is through with them.
+    def fly(self) -> Outcome:
+        """Run to the end, or until SIGINT (Ctrl-C), SIGTERM or SIGHUP, which end the run as cleanly.
 
         Raises:
-            RunError: the run has not begun.
+            InputError: the port or the truth's address cannot be opened, or the start lies in the past.
+            RunError: the port's process did not start. If it dies later, the run ends with its summary.
         """
-        if not self._begun:
-            raise RunError("the run has not begun")
-        self._running().tell(finish=True)
-        self._ring()
+        stolen = steal_ticks()
+        gc.freeze()  # a collection in mid-flight need not look at all that was built for it
+        ready, live = self._ready, self._ready.live
+        truth_address = truth_socket(live.listen, self._clock) if live else nullcontext()
+        with (
+            truth_address as socket,
+            on_signals(self._interrupt),
+            PortRunner(2 * ready.slots, ready.room_bytes, self._noticed) as port,
+            self._open_injector(port) as self._injector,
+        ):
+            watching = list(self._observers)
+            source = self._source(socket, watching)
+            front, outbox = self._front(port, source, watching)
+            with suppress(KeyboardInterrupt):
+                self._description = port.start(port_of(ready.scenario, self._options), ready.port_faults)
+                self._opening = False
+                with self._outliving_the_port():
+                    self._feed(port, outbox, source, front).fly()
+            port.close()
+            outbox.close()
+            self._changes.close()
+        return Outcome(self.tally, self._details(port, source, front, stolen), self._error)
 
-    @property
-    def finished(self) -> bool:
-        """Every packet was sent, skipped or dropped, and what was sent has left the line or, on a pty, was read;
-        for that the other end has 2 s, and a serial line the time that its bit rate makes it take besides."""
-        return self.told.finished
+    def _open_injector(self, port: PortRunner) -> AbstractContextManager[Injector | None]:
+        """Where faults are ordered in flight."""
+        if self._options.control is None:
+            return nullcontext()
+        from lidar_emu.runtime.fault_injector import Injector
 
-    def finish(self) -> None:
-        """`last_packet_pushed`, and wait until `finished`.
+        return Injector(
+            self._options.control,
+            self._ready.scenario,
+            self._ready.model,
+            self._ready.encoder,
+            self._options,
+            (self._ready.packet_bytes, self._ready.faulty_packet_bytes),
+            port.order_fault,
+            self._expect,
+            self._changes,
+            self._observers,
+        )
 
-        Raises:
-            RunError: the run has not begun, or the process died.
-        """
-        self.last_packet_pushed()
-        while not self.told.finished:
-            self.wait(self._clock.now_ns() + _POLL_NS)
+    def _front(
+        self, port: PortRunner, source: TruthSource | None, watching: list[Observer]
+    ) -> tuple[Front, Outbox]:
+        """What the device hears and says, and the shots' way out; whoever is to know of them watches from now on."""
+        ready, outbox = self._ready, Outbox(port, watching, self.tally, self._ready.slots)
+        voice = Voice(ready.encoder.interface, ready.scenario.wire.unit, ready.is_can, outbox.send_now)
+        front = open_front(voice, ready.device, ready.can_date, self.tally, self._changes, watching)
+        if self._timing.when_process_dies == "safe":
+            self._last_words = LastWords(voice, front.housekeeper, port.prepare)
+        judge = LateEnds(self._fail) if self._timing.when_late == "abort" else None
+        ours = source, judge, front.housekeeper, self._last_words
+        watching += [each for each in ours if each is not None]
+        return front, outbox
 
-    def close(self, in_order: bool = True) -> None:
-        """End the process and give everything back; may be called again.
+    def _expect(self, events: tuple[Event, ...]) -> None:
+        """Of a flight to come, nothing is known to the device before."""
+        if self.start_ns is not None:
+            self._ready.device.expect(events)
 
-        In mid-run the other end still has half a second to fetch what counts as sent.
-
-        Args:
-            in_order: False: the run fails, and the process says its last words.
-        """
-        if self._closed:
-            return
-        self._closed = True
+    @contextmanager
+    def _outliving_the_port(self) -> Iterator[None]:
         try:
-            if self._child is not None:
-                self._stop(self._child, in_order)
-            self._fetch()
-        finally:
-            self._packets.close()
-            self._reports.close()
-            for descriptor in (*self._passed.values(), self._doorbell):
-                os.close(descriptor)
-            if self._far_end is not None:
-                self._far_end.close()
+            yield
+        except PortDiedError as death:
+            self._fail(str(death))
+            if self._last_words is not None:
+                self._last_words.say(self._options.port, self._clock)
 
-    def _stop(self, child: PortChild, in_order: bool) -> None:
-        try:
-            child.hang_up(in_order)
-            deadline_ns = self._clock.now_ns() + _STOP_LIMIT_NS
-            while not child.ended and self._clock.now_ns() < deadline_ns:
-                self._clock.wait(self._clock.now_ns() + _POLL_NS, [child.descriptor])
-                self._drain()
-                self.told.understand(child.hear())
-        finally:
-            # It has ended, or it hangs in a driver.
-            child.kill()
+    def _noticed(self, time_ns: int, what: str) -> None:
+        self._process_events.add(self._process_events.count + 1, time_ns, what)
+        for observer in self._observers:
+            observer.noticed(time_ns, what)
 
-    def _collect(self) -> None:
-        """Take everything that the process has for us.
+    def _source(self, socket: DatagramSocket | None, watching: list[Observer]) -> TruthSource | None:
+        live = self._ready.live
+        if socket is None or live is None:
+            return None
+        trajectory = self._ready.flight.trajectory
+        assert isinstance(trajectory, LiveTrajectory)
+        return TruthSource(socket, trajectory, round(live.stale_after_s * 1e9), watching)
 
-        Raises:
-            InputError: it could not open the port.
-            PortDiedError: it died.
-        """
-        child = self._running()
-        self._fetch()
-        self.told.understand(child.hear())
-        if child.ended:
-            raise child.death()
-        self._watch.look()
+    def _feed(self, port: PortRunner, outbox: Outbox, source: TruthSource | None, front: Front) -> Feed:
+        ready = self._ready
+        desk = Desk(
+            ready.session,
+            outbox,
+            self._clock,
+            self._cut_short,
+            self._fail,
+            lambda start_ns: self._begin(port, start_ns),
+            self._changes,
+            front.commands,
+            self._injector,
+        )
+        start_ns = start_instant_ns(self._options, self._clock)
+        if source is not None and ready.live is not None:
+            self._announce(f"truth on {ready.live.listen}")
+            if self._options.pace is Pace.LOCKSTEP:
+                return LockstepFeed(desk, source, ready.flight)
+            late_after_ns = self._timing.late_after_ns
+            return LiveFeed(desk, source, ready.flight, ready.live, start_ns, late_after_ns, awake_share())
+        fly_from = partial(ready.ahead.feed, desk)
+        if not self._options.on_command:
+            return fly_from(start_ns)
+        self._announce("set_mode acquire or track")
+        return OnCommandFeed(desk, ready.device, front.housekeeper, fly_from, self._began_flight)
 
-    def _fetch(self) -> None:
-        self._uncollected = 0
-        while (entry := self._reports.pop()) is not None:
-            self._fetched.append(report := Report.from_bytes(entry))
-            self._watch.reported(report.packets)
-        self._drain()
+    def _announce(self, what: str) -> None:
+        for observer in self._observers:
+            observer.awaiting(self._description, what)
 
-    def _drain(self) -> None:
-        if self._far_end is not None:
-            self._far_end.drain()
+    def _began_flight(self, waited_ns: int) -> None:
+        for observer in self._observers:
+            observer.began_flight(waited_ns)
 
-    def _running(self) -> PortChild:
-        if self._child is None or self._closed:
-            raise RunError("the port is not open")
-        return self._child
+    def _interrupt(self, *_: object) -> None:
+        """Noted, and acted on between packets: an exception anywhere could lose reports that were just fetched.
+        While the port is being opened there is nothing to lose, and no loop that would look."""
+        self._interrupted = True
+        if self._opening:
+            raise KeyboardInterrupt
 
-    def _ring(self, what: bytes = NEWS) -> None:
-        try:
-            os.write(self._doorbell, what)
-        except BlockingIOError:
-            return  # it has rung often enough to be heard
+    def _cut_short(self) -> bool:
+        return self._interrupted or self._error is not None
+
+    def _fail(self, error: str) -> None:
+        self._error = self._error or error
+
+    def _begin(self, port: PortRunner, start_ns: int) -> None:
+        now_ns, now = self._clock.now_ns(), self._clock.utc_now()
+        self.start_ns, self._start_utc = start_ns, now + timedelta(microseconds=(start_ns - now_ns) / 1000)
+        for observer in self._observers:
+            observer.opened(self._description, self._start_utc)
+        timing = self._timing
+        port.begin(start_ns, timing.late_after_ns, self._options.pace, WhenLate(timing.when_late))
+        if self._last_words is not None:
+            self._last_words.begin()
+
+    def _details(
+        self, port: PortRunner, source: TruthSource | None, front: Front, stolen: int | None
+    ) -> dict[str, Any]:
+        stolen_now = steal_ticks()
+        return {
+            **self._known,
+            "started_utc": None if self._start_utc is None else self._start_utc.isoformat(),
+            "interrupted": self._interrupted,
+            "error": self._error,
+            "port": port.told.description or str(self._options.port),
+            "pace": str(self._options.pace),
+            "steal_ticks": None if stolen is None or stolen_now is None else stolen_now - stolen,
+            **port.told.to_json(self._ready.wire_load),
+            **told("process", self._process_events.count, self._process_events.since(0)),
+            "last_words": None if self._last_words is None else self._last_words.told,
+            **front.to_json(),
+            "faults_in_flight": None if self._injector is None else self._injector.to_json(),
+            "truth": None if source is None else source.to_json(),
+        }

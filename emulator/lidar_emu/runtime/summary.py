@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.expected_error import expected_error
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.plan.expected_error import expected_error
 from lidar_emu.runtime.lateness import LatenessHistogram
-from lidar_emu.runtime.pacing import Pace
-from lidar_emu.runtime.packets import Fate, Report
-from lidar_emu.runtime.windows import LatenessWindows
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Fate, Report
+from lidar_emu.runtime.rolling_lateness import LatenessWindows
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.shots import FlightModel, Model
+from lidar_emu.shots.model import FlightModel, Model
 
 _DROPS = {Fate.DROPPED_FULL: "full", Fate.DROPPED_NOBODY: "nobody_connected", Fate.DROPPED_BROKEN: "broken"}
 

@@ -14,9 +14,9 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.kernels import kernel
-from lidar_emu.rotations import dot_3
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.rotations import dot_3
 
 _OUTERMOST_W = {7: np.sqrt(0.5)}
 _OUTERMOST_OTHERWISE_W = 1.1445706

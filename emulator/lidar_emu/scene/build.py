@@ -79,8 +79,8 @@ def _sphere(part: site.Site, radius_m: float, origin_altitude_m: float) -> Spher
 
 
 def _grids(part: site.Site, grids: list[AnyGrid], feather_m: float | None, reach: Reach | None) -> Scene:
-    from lidar_emu.scene.joined.grids import Beyond, Layer, join_grids
-    from lidar_emu.scene.joined.layers import read_layers
+    from lidar_emu.scene.mosaic.grids import Beyond, Layer, join_grids
+    from lidar_emu.scene.mosaic.layers import read_layers
 
     def read() -> tuple[list[Layer], Beyond]:
         layers, altitude_m = read_layers(part, grids)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.scene.hits import Hits, Scene, contiguous
 from lidar_emu.scene.reach import Span, strays
 from lidar_emu.scene.rectangle import Rectangle

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidar_emu.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 
 NOTHING, GROUND = -1, 0
 """What a ray hits that hits no object, see `Hits.thing`."""

@@ -8,8 +8,8 @@ from decimal import Decimal, localcontext
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import BoolArray, FloatArray
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scene.hits import GROUND, NOTHING, Hits, contiguous
 
 

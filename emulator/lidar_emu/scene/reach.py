@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.arrays import BoolArray, FloatArray
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scene.rectangle import Rectangle
 
 Lines = tuple[FloatArray, FloatArray]

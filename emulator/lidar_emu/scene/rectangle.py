@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 
 
 class Rectangle(NamedTuple):

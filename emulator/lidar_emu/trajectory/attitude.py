@@ -7,9 +7,9 @@ from typing import Protocol
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.kernels import kernel
-from lidar_emu.rotations import SITE_FROM_NED, lead_by, set_yaw_pitch_roll
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.rotations import SITE_FROM_NED, lead_by, set_yaw_pitch_roll
 from lidar_emu.trajectory.curve import LEVEL, Curve, Curves
 
 

@@ -23,7 +23,7 @@ def build_trajectory(part: Profile | Table | Live | PoweredDescent, body_radius_
             does not land.
     """
     if isinstance(part, PoweredDescent):
-        from lidar_emu.trajectory.descent import DescentTrajectory
+        from lidar_emu.trajectory.powered.trajectory import DescentTrajectory
 
         return DescentTrajectory(part, body_radius_m)
     if isinstance(part, Live):

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from math import dist, isfinite, nan
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.schema import LONGEST_S
 from lidar_emu.trajectory.live_datagram import Truth, Verdict
 from lidar_emu.trajectory.live_motion import ROW, follow

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from math import cos, isnan, sqrt
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.kernels import kernel
-from lidar_emu.rotations import sin_over
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.rotations import sin_over
 from lidar_emu.trajectory.curve import piece_at
 from lidar_emu.trajectory.quaternion import set_matrix
 

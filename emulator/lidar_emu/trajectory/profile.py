@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.kernels import kernel
-from lidar_emu.rotations import SITE_FROM_NED, chained, from_yaw_pitch_roll, lead_by, set_rotation_vector
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.rotations import (
+    SITE_FROM_NED,
+    chained,
+    from_yaw_pitch_roll,
+    lead_by,
+    set_rotation_vector,
+)
 from lidar_emu.scenario.trajectory import Profile
 from lidar_emu.trajectory.curve import piece_at
 from lidar_emu.trajectory.state import Gap, VehicleState

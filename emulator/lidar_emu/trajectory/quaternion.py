@@ -6,9 +6,9 @@ from math import sqrt
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.kernels import kernel
-from lidar_emu.rotations import cross, dot
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.rotations import cross, dot
 from lidar_emu.trajectory.curve import Curves, hermite, knot_rates
 
 

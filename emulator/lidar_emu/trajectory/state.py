@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray, IntArray
+from lidar_emu.numerics.arrays import FloatArray, IntArray
 
 
 def seconds(time_ns: IntArray) -> FloatArray:

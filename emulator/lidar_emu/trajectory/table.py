@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.trajectory import AngleColumn, LengthColumn, QuaternionColumns, RateColumns, Table
 from lidar_emu.trajectory.attitude import Attitude, EulerAttitude
 from lidar_emu.trajectory.curve import LEVEL, Curve, Curves, hermite, through
-from lidar_emu.trajectory.flown import FlownRows, read_flown
 from lidar_emu.trajectory.quaternion import QuaternionAttitude
 from lidar_emu.trajectory.state import Gap, VehicleState
+from lidar_emu.trajectory.table_rows import FlownRows, read_flown
 
 M_PER_UNIT = {"m": 1.0, "km": 1e3, "ft": 0.3048}
 MPS_PER_UNIT = {"m/s": 1.0, "km/s": 1e3, "km/h": 1 / 3.6, "ft/s": 0.3048}

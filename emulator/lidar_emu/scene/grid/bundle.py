@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray, IntArray
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scene.grid.cell import BILINEAR, corners, facet
 from lidar_emu.scene.grid.numbers import (
     CEILING_M,

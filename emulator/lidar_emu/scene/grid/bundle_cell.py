@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scene.grid.cell import TRIANGLES, descent, facet
 from lidar_emu.scene.grid.numbers import CELLS_PER_M_EAST, CELLS_PER_M_NORTH, FLOOR_M, in_cells
 

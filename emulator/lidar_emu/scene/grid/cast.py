@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scene.grid.bundle import clear_way_m
 from lidar_emu.scene.grid.bundle_cell import cast_onto_cell
 from lidar_emu.scene.grid.cell import cell_of, corners, slopes, surface

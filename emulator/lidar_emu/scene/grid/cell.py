@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
 
 BILINEAR, TRIANGLES = 0, 1
 """What spans a cell: one bilinear patch, or two triangles that share its diagonal from south-west to north-east."""

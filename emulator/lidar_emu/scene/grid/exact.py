@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scene.hits import GROUND, Hits
 from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.sphere import SphereGround
 
 if TYPE_CHECKING:
-    from lidar_emu.scene.grid.ground import Samples
+    from lidar_emu.scene.grid.samples import Samples
 
 Beyond = PlaneGround | SphereGround | None
 Contact = tuple[float, FloatArray]

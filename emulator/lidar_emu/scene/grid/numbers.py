@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from lidar_emu.arrays import FloatArray
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
 
 (
     WEST_M,

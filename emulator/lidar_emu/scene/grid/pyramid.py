@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray, IntArray
+from lidar_emu.numerics.arrays import FloatArray, IntArray
 
 _ROWS_AT_ONCE = 64
 """An even number."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray, IntArray
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scene.grid.cell import TRIANGLES, cell_of, corners, descent, facet
 
 CLEAR, SURFACE, BEYOND, FACE = 0, 1, 2, 3

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scene.mesh.ray import (
     DX,
     DY,

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray, IntArray
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.numerics.arrays import FloatArray, IntArray
 
 MAXIMUM_TRIANGLES = 20_000_000
 _METRES = {"m": 1.0, "km": 1000.0}

@@ -7,7 +7,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.scene.hits import GROUND, Hits, contiguous
 from lidar_emu.scene.mesh.cast import BUNDLE, cast_rays
 from lidar_emu.scene.mesh.ray import NUMBERS

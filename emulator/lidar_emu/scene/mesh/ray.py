@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.arrays import BoolArray, FloatArray
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scene.hits import NOTHING
 
 NUMBERS = 20

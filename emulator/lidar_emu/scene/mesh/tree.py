@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray, IntArray
-from lidar_emu.kernels import kernel
+from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.kernels import kernel
 
 LEAF_TRIANGLES = 4
 """A box of no more is not split."""

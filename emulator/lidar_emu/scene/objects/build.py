@@ -6,9 +6,9 @@ from collections import Counter
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.rotations import SITE_FROM_NED, chained, from_yaw_pitch_roll, rotate
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.rotations import SITE_FROM_NED, chained, from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.objects import MeshObject, PlacedObject
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene.cut import CutGround, Kept

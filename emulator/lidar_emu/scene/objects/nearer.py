@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.arrays import IntArray
+from lidar_emu.numerics.arrays import IntArray
 from lidar_emu.scene.hits import Hits
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray, IntArray
+from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.scene.hits import Hits, Scene
 from lidar_emu.scene.mesh.model import Mesh
 from lidar_emu.scene.objects.motion import MovingObject

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.objects import Boulder, Cliff, MeshObject, Pad, PlacedObject, RampObject, Slab, Tree
 
 _ROUND = 48

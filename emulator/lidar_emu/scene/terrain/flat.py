@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.site import Grid
 from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.scenario.site import Grid
 from lidar_emu.scene.terrain.model import check_size
 from lidar_emu.scene.terrain.projection import Projection

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from lidar_emu.arrays import BoolArray, FloatArray
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.scene.terrain.frame import LocalFrame
 
 MAXIMUM_SAMPLES = 100_000_000

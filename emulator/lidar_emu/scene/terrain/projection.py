@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scene.terrain.frame import Ellipsoid
 from lidar_emu.scene.terrain.raster import failures
 

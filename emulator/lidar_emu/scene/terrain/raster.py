@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from lidar_emu.arrays import FloatArray
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.site import Grid
 from lidar_emu.scene.terrain.model import numbers
 

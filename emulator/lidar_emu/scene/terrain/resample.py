@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lidar_emu.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scene.terrain.frame import LocalFrame
 from lidar_emu.scene.terrain.map import RasterMap, Samples
 from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing

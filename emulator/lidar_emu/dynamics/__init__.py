@@ -1,1 +1,0 @@
-"""Powered descent: the equations of motion, what commands them, and their integration."""

@@ -1,0 +1,1 @@
+"""Echoes: the beamlets of each beam, dust raised by the plume, and the spread of the spectrum."""

@@ -1,0 +1,300 @@
+"""What arrives from the footprint of each beam, at its time of validity and around it.
+
+A beam leaves the sensor along u, which turns with u' = ω x u, while the sensor moves with v. The phase of the echo from
+a fixed point of the ground, at the distance s along the axis and x across it, is 2k L with L = s + x²/(2 Rc), Rc the
+radius of the beam's wavefront. Its closing speed -dL/dt is, to first order in x,
+
+    v·u + x·(v/Rc - (1 - R/Rc) u').
+
+Speckle: as the footprint slides by D over the ground its scatterers are exchanged, which gives the echo's field the
+correlation exp(-D²/w²). The beamlets' own closing speeds make it exp(-d²/w0²) for a sensor that moved by d across the
+beam and exp(-(π w0 θ/λ)²) for one that turned by θ, at any range, and the product of both for one that did both.
+
+Where what is hit moves, v is the sensor's velocity past it.
+"""
+
+from __future__ import annotations
+
+from math import pi, sqrt
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from lidar_emu.flight.flight import Flight, Pointing
+from lidar_emu.flight.pointing import ACCELERATION, SENSOR, TRUE, TURNING, VELOCITY
+from lidar_emu.fmcw.link_budget import echo_law, echo_power_w
+from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.rotations import dot_3, known, set_cross
+from lidar_emu.scanner.footprint import Footprint, sample_footprint
+from lidar_emu.scenario.instrument import Instrument
+from lidar_emu.scenario.site import Site
+from lidar_emu.scene.hits import Hits
+
+SPECKLE_PITCH_W = pi / sqrt(8)
+"""Pitch of the speckle's lattice over the beam's radius w, see `fmcw.speckle`."""
+
+_LEAST_COSINE = 1e-3
+"""A beamlet at 89.94 degrees of incidence or more slides no faster than there: it would leave its facet at once."""
+
+
+class Spots(NamedTuple):
+    """Where beamlets (shots, beams, beamlets) start, go and hit."""
+
+    start_site_m: FloatArray
+    """(shots, beams, beamlets, 3)"""
+    ray_site: FloatArray
+    """(shots, beams, beamlets, 3)"""
+    hits: Hits
+
+
+class _Room(NamedTuple):
+    """Arrays of one shape of block, filled again for each block."""
+
+    footprint: Footprint
+    starts_site_m: FloatArray
+    rays_site: FloatArray
+    """(rays, 3) The same as the footprint's, one beam after another."""
+    hits: Hits
+    """(rays,) Of the beamlets."""
+    echoes: Echoes
+
+    @classmethod
+    def of(cls, shape: tuple[int, int], beamlets: int, moving: bool) -> Self:
+        """For (shots, beams) over a scene of which something moves, or nothing."""
+        shots, beams = shape
+        each = (shots, beams, beamlets)
+        footprint = Footprint.unfilled(shots * beams, beamlets)
+        hits = Hits.empty(shots * beams * beamlets, moving)
+        return cls(
+            footprint,
+            footprint.start_site_m.reshape(-1, 3),
+            footprint.ray_site.reshape(-1, 3),
+            hits,
+            Echoes(
+                range_m=hits.range_m.reshape(each),
+                closing_speed_mps=np.empty(each),
+                power_w=np.empty(each),
+                range_rate_mps=np.empty(each),
+                closing_acceleration_mps2=np.empty(shape),
+                smear_acceleration_mps2=np.empty(shape),
+                speckle_place=np.empty((*shape, 2)),
+                speckle_drift_per_s=np.empty((*shape, 2)),
+                fired=np.empty(shape, dtype=np.bool_),
+                inside=np.empty(shape, dtype=np.bool_),
+            ),
+        )
+
+
+class Light:
+    """What echoes need of instrument, site and flight, in the numbers of the kernel."""
+
+    def __init__(self, instrument: Instrument, site: Site, flight: Flight, beamlets: int) -> None:
+        """Of beams of so many beamlets each."""
+        self._flight, self._beamlets = flight, beamlets
+        self._waist_m, self._wavelength_m = instrument.optics.waist_radius_m, instrument.waveform.wavelength_m
+        self._law = echo_law(instrument, site.surface, site.atmosphere)
+        self._swing_radps = np.empty(3)
+        self._room = _Room.of((0, 0), beamlets, flight.has_moving_things)
+        self._hits = self._room.hits
+
+    @property
+    def spots(self) -> Spots:
+        """Where the light of the last echoes met the ground. They hold until the next echoes."""
+        room = self._room
+        shape = room.echoes.range_m.shape
+        starts, rays = (vectors.reshape(*shape, 3) for vectors in (room.starts_site_m, room.rays_site))
+        return Spots(starts, rays, self._hits.shaped(shape))
+
+    def beamlet_hits(self, pointing: Pointing, axis_hits: Hits) -> Hits:
+        """Where beamlets meet the ground, (rays,), if axes do at `axis_hits`. They hold until the next ones."""
+        shots, beams = axis_hits.range_m.shape
+        if self._room.echoes.fired.shape != (shots, beams):
+            self._room = _Room.of((shots, beams), self._beamlets, self._flight.has_moving_things)
+        room = self._room
+        sample_footprint(
+            pointing.sensor_site_m.reshape(-1, 3),
+            pointing.true_site.reshape(-1, 3),
+            axis_hits.range_m.reshape(-1),
+            self._beamlets,
+            self._waist_m,
+            self._wavelength_m,
+            room.footprint,
+        )
+        if self._beamlets == 1:
+            self._hits = axis_hits.shaped((shots * beams,))
+            room.hits.range_m[:] = self._hits.range_m
+        else:
+            self._hits = self._flight.cast_beamlets(pointing, room.starts_site_m, room.rays_site, room.hits)
+        return self._hits
+
+    def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
+        """Echoes of beams (shots, beams) whose axes met the ground at `axis_hits`. They hold until the next ones."""
+        hits = self.beamlet_hits(pointing, axis_hits)
+        footprint, echoes = self._room.footprint, self._room.echoes
+        echoes.fired[:], echoes.inside[:] = pointing.fired, axis_hits.inside
+        _receive(
+            *self._law,
+            self._waist_m,
+            pointing.beams,
+            axis_hits.range_m,
+            footprint.weight,
+            footprint.ray_site,
+            footprint.doppler_site,
+            footprint.across_site,
+            footprint.doppler_start_m,
+            hits.normal_site,
+            hits.velocity_site_mps,
+            pointing.time_ns,
+            self._swing_radps,
+            hits.reflectance,
+            echoes.range_m,
+            echoes.closing_speed_mps,
+            echoes.power_w,
+            echoes.range_rate_mps,
+            echoes.closing_acceleration_mps2,
+            echoes.smear_acceleration_mps2,
+            echoes.speckle_place,
+            echoes.speckle_drift_per_s,
+        )
+        return echoes
+
+
+def receive_light(
+    instrument: Instrument, site: Site, flight: Flight, beamlets: int, pointing: Pointing, axis_hits: Hits
+) -> Echoes:
+    """Echoes of beams (shots, beams), each of so many beamlets, whose axes met the ground at `axis_hits`."""
+    return Light(instrument, site, flight, beamlets).echoes(pointing, axis_hits)
+
+
+@kernel(outermost=True)
+def _receive(
+    emitted_w: float,
+    coupling: float,
+    lommel_seeliger_share: float,
+    parting_per_m: float,
+    extinction_per_m: float,
+    rayleigh_m: float,
+    waist_m: float,
+    vectors: FloatArray,
+    axis_range_m: FloatArray,
+    weight: FloatArray,
+    ray: FloatArray,
+    doppler: FloatArray,
+    across: FloatArray,
+    doppler_start_m: FloatArray,
+    normals: FloatArray,
+    surface_mps: FloatArray,
+    time_ns: IntArray,
+    swing_radps: FloatArray,
+    reflectance: FloatArray,
+    range_m: FloatArray,
+    speed_mps: FloatArray,
+    power_w: FloatArray,
+    range_rate_mps: FloatArray,
+    closing_mps2: FloatArray,
+    smear_mps2: FloatArray,
+    place: FloatArray,
+    drift_per_s: FloatArray,
+) -> None:
+    """Fill speed, power and range rate (shots, beams, beamlets) and what each beam has one of; `swing_radps` (3,) is
+    overwritten with u'."""
+    shots, beams, beamlets = range_m.shape
+    for s in range(shots):
+        for b in range(beams):
+            beam = s * beams + b
+            axis, first, second = vectors[TRUE, s, b], across[0, beam], across[1, beam]
+            sensor, velocity, away_m = vectors[SENSOR, s, b], vectors[VELOCITY, s, b], axis_range_m[s, b]
+            set_cross(vectors[TURNING, s, b], axis, swing_radps)
+            on_axis = beam * beamlets
+            first_mps = _past(surface_mps, on_axis, velocity, first)
+            second_mps = _past(surface_mps, on_axis, velocity, second)
+            first_radps, second_radps = dot_3(swing_radps, first), dot_3(swing_radps, second)
+            along_mps2 = dot_3(vectors[ACCELERATION, s, b], axis)
+            coriolis_mps2 = first_mps * first_radps + second_mps * second_radps
+            passing_m2ps2 = first_mps * first_mps + second_mps * second_mps
+            squared_radps2 = first_radps * first_radps + second_radps * second_radps
+            closing_mps2[s, b] = along_mps2 + coriolis_mps2
+            smear_mps2[s, b] = along_mps2 + _bending_mps2(
+                passing_m2ps2, coriolis_mps2, squared_radps2, away_m, rayleigh_m
+            )
+            # Across the beam, in pitches: from shot to shot the echo's field is that of the whole beam. It changes
+            # with exp(-d²/w0²); a turn of the beam changes it too, by the sensor's distance from the origin times the
+            # angle rather than by the Rayleigh range.
+            waist_pitch_m = SPECKLE_PITCH_W * waist_m
+            first_m, second_m = dot_3(sensor, first), dot_3(sensor, second)
+            if surface_mps.size > 0:
+                # The field rides on what moves.
+                time_s = 1e-9 * time_ns[s, b]
+                first_m -= time_s * known(dot_3(surface_mps[on_axis], first))
+                second_m -= time_s * known(dot_3(surface_mps[on_axis], second))
+            place[s, b, 0], place[s, b, 1] = known(first_m / waist_pitch_m), known(second_m / waist_pitch_m)
+            arm_m, pitch_m = _speckle_scale(beamlets, away_m, waist_m, rayleigh_m)
+            drift_per_s[s, b, 0] = known((first_mps + arm_m * first_radps) / pitch_m)
+            drift_per_s[s, b, 1] = known((second_mps + arm_m * second_radps) / pitch_m)
+            for i in range(beamlets):
+                ray_i = on_axis + i
+                facet = normals[ray_i]
+                speed_mps[s, b, i] = (
+                    _past(surface_mps, ray_i, velocity, doppler[beam, i])
+                    - doppler_start_m[0, beam, i] * first_radps
+                    - doppler_start_m[1, beam, i] * second_radps
+                )
+                cos_incidence = -dot_3(facet, ray[beam, i])
+                # -(n·(v + R u'))/(n·u): of the distance along the moving beam to the plane of its facet. u' is the
+                # axis': the turn of a beamlet, and that of its start, differ by the footprint's radius times the rate.
+                sinking_mps = _past(surface_mps, ray_i, velocity, facet) + range_m[s, b, i] * dot_3(
+                    facet, swing_radps
+                )
+                range_rate_mps[s, b, i] = sinking_mps / max(cos_incidence, _LEAST_COSINE)
+                lit = cos_incidence > 0.0 and range_m[s, b, i] >= 0.0
+                whole_w = echo_power_w(
+                    emitted_w,
+                    coupling,
+                    lommel_seeliger_share,
+                    parting_per_m,
+                    extinction_per_m,
+                    rayleigh_m,
+                    reflectance[ray_i],
+                    range_m[s, b, i],
+                    cos_incidence,
+                )
+                power_w[s, b, i] = whole_w * weight[i] if lit else 0.0
+
+
+@kernel
+def _past(surface_mps: FloatArray, ray: int, velocity: FloatArray, along: FloatArray) -> float:
+    """The sensor's speed along a vector, past the place that a ray hits: where nothing moves, simply its speed."""
+    speed_mps = dot_3(velocity, along)
+    if surface_mps.size > 0:
+        speed_mps -= known(dot_3(surface_mps[ray], along))
+    return speed_mps
+
+
+@kernel
+def _bending_mps2(
+    passing_m2ps2: float, coriolis_mps2: float, squared_radps2: float, range_m: float, rayleigh_m: float
+) -> float:
+    """-d²L/dt² of the point of the ground on the axis, less a·u; 0 where the axis meets nothing.
+
+    (1 - R/Rc) (2 v·u' + R u'²) - v²/Rc, v across the beam. Far away this is -v²/R however the beam turns: the
+    distance to a fixed point does not know of beams.
+    """
+    squared_m2 = range_m * range_m + rayleigh_m * rayleigh_m
+    flatness = rayleigh_m * rayleigh_m / squared_m2
+    turning_mps2 = 2 * coriolis_mps2 + range_m * squared_radps2
+    return known(flatness * turning_mps2 - passing_m2ps2 * range_m / squared_m2)
+
+
+@kernel
+def _speckle_scale(beamlets: int, range_m: float, waist_m: float, rayleigh_m: float) -> tuple[float, float]:
+    """How far a turn of the beam shifts its field, and the pitch of the field's lattice, within a measurement.
+
+    Several beamlets have their own Doppler shifts, and only the exchange of scatterers is left to the field; one stands
+    for both.
+    """
+    if beamlets == 1:
+        return rayleigh_m, SPECKLE_PITCH_W * waist_m
+    farness = range_m / rayleigh_m
+    return range_m, SPECKLE_PITCH_W * waist_m * sqrt(1 + farness * farness)

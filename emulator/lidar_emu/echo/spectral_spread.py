@@ -1,0 +1,55 @@
+"""How far a footprint spreads a beam's spectrum: over range by its slope, over speed by motion across the beam."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lidar_emu.flight.flight import Pointing
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.rotations import cross, dot
+from lidar_emu.scanner.footprint import beam_radius_m, wavefront_radius_m
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
+from lidar_emu.scene.hits import Hits
+
+
+class Spread(NamedTuple):
+    """Gradients across the beam in bins per rms radius of the footprint, (shots, beams, 3)."""
+
+    beat: FloatArray
+    doppler: FloatArray
+
+    def widest(self) -> FloatArray:
+        """Rms width of the wider chirp's spectrum in bins, (shots, beams)."""
+        return np.sqrt(np.maximum(self.variance(1.0, 1.0), self.variance(1.0, -1.0)))
+
+    def variance(self, beat: float, doppler: float) -> FloatArray:
+        """Of a frequency that is so much of the range's beat and so much of the Doppler shift: bins²."""
+        gradient = beat * self.beat + doppler * self.doppler
+        return np.asarray(dot(gradient, gradient))
+
+
+def no_spread(hits: Hits) -> Spread:
+    """Of a footprint without width."""
+    return Spread(np.zeros_like(hits.normal_site), np.zeros_like(hits.normal_site))
+
+
+def spread_bins(instrument: Instrument, pointing: Pointing, hits: Hits) -> Spread:
+    """Of each beam, (shots, beams), on the facet that its axis hits.
+
+    The footprint's weight exp(-4 r²/w²) has the rms radius w/√8 along any axis.
+
+    Range grows by -n/(n·u) across the beam, the closing speed by v/Rc - (1 - R/Rc) u'.
+    """
+    waveform, waist_m = instrument.waveform, instrument.optics.waist_radius_m
+    axis = pointing.true_site
+    rms_m = beam_radius_m(hits.range_m, waist_m, waveform.wavelength_m)[..., None] / np.sqrt(8.0)
+    curvature_m = wavefront_radius_m(hits.range_m, waist_m, waveform.wavelength_m)[..., None]
+    normal, velocity = hits.normal_site, pointing.sensor_velocity_site_mps
+    across = normal - dot(normal, axis)[..., None] * axis
+    beat_bin_per_m = 2.0 * waveform.chirp_slope_hz_per_s / (SPEED_OF_LIGHT_MPS * waveform.bin_width_hz)
+    beat = -across / dot(normal, axis)[..., None] * rms_m * beat_bin_per_m
+    faster = (velocity - dot(velocity, axis)[..., None] * axis) / curvature_m
+    faster -= (1.0 - hits.range_m[..., None] / curvature_m) * cross(pointing.turning_site_radps, axis)
+    return Spread(beat, faster * rms_m * 2.0 / waveform.wavelength_m / waveform.bin_width_hz)

@@ -1,0 +1,85 @@
+"""Files that are written whole or not at all, and the folder for what can be made again."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from secrets import token_hex
+from typing import BinaryIO
+
+from lidar_emu.errors import Finding, InputError, RunError
+
+
+def check_destination(path: Path, option: str | None = None) -> None:
+    """Refuse, before a long run, a path that cannot be written.
+
+    Raises:
+        InputError: the folder is missing or not writable, or `path` is no name of a file; names `option` or `path`.
+    """
+    where, name = (str(path), None) if option is None else (option, str(path))
+    try:
+        exists, has_folder, is_folder = path.exists(), path.parent.is_dir(), path.is_dir()
+    except (OSError, ValueError) as error:  # a name that is too long, or holds a NUL
+        raise InputError(where, None, name or Finding(str(error)), "allowed: the name of a file") from None
+    if not has_folder:
+        raise InputError(
+            where, None, name or Finding("no such folder"), "allowed: a file in a folder that exists"
+        )
+    if is_folder:
+        raise InputError(where, None, name or Finding("a folder"), "allowed: the name of a file")
+    if not os.access(path if exists else path.parent, os.W_OK):
+        raise InputError(where, None, name or Finding("not writable"), "allowed: a file that you may write")
+
+
+def check_extra(path: Path, module: str, extra: str) -> None:
+    """Refuse a path whose kind needs an optional package that is not installed.
+
+    Raises:
+        InputError: `module` is absent; names the extra that brings it.
+    """
+    if find_spec(module) is None:
+        allowed = f"allowed after: pip install 'lidar-emu[{extra}]'"
+        raise InputError(str(path), None, Finding(f"{path.suffix} without {module}"), allowed)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[BinaryIO]:
+    """An open file that takes the name `path` once it is complete; an older file stays until then.
+
+    Any number of threads, processes and machines may write the same file at once; the last to be done has it.
+
+    Raises:
+        InputError: nothing can be written there.
+        RunError: writing failed on the way (a full disk).
+    """
+    check_destination(path)
+    # A sibling, since a rename is atomic within one file system only.
+    unfinished = path.with_name(f".{path.name}.{token_hex(4)}")
+    try:
+        file = unfinished.open("wb")
+    except OSError as error:
+        raise InputError(
+            str(path), None, error.strerror or "unwritable", "allowed: a writable file"
+        ) from None
+    try:
+        with file:
+            yield file
+        unfinished.replace(path)
+    except OSError as error:
+        raise RunError(f"{path}: could not be written: {error.strerror or error}") from error
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def cache_folder() -> Path:
+    """The folder of compiled kernels and generated ground, which may not exist yet.
+
+    It is `~/.cache/lidar-emu` unless `XDG_CACHE_HOME` says otherwise.
+
+    Raises:
+        RuntimeError: for a user without a home.
+    """
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lidar-emu"

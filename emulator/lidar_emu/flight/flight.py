@@ -1,0 +1,276 @@
+"""A flight ready to be measured: vehicle, beams and ground, and where each beam points at each shot."""
+
+from __future__ import annotations
+
+from functools import cached_property, partial
+from typing import NamedTuple, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.errors import InputError
+from lidar_emu.flight.ground_coverage import may_leave_its_ground, refuse_to_leave
+from lidar_emu.flight.pointing import (
+    ACCELERATION,
+    SENSOR,
+    TRUE,
+    TURNING,
+    VELOCITY,
+    place_starts,
+    point_beams,
+    set_times,
+)
+from lidar_emu.flight.sweep import MOST_SHOTS, slack, sweep
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.numerics.rotations import rotate
+from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
+from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
+from lidar_emu.scene.build import build_ground, with_objects
+from lidar_emu.scene.hits import Hits, MovingScene, Scene
+from lidar_emu.scene.reach import Reach
+from lidar_emu.trajectory.build import build_trajectory
+from lidar_emu.trajectory.state import Trajectory, VehicleState, seconds
+
+_Shot = TypeVar("_Shot", int, NDArray[np.int64])
+
+
+class Pointing(NamedTuple):
+    """Where the beams start and point; arrays are (shots, beams) and (shots, beams, 3), NaN for absent beams."""
+
+    shot: NDArray[np.int64]
+    """(shots,)"""
+    pattern: NDArray[np.int64]
+    """(shots,) Which pattern of beams the shot uses."""
+    time_ns: NDArray[np.int64]
+    in_gap: BoolArray
+    """Where the vehicle is follows there from a bridge over a gap of its table."""
+    fired: BoolArray
+    angle_deg: FloatArray
+    beams: FloatArray
+    """(6, shots, beams, 3) The vectors named below, together for kernels: their places are in `pointing`."""
+    vehicle: FloatArray
+    """(2, shots, 3) Position and velocity."""
+
+    @classmethod
+    def unfilled(cls, shot: NDArray[np.int64], beams: int) -> Self:
+        """Arrays to be filled, of shots with so many beams."""
+        shape = len(shot), beams
+        return cls(
+            shot=shot,
+            pattern=np.empty(len(shot), dtype=np.int64),
+            time_ns=np.empty(shape, dtype=np.int64),
+            in_gap=np.zeros(shape, dtype=np.bool_),
+            fired=np.empty(shape, dtype=np.bool_),
+            angle_deg=np.empty(shape),
+            beams=np.empty((6, *shape, 3)),
+            vehicle=np.empty((2, len(shot), 3)),
+        )
+
+    @property
+    def sensor_site_m(self) -> FloatArray:
+        """Centre of the aperture."""
+        return self._of_beams(SENSOR)
+
+    @property
+    def sensor_velocity_site_mps(self) -> FloatArray:
+        """Of the sensor, which the lever arm moves."""
+        return self._of_beams(VELOCITY)
+
+    @property
+    def sensor_acceleration_site_mps2(self) -> FloatArray:
+        """The body's angular rate is taken as steady: its change, times the lever arm, is left out."""
+        return self._of_beams(ACCELERATION)
+
+    @property
+    def turning_site_radps(self) -> FloatArray:
+        """Angular rate of the body, and of the beams with it."""
+        return self._of_beams(TURNING)
+
+    @property
+    def true_site(self) -> FloatArray:
+        """Where the light goes."""
+        return self._of_beams(TRUE)
+
+    @property
+    def position_site_m(self) -> FloatArray:
+        """(shots, 3) Of the vehicle at the first beam's validity."""
+        return np.asarray(self.vehicle[0])
+
+    @property
+    def velocity_site_mps(self) -> FloatArray:
+        """(shots, 3)"""
+        return np.asarray(self.vehicle[1])
+
+    def _of_beams(self, place: int) -> FloatArray:
+        vectors: FloatArray = self.beams[place]
+        return vectors
+
+
+def sensor_height_m(pointing: Pointing, axis_hits: Hits) -> FloatArray:
+    """(shots,) Of the sensor above the ground that its beams meet, on average; infinite where they meet none."""
+    below_m = -axis_hits.range_m * pointing.true_site[..., 2]
+    met = np.isfinite(below_m)
+    total_m = np.where(met, below_m, 0.0).sum(axis=1)
+    return np.where(met.any(axis=1), total_m / np.maximum(met.sum(axis=1), 1), np.inf)
+
+
+class Flight:
+    """The rooms of a flight, built once."""
+
+    is_recorded = False
+    """Whether beams and hits are read instead of computed."""
+
+    def __init__(self, scenario: FlightScenario) -> None:
+        self.scenario = scenario
+        self.is_live = scenario.live is not None
+        """Whether the vehicle's motion becomes known only as it is flown."""
+        self.scanner = build_scanner(scenario.scanner)
+        timing, instrument = scenario.timing, scenario.instrument
+        self.period_ns = timing.period_ns
+        looks, cycle_s = instrument.detection.looks, instrument.waveform.cycle_time_s
+        validity_s = instrument.waveform.validity_offset_s + (looks - 1) / 2 * cycle_s
+        turn_ns = round(looks * cycle_s * 1e9)
+        self._validity_ns = round(validity_s * 1e9) + turn_ns * self.scanner.firing_cycle
+        self._latency_ns = round((scenario.cycle_time_s + timing.processing_latency_s) * 1e9)
+        body_from_sensor = mounting_rotation(scenario.mounting)
+        self._true_body = rotate(body_from_sensor, self.scanner.true_sensor)
+        self._published_body = rotate(body_from_sensor, self.scanner.published_sensor)
+        self._needs_ground_altitude = self.scanner.needs_ground_altitude
+        self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
+        self.shot_count = self._count_shots()
+        if may_leave_its_ground(scenario) and not self.is_recorded:
+            refuse_to_leave(scenario, self.trajectory, self.ground, self.shot_count, self.period_ns)
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """Where the vehicle is."""
+        return build_trajectory(self.scenario.trajectory, self.scenario.site.body.radius_m)
+
+    @cached_property
+    def _reach(self) -> Reach | None:
+        """The rays of the flight, where they are known beforehand."""
+        if self.is_live or self.shot_count > MOST_SHOTS:
+            return None
+        beams = self._validity_ns, self._lever_arm_body_m, self.scanner, self._true_body
+        lines = partial(sweep, self.trajectory, self.shot_count, self.period_ns, *beams)
+        return Reach(lines, *slack(self.scenario))
+
+    @cached_property
+    def ground(self) -> Scene:
+        """What the beams of this flight can come to, without the objects on it."""
+        return build_ground(self.scenario.site, self._reach)
+
+    @cached_property
+    def scene(self) -> Scene:
+        """What the beams hit."""
+        return with_objects(self.ground, self.scenario.site, self._reach)
+
+    @cached_property
+    def _moving_scene(self) -> MovingScene | None:
+        return self.scene if isinstance(self.scene, MovingScene) else None
+
+    @property
+    def has_moving_things(self) -> bool:
+        """Whether hits tell of velocities."""
+        return self._moving_scene is not None
+
+    def due_ns(self, shot: _Shot) -> _Shot:
+        """When the packets of shots are due, from the start."""
+        return shot * self.period_ns + self._latency_ns
+
+    def seen_ns(self, shot: int) -> int:
+        """Scenario time up to which a shot depends on the vehicle's motion: its last beam's validity."""
+        return shot * self.period_ns + int(self._validity_ns[-1])
+
+    def point(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
+        """Beams of consecutive shots, each taken at its own time of validity."""
+        beams = self.scanner.beam_count
+        # The first instant of a shot is its start, when its pattern is chosen.
+        pointing, instant_s = Pointing.unfilled(shot, beams), np.empty((len(shot), 1 + beams))
+        set_times(shot, self.period_ns, self._validity_ns, pointing.time_ns, instant_s)
+        vehicle = self.trajectory.state(instant_s.reshape(-1))
+        pointing.pattern[:], state = self._choose_patterns(instant_s, vehicle, state)
+        for gap in self.trajectory.bridged:
+            since_s = instant_s[:, 1:] - gap.start_s
+            pointing.in_gap[:] |= (since_s > 0) & (since_s < gap.length_s)
+        point_beams(
+            vehicle.position_site_m,
+            vehicle.velocity_site_mps,
+            vehicle.acceleration_site_mps2,
+            vehicle.site_from_body,
+            vehicle.body_rate_radps,
+            self._lever_arm_body_m,
+            self.scanner.row(pointing.pattern, shot),
+            self.scanner.angle_deg,
+            self._true_body,
+            self._published_body,
+            pointing.fired,
+            pointing.angle_deg,
+            pointing.beams,
+            pointing.vehicle,
+        )
+        return pointing, state
+
+    def patterns(self, shot: NDArray[np.int64], state: ScannerState) -> IntArray:
+        """(shots,) Number of the pattern of consecutive shots, decided as each begins."""
+        begins_s = seconds(shot * self.period_ns)
+        return self._choose_patterns(begins_s[:, None], self.trajectory.state(begins_s), state)[0]
+
+    def cast(self, pointing: Pointing) -> Hits:
+        """First contact of the beams' axes with the scene: hits shaped (shots, beams)."""
+        hits = self._cast_rays(
+            pointing.time_ns, pointing.sensor_site_m.reshape(-1, 3), pointing.true_site.reshape(-1, 3)
+        )
+        return hits.shaped(pointing.time_ns.shape)
+
+    def _cast_rays(
+        self,
+        time_ns: IntArray,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+    ) -> Hits:
+        """First contact of n rays with the scene.
+
+        Args:
+            time_ns: of m elements, each the time of the next n / m rays.
+            origin_site_m, direction_site, hits: as of `Scene.cast`.
+        """
+        if self._moving_scene is None:
+            bundle = max(len(direction_site) // max(time_ns.size, 1), 1)
+            return self.scene.cast(origin_site_m, direction_site, hits, bundle)
+        return self._moving_scene.cast_at(time_ns.reshape(-1), origin_site_m, direction_site, hits)
+
+    def cast_beamlets(
+        self, pointing: Pointing, start_site_m: FloatArray, ray_site: FloatArray, hits: Hits
+    ) -> Hits:
+        """First contact of the beamlets of these beams, rays (n, 3), one beam after another; `hits` are filled."""
+        return self._cast_rays(pointing.time_ns, start_site_m, ray_site, hits)
+
+    def _choose_patterns(
+        self, instant_s: FloatArray, vehicle: VehicleState, state: ScannerState
+    ) -> tuple[NDArray[np.int64], ScannerState]:
+        """The pattern of each shot, decided at the shot's start: the first of its instants."""
+        if not self.scanner.switches and state.commanded is None:
+            return np.zeros(len(instant_s), dtype=np.int64), state
+        starts = np.empty((4, len(instant_s)))
+        place_starts(
+            instant_s, vehicle.position_site_m, vehicle.site_from_body, self._lever_arm_body_m, starts
+        )
+        # Where no switch asks for the ground it does not matter how high that is.
+        above_ground_m = up_m = starts[3]
+        if self._needs_ground_altitude:
+            above_ground_m = up_m - self.scene.height_m(starts[1], starts[2])
+        return self.scanner.choose(state, starts[0], up_m, above_ground_m)
+
+    def _count_shots(self) -> int:
+        """Shots of the run."""
+        scenario, flown_s = self.scenario, self.trajectory.duration_s
+        if not flown_s <= LONGEST_S:
+            allowed = f"allowed: at most {LONGEST_S:.3g} s"
+            raise InputError(scenario.name, "trajectory", f"{flown_s:.3g} s", allowed)
+        duration_s = flown_s if scenario.duration_s is None else scenario.duration_s
+        if duration_s > flown_s * (1 + 1e-9):
+            allowed = f"allowed: at most {flown_s:.6g} s, the flight"
+            raise InputError(scenario.name, "duration_s", duration_s, allowed)
+        return scenario.timing.shots_within(duration_s)

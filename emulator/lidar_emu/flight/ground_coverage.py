@@ -1,0 +1,46 @@
+"""Whether a flight stays over its ground."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.scenario.generated_ground import Generated
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.scenario.site import Grid, Nested
+from lidar_emu.scene.hits import Scene
+from lidar_emu.trajectory.state import Trajectory, seconds
+
+_CHECKED_SHOTS = 4096
+
+
+def may_leave_its_ground(scenario: FlightScenario) -> bool:
+    """Whether there are places without ground, and the way to them is known beforehand."""
+    ground = scenario.site.ground
+    return isinstance(ground, Grid | Generated | Nested) and ground.beyond == "none" and scenario.live is None
+
+
+def refuse_to_leave(
+    scenario: FlightScenario, trajectory: Trajectory, ground: Scene, shots: int, period_ns: int
+) -> None:
+    """Refuse a flight of which a shot begins where there is no ground.
+
+    Raises:
+        InputError: with the first such place.
+    """
+    for first in range(0, shots, _CHECKED_SHOTS):
+        shot = np.arange(first, min(first + _CHECKED_SHOTS, shots), dtype=np.int64)
+        _refuse_outside(scenario, trajectory, ground, seconds(shot * period_ns))
+
+
+def _refuse_outside(
+    scenario: FlightScenario, trajectory: Trajectory, ground: Scene, time_s: FloatArray
+) -> None:
+    position_m = trajectory.state(time_s).position_site_m
+    outside = np.flatnonzero(~ground.covers(position_m[:, 0], position_m[:, 1]))
+    if outside.size:
+        east_m, north_m, up_m = position_m[outside[0]]
+        place = f"{time_s[outside[0]]:.3f} s: {east_m:.1f} m east, {north_m:.1f} m north, {up_m:.1f} m up"
+        allowed = f"allowed: positions over the ground ({ground.description}), or beyond: plane or sphere"
+        raise InputError(scenario.name, "trajectory", Finding(place), allowed)

@@ -1,0 +1,131 @@
+"""The kernels of beams: from the vehicle's motion to the sensor's and the beams' directions, and along the beams."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.rotations import dot_3, known, set_cross, set_rotated
+
+SENSOR, VELOCITY, ACCELERATION, TURNING, TRUE, PUBLISHED = range(6)
+"""Places of the vectors of a beam, in the order of `Pointing`."""
+
+
+@kernel(outermost=True)
+def set_times(
+    shot: NDArray[np.int64],
+    period_ns: int,
+    validity_ns: IntArray,
+    time_ns: IntArray,
+    instant_s: FloatArray,
+) -> None:
+    """Set times of validity (shots, beams), and instants (shots, 1 + beams): the shot's start and then these."""
+    for s in range(len(shot)):
+        start_ns = shot[s] * period_ns
+        instant_s[s, 0] = start_ns * 1e-9
+        for b in range(len(validity_ns)):
+            time_ns[s, b] = start_ns + validity_ns[b]
+            instant_s[s, 1 + b] = time_ns[s, b] * 1e-9
+
+
+@kernel(outermost=True)
+def place_starts(
+    instant_s: FloatArray,
+    position_m: FloatArray,
+    site_from_body: FloatArray,
+    lever_arm_m: FloatArray,
+    starts: FloatArray,
+) -> None:
+    """Take from the first of each shot's instants its time, and where the sensor is then: (4, shots)."""
+    for s in range(starts.shape[1]):
+        starts[0, s] = instant_s[s, 0]
+        k = s * instant_s.shape[1]
+        for axis in range(3):
+            starts[1 + axis, s] = position_m[k, axis] + dot_3(site_from_body[k, axis], lever_arm_m)
+
+
+@kernel(outermost=True)
+def point_beams(
+    position_m: FloatArray,
+    velocity_mps: FloatArray,
+    acceleration_mps2: FloatArray,
+    site_from_body: FloatArray,
+    body_rate_radps: FloatArray,
+    lever_arm_m: FloatArray,
+    row: NDArray[np.int64],
+    row_angle_deg: FloatArray,
+    true_body: FloatArray,
+    published_body: FloatArray,
+    fired: BoolArray,
+    angle_deg: FloatArray,
+    vectors: FloatArray,
+    vehicle: FloatArray,
+) -> None:
+    """Fill what `Pointing` consists of; the vehicle is given at 1 + beams instants of each shot, the first unused.
+
+    The lever arm turns with the body: r, ω x r and ω x (ω x r) are added.
+
+    Args:
+        row: (shots,) of directions and angles (rows, beams) that each shot takes.
+        vectors: (6, shots, beams, 3) in the order of `Pointing`.
+        vehicle: (2, shots, 3) the vehicle's position and velocity at the first beam's validity.
+    """
+    shots, beams = fired.shape
+    for s in range(shots):
+        for b in range(beams):
+            k = s * (1 + beams) + 1 + b
+            rotation = site_from_body[k]
+            sensor, velocity, acceleration = (
+                vectors[SENSOR, s, b],
+                vectors[VELOCITY, s, b],
+                vectors[ACCELERATION, s, b],
+            )
+            turning = vectors[TURNING, s, b]
+            set_rotated(rotation, body_rate_radps[k], turning)
+            set_rotated(rotation, lever_arm_m, sensor)
+            set_cross(turning, sensor, velocity)
+            set_cross(turning, velocity, acceleration)
+            for axis in range(3):
+                sensor[axis] += position_m[k, axis]
+                velocity[axis] += velocity_mps[k, axis]
+                acceleration[axis] += acceleration_mps2[k, axis]
+            set_rotated(rotation, true_body[row[s], b], vectors[TRUE, s, b])
+            set_rotated(rotation, published_body[row[s], b], vectors[PUBLISHED, s, b])
+            angle_deg[s, b] = row_angle_deg[row[s], b]
+            fired[s, b] = angle_deg[s, b] == angle_deg[s, b]
+        for axis in range(3):
+            vehicle[0, s, axis] = position_m[s * (1 + beams) + 1, axis]
+            vehicle[1, s, axis] = velocity_mps[s * (1 + beams) + 1, axis]
+
+
+@kernel(outermost=True)
+def approach(
+    beams: FloatArray,
+    normals: FloatArray,
+    surface_mps: FloatArray,
+    true_closing_mps: FloatArray,
+    true_incidence_deg: FloatArray,
+) -> None:
+    """The sensor's speed along the true axis, less that of what is hit, if it moves; and the angle between the axis
+    and the normal (shots, beams, 3) of what it hits, NaN where that is nothing."""
+    for s in range(true_closing_mps.shape[0]):
+        for b in range(true_closing_mps.shape[1]):
+            axis = beams[TRUE, s, b]
+            true_closing_mps[s, b] = dot_3(beams[VELOCITY, s, b], axis)
+            if surface_mps.size > 0:
+                true_closing_mps[s, b] -= known(dot_3(surface_mps[s, b], axis))
+            # Bounds first: np.minimum passes NaN on, min() may not.
+            cosine = np.minimum(np.maximum(-dot_3(normals[s, b], axis), -1.0), 1.0)
+            true_incidence_deg[s, b] = np.degrees(np.arccos(cosine))
+
+
+@kernel(outermost=True)
+def locate(beams: FloatArray, range_m: FloatArray, point_site_m: FloatArray) -> None:
+    """Where the measured range along the published axis ends."""
+    for s in range(range_m.shape[0]):
+        for b in range(range_m.shape[1]):
+            for axis in range(3):
+                along_m = range_m[s, b] * beams[PUBLISHED, s, b, axis]
+                point_site_m[s, b, axis] = beams[SENSOR, s, b, axis] + along_m

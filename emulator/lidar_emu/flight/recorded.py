@@ -1,0 +1,67 @@
+"""A flight whose beams and hits are read from a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.errors import InputError
+from lidar_emu.flight.flight import Flight, Pointing
+from lidar_emu.flight.recorded_conditions import require_same
+from lidar_emu.flight.recorded_file import GeometryFile
+from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.scanner.model import ScannerState
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.scene.hits import Hits
+
+
+class RecordedFlight(Flight):
+    """Knows of trajectory and ground what was recorded. Patterns are recorded too: the scanner's state is passed on.
+
+    Raises:
+        InputError: the file is no geometry, or that of another flight or instrument than the scenario's.
+    """
+
+    is_recorded = True
+
+    def __init__(self, scenario: FlightScenario, path: Path) -> None:
+        self.file = GeometryFile(path)
+        about, asked = self.file.about, scenario.instrument.optics.beamlets
+        require_same(scenario, about.conditions, str(path))
+        if asked not in (1, about.beamlets):
+            allowed = f"allowed: {about.beamlets}, as recorded in {path}, or 1"
+            raise InputError(scenario.name, "instrument.optics.beamlets", asked, allowed)
+        super().__init__(scenario)
+
+    @property
+    def has_moving_things(self) -> bool:
+        """See `Flight`."""
+        return self.file.about.moving
+
+    def point(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
+        """See `Flight`; with the misalignment that faults had when it was recorded."""
+        return self.file.pointing(shot), state
+
+    def patterns(self, shot: NDArray[np.int64], _state: ScannerState) -> IntArray:
+        """See `Flight`."""
+        return self.file.pointing(shot).pattern
+
+    def cast(self, pointing: Pointing) -> Hits:
+        """See `Flight`."""
+        return self.file.axis_hits(pointing.shot)
+
+    def cast_beamlets(
+        self, pointing: Pointing, _start_site_m: FloatArray, _ray_site: FloatArray, hits: Hits
+    ) -> Hits:
+        """See `Flight`."""
+        return self.file.beamlet_hits(pointing.shot, hits)
+
+    def _count_shots(self) -> int:
+        shots, duration_s = self.file.about.shots, self.scenario.duration_s
+        asked = shots if duration_s is None else self.scenario.timing.shots_within(duration_s)
+        if asked > shots:
+            allowed = f"allowed: at most {shots * self.period_ns * 1e-9:g} s, as recorded in {self.file.path}"
+            raise InputError(self.scenario.name, "duration_s", duration_s, allowed)
+        return asked

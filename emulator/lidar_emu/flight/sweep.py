@@ -1,0 +1,69 @@
+"""All rays that a flight may cast, of whatever patterns its beams take."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.rotations import rotate
+from lidar_emu.scanner.footprint import beamlet_pattern
+from lidar_emu.scanner.model import ScannerModel
+from lidar_emu.scenario.faults import Misalignment
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.scene.reach import Lines
+from lidar_emu.trajectory.state import Trajectory, seconds
+
+MOST_SHOTS = 1_000_000
+"""Of a longer flight nothing is known beforehand: to follow it would take longer than it saves."""
+_SHOTS_AT_ONCE = 4096
+
+
+def sweep(
+    trajectory: Trajectory,
+    shots: int,
+    period_ns: int,
+    validity_ns: IntArray,
+    lever_arm_body_m: FloatArray,
+    scanner: ScannerModel,
+    true_body: FloatArray,
+) -> Iterator[Lines]:
+    """The axes of all beams of all patterns at each beam's time of validity, block by block.
+
+    The first of a shot's rays starts where the sensor is as the shot begins, and has no direction.
+
+    Args:
+        trajectory: known for the whole flight.
+        shots: how many.
+        period_ns: from one to the next.
+        validity_ns: (beams,) of each beam, from the shot's start.
+        lever_arm_body_m: (3,) of the sensor.
+        scanner: its patterns.
+        true_body: (rows, beams, 3) where the light goes, as the scanner has them; NaN beyond the beams that a pattern
+            has.
+    """
+    after_ns = np.concatenate([[0], validity_ns])
+    for first in range(0, shots, _SHOTS_AT_ONCE):
+        shot = np.arange(first, min(first + _SHOTS_AT_ONCE, shots), dtype=np.int64)
+        vehicle = trajectory.state(seconds(shot[:, None] * period_ns + after_ns).reshape(-1))
+        sensor_site_m = vehicle.position_site_m + rotate(vehicle.site_from_body, lever_arm_body_m)
+        body = np.full((len(shot), len(after_ns), 3), np.nan)
+        for pattern in range(scanner.set_count):
+            body[:, 1:] = true_body[scanner.row(pattern, shot)]
+            yield sensor_site_m, rotate(vehicle.site_from_body, body.reshape(-1, 3))
+
+
+def slack(scenario: FlightScenario) -> tuple[float, float]:
+    """How far a beamlet's direction may differ from its axis', in radians, and its start from the aperture's centre.
+
+    A beamlet's ray joins points of the same share of the beam's power: it spreads no faster than the far field.
+    Misalignments that the scenario orders may all come together.
+    """
+    waist_m = scenario.instrument.optics.waist_radius_m
+    offset_w, _ = beamlet_pattern(scenario.instrument.optics.beamlets)
+    farthest_w = float(np.sqrt(np.max(np.sum(offset_w**2, axis=1))))
+    far_field = scenario.instrument.waveform.wavelength_m / (np.pi * waist_m)
+    tilts_mrad = [fault.tilt_mrad for fault in scenario.faults if isinstance(fault, Misalignment)]
+    tilt_rad = 1e-3 * sum(float(np.hypot(*tilt)) for tilt in tilts_mrad)
+    return farthest_w * far_field + tilt_rad + 1e-9, farthest_w * waist_m + 1e-6

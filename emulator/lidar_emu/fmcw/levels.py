@@ -1,0 +1,71 @@
+"""The levels of the receiver: how much of it is computed between echoes and measurement.
+
+`geometric` reports the truth of each beam's axis, `statistical` draws from the closed-form error model, `spectral`
+computes the bins of the spectra that matter, `waveform` every sample. What a level does not need is not imported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.scenario.schema import FlightScenario
+
+Level = Callable[[Echoes, NDArray[np.int64]], Returns]
+"""Measures beams (shots, beams) of shots (shots,)."""
+
+
+def build_level(scenario: FlightScenario) -> Level:
+    """The level that the scenario asks for.
+
+    Raises:
+        InputError: the instrument is impossible.
+    """
+    if scenario.level == "geometric":
+        maximum_range_m = scenario.instrument.detection.maximum_range_m
+        return lambda echoes, _shot: geometric(echoes, maximum_range_m)
+    from lidar_emu.fmcw.build import build_receiver
+
+    statistical = scenario.level == "statistical"
+    model = build_receiver(scenario.instrument, scenario.site, scenario.exact, statistical)
+    if scenario.level == "waveform":
+        from lidar_emu.fmcw.waveform.level import measure_echoes
+
+        return lambda echoes, shot: measure_echoes(scenario.instrument, model, echoes, shot, scenario.seed)
+    from lidar_emu.fmcw.receiver import Receiver
+
+    return Receiver(model, scenario.seed)
+
+
+def geometric(echoes: Echoes, maximum_range_m: float) -> Returns:
+    """The truth of each beam's axis, its first beamlet, at the time of validity."""
+    range_m, speed_mps = echoes.range_m[..., 0], echoes.closing_speed_mps[..., 0]
+    reason = np.full(echoes.fired.shape, Reason.VALID, dtype=np.int8)
+    with np.errstate(invalid="ignore"):
+        reason[range_m > maximum_range_m] = Reason.BEYOND_RANGE
+        reason[np.isnan(range_m)] = Reason.NO_SURFACE
+        reason[echoes.inside | (range_m <= 0)] = Reason.INSIDE_GROUND
+    reason[~echoes.fired] = Reason.NOT_FIRED
+    valid = reason == Reason.VALID
+    unknown = np.full(valid.shape, np.nan)
+    exact = np.where(valid, 0.0, np.nan)
+    return Returns(
+        range_m=np.where(valid, range_m, np.nan),
+        closing_speed_mps=np.where(valid, speed_mps, np.nan),
+        range_valid=valid,
+        speed_valid=valid.copy(),
+        sign_resolved=valid.copy(),
+        reason=reason,
+        segments=np.where(valid, 7, 0).astype(np.uint8),
+        snr_db=unknown,
+        residual_mps=exact,
+        sigma_range_m=exact.copy(),
+        sigma_speed_mps=exact.copy(),
+        returns=valid.astype(np.uint8),
+        second_range_m=unknown.copy(),
+        segment_peak_hz=np.full((*valid.shape, 3), np.nan),
+    )

@@ -1,0 +1,151 @@
+"""Link budget: how much light of a surface, of the air and of the sun is in the receiver's own spatial mode."""
+
+from __future__ import annotations
+
+from functools import partial
+from math import exp, pi
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidar_emu.fmcw.constants import ELEMENTARY_CHARGE_C
+from lidar_emu.numerics.kernels import interpreted, kernel
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
+from lidar_emu.scenario.site import Atmosphere, Site, Surface
+
+_OPAQUE = 20.0
+"""Optical depth beyond which nothing returns: exp(-40) of the light."""
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
+
+
+class EchoLaw(NamedTuple):
+    """How the power of an echo goes with range and incidence, in the order in which `echo_power_w` takes it."""
+
+    emitted_w: float
+    """Power of the laser, less what the optics and depolarisation cost."""
+    coupling: float
+    """λ²/(π w0²): what the mode of the local oscillator takes of a radiance of 1 W/m² per steradian at the aperture."""
+    lommel_seeliger_share: float
+    parting_per_m: float
+    """By how many of their radii at the waist the modes part, per metre of range."""
+    extinction_per_m: float
+    rayleigh_m: float
+
+
+def echo_law(instrument: Instrument, surface: Surface, atmosphere: Atmosphere | None) -> EchoLaw:
+    """The law of `coherent_power_w`, for surfaces of any albedo; its arguments are explained there."""
+    wavelength_m, optics = instrument.waveform.wavelength_m, instrument.optics
+    efficiency = optics.optical_efficiency * optics.depolarisation
+    return EchoLaw(
+        emitted_w=float(optics.laser_power_w * efficiency),
+        coupling=float(wavelength_m**2 / (np.pi * optics.waist_radius_m**2)),
+        lommel_seeliger_share=float(surface.lommel_seeliger_share),
+        parting_per_m=float(optics.alignment_error_rad / optics.waist_radius_m),
+        extinction_per_m=0.0 if atmosphere is None else float(atmosphere.extinction_per_m),
+        rayleigh_m=float(np.pi * optics.waist_radius_m**2 / wavelength_m),
+    )
+
+
+@kernel
+def echo_power_w(
+    emitted_w: float,
+    coupling: float,
+    lommel_seeliger_share: float,
+    parting_per_m: float,
+    extinction_per_m: float,
+    rayleigh_m: float,
+    reflectance: float,
+    range_m: float,
+    cos_incidence: float,
+) -> float:
+    """One echo by an `EchoLaw`; see `coherent_power_w`."""
+    farness, parting = range_m / rayleigh_m, parting_per_m * range_m
+    spread = 1.0 + farness * farness
+    dimmed = exp(-parting * parting / spread - 2.0 * extinction_per_m * range_m) / spread
+    limb = lommel_seeliger_share + (1.0 - lommel_seeliger_share) * cos_incidence
+    facing_w = emitted_w * reflectance / pi * coupling
+    return facing_w * (0.0 if cos_incidence <= 0.0 else limb) * dimmed
+
+
+def coherent_power_w(
+    instrument: Instrument,
+    surface: Surface,
+    atmosphere: Atmosphere | None,
+    range_m: ArrayLike,
+    cos_incidence: ArrayLike,
+) -> NDArray[np.float64]:
+    """Power of the echo in the mode of the local oscillator, with the whole beam on such a surface.
+
+    A monostatic transceiver with matched Gaussian modes: P = P_t η (ρ/π) f(θ) T² λ² / (π w(R)²), with w(R)² =
+    w0² [1 + (λR / π w0²)²], valid near and far; far away it is the effective aperture π w0² / R² of the
+    antenna theorem. η is the optics' efficiency, the depolarisation and exp(-(Rγ/w)²): two Gaussian modes whose
+    centres lie Rγ apart on the ground overlap by that (γ is the alignment error). The heterodyne efficiency is *not*
+    in it: the receiver applies it when it turns power into photons detected (`build_receiver`). The surface's
+    f(θ) = L + (1 - L) cos θ runs from Lambert (L = 0) to the Moon's lack of limb darkening at zero phase
+    angle (L = 1); T² = exp(-2 α R).
+
+    Args:
+        instrument: laser power, wavelength and optics.
+        surface: albedo ρ and L.
+        atmosphere: extinction α; None is vacuum.
+        range_m: any shape, NaN where nothing is met.
+        cos_incidence: same shape; cosine of the angle between the ray back to the sensor and the normal.
+
+    Returns:
+        Watts in the broadcast shape: NaN where an argument is NaN, 0 for a surface seen from behind.
+    """
+    law = partial(interpreted(echo_power_w), *echo_law(instrument, surface, atmosphere), surface.reflectance)
+    return np.asarray(np.vectorize(law, otypes=[float])(range_m, cos_incidence))
+
+
+def haze_w_per_m(instrument: Instrument, atmosphere: Atmosphere) -> float:
+    """Power that each metre of air just before the sensor returns in the mode of the local oscillator.
+
+    P_t η β λ²/(π w0²): as of a surface, with the backscatter coefficient β for its radiance, and without
+    depolarisation, since the particles are taken for spheres.
+    """
+    optics = instrument.optics
+    coupling = instrument.waveform.wavelength_m**2 / (np.pi * optics.waist_radius_m**2)
+    return optics.laser_power_w * optics.optical_efficiency * atmosphere.backscatter_per_m_sr * coupling
+
+
+def haze_power_w(instrument: Instrument, atmosphere: Atmosphere, range_m: ArrayLike) -> NDArray[np.float64]:
+    """Power that the air between the sensor and a range returns in the mode of the local oscillator.
+
+    Light scattered once: the integral of `haze_w_per_m` times exp(-2 α r)/(1 + (r/z)²), which is z arctan(R/z) in air
+    that scatters but does not dim. In φ = arctan(r/z) the spreading is gone; the rest goes by 48 points of Gauss, over
+    no more than 20 optical depths. The alignment error is left out: over the depth from which air returns most, the
+    modes part less than on the ground.
+
+    Args:
+        instrument: laser power, wavelength and optics.
+        atmosphere: extinction α and backscatter coefficient β.
+        range_m: any shape; NaN gives NaN.
+    """
+    optics, extinction_per_m = instrument.optics, atmosphere.extinction_per_m
+    rayleigh_m = np.pi * optics.waist_radius_m**2 / instrument.waveform.wavelength_m
+    reach_m = np.inf if extinction_per_m == 0.0 else _OPAQUE / extinction_per_m
+    end = np.arctan(np.minimum(range_m, reach_m) / rayleigh_m)
+    integral_m = np.zeros_like(end)
+    for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+        integral_m += weight * np.exp(-2.0 * extinction_per_m * rayleigh_m * np.tan(0.5 * (1.0 + node) * end))
+    return np.asarray(0.5 * rayleigh_m * haze_w_per_m(instrument, atmosphere) * end * integral_m)
+
+
+def sunlight_over_shot(instrument: Instrument, site: Site) -> float:
+    """Noise of the sunlit ground over the shot noise of the local oscillator.
+
+    The ground's spectral radiance is ρ E/π, per frequency ρ E λ²/(π c). Of it a receiver of one spatial mode (A Ω =
+    λ²) and one polarisation takes N = ½ ρ E λ⁴/(π c) per hertz. Its beats with the local oscillator, from both sides
+    of its frequency, make a current noise of 4 R² P_LO N beside the shot noise 2 q R P_LO: the ratio is 2 R N/q, twice
+    the electrons per mode. An upper bound: all that the receiver sees is taken for ground in full sunlight, and the
+    optics for free of loss. No heterodyne efficiency belongs here, because whatever mode the oscillator has is filled.
+    """
+    wavelength_m = instrument.waveform.wavelength_m
+    irradiance_w_per_m3 = 1e6 * site.sunlight_w_per_m2_um
+    per_hz_w = (
+        0.5 * site.surface.reflectance * irradiance_w_per_m3 * wavelength_m**4 / (np.pi * SPEED_OF_LIGHT_MPS)
+    )
+    return float(2.0 * instrument.receiver.responsivity_a_per_w * per_hz_w / ELEMENTARY_CHARGE_C)

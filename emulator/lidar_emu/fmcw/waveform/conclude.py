@@ -1,0 +1,117 @@
+"""From the targets of three segments to what a beam reports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.waveform.combine import Combined, chirp_minus_doppler, least_squares
+from lidar_emu.fmcw.waveform.detect import Targets, window_gain, window_noise_power
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """(records,) each; NaN where there is nothing to report. The meanings are those of `Returns`."""
+
+    range_m: FloatArray
+    closing_speed_mps: FloatArray
+    reason: NDArray[np.int8]
+    """A `Reason`."""
+    sign_resolved: BoolArray
+    segments: NDArray[np.uint8]
+    snr_db: FloatArray
+    residual_mps: FloatArray
+    sigma_range_m: FloatArray
+    sigma_speed_mps: FloatArray
+    returns: NDArray[np.uint8]
+    second_range_m: FloatArray
+    segment_peak_hz: FloatArray
+    """(records, 3)"""
+
+
+def conclude(
+    waveform: Waveform,
+    detection: Detection,
+    targets: tuple[Targets, Targets, Targets],
+    windowed_level: FloatArray,
+) -> Conclusion:
+    """Range and closing speed from the strongest target of each segment, or why there are none.
+
+    Args:
+        waveform, detection: of the instrument; slope and frequency are those that it believes in.
+        targets: of up-chirp, constant segment and down-chirp.
+        windowed_level: mean noise power of a windowed bin, one for all or (N/2 + 1,).
+    """
+    range_per_bin_m = waveform.bin_width_hz * SPEED_OF_LIGHT_MPS / (2 * waveform.chirp_slope_hz_per_s)
+    speed_per_bin_mps = waveform.bin_width_hz * waveform.wavelength_m / 2
+    detected = np.isfinite([target.frequency_bin[:, 0] for target in targets])
+    everywhere = detected.all(axis=0)
+    combined = _combine(waveform, detection, targets, 0)
+    range_m = combined.range_bin * range_per_bin_m
+    reason = np.full(range_m.shape, Reason.BELOW_THRESHOLD, dtype=np.int8)
+    reason[everywhere] = Reason.VALID
+    reason[everywhere & ~(range_m >= 0.0)] = Reason.AMBIGUOUS
+    reason[everywhere & (range_m > detection.maximum_range_m)] = Reason.BEYOND_RANGE
+    valid = reason == Reason.VALID
+    second_m = _combine(waveform, detection, targets, 1).range_bin * range_per_bin_m
+    second_m[~((second_m >= 0.0) & (second_m <= detection.maximum_range_m))] = np.nan
+    return Conclusion(
+        range_m=np.where(valid, range_m, np.nan),
+        closing_speed_mps=np.where(valid, combined.doppler_bin * speed_per_bin_mps, np.nan),
+        reason=reason,
+        sign_resolved=combined.sign_resolved,
+        segments=np.packbits(detected, axis=0, bitorder="little")[0],
+        snr_db=_snr_db(waveform, detection, targets, windowed_level),
+        residual_mps=0.5 * combined.residual_bin * speed_per_bin_mps,
+        sigma_range_m=np.where(valid, np.sqrt(combined.range_variance) * range_per_bin_m, np.nan),
+        sigma_speed_mps=np.where(valid, np.sqrt(combined.doppler_variance) * speed_per_bin_mps, np.nan),
+        returns=np.min([np.isfinite(t.power).sum(axis=1) for t in targets], axis=0).astype(np.uint8),
+        second_range_m=second_m,
+        segment_peak_hz=np.stack([t.frequency_bin[:, 0] for t in targets], axis=-1) * waveform.bin_width_hz,
+    )
+
+
+def _combine(
+    waveform: Waveform, detection: Detection, targets: tuple[Targets, Targets, Targets], rank: Literal[0, 1]
+) -> Combined:
+    """The targets of one rank, where all three segments have one; elsewhere NaN."""
+    observed = np.stack([target.frequency_bin[:, rank] for target in targets], axis=-1)
+    variance = np.stack([target.variance_bin2[:, rank] for target in targets], axis=-1)
+    there = np.isfinite(observed).all(axis=-1)
+    if detection.combine == "chirp_minus_doppler":
+        some = chirp_minus_doppler(observed[there], variance[there])
+    else:
+        edge_hz = waveform.chirp_slope_hz_per_s * 2.0 * waveform.record_edge_range_m / SPEED_OF_LIGHT_MPS
+        farthest_bin = edge_hz / waveform.bin_width_hz
+        some = least_squares(observed[there], variance[there], waveform.fft_length, farthest_bin)
+
+    columns = np.full((5, len(observed)), np.nan)
+    columns[:, there] = some[:5]
+    resolved = np.zeros(len(observed), dtype=bool)
+    resolved[there] = some.sign_resolved
+    return Combined(columns[0], columns[1], columns[2], columns[3], columns[4], resolved)
+
+
+def _snr_db(
+    waveform: Waveform,
+    detection: Detection,
+    targets: tuple[Targets, Targets, Targets],
+    windowed_level: FloatArray,
+) -> FloatArray:
+    """Mean over the segments with a detection, referred to a rectangular bin before the window."""
+    place = np.stack([target.peak_bin[:, 0] for target in targets])
+    detected = np.isfinite(place)
+    level = np.broadcast_to(windowed_level, waveform.fft_length // 2 + 1)
+    here = level[np.where(detected, place, 0.0).astype(int)]
+    over = np.where(detected, [target.power[:, 0] for target in targets] / here, 0.0)
+    count = detected.sum(axis=0)
+    mean = np.where(count > 0, over.sum(axis=0) / np.maximum(count, 1), np.nan)
+    window = detection.window
+    rectangular = window_noise_power(window, waveform.fft_length) / window_gain(window) ** 2
+    return np.asarray(10.0 * np.log10(rectangular * mean))

@@ -1,0 +1,154 @@
+"""Windowed bins of whole records, the targets in them and the targets' frequencies; the leading axis is of records."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from lidar_emu.fmcw.waveform.samples import ComplexArray
+from lidar_emu.numerics.arrays import FloatArray, IntArray
+
+WindowName = Literal["rect", "hann", "hamming"]
+
+_COSINES: dict[WindowName, tuple[float, float]] = {
+    "rect": (1.0, 0.0),
+    "hann": (0.5, 0.5),
+    "hamming": (0.54, 0.46),
+}
+
+TARGETS = 4
+"""Targets kept of one spectrum, the strongest."""
+
+_BIN_VARIANCE = 1.0 / 12.0
+
+_LEAST_VARIANCE, _MOST_VARIANCE = 1e-12, 1.0 / 3.0
+"""That of a tone of which nothing is known but that it lies within a bin of this one."""
+
+
+class Targets(NamedTuple):
+    """The strongest targets of each record, strongest first; (records, TARGETS), NaN where there are fewer."""
+
+    frequency_bin: FloatArray
+    variance_bin2: FloatArray
+    """Of the frequency, by the estimator's own account."""
+    power: FloatArray
+    """Of the highest bin under the window."""
+    peak_bin: FloatArray
+    """The highest bin."""
+
+
+def window_samples(window: WindowName, count: int) -> FloatArray:
+    """The periodic window a - b cos(2πn/N), (N,)."""
+    a, b = _COSINES[window]
+    return a - b * np.cos(2.0 * np.pi * np.arange(count) / count)
+
+
+def transform(samples: FloatArray, window: WindowName) -> ComplexArray:
+    """Bins 0 to N/2 of (..., N) samples; a tone of weight w on a bin has magnitude |w| there if unwindowed."""
+    from scipy import fft
+
+    count = samples.shape[-1]
+    bins: ComplexArray = fft.rfft(samples * window_samples(window, count)) * (2.0 / count)
+    return bins
+
+
+def window_gain(window: WindowName) -> float:
+    """Amplitude of a tone on its bin over that without a window."""
+    return _COSINES[window][0]
+
+
+def window_noise_power(window: WindowName, count: int) -> float:
+    """Mean power of white noise in a windowed bin over that in a rectangular one."""
+    return float(np.mean(np.square(window_samples(window, count))))
+
+
+def find_peaks(power: FloatArray, threshold: float | FloatArray, group_fraction: float) -> IntArray:
+    """Highest bins of the groups of contiguous strong bins.
+
+    Bins 0 and N/2 hold no target. A group's bins exceed `group_fraction` of the spectrum's highest magnitude, and
+    its peak exceeds the threshold.
+
+    Args:
+        power: (records, N/2 + 1).
+        threshold: power, for all bins or (N/2 + 1,) for each.
+        group_fraction: of magnitude, not of power.
+
+    Returns:
+        (records, TARGETS) strongest first, of equals the lowest first; -1 where there are fewer.
+    """
+    records = power.shape[0]
+    inner = power.copy()
+    inner[:, [0, -1]] = 0.0
+    strong = inner > group_fraction**2 * inner.max(axis=1, keepdims=True)
+    # The empty ends keep groups of one record apart from those of the next.
+    flat = strong.ravel()
+    first = flat & ~np.concatenate(([False], flat[:-1]))
+    group = np.cumsum(first)
+    member = np.flatnonzero(flat)
+    order = np.lexsort((member, -inner.ravel()[member], group[member]))
+    member = member[order]
+    if member.size:
+        member = member[np.concatenate(([True], np.diff(group[member]) > 0))]
+    row, place = np.divmod(member, power.shape[1])
+    above = inner[row, place] > np.broadcast_to(threshold, power.shape[1:])[place]
+    row, place = row[above], place[above]
+    order = np.lexsort((place, -inner[row, place], row))
+    row, place = row[order], place[order]
+    rank = np.arange(row.size) - np.searchsorted(row, row)
+    peaks = np.full((records, TARGETS), -1, dtype=np.int64)
+    kept = rank < TARGETS
+    peaks[row[kept], rank[kept]] = place[kept]
+    return peaks
+
+
+def find_targets(
+    samples: FloatArray,
+    bins: ComplexArray,
+    threshold: float | FloatArray,
+    group_fraction: float,
+    estimator: Literal["bin", "hann"],
+    noise_level: float | FloatArray = 1.0,
+) -> Targets:
+    """Targets of records.
+
+    Args:
+        samples: (records, N).
+        bins: (records, N/2 + 1) their transform under the window of detection.
+        threshold, group_fraction: as in `find_peaks`.
+        estimator: the highest bin itself, or the three-bin formula on bins under a Hann window.
+        noise_level: mean noise power in a rectangular bin, one for all or (N/2 + 1,) for each.
+    """
+    power = np.square(bins.real) + np.square(bins.imag)
+    peaks = find_peaks(power, threshold, group_fraction)
+    found = peaks >= 0
+    row, _ = np.nonzero(found)
+    place = peaks[found]
+    values = np.full((4, *peaks.shape), np.nan)
+    offset, variance = np.zeros(place.size), np.full(place.size, _BIN_VARIANCE)
+    if estimator == "hann":
+        level = np.broadcast_to(noise_level, bins.shape[1:])[place]
+        offset, variance = _hann_offset(transform(samples, "hann"), row, place, level)
+    values[:, found] = place + offset, variance, power[row, place], place
+    return Targets(*values)
+
+
+def _hann_offset(
+    bins: ComplexArray, row: IntArray, place: IntArray, level: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Offset from bin `place`, and variance in noise of that level there.
+
+    For a tone δ off the middle bin q = Re[(H₋ - H₊)/(2 H₀ + H₋ + H₊)] is 3δ / (2 (1 - δ²)); the root in the form
+    without 0/0. With θ = 2πn/N the two sums are under the windows j (1 - cos θ) sin θ, of mean square 5/8, and
+    sin²θ, 3/8, and not correlated, so that var q = (5 + 3q²)/16 over the signal to noise of the latter sum. Next to
+    bin 0 and N/2 a tone's own image biases it by up to half a bin.
+    """
+    before, here, after = bins[row, place - 1], bins[row, place], bins[row, place + 1]
+    total = 2.0 * here + before + after
+    q = ((before - after) / total).real
+    offset = 4.0 * q / (3.0 + np.sqrt(9.0 + 16.0 * q * q))
+    slope = 1.5 * (1.0 + offset**2) / (1.0 - offset**2) ** 2
+    variance = (5.0 + 3.0 * q * q) / 16.0 * level / np.square(np.abs(total) * slope)
+    variance = np.clip(variance, _LEAST_VARIANCE, _MOST_VARIANCE)
+    image = (place <= 2) | (place >= bins.shape[1] - 3)
+    return offset, np.where(image, np.maximum(variance, _BIN_VARIANCE), variance)

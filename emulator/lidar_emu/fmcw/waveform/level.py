@@ -1,0 +1,166 @@
+"""The level `waveform`: every beam of every shot from its samples."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.fmcw.field import echo_field
+from lidar_emu.fmcw.model import ReceiverModel
+from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.fmcw.waveform.conclude import Conclusion
+from lidar_emu.fmcw.waveform.measure import Footprint, Measurement, measure_waveform
+from lidar_emu.fmcw.waveform.receive import Digitiser, Response, noise_level
+from lidar_emu.fmcw.waveform.samples import ComplexArray
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.scenario.instrument import Instrument
+
+_DARK = Footprint(np.ones(1), np.zeros(1), np.zeros(1, dtype=complex))
+"""No light: noise alone is measured."""
+
+
+def measure_echoes(
+    instrument: Instrument, model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed: int
+) -> Returns:
+    """Measure every beam of every shot from samples.
+
+    The field of the echo, its speckle and its phase, is that of the other levels (`echo_field`); noise and the
+    laser's line are drawn by other means, from seed, shot and beam. The threshold follows the noise that each bin has
+    in a receiver that does not clip. Light that the air itself returns is left out.
+
+    Args:
+        instrument: one look, all three segments, `bin` or `hann` peaks and a homodyne line.
+        model: of the same instrument, from `build_receiver`: light to SNR, and what noise arises where.
+        echoes: shaped (shots, beams, beamlets).
+        shot: (shots,) numbers of the shots.
+        seed: 64 bits, of everything drawn.
+
+    Raises:
+        ValueError: the instrument is another one.
+    """
+    field = echo_field(model, echoes, shot, seed)
+    beams = [
+        _measure_beam(instrument, model, echoes, field[s, b], s, b, _rng(seed, int(shot[s]), b))
+        for s, b in np.ndindex(echoes.fired.shape)
+    ]
+    columns = {f.name: np.concatenate([getattr(beam, f.name) for beam in beams]) for f in fields(Conclusion)}
+    shaped = {name: np.reshape(a, (*echoes.fired.shape, *a.shape[1:])) for name, a in columns.items()}
+    valid = shaped["reason"] == Reason.VALID
+    return Returns(**shaped, range_valid=valid, speed_valid=valid.copy())
+
+
+def listen_to_beam(
+    instrument: Instrument,
+    model: ReceiverModel,
+    echoes: Echoes,
+    shot: NDArray[np.int64],
+    seed: int,
+    s: int,
+    b: int,
+) -> Measurement:
+    """What `measure_echoes` finds on its way to beam `b` of shot `shot[s]`, a beam that fires: its three whole spectra.
+
+    Args and errors are those of `measure_echoes`.
+    """
+    field = echo_field(model, echoes, shot, seed)[s, b]
+    return _listen(instrument, model, echoes, field, s, b, _rng(seed, int(shot[s]), b), keep_bins=True)
+
+
+def _rng(seed: int, shot: int, b: int) -> np.random.Generator:
+    return np.random.default_rng((seed, shot, b))
+
+
+def _measure_beam(
+    instrument: Instrument,
+    model: ReceiverModel,
+    echoes: Echoes,
+    field: ComplexArray,
+    s: int,
+    b: int,
+    rng: np.random.Generator,
+) -> Conclusion:
+    """One beam of one shot."""
+    if not echoes.fired[s, b]:
+        return _nothing(Reason.NOT_FIRED)
+    range_m = echoes.range_m[s, b]
+    if echoes.inside[s, b] or (range_m <= 0.0).any():
+        return _nothing(Reason.INSIDE_GROUND)
+    measured = _listen(instrument, model, echoes, field, s, b, rng)
+    if measured.reason[0] == Reason.BELOW_THRESHOLD:
+        return replace(measured, reason=np.array([_unseen(range_m, model.record_edge_range_m)], np.int8))
+    return measured
+
+
+def _listen(
+    instrument: Instrument,
+    model: ReceiverModel,
+    echoes: Echoes,
+    field: ComplexArray,
+    s: int,
+    b: int,
+    rng: np.random.Generator,
+    keep_bins: bool = False,
+) -> Measurement:
+    """The records of a beam, measured."""
+    range_m, power_w = echoes.range_m[s, b], echoes.power_w[s, b]
+    waveform, receiver = instrument.waveform, instrument.receiver
+    lit = np.abs(field).max(axis=0) > 0.0
+    footprint = _DARK
+    if lit.any():
+        rate_mps = echoes.range_rate_mps[s, b, lit]
+        footprint = Footprint(
+            range_m[lit],
+            echoes.closing_speed_mps[s, b, lit],
+            field[None, :, lit],
+            np.where(np.isfinite(rate_mps), rate_mps, 0.0),
+            float(echoes.closing_acceleration_mps2[s, b]),
+            float(echoes.smear_acceleration_mps2[s, b]),
+        )
+    response = Response(receiver.bandwidth_hz, receiver.ac_coupling_hz)
+    # The echo makes shot noise of its own; the digitiser's noise arises behind the poles, by rounding.
+    share = model.response.amplifier_noise * (1.0 + model.signal_shot_per_w * float(power_w[lit].sum()))
+    level = share * noise_level(waveform, response) + model.response.digitiser_noise
+    digitiser = None
+    if receiver.adc is not None:
+        digitiser = Digitiser(2.0 * model.response.full_scale, receiver.adc.effective_bits)
+    return measure_waveform(
+        waveform,
+        instrument.detection,
+        footprint,
+        response=response,
+        rng=rng,
+        noise_share=share,
+        digitiser=digitiser,
+        noise_level=level,
+        edges=bool((range_m > model.record_edge_range_m).any()),
+        keep_bins=keep_bins,
+    )
+
+
+def _unseen(range_m: FloatArray, edge_m: float) -> Reason:
+    """Why nothing was detected."""
+    if np.isnan(range_m).all():
+        return Reason.NO_SURFACE
+    return Reason.BELOW_THRESHOLD if np.nanmin(range_m) <= edge_m else Reason.BEYOND_RANGE
+
+
+def _nothing(reason: Reason) -> Conclusion:
+    """Of a beam that is not measured at all."""
+    unknown = np.full(1, np.nan)
+    return Conclusion(
+        range_m=unknown,
+        closing_speed_mps=unknown,
+        reason=np.array([reason], dtype=np.int8),
+        sign_resolved=np.zeros(1, dtype=bool),
+        segments=np.zeros(1, dtype=np.uint8),
+        snr_db=unknown,
+        residual_mps=unknown,
+        sigma_range_m=unknown,
+        sigma_speed_mps=unknown,
+        returns=np.zeros(1, dtype=np.uint8),
+        second_range_m=unknown,
+        segment_peak_hz=np.full((1, 3), np.nan),
+    )

@@ -1,0 +1,246 @@
+"""What the receiver makes of the light on its detectors: response, noise, digitiser.
+
+Amplitudes are in units in which white noise ahead of the receiver's poles, in the band up to half the sample rate,
+has unit mean power in a rectangular bin: the square of a tone's amplitude is its bin SNR.
+"""
+
+from __future__ import annotations
+
+from math import ceil, exp, log2, pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from lidar_emu.fmcw.waveform.samples import (
+    Beamlets,
+    ComplexArray,
+    Segment,
+    add_beamlets,
+    analytic_record,
+    phase_cycles,
+    phasor,
+)
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.scenario.instrument import Waveform
+
+_TIME_CONSTANTS = 25.0
+"""Run-in of the slowest pole: exp(-25) of its transient is left."""
+
+_MARGIN = 1024
+"""Samples on both sides of a record in which the ringing of the band's ends dies away."""
+
+_USED_BAND = 0.8
+"""Share of the band up to half the rate of synthesis that tones may fill."""
+
+_PROBES = 513
+"""Times at which a beamlet's momentary frequency is looked at before its rate of synthesis is chosen."""
+
+
+class Response(NamedTuple):
+    """A single-pole low-pass and a single-pole high-pass."""
+
+    bandwidth_hz: float | None = None
+    """Half-power frequency of the low-pass; None is flat."""
+    ac_coupling_hz: float = 0.0
+    """Half-power frequency of the high-pass; 0 couples directly."""
+
+    @property
+    def flat(self) -> bool:
+        """Neither pole is there."""
+        return self.bandwidth_hz is None and self.ac_coupling_hz == 0.0
+
+    def gain(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Complex gain at signed frequencies, in their shape."""
+        gain = np.ones(np.shape(frequency_hz), dtype=complex)
+        if self.bandwidth_hz is not None:
+            gain /= 1.0 + 1j * frequency_hz / self.bandwidth_hz
+        if self.ac_coupling_hz > 0.0:
+            gain *= 1j * frequency_hz / (self.ac_coupling_hz + 1j * frequency_hz)
+        return gain
+
+    def run_in(self, sample_rate_hz: float) -> int:
+        """Samples after which a signal that was switched on is as if it had always been there."""
+        corners = [corner for corner in (self.bandwidth_hz, self.ac_coupling_hz) if corner]
+        if not corners:
+            return 0
+        return _MARGIN + ceil(_TIME_CONSTANTS * sample_rate_hz / (2 * pi * min(corners)))
+
+
+FLAT = Response()
+
+
+class Digitiser(NamedTuple):
+    """Clipping and rounding, in the unit of the samples."""
+
+    full_scale: float
+    """From the lowest to the highest value."""
+    bits: float
+
+    def digitise(self, samples: FloatArray) -> FloatArray:
+        """Samples clipped to ± half the full scale and rounded to whole steps, 0 being one of them."""
+        step = self.full_scale / 2.0**self.bits
+        half = 0.5 * self.full_scale
+        digitised: FloatArray = np.rint(np.clip(samples, -half, half) / step) * step
+        return digitised
+
+
+def receive_record(
+    waveform: Waveform, segment: Segment, beamlets: Beamlets, response: Response = FLAT, edges: bool = False
+) -> ComplexArray:
+    """The record of one segment behind the receiver's poles, without noise: (..., N), whose real part is sampled.
+
+    The poles act as a product in the frequency domain, at a multiple of the sample rate at which the true
+    frequencies of all beamlets, folded later or not, lie within the band; every so many samples are then kept. A
+    run-in ahead of the record, within which the waveform goes on as in `phase_cycles`, lets the transients die: the
+    bins of a steady tone come out to some 1e-9 of the peak.
+    """
+    if response.flat:
+        return analytic_record(waveform, segment, beamlets, edges)
+    from scipy import fft
+
+    rate_hz, count = waveform.sample_rate_hz, waveform.fft_length
+    ahead = response.run_in(rate_hz)
+    every = range(beamlets.range_m.size)
+    highest_hz = max(
+        _highest_frequency(waveform, segment, beamlets, i, ahead / rate_hz, edges) for i in every
+    )
+    factor = 2 ** max(0, ceil(log2(highest_hz / (_USED_BAND * 0.5 * rate_hz)))) if highest_hz > 0 else 1
+    whole = fft.next_fast_len(ahead + count + _MARGIN)
+    ahead = whole - count - _MARGIN
+    step_s = 1.0 / (factor * rate_hz)
+    time_s = (np.arange(whole * factor) - factor * (ahead + (count - 1) / 2)) * step_s
+    frequency_hz = fft.fftfreq(whole * factor, step_s)
+    gain = response.gain(frequency_hz) * _taper(np.abs(frequency_hz) * 2.0 * step_s)
+    kept = slice(factor * ahead, factor * (ahead + count), factor)
+
+    def light(i: int) -> ComplexArray:
+        return phasor(segment, beamlets, i, time_s, edges)
+
+    def filtered(z: ComplexArray) -> ComplexArray:
+        return np.asarray(fft.ifft(gain * fft.fft(z))[..., kept])
+
+    if beamlets.weight.size == beamlets.range_m.size:
+        # Of a single record all light passes the poles at once.
+        return filtered(add_beamlets(beamlets, light, time_s.size))
+    return add_beamlets(beamlets, lambda i: filtered(light(i)), count)
+
+
+def _taper(band_share: FloatArray) -> FloatArray:
+    """1 in the band in use, from there smoothly to 0: a step at the band's end would ring across the record."""
+    beyond = np.clip((band_share - _USED_BAND) / (1.0 - _USED_BAND), 0.0, 1.0)
+    return np.asarray(np.square(np.cos(0.5 * np.pi * beyond)), dtype=float)
+
+
+def _highest_frequency(
+    waveform: Waveform, segment: Segment, beamlets: Beamlets, index: int, ahead_s: float, edges: bool
+) -> float:
+    """Of one beamlet's beat, from the slope of its phase."""
+    half_s = 0.5 * waveform.record_time_s
+    time_s = np.linspace(-half_s - ahead_s, half_s, _PROBES)
+    step_s = waveform.record_time_s / 2**20
+    scatterer = (
+        float(beamlets.range_m[index]),
+        float(beamlets.closing_speed_mps[index]),
+        beamlets.closing_acceleration_mps2,
+    )
+    later = phase_cycles(segment, *scatterer, time_s + step_s, edges)
+    earlier = phase_cycles(segment, *scatterer, time_s - step_s, edges)
+    return float(np.abs(later - earlier).max()) / (2.0 * step_s)
+
+
+def draw_noise(
+    rng: np.random.Generator, records: int, waveform: Waveform, response: Response = FLAT
+) -> FloatArray:
+    """Gaussian noise behind the receiver's poles, (records, N), drawn record by record.
+
+    White ahead of the poles, of unit mean power in a rectangular bin. With a low-pass the noise of all
+    frequencies is there, and what lies beyond half the sample rate folds into the record: the samples are those
+    of the continuous process, exactly, so that bin k has the mean power Σ |H(f_k + m fs)|² over all m, next to what
+    leaks over the record's ends. Without a low-pass white noise would have boundless power, and is limited to
+    half the sample rate ahead of the high-pass.
+
+    Raises:
+        ValueError: the two poles coincide.
+    """
+    sigma = 0.5 * sqrt(waveform.fft_length)
+    if response.flat:
+        return sigma * rng.standard_normal((records, waveform.fft_length))
+    if response.bandwidth_hz is None:
+        return sigma * _high_passed(rng, records, waveform, response)
+    return sigma * _sampled_process(rng, records, waveform, response.bandwidth_hz, response.ac_coupling_hz)
+
+
+def noise_level(waveform: Waveform, response: Response) -> FloatArray:
+    """Mean power of `draw_noise` in rectangular bins 0 to N/2, without what leaks over the record's ends: (N/2 + 1,).
+
+    With a low-pass the spectrum of the sampled process from its autocovariance Σ A_i exp(-p_i |k| / fs), in the
+    terms of `_sampled_process`: each has a geometric series.
+    """
+    bins = np.arange(waveform.fft_length // 2 + 1, dtype=float)
+    frequency_hz = bins * waveform.bin_width_hz
+    if response.bandwidth_hz is None:
+        return np.square(np.abs(response.gain(frequency_hz)))
+    poles, residues = _partial_fractions(response.bandwidth_hz, response.ac_coupling_hz)
+    rate_hz = waveform.sample_rate_hz
+    amplitude = (residues * residues[:, None] / (rate_hz * (poles + poles[:, None]))).sum(axis=0)
+    turning = np.exp(-2j * np.pi * frequency_hz / rate_hz)[:, None] * np.exp(-poles / rate_hz)
+    series = 1.0 + 2.0 * (turning / (1.0 - turning)).real
+    return np.asarray((amplitude * series).sum(axis=1), dtype=float)
+
+
+def _high_passed(
+    rng: np.random.Generator, records: int, waveform: Waveform, response: Response
+) -> FloatArray:
+    from scipy import fft
+
+    ahead = response.run_in(waveform.sample_rate_hz)
+    whole = fft.next_fast_len(ahead + waveform.fft_length + _MARGIN, real=True)
+    gain = response.gain(fft.rfftfreq(whole, 1.0 / waveform.sample_rate_hz))
+    spectrum = fft.rfft(rng.standard_normal((records, whole)))
+    noise: FloatArray = fft.irfft(gain * spectrum, whole)
+    return noise[:, ahead : ahead + waveform.fft_length]
+
+
+def _sampled_process(
+    rng: np.random.Generator, records: int, waveform: Waveform, bandwidth_hz: float, ac_coupling_hz: float
+) -> FloatArray:
+    """White noise through the poles, sampled.
+
+    In partial fractions the response is Σ c_i / (s + p_i), and each of its terms, driven by the same white noise,
+    is a process x' = -p x + n: from one sample to the next it decays by exp(-p/fs) and receives a Gaussian
+    increment, correlated among the terms. Its covariance (1 - exp(-(p_i + p_j)/fs)) / (fs (p_i + p_j))
+    is that of white noise with unit variance in the band up to fs/2.
+    """
+    from scipy.signal import lfilter
+
+    rate_hz = waveform.sample_rate_hz
+    poles, residues = _partial_fractions(bandwidth_hz, ac_coupling_hz)
+    drawn = rng.standard_normal((records, waveform.fft_length, poles.size))
+    noise = np.zeros((records, waveform.fft_length))
+    stationary, increment = _factor(poles, rate_hz, from_rest=False), _factor(poles, rate_hz, from_rest=True)
+    for i, pole in enumerate(poles):
+        driven = sum(increment[i, j] * drawn[:, :, j] for j in range(poles.size))
+        driven[:, 0] = sum(stationary[i, j] * drawn[:, 0, j] for j in range(poles.size))
+        noise += residues[i] * lfilter([1.0], [1.0, -exp(-pole / rate_hz)], driven)
+    return noise
+
+
+def _partial_fractions(bandwidth_hz: float, ac_coupling_hz: float) -> tuple[FloatArray, FloatArray]:
+    """p_i in rad/s and c_i of the response Σ c_i / (s + p_i)."""
+    poles = 2.0 * pi * np.array([bandwidth_hz, ac_coupling_hz] if ac_coupling_hz > 0.0 else [bandwidth_hz])
+    if poles.size == 1:
+        return poles, poles
+    apart = poles[0] - poles[1]
+    if abs(apart) < 1e-6 * poles[0]:
+        raise ValueError(f"bandwidth and AC coupling coincide: {bandwidth_hz} Hz")
+    return poles, poles[0] * np.array([poles[0], -poles[1]]) / apart
+
+
+def _factor(poles: FloatArray, rate_hz: float, from_rest: bool) -> FloatArray:
+    """Lower triangular root of the terms' covariance: after one step from rest, or stationary."""
+    total = poles[:, None] + poles
+    # Intensity 1/fs is unit variance over the band of width fs.
+    covariance = 1.0 / (total * rate_hz)
+    if from_rest:
+        covariance *= -np.expm1(-total / rate_hz)
+    return np.asarray(np.linalg.cholesky(covariance), dtype=float)

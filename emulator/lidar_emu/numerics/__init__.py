@@ -1,0 +1,1 @@
+"""Numerics that all stages share: kernels, random streams, rotations, vectors and array types."""

@@ -1,0 +1,160 @@
+"""What an instrument will detect over a site, before anything is flown.
+
+The vehicle hangs upright over a level plane of the site's surface. Of the receiver the mean signal-to-noise ratio
+counts (`coherent_power_w`, `build_receiver`), less what window, straddling, poles and the laser's line cost; motion and
+slopes cost more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from lidar_emu.fmcw.beam_filter import line_share
+from lidar_emu.fmcw.build import build_receiver
+from lidar_emu.fmcw.link_budget import coherent_power_w
+from lidar_emu.fmcw.model import ReceiverModel
+from lidar_emu.fmcw.response import noise_level, tone_gain
+from lidar_emu.fmcw.spectrum import WINDOWS, Window, fold
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import interpreted
+from lidar_emu.numerics.rotations import rotate
+from lidar_emu.probability.fading import detection_probability, shared_fade_probability
+from lidar_emu.probability.false_lock import false_lock_probability
+from lidar_emu.probability.noise import log_false_alarm
+from lidar_emu.probability.quadrature import nodes_and_weights
+from lidar_emu.scanner.model import build_scanner, mounting_rotation, off_axis_rad
+from lidar_emu.scenario.instrument import Detection
+from lidar_emu.scenario.schema import FlightScenario
+
+
+@dataclass(frozen=True)
+class DetectionForecast:
+    """Probabilities per beam angle and altitude; arrays are (angles, altitudes) where no shape is given.
+
+    All are NaN where the beam is level or rises, or where the ground is beyond the maximum range. Speckle is
+    exponential and drawn anew for each look.
+    """
+
+    altitude_m: FloatArray
+    """(altitudes,)"""
+    angle_deg: FloatArray
+    """(angles,) From straight down, of all patterns; ascending, each once."""
+    range_m: FloatArray
+    snr_db: FloatArray
+    """Mean power of the highest windowed bin over the mean noise power there, of one look."""
+    segment_steady: FloatArray
+    """One segment's detection without fading."""
+    segment_speckle: FloatArray
+    """One segment's detection in speckle."""
+    measurement_steady: FloatArray
+    """As many segments as the instrument's rule asks for, without fading."""
+    measurement_shared: FloatArray
+    """The same in speckle that the three segments share, as in hover."""
+    measurement_independent: FloatArray
+    """The same in speckle of each segment's own, as in fast flight."""
+    false_lock_steady: FloatArray
+    """A noise bin is the strongest of a segment and above the threshold."""
+    false_lock_speckle: FloatArray
+    false_alarm: float
+    """Noise alone is above the threshold in some bin of a segment."""
+    minus_log_pfa: float
+    """-ln of the same for a single bin."""
+    window_loss_db: float
+    """`snr_db` is so much below that of a tone on its bin without a window."""
+    speckle: bool
+    """Whether the scenario's echoes fade."""
+
+
+def forecast_detection(scenario: FlightScenario, altitude_m: FloatArray) -> DetectionForecast:
+    """The forecast at altitudes (altitudes,) of the sensor above the plane.
+
+    Raises:
+        InputError: the instrument's receiver is impossible (`build_receiver`).
+    """
+    instrument, site = scenario.instrument, scenario.site
+    detection = instrument.detection
+    angle_deg = beam_angles_deg(scenario)
+    cosine = np.cos(np.radians(angle_deg))[:, None]
+    range_m = altitude_m / np.where(cosine > 1e-9, cosine, np.nan)
+    range_m[range_m > detection.maximum_range_m] = np.nan
+    gain = mean_straddling_gain(WINDOWS[detection.window])
+    power_w = coherent_power_w(instrument, site.surface, site.atmosphere, range_m, cosine)
+    model = build_receiver(instrument, site)
+    kept = np.vectorize(partial(_kept_share, model), otypes=[float])(range_m)
+    snr = power_w * model.snr_per_w * gain * kept
+    bins = instrument.waveform.fft_length / 2
+    minus_log_pfa = -instrument.log_false_alarm_per_bin
+    looks = detection.looks
+
+    def rule(segment: FloatArray) -> FloatArray:
+        return measured(detection, segment)
+
+    steady = detection_probability("steady", snr, minus_log_pfa, looks)
+    speckle = detection_probability("swerling_2", snr, minus_log_pfa, looks)
+    with np.errstate(divide="ignore"):
+        snr_db = 10.0 * np.log10(snr)
+    return DetectionForecast(
+        altitude_m=altitude_m,
+        angle_deg=angle_deg,
+        range_m=range_m,
+        snr_db=snr_db,
+        segment_steady=steady,
+        segment_speckle=speckle,
+        measurement_steady=rule(steady),
+        measurement_shared=shared_fade_probability(rule, snr, minus_log_pfa, looks),
+        measurement_independent=rule(speckle),
+        false_lock_steady=false_lock_probability("steady", snr, minus_log_pfa, bins, looks),
+        false_lock_speckle=false_lock_probability("swerling_2", snr, minus_log_pfa, bins, looks),
+        false_alarm=float(np.exp(log_false_alarm(minus_log_pfa, bins))),
+        minus_log_pfa=minus_log_pfa,
+        window_loss_db=float(-10.0 * np.log10(gain)),
+        speckle=instrument.optics.speckle,
+    )
+
+
+def _kept_share(model: ReceiverModel, range_m: float) -> float:
+    """What the laser's line and the poles leave of the SNR, at the beat of the range alone."""
+    beat = model.beat_bin_per_m * range_m
+    if not np.isfinite(beat):
+        return np.nan
+    observed_bin, _, _ = interpreted(fold)(beat, model.fft_length)
+    # Speeds put the three beats anywhere: below the AC coupling a landing lidar's are by chance only.
+    response = model.response._replace(highpass_bin=0.0)
+    gain_re, gain_im = interpreted(tone_gain)(response, beat)
+    level = interpreted(noise_level)(
+        response, 1.0, 0.0, observed_bin, np.sin(np.pi * observed_bin / model.fft_length)
+    )
+    return float(interpreted(line_share)(model, range_m) * (gain_re**2 + gain_im**2) / level)
+
+
+def measured(detection: Detection, segment: FloatArray) -> FloatArray:
+    """Probability that the rule is met where each of three segments is detected independently."""
+    if detection.rule == "any_two":
+        return segment**2 * (3.0 - 2.0 * segment)
+    return segment**3
+
+
+def beam_angles_deg(scenario: FlightScenario) -> FloatArray:
+    """Angles of the published beams of all patterns from body z, straight down in an upright vehicle.
+
+    Of a scan its ends and its middle count.
+    """
+    scanner = build_scanner(scenario.scanner)
+    sets = scanner.published_sensor.reshape(-1, scanner.steps, scanner.beam_count, 3)
+    body = rotate(mounting_rotation(scenario.mounting), sets[:, [0, scanner.steps // 2, -1]])
+    angle_deg = np.round(np.degrees(off_axis_rad(body)), 6)
+    return np.unique(angle_deg[~np.isnan(angle_deg)])
+
+
+def mean_straddling_gain(window: Window) -> float:
+    """Mean power of the highest windowed bin for tones anywhere, over that of a tone on its rectangular bin.
+
+    Both are relative to their own mean noise power. A tone δ bins away has the amplitude sinc(δ) [c - 2 s δ² / (1 -
+    δ²)] under the filter with the centre c and the sides s.
+    """
+    offset, weight = nodes_and_weights(np.array([0.0, 0.5]))
+    amplitude = np.sinc(offset) * (window.centre - 2.0 * window.side * offset**2 / (1.0 - offset**2))
+    return float((amplitude**2 * weight).sum() / (0.5 * window.noise_power))

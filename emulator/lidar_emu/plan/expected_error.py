@@ -1,0 +1,237 @@
+"""What errors a flight's measurements will have, from closed forms, before any is measured.
+
+Per shot and beam, at a look along the flight: the mean signal-to-noise ratio, the bias that motion within a
+measurement and a wrong slope bring (the three segments' own beats, combined as the instrument combines them), and the
+variance of each segment's frequency: its bin's width, noise, the laser's drift over the delay, and speckle, whose peak
+wanders within a footprint that spreads over part of a bin. Left out: false locks, what moves between several looks,
+relief within a footprint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import partial
+
+import numpy as np
+from scipy.special import exp1, gammaincc
+
+from lidar_emu.echo.echoes import SPECKLE_PITCH_W, receive_light
+from lidar_emu.echo.spectral_spread import Spread, no_spread, spread_bins
+from lidar_emu.flight.flight import Flight
+from lidar_emu.fmcw.beam_filter import line_share
+from lidar_emu.fmcw.build import build_receiver
+from lidar_emu.fmcw.model import ReceiverModel
+from lidar_emu.fmcw.peaks import BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY, METHODS
+from lidar_emu.fmcw.response import noise_level, tone_gain
+from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.fmcw.spectrum import WINDOWS, fold
+from lidar_emu.fmcw.tones import signed_bin
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.kernels import interpreted
+from lidar_emu.plan.detection_forecast import mean_straddling_gain, measured
+from lidar_emu.probability.fading import detection_probability, shared_fade_probability
+from lidar_emu.scenario.instrument import Detection, Instrument
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.scene.hits import Hits
+
+_LOOKS_ALONG = 128
+_NODES = 33
+
+
+@dataclass(frozen=True)
+class ExpectedError:
+    """Of the valid measurements of a flight, false locks aside."""
+
+    range_rms_m: float
+    range_bias_m: float
+    speed_rms_mps: float
+    speed_bias_mps: float
+    dropout: float
+    """Share of the beams that fire and meet the ground without a valid measurement."""
+
+    def to_json(self) -> dict[str, float | None]:
+        """With null for what no measurement tells."""
+        return {name: value if np.isfinite(value) else None for name, value in asdict(self).items()}
+
+
+def expected_error(scenario: FlightScenario, flight: Flight, beamlets: int) -> ExpectedError:
+    """The expectation for a flight of beams with so many beamlets each."""
+    if scenario.level == "geometric":
+        return ExpectedError(0.0, 0.0, 0.0, 0.0, 0.0)
+    instrument, site = scenario.instrument, scenario.site
+    count = min(_LOOKS_ALONG, flight.shot_count)
+    shot = np.unique(np.linspace(0, flight.shot_count - 1, count).astype(np.int64))
+    pointing, _ = flight.point(shot, flight.scanner.initial)
+    hits = flight.cast(pointing)
+    echoes = receive_light(instrument, site, flight, 1, pointing, hits)
+    model = build_receiver(instrument, site, scenario.exact)
+    spread = spread_bins(instrument, pointing, hits) if beamlets > 1 else no_spread(hits)
+
+    beats = _beats_bin(instrument, model, echoes)
+    snr = _snr(model, hits, echoes, beats)
+    chance = _chance(instrument, model, echoes, snr, spread)
+    variance_bin2 = _variances_bin2(instrument, model, hits, echoes, snr, spread)
+    bias_bin = _biases_bin(instrument.detection, model, echoes, beats)
+    expected = pointing.fired & np.isfinite(hits.range_m) & ~hits.inside
+    weight = np.where(expected, chance, 0.0)
+    scale = (model.range_bin_m, model.speed_bin_mps)
+    bias, rms = [], []
+    for b, v, unit in zip(bias_bin, variance_bin2, scale, strict=True):
+        bias.append(unit * _mean(b, weight))
+        rms.append(unit * np.sqrt(_mean(b**2 + v, weight)))
+    dropout = 1.0 - _mean(chance, expected.astype(float))
+    return ExpectedError(float(rms[0]), bias[0], float(rms[1]), bias[1], dropout)
+
+
+def _mean(values: FloatArray, weight: FloatArray) -> float:
+    known = weight > 0.0
+    return float(np.average(values[known], weights=weight[known])) if known.any() else np.nan
+
+
+def _beats_bin(instrument: Instrument, model: ReceiverModel, echoes: Echoes) -> FloatArray:
+    """Signed beats at the centres of the three records, (3, shots, beams)."""
+    beats = np.empty((3, *echoes.fired.shape))
+    for segment in range(3):
+        time_s = (segment - 1) * instrument.waveform.segment_time_s
+        then_m = echoes.range_m[..., 0] + echoes.range_rate_mps[..., 0] * time_s
+        then_mps = echoes.closing_speed_mps[..., 0] + echoes.closing_acceleration_mps2 * time_s
+        for place in np.ndindex(then_m.shape):
+            beats[segment][place] = interpreted(signed_bin)(
+                model, segment, float(then_m[place]), float(then_mps[place])
+            )
+    return beats
+
+
+def _snr(model: ReceiverModel, hits: Hits, echoes: Echoes, beats: FloatArray) -> FloatArray:
+    """Mean power of a tone on its bin over the noise there: geometric mean of the segments."""
+    log_gain = np.full(beats.shape, np.nan)
+    for place in zip(*np.nonzero(np.isfinite(beats)), strict=True):
+        re, im = interpreted(tone_gain)(model.response, beats[place])
+        k, _, _ = interpreted(fold)(beats[place], model.fft_length)
+        level = interpreted(noise_level)(model.response, 1.0, 0.0, k, np.sin(np.pi * k / model.fft_length))
+        log_gain[place] = np.log(max(re * re + im * im, 1e-30) / max(level, 1e-30))
+    kept = np.vectorize(partial(interpreted(line_share), model), otypes=[float])(hits.range_m)
+    snr: FloatArray = echoes.power_w[..., 0] * model.snr_per_w * np.exp(log_gain.mean(axis=0)) * kept
+    return snr
+
+
+def _same_fade(instrument: Instrument, echoes: Echoes) -> FloatArray:
+    """Squared correlation of the echo's field in neighbouring segments, exp(-2 d²/w0²)."""
+    moved = echoes.speckle_drift_per_s * SPECKLE_PITCH_W * instrument.waveform.segment_time_s
+    return np.asarray(np.exp(-2.0 * (moved**2).sum(axis=-1)))
+
+
+def _chance(
+    instrument: Instrument, model: ReceiverModel, echoes: Echoes, snr: FloatArray, spread: Spread
+) -> FloatArray:
+    """Probability of a valid measurement.
+
+    Of two segments whose fields have the squared correlation ρ², the chance that both are lost in a fade, each lost
+    with a small p, is p²/(1 - ρ²): the share of losses in common is p/(p + 1 - ρ²).
+    """
+    detection = instrument.detection
+    # The peak of a line of rms width s falls as 1 - π² s²/3, and as 1/s for wide ones.
+    wide = np.sqrt(1.0 + 2.0 * np.pi * spread.variance(1.0, 1.0))
+    seen = np.maximum(np.nan_to_num(snr * mean_straddling_gain(WINDOWS[detection.window]) / wide), 1e-6)
+    segment, own, shared = _chances(instrument, model.speckle, np.log(seen))
+    lost = 1.0 - segment
+    common = lost / (lost + 1.0 - _same_fade(instrument, echoes) + 1e-12)
+    near: BoolArray = echoes.range_m[..., 0] <= detection.maximum_range_m
+    return np.where(near, common * shared + (1.0 - common) * own, 0.0)
+
+
+def _chances(
+    instrument: Instrument, speckle: bool, log_snr: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of one segment, of a measurement whose segments fade each for itself, and of one whose segments fade together.
+
+    Read off a table: they cost a millisecond a value.
+    """
+    detection, minus_log_pfa = instrument.detection, -instrument.log_false_alarm_per_bin
+    nodes = np.linspace(log_snr.min(), log_snr.max() + 1e-9, _NODES)
+    snr = np.exp(nodes)
+
+    def rule(segment: FloatArray) -> FloatArray:
+        return measured(detection, segment)
+
+    segment = detection_probability(
+        "swerling_2" if speckle else "steady", snr, minus_log_pfa, detection.looks
+    )
+    own = rule(segment)
+    shared = shared_fade_probability(rule, snr, minus_log_pfa, detection.looks) if speckle else own
+    one, apart, together = (np.interp(log_snr, nodes, table) for table in (segment, own, shared))
+    return one, apart, together
+
+
+def _variances_bin2(
+    instrument: Instrument, model: ReceiverModel, hits: Hits, echoes: Echoes, snr: FloatArray, spread: Spread
+) -> tuple[FloatArray, FloatArray]:
+    """Of range and speed."""
+    detection, looks = instrument.detection, instrument.detection.looks
+    efficiency = EFFICIENCY[METHODS[detection.peak]]
+    with np.errstate(divide="ignore", over="ignore"):
+        faintest = np.minimum(-instrument.log_false_alarm_per_bin / looks / snr, 50.0)
+        noise = efficiency * CRAMER_RAO_BIN2 / snr
+    # A fade in which the noise would hide the line is not detected, and moves a peak by a bin at most.
+    noise = _faded(noise, np.ones_like(noise), faintest, looks) if model.speckle else noise / looks
+    delay = hits.range_m * model.delay_per_m
+    drift = 6.0 * model.linewidth_bins / np.pi * delay**2 * efficiency / looks if model.homodyne_line else 0.0
+    alike = noise + drift + (BIN_VARIANCE if detection.peak == "bin" else 0.0)
+
+    def wander(beat: float, doppler: float) -> FloatArray:
+        if not model.speckle:
+            return np.zeros_like(snr)
+        variance = spread.variance(beat, doppler)
+        return _faded(0.5 * variance, np.maximum(variance, BIN_VARIANCE), faintest, looks)
+
+    closing = np.where(echoes.closing_speed_mps[..., 0] >= 0.0, 1.0, -1.0)
+    adjacent = _same_fade(instrument, echoes)
+    # Of the three pairs of segments two are neighbours.
+    same = (2.0 * adjacent + adjacent**4) / 3.0
+    up, constant, down = wander(1.0, -1.0), wander(0.0, 1.0), wander(1.0, 1.0)
+    if detection.combine == "least_squares":
+        own_range, own_speed = (up + down) / 4.0, (up + constant + down) / 9.0
+        noise_range, noise_speed = alike / 2.0, alike / 3.0
+    else:
+        own_range, own_speed = np.where(closing > 0.0, down, up) + constant, constant
+        noise_range, noise_speed = 2.0 * alike, alike
+    return (
+        noise_range + same * wander(1.0, 0.0) + (1.0 - same) * own_range,
+        noise_speed + same * constant + (1.0 - same) * own_speed,
+    )
+
+
+def _faded(at_mean: FloatArray, most: FloatArray, faintest: FloatArray, looks: int) -> FloatArray:
+    """Mean of the lesser of `at_mean` / z and `most` over powers z of mean 1, gamma of order `looks`, above `faintest`.
+
+    With one look ∫ exp(-z)/z dz = E1; with M the mean of 1/z is M Γ(M-1, Mx) / Γ(M, Mx), and one over M is left
+    of the variance for each.
+    """
+    if looks > 1:
+        inverse: FloatArray = (
+            looks / (looks - 1) * gammaincc(looks - 1, looks * faintest) / gammaincc(looks, looks * faintest)
+        )
+        return np.asarray(np.minimum(at_mean / looks * inverse, most))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        knee = np.maximum(faintest, np.nan_to_num(at_mean / most, posinf=50.0))
+        below = most * -np.expm1(faintest - knee)
+        mean = below + at_mean * exp1(knee) * np.exp(faintest)
+    return np.where(at_mean > 0.0, np.minimum(mean, most), 0.0)
+
+
+def _biases_bin(
+    detection: Detection, model: ReceiverModel, echoes: Echoes, beats: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Of range and speed: the three segments' beats combined, less the truth."""
+    beat, doppler = _combined(detection, *beats)
+    range_bin = echoes.range_m[..., 0] / model.range_bin_m
+    return beat - range_bin, doppler - echoes.closing_speed_mps[..., 0] / model.speed_bin_mps
+
+
+def _combined(
+    detection: Detection, up: FloatArray, constant: FloatArray, down: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """As `fmcw.estimate` combines segments of equal variance whose signs are known."""
+    if detection.combine == "least_squares":
+        return 0.5 * (up + down), (down - up + constant) / 3.0
+    return np.where(constant >= 0.0, down - constant, up + constant), constant

@@ -1,0 +1,69 @@
+"""What was joined and what was left out of the elevation grids of a flight's ground, as lines of a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from lidar_emu.plan.receiver import Decision
+from lidar_emu.scene.cut import CutGround, Kept
+from lidar_emu.scene.hits import Scene
+from lidar_emu.scene.mosaic.albedo import PaintedGround
+from lidar_emu.scene.mosaic.nested import NestedGround
+
+_BYTES_PER_SAMPLE = 8 * 4 / 3
+"""A height, and its share of the pyramid of maxima over it."""
+
+
+def plan_parts(ground: Scene) -> Iterator[Decision]:
+    """A line for each seam between grids, and for each grid that was cut."""
+    if isinstance(ground, CutGround):
+        yield from (_cut(grid) for grid in ground.kept)
+        ground = ground.held
+    while isinstance(ground, PaintedGround):
+        ground = ground.ground
+    while isinstance(ground, NestedGround):
+        yield _seam(ground)
+        ground = ground.outer
+
+
+def plan_objects(scene: Scene, ground: Scene) -> Iterator[Decision]:
+    """A line for the objects on a ground that are left out."""
+    if scene is ground:
+        return
+    from lidar_emu.scene.objects.populated import SceneInMotion
+
+    if isinstance(scene, SceneInMotion):
+        scene = scene.still
+    if isinstance(scene, CutGround) and scene is not ground:
+        (cut,) = scene.kept
+        yield Decision(
+            "objects out of reach",
+            False,
+            f"{cut.held} of {cut.samples} triangles held",
+            "no beam of any pattern comes there on the whole flight",
+            "exact",
+        )
+
+
+def _cut(grid: Kept) -> Decision:
+    saved_mb = (grid.samples - grid.held) * _BYTES_PER_SAMPLE * 1e-6
+    west_m, east_m, south_m, north_m = grid.area
+    return Decision(
+        "ground out of reach",
+        False,
+        f"{grid.held} of {grid.samples} samples held: {east_m - west_m:.0f} m x {north_m - south_m:.0f} m",
+        "no beam of any pattern comes there on the whole flight",
+        f"exact; {saved_mb:.0f} MB are not held, {1 - grid.held / grid.samples:.1%} of the pyramid not built",
+    )
+
+
+def _seam(nested: NestedGround) -> Decision:
+    seam = nested.seam
+    offset_m = round(seam.offset_m, 2) + 0.0  # never minus zero
+    return Decision(
+        "seam",
+        True,
+        f"mixed over {seam.feather_m:.3g} m",
+        f"{nested.inner.description}: {offset_m:+.2f} m ± {seam.scatter_m:.2f} m on the ground that it replaces",
+        f"steps up to {seam.step_m:.2g} m",
+    )

@@ -1,0 +1,1 @@
+"""The device side of the link: commands in; acknowledgements and housekeeping out."""

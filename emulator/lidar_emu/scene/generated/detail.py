@@ -1,0 +1,181 @@
+"""Seeded relief below the pixel of an elevation grid, which goes on with the grid's own law.
+
+The grid is halved again and again. A new point is what its neighbours foretell, by ordinary kriging under the law
+that heights r apart differ by the variance A r^2H, plus a Gaussian of the variance that this foretelling has (Lewis
+1987, "Generalized stochastic subdivision", with the variogram of fractional Brownian relief). So the samples that
+there are stay as they are, every scale has the roughness that the law gives it, and a place knows only its surroundings
+and its own number: the same whatever is cut out of the grid around it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.scene.generated.statistics import second_structure_function
+
+MARGIN = 4
+"""Samples of the grid around an area that its detail depends on."""
+
+_LAGS = np.array([1, 2, 4])
+_ROUGHEST, _SMOOTHEST = 0.05, 0.95
+_TILE = 128
+"""Of chance: points of a level that are drawn together."""
+_TRIM = 4
+"""Rows and columns of a halved grid along each edge whose neighbours are not all there."""
+
+_CENTRE = [(row, column) for row in (-3, -1, 1, 3) for column in (-3, -1, 1, 3)]
+_EDGE = [(row, column) for row in (-2, -1, 0, 1, 2) for column in (-2, -1, 0, 1, 2) if (row + column) % 2]
+"""Neighbours, in rows and columns of the halved grid, of a new point in the middle of four, and then of one between
+two of the points that there were."""
+
+
+class Law(NamedTuple):
+    """Heights r metres apart differ by a Gaussian of variance A r^2H."""
+
+    hurst: float
+    variance_at_1_m: float
+    """A, for r in metres."""
+
+    def rms_slope(self, baseline_m: float) -> float:
+        """Root mean square of the difference of height over a baseline, by the baseline."""
+        return float(math.sqrt(self.variance_at_1_m) * baseline_m ** (self.hurst - 1.0))
+
+
+def law_with(hurst: float, rms_slope: float, baseline_m: float) -> Law:
+    """The law of a slope over a baseline."""
+    return Law(hurst, (rms_slope * baseline_m ** (1.0 - hurst)) ** 2)
+
+
+def law_of(height_m: FloatArray, pixel_m: float, hurst: float | None = None) -> Law | None:
+    """The law that a grid follows at its finest scales, by second differences over 1, 2 and 4 pixels.
+
+    Those do not see tilts. Of the law's surface they have the variance (4 - 4^H) A r^2H. A meets the finest of them;
+    H is the growth over all three, within 0.05 and 0.95: products are smooth at their finest scale.
+
+    Args:
+        height_m: (rows, columns); NaN where missing.
+        pixel_m: between neighbours, the mean of both directions.
+        hurst: H if it is given.
+
+    Returns:
+        None where the grid is too small or too full of holes to tell.
+    """
+    if min(height_m.shape) <= 2 * _LAGS[-1]:
+        return None
+    square_m2 = second_structure_function(height_m, _LAGS)
+    if not np.isfinite(square_m2).all():
+        return None
+    if not square_m2.all():
+        return Law(_SMOOTHEST if hurst is None else hurst, 0.0)
+    if hurst is None:
+        growth = np.polyfit(np.log(_LAGS), np.log(square_m2), 1)[0] / 2
+        hurst = float(np.clip(growth, _ROUGHEST, _SMOOTHEST))
+    return Law(hurst, float(square_m2[0]) / (4.0 - 4.0**hurst) / pixel_m ** (2 * hurst))
+
+
+def refine(
+    height_m: FloatArray,
+    first: tuple[int, int],
+    pixel_m: tuple[float, float],
+    halvings: int,
+    law: Law,
+    seed: int,
+) -> FloatArray:
+    """An area of a grid with detail.
+
+    Args:
+        height_m: (rows, columns) of the area with `MARGIN` samples around it.
+        first: row and column in the whole grid of the first of these samples; may be negative.
+        pixel_m: from row to row, and from column to column.
+        halvings: how many times.
+        law: of the relief.
+        seed: another seed is another relief of the same law.
+
+    Returns:
+        Heights of the area alone, 2^halvings steps from sample to sample.
+    """
+    row, column = first
+    for level in range(halvings):
+        row, column = 2 * row, 2 * column
+        step_m = pixel_m[0] / 2 ** (level + 1), pixel_m[1] / 2 ** (level + 1)
+        height_m = _halved(height_m, (row, column), step_m, law, (seed, level))
+        row, column = row + _TRIM, column + _TRIM
+    # A margin of M becomes 2 M - 4 steps with each halving: of 4 it stays 4.
+    return height_m[MARGIN:-MARGIN, MARGIN:-MARGIN]
+
+
+def _halved(
+    coarse_m: FloatArray, first: tuple[int, int], step_m: tuple[float, float], law: Law, key: tuple[int, int]
+) -> FloatArray:
+    """The grid with a point between every two, less the edges that have too few neighbours."""
+    rows, columns = (2 * n - 1 for n in coarse_m.shape)
+    fine_m = np.zeros((rows, columns))
+    fine_m[::2, ::2] = coarse_m
+    weight, deviation_m = _kriging(_CENTRE, step_m, law)
+    _set_points(fine_m, (3, 3), _CENTRE, weight, deviation_m, first, (*key, 0))
+    weight, deviation_m = _kriging(_EDGE, step_m, law)
+    _set_points(fine_m, (5, 4), _EDGE, weight, deviation_m, first, (*key, 1))
+    _set_points(fine_m, (4, 5), _EDGE, weight, deviation_m, first, (*key, 2))
+    return fine_m[_TRIM:-_TRIM, _TRIM:-_TRIM]
+
+
+def _set_points(
+    fine_m: FloatArray,
+    start: tuple[int, int],
+    neighbours: list[tuple[int, int]],
+    weight: FloatArray,
+    deviation_m: float,
+    first: tuple[int, int],
+    key: tuple[int, int, int],
+) -> None:
+    """Set every second point from a start on, as far from the other edges."""
+    ends = fine_m.shape[0] - start[0], fine_m.shape[1] - start[1]
+    count = len(range(start[0], ends[0], 2)), len(range(start[1], ends[1], 2))
+    place = (first[0] + start[0]) // 2, (first[1] + start[1]) // 2
+    points = deviation_m * lattice(key, place, count)
+    for (row, column), share in zip(neighbours, weight.tolist(), strict=True):
+        points += share * fine_m[start[0] + row : ends[0] + row : 2, start[1] + column : ends[1] + column : 2]
+    fine_m[start[0] : ends[0] : 2, start[1] : ends[1] : 2] = points
+
+
+def _kriging(
+    neighbours: list[tuple[int, int]], step_m: tuple[float, float], law: Law
+) -> tuple[FloatArray, float]:
+    """Weights (neighbours,) that foretell a point best, and the standard deviation of that."""
+    place_m = np.array(neighbours, dtype=np.float64) * step_m
+    between_m = np.hypot(*(place_m[:, None] - place_m).transpose(2, 0, 1))
+    # In units in which the law is r^2H / 2: the weights do not depend on A.
+    unit_m = math.hypot(*step_m)
+    system = np.ones((len(place_m) + 1, len(place_m) + 1))
+    system[:-1, :-1] = (between_m / unit_m) ** (2 * law.hurst) / 2
+    system[-1, -1] = 0.0
+    to_point = np.append((np.hypot(*place_m.T) / unit_m) ** (2 * law.hurst) / 2, 1.0)
+    solution = np.linalg.solve(system, to_point)
+    variance_m2 = law.variance_at_1_m * unit_m ** (2 * law.hurst) * float((solution * to_point).sum())
+    return solution[:-1], math.sqrt(max(variance_m2, 0.0))
+
+
+def lattice(key: tuple[int, int, int], first: tuple[int, int], count: tuple[int, int]) -> FloatArray:
+    """(rows, columns) standard normals of an unbounded lattice, each given by the key and its place alone."""
+    part = np.empty(count)
+    for tile_row in range(first[0] // _TILE, (first[0] + count[0] - 1) // _TILE + 1):
+        for tile_column in range(first[1] // _TILE, (first[1] + count[1] - 1) // _TILE + 1):
+            rows, of_rows = _overlap(tile_row * _TILE, first[0], count[0])
+            columns, of_columns = _overlap(tile_column * _TILE, first[1], count[1])
+            # Seeds are natural numbers; places left and below of the first sample are not.
+            own = [*key, tile_row + 2**31, tile_column + 2**31]
+            tile = np.random.Generator(np.random.Philox(np.random.SeedSequence(own))).standard_normal(
+                (_TILE, _TILE)
+            )
+            part[rows, columns] = tile[of_rows, of_columns]
+    return part
+
+
+def _overlap(tile: int, first: int, count: int) -> tuple[slice, slice]:
+    """What a tile and an area have in common: in the area, and in the tile."""
+    start, end = max(tile, first), min(tile + _TILE, first + count)
+    return slice(start - first, end - first), slice(start - tile, end - tile)

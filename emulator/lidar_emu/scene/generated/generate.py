@@ -1,0 +1,71 @@
+"""From the parameters of a generated ground to its elevations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.scenario.generated_ground import Generated, Relief
+from lidar_emu.scene.generated.craters import CraterField, crater_layer, scatter_craters
+from lidar_emu.scene.generated.relief import fractional_surface
+from lidar_emu.scene.generated.rocks import RockField, rock_layer, scatter_rocks
+from lidar_emu.scene.generated.statistics import rms_slope
+
+_RELIEF, _CRATERS, _ROCKS = range(3)
+"""Streams of chance: none of the three changes with what is asked of the others."""
+
+
+@dataclass(frozen=True)
+class Layers:
+    """A ground taken apart. Layers are (rows from north to south, columns from west to east), in metres."""
+
+    relief_m: FloatArray | None
+    """Of mean 0; None: level."""
+    craters: CraterField | None
+    """Which there are."""
+    crater_m: FloatArray | None
+    """What they add."""
+    rocks: RockField | None
+    """Which there are."""
+    rock_m: FloatArray | None
+    """What they add."""
+
+    def elevation_m(self, ground: Generated) -> npt.NDArray[np.float32]:
+        """The sum, rounded as it is kept, so that a ground is the same whether it was just made or read."""
+        total = np.zeros((ground.cells + 1, ground.cells + 1))
+        for layer in (self.relief_m, self.crater_m, self.rock_m):
+            if layer is not None:
+                total += layer
+        return total.astype(np.float32)
+
+
+def generate(ground: Generated) -> Layers:
+    """Make a ground: the same parameters and seed give the same bits, by the same versions of numpy and scipy."""
+    relief_m = None if ground.relief is None else _relief(ground, ground.relief)
+    craters = crater_m = rocks = rock_m = None
+    if ground.craters is not None:
+        craters = scatter_craters(ground, ground.craters, _chance(ground.seed, _CRATERS))
+        crater_m = crater_layer(ground, ground.craters, craters)
+    if ground.rocks is not None:
+        rocks = scatter_rocks(ground, ground.rocks, _chance(ground.seed, _ROCKS))
+        rock_m = rock_layer(ground, ground.rocks, rocks)
+    return Layers(relief_m, craters, crater_m, rocks, rock_m)
+
+
+def _relief(ground: Generated, relief: Relief) -> FloatArray:
+    """The surface, scaled to the slope asked for.
+
+    Of a smooth surface much of the slope is in waves as long as the square, and one sample's may be half of the
+    next one's: the slope of *this* ground is what somebody who asks for one means.
+    """
+    surface = fractional_surface(ground.cells + 1, relief.hurst, _chance(ground.seed, _RELIEF))
+    now = rms_slope(surface, ground.spacing_m, relief.baseline_m, relief.hurst)
+    return np.asarray(surface * (math.tan(math.radians(relief.rms_slope_deg)) / now), dtype=np.float64)
+
+
+def _chance(seed: int, stream: int) -> np.random.Generator:
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence([seed, stream])))

@@ -1,0 +1,69 @@
+"""Generated ground is made once and kept in the user's cache folder."""
+
+from __future__ import annotations
+
+import hashlib
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from lidar_emu.errors import InputError, RunError
+from lidar_emu.files import cache_folder, whole_file
+from lidar_emu.scenario import generated_ground
+from lidar_emu.scenario.generated_ground import Generated
+
+Elevation = npt.NDArray[np.float32]
+
+
+def elevation_m(ground: Generated) -> Elevation:
+    """(rows from north to south, columns from west to east) elevations of a ground: as kept, else made now and kept.
+
+    Any number of processes may ask at once: each that finds nothing makes the same, and the file appears whole.
+    """
+    path = kept_path(ground)
+    kept = None if path is None else _read(path, ground.cells + 1)
+    if kept is not None:
+        return kept
+    from lidar_emu.scene.generated.generate import generate
+
+    made = generate(ground).elevation_m(ground)
+    keep(ground, made)
+    return made
+
+
+def keep(ground: Generated, elevation: Elevation) -> Path | None:
+    """Keep what was made of a ground; where it now lies, None where nothing can be written."""
+    path = kept_path(ground)
+    if path is None:
+        return None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as file:
+            np.save(file, elevation)
+    except (OSError, InputError, RunError):  # a full disk, say: the run goes on with what is in memory
+        return None
+    return path
+
+
+def kept_path(ground: Generated) -> Path | None:
+    """Where a ground is kept, named after all that it depends on; None for a user without a home."""
+    asked = ground.model_dump_json(exclude={"at_m", "beyond", "detail", "interpolation"})
+    digest = hashlib.sha256(f"{asked} numpy {version('numpy')} scipy {version('scipy')}".encode())
+    for source in (*sorted(Path(__file__).parent.glob("*.py")), Path(generated_ground.__file__)):
+        digest.update(source.read_bytes())
+    try:
+        return cache_folder() / "ground" / f"{digest.hexdigest()[:20]}.npy"
+    except RuntimeError:
+        return None
+
+
+def _read(path: Path, side: int) -> Elevation | None:
+    """What is kept; None where there is nothing, or something that is not whole."""
+    try:
+        with path.open("rb") as file:
+            kept = np.lib.format.read_array(file, allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        return None
+    return kept if kept.shape == (side, side) and kept.dtype == np.float32 else None

@@ -1,0 +1,106 @@
+"""Detail below the pixel of a grid, where the beams of a run come to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.scenario.ground_detail import Detail
+from lidar_emu.scene.generated.detail import MARGIN, Law, law_of, law_with, refine
+from lidar_emu.scene.grid.ground import GridGround
+from lidar_emu.scene.grid.samples import Samples
+from lidar_emu.scene.hits import Scene
+from lidar_emu.scene.mosaic.seam import extent, nest
+from lidar_emu.scene.rectangle import Rectangle, around
+
+MAXIMUM_SAMPLES = 40_000_000
+EDGE = 3
+"""Pixels of the grid around what beams need, over which detail begins: two of them are the seam."""
+SEAM_PIXELS = 2
+
+
+def detailed(
+    outer: Scene,
+    base: Samples,
+    whole: Samples,
+    needed: Rectangle,
+    part: Detail,
+    where: str,
+    build: Callable[[Samples, str], GridGround],
+) -> Scene:
+    """A ground with a finer grid set into one of its grids.
+
+    Args:
+        outer: the ground, of which the grid is the last that was set in.
+        base: of the grid as it is in the ground.
+        whole: of the grid as its file has it, from which the law of its relief is read.
+        needed: where detail is wanted; nothing is done where that is empty.
+        part: what is asked for.
+        where: the grid's file.
+        build: from samples and a description to the finer grid's ground, with nothing beyond.
+
+    Raises:
+        InputError: that would be too much.
+    """
+    pixel_m = whole.pixel_north_m, whole.pixel_east_m
+    halvings = math.ceil(math.log2(max(pixel_m) / part.spacing_m) - 1e-9)
+    if halvings <= 0 or not needed.west_m <= needed.east_m:
+        return outer
+    count = whole.height_m.shape
+    rows = around(needed.south_m, needed.north_m, whole.south_m, pixel_m[0], count[0], EDGE)
+    columns = around(needed.west_m, needed.east_m, whole.west_m, pixel_m[1], count[1], EDGE)
+    _check_size(where, rows, columns, pixel_m, halvings)
+    law = _law(whole, part, where)
+    margin_m = _with_margin(base, rows, columns, count)
+    height_m = refine(
+        margin_m, (rows.start - MARGIN, columns.start - MARGIN), pixel_m, halvings, law, part.seed
+    )
+    samples = Samples(
+        height_m=height_m,
+        west_m=whole.west_m + columns.start * pixel_m[1],
+        south_m=whole.south_m + rows.start * pixel_m[0],
+        pixel_east_m=pixel_m[1] / 2**halvings,
+        pixel_north_m=pixel_m[0] / 2**halvings,
+        interpolation=whole.interpolation,
+    )
+    slope_deg = math.degrees(math.atan(law.rms_slope(max(pixel_m))))
+    description = (
+        f"detail to {max(pixel_m) / 2**halvings:.3g} m, H {law.hurst:.2f}, rms slope {slope_deg:.2g}° over a pixel, "
+        f"{height_m.shape[1]} x {height_m.shape[0]} samples"
+    )
+    return nest(samples, extent(samples), outer, SEAM_PIXELS * max(pixel_m), lambda s: build(s, description))
+
+
+def _check_size(where: str, rows: range, columns: range, pixel_m: tuple[float, float], halvings: int) -> None:
+    samples = (len(rows) - 1) * (len(columns) - 1) * 4**halvings
+    if samples > MAXIMUM_SAMPLES:
+        found = f"{samples} samples over {len(columns) * pixel_m[1]:.0f} m x {len(rows) * pixel_m[0]:.0f} m"
+        allowed = f"allowed: at most {MAXIMUM_SAMPLES}; a larger spacing_m, or a lower below_m of a flight known before"
+        raise InputError(where, "ground.detail", Finding(found), allowed)
+
+
+def _law(whole: Samples, part: Detail, where: str) -> Law:
+    pixel_m = (whole.pixel_north_m + whole.pixel_east_m) / 2
+    if part.hurst is not None and part.rms_slope_deg is not None:
+        return law_with(part.hurst, math.tan(math.radians(part.rms_slope_deg)), pixel_m)
+    law = law_of(whole.height_m, pixel_m, part.hurst)
+    if law is None:
+        found = Finding("too few samples to tell the roughness of the grid")
+        raise InputError(where, "ground.detail", found, "allowed: with hurst and rms_slope_deg")
+    if part.rms_slope_deg is None:
+        return law
+    return law_with(law.hurst, math.tan(math.radians(part.rms_slope_deg)), pixel_m)
+
+
+def _with_margin(base: Samples, rows: range, columns: range, count: tuple[int, ...]) -> FloatArray:
+    """The heights of these rows and columns and of those around; beyond the grid's edge they go on turned about it."""
+    taken, padding = [], []
+    for lines, first, whole in ((rows, base.first_row, count[0]), (columns, base.first_column, count[1])):
+        start, end = max(lines.start - MARGIN, 0), min(lines.stop + MARGIN, whole)
+        taken.append(slice(start - first, end - first))
+        padding.append((start - lines.start + MARGIN, lines.stop + MARGIN - end))
+    return np.pad(base.height_m[tuple(taken)], padding, mode="reflect", reflect_type="odd")

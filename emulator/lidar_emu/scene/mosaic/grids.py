@@ -1,0 +1,153 @@
+"""From elevation grids to one ground: cut to what the run can reach, set one into another, and refined."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.scenario.ground_detail import Detail
+from lidar_emu.scene.cut import CutGround, Kept
+from lidar_emu.scene.grid.ground import GridGround
+from lidar_emu.scene.grid.samples import Samples
+from lidar_emu.scene.hits import Scene
+from lidar_emu.scene.mosaic.albedo import Albedo, PaintedGround
+from lidar_emu.scene.mosaic.seam import extent, nest
+from lidar_emu.scene.plane import PlaneGround
+from lidar_emu.scene.reach import Reach, Span
+from lidar_emu.scene.rectangle import Rectangle, around
+from lidar_emu.scene.sphere import SphereGround
+
+CUT_FROM_SAMPLES = 1_000_000
+"""Smaller grids are held whole: there is little to be saved."""
+MARGIN = 12
+"""Rows and columns kept around what rays need: detail and its seam depend on some of them."""
+FEATHER_PIXELS = 4
+
+Beyond = PlaneGround | SphereGround | None
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One of the grids of a ground, whole."""
+
+    samples: Samples
+    build: Callable[[Samples, Beyond, str], GridGround]
+    """From samples, the ground beyond and a description to a ground of the grid's kind."""
+    description: str
+    """One line for plans."""
+    source: str
+    """The file."""
+    detail: Detail | None = None
+    albedo: FloatArray | None = None
+    """(rows, columns) of the samples, where the file has it; NaN where missing."""
+
+    @property
+    def pixel_m(self) -> float:
+        """The longer side of a pixel."""
+        return max(self.samples.pixel_east_m, self.samples.pixel_north_m)
+
+    def alone(self, samples: Samples, description: str) -> GridGround:
+        """The ground of samples with nothing beyond."""
+        return self.build(samples, None, description)
+
+
+def join_grids(
+    read: Callable[[], tuple[Sequence[Layer], Beyond]],
+    feather_m: float | None,
+    reach: Reach | None,
+    cut: bool = True,
+) -> Scene:
+    """The ground of some grids.
+
+    Args:
+        read: reads them, from the finest to the widest, and the ground around all of them. Read once more if a cut
+            ground must be made whole.
+        feather_m: of the strips along their edges; None: as the scenario's reference says.
+        reach: what rays the run has; None: any.
+        cut: whether what they cannot reach is left out.
+
+    Raises:
+        InputError: detail is asked for that would not fit into memory.
+    """
+    layers, beyond = read()
+    spans = _spans(layers, beyond)
+    kept: list[Kept] = []
+    albedos: list[Albedo] = []
+    ground: Scene | None = None
+    for place, layer in reversed(list(enumerate(layers))):
+        span = spans[place]
+        samples = replace(layer.samples, bounds_m=(span.floor_m, span.ceiling_m))
+        if cut and reach is not None and samples.height_m.size >= CUT_FROM_SAMPLES:
+            samples = _part(samples, reach.over(span))
+            kept.append(Kept(span, extent(samples), layer.samples.height_m.size, samples.height_m.size))
+        if ground is None:
+            ground = base = layer.build(samples, beyond, layer.description)
+        else:
+            strip_m = _feather_m(span.area, layers[place + 1]) if feather_m is None else feather_m
+            inner = partial(layer.alone, description=layer.description)
+            ground = nest(samples, span.area, ground, strip_m, inner)
+            base = ground.inner
+        if layer.albedo is not None:
+            albedos.append(_albedo(samples, layer.albedo))
+        if layer.detail is not None:
+            ground = _with_detail(ground, base.samples, layer, layer.detail, span, reach)
+    assert ground is not None
+    for albedo in albedos:
+        ground = PaintedGround(ground, albedo)
+    if not kept:
+        return ground
+    build_whole = partial(join_grids, read, feather_m, reach, cut=False)
+    return CutGround(ground, tuple(kept), build_whole)
+
+
+def _spans(layers: Sequence[Layer], beyond: Beyond) -> list[Span]:
+    """Where each grid is; heights are bounds for all, since the one is mixed with the other."""
+    bounds_m = [layer.samples.bounds_with(beyond) for layer in layers]
+    floor_m, ceiling_m = min(low for low, _ in bounds_m), max(high for _, high in bounds_m)
+    return [Span(extent(layer.samples), floor_m, ceiling_m) for layer in layers]
+
+
+def _part(samples: Samples, needed: Rectangle) -> Samples:
+    """The rows and columns that hold a part of the area, with a margin; a copy, so that the rest can go."""
+    count = samples.height_m.shape
+    rows = around(needed.south_m, needed.north_m, samples.south_m, samples.pixel_north_m, count[0], MARGIN)
+    columns = around(needed.west_m, needed.east_m, samples.west_m, samples.pixel_east_m, count[1], MARGIN)
+    return replace(
+        samples,
+        height_m=samples.height_m[rows.start : rows.stop, columns.start : columns.stop].copy(),
+        first_row=rows.start,
+        first_column=columns.start,
+    )
+
+
+def _albedo(samples: Samples, share: FloatArray) -> Albedo:
+    """Of the samples that are held."""
+    rows, columns = samples.height_m.shape
+    first_row, first_column = samples.first_row, samples.first_column
+    return Albedo(
+        share=share[first_row : first_row + rows, first_column : first_column + columns].copy(),
+        west_m=samples.west_m,
+        south_m=samples.south_m,
+        pixel_east_m=samples.pixel_east_m,
+        pixel_north_m=samples.pixel_north_m,
+        first_column=first_column,
+        first_row=first_row,
+    )
+
+
+def _feather_m(area: Rectangle, wider: Layer) -> float:
+    side_m = min(area.east_m - area.west_m, area.north_m - area.south_m)
+    return min(FEATHER_PIXELS * wider.pixel_m, side_m / 4)
+
+
+def _with_detail(
+    ground: Scene, base: Samples, layer: Layer, part: Detail, span: Span, reach: Reach | None
+) -> Scene:
+    from lidar_emu.scene.mosaic.detail import detailed
+
+    needed = span.area
+    if reach is not None:
+        needed = reach.over(span) if part.below_m is None else reach.over(span, part.below_m)
+    return detailed(ground, base, layer.samples, needed, part, layer.source, layer.alone)

@@ -1,0 +1,170 @@
+"""A finer ground within a wider one: a rectangle of the site's map belongs to the one, all around it to the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.scene.grid.ground import GridGround
+from lidar_emu.scene.grid.traverse import FACE_DEPTH_M, clip
+from lidar_emu.scene.hits import Hits, Scene, contiguous
+from lidar_emu.scene.rectangle import Rectangle
+
+
+class Seam(NamedTuple):
+    """Between a grid and the ground around it."""
+
+    feather_m: float
+    """Width of the strip in which the one changes into the other."""
+    step_m: float
+    """Largest difference of height left along the edge."""
+    offset_m: float
+    """How much higher the grid lies than the ground that it replaces, as files give them: the median; NaN where they
+    have nothing in common."""
+    scatter_m: float
+    """Of that: half of what the middle 68 % spread over."""
+
+
+class NestedGround:
+    """Two grounds, of which the inner one counts over its rectangle.
+
+    A ray goes through the parts in the order in which it comes over them. At the seam the two surfaces differ by no
+    more than `seam.step_m`: a ray that comes there by less than that below the surface ahead meets it, as if it were
+    continuous; none slips through.
+
+    Args:
+        outer: the ground around, itself nested as it may be.
+        inner: the ground over the rectangle, with nothing beyond.
+        rectangle: of the inner one.
+        seam: between the two.
+    """
+
+    def __init__(self, outer: Scene, inner: GridGround, rectangle: Rectangle, seam: Seam) -> None:
+        self.outer, self.inner, self.rectangle, self.seam = outer, inner, rectangle, seam
+        self.description = f"{inner.description}; in {outer.description}"
+        self.origin_altitude_m = inner.origin_altitude_m
+        self._lift_m = seam.step_m + FACE_DEPTH_M
+
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
+        """First contact with either ground; see `Scene.cast`."""
+        origin, direction = contiguous(origin_site_m, direction_site)
+        hits = hits or Hits.empty(len(origin))
+        t_in, t_out = np.empty(len(origin)), np.empty(len(origin))
+        _set_stretches(origin, direction, *self.rectangle, t_in, t_out)
+        if (t_in == 0.0).all():
+            self.inner.cast(origin, direction, hits, bundle)
+        else:
+            self.outer.cast(origin, direction, hits, bundle)
+            begins_here = t_in == 0.0
+            comes_here = (t_in <= t_out) & ~(hits.range_m <= t_in) & ~hits.inside
+            self._go_on(self.inner, origin, direction, hits, begins_here | comes_here, t_in)
+        leaves = np.isnan(hits.range_m) & ~hits.inside & (t_in <= t_out) & np.isfinite(t_out)
+        if leaves.any():
+            self._go_on(self.outer, origin, direction, hits, leaves, t_out)
+        return hits
+
+    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
+        """Stretch by stretch, each by the slow path of its own ground."""
+        hits = Hits.none(len(origin_site_m))
+        for k in range(len(origin_site_m)):
+            ray = slice(k, k + 1)
+            origin, direction = origin_site_m[ray], direction_site[ray]
+            if not np.isfinite([origin, direction]).all():
+                continue
+            ends = self._crossings_m(origin[0], direction[0])
+            for start, end in zip([0.0, *ends], [*ends, np.inf], strict=True):
+                east, north, _ = origin[0] + min((start + end) / 2, start + 1.0) * direction[0]
+                ground = self.inner if self.rectangle.holds(east, north) else self.outer
+                found = self._cast_from(ground.cast_exact, ground, origin, direction, np.array([start]))
+                if found.inside[0] or found.range_m[0] <= end - start:
+                    hits.set_rows(ray, found)
+                    hits.range_m[k] += start
+                    break
+        return hits
+
+    def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        """(n,) z of the ground that counts there."""
+        inner_m = self.inner.height_m(east_m, north_m)
+        return np.where(np.isnan(inner_m), self.outer.height_m(east_m, north_m), inner_m)
+
+    def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
+        """True where either does."""
+        return self.inner.covers(east_m, north_m) | self.outer.covers(east_m, north_m)
+
+    def _go_on(
+        self,
+        ground: Scene,
+        origin: FloatArray,
+        direction: FloatArray,
+        hits: Hits,
+        rays: BoolArray,
+        t: FloatArray,
+    ) -> None:
+        """Let some rays go on over a ground from t (n,) on, and set their hits."""
+        rows = np.flatnonzero(rays)
+        hits.set_rows(rows, self._cast_from(ground.cast, ground, origin[rows], direction[rows], t[rows]))
+        hits.range_m[rows] += t[rows]
+
+    def _cast_from(
+        self,
+        cast: Callable[[FloatArray, FloatArray], Hits],
+        ground: Scene,
+        origin: FloatArray,
+        direction: FloatArray,
+        t: FloatArray,
+    ) -> Hits:
+        """Hits of rays on a ground, counted from t (n,). Those that are below it at the seam are set on it."""
+        start = origin + t[:, None] * direction
+        hits = cast(start, direction)
+        below = np.flatnonzero(hits.inside & (t > 0.0))
+        if below.size:
+            # Clear of the ground by more than rounding.
+            least_m = ground.height_m(start[below, 0], start[below, 1]) + 8 * np.spacing(
+                np.abs(start[below]).max(axis=1)
+            )
+            lifted = below[least_m - start[below, 2] <= self._lift_m]
+            start[below, 2] = least_m
+            hits.set_rows(lifted, cast(start[lifted], direction[lifted]))
+            # What is lower than the seam's step explains came out of a hole without any ground.
+            hits.inside[below] = False
+        return hits
+
+    def _crossings_m(self, origin: FloatArray, direction: FloatArray) -> list[float]:
+        """Where a single ray crosses the lines on which the edges lie."""
+        lines_m = ((0, self.rectangle[:2]), (1, self.rectangle[2:]))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = [(line_m - origin[axis]) / direction[axis] for axis, pair in lines_m for line_m in pair]
+        return sorted({float(each) for each in t if 0.0 < each < np.inf})
+
+
+@kernel(outermost=True)
+def _set_stretches(
+    origin: FloatArray,
+    direction: FloatArray,
+    west: float,
+    east: float,
+    south: float,
+    north: float,
+    t_in: FloatArray,
+    t_out: FloatArray,
+) -> None:
+    """Set the first and the last t >= 0 at which rays are over a rectangle; (inf, -inf) where they never are. A ray
+    with NaN begins over it and is there for no time."""
+    for k in range(len(t_in)):
+        x_in, x_out = clip(origin[k, 0] - west, direction[k, 0], east - west)
+        y_in, y_out = clip(origin[k, 1] - south, direction[k, 1], north - south)
+        t_in[k], t_out[k] = max(x_in, y_in, 0.0), min(x_out, y_out)
+        if not np.isfinite(origin[k].sum() + direction[k].sum()):
+            t_in[k], t_out[k] = 0.0, -np.inf
+        elif not t_in[k] <= t_out[k]:
+            t_in[k], t_out[k] = np.inf, -np.inf

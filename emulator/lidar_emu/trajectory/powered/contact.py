@@ -1,0 +1,46 @@
+"""Feet on level ground: damped springs that push and never pull, with friction."""
+
+from __future__ import annotations
+
+from math import inf, sqrt
+
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.vectors import Vector, child_of, outer, parent_of, plus, quaternion_at, vector_at
+from lidar_emu.trajectory.powered.vehicle import ATTITUDE, POSITION, RATE, VELOCITY, Body
+
+SLIDING_MPS = 0.02
+"""Below this speed friction is proportional to it."""
+
+
+@kernel
+def lowest_foot_m(body: Body, state: FloatArray) -> float:
+    """Height above the ground; negative while a foot is in it."""
+    turn, lowest = quaternion_at(state, ATTITUDE), inf
+    for foot in range(len(body.feet_m)):
+        lowest = min(lowest, parent_of(turn, vector_at(body.feet_m[foot], 0))[2])
+    height_m: float = state[POSITION + 2] + lowest - body.ground_m
+    return height_m
+
+
+@kernel
+def feet_push(body: Body, state: FloatArray) -> tuple[Vector, Vector]:
+    """Force in the site frame and torque about the body's axes.
+
+    A foot's force is k d (1 + c d') with depth d (Hunt and Crossley, 1975): it begins at nought, and what it takes
+    of the energy, k c d d'^2, is never negative.
+    """
+    turn, rate = quaternion_at(state, ATTITUDE), vector_at(state, RATE)
+    velocity = vector_at(state, VELOCITY)
+    force, torque = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for i in range(len(body.feet_m)):
+        foot = vector_at(body.feet_m[i], 0)
+        depth_m = body.ground_m - state[POSITION + 2] - parent_of(turn, foot)[2]
+        if depth_m > 0.0:
+            moving = plus(velocity, parent_of(turn, outer(rate, foot)))
+            normal = max(0.0, body.stiffness_npm * depth_m * (1.0 - body.foot_damping_spm * moving[2]))
+            sliding = sqrt(moving[0] * moving[0] + moving[1] * moving[1])
+            grip = body.friction * normal / max(sliding, SLIDING_MPS)
+            push = (-grip * moving[0], -grip * moving[1], normal)
+            force, torque = plus(force, push), plus(torque, outer(foot, child_of(turn, push)))
+    return force, torque

@@ -1,0 +1,107 @@
+"""Steps of the classical Runge-Kutta method, aligned with commands and events.
+
+The steps after a command begin at a quarter of the shortest lag and grow with the time since: they follow the
+exponentials of `actuators` as closely as their own order asks for, whatever the lag.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.trajectory.powered.actuators import Acting, Lags, mass_after, thrust_after, torque_after
+from lidar_emu.trajectory.powered.contact import lowest_foot_m
+from lidar_emu.trajectory.powered.motion import set_derivative
+from lidar_emu.trajectory.powered.vehicle import SIZE, Body
+
+HALVINGS = 52
+"""Of a step, in looking for an event: down to the last bit."""
+
+
+class Mesh(NamedTuple):
+    """Lengths of steps."""
+
+    first_s: float
+    """After a command."""
+    growth: float
+    """Of the time since the command, how much the next step may be."""
+    longest_s: float
+    standing_s: float
+    """The longest on the ground."""
+
+
+@kernel
+def next_step_s(mesh: Mesh, longest_s: float, since_s: float, remaining_s: float) -> float:
+    """Length of the next step; the last two before the end of an interval are alike."""
+    step_s = min(longest_s, max(mesh.first_s, mesh.growth * since_s))
+    if step_s >= remaining_s:
+        return remaining_s
+    return min(step_s, 0.5 * remaining_s) if 2.0 * step_s > remaining_s else step_s
+
+
+@kernel
+def set_slope(
+    body: Body, lags: Lags, acting: Acting, since_s: float, state: FloatArray, slope: FloatArray
+) -> None:
+    """Derivative of a state some time after the command that acts."""
+    mass_kg, thrust_n = mass_after(acting, lags, since_s), thrust_after(acting, lags, since_s)
+    set_derivative(body, mass_kg, thrust_n, torque_after(acting, lags, since_s), state, slope)
+
+
+@kernel
+def set_stepped(
+    body: Body,
+    lags: Lags,
+    acting: Acting,
+    since_s: float,
+    step_s: float,
+    state: FloatArray,
+    slopes: FloatArray,
+    stepped: FloatArray,
+) -> None:
+    """A state (21,) one step later; the first of four slopes (4, 21) is that of the state, known already."""
+    half_s = 0.5 * step_s
+    move(state, half_s, slopes[0], stepped)
+    set_slope(body, lags, acting, since_s + half_s, stepped, slopes[1])
+    move(state, half_s, slopes[1], stepped)
+    set_slope(body, lags, acting, since_s + half_s, stepped, slopes[2])
+    move(state, step_s, slopes[2], stepped)
+    set_slope(body, lags, acting, since_s + step_s, stepped, slopes[3])
+    for i in range(SIZE):
+        mean = (slopes[0, i] + 2.0 * (slopes[1, i] + slopes[2, i]) + slopes[3, i]) / 6.0
+        stepped[i] = state[i] + step_s * mean
+
+
+@kernel
+def move(state: FloatArray, by_s: float, slope: FloatArray, moved: FloatArray) -> None:
+    for i in range(SIZE):
+        moved[i] = state[i] + by_s * slope[i]
+
+
+@kernel
+def step_to_height(
+    body: Body,
+    lags: Lags,
+    acting: Acting,
+    since_s: float,
+    step_s: float,
+    height_m: float,
+    state: FloatArray,
+    slopes: FloatArray,
+    stepped: FloatArray,
+) -> float:
+    """Length of the step after which the lowest foot has come down to a height, within one after which it is below.
+
+    Every trial is a step of its own length from the same state: the event is as exact as the method, not as a grid.
+    """
+    above_s, below_s = 0.0, step_s
+    for _ in range(HALVINGS):
+        middle_s = 0.5 * (above_s + below_s)
+        set_stepped(body, lags, acting, since_s, middle_s, state, slopes, stepped)
+        if lowest_foot_m(body, stepped) > height_m:
+            above_s = middle_s
+        else:
+            below_s = middle_s
+    set_stepped(body, lags, acting, since_s, below_s, state, slopes, stepped)
+    return below_s

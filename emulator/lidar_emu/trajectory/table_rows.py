@@ -1,0 +1,149 @@
+"""The part of a table that is flown: its time, and the filled cells of each column that is used."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.scenario.trajectory import Table
+from lidar_emu.trajectory.csv_rows import CsvRows, read_csv
+from lidar_emu.trajectory.state import Gap
+
+S_PER_UNIT = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+_ROUNDING = 1 + 1e-9
+"""A gap of just the maximum may come out longer in the last digits."""
+
+
+class Filled(NamedTuple):
+    """The k rows in which all of some columns have a value."""
+
+    row: NDArray[np.intp]
+    """(k,)"""
+    knot_s: FloatArray
+    """(k,) Scenario time."""
+    values: FloatArray
+    """(columns, k)"""
+
+
+@dataclass(frozen=True)
+class FlownRows:
+    """Rows against scenario time; also those outside the part flown, which shape the curves at its ends."""
+
+    csv: CsvRows
+    file_time: FloatArray
+    """(n,) In the file's own count and unit."""
+    time_s: FloatArray
+    """(n,) From the first instant flown."""
+    duration_s: float
+    maximum_gap_s: float
+    bridges: bool
+    """Whether longer gaps are bridged."""
+    gaps: list[Gap] = field(default_factory=list)
+    """The longest inside the part flown of every group of columns read so far."""
+    bridged: list[Gap] = field(default_factory=list)
+    """All of them that are longer than `maximum_gap_s`."""
+
+    def filled(self, *names: str) -> Filled:
+        """The rows in which all of `names` have a value.
+
+        Raises:
+            InputError: a column or cell cannot be used, fewer than 2 rows are filled, they do not reach over
+                the whole part flown, or leave a gap of more than `maximum_gap_s` in it that is not to be bridged.
+        """
+        values = np.stack([self.csv.column(name) for name in names])
+        row = np.flatnonzero(~np.isnan(values).any(axis=0))
+        label = " with ".join(dict.fromkeys(names))
+        if len(row) < 2:
+            raise InputError(self.csv.file, label, f"{len(row)} filled rows", "allowed: at least 2")
+        self._refuse_uncovered(label, row)
+        self._note_gaps(label, row)
+        return Filled(row, self.time_s[row], values[:, row])
+
+    def _refuse_uncovered(self, label: str, row: NDArray[np.intp]) -> None:
+        first, last = row[0], row[-1]
+        if self.time_s[first] > 0:
+            time = f"{self.file_time[first]:.12g}"
+            raise InputError(
+                self.csv.file, label, f"no value before {time}", f"allowed: from_time {time} or later"
+            )
+        if self.time_s[last] < self.duration_s:
+            time = f"{self.file_time[last]:.12g}"
+            raise InputError(
+                self.csv.file, label, f"no value after {time}", f"allowed: to_time {time} or earlier"
+            )
+
+    def _note_gaps(self, label: str, row: NDArray[np.intp]) -> None:
+        knot_s = self.time_s[row]
+        flown = (knot_s[1:] > 0) & (knot_s[:-1] < self.duration_s)
+        length_s = np.where(flown, np.diff(knot_s), 0.0)
+        longest = int(np.argmax(length_s))
+        too_long = np.flatnonzero(length_s > self.maximum_gap_s * _ROUNDING)
+        if too_long.size and not self.bridges:
+            time = f"{self.file_time[row[longest]]:.12g}"
+            raise InputError(
+                self.csv.file,
+                label,
+                f"no value for {length_s[longest]:.6g} s after {time}",
+                f"allowed: gaps up to maximum_gap_s, {self.maximum_gap_s:g} s, or longer_gaps: bridge",
+            )
+        self.gaps.append(Gap(label, float(knot_s[longest]), float(length_s[longest])))
+        self.bridged.extend(Gap(label, float(knot_s[k]), float(length_s[k])) for k in too_long)
+
+
+def read_flown(part: Table) -> FlownRows:
+    """Read the file and place its rows in scenario time.
+
+    Raises:
+        InputError: the file cannot be read, its time does not increase, or from_time and to_time do not
+            fit it.
+    """
+    csv = read_csv(part.file)
+    file_time = csv.column(part.time.column)
+    _refuse_disordered(csv, part.time.column, file_time)
+    begin, end = _flown_times(part, file_time)
+    unit_s = S_PER_UNIT[part.time.unit]
+    return FlownRows(
+        csv=csv,
+        file_time=file_time,
+        # Subtracted before scaling: a count of nanoseconds since 1970 keeps what digits it has.
+        time_s=(file_time - begin) * unit_s,
+        duration_s=(end - begin) * unit_s,
+        maximum_gap_s=part.maximum_gap_s,
+        bridges=part.longer_gaps == "bridge",
+    )
+
+
+def _refuse_disordered(csv: CsvRows, name: str, file_time: FloatArray) -> None:
+    if len(file_time) < 2:
+        raise InputError(csv.file, None, Finding(f"{len(file_time)} rows"), "allowed: at least 2")
+    empty = np.flatnonzero(np.isnan(file_time))
+    if empty.size:
+        raise csv.refusal(empty[0], name, "an empty cell", "allowed: a time in every row")
+    falling = np.flatnonzero(np.diff(file_time) <= 0)
+    if falling.size:
+        before, after = file_time[falling[0]], file_time[falling[0] + 1]
+        raise csv.refusal(
+            falling[0] + 1, name, f"{after:.12g}", f"allowed: increasing time, above {before:.12g}"
+        )
+
+
+def _flown_times(part: Table, file_time: FloatArray) -> tuple[float, float]:
+    """First and last instant flown, in the file's own time."""
+    first, last = float(file_time[0]), float(file_time[-1])
+    for key, given in (("from_time", part.from_time), ("to_time", part.to_time)):
+        if given is not None and not first <= given <= last:
+            raise InputError(
+                part.file, key, given, f"allowed: {first:.12g} to {last:.12g}, the rows of the file"
+            )
+    begin = first if part.from_time is None else part.from_time
+    end = last if part.to_time is None else part.to_time
+    if end <= begin:
+        raise InputError(
+            part.file, "from_time, to_time", f"{begin:.12g}, {end:.12g}", "allowed: from before to"
+        )
+    return begin, end

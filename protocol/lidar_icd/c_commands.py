@@ -1,0 +1,184 @@
+"""Functions in C that encode commands: for each of them one for a byte link, and one for CAN where it is sent there."""
+
+from __future__ import annotations
+
+from lidar_icd.c_blocks import c_type, shipped_text
+from lidar_protocol.definitions import CanDefinition, CommandDefinition, Interface
+from lidar_protocol.fields import Constant, Counter, Flag, Number, Real, Time
+from lidar_protocol.framing import Stuffed
+from lidar_protocol.headers import PlainHeader, SpacePacketHeader
+from lidar_protocol.layout import Layout, Placed
+
+_PUT_BIG = """static inline void lidar_put(uint8_t *block, size_t first_bit, unsigned bits, uint64_t word) {
+    for (size_t k = first_bit + bits; k-- > first_bit; word >>= 1)
+        block[k / 8u] = (uint8_t)(block[k / 8u] | (word & 1u) << (7u - k % 8u));
+}"""
+_PUT_LITTLE = """static inline void lidar_put(uint8_t *block, size_t first_bit, unsigned bits, uint64_t word) {
+    for (size_t k = first_bit; k < first_bit + bits; k++, word >>= 1)
+        block[k / 8u] = (uint8_t)(block[k / 8u] | (word & 1u) << (k % 8u));
+}"""
+
+
+def commands_text(interface: Interface) -> str:
+    """The functions that encode the interface's commands; nothing if it has none."""
+    if interface.commands is None:
+        return ""
+    commands = interface.commands.commands
+    put = _PUT_BIG if interface.byte_order == "big" else _PUT_LITTLE
+    parts = [_room(interface), put, shipped_text("c_put.h"), _seal(interface)]
+    for command in commands:
+        parts += [_pack("", command, command.packet), _encode(command)]
+        if interface.can is not None and command.can is not None:
+            parts.append(_on_can(command, command.can, interface.can))
+    return "\n\n".join(parts)
+
+
+def _room(interface: Interface) -> str:
+    """The bytes that the longest command takes, delimiters before and after it included."""
+    framing = interface.link.framing
+    delimiters = 2 if isinstance(framing, Stuffed) else 0
+    return f"#define LIDAR_LONGEST_COMMAND {framing.longest_frame(interface.longest_command) + delimiters}u"
+
+
+def _seal(interface: Interface) -> str:
+    """A function that completes a packet around its body, and frames it."""
+    link = interface.link
+    header = link.header
+    lines = _space_packet(header) if isinstance(header, SpacePacketHeader) else _plain(header)
+    body = "\n".join(f"    {line}" for line in [*lines, *_crc(interface)])
+    return f"""/* The packet of a command, whose body is there already, framed; returns the number of bytes. */
+static inline size_t lidar_seal(
+    uint8_t *to, unsigned to_unit, uint64_t sequence, uint8_t *packet, size_t length) {{
+{body}
+    return lidar_frame(to, packet, length);
+}}"""
+
+
+def _space_packet(header: SpacePacketHeader) -> list[str]:
+    words = (
+        f"0x{header.identification('command', 0):X}u + to_unit",
+        "0xC000u | (sequence & 0x3FFFu)",
+        "length - 7u",
+    )
+    lines = ["const uint64_t words[3] = {" + ", ".join(words) + "};"]
+    lines += ["for (size_t k = 0u; k < 3u; k++) {"]
+    lines += ["    packet[2u * k] = (uint8_t)(words[k] >> 8);"]
+    return [*lines, "    packet[2u * k + 1u] = (uint8_t)words[k];", "}"]
+
+
+def _plain(header: PlainHeader) -> list[str]:
+    known = {
+        "unit": "to_unit",
+        "sequence": "sequence",
+        "length": "length",
+        "message": f"{header.messages['command']}u",
+    }
+    lines = ["memset(packet, 0, LIDAR_HEADER_BYTES);"]
+    if "unit" not in header.layout.names:
+        lines.append("(void)to_unit;")
+    if "sequence" not in header.layout.names:
+        lines.append("(void)sequence;")
+    for field, bit in header.layout.placed:
+        codec = field.codec
+        word = f"0x{codec.code:X}u" if isinstance(codec, Constant) else known[field.name]
+        lines.append(f"lidar_put(packet, {bit}u, {codec.bits}u, {word});")
+    return lines
+
+
+def _crc(interface: Interface) -> list[str]:
+    link = interface.link
+    if link.crc is None:
+        return []
+    start = "LIDAR_HEADER_BYTES" if link.covered == "body" else "0u"
+    lines = [f"uint{link.crc.bits}_t crc = LIDAR_CRC_START;"]
+    if link.covered == "frame":
+        lines += ["uint8_t head[LIDAR_SYNC_BYTES + LIDAR_LENGTH_BYTES];", "lidar_head(head, length);"]
+        lines += ["crc = lidar_crc(crc, head, sizeof head);"]
+    lines.append(f"crc = lidar_crc(crc, packet + {start}, length - LIDAR_CRC_BYTES - {start});")
+    for k in range(link.crc_length):
+        from_end = link.crc_length - k
+        shift = 8 * (from_end - 1 if link.byte_order == "big" else k)
+        lines.append(f"packet[length - {from_end}u] = (uint8_t)(crc >> {shift});")
+    return lines
+
+
+def _encode(command: CommandDefinition) -> str:
+    name = command.name
+    names = "".join(f", {placed.field.key}" for placed in _arguments(command.packet))
+    return f"""static inline size_t lidar_encode_{name}(
+    uint8_t *to, unsigned to_unit{_parameters(command.packet)}) {{
+    uint8_t packet[LIDAR_HEADER_BYTES + LIDAR_COMMAND_{name.upper()}_BYTES + LIDAR_CRC_BYTES];
+    if (to_unit >= LIDAR_UNITS || !lidar_pack_{name}(packet + LIDAR_HEADER_BYTES{names}))
+        return 0u;
+    return lidar_seal(to, to_unit, (uint64_t)sequence, packet, sizeof packet);
+}}"""
+
+
+def _on_can(command: CommandDefinition, layout: Layout, can: CanDefinition) -> str:
+    assert command.can_id is not None
+    identifier = f"#define LIDAR_CAN_ID_{command.name.upper()} 0x{can.id_base + command.can_id:X}u"
+    return f"{identifier}\n{_pack('can_', command, layout)}"
+
+
+def _pack(prefix: str, command: CommandDefinition, layout: Layout) -> str:
+    """A function that packs a command's fields; false where one is out of its range."""
+    length = f"LIDAR_{prefix.upper()}COMMAND_{command.name.upper()}_BYTES"
+    fixed = "".join(
+        f"    lidar_put(block, {placed.first_bit}u, {placed.field.codec.bits}u, {code}u);\n"
+        for placed in layout.placed
+        if (code := _code(placed, command)) is not None
+    )
+    puts = " &&\n        ".join(_put(placed) for placed in _arguments(layout))
+    return f"""#define {length} {layout.length}u
+
+static inline bool lidar_pack_{prefix}{command.name}(uint8_t *block{_parameters(layout)}) {{
+    memset(block, 0, {length});
+{fixed}    return {puts};
+}}"""
+
+
+def _code(placed: Placed, command: CommandDefinition) -> int | None:
+    """What a field always holds; None where that is the caller's to say."""
+    if placed.field.name == "command":
+        return command.code
+    codec = placed.field.codec
+    return codec.code if isinstance(codec, Constant) else None
+
+
+def _arguments(layout: Layout) -> list[Placed]:
+    """The fields that are the caller's to say."""
+    own = [placed for placed in layout.placed if placed.field.name != "command"]
+    return [placed for placed in own if not isinstance(placed.field.codec, Constant)]
+
+
+def _parameters(layout: Layout) -> str:
+    return "".join(f", {c_type(placed.field)} {placed.field.key}" for placed in _arguments(layout))
+
+
+def _put(placed: Placed) -> str:
+    codec, value = placed.field.codec, placed.field.key
+    place = f"block, {placed.first_bit}u, {codec.bits}u"
+    match codec:
+        case Flag() | Counter():
+            return f"lidar_put_bits({place}, {value})"
+        case Time():
+            return f"lidar_put_time(block, {placed.first_bit}u, {value})"
+        case Real():
+            low, high = codec.lowest, codec.highest
+            return (
+                f"lidar_put_{'float' if codec.bits == 32 else 'double'}({place}, {value}, {low!r}, {high!r})"
+            )
+        case Number(whole=False):
+            limits = f"{float(codec.lowest)!r}, {float(codec.highest + 1)!r}"
+            return f"lidar_put_steps({place}, {value} * {codec.steps_per_unit!r}, {limits})"
+        case Number():
+            return _put_whole(codec, place, value, c_type(placed.field))
+    raise AssertionError(codec)
+
+
+def _put_whole(codec: Number, place: str, value: str, kind: str) -> str:
+    low, high = codec.lowest + codec.offset, codec.highest + codec.offset
+    if kind == "uint64_t":
+        return f"lidar_put_unsigned({place}, {value}, {low}ULL, {high}ULL)"
+    least = "INT64_MIN" if low == -(2**63) else f"{low}LL"
+    return f"lidar_put_signed({place}, {value}, {least}, {min(high, 2**63 - 1)}LL, {codec.offset})"

@@ -1,0 +1,174 @@
+"""A host in C: one header that decodes what a device sends and encodes commands (C99, without allocation)."""
+
+from __future__ import annotations
+
+from string import Template
+
+from lidar_icd.c_blocks import block_text, comment_text, shipped_text
+from lidar_icd.c_commands import commands_text
+from lidar_icd.c_reading import reading_text
+from lidar_protocol.crc import Crc, table_of
+from lidar_protocol.definitions import CanBlock, CanMessage, Interface
+from lidar_protocol.framing import Synced
+
+
+def c_header(interface: Interface, prefix: str = "lidar") -> str:
+    """The header. Everything in it is called after `prefix`."""
+    parts = [_constants(interface), _enumerations(interface), *_blocks(interface)]
+    text = Template(shipped_text("c_header_template.h")).substitute(
+        name=comment_text(interface.name),
+        version=interface.version,
+        epoch=comment_text(interface.epoch),
+        command=_told_of_commands(interface),
+        definitions="\n\n".join(parts),
+        bits=_BITS_BIG if interface.byte_order == "big" else _BITS_LITTLE,
+        crc="\n\n".join(filter(None, (_sync(interface), _crc(interface.link.crc)))),
+        reading=reading_text(interface),
+        framing="\n\n".join(filter(None, (_framing(interface), commands_text(interface)))),
+    )
+    return text.replace("lidar_", f"{prefix}_").replace("LIDAR_", f"{prefix.upper()}_")
+
+
+def _told_of_commands(interface: Interface) -> str:
+    """A paragraph of the comment at the top."""
+    if interface.commands is None:
+        return ""
+    return """
+ *
+ * lidar_encode_...(frame, unit, sequence, ...) writes a command's bytes into `frame`, which has room for
+ * LIDAR_LONGEST_COMMAND, and returns their number: 0 if an argument is out of its range.
+ *"""
+
+
+def _constants(interface: Interface) -> str:
+    link, packet = interface.link, interface.packet
+    beams = packet.maximum_beams if packet.beam else max(1, packet.beams_in_header)
+    longest_frame = link.framing.longest_frame(interface.maximum_packet_bytes)
+    return "\n".join(
+        [
+            f"#define LIDAR_INTERFACE_VERSION {interface.version}",
+            f"#define LIDAR_UNITS {interface.units}u",
+            f"#define LIDAR_MAXIMUM_BEAMS {beams}u",
+            f"#define LIDAR_HEADER_BYTES {link.header.length}u",
+            f"#define LIDAR_CRC_BYTES {link.crc_length}u",
+            f"#define LIDAR_LONGEST_PACKET {interface.maximum_packet_bytes}u",
+            f"#define LIDAR_LONGEST_FRAME {longest_frame}u",
+            *_can_constants(interface),
+        ]
+    )
+
+
+def _can_constants(interface: Interface) -> list[str]:
+    can = interface.can
+    if can is None:
+        return []
+    lines = [
+        f"#define LIDAR_CAN_UNIT_STRIDE 0x{can.unit_stride:X}u",
+        f"#define LIDAR_CAN_BEAM_SLOTS {can.beam_slots}u",
+    ]
+    blocks: list[CanMessage | CanBlock] = [*can.messages, *can.blocks]
+    return lines + [f"#define LIDAR_CAN_ID_{each.name.upper()} 0x{can.can_id(0, each):X}u" for each in blocks]
+
+
+def _enumerations(interface: Interface) -> str:
+    return "\n".join(
+        f"#define LIDAR_{name.upper()}_{word.upper()} {value}u"
+        for name, words in interface.enumerations.items()
+        for word, value in words.items()
+        if word.isidentifier()
+    )
+
+
+def _blocks(interface: Interface) -> list[str]:
+    """A struct and the function that fills it, for each block of fields."""
+    packet, can = interface.packet, interface.can
+    blocks = [("shot", packet.header), ("beam", packet.beam)]
+    blocks += [("acknowledge", interface.acknowledge), ("housekeeping", interface.housekeeping)]
+    if can is not None:
+        blocks += [(f"can_{message.name}", message.layout) for message in can.messages]
+        if can.acknowledge:
+            blocks.append(("can_acknowledge", can.acknowledge.layout))
+        blocks += [(f"can_{block.name}", block.layout) for block in can.housekeeping]
+    return [block_text(name, layout) for name, layout in blocks if layout is not None]
+
+
+_BITS_BIG = """static inline uint64_t lidar_bits(const uint8_t *block, size_t first_bit, unsigned bits) {
+    uint64_t word = 0u;
+    for (size_t k = first_bit; k < first_bit + bits; k++)
+        word = word << 1 | ((uint64_t)block[k / 8u] >> (7u - k % 8u) & 1u);
+    return word;
+}"""
+_BITS_LITTLE = """static inline uint64_t lidar_bits(const uint8_t *block, size_t first_bit, unsigned bits) {
+    uint64_t word = 0u;
+    for (size_t k = first_bit + bits; k-- > first_bit;)
+        word = word << 1 | ((uint64_t)block[k / 8u] >> (k % 8u) & 1u);
+    return word;
+}"""
+
+
+def _crc(crc: Crc | None) -> str:
+    if crc is None:
+        return ""
+    kind = f"uint{crc.bits}_t"
+    digits = crc.bits // 4
+    entries = [f"0x{entry:0{digits}X}u" for entry in table_of(crc)]
+    table = ",\n".join("        " + ", ".join(entries[k : k + 8]) for k in range(0, 256, 8))
+    if crc.bits == 8:
+        step = "table[crc ^ data[k]]"
+    elif crc.reflected:
+        step = f"({kind})(crc >> 8) ^ table[(crc ^ data[k]) & 0xFFu]"
+    else:
+        step = f"({kind})(crc << 8) ^ table[(crc >> {crc.bits - 8} ^ data[k]) & 0xFFu]"
+    return f"""/* {crc.name}; 0x{crc.check:0{digits}X} for "123456789". From LIDAR_CRC_START on, piece by piece. */
+#define LIDAR_CRC_START 0x{crc.start ^ crc.final_xor:X}u
+static inline {kind} lidar_crc({kind} crc, const uint8_t *data, size_t length) {{
+    static const {kind} table[256] = {{
+{table}
+    }};
+    crc ^= 0x{crc.final_xor:X}u;
+    for (size_t k = 0u; k < length; k++)
+        crc = ({kind})({step});
+    return crc ^ 0x{crc.final_xor:X}u;
+}}"""
+
+
+def _framing(interface: Interface) -> str:
+    """What finds packets in a stream, and what puts them into one."""
+    framing = interface.link.framing
+    names = ["c_sync.h"] if isinstance(framing, Synced) else [f"c_{framing.kind}.h", "c_stuffed_reader.h"]
+    return "\n\n".join(shipped_text(name) for name in names)
+
+
+def _sync(interface: Interface) -> str:
+    """What stands before a packet."""
+    framing = interface.link.framing
+    if not isinstance(framing, Synced):
+        return ""
+    sync = ", ".join(f"0x{byte:02X}u" for byte in framing.sync)
+    shifts = [
+        8 * (framing.length_bytes - 1 - k if framing.byte_order == "big" else k)
+        for k in range(framing.length_bytes)
+    ]
+    stated = " | ".join(f"(size_t)head[LIDAR_SYNC_BYTES + {k}u] << {shift}" for k, shift in enumerate(shifts))
+    written = "\n".join(
+        f"    head[LIDAR_SYNC_BYTES + {k}u] = (uint8_t)((length + {framing.uncounted}u) >> {shift});"
+        for k, shift in enumerate(shifts)
+    )
+    return f"""#define LIDAR_SYNC_BYTES {len(framing.sync)}u
+#define LIDAR_LENGTH_BYTES {framing.length_bytes}u
+static const uint8_t lidar_sync[LIDAR_SYNC_BYTES] = {{{sync}}};
+
+static inline bool lidar_may_be_sync(const uint8_t *data, size_t length) {{
+    return memcmp(data, lidar_sync, length < LIDAR_SYNC_BYTES ? length : LIDAR_SYNC_BYTES) == 0;
+}}
+
+/* Of the packet; 0 where it cannot be. */
+static inline size_t lidar_stated_length(const uint8_t *head) {{
+    const size_t stated = {stated};
+    return stated > {framing.uncounted}u ? stated - {framing.uncounted}u : 0u;
+}}
+
+static inline void lidar_head(uint8_t *head, size_t length) {{
+    memcpy(head, lidar_sync, LIDAR_SYNC_BYTES);
+{written}
+}}"""
