@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from lidar_emu.errors import InputError
+from lidar_emu.flight import recorded_file
 from lidar_emu.report import geometry_export
 from lidar_emu.report.geometry_export import record_geometry
 from lidar_emu.scenario.load import load
