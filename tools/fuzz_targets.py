@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.trajectory.live_datagram import TRUTH_BYTES, Truth
+from lidar_icd import example
 from lidar_protocol import (
     CanCommandReader,
     CanReceiver,
@@ -19,7 +20,6 @@ from lidar_protocol import (
     Message,
     SerialReceiver,
     default_interface,
-    example,
     packet,
     shipped_interface,
 )

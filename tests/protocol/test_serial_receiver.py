@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lidar_icd import example
 from lidar_protocol import (
     Device,
     EncodeError,
     SerialReceiver,
     cobs,
     default_interface,
-    example,
     packet,
 )
 
