@@ -15,7 +15,7 @@ from lidar_emu.device.settling import Settling
 from lidar_emu.device.state import DeviceState
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray
-from lidar_emu.scanner.model import ScannerState
+from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.device import Device
 from lidar_emu.shots.model import Model, ModelState, initial_state, measure
 from lidar_emu.wire import Encoder, Packet

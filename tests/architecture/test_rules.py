@@ -49,11 +49,6 @@ def test_nobody_draws_from_a_global_generator():
     assert [str(path) for path in SOURCES if GLOBAL_CHANCE & set(calls(path))] == []
 
 
-def test_files_are_short():
-    long = {str(path): n for path in SOURCES if (n := len(path.read_text().splitlines())) > 300}
-    assert long == {}
-
-
 @pytest.mark.parametrize(
     "command",
     ["", "run", "listen", "simulate", "plan", "detection", "ground", "bench", "schema", "icd"],

@@ -23,7 +23,8 @@ from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.scenario.device import Device
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.session import Block, Session
-from lidar_emu.shots.model import FlightModel, Model, build_model
+from lidar_emu.shots.flight_model import FlightModel
+from lidar_emu.shots.model import Model, build_model
 from lidar_emu.wire import Encoder
 from lidar_protocol import Message, SerialReceiver, default_interface
 

@@ -6,7 +6,7 @@ import numpy as np
 
 import lidar_emu
 from lidar_emu.flight.flight import Flight
-from lidar_emu.plan.plan import plan_flight
+from lidar_emu.plan.flight import plan_flight
 from lidar_emu.scenario.schema import FlightScenario
 
 

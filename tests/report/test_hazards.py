@@ -22,7 +22,7 @@ from lidar_emu.report.hazards import (
 )
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.required import require_flight
-from lidar_emu.shots.model import FlightModel
+from lidar_emu.shots.flight_model import FlightModel
 
 FLAT = {"site": "flat", "instrument": "ndl_as_published"}
 RANGE_BIN_M = 0.343085

@@ -14,7 +14,8 @@ from lidar_emu.report.paper_figures import errors_of, plot_paper_figure
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.required import require_flight
-from lidar_emu.shots.model import FlightModel, measure_whole, simulate
+from lidar_emu.shots.flight_model import FlightModel
+from lidar_emu.shots.model import measure_whole, simulate
 
 BIN_HZ = 600e6 / 2**17
 RANGE_BIN_M = SPEED_OF_LIGHT_MPS * BIN_HZ / (2 * 2e12)

@@ -12,7 +12,7 @@ from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import VELOCITY
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.rotations import dot
-from lidar_emu.plan.plan import plan_flight
+from lidar_emu.plan.flight import plan_flight
 from lidar_emu.shots.model import simulate
 
 PAD = {"name": "deck", "kind": "pad", "diameter_m": 2000, "height_m": 2, "up_m": 0}

@@ -8,7 +8,7 @@ import pytest
 import lidar_emu
 from lidar_emu.errors import InputError
 from lidar_emu.flight.flight import Flight
-from lidar_emu.plan.plan import plan_flight
+from lidar_emu.plan.flight import plan_flight
 from lidar_emu.scene.cut import CutGround
 from lidar_emu.scene.generated.relief import fractional_surface
 from lidar_emu.scene.mosaic import grids

@@ -7,7 +7,7 @@ import pytest
 
 from lidar_emu.echo.spectral_spread import spread_bins
 from lidar_emu.flight.flight import Flight
-from lidar_emu.plan.plan import ONE_BEAMLET_BELOW_BINS
+from lidar_emu.plan.flight import ONE_BEAMLET_BELOW_BINS
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.model import build_model, simulate
 
@@ -42,7 +42,7 @@ def test_a_slow_low_flight_over_a_plane_needs_one_beamlet(make_flight):
 
 def test_one_beamlet_measures_what_the_whole_footprint_does(make_flight, monkeypatch):
     few = simulate(make_flight(trajectory=LOW))
-    monkeypatch.setattr("lidar_emu.plan.plan.ONE_BEAMLET_BELOW_BINS", 0.0)
+    monkeypatch.setattr("lidar_emu.plan.flight.ONE_BEAMLET_BELOW_BINS", 0.0)
     many = simulate(make_flight(trajectory=LOW))
     spread = widest(make_flight(trajectory=LOW))
     loss_db = -10 * np.log10(1 - np.pi**2 / 3 * spread**2)

@@ -12,7 +12,8 @@ from outcomes import Extreme, Outcome, check_report, compare, joined
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.numerics.rotations import cross
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.shots.model import FlightModel, measure_whole
+from lidar_emu.shots.flight_model import FlightModel
+from lidar_emu.shots.model import measure_whole
 
 _STILL: dict[str, Any] = {"optics": {"speckle": False}, "waveform": {"linewidth_hz": 0.0}}
 _FINE = {"peak": "hann", "combine": "least_squares"}

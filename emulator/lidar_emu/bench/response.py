@@ -22,7 +22,8 @@ from lidar_emu.runtime.port.packets import Outgoing, Report
 from lidar_emu.runtime.run import Run
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.shots.model import FlightModel, build_model
+from lidar_emu.shots.flight_model import FlightModel
+from lidar_emu.shots.model import build_model
 from lidar_emu.transports.spec import Kind, PortSpec
 
 _BAUD = 3_000_000

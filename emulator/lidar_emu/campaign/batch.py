@@ -15,7 +15,8 @@ from lidar_emu.campaign.read import Base
 from lidar_emu.campaign.tables import FlownRun, beams_table, runs_table, write_table
 from lidar_emu.errors import InputError, RunError, one_line
 from lidar_emu.measurement import Measurement
-from lidar_emu.shots.model import FlightModel, measure_whole
+from lidar_emu.shots.flight_model import FlightModel
+from lidar_emu.shots.model import measure_whole
 
 
 class Batch(NamedTuple):

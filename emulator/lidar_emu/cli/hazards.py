@@ -34,7 +34,7 @@ def hazards(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
     flown = load_scenario(scenario, None, None, settings)
     from lidar_emu.report.hazards import bands_of, cloud_of, touched_shares
     from lidar_emu.scenario.required import require_flight, require_known_flight
-    from lidar_emu.shots.model import FlightModel
+    from lidar_emu.shots.flight_model import FlightModel
 
     require_known_flight(flown)
     with busy(COMPILING):

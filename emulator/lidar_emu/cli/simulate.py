@@ -57,7 +57,7 @@ def simulate(
         check_plot_path(Path(plot))
     flown = load_scenario(scenario, duration, seed, settings, exact)
     from lidar_emu.scenario.required import require_known_flight
-    from lidar_emu.shots.model import FlightModel, build_model, measure_whole
+    from lidar_emu.shots.model import build_model, measure_whole
 
     require_known_flight(flown)
     if geometry_out is not None:
@@ -70,7 +70,7 @@ def simulate(
         measurement = measure_whole(model)
     # The picture first: it may find nothing to draw, and then no file must be left.
     if plot is not None:
-        scene = model.flight.scene if isinstance(model, FlightModel) else None
+        scene = None if model.flight is None else model.flight.scene
         plot_descent(measurement, scene, flown.name, Path(plot))
         click.echo(f"{plot}: {flown.name}")
     if out is not None:

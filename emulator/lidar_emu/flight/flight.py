@@ -23,7 +23,8 @@ from lidar_emu.flight.pointing import (
 from lidar_emu.flight.sweep import MOST_SHOTS, slack, sweep
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.rotations import rotate
-from lidar_emu.scanner.model import ScannerState, build_scanner, mounting_rotation
+from lidar_emu.scanner.model import build_scanner, mounting_rotation
+from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
 from lidar_emu.scene.build import build_ground, with_objects
 from lidar_emu.scene.hits import Hits, MovingScene, Scene

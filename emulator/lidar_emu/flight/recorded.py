@@ -12,7 +12,7 @@ from lidar_emu.flight.flight import Flight, Pointing
 from lidar_emu.flight.recorded_conditions import require_same
 from lidar_emu.flight.recorded_file import GeometryFile
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.scanner.model import ScannerState
+from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.hits import Hits
 

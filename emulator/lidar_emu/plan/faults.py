@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lidar_emu.plan.receiver import Decision
+from lidar_emu.plan.plan import Decision
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.schema import Scenario
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from lidar_emu.plan.receiver import Decision
+from lidar_emu.plan.plan import Decision
 from lidar_emu.scene.cut import CutGround, Kept
 from lidar_emu.scene.hits import Scene
 from lidar_emu.scene.mosaic.albedo import PaintedGround

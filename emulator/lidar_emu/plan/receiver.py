@@ -6,13 +6,12 @@ shot 0, and are left out beam by beam.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-
 import numpy as np
 
 from lidar_emu.fmcw.limits import LEAST_FALSE_ALARM, LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.plan.plan import Decision
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Waveform
 from lidar_emu.scenario.schema import FlightScenario
 
@@ -21,22 +20,6 @@ SMEAR_BOUND = LEAST_SMEAR_BINS / (2 * np.pi)
 
 LINE_BOUND_POWER, LINE_BOUND_BINS = 0.03, 0.03
 """What the laser's line left out changes in an echo's power and in the frequency of its line: four sigma."""
-
-
-@dataclass(frozen=True)
-class Decision:
-    """One stage of the model, computed or left out."""
-
-    stage: str
-    computed: bool
-    how: str
-    reason: str
-    bound: str
-    """The largest effect of the decision; `exact` where there is none."""
-
-    def row(self) -> dict[str, str | bool]:
-        """For JSON."""
-        return asdict(self)
 
 
 def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import deque
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lidar_emu.device.machine import initial
 from lidar_emu.device.now import DeviceNow
@@ -19,9 +19,11 @@ from lidar_emu.scenario.faults.on_order import read_fault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Session
 from lidar_emu.shots.model import Model
-from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.trajectory.live_datagram import Truth
 from lidar_emu.wire import Encoder
+
+if TYPE_CHECKING:
+    from lidar_emu.trajectory.live import LiveTrajectory
 
 
 class Changes:

@@ -23,8 +23,7 @@ from lidar_emu.runtime.port_faults import packets_on_order
 from lidar_emu.runtime.prepare import rules_of
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Session
-from lidar_emu.shots.model import BLOCK_SHOTS, FlightModel, Model, build_model
-from lidar_emu.trajectory.live import LiveTrajectory
+from lidar_emu.shots.model import BLOCK_SHOTS, Model, build_model
 from lidar_emu.transports.spec import Kind
 from lidar_emu.wire import Encoder
 
@@ -111,7 +110,9 @@ def _live(
 ) -> Iterator[Outgoing]:
     """Shot by shot: those that were too late to be computed are passed over, as they were."""
     model, session, live = parts.model, parts.session, scenario.live
-    assert isinstance(model, FlightModel)
+    from lidar_emu.trajectory.live import LiveTrajectory
+
+    assert model.flight is not None
     assert isinstance(model.flight.trajectory, LiveTrajectory)
     assert live is not None
     truths = LiveTruths(recording, model.flight.trajectory)

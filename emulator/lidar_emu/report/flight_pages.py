@@ -11,7 +11,8 @@ from lidar_emu.report import flight_figures, run_figures
 from lidar_emu.report.flown import Flown
 from lidar_emu.report.page_style import Drawing
 from lidar_emu.report.spectra import CannotHearError, choose, draw_spectra, listen
-from lidar_emu.shots.model import FlightModel, Model, build_model
+from lidar_emu.shots.flight_model import FlightModel
+from lidar_emu.shots.model import Model, build_model
 
 
 class Figures(NamedTuple):

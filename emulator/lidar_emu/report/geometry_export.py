@@ -12,7 +12,7 @@ from lidar_emu.flight.recorded_conditions import conditions
 from lidar_emu.flight.recorded_file import BLOCK_SHOTS, About, GeometryWriter
 from lidar_emu.scenario.required import require_known_flight
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.shots.model import FlightModel
+from lidar_emu.shots.flight_model import FlightModel
 
 
 def record_geometry(scenario: FlightScenario, path: Path) -> About:

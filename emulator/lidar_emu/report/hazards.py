@@ -16,7 +16,8 @@ from scipy.spatial import cKDTree
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.shots.model import BLOCK_SHOTS, FlightModel, initial_state, measure
+from lidar_emu.shots.flight_model import FlightModel
+from lidar_emu.shots.model import BLOCK_SHOTS, initial_state, measure
 
 INNER_M, OUTER_M = 2.5, 5.0
 """The plane goes through the points of this ring around a point: what is as wide as the hole stands out whole."""

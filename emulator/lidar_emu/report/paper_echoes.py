@@ -12,8 +12,9 @@ from lidar_emu.fmcw.build import build_receiver
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.waveform.level import listen_to_beam
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.scanner.model import ScannerState
-from lidar_emu.shots.model import BLOCK_SHOTS, FlightModel
+from lidar_emu.scanner.state import ScannerState
+from lidar_emu.shots.flight_model import FlightModel
+from lidar_emu.shots.model import BLOCK_SHOTS
 
 _LEAST_APART_BINS = 8.0
 """Between two targets that the spectrum keeps apart."""

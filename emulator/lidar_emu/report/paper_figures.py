@@ -11,7 +11,8 @@ from lidar_emu.report.paper_echoes import find_two_targets
 from lidar_emu.report.paper_scan import plot_scan
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.required import require_flight
-from lidar_emu.shots.model import FlightModel, measure_whole
+from lidar_emu.shots.flight_model import FlightModel
+from lidar_emu.shots.model import measure_whole
 
 
 def plot_paper_figure(figure: str, path: Path) -> Measurement:

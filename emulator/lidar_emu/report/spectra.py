@@ -13,7 +13,7 @@ from lidar_emu.fmcw.waveform.level import listen_to_beam
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.page_style import Drawing, draw
-from lidar_emu.shots.model import FlightModel
+from lidar_emu.shots.flight_model import FlightModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

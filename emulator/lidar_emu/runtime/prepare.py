@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lidar_emu.device.machine import initial
 from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.rules import Rules, device_rules
-from lidar_emu.flight.flight import Flight
 from lidar_emu.runtime.device_link.final_message import unsayable
 from lidar_emu.runtime.feed.on_command import waiting_device
 from lidar_emu.runtime.feed.packet_queue import payload_of
@@ -18,10 +17,13 @@ from lidar_emu.runtime.port_faults import packets_on_order, port_on_order
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.session import Session
-from lidar_emu.shots.model import FlightModel, Model
+from lidar_emu.shots.model import Model
 from lidar_emu.transports.spec import Kind
 from lidar_emu.transports.wire_load import check_wire_load, wire_load
 from lidar_emu.wire import Encoder
+
+if TYPE_CHECKING:
+    from lidar_emu.flight.flight import Flight
 
 _LOOK_AHEAD_S = 2.0
 _BLOCK_S = 0.25
@@ -58,7 +60,7 @@ class Prepared:
     @property
     def flight(self) -> Flight:
         """What is flown, where it is no bench pattern."""
-        assert isinstance(self.model, FlightModel)
+        assert self.model.flight is not None
         return self.model.flight
 
     @property

@@ -37,7 +37,6 @@ from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import Tally, of_scenario
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.shots.model import Model
-from lidar_emu.trajectory.live import LiveTrajectory
 
 if TYPE_CHECKING:
     from lidar_emu.runtime.fault_injector import Injector
@@ -174,6 +173,8 @@ class Run:
         live = self._ready.live
         if socket is None or live is None:
             return None
+        from lidar_emu.trajectory.live import LiveTrajectory
+
         trajectory = self._ready.flight.trajectory
         assert isinstance(trajectory, LiveTrajectory)
         return TruthSource(socket, trajectory, round(live.stale_after_s * 1e9), watching)

@@ -11,13 +11,12 @@ import numpy as np
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.plan.expected_error import expected_error
 from lidar_emu.runtime.lateness import LatenessHistogram
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import Fate, Report
 from lidar_emu.runtime.rolling_lateness import LatenessWindows
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.shots.model import FlightModel, Model
+from lidar_emu.shots.model import Model
 
 _DROPS = {Fate.DROPPED_FULL: "full", Fate.DROPPED_NOBODY: "nobody_connected", Fate.DROPPED_BROKEN: "broken"}
 
@@ -148,8 +147,10 @@ def _expectation(scenario: FlightScenario | BenchScenario, model: Model) -> dict
     """What the closed forms expect of the run, under the names of the summary file; null for a bench pattern and
     for a flight that is not known yet."""
     names = ("expected_range_error_m", "expected_speed_error_mps", "expected_dropout")
-    if scenario.live or not (isinstance(scenario, FlightScenario) and isinstance(model, FlightModel)):
+    if scenario.live or not isinstance(scenario, FlightScenario) or model.flight is None:
         return dict.fromkeys(names)
+    from lidar_emu.plan.expected_error import expected_error
+
     told = expected_error(scenario, model.flight, model.plan.beamlets).to_json()
     values = (
         {"mean": told["range_bias_m"], "rms": told["range_rms_m"]},

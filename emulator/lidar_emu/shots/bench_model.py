@@ -12,14 +12,16 @@ from lidar_emu.faults.build import beam_faults, refuse_physics
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.plan.plan import Plan, plan_bench
-from lidar_emu.scanner.model import ScannerState
+from lidar_emu.plan.bench import plan_bench
+from lidar_emu.plan.plan import Plan
+from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.bench_pattern import Level, Ramp
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.schema import BenchScenario
 
 if TYPE_CHECKING:
     from lidar_emu.faults.physics import PhysicsFaults
+    from lidar_emu.flight.flight import Flight
 
 
 class BenchModel:
@@ -35,6 +37,7 @@ class BenchModel:
         self.initial_state = ScannerState(())
         self.pattern_count = 0
         self.physics: PhysicsFaults | None = None
+        self.flight: Flight | None = None
         self._order(scenario)
 
     def with_faults(self, faults: list[Fault]) -> Self:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from typing import TYPE_CHECKING
 
-from lidar_emu.flight.flight import Flight
 from lidar_emu.runtime.feed.arrival_predictor import Anticipation
 from lidar_emu.runtime.feed.base import POLL_NS, Desk
 from lidar_emu.runtime.feed.truth_source import Arrival, TruthSource
 from lidar_emu.runtime.realtime import prompt
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.trajectory.live_datagram import Verdict
+
+if TYPE_CHECKING:
+    from lidar_emu.flight.flight import Flight
 
 _AT_ONCE_NS = 1_000_000
 """A packet that is due within this time is sent as soon as it is made."""

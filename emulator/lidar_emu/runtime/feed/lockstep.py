@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import TYPE_CHECKING
 
-from lidar_emu.flight.flight import Flight
 from lidar_emu.runtime.feed.base import POLL_NS, Desk
 from lidar_emu.runtime.feed.truth_source import Arrival, TruthSource
 from lidar_emu.runtime.port.packets import Outgoing, Report
 from lidar_emu.trajectory.live_datagram import Answer, AnsweredPacket, Truth, Verdict, answers
+
+if TYPE_CHECKING:
+    from lidar_emu.flight.flight import Flight
 
 _LINGER_NS = 200_000_000
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lidar_emu.errors import InputError, reason_of
 from lidar_emu.runtime.clock import Clock
@@ -12,8 +12,10 @@ from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
 from lidar_emu.runtime.lateness import LatenessHistogram
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
-from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict, sequence_of
+
+if TYPE_CHECKING:
+    from lidar_emu.trajectory.live import LiveTrajectory
 
 _UNTOLD = 1000
 """Datagrams before the run that observers hear of once it has begun."""

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 
 from lidar_emu.session import Block, Session
-from lidar_emu.shots.model import FlightModel, Model
-from lidar_emu.trajectory.live import LiveTrajectory
+from lidar_emu.shots.model import Model
 from lidar_emu.trajectory.live_datagram import Truth
 from lidar_emu.wire import Encoder
 
@@ -17,8 +16,16 @@ _HOVER = Truth(0, 0, (0.0, 0.0, 1000.0), _STILL, _STILL, _FACING_DOWN, _STILL)
 
 def rehearse(model: Model, encoder: Encoder) -> Block:
     """Shot 0; where truth is live as it would be a kilometre above the site's origin, of which nothing stays."""
-    trajectory = model.flight.trajectory if isinstance(model, FlightModel) else None
-    with trajectory.pretending(_HOVER) if isinstance(trajectory, LiveTrajectory) else nullcontext():
+    with _hovering(model):
         block = Session(model, encoder).shoot(1)
     assert block is not None
     return block
+
+
+def _hovering(model: Model) -> AbstractContextManager[None]:
+    if model.flight is None or not model.flight.is_live:
+        return nullcontext()
+    from lidar_emu.trajectory.live import LiveTrajectory
+
+    assert isinstance(model.flight.trajectory, LiveTrajectory)
+    return model.flight.trajectory.pretending(_HOVER)

@@ -1,0 +1,153 @@
+"""A flight over ground as a model: truth -> beams -> hits -> echoes -> measurement."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.echo.echoes import Light
+from lidar_emu.faults.build import beam_faults, physics_faults
+from lidar_emu.flight.flight import Flight, Pointing
+from lidar_emu.flight.pointing import approach, locate
+from lidar_emu.fmcw.levels import build_level
+from lidar_emu.fmcw.returns import Returns
+from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.plan.flight import plan_flight
+from lidar_emu.scanner.state import ScannerState
+from lidar_emu.scenario.faults import Fault
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.scene.hits import Hits
+
+if TYPE_CHECKING:
+    from lidar_emu.echo.dust import Dust
+
+
+class FlightModel:
+    """A flight over ground, measured by the model of the instrument."""
+
+    def __init__(self, scenario: FlightScenario, flight: Flight | None = None) -> None:
+        """Of a scenario and its flight; None: yet to be built."""
+        self.scenario = scenario
+        self.flight = Flight(scenario) if flight is None else flight
+        self.plan = plan_flight(scenario, self.flight)
+        self.light = Light(scenario.instrument, scenario.site, self.flight, self.plan.beamlets)
+        self.dust = _dust(scenario)
+        self.level = build_level(scenario)
+        self.beam_count = self.flight.scanner.beam_count
+        self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
+        self.initial_state = self.flight.scanner.initial
+        self.pattern_count = self.flight.scanner.set_count
+        self._order(scenario)
+
+    def with_faults(self, faults: list[Fault]) -> Self:
+        """The same model with other faults.
+
+        Raises:
+            InputError: one of them is none of this scenario.
+        """
+        twin = copy(self)
+        twin._order(self.scenario.model_copy(update={"faults": faults}))
+        return twin
+
+    def _order(self, scenario: FlightScenario) -> None:
+        self.scenario = scenario
+        self.physics = physics_faults(scenario, self.flight, self.level)
+        self.faults = beam_faults(scenario, self.beam_count)
+
+    def aim(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
+        """Beams of consecutive shots, as misaligned as faults have them."""
+        pointing, state = self.flight.point(shot, state)
+        if self.physics is not None and not self.flight.is_recorded:
+            pointing = self.physics.tilted(pointing, shot)
+        return pointing, state
+
+    def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
+        """Shots `first` to `first + count - 1` without faults of beams, given the scanner's state before them."""
+        shot = np.arange(first, first + count, dtype=np.int64)
+        pointing, state = self.aim(shot, state)
+        axis_hits = self.flight.cast(pointing)
+        echoes = self.light.echoes(pointing, axis_hits)
+        if self.dust is not None:
+            echoes = self.dust.raised(echoes, pointing, axis_hits, shot)
+        if self.physics is None:
+            returns = self.level(echoes, shot)
+        else:
+            returns = self.physics.returns(echoes, self.light.spots, shot)
+        return self._measurement(shot, pointing, axis_hits, returns), state
+
+    def unlit(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
+        """The same shots without light, and little computed but where the vehicle is."""
+        shot = np.arange(first, first + count, dtype=np.int64)
+        pointing, state = self.flight.point(shot, state)
+        vehicle = pointing.position_site_m, pointing.velocity_site_mps
+        return Measurement.of_nothing(shot, pointing.time_ns, self.flight.due_ns(shot), *vehicle), state
+
+    def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:
+        """(shots,) Which pattern of beams each of these shots uses."""
+        return self.flight.patterns(np.arange(first, first + count, dtype=np.int64), state)
+
+    def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
+        """(shots, beams, 3) Where the ranges of a measurement end, given the scanner's state before it."""
+        pointing, _ = self.flight.point(measurement.shot, state)
+        point_site_m = np.empty((*pointing.fired.shape, 3))
+        locate(pointing.beams, measurement.range_m, point_site_m)
+        return point_site_m
+
+    def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
+        """The scanner's state after these shots, without measuring them."""
+        return self.flight.point(np.arange(first, first + count, dtype=np.int64), state)[1]
+
+    def _measurement(
+        self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits, returns: Returns
+    ) -> Measurement:
+        true_closing_mps = np.empty(pointing.fired.shape)
+        point_site_m = np.empty((*pointing.fired.shape, 3))
+        true_incidence_deg = np.empty(pointing.fired.shape)
+        approach(
+            pointing.beams,
+            axis_hits.normal_site,
+            axis_hits.velocity_site_mps,
+            true_closing_mps,
+            true_incidence_deg,
+        )
+        locate(pointing.beams, returns.range_m, point_site_m)
+        return Measurement(
+            shot=shot,
+            time_ns=pointing.time_ns,
+            due_ns=self.flight.due_ns(shot),
+            fired=pointing.fired,
+            beam_angle_deg=pointing.angle_deg,
+            range_m=returns.range_m,
+            closing_speed_mps=returns.closing_speed_mps,
+            range_valid=returns.range_valid,
+            speed_valid=returns.speed_valid,
+            sign_resolved=returns.sign_resolved,
+            reason=returns.reason,
+            segments=returns.segments,
+            snr_db=returns.snr_db,
+            residual_mps=returns.residual_mps,
+            sigma_range_m=returns.sigma_range_m,
+            sigma_speed_mps=returns.sigma_speed_mps,
+            returns=returns.returns,
+            second_range_m=returns.second_range_m,
+            true_range_m=axis_hits.range_m,
+            true_closing_speed_mps=true_closing_mps,
+            true_incidence_deg=true_incidence_deg,
+            true_in_gap=pointing.in_gap,
+            point_site_m=point_site_m,
+            position_site_m=pointing.position_site_m,
+            velocity_site_mps=pointing.velocity_site_mps,
+        )
+
+
+def _dust(scenario: FlightScenario) -> Dust | None:
+    """None where no plume raises any, or the level reports the truth."""
+    if scenario.plume is None or scenario.level == "geometric":
+        return None
+    from lidar_emu.echo.dust import Dust
+
+    return Dust(scenario, scenario.plume)
