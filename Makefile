@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 # Bytecode is made of the modules that are imported: most of what is installed never is.
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile --editable
 
-.PHONY: run test check kernels docs clean
+.PHONY: run test check kernels docs mutants clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -41,6 +41,12 @@ $(VENV)/.ready: pyproject.toml
 $(VENV)/.ready-dev: $(VENV)/.ready
 	$(INSTALL) '.[dev]'
 	@touch $@
+
+# Which small faults in the core no test would notice: an hour or two; docs/mutants.md has the last result.
+mutants: $(VENV)/.ready-dev
+	$(INSTALL) '.[mutants]'
+	$(BIN)/python tools/mutants.py map
+	$(BIN)/python tools/mutants.py run
 
 clean:
 	rm -rf $(VENV) dist
