@@ -1,12 +1,12 @@
 """Mutation testing of the core: which small faults in the source would no test notice?
 
-    python tools/mutants.py map                  # which tests execute which lines; half an hour
-    python tools/mutants.py run --count 200      # a seeded sample of mutants, against the tests that execute their lines
+    python tools/mutants.py map          # which tests execute which lines; half an hour
+    python tools/mutants.py run          # a seeded sample of mutants, against the tests that execute their lines
 
-A mutant is one operator, comparison, number or condition changed in one place (operators of cosmic-ray). It is killed
-if a test fails or runs for far longer than it did. Kernels are interpreted in the folders of tests named in INTERPRETED,
-so that coverage sees their lines and nothing compiles anew. Lines that only processes of their own execute, which coverage
-does not see, are left to the tests in BY_PROCESSES.
+A mutant is one operator, comparison, number or condition changed in one place (operators of cosmic-ray). It is
+killed if a test fails or runs for far longer than it did. Kernels are interpreted in the folders of tests named in
+INTERPRETED, so that coverage sees their lines and nothing compiles anew. Lines that only processes of their own
+execute, which coverage does not see, are left to the tests in BY_PROCESSES.
 """
 
 from __future__ import annotations
