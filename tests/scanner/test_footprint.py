@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.numerics.rotations import cross, dot
+from lidar_emu.numerics.vector_arrays import cross, dot
 from lidar_emu.scanner.footprint import beam_radius_m, beamlet_pattern, sample_footprint, wavefront_radius_m
 
 COUNTS = [1, 7, 19, 37, 61, 91, 127]

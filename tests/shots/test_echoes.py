@@ -11,7 +11,7 @@ from lidar_emu.echo.echoes import SPECKLE_PITCH_W, receive_light
 from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.numerics.rotations import dot
+from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.scanner.footprint import beam_radius_m, sample_footprint
 
 WAIST_M, WAVELENGTH_M = 0.017, 1550e-9

@@ -11,7 +11,7 @@ from lidar_emu.echo.echoes import receive_light
 from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import VELOCITY
 from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.numerics.rotations import dot
+from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.plan.flight import plan_flight
 from lidar_emu.shots.model import simulate
 

@@ -10,7 +10,7 @@ from beat_truth import BeatTruth, beat_truth
 from outcomes import Extreme, Outcome, check_report, compare, joined
 
 from lidar_emu.fmcw.reasons import Reason
-from lidar_emu.numerics.rotations import cross
+from lidar_emu.numerics.vector_arrays import cross
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import measure_whole

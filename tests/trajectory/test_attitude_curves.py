@@ -7,17 +7,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.numerics.rotations import SITE_FROM_NED
-from lidar_emu.trajectory.attitude import Attitude, EulerAttitude
+from lidar_emu.numerics.vector_arrays import SITE_FROM_NED
+from lidar_emu.trajectory.attitude import AttitudeCurve, EulerAttitude, QuaternionAttitude
 from lidar_emu.trajectory.curve import through
-from lidar_emu.trajectory.quaternion import QuaternionAttitude
 
 RNG = np.random.default_rng(3)
 KNOT_S = np.cumsum(RNG.uniform(0.3, 1.2, 20))
 TIME_S = RNG.uniform(KNOT_S[0], KNOT_S[-1], 300)
 
 
-def rate_by_difference(attitude: Attitude, time_s: FloatArray) -> FloatArray:
+def rate_by_difference(attitude: AttitudeCurve, time_s: FloatArray) -> FloatArray:
     step_s = 1e-5
     before, after = attitude.at(time_s - step_s)[0], attitude.at(time_s + step_s)[0]
     turned = Rotation.from_matrix(np.swapaxes(before, 1, 2) @ after)
@@ -41,7 +40,7 @@ def rough_quaternions() -> QuaternionAttitude:
 
 
 @pytest.mark.parametrize("attitude", [rough_euler(), rough_quaternions()], ids=["euler", "quaternion"])
-def test_rate_is_the_derivative_of_the_rotation(attitude: Attitude) -> None:
+def test_rate_is_the_derivative_of_the_rotation(attitude: AttitudeCurve) -> None:
     away_from_knots = TIME_S[np.min(np.abs(TIME_S[:, None] - KNOT_S), axis=1) > 1e-4]
     rotation, rate = attitude.at(away_from_knots)
     np.testing.assert_allclose(rate, rate_by_difference(attitude, away_from_knots), atol=1e-6)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.numerics.rotations import from_rotation_vector
+from lidar_emu.numerics.vector_arrays import from_rotation_vector
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.trajectory.live_datagram import Truth, Verdict
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lidar_emu.numerics.rotations import (
-    chained,
+from lidar_emu.numerics.vector_arrays import (
+    compose,
     cross,
     dot,
     from_rotation_vector,
@@ -36,7 +36,7 @@ def test_yaw_pitch_roll_agrees_with_scipy() -> None:
 def test_products_agree_with_numpy_and_broadcast() -> None:
     a, b = RNG.normal(size=(2, 4, 1, 3, 3)), RNG.normal(size=(5, 3, 3))
     v, w = RNG.normal(size=(5, 3)), RNG.normal(size=(2, 4, 1, 3))
-    np.testing.assert_allclose(chained(a, b), a @ b, atol=1e-14)
+    np.testing.assert_allclose(compose(a, b), a @ b, atol=1e-14)
     np.testing.assert_allclose(rotate(a, v), (a @ v[..., None])[..., 0], atol=1e-14)
     np.testing.assert_allclose(rotate(a[0, 0, 0], v), v @ a[0, 0, 0].T, atol=1e-14)
     np.testing.assert_allclose(dot(v, w), (v * w).sum(axis=-1), atol=1e-14)
@@ -45,9 +45,9 @@ def test_products_agree_with_numpy_and_broadcast() -> None:
 
 def test_bits_do_not_depend_on_the_block() -> None:
     vector = RNG.normal(size=(101, 3))
-    whole = chained(from_rotation_vector(vector), from_yaw_pitch_roll(*vector.T))
+    whole = compose(from_rotation_vector(vector), from_yaw_pitch_roll(*vector.T))
     single = [
-        chained(from_rotation_vector(one), from_yaw_pitch_roll(*one.T))
+        compose(from_rotation_vector(one), from_yaw_pitch_roll(*one.T))
         for one in np.split(vector, len(vector))
     ]
     assert np.array_equal(whole, np.concatenate(single))

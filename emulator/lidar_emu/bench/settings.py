@@ -13,7 +13,7 @@ from lidar_emu.echo.echoes import receive_light
 from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.levels import build_level
 from lidar_emu.fmcw.returns import Echoes, Returns
-from lidar_emu.numerics.rotations import dot
+from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.scenario.schema import FlightScenario
 
 BEAMLETS = (1, 7, 19, 37, 61, 127)

@@ -19,7 +19,7 @@ from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.random_streams import Chance
-from lidar_emu.numerics.rotations import dot
+from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.scenario.plume import Plume
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.hits import Hits

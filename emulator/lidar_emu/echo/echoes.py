@@ -26,7 +26,7 @@ from lidar_emu.fmcw.link_budget import echo_law, echo_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.rotations import dot_3, known, set_cross
+from lidar_emu.numerics.vectors import cross, dot, nan_to_zero, store
 from lidar_emu.scanner.footprint import Footprint, sample_footprint
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.site import Site
@@ -206,12 +206,12 @@ def _receive(
             beam = s * beams + b
             axis, first, second = vectors[TRUE, s, b], across[0, beam], across[1, beam]
             sensor, velocity, away_m = vectors[SENSOR, s, b], vectors[VELOCITY, s, b], axis_range_m[s, b]
-            set_cross(vectors[TURNING, s, b], axis, swing_radps)
+            store(swing_radps, 0, cross(vectors[TURNING, s, b], axis))
             on_axis = beam * beamlets
             first_mps = _past(surface_mps, on_axis, velocity, first)
             second_mps = _past(surface_mps, on_axis, velocity, second)
-            first_radps, second_radps = dot_3(swing_radps, first), dot_3(swing_radps, second)
-            along_mps2 = dot_3(vectors[ACCELERATION, s, b], axis)
+            first_radps, second_radps = dot(swing_radps, first), dot(swing_radps, second)
+            along_mps2 = dot(vectors[ACCELERATION, s, b], axis)
             coriolis_mps2 = first_mps * first_radps + second_mps * second_radps
             passing_m2ps2 = first_mps * first_mps + second_mps * second_mps
             squared_radps2 = first_radps * first_radps + second_radps * second_radps
@@ -223,16 +223,19 @@ def _receive(
             # with exp(-d²/w0²); a turn of the beam changes it too, by the sensor's distance from the origin times the
             # angle rather than by the Rayleigh range.
             waist_pitch_m = SPECKLE_PITCH_W * waist_m
-            first_m, second_m = dot_3(sensor, first), dot_3(sensor, second)
+            first_m, second_m = dot(sensor, first), dot(sensor, second)
             if surface_mps.size > 0:
                 # The field rides on what moves.
                 time_s = 1e-9 * time_ns[s, b]
-                first_m -= time_s * known(dot_3(surface_mps[on_axis], first))
-                second_m -= time_s * known(dot_3(surface_mps[on_axis], second))
-            place[s, b, 0], place[s, b, 1] = known(first_m / waist_pitch_m), known(second_m / waist_pitch_m)
+                first_m -= time_s * nan_to_zero(dot(surface_mps[on_axis], first))
+                second_m -= time_s * nan_to_zero(dot(surface_mps[on_axis], second))
+            place[s, b, 0], place[s, b, 1] = (
+                nan_to_zero(first_m / waist_pitch_m),
+                nan_to_zero(second_m / waist_pitch_m),
+            )
             arm_m, pitch_m = _speckle_scale(beamlets, away_m, waist_m, rayleigh_m)
-            drift_per_s[s, b, 0] = known((first_mps + arm_m * first_radps) / pitch_m)
-            drift_per_s[s, b, 1] = known((second_mps + arm_m * second_radps) / pitch_m)
+            drift_per_s[s, b, 0] = nan_to_zero((first_mps + arm_m * first_radps) / pitch_m)
+            drift_per_s[s, b, 1] = nan_to_zero((second_mps + arm_m * second_radps) / pitch_m)
             for i in range(beamlets):
                 ray_i = on_axis + i
                 facet = normals[ray_i]
@@ -241,10 +244,10 @@ def _receive(
                     - doppler_start_m[0, beam, i] * first_radps
                     - doppler_start_m[1, beam, i] * second_radps
                 )
-                cos_incidence = -dot_3(facet, ray[beam, i])
+                cos_incidence = -dot(facet, ray[beam, i])
                 # -(n·(v + R u'))/(n·u): of the distance along the moving beam to the plane of its facet. u' is the
                 # axis': the turn of a beamlet, and that of its start, differ by the footprint's radius times the rate.
-                sinking_mps = _past(surface_mps, ray_i, velocity, facet) + range_m[s, b, i] * dot_3(
+                sinking_mps = _past(surface_mps, ray_i, velocity, facet) + range_m[s, b, i] * dot(
                     facet, swing_radps
                 )
                 range_rate_mps[s, b, i] = sinking_mps / max(cos_incidence, _LEAST_COSINE)
@@ -266,9 +269,9 @@ def _receive(
 @kernel
 def _past(surface_mps: FloatArray, ray: int, velocity: FloatArray, along: FloatArray) -> float:
     """The sensor's speed along a vector, past the place that a ray hits: where nothing moves, simply its speed."""
-    speed_mps = dot_3(velocity, along)
+    speed_mps = dot(velocity, along)
     if surface_mps.size > 0:
-        speed_mps -= known(dot_3(surface_mps[ray], along))
+        speed_mps -= nan_to_zero(dot(surface_mps[ray], along))
     return speed_mps
 
 
@@ -284,7 +287,7 @@ def _bending_mps2(
     squared_m2 = range_m * range_m + rayleigh_m * rayleigh_m
     flatness = rayleigh_m * rayleigh_m / squared_m2
     turning_mps2 = 2 * coriolis_mps2 + range_m * squared_radps2
-    return known(flatness * turning_mps2 - passing_m2ps2 * range_m / squared_m2)
+    return nan_to_zero(flatness * turning_mps2 - passing_m2ps2 * range_m / squared_m2)
 
 
 @kernel

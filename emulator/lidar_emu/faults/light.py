@@ -16,7 +16,7 @@ from lidar_emu.flight.pointing import TRUE
 from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.numerics.rotations import from_rotation_vector, rotate
+from lidar_emu.numerics.vector_arrays import from_rotation_vector, rotate
 from lidar_emu.scanner.model import mounting_rotation
 from lidar_emu.scenario import faults as kinds
 from lidar_emu.scenario.schema import FlightScenario

@@ -22,7 +22,7 @@ from lidar_emu.flight.pointing import (
 )
 from lidar_emu.flight.sweep import MOST_SHOTS, slack, sweep
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.numerics.rotations import rotate
+from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.scanner.model import build_scanner, mounting_rotation
 from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.rotations import dot_3, known, set_cross, set_rotated
+from lidar_emu.numerics.rotations import rotate
+from lidar_emu.numerics.vectors import add, cross, dot, nan_to_zero, store
 
 SENSOR, VELOCITY, ACCELERATION, TURNING, TRUE, PUBLISHED = range(6)
 """Places of the vectors of a beam, in the order of `Pointing`."""
@@ -43,7 +44,7 @@ def place_starts(
         starts[0, s] = instant_s[s, 0]
         k = s * instant_s.shape[1]
         for axis in range(3):
-            starts[1 + axis, s] = position_m[k, axis] + dot_3(site_from_body[k, axis], lever_arm_m)
+            starts[1 + axis, s] = position_m[k, axis] + dot(site_from_body[k, axis], lever_arm_m)
 
 
 @kernel(outermost=True)
@@ -77,22 +78,15 @@ def point_beams(
         for b in range(beams):
             k = s * (1 + beams) + 1 + b
             rotation = site_from_body[k]
-            sensor, velocity, acceleration = (
-                vectors[SENSOR, s, b],
-                vectors[VELOCITY, s, b],
-                vectors[ACCELERATION, s, b],
-            )
-            turning = vectors[TURNING, s, b]
-            set_rotated(rotation, body_rate_radps[k], turning)
-            set_rotated(rotation, lever_arm_m, sensor)
-            set_cross(turning, sensor, velocity)
-            set_cross(turning, velocity, acceleration)
-            for axis in range(3):
-                sensor[axis] += position_m[k, axis]
-                velocity[axis] += velocity_mps[k, axis]
-                acceleration[axis] += acceleration_mps2[k, axis]
-            set_rotated(rotation, true_body[row[s], b], vectors[TRUE, s, b])
-            set_rotated(rotation, published_body[row[s], b], vectors[PUBLISHED, s, b])
+            turning = rotate(rotation, body_rate_radps[k])
+            lever_arm = rotate(rotation, lever_arm_m)
+            swing = cross(turning, lever_arm)
+            store(vectors[TURNING, s, b], 0, turning)
+            store(vectors[SENSOR, s, b], 0, add(lever_arm, position_m[k]))
+            store(vectors[VELOCITY, s, b], 0, add(swing, velocity_mps[k]))
+            store(vectors[ACCELERATION, s, b], 0, add(cross(turning, swing), acceleration_mps2[k]))
+            store(vectors[TRUE, s, b], 0, rotate(rotation, true_body[row[s], b]))
+            store(vectors[PUBLISHED, s, b], 0, rotate(rotation, published_body[row[s], b]))
             angle_deg[s, b] = row_angle_deg[row[s], b]
             fired[s, b] = angle_deg[s, b] == angle_deg[s, b]
         for axis in range(3):
@@ -113,11 +107,11 @@ def approach(
     for s in range(true_closing_mps.shape[0]):
         for b in range(true_closing_mps.shape[1]):
             axis = beams[TRUE, s, b]
-            true_closing_mps[s, b] = dot_3(beams[VELOCITY, s, b], axis)
+            true_closing_mps[s, b] = dot(beams[VELOCITY, s, b], axis)
             if surface_mps.size > 0:
-                true_closing_mps[s, b] -= known(dot_3(surface_mps[s, b], axis))
+                true_closing_mps[s, b] -= nan_to_zero(dot(surface_mps[s, b], axis))
             # Bounds first: np.minimum passes NaN on, min() may not.
-            cosine = np.minimum(np.maximum(-dot_3(normals[s, b], axis), -1.0), 1.0)
+            cosine = np.minimum(np.maximum(-dot(normals[s, b], axis), -1.0), 1.0)
             true_incidence_deg[s, b] = np.degrees(np.arccos(cosine))
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.numerics.rotations import rotate
+from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.scanner.footprint import beamlet_pattern
 from lidar_emu.scanner.model import ScannerModel
 from lidar_emu.scenario.faults import Misalignment

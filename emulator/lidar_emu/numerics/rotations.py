@@ -1,110 +1,34 @@
-"""Products and rotations of 3-vectors, written out element by element.
+"""Rotations in kernels, as matrices (3, 3) and as unit quaternions (scalar first, Hamilton).
 
-Matrix products of a library may add in another order for another shape; sums written out give a shot the same
-bits whatever block it comes in. Leading axes broadcast. Matrices are named target_from_source: columns are
-the source's axes in the target frame. Functions of arrays come first, kernels for a single vector or matrix after.
+Matrices are named target_from_source: columns are the source's axes in the target frame. Sums are written out element
+by element, as in `vector_arrays`, which has the functions for arrays of rotations.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import cos, sin, sqrt
-
-import numpy as np
-import numpy.typing as npt
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.vectors import AnyVector, Vector, add, cross, scale
 
-SITE_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""East-north-up from the north-east-down in which aerospace angles are counted."""
-
-_NEXT, _AFTER_NEXT = [1, 2, 0], [2, 0, 1]
+Quaternion = tuple[float, float, float, float]
 
 
-def dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Scalar product of (..., 3) and (..., 3): (...)."""
-    product: FloatArray = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
-    return product
-
-
-def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Vector product of (..., 3) and (..., 3): (..., 3)."""
-    product: FloatArray = a[..., _NEXT] * b[..., _AFTER_NEXT] - a[..., _AFTER_NEXT] * b[..., _NEXT]
-    return product
-
-
-def rotate(target_from_source: FloatArray, source: FloatArray) -> FloatArray:
-    """Matrices (..., 3, 3) on vectors (..., 3): (..., 3)."""
-    x, y, z = source[..., 0, None], source[..., 1, None], source[..., 2, None]
-    matrix = target_from_source
-    target: FloatArray = matrix[..., 0] * x + matrix[..., 1] * y + matrix[..., 2] * z
-    return target
-
-
-def chained(target_from_middle: FloatArray, middle_from_source: FloatArray) -> FloatArray:
-    """Product of rotations (..., 3, 3): target_from_source (..., 3, 3)."""
-    a, b = target_from_middle[..., None], middle_from_source[..., None, :, :]
-    product: FloatArray = (
-        a[..., 0, :] * b[..., 0, :] + a[..., 1, :] * b[..., 1, :] + a[..., 2, :] * b[..., 2, :]
+@kernel
+def rotate(target_from_source: FloatArray, source: AnyVector) -> Vector:
+    """A vector of the source frame in the target frame."""
+    m, x, y, z = target_from_source, source[0], source[1], source[2]
+    return (
+        m[0, 0] * x + m[0, 1] * y + m[0, 2] * z,
+        m[1, 0] * x + m[1, 1] * y + m[1, 2] * z,
+        m[2, 0] * x + m[2, 1] * y + m[2, 2] * z,
     )
-    return product
-
-
-def from_yaw_pitch_roll(
-    yaw_rad: npt.ArrayLike, pitch_rad: npt.ArrayLike, roll_rad: npt.ArrayLike
-) -> FloatArray:
-    """Aerospace sequence about z, then y, then x: parent_from_child (..., 3, 3) for angles (...)."""
-    angles_rad = np.stack(np.broadcast_arrays(yaw_rad, pitch_rad, roll_rad), axis=-1, dtype=np.float64)
-    return _each(set_yaw_pitch_roll, angles_rad)
-
-
-def from_rotation_vector(vector_rad: FloatArray) -> FloatArray:
-    """Rotations exp([v]x), (..., 3, 3), about vectors (..., 3) by their length in radians (Rodrigues)."""
-    return _each(set_rotation_vector, np.ascontiguousarray(vector_rad, dtype=np.float64))
-
-
-def _each(set_matrix: Callable[..., None], triples: FloatArray) -> FloatArray:
-    """The matrices (..., 3, 3) that a kernel sets from three numbers (..., 3) each."""
-    matrices = np.empty((*triples.shape, 3))
-    for triple, matrix in zip(triples.reshape(-1, 3), matrices.reshape(-1, 3, 3), strict=True):
-        set_matrix(triple[0], triple[1], triple[2], matrix)
-    return matrices
 
 
 @kernel
-def known(value: float) -> float:
-    """0 for NaN."""
-    return value if value == value else 0.0
-
-
-@kernel
-def dot_3(a: FloatArray, b: FloatArray) -> float:
-    """Scalar product of two vectors (3,)."""
-    product: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return product
-
-
-@kernel
-def set_cross(a: FloatArray, b: FloatArray, product: FloatArray) -> None:
-    """Set a vector (3,), none of the factors, to the vector product of two."""
-    product[0] = a[1] * b[2] - a[2] * b[1]
-    product[1] = a[2] * b[0] - a[0] * b[2]
-    product[2] = a[0] * b[1] - a[1] * b[0]
-
-
-@kernel
-def set_rotated(target_from_source: FloatArray, source: FloatArray, target: FloatArray) -> None:
-    """Set a vector (3,), which may be the source itself, to the source rotated."""
-    x, y, z = source[0], source[1], source[2]
-    for row in range(3):
-        turn = target_from_source[row]
-        target[row] = turn[0] * x + turn[1] * y + turn[2] * z
-
-
-@kernel
-def lead_by(target_from_middle: FloatArray, rotation: FloatArray) -> None:
-    """Make middle_from_source (3, 3), in its place, target_from_source."""
+def premultiply(target_from_middle: FloatArray, rotation: FloatArray) -> None:
+    """Turn middle_from_source (3, 3), in place, into target_from_source."""
     for column in range(3):
         x, y, z = rotation[0, column], rotation[1, column], rotation[2, column]
         for row in range(3):
@@ -113,8 +37,8 @@ def lead_by(target_from_middle: FloatArray, rotation: FloatArray) -> None:
 
 
 @kernel
-def set_yaw_pitch_roll(yaw_rad: float, pitch_rad: float, roll_rad: float, matrix: FloatArray) -> None:
-    """Set parent_from_child (3, 3); see `from_yaw_pitch_roll`."""
+def set_from_yaw_pitch_roll(yaw_rad: float, pitch_rad: float, roll_rad: float, matrix: FloatArray) -> None:
+    """Set parent_from_child (3, 3) of the aerospace sequence: about z, then y, then x."""
     sin_yaw, cos_yaw = sin(yaw_rad), cos(yaw_rad)
     sin_pitch, cos_pitch = sin(pitch_rad), cos(pitch_rad)
     sin_roll, cos_roll = sin(roll_rad), cos(roll_rad)
@@ -130,8 +54,8 @@ def set_yaw_pitch_roll(yaw_rad: float, pitch_rad: float, roll_rad: float, matrix
 
 
 @kernel
-def set_rotation_vector(x_rad: float, y_rad: float, z_rad: float, matrix: FloatArray) -> None:
-    """Set exp([v]x), (3, 3).
+def set_from_rotation_vector(x_rad: float, y_rad: float, z_rad: float, matrix: FloatArray) -> None:
+    """Set exp([v]x), (3, 3), by Rodrigues' formula.
 
     sin(a)/a and (1 - cos a)/a² = (sin(a/2)/(a/2))²/2 are finite at a = 0, so that no rotation is a special case.
     """
@@ -151,4 +75,71 @@ def set_rotation_vector(x_rad: float, y_rad: float, z_rad: float, matrix: FloatA
 
 @kernel
 def sin_over(angle_rad: float) -> float:
+    """sin(a) / a, which is 1 at a = 0."""
     return sin(angle_rad) / angle_rad if angle_rad > 0.0 else 1.0
+
+
+@kernel
+def set_from_quaternion(w: float, x: float, y: float, z: float, matrix: FloatArray) -> None:
+    """Set parent_from_child (3, 3) of a unit quaternion parent_from_child."""
+    matrix[0, 0], matrix[0, 1], matrix[0, 2] = (
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+    )
+    matrix[1, 0], matrix[1, 1], matrix[1, 2] = (
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+    )
+    matrix[2, 0], matrix[2, 1], matrix[2, 2] = (
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    )
+
+
+@kernel
+def quaternion_at(array: FloatArray, place: int) -> Quaternion:
+    """The four numbers of an array (n,) from a place on."""
+    return array[place], array[place + 1], array[place + 2], array[place + 3]
+
+
+@kernel
+def quaternion_product(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Hamilton's product: the rotation b followed by the rotation a."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+@kernel
+def to_parent(parent_from_child: Quaternion, v: Vector) -> Vector:
+    """A vector of the child frame in the parent frame, by a unit quaternion."""
+    q = parent_from_child
+    axis = (q[1], q[2], q[3])
+    twice = scale(2.0, cross(axis, v))
+    return add(v, add(scale(q[0], twice), cross(axis, twice)))
+
+
+@kernel
+def to_child(parent_from_child: Quaternion, v: Vector) -> Vector:
+    """A vector of the parent frame in the child frame, by a unit quaternion."""
+    q = parent_from_child
+    return to_parent((q[0], -q[1], -q[2], -q[3]), v)
+
+
+@kernel
+def quaternion_rate(q: Quaternion, rate: Vector) -> Quaternion:
+    """q (0, rate) / 2: the derivative of parent_from_child at an angular rate (rad/s) about the child's axes."""
+    return (
+        -0.5 * (q[1] * rate[0] + q[2] * rate[1] + q[3] * rate[2]),
+        0.5 * (q[0] * rate[0] + q[2] * rate[2] - q[3] * rate[1]),
+        0.5 * (q[0] * rate[1] + q[3] * rate[0] - q[1] * rate[2]),
+        0.5 * (q[0] * rate[2] + q[1] * rate[1] - q[2] * rate[0]),
+    )

@@ -1,4 +1,7 @@
-"""Vectors and quaternions as tuples of numbers: kernels pass them on without allocating anything."""
+"""Vector algebra in kernels: a vector is a tuple of three numbers or a row (3,) of an array, and a result is a tuple.
+
+Tuples allocate nothing. `vector_arrays` has the same functions, under the same names, for arrays of vectors.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 
 Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
+AnyVector = Vector | FloatArray
 
 
 @kernel
@@ -18,72 +21,55 @@ def vector_at(array: FloatArray, place: int) -> Vector:
 
 
 @kernel
-def quaternion_at(array: FloatArray, place: int) -> Quaternion:
-    return array[place], array[place + 1], array[place + 2], array[place + 3]
-
-
-@kernel
-def put(array: FloatArray, place: int, v: Vector) -> None:
+def store(array: FloatArray, place: int, v: Vector) -> None:
+    """Store a vector in an array (n,) from a place on."""
     array[place], array[place + 1], array[place + 2] = v[0], v[1], v[2]
 
 
 @kernel
-def plus(a: Vector, b: Vector) -> Vector:
+def add(a: AnyVector, b: AnyVector) -> Vector:
+    """a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @kernel
-def minus(a: Vector, b: Vector) -> Vector:
+def subtract(a: AnyVector, b: AnyVector) -> Vector:
+    """a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @kernel
-def times(factor: float, v: Vector) -> Vector:
+def scale(factor: float, v: AnyVector) -> Vector:
+    """A number times a vector."""
     return factor * v[0], factor * v[1], factor * v[2]
 
 
 @kernel
-def each(a: Vector, b: Vector) -> Vector:
+def multiply(a: AnyVector, b: AnyVector) -> Vector:
     """Product axis by axis: a diagonal matrix on a vector."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
 @kernel
-def inner(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+def dot(a: AnyVector, b: AnyVector) -> float:
+    """Scalar product."""
+    product: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return product
 
 
 @kernel
-def outer(a: Vector, b: Vector) -> Vector:
+def cross(a: AnyVector, b: AnyVector) -> Vector:
     """Vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @kernel
-def length(v: Vector) -> float:
-    return sqrt(inner(v, v))
+def norm(v: AnyVector) -> float:
+    """Length of a vector."""
+    return sqrt(dot(v, v))
 
 
 @kernel
-def parent_of(q: Quaternion, v: Vector) -> Vector:
-    """A vector of the child frame in the parent frame, by the unit quaternion parent_from_child."""
-    axis = (q[1], q[2], q[3])
-    twice = times(2.0, outer(axis, v))
-    return plus(v, plus(times(q[0], twice), outer(axis, twice)))
-
-
-@kernel
-def child_of(q: Quaternion, v: Vector) -> Vector:
-    """A vector of the parent frame in the child frame."""
-    return parent_of((q[0], -q[1], -q[2], -q[3]), v)
-
-
-@kernel
-def turning(q: Quaternion, rate: Vector) -> Quaternion:
-    """q (0, rate) / 2: the derivative of parent_from_child at a rate about the child's axes."""
-    return (
-        -0.5 * (q[1] * rate[0] + q[2] * rate[1] + q[3] * rate[2]),
-        0.5 * (q[0] * rate[0] + q[2] * rate[2] - q[3] * rate[1]),
-        0.5 * (q[0] * rate[1] + q[3] * rate[0] - q[1] * rate[2]),
-        0.5 * (q[0] * rate[2] + q[1] * rate[1] - q[2] * rate[0]),
-    )
+def nan_to_zero(value: float) -> float:
+    """The value, or 0 for NaN."""
+    return value if value == value else 0.0

@@ -20,7 +20,7 @@ from lidar_emu.fmcw.response import noise_level, tone_gain
 from lidar_emu.fmcw.spectrum import WINDOWS, Window, fold
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import interpreted
-from lidar_emu.numerics.rotations import rotate
+from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.probability.fading import detection_probability, shared_fade_probability
 from lidar_emu.probability.false_lock import false_lock_probability
 from lidar_emu.probability.noise import log_false_alarm

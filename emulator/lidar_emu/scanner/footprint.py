@@ -16,7 +16,7 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.rotations import dot_3
+from lidar_emu.numerics.vectors import dot
 
 _OUTERMOST_W = {7: np.sqrt(0.5)}
 _OUTERMOST_OTHERWISE_W = 1.1445706
@@ -132,7 +132,7 @@ def _sample(
 
 @kernel
 def _normalise(vector: FloatArray) -> None:
-    shrink = 1.0 / sqrt(dot_3(vector, vector))
+    shrink = 1.0 / sqrt(dot(vector, vector))
     for side in range(3):
         vector[side] *= shrink
 

@@ -1,4 +1,4 @@
-"""Attitude along a flight through rows of Euler angles, with the rates of that same rotation."""
+"""Attitude along a flight through rows of Euler angles or of quaternions, with the rates of that same rotation."""
 
 from __future__ import annotations
 
@@ -9,12 +9,19 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.rotations import SITE_FROM_NED, lead_by, set_yaw_pitch_roll
-from lidar_emu.trajectory.curve import LEVEL, Curve, Curves
+from lidar_emu.numerics.rotations import premultiply, set_from_yaw_pitch_roll
+from lidar_emu.numerics.vector_arrays import (
+    SITE_FROM_NED,
+    conjugate_product,
+    cross,
+    dot,
+    from_quaternions,
+)
+from lidar_emu.trajectory.curve import LEVEL, Curve, Curves, hermite, knot_rates
 
 
-class Attitude(Protocol):
-    """How the body is turned."""
+class AttitudeCurve(Protocol):
+    """Attitude of the body as a function of time."""
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rotations site_from_body (n, 3, 3) and body rates (n, 3) in rad/s at times (n,)."""
@@ -28,7 +35,7 @@ class EulerAttitude:
         self._curves = Curves([curve or LEVEL for curve in (yaw, pitch, roll)])
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `Attitude`. This way round there is no singularity, not even at a pitch of 90 degrees."""
+        """See `AttitudeCurve`. This way round there is no singularity, not even at a pitch of 90 degrees."""
         angles, rates, _ = self._curves.at(time_s)
         site_from_body, body_rate = np.empty((len(time_s), 3, 3)), np.empty((len(time_s), 3))
         _from_euler(SITE_FROM_NED, angles, rates, site_from_body, body_rate)
@@ -43,12 +50,49 @@ def _from_euler(
     site_from_body: FloatArray,
     body_rate: FloatArray,
 ) -> None:
-    """Of yaw, pitch and roll (n, 3) and their rates."""
+    """Set both from yaw, pitch and roll (n, 3) in radians and their rates."""
     for k in range(len(angles)):
         yaw, pitch, roll = angles[k, 0], angles[k, 1], angles[k, 2]
         yaw_rate, pitch_rate, roll_rate = rates[k, 0], rates[k, 1], rates[k, 2]
-        set_yaw_pitch_roll(yaw, pitch, roll, site_from_body[k])
-        lead_by(site_from_ned, site_from_body[k])
+        set_from_yaw_pitch_roll(yaw, pitch, roll, site_from_body[k])
+        premultiply(site_from_ned, site_from_body[k])
         body_rate[k, 0] = roll_rate - yaw_rate * sin(pitch)
         body_rate[k, 1] = pitch_rate * cos(roll) + yaw_rate * cos(pitch) * sin(roll)
         body_rate[k, 2] = yaw_rate * cos(pitch) * cos(roll) - pitch_rate * sin(roll)
+
+
+class QuaternionAttitude:
+    """Cubic Hermite in the four components, made unit where it is read.
+
+    The rates at the rows come from the turns between them, so that a steady turn keeps its rate there.
+    """
+
+    def __init__(self, knot_s: FloatArray, site_from_body: FloatArray) -> None:
+        """`site_from_body`: unit quaternions (k, 4) of either sign at knots (k,), k at least 2."""
+        quaternion = _of_one_sign(site_from_body)
+        derivative = _derivatives(knot_s, quaternion)
+        self._curves = Curves([hermite(knot_s, quaternion[:, i], derivative[:, i]) for i in range(4)])
+
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See `AttitudeCurve`."""
+        quaternion, derivative, _ = self._curves.at(time_s)
+        return from_quaternions(quaternion, derivative)
+
+
+def _of_one_sign(quaternion: FloatArray) -> FloatArray:
+    """q and -q are the same attitude: of the two, the one nearer to the row before."""
+    along, _ = conjugate_product(quaternion[:-1], quaternion[1:])
+    sign = np.cumprod(np.where(along < 0, -1.0, 1.0))
+    return np.concatenate([quaternion[:1], sign[:, None] * quaternion[1:]])
+
+
+def _derivatives(knot_s: FloatArray, quaternion: FloatArray) -> FloatArray:
+    """dq/dt = q (0, rate) / 2 at the knots: (k, 4)."""
+    step_s = np.diff(knot_s)
+    step_cos, step_sin_axis = conjugate_product(quaternion[:-1], quaternion[1:])
+    half_turn = np.arctan2(np.sqrt(dot(step_sin_axis, step_sin_axis)), step_cos)
+    mean_rate = 2 * step_sin_axis / (np.sinc(half_turn / np.pi) * step_s)[:, None]
+    rate = np.stack([knot_rates(step_s, mean_rate[:, axis]) for axis in range(3)], axis=-1)
+    scalar, vector = quaternion[:, 0], quaternion[:, 1:]
+    turning = scalar[:, None] * rate + cross(vector, rate)
+    return 0.5 * np.concatenate([-dot(vector, rate)[:, None], turning], axis=1)

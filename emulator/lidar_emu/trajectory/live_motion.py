@@ -6,16 +6,18 @@ from math import cos, isnan, sqrt
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.rotations import sin_over
+from lidar_emu.numerics.rotations import (
+    quaternion_at,
+    quaternion_product,
+    set_from_quaternion,
+    sin_over,
+)
+from lidar_emu.numerics.vectors import Vector
 from lidar_emu.trajectory.curve import piece_at
-from lidar_emu.trajectory.quaternion import set_matrix
 
 ROW = 17
 """Numbers of a truth: time in s, position, velocity, acceleration (NaN where unknown), attitude, body rate."""
 _POSITION, _VELOCITY, _ACCELERATION, _ATTITUDE, _RATE = 1, 4, 7, 10, 14
-
-_Three = tuple[float, float, float]
-_Four = tuple[float, float, float, float]
 
 
 @kernel(outermost=True)
@@ -65,7 +67,9 @@ def _continue(
     x, y, z = (0.5 * since_s * row[_RATE], 0.5 * since_s * row[_RATE + 1], 0.5 * since_s * row[_RATE + 2])
     half_turn = sqrt(x * x + y * y + z * z)
     shrunk = sin_over(half_turn)
-    w, x, y, z = _times(_attitude(row), (cos(half_turn), shrunk * x, shrunk * y, shrunk * z))
+    w, x, y, z = quaternion_product(
+        quaternion_at(row, _ATTITUDE), (cos(half_turn), shrunk * x, shrunk * y, shrunk * z)
+    )
     _set_unit_matrix(w, x, y, z, site_from_body)
 
 
@@ -90,13 +94,13 @@ def _interpolate(
         else:
             motion = _quintic(a[p], b[p], a[v], b[v], a[g], b[g], s, step_s)
         position_m[axis], velocity_mps[axis], acceleration_mps2[axis] = motion
-    (aw, ax, ay, az), (bw, bx, by, bz) = _attitude(a), _attitude(b)
+    (aw, ax, ay, az), (bw, bx, by, bz) = quaternion_at(a, _ATTITUDE), quaternion_at(b, _ATTITUDE)
     # q and -q are the same attitude: of the two, the nearer one.
     sign = 1.0 if aw * bw + ax * bx + ay * by + az * bz >= 0 else -1.0
-    aw_, ax_, ay_, az_ = _times(
+    aw_, ax_, ay_, az_ = quaternion_product(
         (aw, ax, ay, az), (0.0, 0.5 * a[_RATE], 0.5 * a[_RATE + 1], 0.5 * a[_RATE + 2])
     )
-    bw_, bx_, by_, bz_ = _times(
+    bw_, bx_, by_, bz_ = quaternion_product(
         (bw, bx, by, bz), (0.0, 0.5 * b[_RATE], 0.5 * b[_RATE + 1], 0.5 * b[_RATE + 2])
     )
     w, w_, _ = _cubic(aw, sign * bw, aw_, sign * bw_, s, step_s)
@@ -104,7 +108,7 @@ def _interpolate(
     y, y_, _ = _cubic(ay, sign * by, ay_, sign * by_, s, step_s)
     z, z_, _ = _cubic(az, sign * bz, az_, sign * bz_, s, step_s)
     # The rate is the vector part of 2 q* dq/dt; the change of the curve's length is in the scalar part.
-    _, rate_x, rate_y, rate_z = _times((w, -x, -y, -z), (w_, x_, y_, z_))
+    _, rate_x, rate_y, rate_z = quaternion_product((w, -x, -y, -z), (w_, x_, y_, z_))
     twice = 2 / (w * w + x * x + y * y + z * z)
     body_rate_radps[0], body_rate_radps[1], body_rate_radps[2] = (
         twice * rate_x,
@@ -115,30 +119,13 @@ def _interpolate(
 
 
 @kernel
-def _attitude(row: FloatArray) -> _Four:
-    return row[_ATTITUDE], row[_ATTITUDE + 1], row[_ATTITUDE + 2], row[_ATTITUDE + 3]
-
-
-@kernel
 def _set_unit_matrix(w: float, x: float, y: float, z: float, matrix: FloatArray) -> None:
     length = sqrt(w * w + x * x + y * y + z * z)
-    set_matrix(w / length, x / length, y / length, z / length, matrix)
+    set_from_quaternion(w / length, x / length, y / length, z / length, matrix)
 
 
 @kernel
-def _times(a: _Four, b: _Four) -> _Four:
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
-
-
-@kernel
-def _cubic(p: float, q: float, p_rate: float, q_rate: float, s: float, step_s: float) -> _Three:
+def _cubic(p: float, q: float, p_rate: float, q_rate: float, s: float, step_s: float) -> Vector:
     """Hermite's cubic from p to q at s in 0..1, with its first and second derivative in time."""
     u, w, d = p_rate * step_s, q_rate * step_s, q - p
     c2, c3 = 3 * d - 2 * u - w, u + w - 2 * d
@@ -150,7 +137,7 @@ def _cubic(p: float, q: float, p_rate: float, q_rate: float, s: float, step_s: f
 @kernel
 def _quintic(
     p: float, q: float, p_rate: float, q_rate: float, p_bend: float, q_bend: float, s: float, step_s: float
-) -> _Three:
+) -> Vector:
     """Hermite's quintic, which meets the second derivatives too."""
     u, w, d = p_rate * step_s, q_rate * step_s, q - p
     g, h = 0.5 * p_bend * step_s**2, 0.5 * q_bend * step_s**2

@@ -6,12 +6,11 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.rotations import (
+from lidar_emu.numerics.rotations import premultiply, set_from_rotation_vector
+from lidar_emu.numerics.vector_arrays import (
     SITE_FROM_NED,
-    chained,
+    compose,
     from_yaw_pitch_roll,
-    lead_by,
-    set_rotation_vector,
 )
 from lidar_emu.scenario.trajectory import Profile
 from lidar_emu.trajectory.curve import piece_at
@@ -45,7 +44,7 @@ class ProfileTrajectory:
         )
         self._start_site_m = _on_path(part, altitude_m[:-1], self._direction_site)
         angles_deg = part.attitude.yaw_deg, part.attitude.pitch_deg, part.attitude.roll_deg
-        self._site_from_start = chained(SITE_FROM_NED, from_yaw_pitch_roll(*np.radians(angles_deg)))
+        self._site_from_start = compose(SITE_FROM_NED, from_yaw_pitch_roll(*np.radians(angles_deg)))
         self._body_rate_radps = np.array(part.attitude.body_rate_radps)
 
     def state(self, time_s: FloatArray) -> VehicleState:
@@ -92,8 +91,8 @@ def _fly(
             velocity_mps[k, axis] = speed_mps * direction_site[axis]
             acceleration_mps2[k, axis] = growth_mps2 * direction_site[axis]
             body_rate_radps[k, axis] = turning_radps[axis]
-        set_rotation_vector(time_s[k] * x, time_s[k] * y, time_s[k] * z, site_from_body[k])
-        lead_by(site_from_start, site_from_body[k])
+        set_from_rotation_vector(time_s[k] * x, time_s[k] * y, time_s[k] * z, site_from_body[k])
+        premultiply(site_from_start, site_from_body[k])
 
 
 def _on_path(part: Profile, altitude_m: FloatArray, direction_site: FloatArray) -> FloatArray:

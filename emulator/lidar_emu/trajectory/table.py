@@ -6,9 +6,8 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.trajectory import AngleColumn, LengthColumn, QuaternionColumns, RateColumns, Table
-from lidar_emu.trajectory.attitude import Attitude, EulerAttitude
+from lidar_emu.trajectory.attitude import AttitudeCurve, EulerAttitude, QuaternionAttitude
 from lidar_emu.trajectory.curve import LEVEL, Curve, Curves, hermite, through
-from lidar_emu.trajectory.quaternion import QuaternionAttitude
 from lidar_emu.trajectory.state import Gap, VehicleState
 from lidar_emu.trajectory.table_rows import FlownRows, read_flown
 
@@ -62,7 +61,7 @@ def _coordinate(rows: FlownRows, column: LengthColumn | None) -> Curve | None:
     return hermite(knot_s, unit_m * length, MPS_PER_UNIT[column.rate_unit] * rate)
 
 
-def _attitude(rows: FlownRows, part: Table) -> Attitude:
+def _attitude(rows: FlownRows, part: Table) -> AttitudeCurve:
     if part.quaternion is not None:
         return _quaternions(rows, part.quaternion)
     return EulerAttitude(*(_angle(rows, column) for column in (part.yaw, part.pitch, part.roll)))

@@ -8,7 +8,7 @@ import numpy as np
 
 from lidar_emu.errors import InputError
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.numerics.rotations import rotate
+from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.scenario.mesh_ground import MeshOrigin
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene.hits import Hits

@@ -8,7 +8,7 @@ import numpy as np
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.numerics.rotations import SITE_FROM_NED, chained, from_yaw_pitch_roll, rotate
+from lidar_emu.numerics.vector_arrays import SITE_FROM_NED, compose, from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.objects import MeshObject, PlacedObject
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene.cut import CutGround, Kept
@@ -123,8 +123,8 @@ def _triangles(part: PlacedObject, thing: int, reflectance: float) -> Triangles:
     else:
         corner_m = corners_m(part)
     yaw, pitch, roll = (np.radians(angle) for angle in (part.yaw_deg, part.pitch_deg, part.roll_deg))
-    ned_from_object = chained(from_yaw_pitch_roll(yaw, pitch, roll), _NED_FROM_OBJECT)
-    turned_m = rotate(chained(SITE_FROM_NED, ned_from_object), corner_m)
+    ned_from_object = compose(from_yaw_pitch_roll(yaw, pitch, roll), _NED_FROM_OBJECT)
+    turned_m = rotate(compose(SITE_FROM_NED, ned_from_object), corner_m)
     albedo = reflectance if part.reflectance is None else part.reflectance
     return Triangles.alike(turned_m, albedo, sheet, thing)
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.numerics.rotations import cross, from_yaw_pitch_roll, rotate
+from lidar_emu.numerics.vector_arrays import cross, from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.objects import Motion
 from lidar_emu.scene.hits import Hits
 from lidar_emu.scene.mesh.model import Mesh

@@ -7,7 +7,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.numerics.rotations import from_yaw_pitch_roll, rotate
+from lidar_emu.numerics.vector_arrays import from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.objects import Scatter
 from lidar_emu.scene.mesh.model import Triangles
 from lidar_emu.scene.reach import Span

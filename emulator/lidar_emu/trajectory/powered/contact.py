@@ -6,7 +6,8 @@ from math import inf, sqrt
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.vectors import Vector, child_of, outer, parent_of, plus, quaternion_at, vector_at
+from lidar_emu.numerics.rotations import quaternion_at, to_child, to_parent
+from lidar_emu.numerics.vectors import Vector, add, cross, vector_at
 from lidar_emu.trajectory.powered.vehicle import ATTITUDE, POSITION, RATE, VELOCITY, Body
 
 SLIDING_MPS = 0.02
@@ -18,7 +19,7 @@ def lowest_foot_m(body: Body, state: FloatArray) -> float:
     """Height above the ground; negative while a foot is in it."""
     turn, lowest = quaternion_at(state, ATTITUDE), inf
     for foot in range(len(body.feet_m)):
-        lowest = min(lowest, parent_of(turn, vector_at(body.feet_m[foot], 0))[2])
+        lowest = min(lowest, to_parent(turn, vector_at(body.feet_m[foot], 0))[2])
     height_m: float = state[POSITION + 2] + lowest - body.ground_m
     return height_m
 
@@ -35,12 +36,12 @@ def feet_push(body: Body, state: FloatArray) -> tuple[Vector, Vector]:
     force, torque = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for i in range(len(body.feet_m)):
         foot = vector_at(body.feet_m[i], 0)
-        depth_m = body.ground_m - state[POSITION + 2] - parent_of(turn, foot)[2]
+        depth_m = body.ground_m - state[POSITION + 2] - to_parent(turn, foot)[2]
         if depth_m > 0.0:
-            moving = plus(velocity, parent_of(turn, outer(rate, foot)))
+            moving = add(velocity, to_parent(turn, cross(rate, foot)))
             normal = max(0.0, body.stiffness_npm * depth_m * (1.0 - body.foot_damping_spm * moving[2]))
             sliding = sqrt(moving[0] * moving[0] + moving[1] * moving[1])
             grip = body.friction * normal / max(sliding, SLIDING_MPS)
             push = (-grip * moving[0], -grip * moving[1], normal)
-            force, torque = plus(force, push), plus(torque, outer(foot, child_of(turn, push)))
+            force, torque = add(force, push), add(torque, cross(foot, to_child(turn, push)))
     return force, torque

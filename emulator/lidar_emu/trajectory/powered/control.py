@@ -12,18 +12,8 @@ from typing import NamedTuple
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.vectors import (
-    Vector,
-    child_of,
-    each,
-    inner,
-    length,
-    minus,
-    plus,
-    quaternion_at,
-    times,
-    vector_at,
-)
+from lidar_emu.numerics.rotations import quaternion_at, to_child
+from lidar_emu.numerics.vectors import Vector, add, dot, multiply, norm, scale, subtract, vector_at
 from lidar_emu.trajectory.powered.vehicle import ATTITUDE, POSITION, RATE, VELOCITY
 
 UP = (0.0, 0.0, 1.0)
@@ -65,21 +55,21 @@ def asked_acceleration(
         if to_go_s > GIVEN_UP_S:
             asked = to_gate(guide, to_go_s, position_m, velocity_mps)
         else:
-            asked = let_down(guide, minus(position_m, guide.gate_m), velocity_mps)
+            asked = let_down(guide, subtract(position_m, guide.gate_m), velocity_mps)
     elif position_m[2] > guide.gate_m[2]:
         asked = against_velocity(guide, position_m[2] - guide.gate_m[2], velocity_mps, gravity)
     else:
         asked = let_down(guide, (0.0, 0.0, 0.0), velocity_mps)
-    return within_tilt(guide, minus(asked, gravity), gravity)
+    return within_tilt(guide, subtract(asked, gravity), gravity)
 
 
 @kernel
 def to_gate(guide: Guide, to_go_s: float, position_m: Vector, velocity_mps: Vector) -> Vector:
     """The quadratic in time that reaches the gate at its velocity and without acceleration (Klumpp, Apollo lunar
     descent guidance, 1974)."""
-    lacking_m = minus(guide.gate_m, position_m)
-    both_mps = plus(velocity_mps, (0.0, 0.0, -guide.descent_mps))
-    return minus(times(12.0 / (to_go_s * to_go_s), lacking_m), times(6.0 / to_go_s, both_mps))
+    lacking_m = subtract(guide.gate_m, position_m)
+    both_mps = add(velocity_mps, (0.0, 0.0, -guide.descent_mps))
+    return subtract(scale(12.0 / (to_go_s * to_go_s), lacking_m), scale(6.0 / to_go_s, both_mps))
 
 
 @kernel
@@ -88,12 +78,12 @@ def against_velocity(guide: Guide, drop_m: float, velocity_mps: Vector, gravity:
 
     What gravity does across the velocity is left to it: the sum of this and the thrust has no other part across.
     """
-    speed = max(length(velocity_mps), guide.descent_mps)
-    ahead = times(1.0 / speed, velocity_mps)
+    speed = max(norm(velocity_mps), guide.descent_mps)
+    ahead = scale(1.0 / speed, velocity_mps)
     path_m = drop_m / max(-ahead[2], 0.1)
     braking = (speed * speed - guide.descent_mps * guide.descent_mps) / (2.0 * path_m)
-    across = minus(gravity, times(inner(gravity, ahead), ahead))
-    return plus(across, times(-braking, ahead))
+    across = subtract(gravity, scale(dot(gravity, ahead), ahead))
+    return add(across, scale(-braking, ahead))
 
 
 @kernel
@@ -109,7 +99,7 @@ def let_down(guide: Guide, beside_m: Vector, velocity_mps: Vector) -> Vector:
 @kernel
 def within_tilt(guide: Guide, asked: Vector, gravity: Vector) -> Vector:
     """The vertical part as it is, the horizontal as far as the tilt allows."""
-    upward = max(asked[2], LEAST_UPWARD * length(gravity))
+    upward = max(asked[2], LEAST_UPWARD * norm(gravity))
     sideways = sqrt(asked[0] * asked[0] + asked[1] * asked[1])
     share = min(1.0, guide.steepest * upward / sideways) if sideways > 0.0 else 1.0
     return share * asked[0], share * asked[1], upward
@@ -118,7 +108,7 @@ def within_tilt(guide: Guide, asked: Vector, gravity: Vector) -> Vector:
 @kernel
 def throttle(guide: Guide, mass_kg: float, asked: Vector, state: FloatArray) -> float:
     """Thrust that gives as much of what is asked for as lies along the engine."""
-    along = -child_of(quaternion_at(state, ATTITUDE), asked)[2]
+    along = -to_child(quaternion_at(state, ATTITUDE), asked)[2]
     return min(max(mass_kg * along, guide.least_n), guide.most_n)
 
 
@@ -126,15 +116,15 @@ def throttle(guide: Guide, mass_kg: float, asked: Vector, state: FloatArray) -> 
 def turning_torque(guide: Guide, inertia: Vector, asked: Vector, state: FloatArray) -> Vector:
     """Torque about the body's axes that turns the engine to what is asked for, and body x to the heading."""
     turn = quaternion_at(state, ATTITUDE)
-    x, y, z = child_of(turn, asked)
+    x, y, z = to_child(turn, asked)
     off = sqrt(x * x + y * y)
     tilt = atan2(off, -z) / off if off > 0.0 else 0.0
-    heading = child_of(turn, guide.heading)
+    heading = to_child(turn, guide.heading)
     error = (tilt * y, -tilt * x, atan2(heading[1], heading[0]))
     # Critically damped: the rate wanted is half the bandwidth times the error.
-    wanted = limited(times(0.5 * guide.bandwidth_radps, error), guide.most_rate_radps)
-    lacking = minus(wanted, vector_at(state, RATE))
-    return limited(each(inertia, times(2.0 * guide.bandwidth_radps, lacking)), guide.most_torque_nm)
+    wanted = limited(scale(0.5 * guide.bandwidth_radps, error), guide.most_rate_radps)
+    lacking = subtract(wanted, vector_at(state, RATE))
+    return limited(multiply(inertia, scale(2.0 * guide.bandwidth_radps, lacking)), guide.most_torque_nm)
 
 
 @kernel

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.vectors import put, quaternion_at, turning, vector_at
+from lidar_emu.numerics.rotations import quaternion_at, quaternion_rate
+from lidar_emu.numerics.vectors import store, vector_at
 from lidar_emu.trajectory.powered.actuators import Acting, Lags, commanded, mass_after, thrust_after
 from lidar_emu.trajectory.powered.contact import lowest_foot_m
 from lidar_emu.trajectory.powered.control import Guide, asked_at, throttle, turning_torque
@@ -182,11 +183,11 @@ def take(target: FloatArray, source: FloatArray) -> None:
 @kernel
 def set_second_order(state: FloatArray, slope: FloatArray, row: FloatArray) -> None:
     """First and second derivatives of position and quaternion, (14,)."""
-    put(row, 0, vector_at(state, VELOCITY))
-    put(row, 7, vector_at(slope, VELOCITY))
+    store(row, 0, vector_at(state, VELOCITY))
+    store(row, 7, vector_at(slope, VELOCITY))
     turn, spin = quaternion_at(state, ATTITUDE), quaternion_at(slope, ATTITUDE)
-    onward = turning(spin, vector_at(state, RATE))
-    turned = turning(turn, vector_at(slope, RATE))
+    onward = quaternion_rate(spin, vector_at(state, RATE))
+    turned = quaternion_rate(turn, vector_at(slope, RATE))
     for i in range(4):
         row[3 + i] = spin[i]
         row[10 + i] = onward[i] + turned[i]

@@ -12,21 +12,8 @@ from math import sqrt
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.vectors import (
-    Vector,
-    child_of,
-    each,
-    inner,
-    minus,
-    outer,
-    parent_of,
-    plus,
-    put,
-    quaternion_at,
-    times,
-    turning,
-    vector_at,
-)
+from lidar_emu.numerics.rotations import quaternion_at, quaternion_rate, to_child, to_parent
+from lidar_emu.numerics.vectors import Vector, add, cross, dot, multiply, scale, store, subtract, vector_at
 from lidar_emu.trajectory.powered.contact import feet_push
 from lidar_emu.trajectory.powered.vehicle import (
     ATTITUDE,
@@ -47,13 +34,13 @@ def gravity_at(body: Body, position_m: Vector) -> Vector:
     k = body.curvature_per_m
     x, y, z = k * position_m[0], k * position_m[1], 1.0 + k * position_m[2]
     squared = x * x + y * y + z * z
-    return times(-body.gravity_mps2 / (squared * sqrt(squared)), (x, y, z))
+    return scale(-body.gravity_mps2 / (squared * sqrt(squared)), (x, y, z))
 
 
 @kernel
 def inertia_at(body: Body, mass_kg: float) -> Vector:
     """Constant radii of gyration: what leaves takes its own angular momentum along, and nothing is left to add."""
-    return times(mass_kg / body.start_kg, body.inertia_kgm2)
+    return scale(mass_kg / body.start_kg, body.inertia_kgm2)
 
 
 @kernel
@@ -61,7 +48,7 @@ def angular_acceleration(inertia: Vector, coupling: Vector, torque: Vector) -> V
     """(J - δ δᵀ)⁻¹ torque, by Sherman and Morrison."""
     free = (torque[0] / inertia[0], torque[1] / inertia[1], torque[2] / inertia[2])
     eased = (coupling[0] / inertia[0], coupling[1] / inertia[1], coupling[2] / inertia[2])
-    return plus(free, times(inner(coupling, free) / (1.0 - inner(coupling, eased)), eased))
+    return add(free, scale(dot(coupling, free) / (1.0 - dot(coupling, eased)), eased))
 
 
 @kernel
@@ -75,43 +62,43 @@ def set_derivative(
     rigid_kg = mass_kg - body.slosh_kg
 
     ground_push, ground_torque = feet_push(body, state)
-    force = plus((0.0, 0.0, -thrust_n), child_of(turn, ground_push))
+    force = add((0.0, 0.0, -thrust_n), to_child(turn, ground_push))
     resisting = body.bend_damping_radps * state[BENDING] + body.bend_radps * body.bend_radps * state[BEND]
-    momentum = plus(each(inertia, rate), times(state[BENDING], coupling))
-    torque = plus(plus(torque_nm, ground_torque), minus(times(resisting, coupling), outer(rate, momentum)))
+    momentum = add(multiply(inertia, rate), scale(state[BENDING], coupling))
+    torque = add(add(torque_nm, ground_torque), subtract(scale(resisting, coupling), cross(rate, momentum)))
 
     if body.slosh_kg > 0.0:
-        hang, sway = child_of(turn, vector_at(state, HANG)), child_of(turn, vector_at(state, SWAY))
-        rod, hinge = times(body.rod_m, hang), body.hinge_m
-        drag = times(-body.slosh_damping_per_s * body.slosh_kg, minus(sway, outer(rate, rod)))
-        force, torque = minus(force, drag), minus(torque, outer(plus(hinge, rod), drag))
+        hang, sway = to_child(turn, vector_at(state, HANG)), to_child(turn, vector_at(state, SWAY))
+        rod, hinge = scale(body.rod_m, hang), body.hinge_m
+        drag = scale(-body.slosh_damping_per_s * body.slosh_kg, subtract(sway, cross(rate, rod)))
+        force, torque = subtract(force, drag), subtract(torque, cross(add(hinge, rod), drag))
         # Without the rod's pull first; then as much of it as keeps the rod's length.
-        pushed = times(1.0 / rigid_kg, force)
+        pushed = scale(1.0 / rigid_kg, force)
         turned = angular_acceleration(inertia, coupling, torque)
-        lever = outer(hinge, hang)
+        lever = cross(hinge, hang)
         yielding = angular_acceleration(inertia, coupling, lever)
-        centripetal = outer(rate, outer(rate, hinge))
-        lacking = inner(sway, sway) / body.rod_m + inner(hang, drag) / body.slosh_kg
-        lacking -= inner(hang, plus(pushed, centripetal)) + inner(turned, lever)
-        pull = lacking / (1.0 / body.slosh_kg + 1.0 / rigid_kg + inner(lever, yielding))
-        acceleration = plus(pushed, times(pull / rigid_kg, hang))
-        turned = plus(turned, times(pull, yielding))
-        at_hinge = plus(acceleration, plus(outer(turned, hinge), centripetal))
-        of_slosh = times(1.0 / body.slosh_kg, minus(drag, times(pull, hang)))
-        put(derivative, HANG, times(1.0 / body.rod_m, vector_at(state, SWAY)))
-        put(derivative, SWAY, parent_of(turn, minus(of_slosh, at_hinge)))
+        centripetal = cross(rate, cross(rate, hinge))
+        lacking = dot(sway, sway) / body.rod_m + dot(hang, drag) / body.slosh_kg
+        lacking -= dot(hang, add(pushed, centripetal)) + dot(turned, lever)
+        pull = lacking / (1.0 / body.slosh_kg + 1.0 / rigid_kg + dot(lever, yielding))
+        acceleration = add(pushed, scale(pull / rigid_kg, hang))
+        turned = add(turned, scale(pull, yielding))
+        at_hinge = add(acceleration, add(cross(turned, hinge), centripetal))
+        of_slosh = scale(1.0 / body.slosh_kg, subtract(drag, scale(pull, hang)))
+        store(derivative, HANG, scale(1.0 / body.rod_m, vector_at(state, SWAY)))
+        store(derivative, SWAY, to_parent(turn, subtract(of_slosh, at_hinge)))
     else:
-        acceleration = times(1.0 / rigid_kg, force)
+        acceleration = scale(1.0 / rigid_kg, force)
         turned = angular_acceleration(inertia, coupling, torque)
-        put(derivative, HANG, (0.0, 0.0, 0.0))
-        put(derivative, SWAY, (0.0, 0.0, 0.0))
+        store(derivative, HANG, (0.0, 0.0, 0.0))
+        store(derivative, SWAY, (0.0, 0.0, 0.0))
 
-    put(derivative, POSITION, velocity)
+    store(derivative, POSITION, velocity)
     fall = gravity_at(body, vector_at(state, POSITION))
-    put(derivative, VELOCITY, plus(parent_of(turn, acceleration), fall))
-    put(derivative, RATE, turned)
-    spin = turning(turn, rate)
+    store(derivative, VELOCITY, add(to_parent(turn, acceleration), fall))
+    store(derivative, RATE, turned)
+    spin = quaternion_rate(turn, rate)
     for i in range(4):
         derivative[ATTITUDE + i] = spin[i]
     derivative[BEND] = state[BENDING]
-    derivative[BENDING] = -resisting - inner(coupling, turned)
+    derivative[BENDING] = -resisting - dot(coupling, turned)

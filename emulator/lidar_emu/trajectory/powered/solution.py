@@ -9,7 +9,14 @@ import numpy as np
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.numerics.rotations import SITE_FROM_NED, chained, from_yaw_pitch_roll, rotate
+from lidar_emu.numerics.vector_arrays import (
+    SITE_FROM_NED,
+    compose,
+    cross,
+    from_yaw_pitch_roll,
+    rotate,
+    to_quaternion,
+)
 from lidar_emu.numerics.vectors import vector_at
 from lidar_emu.scenario.trajectory import Polynomial, PoweredDescent
 from lidar_emu.trajectory.powered.actuators import Acting, Lags
@@ -199,36 +206,18 @@ def _start(part: PoweredDescent, body: Body, guide: Guide) -> FloatArray:
         site_from_body = _pointing(np.array(asked_at(guide, 0.0, gravity, state)), np.array(guide.heading))
     else:
         angles = np.radians([attitude.yaw_deg, attitude.pitch_deg, attitude.roll_deg])
-        site_from_body = chained(SITE_FROM_NED, from_yaw_pitch_roll(*angles))
+        site_from_body = compose(SITE_FROM_NED, from_yaw_pitch_roll(*angles))
         state[RATE : RATE + 3] = attitude.body_rate_radps
-    state[ATTITUDE : ATTITUDE + 4] = _quaternion(site_from_body)
+    state[ATTITUDE : ATTITUDE + 4] = to_quaternion(site_from_body)
     state[HANG : HANG + 3] = site_from_body[:, 2]
     rod = np.array([0.0, 0.0, body.rod_m])
-    state[HANG + 3 : HANG + 6] = rotate(site_from_body, np.cross(state[RATE : RATE + 3], rod))
+    state[HANG + 3 : HANG + 6] = rotate(site_from_body, cross(state[RATE : RATE + 3], rod))
     return state
 
 
 def _pointing(thrust: FloatArray, heading: FloatArray) -> FloatArray:
     """site_from_body with body -z along the thrust and body x towards the heading."""
     z = -thrust / np.sqrt(np.sum(thrust**2))
-    y = np.cross(z, heading)
+    y = cross(z, heading)
     y /= np.sqrt(np.sum(y**2))
-    return np.stack([np.cross(y, z), y, z], axis=-1)
-
-
-def _quaternion(matrix: FloatArray) -> FloatArray:
-    """Unit quaternion of a rotation, from whichever of its components is largest (Shepperd, 1978)."""
-    m, trace = matrix, np.trace(matrix)
-    squares = np.array([trace, m[0, 0], m[1, 1], m[2, 2]])
-    largest = int(np.argmax(squares))
-    if largest == 0:
-        raw = [1 + trace, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]
-    else:
-        i = largest - 1
-        j, k = (i + 1) % 3, (i + 2) % 3
-        raw = [0.0] * 4
-        raw[0] = m[k, j] - m[j, k]
-        raw[1 + i] = 1 + m[i, i] - m[j, j] - m[k, k]
-        raw[1 + j], raw[1 + k] = m[j, i] + m[i, j], m[k, i] + m[i, k]
-    quaternion = np.array(raw)
-    return np.asarray(quaternion / np.sqrt(np.sum(quaternion**2)))
+    return np.stack([cross(y, z), y, z], axis=-1)

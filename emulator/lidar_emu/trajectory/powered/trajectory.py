@@ -12,12 +12,12 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.vector_arrays import from_quaternions
 from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.trajectory.curve import piece_at
 from lidar_emu.trajectory.powered.integration import Record
 from lidar_emu.trajectory.powered.solution import fly_descent
 from lidar_emu.trajectory.powered.vehicle import ATTITUDE, POSITION
-from lidar_emu.trajectory.quaternion import rotate_by
 from lidar_emu.trajectory.state import Gap, VehicleState
 
 COORDINATES = 7
@@ -44,7 +44,7 @@ class DescentTrajectory:
         """The vehicle at scenario times (n,); after the end it goes on with its last acceleration."""
         orders = np.empty((3, len(time_s), COORDINATES))
         _read(self._start_s, self._pieces, time_s, orders)
-        site_from_body, body_rate_radps = rotate_by(orders[0, :, 3:], orders[1, :, 3:])
+        site_from_body, body_rate_radps = from_quaternions(orders[0, :, 3:], orders[1, :, 3:])
         position_m, velocity_mps, acceleration_mps2 = np.ascontiguousarray(orders[:, :, :3])
         return VehicleState(
             time_s, position_m, velocity_mps, acceleration_mps2, site_from_body, body_rate_radps

@@ -1,0 +1,131 @@
+"""Vector and rotation algebra for numpy arrays; leading axes broadcast.
+
+Products are written out element by element: a library's matrix product may add in another order for another shape,
+while a sum written out gives a shot the same bits whatever block it comes in. Matrices are named target_from_source:
+columns are the source's axes in the target frame. Quaternions are scalar first (Hamilton).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.rotations import (
+    set_from_quaternion,
+    set_from_rotation_vector,
+    set_from_yaw_pitch_roll,
+)
+
+SITE_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""East-north-up from the north-east-down in which aerospace angles are counted."""
+
+_NEXT, _AFTER_NEXT = [1, 2, 0], [2, 0, 1]
+
+
+def dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Scalar product of (..., 3) and (..., 3): (...)."""
+    product: FloatArray = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+    return product
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Vector product of (..., 3) and (..., 3): (..., 3)."""
+    product: FloatArray = a[..., _NEXT] * b[..., _AFTER_NEXT] - a[..., _AFTER_NEXT] * b[..., _NEXT]
+    return product
+
+
+def rotate(target_from_source: FloatArray, source: FloatArray) -> FloatArray:
+    """Matrices (..., 3, 3) on vectors (..., 3): (..., 3)."""
+    x, y, z = source[..., 0, None], source[..., 1, None], source[..., 2, None]
+    matrix = target_from_source
+    target: FloatArray = matrix[..., 0] * x + matrix[..., 1] * y + matrix[..., 2] * z
+    return target
+
+
+def compose(target_from_middle: FloatArray, middle_from_source: FloatArray) -> FloatArray:
+    """Product of rotations (..., 3, 3): target_from_source (..., 3, 3)."""
+    a, b = target_from_middle[..., None], middle_from_source[..., None, :, :]
+    product: FloatArray = (
+        a[..., 0, :] * b[..., 0, :] + a[..., 1, :] * b[..., 1, :] + a[..., 2, :] * b[..., 2, :]
+    )
+    return product
+
+
+def from_yaw_pitch_roll(
+    yaw_rad: npt.ArrayLike, pitch_rad: npt.ArrayLike, roll_rad: npt.ArrayLike
+) -> FloatArray:
+    """Aerospace sequence about z, then y, then x: parent_from_child (..., 3, 3) for angles (...)."""
+    angles_rad = np.stack(np.broadcast_arrays(yaw_rad, pitch_rad, roll_rad), axis=-1, dtype=np.float64)
+    return _matrices(set_from_yaw_pitch_roll, angles_rad)
+
+
+def from_rotation_vector(vector_rad: FloatArray) -> FloatArray:
+    """Rotations exp([v]x), (..., 3, 3), about vectors (..., 3) by their length in radians (Rodrigues)."""
+    return _matrices(set_from_rotation_vector, np.ascontiguousarray(vector_rad, dtype=np.float64))
+
+
+def _matrices(set_matrix: Callable[..., None], triples: FloatArray) -> FloatArray:
+    """The matrices (..., 3, 3) that a kernel sets from triples (..., 3) of numbers."""
+    matrices = np.empty((*triples.shape, 3))
+    for triple, matrix in zip(triples.reshape(-1, 3), matrices.reshape(-1, 3, 3), strict=True):
+        set_matrix(triple[0], triple[1], triple[2], matrix)
+    return matrices
+
+
+def from_quaternions(quaternion: FloatArray, derivative: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotations parent_from_child (n, 3, 3) and angular rates (n, 3) in rad/s about the child's axes.
+
+    Args:
+        quaternion: (n, 4) of any length.
+        derivative: (n, 4) per second. The rate is the vector part of 2 q* dq/dt; the scalar part holds the change of
+            length.
+    """
+    rotation, rate = np.empty((len(quaternion), 3, 3)), np.empty((len(quaternion), 3))
+    _set_from_quaternions(quaternion, derivative, rotation, rate)
+    return rotation, rate
+
+
+@kernel(outermost=True)
+def _set_from_quaternions(
+    quaternion: FloatArray, derivative: FloatArray, rotation: FloatArray, rate: FloatArray
+) -> None:
+    for k in range(len(quaternion)):
+        w, x, y, z = quaternion[k, 0], quaternion[k, 1], quaternion[k, 2], quaternion[k, 3]
+        dw, dx, dy, dz = derivative[k, 0], derivative[k, 1], derivative[k, 2], derivative[k, 3]
+        squared = w * w + x * x + y * y + z * z
+        rate[k, 0] = 2 * (w * dx - dw * x - (y * dz - z * dy)) / squared
+        rate[k, 1] = 2 * (w * dy - dw * y - (z * dx - x * dz)) / squared
+        rate[k, 2] = 2 * (w * dz - dw * z - (x * dy - y * dx)) / squared
+        length = sqrt(squared)
+        set_from_quaternion(w / length, x / length, y / length, z / length, rotation[k])
+
+
+def conjugate_product(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """a* b of quaternions (n, 4): its scalar (n,) and its vector (n, 3)."""
+    a_scalar, a_vector, b_scalar, b_vector = a[:, 0], a[:, 1:], b[:, 0], b[:, 1:]
+    scalar = a_scalar * b_scalar + dot(a_vector, b_vector)
+    vector = a_scalar[:, None] * b_vector - b_scalar[:, None] * a_vector - cross(a_vector, b_vector)
+    return scalar, vector
+
+
+def to_quaternion(parent_from_child: FloatArray) -> FloatArray:
+    """Unit quaternion (4,) of a rotation (3, 3), from whichever of its components is largest (Shepperd, 1978)."""
+    m, trace = parent_from_child, np.trace(parent_from_child)
+    squares = np.array([trace, m[0, 0], m[1, 1], m[2, 2]])
+    largest = int(np.argmax(squares))
+    if largest == 0:
+        raw = [1 + trace, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]
+    else:
+        i = largest - 1
+        j, k = (i + 1) % 3, (i + 2) % 3
+        raw = [0.0] * 4
+        raw[0] = m[k, j] - m[j, k]
+        raw[1 + i] = 1 + m[i, i] - m[j, j] - m[k, k]
+        raw[1 + j], raw[1 + k] = m[j, i] + m[i, j], m[k, i] + m[i, k]
+    quaternion = np.array(raw)
+    return np.asarray(quaternion / np.sqrt(np.sum(quaternion**2)))
