@@ -21,8 +21,8 @@ from lidar_emu.shots.model import Model, ModelState, initial_state, measure
 from lidar_emu.wire import Encoder, Packet
 
 if TYPE_CHECKING:
-    from lidar_emu.faults.encoder import FaultyPackets, WireState
-    from lidar_emu.faults.schedule import Injected
+    from lidar_emu.faults.encoder import FaultyEncoder, WireState
+    from lidar_emu.faults.schedule import FaultOccurrence
 
 
 _NOT_SETTLING = Settling()
@@ -37,7 +37,7 @@ class Block:
     """Empty ones were taken away by faults, or the device sends none."""
     due_ns: list[int]
     """When packets are due: as the measurement says, but for faults."""
-    faults: tuple[Injected, ...] = ()
+    faults: tuple[FaultOccurrence, ...] = ()
     """Which faults acted."""
     silent: bool = False
     """Whether the device fires no beams and sends no measurements."""
@@ -83,7 +83,7 @@ class Session:
         model: Model,
         encoder: Encoder,
         kept_blocks: int = 1,
-        faulty: FaultyPackets | None = None,
+        faulty: FaultyEncoder | None = None,
         rules: Rules | None = None,
     ) -> None:
         self._model = model
@@ -132,7 +132,7 @@ class Session:
         )
 
     def use_faults(
-        self, model: Model, faulty: FaultyPackets | None, events: tuple[Event, ...] | None = None
+        self, model: Model, faulty: FaultyEncoder | None, events: tuple[Event, ...] | None = None
     ) -> None:
         """From the next shot on, have the faults of these: those that there were, and more after them.
 

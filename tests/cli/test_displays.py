@@ -58,10 +58,10 @@ def test_a_full_disk_ends_the_recording_and_not_the_flight(tmp_path: Path) -> No
     command = [COMMAND, *QUICK, "--summary", "s.json", "--record", "/dev/full"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert done.stderr == "lidar-emu: /dev/full: the recording is not whole: No space left on device\n"
+    assert done.stderr == "lidar-emu: /dev/full: the recording is incomplete: No space left on device\n"
     told = json.loads((tmp_path / "s.json").read_text())
     assert told["shots"]["sent"] == 20
-    assert "not whole" in told["recording_error"]
+    assert "incomplete" in told["recording_error"]
 
 
 def test_an_interrupted_run_proves_nothing(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.obey import Order
 from lidar_emu.device.rules import Rules, device_rules
 from lidar_emu.device.state import Mode
-from lidar_emu.faults.encoder import faulty_packets
+from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.scenario.device import Device
 from lidar_emu.scenario.schema import FlightScenario
@@ -44,7 +44,7 @@ def begun(faults: str = "[]", **part: Any) -> tuple[Session, Rules]:
     scenario, model = flown(faults)
     rules = device_rules(Device.model_validate(part), 20.0, 4, 2)
     encoder = Encoder(scenario.wire, False, False, 4)
-    faulty = faulty_packets(scenario, encoder, False)
+    faulty = faulty_encoder(scenario, encoder, False)
     return Session(model, encoder, 100, faulty, rules), rules
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from lidar_emu.device.rules import Rules, device_rules
-from lidar_emu.faults.encoder import faulty_packets
+from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.scenario.schema import BenchScenario, Scenario
 from lidar_emu.session import Block, Session
 from lidar_emu.shots.model import Model, build_model
@@ -68,7 +68,7 @@ def shoot(rules_of: RulesOf) -> Shoot:
     def run(scenario: Scenario, block_shots: int = 128, can: bool = False, fd: bool = False) -> list[Block]:
         model = build_model(scenario)  # type: ignore[arg-type]
         encoder = Encoder(scenario.wire, can, fd, model.beam_count)
-        faulty = faulty_packets(scenario, encoder, can)
+        faulty = faulty_encoder(scenario, encoder, can)
         rules = rules_of(scenario, model)
         session = Session(model, encoder, faulty=faulty, rules=rules)
         blocks = []

@@ -12,8 +12,8 @@ from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.obey import Order
 from lidar_emu.device.rules import Rules, all_events
 from lidar_emu.errors import InputError
-from lidar_emu.faults.encoder import faulty_packets
-from lidar_emu.scenario.faults.on_order import read_fault, shifted
+from lidar_emu.faults.encoder import faulty_encoder
+from lidar_emu.scenario.faults.injected import read_fault, shifted
 from lidar_emu.session import Block, Session
 from lidar_emu.shots.model import build_model
 from lidar_emu.wire import Encoder
@@ -28,7 +28,7 @@ def begun(bench: Any, rules_of: Any, *faults: dict[str, Any]) -> tuple[Session, 
     scenario = bench(*faults, **QUICK)
     model = build_model(scenario)
     encoder, rules = Encoder(scenario.wire, False, False, 4), rules_of(scenario, model)
-    session = Session(model, encoder, 10, faulty_packets(scenario, encoder, False), rules)
+    session = Session(model, encoder, 10, faulty_encoder(scenario, encoder, False), rules)
     return session, DeviceNow(rules, initial(rules))
 
 
@@ -38,7 +38,7 @@ def ordered(session: Session, device: DeviceNow, scenario: Any, text: str) -> An
     scenario = scenario.model_copy(update={"faults": [*scenario.faults, fault]})
     events = all_events(scenario.device, scenario.faults)
     encoder = Encoder(scenario.wire, False, False, 4)
-    session.use_faults(build_model(scenario), faulty_packets(scenario, encoder, False), events)
+    session.use_faults(build_model(scenario), faulty_encoder(scenario, encoder, False), events)
     device.expect(events)
     return scenario
 

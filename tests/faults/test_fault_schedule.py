@@ -7,17 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.faults.hold import hold
-from lidar_emu.faults.schedule import Schedule
+from lidar_emu.faults.held_values import hold
+from lidar_emu.faults.schedule import FaultSchedule
 from lidar_emu.numerics.random_streams import Chance
 from lidar_emu.scenario.faults import Dropout
 
 PERIOD_NS = 20_000_000
 
 
-def schedule(number: int = 0, seed: int = 1, **when: object) -> Schedule:
+def schedule(number: int = 0, seed: int = 1, **when: object) -> FaultSchedule:
     fault = Dropout.model_validate({"kind": "dropout", **when})
-    return Schedule(fault, Chance(seed, number), PERIOD_NS)
+    return FaultSchedule(fault, Chance(seed, number), PERIOD_NS)
 
 
 def shots(first: int, count: int) -> np.ndarray:

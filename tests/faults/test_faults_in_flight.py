@@ -22,14 +22,14 @@ from lidar_emu.device.machine import initial
 from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.rules import all_events
 from lidar_emu.errors import InputError
-from lidar_emu.faults.encoder import faulty_packets
+from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.runtime.change_queue import Changes
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.fault_injector import Injector
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.scenario.faults.on_order import read_fault, shifted
+from lidar_emu.scenario.faults.injected import read_fault, shifted
 from lidar_emu.session import Block, Session
 from lidar_emu.shots.model import build_model
 from lidar_emu.transports.spec import PortSpec
@@ -143,7 +143,7 @@ def test_what_was_ordered_in_flight_can_be_flown_again(
     scenario = bench(*(json.loads(read_fault(text).model_dump_json()) for text in at_the_start))
     encoder = Encoder(scenario.wire, False, False, 4)
     model = build_model(scenario)
-    faulty, rules = faulty_packets(scenario, encoder, False), rules_of(scenario, model)
+    faulty, rules = faulty_encoder(scenario, encoder, False), rules_of(scenario, model)
     session = Session(model, encoder, 10, faulty, rules)
     blocks: list[Block] = []
     for wait, text in orders:
@@ -154,7 +154,7 @@ def test_what_was_ordered_in_flight_can_be_flown_again(
         scenario = scenario.model_copy(update={"faults": [*scenario.faults, fault]})
         session.use_faults(
             model.with_faults(scenario.faults),
-            faulty_packets(scenario, encoder, False),
+            faulty_encoder(scenario, encoder, False),
             all_events(scenario.device, scenario.faults),
         )
     while (block := session.shoot(block_shots)) is not None:
@@ -174,7 +174,7 @@ def test_light_and_receiver_go_wrong_in_flight_too(shoot: Any) -> None:
     ):
         fault = shifted(read_fault(text), session.next_shot / 20)
         scenario = scenario.model_copy(update={"faults": [*scenario.faults, fault]})
-        session.use_faults(model.with_faults(scenario.faults), faulty_packets(scenario, encoder, False))
+        session.use_faults(model.with_faults(scenario.faults), faulty_encoder(scenario, encoder, False))
         blocks.append(session.shoot(9))
     blocks.append(session.shoot(40))
     assert model.physics is None
@@ -196,7 +196,7 @@ class Controlled:
         encoder = Encoder(scenario.wire, False, False, 4)
         self.path, self.told = path, Told()
         model = build_model(scenario)
-        self.session = Session(model, encoder, 10, faulty_packets(scenario, encoder, False))
+        self.session = Session(model, encoder, 10, faulty_encoder(scenario, encoder, False))
         self.device = DeviceNow(self.session.rules, initial(self.session.rules))
         self.changes = Changes()
         self.port_orders: list[dict[str, Any]] = []
@@ -337,9 +337,12 @@ def test_a_run_is_ordered_about_by_command(tmp_path: Path) -> None:
     assert not (tmp_path / "c").exists()
     told, acted = [], []
     with (tmp_path / "r.mcap").open("rb") as file:
-        for _, channel, message in make_reader(file).iter_messages(topics=["/ordered_fault", "/fault"]):
-            (told if channel.topic == "/ordered_fault" else acted).append(json.loads(message.data))
-    assert [(each["fault"], each["order"]["kind"]) for each in told] == [(0, "dropout"), (1, "disconnect")]
+        for _, channel, message in make_reader(file).iter_messages(topics=["/injected_fault", "/fault"]):
+            (told if channel.topic == "/injected_fault" else acted).append(json.loads(message.data))
+    assert [(each["fault"], each["definition"]["kind"]) for each in told] == [
+        (0, "dropout"),
+        (1, "disconnect"),
+    ]
     assert told[0]["first_shot"] == round(first_s * 10) == acted[0]["shot"]
     nobody = inject("kind=lost")
     assert nobody.returncode == 2

@@ -17,17 +17,17 @@ from mcap.reader import make_reader
 from ruamel.yaml import YAML
 
 import lidar_emu
-from lidar_emu.faults.encoder import faulty_packets
+from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.runtime.link_faults import link_orders
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.scenario.faults import (
     BeamFault,
+    ContentFault,
     DeviceFault,
     LightFault,
     LinkFault,
     PacketFault,
     ReceiverFault,
-    StampFault,
 )
 from lidar_emu.session import Block, Session
 from lidar_emu.shots.model import build_model, simulate
@@ -43,7 +43,7 @@ def kinds_of(*unions: Any) -> set[str]:
     }
 
 
-KINDS = kinds_of(BeamFault, StampFault, PacketFault)
+KINDS = kinds_of(BeamFault, ContentFault, PacketFault)
 EACH: list[dict[str, Any]] = [
     {"kind": "dropout"},
     {"kind": "stuck"},
@@ -152,7 +152,7 @@ def test_going_back_computes_the_same_again(bench: Any, back_to: int) -> None:
     encoder = Encoder(scenario.wire, False, False, 4)
 
     def begun() -> Session:
-        return Session(build_model(scenario), encoder, 10, faulty_packets(scenario, encoder, False))
+        return Session(build_model(scenario), encoder, 10, faulty_encoder(scenario, encoder, False))
 
     straight = begun().shoot(SHOTS)
     assert straight is not None
@@ -218,7 +218,7 @@ def test_summary_recording_and_plan_tell_of_faults(tmp_path: Path) -> None:
     assert "dropout 10, lost 1, reordered 1; 2 packets withheld" in shown
     faults, fates = [], {}
     with (tmp_path / "r.mcap").open("rb") as file:
-        for _, channel, message in make_reader(file).iter_messages(topics=["/fault", "/fate"]):
+        for _, channel, message in make_reader(file).iter_messages(topics=["/fault", "/delivery"]):
             told = json.loads(message.data)
             if channel.topic == "/fault":
                 faults.append(told)
@@ -226,7 +226,7 @@ def test_summary_recording_and_plan_tell_of_faults(tmp_path: Path) -> None:
                 fates[told["shot"]] = told
     assert faults[0] == {"shot": 10, "fault": 0, "kind": "dropout", "beams": [2]}
     assert len(faults) == 32
-    assert sorted(shot for shot, told in fates.items() if told["fate"] == "withheld") == [30, 50]
+    assert sorted(shot for shot, told in fates.items() if told["status"] == "suppressed") == [30, 50]
     assert fates[60]["due_ns"] - fates[59]["due_ns"] == 600_000_000
     planned = json.loads(command("plan", *run, "--json", cwd=tmp_path))["decisions"]
     assert [(row["stage"], row["how"]) for row in planned if row["stage"].startswith("fault")] == [

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lidar_emu.errors import InputError
-from lidar_emu.faults.encoder import FaultyPackets
+from lidar_emu.faults.encoder import FaultyEncoder
 from lidar_emu.session import Block
 from lidar_emu.shots.model import build_model
 from lidar_emu.wire import Encoder
@@ -287,20 +287,20 @@ def test_other_version(sent: Any) -> None:
 def test_what_an_interface_does_not_say_is_refused(bench: Any, fault: Any, interface: str, said: str) -> None:
     scenario = bench(fault, wire={"interface": interface})
     with pytest.raises(InputError, match=said):
-        FaultyPackets(scenario, Encoder(scenario.wire, False, False, 4), False)
+        FaultyEncoder(scenario, Encoder(scenario.wire, False, False, 4), False)
 
 
 def test_a_crc_that_there_is_not_is_refused(bench: Any) -> None:
     scenario = bench({"kind": "wrong_crc"})
     encoder = Encoder(scenario.wire, True, False, 4)
     with pytest.raises(InputError, match=r"faults\.0\.kind: wrong_crc on CAN; allowed: on a byte link"):
-        FaultyPackets(scenario, encoder, True)
+        FaultyEncoder(scenario, encoder, True)
 
 
 def test_packets_that_double_without_measure_are_refused(bench: Any) -> None:
     scenario = bench(*[{"kind": "doubled"}] * 7)
     with pytest.raises(InputError, match="faults: 7 of kind doubled or reordered; allowed: 6"):
-        FaultyPackets(scenario, Encoder(scenario.wire, False, False, 4), False)
+        FaultyEncoder(scenario, Encoder(scenario.wire, False, False, 4), False)
 
 
 PACKET_FAULTS = st.sampled_from(
@@ -336,7 +336,7 @@ def test_no_packet_is_longer_than_was_said(
     scenario = bench(*({**fault, "probability": 0.7} for fault in faults))
     encoder = Encoder(scenario.wire, can, fd, 4)
     plain = max(len(payload_of(p)) for p in packets(shoot(bench(), can=can, fd=fd)))
-    longest = FaultyPackets(scenario, encoder, can).longest(plain)
+    longest = FaultyEncoder(scenario, encoder, can).longest(plain)
     stuffing = 4 * len(faults)  # a packet with another time or count may need a few more bytes
     assert max(len(payload_of(p)) for p in packets(shoot(scenario, can=can, fd=fd))) <= longest + stuffing
     assert build_model(scenario).faults is None

@@ -75,7 +75,7 @@ def test_a_run_whose_port_process_dies_keeps_what_was_flown(
     assert told["shots"]["sent"] in (len(shots), len(shots) - 1)
     assert_equal(handwritten.rows(far_end.data), simulated("descent.yaml"))
     with (tmp_path / "r.mcap").open("rb") as stream:
-        fates = [m.sequence for _, c, m in make_reader(stream).iter_messages() if c.topic == "/fate"]
+        fates = [m.sequence for _, c, m in make_reader(stream).iter_messages() if c.topic == "/delivery"]
     assert fates == list(range(told["shots"]["due"]))
     assert sum(told["beams"][0].values()) == told["shots"]["due"]
 

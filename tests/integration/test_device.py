@@ -113,8 +113,8 @@ def _check_recording(path: Path, ear: Ear) -> None:
     commands = [json.loads(data) for topic, data in messages if topic == "/command"]
     assert [each["command"] for each in commands] == ["set_mode", "set_rate_hz", "enable_beams", "set_mode"]
     assert commands[0]["values"] == {"mode": "track"}
-    fates = [json.loads(data) for topic, data in messages if topic == "/fate"]
-    sent = [fate["shot"] for fate in fates if fate["fate"] == "sent"]
+    fates = [json.loads(data) for topic, data in messages if topic == "/delivery"]
+    sent = [fate["shot"] for fate in fates if fate["status"] == "sent"]
     assert commands[0]["first_shot"] == sent[0]
     kept = b"".join(data for topic, data in messages if topic == "/housekeeping")
     assert list(SerialReceiver(INTERFACE).receive(kept)) == ear.all(Housekeeping)

@@ -125,9 +125,9 @@ def recorded(path: Path) -> Iterator[Shot]:
             faults[told["shot"]].add(told["kind"])
         elif channel.topic == "/packet":
             packets[message.sequence] = message.data
-        elif channel.topic in ("/measurement", "/fate"):
+        elif channel.topic in ("/measurement", "/delivery"):
             topics[channel.topic].append((message.log_time - EPOCH_NS, json.loads(message.data)))
-    for (time_ns, measured), (_, fate) in zip(topics["/measurement"], topics["/fate"], strict=True):
+    for (time_ns, measured), (_, fate) in zip(topics["/measurement"], topics["/delivery"], strict=True):
         shot = fate["shot"]
         assert set(measured["shot"]) == {shot}
         yield Shot(time_ns, measured, fate, faults[shot], packets.get(shot, b""))
@@ -138,7 +138,7 @@ def sent_frames(path: Path) -> Iterator[Sent]:
     last: dict[str, Any] = {}
     silent = 0  # shots that a mode leaves out, which the device does not count
     for time_ns, measured, fate, faults, packet in recorded(path):
-        assert fate["fate"] == ("sent" if packet else "withheld")
+        assert fate["status"] == ("sent" if packet else "suppressed")
         assert not ("lost" in faults and packet)
         if not packet:
             silent += "lost" not in faults

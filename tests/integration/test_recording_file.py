@@ -21,7 +21,7 @@ from programs import Program, eventually
 
 from lidar_emu.measurement import Measurement
 
-TOPICS = {"/truth", "/measurement", "/packet", "/fate"}
+TOPICS = {"/truth", "/measurement", "/packet", "/delivery"}
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "recordings.md"
 MAGIC_BYTES = 8
 MESSAGE = 0x05
@@ -70,7 +70,7 @@ def test_a_whole_recording_holds_every_shot(recording: bytes, simulated: Simulat
     np.testing.assert_array_equal(np.array(true_m, dtype=np.float64), expected.true_range_m)
     headers = [handwritten.decoded(handwritten.unstuffed(data)[0])[0] for data in by_topic["/packet"]]
     assert [header["shot"] for header in headers] == expected.shot.tolist()
-    assert {message["fate"] for message in by_topic["/fate"]} == {"sent"}
+    assert {message["status"] for message in by_topic["/delivery"]} == {"sent"}
     (metadata,) = make_reader(io.BytesIO(recording)).iter_metadata()
     assert metadata.name == "run"
     assert json.loads(metadata.metadata["scenario"])["name"] == "descent"

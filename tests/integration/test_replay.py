@@ -244,7 +244,7 @@ def test_faults_ordered_in_flight_are_had_again(start: Start, tmp_path: Path) ->
     run.succeed()
     told = recomputed(start, tmp_path)
     assert told["different"] == 0, told["first"]
-    assert len(read_recording(tmp_path / "r.mcap").told(channels.ORDERED_FAULT)) == 3
+    assert len(read_recording(tmp_path / "r.mcap").json_messages(channels.INJECTED_FAULT)) == 3
     assert told["equal"] + told["not_compared"] == 400
     assert told["not_compared"] <= 3
 

@@ -83,8 +83,8 @@ def test_neither_pace_nor_repetition_nor_link_matters(
 def test_the_pace_of_the_clock_sends_the_same(sent_bytes: Callable[..., bytes], tmp_path: Path) -> None:
     reference = computed()
     stream = sent_bytes("--record", "wall.mcap", "--summary", "s.json")
-    fates = [json.loads(text) for text in recorded(tmp_path / "wall.mcap", "/fate")]
-    sent = [fate["shot"] for fate in fates if fate["fate"] == "sent"]
+    fates = [json.loads(text) for text in recorded(tmp_path / "wall.mcap", "/delivery")]
+    sent = [fate["shot"] for fate in fates if fate["status"] == "sent"]
     assert len(sent) == read_summary(tmp_path / "s.json")["shots"]["sent"] > SHOTS / 2
     assert stream == b"".join(reference[shot] for shot in sent)
 
@@ -132,10 +132,10 @@ def test_a_stall_is_counted_and_changes_no_byte(start: Start, far_end: FarEnd, t
     run.stall(port, STALL_S)
     run.succeed()
     summary = read_summary(tmp_path / "s.json")
-    fates = [json.loads(text) for text in recorded(tmp_path / "stall.mcap", "/fate")]
+    fates = [json.loads(text) for text in recorded(tmp_path / "stall.mcap", "/delivery")]
     assert [fate["shot"] for fate in fates] == list(range(SHOTS))
-    sent = [fate for fate in fates if fate["fate"] == "sent"]
-    late = [fate["shot"] for fate in fates if fate["fate"] == "late"]
+    sent = [fate for fate in fates if fate["status"] == "sent"]
+    late = [fate["shot"] for fate in fates if fate["status"] == "late"]
     assert summary["shots"] == {
         "due": SHOTS,
         "sent": len(sent),

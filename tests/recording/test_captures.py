@@ -169,27 +169,27 @@ def test_logs_that_python_can_reads_back(suffix: str, tmp_path: Path) -> None:
 
 REFUSED = {
     "empty.pcap": (b"", "empty"),
-    "text.txt": (b"hello", "no recording"),
+    "text.txt": (b"hello", "not a recording"),
     "head.pcap": (
         struct.pack("<IHHiIII", 0xA1B23C4D, 2, 4, 0, 0, 65535, 147),
-        "nothing that went onto a link",
+        "no packet that was sent",
     ),
-    "half.pcap": (struct.pack("<I", 0xA1B23C4D), "nothing that went onto a link"),
-    "half.pcapng": (b"\x0a\x0d\x0d\x0a\x1c\0\0\0", "nothing that went onto a link"),
+    "half.pcap": (struct.pack("<I", 0xA1B23C4D), "no packet that was sent"),
+    "half.pcapng": (b"\x0a\x0d\x0d\x0a\x1c\0\0\0", "no packet that was sent"),
     "huge.pcap": (
         struct.pack("<IHHiIIIIIII", 0xA1B23C4D, 2, 4, 0, 0, 0, 147, 0, 0, 2**31, 2**31),
-        "nothing that went",
+        "no packet that was sent",
     ),
     "wifi.pcap": (
         struct.pack("<IHHiIIIIIII", 0xA1B23C4D, 2, 4, 0, 0, 0, 105, 0, 0, 1, 1) + b"x",
         "link type: 105",
     ),
     "words.log": (b"hello\n", "not readable after 0 frames"),
-    "empty.log": (b"\n", "nothing that went onto a link"),
+    "empty.log": (b"\n", "no packet that was sent"),
     "bad.blf": (b"LOGG" + bytes(20), "not readable after 0 frames"),
     "two.log": (
         CANDUMP.replace("can0 7FF", "can1 7FF").encode(),
-        r"words of several: can1 \(1\), can0 \(2\)",
+        r"traffic of several senders: can1 \(1\), can0 \(2\)",
     ),
 }
 

@@ -47,10 +47,10 @@ def test_the_measurement_is_that_of_the_simulation(flight: Recording) -> None:
 def test_packets_are_what_a_receiver_decodes(flight: Recording) -> None:
     packets = flight.packets()
     assert len(packets) == 160
-    withheld = packets.fate == Fate.WITHHELD
+    withheld = packets.status == Fate.SUPPRESSED
     assert packets.shot[withheld].tolist() == [60]
     assert packets.payload[60] == b""
-    assert np.array_equal(packets.sent_ns >= 0, packets.fate == Fate.SENT)
+    assert np.array_equal(packets.sent_ns >= 0, packets.status == Fate.SENT)
     receiver = SerialReceiver(flight.interface)
     shots = [m.shot for m in receiver.receive(b"".join(packets.payload)) if isinstance(m, Message)]
     assert shots == packets.shot[~withheld].tolist()
@@ -58,7 +58,7 @@ def test_packets_are_what_a_receiver_decodes(flight: Recording) -> None:
 
 
 def test_what_the_device_said_and_what_went_wrong(flight: Recording) -> None:
-    said = flight.said(channels.HOUSEKEEPING)
+    said = flight.raw_messages(channels.HOUSEKEEPING)
     receiver = SerialReceiver(flight.interface)
     told = [
         m for m in receiver.receive(b"".join(payload for _, payload in said)) if isinstance(m, Housekeeping)
@@ -67,7 +67,7 @@ def test_what_the_device_said_and_what_went_wrong(flight: Recording) -> None:
     times_ns = [time_ns for time_ns, _ in said]
     np.testing.assert_allclose([m.values["time_ns"] for m in told], times_ns, rtol=0, atol=step_ns)
     assert all(round((b.time_ns - a.time_ns) / 1e9) == 1 for a, b in pairwise(said))
-    faults = flight.told(channels.FAULT)
+    faults = flight.json_messages(channels.FAULT)
     assert [each.values["shot"] for each in faults] == [*range(20, 40), 60]
     assert {each.values["kind"] for each in faults} == {"dropout", "lost"}
 
@@ -96,15 +96,15 @@ def test_every_message_is_what_its_schema_says(flight: Recording) -> None:
                 jsonschema.validate(json.loads(message.data), json.loads(schema.data))
                 checked.add(channel.topic)
         summary = reader.get_summary()
-    assert checked == {"/truth", "/measurement", "/fate", "/fault"}
+    assert checked == {"/truth", "/measurement", "/delivery", "/fault"}
     assert summary is not None
     assert {channel.topic for channel in summary.channels.values()} == {c.topic for c in channels.CHANNELS}
     assert all(channel.metadata["holds"] for channel in summary.channels.values())
 
 
 def test_a_column_that_a_schema_lacks_is_refused_by_it() -> None:
-    schema = channels.FATE.schema()
-    fate = {"shot": 0, "due_ns": 1, "sent_ns": None, "fate": "late", "overtaken": False}
+    schema = channels.DELIVERY.schema()
+    fate = {"shot": 0, "due_ns": 1, "sent_ns": None, "status": "late", "overtaken": False}
     jsonschema.validate(fate, schema)
     for wrong in (fate | {"more": 1}, fate | {"sent_ns": "never"}, {"shot": 0}):
         with pytest.raises(jsonschema.ValidationError):
@@ -140,10 +140,10 @@ def _foreign(path: Path) -> None:
     ("content", "found"),
     [
         (b"", "empty"),
-        (b"not a recording at all", "no MCAP"),
-        (b"\x89MCAP0\r\n", "no recording"),
-        (b"\x89MCAP0\r\n" + 64 * b"\xff", "no recording"),
-        (None, "no recording"),
+        (b"not a recording at all", "not MCAP"),
+        (b"\x89MCAP0\r\n", "not a recording"),
+        (b"\x89MCAP0\r\n" + 64 * b"\xff", "not a recording"),
+        (None, "not a recording"),
     ],
 )
 def test_what_is_no_recording_is_refused(content: bytes | None, found: str, tmp_path: Path) -> None:

@@ -96,7 +96,7 @@ def test_a_recording_without_a_column_is_refused_in_one_line(bench_flown, tmp_pa
 def test_all_packets_late(bench_flown):
     packets = replace(
         bench_flown.packets,
-        fate=np.full_like(bench_flown.packets.fate, Fate.LATE),
+        status=np.full_like(bench_flown.packets.status, Fate.LATE),
         sent_ns=np.full_like(bench_flown.packets.sent_ns, -1),
     )
     late = replace(bench_flown, packets=packets)

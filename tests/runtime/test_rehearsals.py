@@ -7,7 +7,7 @@ from collections import deque
 from typing import Any
 
 import lidar_emu
-from lidar_emu.faults.encoder import faulty_packets
+from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.runtime.feed.truth_source import TruthSource
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.session import Session
@@ -31,7 +31,7 @@ def session() -> Session:
     settings = {"level": "geometric", "timing.rate_hz": "20", "duration_s": "5", "faults": json.dumps(faults)}
     scenario = lidar_emu.load("descent.yaml", settings)
     encoder = Encoder(scenario.wire, False, False, 4)
-    return Session(build_model(scenario), encoder, 200, faulty_packets(scenario, encoder, False))
+    return Session(build_model(scenario), encoder, 200, faulty_encoder(scenario, encoder, False))
 
 
 def packets(one: Session, rehearsing: bool) -> list[Any]:

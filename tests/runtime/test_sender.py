@@ -140,7 +140,7 @@ def test_an_empty_packet_meets_its_fate_at_its_time_and_the_line_sees_nothing(wa
     assert wall.packets.push(Outgoing(1, 1000, b"").to_bytes())
     wall.push(2, 2000)
     wall.run_until_empty()
-    assert [report.fate for report in wall.seen] == [Fate.SENT, Fate.WITHHELD, Fate.SENT]
+    assert [report.fate for report in wall.seen] == [Fate.SENT, Fate.SUPPRESSED, Fate.SENT]
     assert (wall.seen[1].sent_ns, wall.seen[1].woke_ns) == (-1, 1000)
     assert [int.from_bytes(payload, "big") for _, payload in wall.line.taken] == [0, 2]
 
@@ -152,7 +152,7 @@ def test_an_empty_packet_is_never_late() -> None:
     rig.push(1, SECOND_NS)
     rig.clock.time_ns = START_NS + SECOND_NS // 2
     rig.run_until_empty()
-    assert [report.fate for report in rig.seen] == [Fate.WITHHELD, Fate.SENT]
+    assert [report.fate for report in rig.seen] == [Fate.SUPPRESSED, Fate.SENT]
     rig.close()
 
 

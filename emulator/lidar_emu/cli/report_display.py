@@ -23,7 +23,7 @@ def contents_lines(told: dict[str, Any]) -> list[str]:
         *shot_lines(told),
         *lateness_lines(told["lateness"], None),
         *_counted("commands", [f"{each['command']} {each['verdict']}" for each in told["commanded"]]),
-        *_counted("ordered", [f"fault {each['order'].get('kind')}" for each in told["ordered"]]),
+        *_counted("ordered", [f"fault {each['definition'].get('kind')}" for each in told["ordered"]]),
         *_counted("events", [f"{each['of']}: {each['what']}" for each in told["events"]]),
         *beam_lines(told),
         error_line(told, "range"),

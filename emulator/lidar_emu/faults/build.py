@@ -9,7 +9,7 @@ from lidar_emu.scenario.faults import BeamFault, LightFault, ReceiverFault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario
 
 if TYPE_CHECKING:
-    from lidar_emu.faults.measured import BeamFaults
+    from lidar_emu.faults.beams import BeamFaults
     from lidar_emu.faults.physics import PhysicsFaults
     from lidar_emu.flight.flight import Flight
     from lidar_emu.fmcw.levels import Level
@@ -31,7 +31,7 @@ def beam_faults(scenario: Scenario, beam_count: int) -> BeamFaults | None:
     found = numbered(scenario, BeamFault)
     if not found:
         return None
-    from lidar_emu.faults.measured import BeamFaults
+    from lidar_emu.faults.beams import BeamFaults
 
     require_beams(scenario, found, beam_count)
     return BeamFaults(found, scenario.seed, scenario.timing.period_ns, beam_count)

@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 from lidar_emu.device.state import Status
 from lidar_emu.faults.build import numbered
-from lidar_emu.faults.hold import resumed
+from lidar_emu.faults.held_values import resumed
+from lidar_emu.faults.packet_contents import ContentFaults, ContentState
 from lidar_emu.faults.packets import PacketFaults, PacketState
-from lidar_emu.faults.schedule import Injected
-from lidar_emu.faults.stamps import StampFaults, StampState
+from lidar_emu.faults.schedule import FaultOccurrence
 from lidar_emu.measurement import Measurement
-from lidar_emu.scenario.faults import DeviceFault, LinkFault, PacketFault, StampFault
+from lidar_emu.scenario.faults import ContentFault, DeviceFault, LinkFault, PacketFault
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.wire import Encoder, Packet
 
@@ -22,11 +22,11 @@ _OF_PACKETS = PacketFault | LinkFault | DeviceFault
 class WireState(NamedTuple):
     """What is carried from shot to shot."""
 
-    stamps: StampState
+    stamps: ContentState
     packets: PacketState
 
 
-class FaultyPackets:
+class FaultyEncoder:
     """An encoder behind which things go wrong.
 
     Raises:
@@ -36,7 +36,7 @@ class FaultyPackets:
     def __init__(self, scenario: Scenario, encoder: Encoder, can: bool) -> None:
         seed, period_ns = scenario.seed, scenario.timing.period_ns
         self._encoder = encoder
-        self._stamps = StampFaults(numbered(scenario, StampFault), seed, period_ns)
+        self._stamps = ContentFaults(numbered(scenario, ContentFault), seed, period_ns)
         self._packets = PacketFaults(
             numbered(scenario, _OF_PACKETS), seed, period_ns, encoder.interface, can, scenario.name
         )
@@ -45,7 +45,7 @@ class FaultyPackets:
 
     def packets(
         self, measurement: Measurement, stamped: Measurement, status: Status, state: WireState
-    ) -> tuple[list[Packet], list[int], WireState, list[Injected]]:
+    ) -> tuple[list[Packet], list[int], WireState, list[FaultOccurrence]]:
         """The packet of each of consecutive shots, perhaps empty; when each is due; what is carried on; and which
         faults acted.
 
@@ -55,7 +55,7 @@ class FaultyPackets:
             status: of the device through these shots.
             state: carried from the shots before.
         """
-        wrong, stamps, by_stamp = stamped, state.stamps, list[Injected]()
+        wrong, stamps, by_stamp = stamped, state.stamps, list[FaultOccurrence]()
         if not status.silent:
             wrong, stamps, by_stamp = self._stamps.apply(measurement.shot, stamped, stamps)
         finished = list(self._encoder.packets(wrong, status))
@@ -76,11 +76,11 @@ class FaultyPackets:
         return self._packets.longest(packet_bytes)
 
 
-def faulty_packets(scenario: Scenario, encoder: Encoder, can: bool) -> FaultyPackets | None:
+def faulty_encoder(scenario: Scenario, encoder: Encoder, can: bool) -> FaultyEncoder | None:
     """None where the scenario orders no faults of packets.
 
     Raises:
         InputError: a fault is none of this link.
     """
-    ordered = numbered(scenario, StampFault) + numbered(scenario, _OF_PACKETS)
-    return FaultyPackets(scenario, encoder, can) if ordered else None
+    ordered = numbered(scenario, ContentFault) + numbered(scenario, _OF_PACKETS)
+    return FaultyEncoder(scenario, encoder, can) if ordered else None

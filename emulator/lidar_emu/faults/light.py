@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.echo.echoes import Spots
-from lidar_emu.faults.schedule import Ordered
+from lidar_emu.faults.schedule import FaultInstance
 from lidar_emu.flight.flight import Flight, Pointing
 from lidar_emu.flight.pointing import TRUE
 from lidar_emu.fmcw.link_budget import coherent_power_w
@@ -43,7 +43,7 @@ class LightFaults:
         flight: of the scenario.
     """
 
-    def __init__(self, ordered: Sequence[Ordered], scenario: FlightScenario, flight: Flight) -> None:
+    def __init__(self, ordered: Sequence[FaultInstance], scenario: FlightScenario, flight: Flight) -> None:
         self._tilts = [each for each in ordered if isinstance(each.fault, kinds.Misalignment)]
         self._others = [each for each in ordered if not isinstance(each.fault, kinds.Misalignment)]
         self._scenario, self._flight = scenario, flight

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.faults.rewritten import REWRITING, Rewriter
-from lidar_emu.faults.schedule import Injected, Schedule
+from lidar_emu.faults.interface_mismatch import REWRITING, Rewriter
+from lidar_emu.faults.schedule import FaultOccurrence, FaultSchedule
 from lidar_emu.numerics.random_streams import Chance
 from lidar_emu.scenario import faults as kinds
 from lidar_protocol import CanFrame, DecodeError, Interface
@@ -82,7 +82,7 @@ class PacketFaults:
         self._interface = interface
         self._rewriter = Rewriter(interface)
         self._can = can
-        self._faults: list[tuple[int, _Fault, Schedule, Chance]] = []
+        self._faults: list[tuple[int, _Fault, FaultSchedule, Chance]] = []
         for number, fault in numbered:
             if isinstance(fault, kinds.WrongCrc) and (can or interface.link.crc is None):
                 found = Finding("wrong_crc on CAN" if can else "no CRC in this interface")
@@ -92,7 +92,7 @@ class PacketFaults:
                 found = Finding(f"{fault.kind} with interface {interface.name}")
                 raise InputError(name, f"faults.{number}", found, f"allowed: {allowed_here}")
             chance = Chance(seed, number)
-            self._faults.append((number, fault, Schedule(fault, chance, period_ns), chance))
+            self._faults.append((number, fault, FaultSchedule(fault, chance, period_ns), chance))
         doubling = sum(isinstance(fault, _DOUBLING) for _, fault, *_ in self._faults)
         if doubling > _MOST_DOUBLING:
             found = Finding(f"{doubling} of kind doubled or reordered")
@@ -109,7 +109,7 @@ class PacketFaults:
         packets: list[Packet],
         state: PacketState,
         silent: bool = False,
-    ) -> tuple[list[Packet], list[int], PacketState, list[Injected]]:
+    ) -> tuple[list[Packet], list[int], PacketState, list[FaultOccurrence]]:
         """What becomes of the packets of consecutive shots.
 
         Args:
@@ -131,7 +131,7 @@ class PacketFaults:
         ]
         sent: list[Packet] = []
         due: list[int] = []
-        injected: list[Injected] = []
+        injected: list[FaultOccurrence] = []
         for row, (number, due_at_ns) in enumerate(zip(shot.tolist(), due_ns.tolist(), strict=True)):
             acting = [act[row] for act in acts]
             pieces, state = self._one(number, packets[row], acting, state)
@@ -144,7 +144,7 @@ class PacketFaults:
             sent.append(self._packet(pieces))
             due.append(state.last_due_ns)
             injected += [
-                Injected(number, place, fault.kind, ())
+                FaultOccurrence(number, place, fault.kind, ())
                 for (place, fault, *_), now in zip(self._faults, acting, strict=True)
                 if now
             ]

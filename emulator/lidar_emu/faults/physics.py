@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from lidar_emu.echo.echoes import Spots
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.light import LightFaults
-from lidar_emu.faults.receivers import FaultyReceivers
-from lidar_emu.faults.schedule import Injected, Ordered
+from lidar_emu.faults.receiver import FaultyReceivers
+from lidar_emu.faults.schedule import FaultInstance, FaultOccurrence
 from lidar_emu.flight.flight import Flight, Pointing
 from lidar_emu.fmcw.levels import Level
 from lidar_emu.fmcw.returns import Echoes, Returns
@@ -58,7 +58,7 @@ class PhysicsFaults:
         for number, fault in numbered:
             _check(scenario, number, fault)
         self._ordered = [
-            Ordered(number, fault, scenario.seed, scenario.timing.period_ns, beam_count)
+            FaultInstance(number, fault, scenario.seed, scenario.timing.period_ns, beam_count)
             for number, fault in numbered
         ]
         light = [each for each in self._ordered if isinstance(each.fault, kinds.LightFault)]
@@ -77,10 +77,12 @@ class PhysicsFaults:
         """What is measured of echoes from beams whose light met the ground at `spots`."""
         return self._level(self._light.lit(echoes, spots, shot), shot)
 
-    def injected(self, shot: NDArray[np.int64], fired: BoolArray) -> list[Injected]:
+    def injected(self, shot: NDArray[np.int64], fired: BoolArray) -> list[FaultOccurrence]:
         """Which faults acted on consecutive shots, and on which of their beams, (shots, beams)."""
         return [
-            Injected(int(shot[row]), each.number, each.fault.kind, tuple(np.flatnonzero(beams).tolist()))
+            FaultOccurrence(
+                int(shot[row]), each.number, each.fault.kind, tuple(np.flatnonzero(beams).tolist())
+            )
             for each in self._ordered
             for row, beams in enumerate(each.hit(shot, fired))
             if beams.any()

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.random_streams import Chance
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
-from lidar_emu.scenario.faults.when import OfBeams
+from lidar_emu.scenario.faults.timing import PerBeamFault
 
 _Draw = Callable[[NDArray[np.int64]], FloatArray]
 
 
-class Injected(NamedTuple):
+class FaultOccurrence(NamedTuple):
     """A fault that acted on a shot."""
 
     shot: int
@@ -27,7 +27,7 @@ class Injected(NamedTuple):
     """Of a fault of beams, those on which it acted; else empty."""
 
 
-class Schedule:
+class FaultSchedule:
     """When one fault of a scenario acts.
 
     Args:
@@ -93,7 +93,7 @@ class Schedule:
         return np.asarray(inside & (total[last] > total[np.maximum(0, last - self._lasts)]))
 
 
-class Ordered:
+class FaultInstance:
     """A fault of light, of the receiver or of beams, with when it acts.
 
     Args:
@@ -110,9 +110,9 @@ class Ordered:
         self.number = number
         self.fault: Any = fault
         self.chance = Chance(seed, number)
-        self.schedule = Schedule(fault, self.chance, period_ns)
+        self.schedule = FaultSchedule(fault, self.chance, period_ns)
         self._beams = np.ones(beam_count, dtype=np.bool_)
-        if isinstance(fault, OfBeams) and fault.beams is not None:
+        if isinstance(fault, PerBeamFault) and fault.beams is not None:
             self._beams[:] = False
             self._beams[fault.beams] = True
 
@@ -120,7 +120,7 @@ class Ordered:
         """(shots, beams) Beams that have fired and on which it acts."""
         if not self.schedule.begins_by(int(shot[-1])) or self.schedule.is_over(int(shot[0])):
             return np.zeros_like(fired)
-        if isinstance(self.fault, OfBeams):
+        if isinstance(self.fault, PerBeamFault):
             return self.schedule.beams(shot, len(self._beams)) & fired & self._beams
         return self.schedule.shots(shot)[:, None] & fired
 

@@ -1,1 +1,1 @@
-"""What is kept of a run."""
+"""Recordings of runs, captures and CAN logs: write, read, replay, recompute."""

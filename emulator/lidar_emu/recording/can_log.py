@@ -1,4 +1,4 @@
-"""Logs of a CAN bus as python-can reads and writes them: candump's, Vector's, PEAK's."""
+"""Logs of a CAN bus in the formats of python-can: candump, Vector ASC and BLF, PEAK TRC."""
 
 from __future__ import annotations
 
@@ -16,10 +16,13 @@ LOG_SUFFIXES = (".log", ".asc", ".blf", ".trc")
 
 
 def read_log(path: Path) -> tuple[list[tuple[int, bytes]], dict[str, int], int]:
-    """Data frames with their times in nanoseconds, how many there are of each bus, and how many others.
+    """Read the data frames of a log.
+
+    Returns:
+        Data frames as (nanoseconds, frame record), number of data frames by bus, number of error and remote frames.
 
     Raises:
-        InputError: the library cannot read the file.
+        InputError: python-can cannot read the file.
     """
     from can.io import MESSAGE_READERS
 
@@ -29,7 +32,7 @@ def read_log(path: Path) -> tuple[list[tuple[int, bytes]], dict[str, int], int]:
     others, suffix = 0, path.suffix.lower()
     reader_of: Any = MESSAGE_READERS[suffix]
     try:
-        # Opened here: a reader that does not like a file's head leaves it open.
+        # Opened here because a reader that rejects the header of a file leaves the file open.
         with path.open("rb" if suffix == ".blf" else "r") as file, reader_of(file) as reader:
             for message in reader:
                 if message.is_error_frame or message.is_remote_frame:
@@ -37,7 +40,7 @@ def read_log(path: Path) -> tuple[list[tuple[int, bytes]], dict[str, int], int]:
                     continue
                 buses[str(message.channel)] += 1
                 frames.append((round(message.timestamp * 1e9), pack_frames([frame_of(message)])))
-    # A line or an object that makes no sense to the library: it raises what it likes.
+    # The readers raise various exceptions for malformed lines and objects.
     except Exception as error:
         found = Finding(
             f"not readable after {len(frames)} frames: {one_line(str(error)) or type(error).__name__}"
@@ -47,7 +50,7 @@ def read_log(path: Path) -> tuple[list[tuple[int, bytes]], dict[str, int], int]:
 
 
 def write_log(path: Path, packets: Iterable[tuple[int, bytes]]) -> None:
-    """Write frame records, with times in nanoseconds since 1970, in the format of the file's suffix."""
+    """Write frame records, with times in nanoseconds since 1970, in the format that the suffix names."""
     from can import Logger
 
     with Logger(path) as logger:

@@ -1,4 +1,4 @@
-"""What a recording holds, topic by topic, with the schemas that stand in the file."""
+"""The topics of a recording, with the JSON schemas that the file carries."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _Field = tuple[dict[str, Any], str]
 
 
 class Channel(NamedTuple):
-    """A topic. Log times are scenario time on the epoch; those of messages that wait for a packet, its due time."""
+    """A topic. Log times are scenario time on the epoch; a message about a packet carries the packet's due time."""
 
     topic: str
     holds: str
     fields: dict[str, _Field] | None = None
-    """Of a JSON object, each with its type and meaning; None: the message is bytes as they are."""
+    """Type and meaning of each field of a JSON object; None: the message is raw bytes."""
 
     def schema(self) -> dict[str, Any]:
         """The JSON schema of a message."""
@@ -43,31 +43,37 @@ class Channel(NamedTuple):
         }
 
     def schema_text(self) -> bytes:
-        """The same as the file has it."""
+        """The JSON schema as the file stores it."""
         return json.dumps(self.schema()).encode()
 
 
 _OPTIONAL = ("age_s", "truth_time_ns")
 _NUMBER_OF_SHOT = "Number of the shot, from 0, whatever number the device gives it."
-_FIRST_SHOT = "The first shot that follows it; null: none does."
+_FIRST_SHOT = "First shot that the command affects; null: none."
 _VECTOR = _each(_NUMBER, 3)
 
 TRUTH = Channel(
     "/truth",
-    "What was true of a shot. Log time: its first beam's time of validity.",
+    "Ground truth of a shot. Log time: time of validity of its first beam.",
     {
         "shot": (_INTEGER, _NUMBER_OF_SHOT),
-        "position_site_m": (_VECTOR, "Of the vehicle: east, north, up."),
-        "velocity_site_mps": (_VECTOR, "Of the vehicle: east, north, up."),
-        "true_range_m": (_each(_NUMBER), "Of each beam to the ground; null: there is none."),
+        "position_site_m": (_VECTOR, "Position of the vehicle: east, north, up."),
+        "velocity_site_mps": (_VECTOR, "Velocity of the vehicle: east, north, up."),
+        "true_range_m": (_each(_NUMBER), "Range along each beam to the ground; null: no ground."),
         "true_closing_speed_mps": (
             _each(_NUMBER),
-            "Of the sensor along each beam, positive toward the ground.",
+            "Closing speed of the sensor along each beam, positive toward the ground.",
         ),
-        "true_incidence_deg": (_each(_NUMBER), "Between each beam and the ground's normal; null: unknown."),
-        "true_in_gap": (_each(_FLAG), "Whether it is bridged: the trajectory's table has a gap there."),
-        "age_s": (_NUMBER, "Of live truth: how much older than the shot it was."),
-        "truth_time_ns": (_INTEGER, "Of live truth: the scenario time of the newest that was used."),
+        "true_incidence_deg": (
+            _each(_NUMBER),
+            "Angle between each beam and the ground's normal; null: unknown.",
+        ),
+        "true_in_gap": (
+            _each(_FLAG),
+            "Whether the trajectory's table has a gap there, which is interpolated.",
+        ),
+        "age_s": (_NUMBER, "Live truth only: age of the newest sample used, relative to the shot."),
+        "truth_time_ns": (_INTEGER, "Live truth only: scenario time of the newest sample used."),
     },
 )
 MEASUREMENT = Channel(
@@ -101,72 +107,81 @@ MEASUREMENT = Channel(
 )
 PACKET = Channel(
     "/packet",
-    "A shot as it went onto the link, or would have; on CAN as frame records. Log time: when it was due.",
+    "The packet of a shot, whether or not it was sent; on CAN as frame records. Log time: its due time.",
 )
-FATE = Channel(
-    "/fate",
-    "What became of a packet. Log time: when it was due.",
+DELIVERY = Channel(
+    "/delivery",
+    "Delivery status of a packet. Log time: its due time.",
     {
         "shot": (_INTEGER, _NUMBER_OF_SHOT),
-        "due_ns": (_INTEGER, "From the start of the run."),
+        "due_ns": (_INTEGER, "Due time from the start of the run."),
         "sent_ns": (
             _INTEGER_OR_NONE,
-            "When the link had taken it, from the start of the run; null: it did not.",
+            "Time at which the link had accepted the whole packet, from the start of the run; null: not sent.",
         ),
-        "fate": (_TEXT, "sent, late, dropped_full, dropped_nobody, dropped_broken or withheld."),
-        "overtaken": (_FLAG, "It went out before the device knew of a command that the shot follows."),
+        "status": (_TEXT, "sent, late, dropped_full, dropped_nobody, dropped_broken or suppressed."),
+        "overtaken": (
+            _FLAG,
+            "The packet was sent before the device had processed a command that affects the shot.",
+        ),
     },
 )
-HOUSEKEEPING = Channel("/housekeeping", "What the device told of itself, as /packet.")
-ANSWER = Channel(
-    "/answer", "What the device answered to a command, as /packet. Log time: when the command came."
+HOUSEKEEPING = Channel("/housekeeping", "A housekeeping packet, bytes as in /packet.")
+ACKNOWLEDGEMENT = Channel(
+    "/acknowledgement",
+    "The acknowledgement of a command, bytes as in /packet. Log time: when the command arrived.",
 )
 COMMAND = Channel(
     "/command",
-    "A command from the host. Log time: when it came.",
+    "A command from the host. Log time: when it arrived.",
     {
         "command": (
             {"type": ["string", "integer", "null"]},
-            "Name; code of an unknown one; null: unreadable.",
+            "Name; code of an unknown command; null: malformed.",
         ),
-        "values": (_MAPPING, "Its arguments by name."),
-        "sequence": (_INTEGER_OR_NONE, "Its number."),
-        "verdict": (_TEXT, "What the device answered."),
-        "tone_ns": (_INTEGER_OR_NONE, "Scenario time of the last pulse before it; null: there was none."),
+        "values": (_MAPPING, "Arguments by name."),
+        "sequence": (_INTEGER_OR_NONE, "Sequence number."),
+        "verdict": (_TEXT, "Verdict of the acknowledgement."),
+        "tone_ns": (_INTEGER_OR_NONE, "Scenario time of the last time pulse before the command; null: none."),
         "first_shot": (_INTEGER_OR_NONE, _FIRST_SHOT),
     },
 )
 FAULT = Channel(
     "/fault",
-    "A fault that acted on a shot. Log time as of /truth.",
+    "A fault that acted on a shot. Log time as in /truth.",
     {
         "shot": (_INTEGER, _NUMBER_OF_SHOT),
-        "fault": (_INTEGER, "Its place in the scenario's list, those ordered in flight after it."),
-        "kind": (_TEXT, "As in a scenario."),
-        "beams": (_each(_INTEGER), "Of a fault of beams those on which it acted."),
+        "fault": (
+            _INTEGER,
+            "Index in the scenario's list of faults; faults injected in flight are appended to it.",
+        ),
+        "kind": (_TEXT, "Kind of fault, as in a scenario."),
+        "beams": (_each(_INTEGER), "Beams on which a beam fault acted; empty for other kinds."),
     },
 )
-ORDERED_FAULT = Channel(
-    "/ordered_fault",
-    "A fault ordered in flight. Log time: when its first shot begins.",
+INJECTED_FAULT = Channel(
+    "/injected_fault",
+    "A fault injected in flight. Log time: start of the first shot that it affects.",
     {
-        "fault": (_INTEGER, "Its place in the scenario's list."),
-        "first_shot": (_INTEGER, "The first shot that has it."),
-        "order": (_MAPPING, "The fault as a scenario states it, in scenario time."),
+        "fault": (_INTEGER, "Index in the scenario's list of faults."),
+        "first_shot": (_INTEGER, "First shot that the fault can affect."),
+        "definition": (_MAPPING, "The fault as a scenario states it, with times in scenario time."),
     },
 )
 LIVE_TRUTH = Channel(
-    "/live_truth", "A simulator's datagram that counted, as it came. Log time: when it came."
+    "/live_truth", "A simulator's datagram that was accepted, unchanged. Log time: when it arrived."
 )
-REFUSED_TRUTH = Channel("/refused_truth", "One that was refused. Log time: when it came.")
+REFUSED_TRUTH = Channel(
+    "/refused_truth", "A simulator's datagram that was refused, unchanged. Log time: when it arrived."
+)
 EVENT = Channel(
     "/event",
-    "Something that happened to the link or to one of the run's processes. Log time: when, from the start of the run.",
-    {"of": ({"enum": ["link", "process"]}, "What it happened to."), "what": (_TEXT, "What happened.")},
+    "An event on the link or in one of the run's processes. Log time: counted from the start of the run.",
+    {"of": ({"enum": ["link", "process"]}, "Source of the event."), "what": (_TEXT, "Description.")},
 )
 
 CHANNELS = (
-    TRUTH, MEASUREMENT, PACKET, FATE, HOUSEKEEPING, ANSWER, COMMAND, FAULT, ORDERED_FAULT, LIVE_TRUTH, REFUSED_TRUTH,
-    EVENT,
+    TRUTH, MEASUREMENT, PACKET, DELIVERY, HOUSEKEEPING, ACKNOWLEDGEMENT, COMMAND, FAULT, INJECTED_FAULT, LIVE_TRUTH,
+    REFUSED_TRUTH, EVENT,
 )  # fmt: skip
-"""All of them; each is in every recording, though perhaps without a message."""
+"""All topics. Every recording declares each of them, if perhaps without a message."""

@@ -1,4 +1,4 @@
-"""What a capture's records carry on each kind of link, and records for what a device sends.
+"""Link layers of captures: payloads of captured records, and records for payloads that a device sends.
 
 Link types and layouts are those of https://www.tcpdump.org/linktypes.html.
 """
@@ -22,47 +22,47 @@ _SENT, _RECEIVED = 1, 2
 _UDP, _IPV4, _IPV6 = 17, 0x0800, 0x86DD
 
 
-class Carried(NamedTuple):
-    """What the device, or somebody else, said."""
+class Content(NamedTuple):
+    """Payload of a captured record."""
 
     flow: str
-    """Whose words these are, as far as the link tells."""
+    """Sender or direction, as far as the link shows it: records of one flow belong together."""
     payload: bytes
-    """On CAN as frame records."""
+    """Bytes; on CAN frame records."""
     is_can: bool = False
 
 
-def carried(link_type: int, data: bytes) -> Carried | None:
-    """What a record carries; None: nothing that could be replayed."""
+def decode_record(link_type: int, data: bytes) -> Content | None:
+    """Payload of a record; None if it has none that could be replayed."""
     try:
         if link_type in _USER:
-            return Carried("bytes", data)
+            return Content("bytes", data)
         reader = _READERS.get(link_type)
         return None if reader is None else reader(data)
-    except (struct.error, IndexError, ValueError):  # it was cut short
+    except (struct.error, IndexError, ValueError):  # truncated
         return None
 
 
 def is_known(link_type: int) -> bool:
-    """Whether records of this type can be read."""
+    """Whether records of this link type can be decoded."""
     return link_type in _READERS or link_type in _USER
 
 
 def can_record(frame: Frame) -> bytes:
-    """A frame, for `SOCKETCAN`."""
+    """Record of a CAN frame, link type `SOCKETCAN`."""
     can_id = frame.can_id | frame.is_extended * _EXTENDED
     flags = frame.is_fd * _FD | frame.bitrate_switch * _BITRATE_SWITCH
     return _CAN_HEAD.pack(can_id, len(frame.data), flags) + frame.data
 
 
 def serial_record(time_ns: int, data: bytes) -> bytes:
-    """Bytes that the device sent, for `RTAC_SERIAL`; time since 1970."""
+    """Record of bytes that the device sent, link type `RTAC_SERIAL`; time since 1970."""
     second, rest_ns = divmod(time_ns, 10**9)
     return _SERIAL_HEAD.pack(second & 0xFFFFFFFF, rest_ns // 1000, _SENT, 0) + data
 
 
 def udp_record(destination: str, data: bytes) -> bytes:
-    """A datagram to HOST:PORT, for `RAW_IP`. The sender is not known here: its address and port are 0."""
+    """Record of a datagram to HOST:PORT, link type `RAW_IP`. The sender is unknown: its address and port are 0."""
     host, _, port = destination.rpartition(":")
     try:
         address = ipaddress.ip_address(host.strip("[]"))
@@ -84,7 +84,7 @@ def udp_record(destination: str, data: bytes) -> bytes:
 
 
 def _checksum(data: bytes) -> int:
-    """The Internet's (RFC 1071)."""
+    """Internet checksum (RFC 1071)."""
     words = struct.unpack(f">{-(-len(data) // 2)}H", data + b"\0" * (len(data) % 2))
     total: int = sum(words)
     while total >> 16:
@@ -92,7 +92,7 @@ def _checksum(data: bytes) -> int:
     return ~total & 0xFFFF
 
 
-def _of_can(data: bytes) -> Carried | None:
+def _of_can(data: bytes) -> Content | None:
     can_id, length, flags = _CAN_HEAD.unpack_from(data)
     if can_id & (_REMOTE | _ERROR):
         return None
@@ -101,21 +101,21 @@ def _of_can(data: bytes) -> Carried | None:
     if len(content) != length or length > 64:
         return None
     frame = Frame(can_id & 0x1FFFFFFF, content, is_fd, is_fd and bool(flags & _BITRATE_SWITCH), is_extended)
-    return Carried("the bus", pack_frames([frame]), is_can=True)
+    return Content("the bus", pack_frames([frame]), is_can=True)
 
 
-def _of_serial(data: bytes) -> Carried | None:
+def _of_serial(data: bytes) -> Content | None:
     event = _SERIAL_HEAD.unpack_from(data)[2]
     directions = {_SENT: "sent", _RECEIVED: "received"}
-    return Carried(directions[event], data[_SERIAL_HEAD.size :]) if event in directions else None
+    return Content(directions[event], data[_SERIAL_HEAD.size :]) if event in directions else None
 
 
-def _of_ethernet(data: bytes) -> Carried | None:
+def _of_ethernet(data: bytes) -> Content | None:
     (protocol,) = struct.unpack_from(">H", data, 12)
     return _of_ip(data[14:]) if protocol in (_IPV4, _IPV6) else None
 
 
-def _of_ip(data: bytes) -> Carried | None:
+def _of_ip(data: bytes) -> Content | None:
     if data[0] >> 4 == 6:
         protocol, head, end = data[6], 40, 40 + struct.unpack_from(">H", data, 4)[0]
         target = f"[{ipaddress.IPv6Address(data[24:40])}]"
@@ -123,15 +123,15 @@ def _of_ip(data: bytes) -> Carried | None:
         total, fragment, protocol = struct.unpack_from(">HxxHxB", data, 2)
         head, end = (data[0] & 15) * 4, total
         target = str(ipaddress.IPv4Address(data[16:20]))
-        if fragment & 0x3FFF:  # a part of a datagram
+        if fragment & 0x3FFF:  # a fragment of a datagram
             return None
     if protocol != _UDP or not head + 8 <= end <= len(data):
         return None
     (port,) = struct.unpack_from(">H", data, head + 2)
-    return Carried(f"udp to {target}:{port}", data[head + 8 : end])
+    return Content(f"udp to {target}:{port}", data[head + 8 : end])
 
 
-_READERS: dict[int, Callable[[bytes], Carried | None]] = {
+_READERS: dict[int, Callable[[bytes], Content | None]] = {
     0: lambda data: _of_ip(data[4:]),  # BSD loopback
     1: _of_ethernet,
     RAW_IP: _of_ip,

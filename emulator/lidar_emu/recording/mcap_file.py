@@ -1,4 +1,4 @@
-"""Records of an MCAP file in their order, up to its end or to where it was cut."""
+"""Records of an MCAP file in order, up to its end or to the point of truncation."""
 
 from __future__ import annotations
 
@@ -14,16 +14,20 @@ from mcap.stream_reader import StreamReader
 from lidar_emu.errors import Finding, InputError, reason_of
 
 MAGIC = b"\x89MCAP0\r\n"
-"""How the file begins."""
+"""First bytes of an MCAP file."""
 _LONGEST_RECORD = 1 << 28
 ALLOWED = "allowed: a recording made by lidar-emu run --record"
 
 
 def first_bytes(path: Path, allowed: str) -> bytes:
-    """As many as tell an MCAP file from others; fewer of a shorter file.
+    """First bytes of a file, as many as identify MCAP; fewer of a shorter file.
+
+    Args:
+        path: file to read.
+        allowed: what is allowed, for the error message.
 
     Raises:
-        InputError: it cannot be read; tells what is allowed.
+        InputError: the file cannot be read.
     """
     try:
         with path.open("rb") as file:
@@ -33,33 +37,32 @@ def first_bytes(path: Path, allowed: str) -> bytes:
 
 
 class McapFile:
-    """A file that can be gone through again and again.
+    """An MCAP file that can be iterated repeatedly.
 
     Args:
-        path: of the file.
+        path: file to read.
 
     Raises:
-        InputError: it cannot be read, or does not begin as MCAP does.
+        InputError: the file cannot be read, or is not MCAP.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self.is_whole = False
-        """Whether the end was reached, and it was the end that the writer made; known after `metadata` or `messages`
-        have been gone through."""
+        """Whether the file ends with its footer; known once `metadata` or `messages` have been exhausted."""
         begins = first_bytes(path, ALLOWED)
         if begins != MAGIC:
-            raise InputError(str(path), None, Finding("empty" if not begins else "no MCAP"), ALLOWED)
+            raise InputError(str(path), None, Finding("empty" if not begins else "not MCAP"), ALLOWED)
 
     def metadata(self, name: str) -> dict[str, str] | None:
-        """The first metadata of that name; None: there is none."""
+        """First metadata record of a name; None if there is none."""
         for record in self._records():
             if isinstance(record, Metadata) and record.name == name:
                 return dict(record.metadata)
         return None
 
     def messages(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
-        """Topic, log time and data of the messages under these topics, in the order of the file."""
+        """Topic, log time and data of the messages of these topics, in the order of the file."""
         wanted: dict[int, str] = {}
         for record in self._records():
             if isinstance(record, Channel) and record.topic in topics:
@@ -75,6 +78,6 @@ class McapFile:
                 for record in reader.records:
                     self.is_whole = isinstance(record, Footer)
                     yield record
-            # A record that was cut short, or is none: what a library raises over bytes that it does not understand.
+            # A truncated or damaged record: the exceptions that the library raises for bytes that it cannot parse.
             except (McapError, struct.error, ValueError, EOFError, KeyError, IndexError):
                 return

@@ -1,7 +1,7 @@
-"""Packet captures: pcap with microseconds or nanoseconds and pcapng read, pcap with nanoseconds written.
+"""Packet captures: read pcap (microseconds or nanoseconds) and pcapng, write pcap with nanoseconds.
 
-Layouts after draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng. A capture that was cut short gives what was before
-the cut.
+Layouts follow draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng. A truncated capture yields the records before the
+truncation.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ class Captured(NamedTuple):
     """A record of a capture."""
 
     link_type: int
-    """Number of the link type, from the registry of tcpdump.org."""
+    """Link type, a number of the registry of tcpdump.org."""
     time_ns: int
-    """Since 1970."""
+    """Nanoseconds since 1970."""
     data: bytes
 
 
 def read_capture(path: Path) -> Iterator[Captured]:
-    """The records of a capture.
+    """Iterate over the records of a capture.
 
     Raises:
-        InputError: the file cannot be read, or is no capture.
+        InputError: the file cannot be read, or is not a capture.
     """
     try:
         with path.open("rb") as file:
@@ -47,7 +47,7 @@ def read_capture(path: Path) -> Iterator[Captured]:
             elif magic == NEXT_GENERATION_MAGIC:
                 yield from _next_generation(file)
             else:
-                raise InputError(str(path), None, Finding("no capture"), "allowed: pcap or pcapng")
+                raise InputError(str(path), None, Finding("not a capture"), "allowed: pcap or pcapng")
     except OSError as error:
         raise InputError(
             str(path), None, Finding(error.strerror or str(error)), "allowed: a capture"
@@ -55,11 +55,11 @@ def read_capture(path: Path) -> Iterator[Captured]:
 
 
 class PcapWriter:
-    """A pcap file with times in nanoseconds.
+    """Writer of a pcap file with times in nanoseconds.
 
     Args:
-        file: written to from here on.
-        link_type: of all records.
+        file: binary file, written from its present position.
+        link_type: link type of all records.
     """
 
     def __init__(self, file: BinaryIO, link_type: int) -> None:
@@ -67,7 +67,7 @@ class PcapWriter:
         file.write(struct.pack("<IHHiIII", _NANOSECONDS, 2, 4, 0, 0, _SNAP_BYTES, link_type))
 
     def write(self, time_ns: int, data: bytes) -> None:
-        """Add a record; time since 1970."""
+        """Append a record; time in nanoseconds since 1970."""
         second, rest_ns = divmod(time_ns, 10**9)
         self._file.write(struct.pack("<IIII", second & 0xFFFFFFFF, rest_ns, len(data), len(data)) + data)
 
@@ -110,7 +110,7 @@ def _next_generation(file: BinaryIO) -> Iterator[Captured]:
 
 
 def _blocks(file: BinaryIO) -> Iterator[tuple[str, int, bytes]]:
-    """Byte order, type and body of each block."""
+    """Yield byte order, type and body of each block."""
     order = "<"
     while len(head := file.read(8)) == 8:
         if head[:4] == NEXT_GENERATION_MAGIC:

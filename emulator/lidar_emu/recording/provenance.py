@@ -1,4 +1,4 @@
-"""What a recording says of its origin: the run as resolved, and what computed it."""
+"""Provenance of a recording: the resolved run, and the software and processor that computed it."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _CPU = Path("/proc/cpuinfo")
 
 
 def provenance(scenario: FlightScenario | BenchScenario, options: RunOptions) -> dict[str, str]:
-    """The metadata of a recording; values that are no text are JSON.
+    """Metadata of a recording: values are text or JSON.
 
     Args:
-        scenario: what is flown.
-        options: how it is run.
+        scenario: scenario of the run.
+        options: options of the run.
     """
     text, interface = scenario.model_dump_json(), interface_text(scenario.wire.interface)
     return {
@@ -43,14 +43,14 @@ def provenance(scenario: FlightScenario | BenchScenario, options: RunOptions) ->
 
 
 def build() -> dict[str, str]:
-    """On what the bits of a measurement depend besides the scenario: versions and processor."""
+    """Versions and processor, on which the bits of a measurement depend besides the scenario."""
     libraries = {name: version(name) for name in _LIBRARIES}
     python = f"{platform.python_implementation()} {platform.python_version()}"
     return {"lidar-emu": __version__, "python": python, **libraries, "processor": _processor()}
 
 
 def hashed_files(scenario: FlightScenario | BenchScenario) -> Iterator[tuple[str, str]]:
-    """Each file that the scenario names, with its SHA-256."""
+    """Yield each file that the scenario names, with its SHA-256."""
     for name in sorted(_named_files(scenario.model_dump(mode="json"))):
         if Path(name).is_file():
             with Path(name).open("rb") as file:
@@ -58,7 +58,7 @@ def hashed_files(scenario: FlightScenario | BenchScenario) -> Iterator[tuple[str
 
 
 def interface_text(name: str) -> str:
-    """The definition that a scenario names, as it is read."""
+    """Text of the interface definition that a scenario names."""
     if name in SHIPPED:
         return (files("lidar_protocol") / f"{name}.toml").read_text(encoding="utf-8")
     return Path(name).read_text(encoding="utf-8")

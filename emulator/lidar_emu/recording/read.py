@@ -1,10 +1,10 @@
-"""Recordings read back: the run as it was resolved, and arrays of truth, measurements and packets.
+"""Read recordings: the resolved run, and arrays of truth, measurements and packets.
 
 recording = read_recording("flight.mcap")
 recording.scenario, recording.origin["started_utc"], recording.is_whole
-measurement = recording.measurement()  # a `Measurement`: all that is done with one from `simulate` can be done
+measurement = recording.measurement()  # a `Measurement`, like that of `simulate`
 packets = recording.packets()
-late_us = (packets.sent_ns - packets.due_ns)[packets.fate == Fate.SENT] / 1e3
+late_us = (packets.sent_ns - packets.due_ns)[packets.status == Fate.SENT] / 1e3
 """
 
 from __future__ import annotations
@@ -36,80 +36,83 @@ _BLOCK_SHOTS = 4096
 _POINT = ("point_east_m", "point_north_m", "point_up_m")
 
 
-class Said(NamedTuple):
-    """Something that the device said between shots."""
+class RawMessage(NamedTuple):
+    """A message of a topic of bytes: housekeeping, an acknowledgement, a datagram of live truth."""
 
     time_ns: int
     """Scenario time."""
     payload: bytes
-    """As on the link; on CAN as frame records."""
+    """Bytes as on the link; on CAN frame records."""
 
 
-class Told(NamedTuple):
-    """A JSON message."""
+class JsonMessage(NamedTuple):
+    """A message of a JSON topic."""
 
     topic: str
     time_ns: int
-    """Scenario time, negative before it began."""
+    """Scenario time; negative before the flight began."""
     values: dict[str, Any]
-    """As `channels` has them."""
+    """Fields by the names in `channels`."""
 
 
 @dataclass(frozen=True)
 class Packets:
-    """What was due, in order: arrays are (packets,)."""
+    """Packets in the order of their due times: arrays are (packets,)."""
 
     shot: NDArray[np.int64]
     due_ns: NDArray[np.int64]
-    """From the start of the run."""
+    """Due time from the start of the run."""
     sent_ns: NDArray[np.int64]
-    """When the link had taken it, from the start of the run; -1 if it did not."""
-    fate: NDArray[np.int8]
-    """A `Fate` each."""
+    """Time at which the link had accepted the whole packet, from the start of the run; -1: not sent."""
+    status: NDArray[np.int8]
+    """Delivery status, a `Fate`."""
     overtaken: NDArray[np.bool_]
-    """Which went out before the device knew of a command that their shots follow."""
+    """Whether the packet was sent before the device had processed a command that affects its shot."""
     payload: list[bytes]
-    """As on the link, on CAN as frame records; empty where it was withheld, or too late to be computed."""
+    """Bytes as on the link, on CAN frame records; empty where suppressed, or too late to be computed."""
 
     def __len__(self) -> int:
         return len(self.payload)
 
 
 class Recording:
-    """A file of `lidar-emu run --record`, also one that was cut short. Arrays are read when they are asked for.
+    """A recording made by `lidar-emu run --record`, whole or truncated. Arrays are read on demand.
 
     Args:
-        path: of the file.
+        path: file to read.
 
     Raises:
-        InputError: it cannot be read, is no recording, or one of a version whose scenario this one does not know.
+        InputError: the file cannot be read, is not a recording, or was made by a version with another scenario format.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._file = McapFile(path)
         self.origin: Mapping[str, str] = self._file.metadata("run") or {}
-        """What `provenance` says, with `port` and `started_utc`; `waited_ns` of a flight that waited for a command."""
+        """Metadata of `provenance`, `port`, `started_utc`, and `waited_ns` if the flight waited for a command."""
         if not {"scenario", "interface", "port_options"} <= self.origin.keys():
             raise InputError(
-                str(path), None, Finding("no recording of lidar-emu, or cut within its head"), ALLOWED
+                str(path),
+                None,
+                Finding("not a recording of lidar-emu, or truncated within its header"),
+                ALLOWED,
             )
         self.scenario = self._scenario()
-        """What was flown, without faults ordered in flight."""
+        """Scenario of the run, without faults injected in flight."""
         self.epoch_ns = (self.scenario.timing.epoch - _UNIX_EPOCH) // timedelta(microseconds=1) * 1000
-        """Scenario time 0 on the instrument's clock, since 1970."""
+        """Scenario time 0 on the instrument's clock, nanoseconds since 1970."""
 
     @property
     def is_whole(self) -> bool:
-        """Whether the file ends as it should; known once something has been read to its end."""
+        """Whether the file is complete; known once a topic has been read to the end."""
         return self._file.is_whole
 
     @cached_property
     def interface(self) -> Interface:
-        """By which packets were made.
+        """Interface definition of the packets.
 
         Raises:
-            InputError: this version does not understand it.
+            InputError: this version cannot use the definition.
         """
         try:
             return load(self.origin["interface"], f"{self.path}: interface")
@@ -118,19 +121,19 @@ class Recording:
 
     @cached_property
     def port(self) -> PortSpec:
-        """Where it was sent."""
+        """Port of the run."""
         return PortSpec.from_json(json.loads(self.origin["port_options"]))
 
     @property
     def started_utc(self) -> datetime:
-        """When scenario time 0 was."""
+        """UTC instant of scenario time 0."""
         return datetime.fromisoformat(self.origin["started_utc"])
 
     def measurement(self) -> Measurement:
-        """All shots that were computed, sent or not.
+        """Measurements of all shots that were computed, sent or not.
 
         Raises:
-            InputError: there is none.
+            InputError: the recording has no measurement.
         """
         blocks: list[Measurement] = []
         shots: list[dict[str, Any]] = []
@@ -151,34 +154,33 @@ class Recording:
         return Measurement.joined(blocks)
 
     def packets(self) -> Packets:
-        """All packets that were due."""
+        """All packets that were due, with their delivery status."""
         payloads: list[bytes] = []
         rows: list[tuple[int, int, int, int, int]] = []
         payload = b""
-        for topic, _, data in self._file.messages(channels.PACKET.topic, channels.FATE.topic):
+        for topic, _, data in self._file.messages(channels.PACKET.topic, channels.DELIVERY.topic):
             if topic == channels.PACKET.topic:
                 payload = data
                 continue
-            told = self._values(data)
-            sent_ns = -1 if told["sent_ns"] is None else told["sent_ns"]
-            rows.append(
-                (told["shot"], told["due_ns"], sent_ns, Fate[told["fate"].upper()], told["overtaken"])
-            )
+            delivery = self._values(data)
+            sent_ns = -1 if delivery["sent_ns"] is None else delivery["sent_ns"]
+            status = Fate[delivery["status"].upper()]
+            rows.append((delivery["shot"], delivery["due_ns"], sent_ns, status, delivery["overtaken"]))
             payloads.append(payload)
             payload = b""
-        shot, due_ns, sent_ns, fate, overtaken = np.array(rows, dtype=np.int64).reshape(-1, 5).T
-        return Packets(shot, due_ns, sent_ns, fate.astype(np.int8), overtaken.astype(np.bool_), payloads)
+        shot, due_ns, sent_ns, statuses, overtaken = np.array(rows, dtype=np.int64).reshape(-1, 5).T
+        return Packets(shot, due_ns, sent_ns, statuses.astype(np.int8), overtaken.astype(np.bool_), payloads)
 
-    def said(self, channel: Channel) -> list[Said]:
-        """Messages of a channel of bytes, such as `channels.HOUSEKEEPING`."""
+    def raw_messages(self, channel: Channel) -> list[RawMessage]:
+        """Messages of a topic of bytes, such as `channels.HOUSEKEEPING`, in the order in which they were written."""
         messages = self._file.messages(channel.topic)
-        return [Said(instant_ns - self.epoch_ns, data) for _, instant_ns, data in messages]
+        return [RawMessage(instant_ns - self.epoch_ns, data) for _, instant_ns, data in messages]
 
-    def told(self, *of: Channel) -> list[Told]:
-        """Messages of channels of JSON, such as `channels.COMMAND`, in the order in which they were written."""
-        topics = [channel.topic for channel in of]
+    def json_messages(self, *wanted: Channel) -> list[JsonMessage]:
+        """Messages of JSON topics, such as `channels.COMMAND`, in the order in which they were written."""
+        topics = [channel.topic for channel in wanted]
         return [
-            Told(topic, instant_ns - self.epoch_ns, self._values(data))
+            JsonMessage(topic, instant_ns - self.epoch_ns, self._values(data))
             for topic, instant_ns, data in self._file.messages(*topics)
         ]
 
@@ -186,7 +188,7 @@ class Recording:
         try:
             return dict(json.loads(data))
         except (ValueError, TypeError):
-            raise InputError(str(self.path), None, Finding("a message that is no JSON"), ALLOWED) from None
+            raise InputError(str(self.path), None, Finding("a message that is not JSON"), ALLOWED) from None
 
     def _scenario(self) -> FlightScenario | BenchScenario:
         text = self.origin["scenario"]
@@ -200,7 +202,7 @@ class Recording:
 
 
 def _measured(shots: list[dict[str, Any]]) -> Measurement:
-    """Shots as arrays, which take a tenth of the memory."""
+    """Measurement of consecutive shots: arrays take a tenth of the memory of the messages."""
     columns: dict[str, list[Any]] = {f.name: [] for f in fields(Measurement)}
     for values in shots:
         values["point_site_m"] = list(zip(*(values[name] for name in _POINT), strict=True))
@@ -212,7 +214,7 @@ def _measured(shots: list[dict[str, Any]]) -> Measurement:
 
 
 def read_recording(path: str | Path) -> Recording:
-    """A recording.
+    """Open a recording.
 
     Raises:
         InputError: see `Recording`.

@@ -1,4 +1,4 @@
-"""A recorded run computed again, from its scenario and what came in, and compared packet by packet."""
+"""Recompute a recorded run from its scenario and inputs, and compare it packet by packet."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.recording.differences import Difference, first_difference
-from lidar_emu.recording.inputs import Changes, LiveTruths
+from lidar_emu.recording.inputs import RecordedInputs, RecordedTruth
 from lidar_emu.recording.mcap_file import ALLOWED
+from lidar_emu.recording.packet_difference import PacketDifference, first_difference
 from lidar_emu.recording.provenance import build, hashed_files, interface_text
 from lidar_emu.recording.read import Packets, Recording
 from lidar_emu.runtime.feed.packet_queue import outgoing
@@ -29,36 +29,36 @@ from lidar_emu.wire import Encoder
 
 
 @dataclass
-class Comparison:
-    """What came of it."""
+class RecomputeResult:
+    """Result of comparing a recording with its recomputation."""
 
     packets: int = 0
-    """Of the recording."""
+    """Packets in the recording."""
     equal: int = 0
     different: int = 0
     not_compared: int = 0
-    """Never computed, or sent before the device knew of a command that their shots follow; and, of a recording that was
-    cut short, those whose truth is missing."""
-    first: Difference | None = None
+    """Packets that were never computed, that were sent before the device had processed a command that affects them, or
+    whose truth is missing at the end of a truncated recording."""
+    first: PacketDifference | None = None
     """The first difference."""
     changed: dict[str, tuple[str | None, str | None]] = field(default_factory=dict)
-    """What has changed since: versions, processor, files; then and now."""
+    """Versions, processor and files that have changed: recorded and present value."""
 
     def to_json(self) -> dict[str, Any]:
-        """As values that JSON knows."""
+        """Values for JSON."""
         return asdict(self) | {"first": None if self.first is None else self.first._asdict()}
 
 
-def recompute(recording: Recording) -> Comparison:
+def recompute(recording: Recording) -> RecomputeResult:
     """Compute the packets of a recording again and compare them.
 
     Raises:
-        InputError: the recording holds no packets, or a file that the scenario names is gone or cannot be used.
+        InputError: the recording holds no packets, or a file that the scenario names is missing or cannot be used.
     """
     recorded = recording.packets()
     if not len(recorded):
         raise InputError(str(recording.path), None, Finding("without a packet"), ALLOWED)
-    comparison = Comparison(len(recorded), changed=_changed(recording))
+    result = RecomputeResult(len(recorded), changed=_changed(recording))
     rows = {int(shot): row for row, shot in enumerate(recorded.shot)}
     is_can = recording.port.kind is Kind.CAN
     for computed in _computed(recording, recorded):
@@ -67,38 +67,38 @@ def recompute(recording: Recording) -> Comparison:
             continue
         was = Outgoing(computed.shot, int(recorded.due_ns[row]), recorded.payload[row])
         if (was.due_ns, was.payload) == (computed.due_ns, computed.payload):
-            comparison.equal += 1
+            result.equal += 1
             continue
-        comparison.different += 1
-        if comparison.first is None:
-            comparison.first = first_difference(was, computed, recording.interface, is_can)
-    comparison.not_compared = comparison.packets - comparison.equal - comparison.different
-    return comparison
+        result.different += 1
+        if result.first is None:
+            result.first = first_difference(was, computed, recording.interface, is_can)
+    result.not_compared = result.packets - result.equal - result.different
+    return result
 
 
 def _is_missed(recorded: Packets, row: int) -> bool:
     """Whether the shot was too late to be computed."""
-    return recorded.fate[row] == Fate.LATE and not recorded.payload[row]
+    return recorded.status[row] == Fate.LATE and not recorded.payload[row]
 
 
 class _Parts(NamedTuple):
-    """What computes the shots of a recording."""
+    """Objects that compute the shots of a recording."""
 
     model: Model
     session: Session
-    changes: Changes
+    inputs: RecordedInputs
 
 
 def _computed(recording: Recording, recorded: Packets) -> Iterator[Outgoing]:
-    with _as_it_was(recording) as scenario:
+    with _with_recorded_interface(recording) as scenario:
         parts = _parts(recording, scenario)
         if scenario.live is not None:
             yield from _live(recording, recorded, scenario, parts)
             return
-        session, changes, end = parts.session, parts.changes, int(recorded.shot.max()) + 1
+        session, inputs, end = parts.session, parts.inputs, int(recorded.shot.max()) + 1
         while session.next_shot < end:
-            changes.follow()
-            until = end if changes.next_shot is None else min(end, changes.next_shot)
+            inputs.apply_due()
+            until = end if inputs.next_shot is None else min(end, inputs.next_shot)
             block = session.shoot(min(BLOCK_SHOTS, until - session.next_shot))
             if block is None:
                 return
@@ -108,20 +108,20 @@ def _computed(recording: Recording, recorded: Packets) -> Iterator[Outgoing]:
 def _live(
     recording: Recording, recorded: Packets, scenario: FlightScenario | BenchScenario, parts: _Parts
 ) -> Iterator[Outgoing]:
-    """Shot by shot: those that were too late to be computed are passed over, as they were."""
+    """Compute shot by shot, and skip the shots that were too late to be computed in flight."""
     model, session, live = parts.model, parts.session, scenario.live
     from lidar_emu.trajectory.live import LiveTrajectory
 
     assert model.flight is not None
     assert isinstance(model.flight.trajectory, LiveTrajectory)
     assert live is not None
-    truths = LiveTruths(recording, model.flight.trajectory)
+    truths = RecordedTruth(recording, model.flight.trajectory)
     stale_after_ns = round(live.stale_after_s * 1e9)
     for row, shot in enumerate(recorded.shot.tolist()):
         if _is_missed(recorded, row):
             continue
         session.pass_over(shot)
-        parts.changes.follow()
+        parts.inputs.apply_due()
         seen_ns = model.flight.seen_ns(shot)
         newest_ns = truths.give(shot, seen_ns)
         if newest_ns is None:
@@ -139,12 +139,12 @@ def _parts(recording: Recording, scenario: FlightScenario | BenchScenario) -> _P
     encoder = Encoder(scenario.wire, is_can, port.fd, model.beam_count)
     faulty = packets_on_order(scenario, encoder, RunOptions(port))
     session = Session(model, encoder, faulty=faulty, rules=rules_of(scenario, model))
-    return _Parts(model, session, Changes(recording, scenario, model, encoder, is_can, session))
+    return _Parts(model, session, RecordedInputs(recording, scenario, model, encoder, is_can, session))
 
 
 @contextmanager
-def _as_it_was(recording: Recording) -> Iterator[FlightScenario | BenchScenario]:
-    """The scenario with the interface of the recording, whatever has become of the file that it names."""
+def _with_recorded_interface(recording: Recording) -> Iterator[FlightScenario | BenchScenario]:
+    """Scenario with the interface definition of the recording, even if the file that it names has changed since."""
     scenario, text = recording.scenario, recording.origin["interface"]
     with tempfile.TemporaryDirectory(prefix="lidar-emu-") as folder:
         if _interface_now(scenario) != text:

@@ -1,4 +1,4 @@
-"""What went onto a link, whoever recorded it: a run, a packet capture, a log of a CAN bus."""
+"""Recorded link traffic: from a recording of a run, a packet capture or a log of a CAN bus."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.recording import channels
 from lidar_emu.recording.can_log import LOG_SUFFIXES, read_log
-from lidar_emu.recording.link_layers import carried, is_known
+from lidar_emu.recording.link_layers import decode_record, is_known
 from lidar_emu.recording.mcap_file import MAGIC as MCAP_MAGIC
 from lidar_emu.recording.mcap_file import first_bytes
 from lidar_emu.recording.pcap import MAGICS, NEXT_GENERATION_MAGIC, read_capture
@@ -26,7 +26,7 @@ _ALLOWED = (
 
 @dataclass(frozen=True)
 class Traffic:
-    """Packets with their times, in the order of time."""
+    """Packets with their times, in ascending order of time."""
 
     packets: list[tuple[int, bytes]]
     """Nanoseconds from the start, and bytes; on CAN frame records."""
@@ -34,20 +34,20 @@ class Traffic:
     start_ns: int
     """Since 1970."""
     left_out: dict[str, int] = field(default_factory=dict)
-    """What the file holds besides, that did not go onto the link or cannot be sent; counted by what it is."""
+    """Number of other records, by kind: packets that were not sent, and records that cannot be sent."""
     recording: Recording | None = None
-    """Where it comes from, if that is a run."""
+    """Source of the traffic, if it is a recording of a run."""
 
     @property
     def span_ns(self) -> int:
-        """From the first packet to the last."""
+        """Time from the first packet to the last."""
         return self.packets[-1][0] - self.packets[0][0]
 
     def within(self, from_s: float | None, until_s: float | None) -> Traffic:
-        """The part from one instant on and before another one, in seconds from the start.
+        """Traffic in the interval [from_s, until_s), in seconds from the start.
 
         Raises:
-            InputError: there is nothing between them.
+            InputError: the interval holds no packet.
         """
         first_ns = self.packets[0][0] if from_s is None else round(from_s * 1e9)
         end_ns = self.packets[-1][0] + 1 if until_s is None else round(until_s * 1e9)
@@ -60,11 +60,11 @@ class Traffic:
         return replace(self, packets=kept)
 
     def scheduled(self, speed: float = 1.0, laps: int | None = 1) -> Iterator[Outgoing]:
-        """The packets with the times at which they are due, counted from the first one.
+        """Packets with their due times, counted from the first packet.
 
         Args:
-            speed: how much faster than they were.
-            laps: how many times; None: without end. A lap is longer than the packets by their mean distance.
+            speed: time scale, e.g. 2.0 for twice as fast.
+            laps: number of repetitions; None: endless. A lap lasts one mean packet interval longer than the traffic.
         """
         first_ns, count = self.packets[0][0], len(self.packets)
         lap_ns = self.span_ns + (self.span_ns // (count - 1) if count > 1 else 10**9)
@@ -77,43 +77,46 @@ class Traffic:
 
 
 def read_traffic(path: Path, as_sent: bool = False) -> Traffic:
-    """What can be replayed of a file.
+    """Read the traffic of a file.
 
     Args:
-        path: of a recording, a capture, or a log of a CAN bus.
-        as_sent: shots of a run at the times at which they went out, instead of those at which they were due.
+        path: recording, capture, or log of a CAN bus.
+        as_sent: give the shots of a run their times of transmission instead of their due times.
 
     Raises:
-        InputError: the file cannot be read, is none of these, or holds nothing that went onto one link.
+        InputError: the file cannot be read, has another format, or holds no traffic, or that of several links.
     """
     magic = first_bytes(path, _ALLOWED)
     if magic == MCAP_MAGIC:
-        traffic = _of_recording(read_recording(path), as_sent)
+        traffic = _from_recording(read_recording(path), as_sent)
     elif magic[:4] in (*MAGICS, NEXT_GENERATION_MAGIC):
-        traffic = _of_capture(path)
+        traffic = _from_capture(path)
     elif path.suffix.lower() in LOG_SUFFIXES:
-        traffic = _of_log(path)
+        traffic = _from_log(path)
     else:
-        raise InputError(str(path), None, Finding("no recording" if magic else "empty"), _ALLOWED)
+        raise InputError(str(path), None, Finding("not a recording" if magic else "empty"), _ALLOWED)
     if not traffic.packets:
         left_out = ", ".join(f"{name} {count}" for name, count in traffic.left_out.items())
-        found = Finding("nothing that went onto a link" + (f" ({left_out})" if left_out else ""))
+        found = Finding("no packet that was sent" + (f" ({left_out})" if left_out else ""))
         raise InputError(str(path), None, found, "allowed: a file with packets that were sent")
     return traffic
 
 
-def _of_recording(recording: Recording, as_sent: bool) -> Traffic:
-    """What was sent, at the times at which it was due; what was late or dropped was not on the link."""
+def _from_recording(recording: Recording, as_sent: bool) -> Traffic:
+    """Packets that were sent; late, dropped and suppressed ones were not on the link."""
     packets = recording.packets()
     by_clock = as_sent and recording.origin.get("pace") == "wall"
-    sent = packets.fate == Fate.SENT
+    sent = packets.status == Fate.SENT
     times_ns = (packets.sent_ns if by_clock else packets.due_ns)[sent].tolist()
     payloads = [payload for payload, was_sent in zip(packets.payload, sent, strict=True) if was_sent]
-    said = [*recording.said(channels.HOUSEKEEPING), *recording.said(channels.ANSWER)]
-    # Housekeeping that is due with a shot follows it.
-    ordered = sorted([*zip(times_ns, payloads, strict=True), *said], key=itemgetter(0))
+    between = [
+        *recording.raw_messages(channels.HOUSEKEEPING),
+        *recording.raw_messages(channels.ACKNOWLEDGEMENT),
+    ]
+    # The sort is stable: housekeeping that is due with a shot follows it.
+    ordered = sorted([*zip(times_ns, payloads, strict=True), *between], key=itemgetter(0))
     unsent = {
-        Fate(code).name.lower(): int((packets.fate == code).sum()) for code in Fate if code != Fate.SENT
+        Fate(code).name.lower(): int((packets.status == code).sum()) for code in Fate if code != Fate.SENT
     }
     return Traffic(
         [(int(time_ns), payload) for time_ns, payload in ordered],
@@ -124,14 +127,14 @@ def _of_recording(recording: Recording, as_sent: bool) -> Traffic:
     )
 
 
-def _of_capture(path: Path) -> Traffic:
+def _from_capture(path: Path) -> Traffic:
     packets: list[tuple[int, bytes]] = []
     flows: dict[str, int] = {}
     ignored = 0
     unknown: set[int] = set()
     is_can = False
     for link_type, time_ns, data in read_capture(path):
-        content = carried(link_type, data)
+        content = decode_record(link_type, data)
         if content is None or not content.payload:
             ignored += 1
             if not is_known(link_type):
@@ -147,7 +150,7 @@ def _of_capture(path: Path) -> Traffic:
     return _from_first(packets, is_can, ignored)
 
 
-def _of_log(path: Path) -> Traffic:
+def _from_log(path: Path) -> Traffic:
     packets, buses, ignored = read_log(path)
     _refuse_several(path, buses, "e.g. grep vcan0 ALL.log > ONE.log")
     return _from_first(packets, True, ignored)
@@ -160,9 +163,9 @@ def _from_first(packets: list[tuple[int, bytes]], is_can: bool, ignored: int) ->
 
 
 def _refuse_several(path: Path, flows: dict[str, int], how: str) -> None:
-    """One device has one link; who else speaks there is not to be replayed."""
+    """Refuse traffic of more than one sender: a device has one link, and only its own traffic is replayed."""
     if len(flows) > 1:
         names = ", ".join(f"{name} ({count})" for name, count in sorted(flows.items(), key=itemgetter(1)))
         raise InputError(
-            str(path), None, Finding(f"words of several: {names}"), f"allowed: one of them; {how}"
+            str(path), None, Finding(f"traffic of several senders: {names}"), f"allowed: one of them; {how}"
         )

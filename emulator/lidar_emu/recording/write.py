@@ -1,7 +1,7 @@
-"""A recording: truth, measurements, packets and their fates in an MCAP file that a cut does not spoil.
+"""Write a recording: truth, measurements, packets and their delivery status, in an MCAP file.
 
-`channels` has the topics. Messages stand in the file one by one, outside of chunks, so that every reader gets all
-that was written before a cut.
+`channels` lists the topics. Messages are written one by one, without chunks, so that a truncated file can be read up
+to the last message.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block
 
 _EARLY = 1000
-"""Messages that are kept until the file is begun: of a device that waits for the command to fly."""
+"""Messages kept until the file is opened: those of a device that waits for the command to fly."""
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _TRUTH = ("true_range_m", "true_closing_speed_mps", "true_incidence_deg", "true_in_gap")
 
 
 class Recorder(Observer):
-    """An observer of a run that writes everything down.
+    """Observer of a run that writes a recording.
 
-    The file is begun once the port is open: a run that is refused leaves none, and an older one as it was. If
-    it cannot be written any more the flight goes on without it, and `error` says why.
+    The file is created once the port is open, so that a refused run neither creates nor replaces a file. If writing
+    fails, the flight continues without a recording, and `error` gives the reason.
 
     Args:
-        path: of the file.
-        scenario: what is flown.
-        options: how it is run.
+        path: file to write.
+        scenario: scenario of the run.
+        options: options of the run.
 
     Raises:
-        InputError: the epoch lies before 1970, where MCAP's times begin.
+        InputError: the epoch is before 1970, where MCAP's times begin.
     """
 
     def __init__(self, path: Path, scenario: FlightScenario | BenchScenario, options: RunOptions) -> None:
@@ -68,7 +68,7 @@ class Recorder(Observer):
         self._waited_ns = 0
         self._file: BinaryIO
         self.error: str | None = None
-        """Why the recording is not whole; None if it is."""
+        """Why the recording is incomplete; None if it is complete."""
 
     def __enter__(self) -> Self:
         return self
@@ -84,10 +84,10 @@ class Recorder(Observer):
             self._file.close()
 
     def opened(self, port: str, start: datetime) -> None:
-        """Begin the file.
+        """Create the file.
 
         Raises:
-            InputError: it cannot be written.
+            InputError: the file cannot be written.
         """
         try:
             self._file = self._path.open("wb")
@@ -114,42 +114,42 @@ class Recorder(Observer):
             self._numbers[channel.topic] = number
 
     def began_flight(self, waited_ns: int) -> None:
-        """Let times that counted from power-up count from the flight's beginning."""
+        """Count times from the start of the flight instead of from power-up."""
         self._waited_ns = waited_ns
         self._metadata["waited_ns"] = str(waited_ns)
 
     def truth(self, datagram: bytes, time_ns: int, counted: bool) -> None:
-        """Keep what a simulator sent."""
+        """Record a simulator's datagram."""
         self._write(channels.LIVE_TRUTH if counted else channels.REFUSED_TRUTH, time_ns, datagram)
 
     def truth_used(self, shot: int, age_ns: int, truth_time_ns: int) -> None:
-        """Keep it with the truth of the shot."""
+        """Record the age of the live truth with the truth of the shot."""
         self._truth_used[shot] = {"age_s": age_ns * 1e-9, "truth_time_ns": truth_time_ns}
 
     def commanded(self, heard: Heard, shot: int | None) -> None:
-        """Keep the command and its verdict."""
-        told = heard._asdict() | {"values": dict(heard.values), "first_shot": shot}
-        self._write(channels.COMMAND, told.pop("time_ns"), _json(told), shot or 0)
+        """Record the command and its verdict."""
+        command = heard._asdict() | {"values": dict(heard.values), "first_shot": shot}
+        self._write(channels.COMMAND, command.pop("time_ns"), _json(command), shot or 0)
 
     def answered(self, payload: bytes, time_ns: int) -> None:
-        """Keep what the device answered."""
-        self._write(channels.ANSWER, time_ns, payload)
+        """Record the acknowledgement of a command."""
+        self._write(channels.ACKNOWLEDGEMENT, time_ns, payload)
 
     def kept_house(self, payload: bytes, time_ns: int) -> None:
-        """Keep what the device told of itself."""
+        """Record a housekeeping packet."""
         self._write(channels.HOUSEKEEPING, time_ns, payload)
 
     def ordered(self, number: int, fault: ScheduledFault | LinkFault, shot: int) -> None:
-        """Keep a fault that was ordered in flight, as a scenario would state it."""
-        told = {"fault": number, "first_shot": shot, "order": fault.model_dump(mode="json")}
-        self._write(channels.ORDERED_FAULT, shot * self._period_ns, _json(told), shot)
+        """Record a fault injected in flight, as a scenario would state it."""
+        injected = {"fault": number, "first_shot": shot, "definition": fault.model_dump(mode="json")}
+        self._write(channels.INJECTED_FAULT, shot * self._period_ns, _json(injected), shot)
 
     def superseded(self, generation: int, from_shot: int) -> None:
-        """Know a packet that is sent all the same."""
+        """Remember the generation, to mark packets of older ones that are sent all the same."""
         self._superseded.append((generation, from_shot))
 
     def settled(self, block: Block) -> None:
-        """Keep truth and measurements, shot by shot."""
+        """Record truth and measurements, shot by shot."""
         begins_ns = block.measurement.time_ns.min(axis=1).tolist()
         first = int(block.measurement.shot[0])
         for row, time_ns in enumerate(begins_ns):
@@ -159,31 +159,31 @@ class Recorder(Observer):
             self._write(channels.TRUTH, time_ns, _json(truth), shot)
             self._write(channels.MEASUREMENT, time_ns, _json(measured), shot)
         for fault in block.faults:
-            told = fault._asdict() | {"beams": list(fault.beams)}
-            self._write(channels.FAULT, begins_ns[fault.shot - first], _json(told), fault.shot)
+            occurrence = fault._asdict() | {"beams": list(fault.beams)}
+            self._write(channels.FAULT, begins_ns[fault.shot - first], _json(occurrence), fault.shot)
         self._flush()
 
     def report(self, packet: Outgoing, report: Report) -> None:
-        """Keep the packet and its fate."""
-        # Generations only grow: what a packet knows of concerns no later one either.
+        """Record the packet and its delivery status."""
+        # Generations only grow: a command that this packet follows is followed by all later packets.
         self._superseded = [mark for mark in self._superseded if mark[0] > packet.generation]
-        fate = {
+        delivery = {
             "shot": report.shot,
             "due_ns": report.due_ns,
             "sent_ns": report.sent_ns if report.sent_ns >= 0 else None,
-            "fate": report.fate.name.lower(),
+            "status": report.fate.name.lower(),
             "overtaken": any(packet.shot >= from_shot for _, from_shot in self._superseded),
         }
-        if packet.payload:  # it has none where the shot was too late to be computed
+        if packet.payload:  # empty where the shot was suppressed, or too late to be computed
             self._write(channels.PACKET, packet.due_ns, packet.payload, packet.shot)
-        self._write(channels.FATE, packet.due_ns, _json(fate), packet.shot)
+        self._write(channels.DELIVERY, packet.due_ns, _json(delivery), packet.shot)
 
     def noticed(self, time_ns: int, what: str) -> None:
-        """Keep what happened to a process."""
+        """Record an event of a process."""
         self._write(channels.EVENT, time_ns, _json({"of": "process", "what": what}))
 
     def link_noticed(self, time_ns: int, what: str) -> None:
-        """Keep what happened to the link."""
+        """Record an event of the link."""
         self._write(channels.EVENT, time_ns, _json({"of": "link", "what": what}))
 
     def _write(self, channel: Channel, time_ns: int, data: bytes, shot: int = 0) -> None:
@@ -208,7 +208,7 @@ class Recorder(Observer):
         try:
             yield
         except OSError as error:
-            self.error = self.error or f"{self._path}: the recording is not whole: {error.strerror}"
+            self.error = self.error or f"{self._path}: the recording is incomplete: {error.strerror}"
 
 
 def _truth_and_measurement(block: Measurement, row: int) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -224,7 +224,7 @@ def _truth_and_measurement(block: Measurement, row: int) -> tuple[dict[str, Any]
 
 
 def _json(values: dict[str, Any]) -> bytes:
-    """JSON has no NaN: a missing value is null."""
+    """Serialise with null for NaN, which JSON does not have."""
     return json.dumps({name: _plain(value) for name, value in values.items()}).encode()
 
 

@@ -12,7 +12,7 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.recording import channels
-from lidar_emu.recording.read import Packets, Recording, Told
+from lidar_emu.recording.read import JsonMessage, Packets, Recording
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import Fate, Report
 from lidar_emu.runtime.summary import Tally
@@ -25,12 +25,12 @@ class Flown:
     recording: Recording
     measurement: Measurement
     packets: Packets
-    faults: list[Told]
+    faults: list[JsonMessage]
     """One for each shot and fault that acted."""
-    ordered: list[Told]
+    ordered: list[JsonMessage]
     """Faults that were ordered in flight."""
-    commands: list[Told]
-    events: list[Told]
+    commands: list[JsonMessage]
+    events: list[JsonMessage]
     """Of the link and of the run's processes."""
     said: int
     """How often the device told of itself, between the shots."""
@@ -53,7 +53,7 @@ class Flown:
     @property
     def lateness_us(self) -> FloatArray:
         """(packets,) Of those that were sent, from due to written."""
-        sent = self.packets.fate == Fate.SENT
+        sent = self.packets.status == Fate.SENT
         late_us: FloatArray = np.maximum(self.packets.sent_ns - self.packets.due_ns, 0)[sent] / 1e3
         return late_us
 
@@ -62,7 +62,7 @@ class Flown:
         tally = Tally(Pace.WALL if self.keeps_time else Pace.MAX)
         tally.measured(self.measurement)
         packets, silent = self.packets, self._silent()
-        columns = (packets.shot, packets.due_ns, packets.sent_ns, packets.fate, silent)
+        columns = (packets.shot, packets.due_ns, packets.sent_ns, packets.status, silent)
         for shot, due_ns, sent_ns, fate, is_silent in zip(*(c.tolist() for c in columns), strict=True):
             tally.report(Report(shot, due_ns, sent_ns, Fate(fate)), is_silent)
         tally.faults = Counter(fault.values["kind"] for fault in self.faults)
@@ -112,20 +112,22 @@ def read_flown(recording: Recording) -> Flown:
     """
     try:
         measurement, packets = recording.measurement(), recording.packets()
-        told = recording.told(channels.FAULT, channels.ORDERED_FAULT, channels.COMMAND, channels.EVENT)
+        told = recording.json_messages(
+            channels.FAULT, channels.INJECTED_FAULT, channels.COMMAND, channels.EVENT
+        )
     except KeyError as error:
         found = Finding(f"a message without {error}, of another version of lidar-emu")
         raise InputError(str(recording.path), None, found, "allowed: one of this version") from None
-    of: dict[str, list[Told]] = {}
+    of: dict[str, list[JsonMessage]] = {}
     for each in told:
         of.setdefault(each.topic, []).append(each)
     faults, ordered, commands, events = (
         of.get(channel.topic, [])
-        for channel in (channels.FAULT, channels.ORDERED_FAULT, channels.COMMAND, channels.EVENT)
+        for channel in (channels.FAULT, channels.INJECTED_FAULT, channels.COMMAND, channels.EVENT)
     )
-    said = len(recording.said(channels.HOUSEKEEPING))
+    said = len(recording.raw_messages(channels.HOUSEKEEPING))
     return Flown(recording, measurement, packets, faults, ordered, commands, events, said)
 
 
-def _row(told: Told) -> dict[str, Any]:
+def _row(told: JsonMessage) -> dict[str, Any]:
     return {"time_s": told.time_ns * 1e-9, **told.values}

@@ -111,7 +111,7 @@ def _happenings(flown: Flown) -> list[str]:
             (told.time_ns, f"command {told.values['command']}", _command(told.values))
             for told in flown.commands
         ),
-        *((told.time_ns, "fault ordered", _order(told.values["order"])) for told in flown.ordered),
+        *((told.time_ns, "fault ordered", _order(told.values["definition"])) for told in flown.ordered),
         *((told.time_ns, f"{told.values['of']}", str(told.values["what"])) for told in flown.events),
     ]
     if not rows:

@@ -9,7 +9,7 @@ import numpy as np
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.recording.read import Told
+from lidar_emu.recording.read import JsonMessage
 from lidar_emu.report.flown import Flown
 from lidar_emu.report.page_style import Drawing, draw
 
@@ -117,9 +117,9 @@ def timeline(flown: Flown) -> Drawing | None:
 
 def _marks(flown: Flown) -> dict[str, FloatArray]:
     """Times in seconds by what happened then."""
-    named: list[tuple[str, Told]] = [
+    named: list[tuple[str, JsonMessage]] = [
         *((f"fault {told.values['kind']}", told) for told in flown.faults),
-        *((f"order {told.values['order'].get('kind')}", told) for told in flown.ordered),
+        *((f"order {told.values['definition'].get('kind')}", told) for told in flown.ordered),
         *((f"command {told.values['command']}", told) for told in flown.commands),
         *((f"{told.values['of']} event", told) for told in flown.events),
     ]

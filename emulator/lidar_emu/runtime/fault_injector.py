@@ -11,7 +11,7 @@ from typing import Any, Self
 
 from lidar_emu.device.rules import Event, all_events
 from lidar_emu.errors import Finding, InputError, one_line, reason_of
-from lidar_emu.faults.encoder import FaultyPackets, faulty_packets
+from lidar_emu.faults.encoder import FaultyEncoder, faulty_encoder
 from lidar_emu.runtime.change_queue import Change, Changes
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
@@ -19,7 +19,7 @@ from lidar_emu.runtime.link_faults import link_order
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.scenario.faults import Dropout, FalseAlarms, LinkFault, Lost, ScheduledFault
-from lidar_emu.scenario.faults.on_order import read_fault, shifted
+from lidar_emu.scenario.faults.injected import read_fault, shifted
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.session import Session
 from lidar_emu.shots.model import Model
@@ -130,10 +130,10 @@ class Injector:
         for observer in self._observers:
             observer.ordered(number, ordered, shot)
 
-    def _prepared(self, scenario: Scenario) -> tuple[Model, FaultyPackets | None]:
+    def _prepared(self, scenario: Scenario) -> tuple[Model, FaultyEncoder | None]:
         """What a session needs for a scenario that differs in its faults."""
         model = self._model.with_faults(scenario.faults)
-        faulty = faulty_packets(scenario, self._encoder, self._can)
+        faulty = faulty_encoder(scenario, self._encoder, self._can)
         if faulty is not None and faulty.longest(self._packet_bytes) > self._room_bytes:
             found = Finding(f"packets of {faulty.longest(self._packet_bytes)} bytes")
             raise InputError(scenario.name, "faults", found, f"allowed in flight: {self._room_bytes} bytes")

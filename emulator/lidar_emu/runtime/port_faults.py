@@ -11,10 +11,10 @@ from lidar_emu.transports.spec import Kind
 from lidar_emu.wire import Encoder
 
 if TYPE_CHECKING:
-    from lidar_emu.faults.encoder import FaultyPackets
+    from lidar_emu.faults.encoder import FaultyEncoder
 
 
-def packets_on_order(scenario: Scenario, encoder: Encoder, options: RunOptions) -> FaultyPackets | None:
+def packets_on_order(scenario: Scenario, encoder: Encoder, options: RunOptions) -> FaultyEncoder | None:
     """None where no packets go wrong.
 
     Raises:
@@ -22,9 +22,9 @@ def packets_on_order(scenario: Scenario, encoder: Encoder, options: RunOptions) 
     """
     if not scenario.faults:
         return None
-    from lidar_emu.faults.encoder import faulty_packets
+    from lidar_emu.faults.encoder import faulty_encoder
 
-    return faulty_packets(scenario, encoder, options.port.kind is Kind.CAN)
+    return faulty_encoder(scenario, encoder, options.port.kind is Kind.CAN)
 
 
 def port_on_order(scenario: Scenario, model: Model, options: RunOptions) -> list[dict[str, Any]] | None:

@@ -75,7 +75,7 @@ class Tally:
     def report(self, report: Report, silent: bool = False) -> None:
         """One packet met its fate, or the device was silent when one was due."""
         self.fates[report.fate] += 1
-        self.silent += silent and report.fate is Fate.WITHHELD
+        self.silent += silent and report.fate is Fate.SUPPRESSED
         if report.fate is Fate.SENT and self.pace is Pace.WALL:
             lateness_ns = max(0, report.sent_ns - report.due_ns)
             self.lateness.add(lateness_ns)
@@ -122,7 +122,7 @@ class Tally:
             ],
             "faults": {
                 "shots": dict(sorted(self.faults.items())),
-                "withheld": self.fates[Fate.WITHHELD] - self.silent,
+                "withheld": self.fates[Fate.SUPPRESSED] - self.silent,
             },
             "range_error_m": self.range_error_m.to_json(),
             "speed_error_mps": self.speed_error_mps.to_json(),

@@ -20,9 +20,9 @@ from lidar_emu.scenario.required import require_flight, require_known_flight
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 
 if TYPE_CHECKING:
-    from lidar_emu.faults.measured import BeamFaults, Held
+    from lidar_emu.faults.beams import BeamFaults, Held
     from lidar_emu.faults.physics import PhysicsFaults
-    from lidar_emu.faults.schedule import Injected
+    from lidar_emu.faults.schedule import FaultOccurrence
     from lidar_emu.flight.flight import Flight
 
 BLOCK_SHOTS = 128
@@ -117,7 +117,7 @@ def measure(
     state: ModelState,
     fires: BoolArray | None = None,
     unlit: bool = False,
-) -> tuple[Measurement, ModelState, list[Injected]]:
+) -> tuple[Measurement, ModelState, list[FaultOccurrence]]:
     """Shots `first` to `first + count - 1` with their faults; the state after them; and which faults acted.
 
     Args:
@@ -127,7 +127,7 @@ def measure(
     measurement, scanner = (model.unlit if unlit else model.measure)(first, count, state.scanner)
     if fires is not None and not unlit:
         measurement = measurement.firing_only(fires)
-    in_light: list[Injected] = []
+    in_light: list[FaultOccurrence] = []
     if model.physics is not None:
         in_light = model.physics.injected(measurement.shot, measurement.fired)
     if model.faults is None:

@@ -31,7 +31,7 @@ class Fate(IntEnum):
     """The link was broken."""
     SUPERSEDED = 5
     """Never sent: a command has changed the shot, and another packet takes its place."""
-    WITHHELD = 6
+    SUPPRESSED = 6
     """Nothing was to be sent: the device sends none, or a fault that was ordered has taken the packet away."""
 
 

@@ -73,7 +73,7 @@ class Sender:
                 case Action.WAIT:
                     return Wait(until_ns=self._start_ns + packet.due_ns)
                 case _ if not packet.payload:  # what is not sent is not late either
-                    self._finish(packet, Fate.WITHHELD, now_ns)
+                    self._finish(packet, Fate.SUPPRESSED, now_ns)
                 case Action.SKIP:
                     self._finish(packet, Fate.LATE, now_ns)
                     self._given_up = self._pacing.when_late is WhenLate.ABORT

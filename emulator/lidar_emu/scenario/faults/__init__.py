@@ -26,6 +26,7 @@ from lidar_emu.scenario.faults.device import BrownOut, DeviceFault, Interlock
 from lidar_emu.scenario.faults.link import Babble, BusOff, Disconnect, ErrorFrames, LinkFault, SlowLine
 from lidar_emu.scenario.faults.packets import (
     BitErrors,
+    ContentFault,
     Delayed,
     Doubled,
     FrozenCounter,
@@ -37,7 +38,6 @@ from lidar_emu.scenario.faults.packets import (
     Reordered,
     Silence,
     StalePacket,
-    StampFault,
     TimeJump,
     Truncated,
     WrongCrc,
@@ -58,16 +58,16 @@ from lidar_emu.scenario.faults.physics import (
 )
 
 __all__ = [
-    "Alias", "Babble", "BeamFault", "Bias", "BitErrors", "BrownOut", "BusOff", "Clutter", "Delayed", "DeviceFault",
-    "Disconnect", "Doubled", "Drift", "Dropout", "ErrorFrames", "FalseAlarms", "FalseInvalid", "FalseValid", "Fault",
-    "Frozen", "FrozenCounter", "Garbage", "Interlock", "Interval", "LaserFade", "LightFault", "LinkFault", "Lost",
-    "Misalignment", "MissingSegment", "Noise", "OtherUnit", "OtherVersion", "Outlier", "PacketFault", "ReceiverFault",
-    "ReflectancePatch", "Reordered", "Scale", "ScheduledFault", "Silence", "SlowLine", "StalePacket", "StampFault",
-    "Stuck", "SwappedBeams", "TimeJump", "Truncated", "WrongBranch", "WrongCrc", "WrongEndian", "WrongSign",
-    "WrongUnit",
+    "Alias", "Babble", "BeamFault", "Bias", "BitErrors", "BrownOut", "BusOff", "Clutter", "ContentFault", "Delayed",
+    "DeviceFault", "Disconnect", "Doubled", "Drift", "Dropout", "ErrorFrames", "FalseAlarms", "FalseInvalid",
+    "FalseValid", "Fault", "Frozen", "FrozenCounter", "Garbage", "Interlock", "Interval", "LaserFade", "LightFault",
+    "LinkFault", "Lost", "Misalignment", "MissingSegment", "Noise", "OtherUnit", "OtherVersion", "Outlier",
+    "PacketFault", "ReceiverFault", "ReflectancePatch", "Reordered", "Scale", "ScheduledFault", "Silence",
+    "SlowLine", "StalePacket", "Stuck", "SwappedBeams", "TimeJump", "Truncated", "WrongBranch", "WrongCrc",
+    "WrongEndian", "WrongSign", "WrongUnit",
 ]  # fmt: skip
 
-ScheduledFault = LightFault | ReceiverFault | BeamFault | StampFault | PacketFault | DeviceFault
+ScheduledFault = LightFault | ReceiverFault | BeamFault | ContentFault | PacketFault | DeviceFault
 """Those that act on shots; the others act on the port."""
 
 Fault = Annotated[ScheduledFault | LinkFault, Field(discriminator="kind")]

@@ -6,20 +6,20 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from lidar_emu.scenario.faults.when import BeamNumber, OfBeams, Ordered, Ramped
+from lidar_emu.scenario.faults.timing import BeamNumber, PerBeamFault, RampedFault, TimedFault
 from lidar_emu.scenario.part import NonNegative, unusable
 
 Interval = tuple[float, float]
 
 
-class Dropout(OfBeams):
+class Dropout(PerBeamFault):
     """The echo is lost: the beam is invalid, with reason `below_threshold`."""
 
     kind: Literal["dropout"]
     """Chooses this fault."""
 
 
-class Stuck(OfBeams):
+class Stuck(PerBeamFault):
     """A register is not renewed: a valid range, speed or both repeat the last valid value from before the fault. Flags,
     signal-to-noise ratio and time go on."""
 
@@ -29,7 +29,7 @@ class Stuck(OfBeams):
     """What is stuck."""
 
 
-class Frozen(OfBeams):
+class Frozen(PerBeamFault):
     """A beam's processing hangs: everything that it reports, flags and reason too, is that of the last shot before the
     fault, under the time of the present one. Stale but valid."""
 
@@ -37,7 +37,7 @@ class Frozen(OfBeams):
     """Chooses this fault."""
 
 
-class Bias(Ramped):
+class Bias(RampedFault):
     """A constant error of calibration, added. A range stops at 0."""
 
     kind: Literal["bias"]
@@ -48,7 +48,7 @@ class Bias(Ramped):
     """Added to the closing speed."""
 
 
-class Scale(Ramped):
+class Scale(RampedFault):
     """A wrong chirp slope (range) or wavelength (speed): values are multiplied."""
 
     kind: Literal["scale"]
@@ -59,7 +59,7 @@ class Scale(Ramped):
     """Of the closing speed."""
 
 
-class Drift(OfBeams):
+class Drift(PerBeamFault):
     """An error that grows steadily from the start of the window, as with temperature. A range stops at 0."""
 
     kind: Literal["drift"]
@@ -70,7 +70,7 @@ class Drift(OfBeams):
     """Added to the closing speed per second."""
 
 
-class Noise(Ramped):
+class Noise(RampedFault):
     """More noise than the instrument admits to: Gaussian, white from shot to shot. A range stops at 0."""
 
     kind: Literal["noise"]
@@ -81,7 +81,7 @@ class Noise(Ramped):
     """Standard deviation added to the closing speed."""
 
 
-class Outlier(OfBeams):
+class Outlier(PerBeamFault):
     """Plume, dust or a false alarm: the beam is valid, with a range and a speed drawn evenly from intervals."""
 
     kind: Literal["outlier"]
@@ -99,14 +99,14 @@ class Outlier(OfBeams):
         return self
 
 
-class WrongSign(OfBeams):
+class WrongSign(PerBeamFault):
     """The sign of the Doppler shift is taken for the other one: the closing speed is negated, and valid."""
 
     kind: Literal["wrong_sign"]
     """Chooses this fault."""
 
 
-class SwappedBeams(Ordered):
+class SwappedBeams(TimedFault):
     """Two receivers are crossed: each of two beams reports what the other one measured."""
 
     kind: Literal["swapped_beams"]
@@ -121,7 +121,7 @@ class SwappedBeams(Ordered):
         return self
 
 
-class FalseValid(OfBeams):
+class FalseValid(PerBeamFault):
     """A beam that has found nothing claims a valid measurement."""
 
     kind: Literal["false_valid"]
@@ -132,7 +132,7 @@ class FalseValid(OfBeams):
     """What it then reports."""
 
 
-class FalseInvalid(OfBeams):
+class FalseInvalid(PerBeamFault):
     """A good measurement is marked as none: the values stand there, the valid flags do not."""
 
     kind: Literal["false_invalid"]

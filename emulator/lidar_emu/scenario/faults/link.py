@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from lidar_emu.scenario.faults.when import Window
+from lidar_emu.scenario.faults.timing import FaultWindow
 
 
-class Disconnect(Window):
+class Disconnect(FaultWindow):
     """The port is closed, and opened again after the window. The other end sees what it sees when a cable is pulled:
     of a pty, that everybody has left."""
 
@@ -17,7 +17,7 @@ class Disconnect(Window):
     """Chooses this fault."""
 
 
-class SlowLine(Window):
+class SlowLine(FaultWindow):
     """The line takes longer: packets wait in the transmitter's buffer and leave it whole, one after another. A packet
     that finds no room is dropped."""
 
@@ -29,7 +29,7 @@ class SlowLine(Window):
     """Of the transmitter."""
 
 
-class Babble(Window):
+class Babble(FaultWindow):
     """A transmitter that will not be silent: random bytes between packets, at a rate; on CAN frames of eight bytes with
     random identifiers."""
 
@@ -39,7 +39,7 @@ class Babble(Window):
     """On average over the window, evenly."""
 
 
-class ErrorFrames(Window):
+class ErrorFrames(FaultWindow):
     """Somebody on the CAN bus destroys frames: the controller counts error frames. On CAN alone; ordered ones are
     counted and not sent."""
 
@@ -49,7 +49,7 @@ class ErrorFrames(Window):
     """So many in a second."""
 
 
-class BusOff(Window):
+class BusOff(FaultWindow):
     """The CAN controller has seen too many errors and is off: nothing is sent or heard until the window ends and it is
     restarted. On CAN alone."""
 

@@ -6,11 +6,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from lidar_emu.scenario.faults.when import Ordered
+from lidar_emu.scenario.faults.timing import TimedFault
 from lidar_emu.scenario.part import Fraction, Positive
 
 
-class TimeJump(Ordered):
+class TimeJump(TimedFault):
     """The clock is wrong: times of validity in packets are shifted, but never before the epoch. What was measured, and
     when packets are sent, stays."""
 
@@ -20,42 +20,42 @@ class TimeJump(Ordered):
     """Added to the time."""
 
 
-class FrozenCounter(Ordered):
+class FrozenCounter(TimedFault):
     """The counter of shots, and with it the sequence count, repeats its last value from before the fault."""
 
     kind: Literal["frozen_counter"]
     """Chooses this fault."""
 
 
-class Lost(Ordered):
+class Lost(TimedFault):
     """Packets are lost: their sequence counts are missing."""
 
     kind: Literal["lost"]
     """Chooses this fault."""
 
 
-class Doubled(Ordered):
+class Doubled(TimedFault):
     """Packets come twice."""
 
     kind: Literal["doubled"]
     """Chooses this fault."""
 
 
-class Reordered(Ordered):
+class Reordered(TimedFault):
     """A packet is held back, and follows that of the next shot. At the end of a run it is lost."""
 
     kind: Literal["reordered"]
     """Chooses this fault."""
 
 
-class StalePacket(Ordered):
+class StalePacket(TimedFault):
     """In place of a packet the last one from before the fault is sent again, bit for bit."""
 
     kind: Literal["stale_packet"]
     """Chooses this fault."""
 
 
-class BitErrors(Ordered):
+class BitErrors(TimedFault):
     """Bits are inverted on the way. On CAN, whose controllers repeat such frames, it is data that a gateway spoilt."""
 
     kind: Literal["bit_errors"]
@@ -64,7 +64,7 @@ class BitErrors(Ordered):
     """Probability for each bit; of frames on CAN, bits of the data."""
 
 
-class Truncated(Ordered):
+class Truncated(TimedFault):
     """The rest of a packet is missing: bytes, on CAN whole frames."""
 
     kind: Literal["truncated"]
@@ -73,14 +73,14 @@ class Truncated(Ordered):
     """Part of the packet that is sent, rounded down."""
 
 
-class WrongCrc(Ordered):
+class WrongCrc(TimedFault):
     """A packet is whole, but for its CRC. On byte links alone."""
 
     kind: Literal["wrong_crc"]
     """Chooses this fault."""
 
 
-class Delayed(Ordered):
+class Delayed(TimedFault):
     """Packets are sent later than their contents say; none overtakes another. `late_after_s` counts from then."""
 
     kind: Literal["delayed"]
@@ -89,14 +89,14 @@ class Delayed(Ordered):
     """By how much."""
 
 
-class Silence(Ordered):
+class Silence(TimedFault):
     """The line carries no measurements: the transmitter is off, or the cable unplugged."""
 
     kind: Literal["silence"]
     """Chooses this fault."""
 
 
-class Garbage(Ordered):
+class Garbage(TimedFault):
     """Random bytes precede a packet: a loose plug, or somebody else's transmitter. On CAN, random frames."""
 
     kind: Literal["garbage"]
@@ -105,7 +105,7 @@ class Garbage(Ordered):
     """So many; on CAN eight to a frame."""
 
 
-class WrongUnit(Ordered):
+class WrongUnit(TimedFault):
     """Lengths and speeds in packets are in another unit of length than the interface says. What was measured stays."""
 
     kind: Literal["wrong_unit"]
@@ -114,7 +114,7 @@ class WrongUnit(Ordered):
     """In one such unit; left out: a foot."""
 
 
-class OtherUnit(Ordered):
+class OtherUnit(TimedFault):
     """Another device answers in place of this one: packets carry its number, and a CRC that is right."""
 
     kind: Literal["other_unit"]
@@ -123,7 +123,7 @@ class OtherUnit(Ordered):
     """Its number; one that the interface has."""
 
 
-class WrongEndian(Ordered):
+class WrongEndian(TimedFault):
     """A driver for the other sort of processor: numbers of several bytes stand in the packet the other way round, and
     the CRC is right. Of packet and beams; what the header of the packet itself holds stays readable."""
 
@@ -131,7 +131,7 @@ class WrongEndian(Ordered):
     """Chooses this fault."""
 
 
-class OtherVersion(Ordered):
+class OtherVersion(TimedFault):
     """Firmware of another interface version: packets say so, and the CRC is right. Where the interface has a field
     `version` alone."""
 
@@ -141,7 +141,7 @@ class OtherVersion(Ordered):
     """What they say."""
 
 
-StampFault = TimeJump | FrozenCounter | WrongUnit
+ContentFault = TimeJump | FrozenCounter | WrongUnit
 PacketFault = (
     Lost | Doubled | Reordered | StalePacket | BitErrors | Truncated | WrongCrc | Delayed | Silence | Garbage
 ) | (OtherUnit | WrongEndian | OtherVersion)

@@ -6,11 +6,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from lidar_emu.scenario.faults.when import OfBeams, Ordered, Ramped
+from lidar_emu.scenario.faults.timing import PerBeamFault, RampedFault, TimedFault
 from lidar_emu.scenario.part import NonNegative, Positive
 
 
-class LaserFade(Ramped):
+class LaserFade(RampedFault):
     """Less light leaves the telescope: the laser ages, a fibre bends, dust settles on the window. The local oscillator
     stays, so that the echo loses as much of its signal-to-noise ratio."""
 
@@ -20,7 +20,7 @@ class LaserFade(Ramped):
     """Of transmitted power. With `ramp_s` the decibels grow evenly."""
 
 
-class Misalignment(Ramped):
+class Misalignment(RampedFault):
     """A beam leaves its published direction: a mount gives way, or bends with heat. Truth is that of the true axis."""
 
     kind: Literal["misalignment"]
@@ -29,7 +29,7 @@ class Misalignment(Ramped):
     """True direction less the one before the fault, as small rotations about sensor x and y."""
 
 
-class ReflectancePatch(Ordered):
+class ReflectancePatch(TimedFault):
     """A disc of ground that reflects otherwise: bright rock, shadowed dust, a retroreflector, a metal sheet."""
 
     kind: Literal["reflectance_patch"]
@@ -42,7 +42,7 @@ class ReflectancePatch(Ordered):
     """In place of the site's. More than 1 sends light back rather than everywhere."""
 
 
-class Clutter(OfBeams):
+class Clutter(PerBeamFault):
     """A part of the vehicle stands in the beam: it returns light from nearby at no speed, and what falls on it is
     missing on the ground. Which of the two is reported follows from their powers. Level `spectral` or `waveform`."""
 
@@ -56,7 +56,7 @@ class Clutter(OfBeams):
     """Part of the beam's power that falls on it."""
 
 
-class MissingSegment(OfBeams):
+class MissingSegment(PerBeamFault):
     """A part of the waveform is lost: a chirp that was not driven, a record that was overwritten. What the other
     segments tell goes by the instrument's rule (`detection.rule`). Level `statistical` or `spectral`."""
 
@@ -66,7 +66,7 @@ class MissingSegment(OfBeams):
     """What is missing."""
 
 
-class WrongBranch(OfBeams):
+class WrongBranch(PerBeamFault):
     """A homodyne receiver, which sees no signs of frequencies, settles on the other sign of the Doppler shift: range
     and closing speed are both wrong, explain the two beats that they rest on, and are reported as valid. Level
     `statistical` or `spectral`."""
@@ -75,7 +75,7 @@ class WrongBranch(OfBeams):
     """Chooses this fault."""
 
 
-class Alias(OfBeams):
+class Alias(PerBeamFault):
     """Only every so-manieth sample is taken, and nothing in front of the digitiser holds back what is too fast for
     that: beats beyond the new limit are folded below it, and so is the noise. Level `statistical` or `spectral`."""
 
@@ -85,7 +85,7 @@ class Alias(OfBeams):
     """Of samples; the receiver knows nothing of it."""
 
 
-class FalseAlarms(OfBeams):
+class FalseAlarms(PerBeamFault):
     """The receiver's noise rises and its threshold stays: stray light, a disturbed supply. Peaks of noise pass for
     echoes as often as the model of noise says, and echoes are drowned. Level `statistical` or `spectral`."""
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.faults.schedule import Ordered
+from lidar_emu.faults.schedule import FaultInstance
 from lidar_emu.fmcw.build import build_receiver
 from lidar_emu.fmcw.levels import Level
 from lidar_emu.fmcw.model import ReceiverModel
@@ -32,7 +32,7 @@ class FaultyReceivers:
         sound: the level without faults.
     """
 
-    def __init__(self, ordered: Sequence[Ordered], scenario: FlightScenario, sound: Level) -> None:
+    def __init__(self, ordered: Sequence[FaultInstance], scenario: FlightScenario, sound: Level) -> None:
         self._ordered = ordered
         self._scenario = scenario
         statistical = scenario.level == "statistical"

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.faults.hold import Row, hold, resumed
-from lidar_emu.faults.schedule import Injected, Ordered
+from lidar_emu.faults.held_values import Row, hold, resumed
+from lidar_emu.faults.schedule import FaultInstance, FaultOccurrence
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
@@ -42,7 +42,7 @@ _VALUE_DRAW = 1
 class _Act:
     """A fault in a block of shots."""
 
-    ordered: Ordered
+    ordered: FaultInstance
     hit: BoolArray
     """(shots, beams) Beams that have fired and on which the fault acts."""
     held: Held | None
@@ -85,7 +85,9 @@ class BeamFaults:
         period_ns: int,
         beam_count: int,
     ) -> None:
-        self._faults = [Ordered(number, fault, seed, period_ns, beam_count) for number, fault in numbered]
+        self._faults = [
+            FaultInstance(number, fault, seed, period_ns, beam_count) for number, fault in numbered
+        ]
         self.initial: tuple[Held | None, ...] = (None,) * len(self._faults)
         """What is carried before shot 0."""
 
@@ -95,9 +97,9 @@ class BeamFaults:
 
     def apply(
         self, block: Measurement, held: tuple[Held | None, ...]
-    ) -> tuple[Measurement, tuple[Held | None, ...], list[Injected]]:
+    ) -> tuple[Measurement, tuple[Held | None, ...], list[FaultOccurrence]]:
         """What becomes of consecutive shots, but for `point_site_m`; what is carried on; and which faults acted."""
-        injected: list[Injected] = []
+        injected: list[FaultOccurrence] = []
         after: list[Held | None] = []
         for ordered, before in zip(self._faults, held, strict=True):
             effect = _EFFECTS[type(ordered.fault)]
@@ -111,12 +113,14 @@ class BeamFaults:
             after.append(carried)
             for row in np.flatnonzero(act.hit.any(axis=1)).tolist():
                 beams = tuple(np.flatnonzero(act.hit[row]).tolist())
-                injected.append(Injected(int(block.shot[row]), ordered.number, ordered.fault.kind, beams))
+                injected.append(
+                    FaultOccurrence(int(block.shot[row]), ordered.number, ordered.fault.kind, beams)
+                )
             block = changed
         return block, tuple(after), injected
 
 
-def _hit(ordered: Ordered, block: Measurement) -> BoolArray:
+def _hit(ordered: FaultInstance, block: Measurement) -> BoolArray:
     """(shots, beams) Beams on which a fault acts."""
     fault = ordered.fault
     if isinstance(fault, kinds.SwappedBeams):

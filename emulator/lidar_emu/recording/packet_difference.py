@@ -1,4 +1,4 @@
-"""Where two packets differ, in the words of the interface."""
+"""First difference of two packets, by the names of the interface's fields."""
 
 from __future__ import annotations
 
@@ -10,43 +10,45 @@ from lidar_emu.transports.frames import unpack_frames
 from lidar_protocol import CanReceiver, Interface, Message, SerialReceiver
 
 
-class Difference(NamedTuple):
-    """One value that is not what it was."""
+class PacketDifference(NamedTuple):
+    """A value that differs between the recorded and the recomputed packet."""
 
     shot: int
     beam: int | None
-    """None: it is one of the whole packet."""
+    """None: a field of the whole packet."""
     field: str
     recorded: Any
     recomputed: Any
 
 
-def first_difference(recorded: Outgoing, recomputed: Outgoing, interface: Interface, can: bool) -> Difference:
-    """The first field in which two packets of a shot differ; of packets that cannot be decoded, the first byte.
+def first_difference(
+    recorded: Outgoing, recomputed: Outgoing, interface: Interface, can: bool
+) -> PacketDifference:
+    """First field in which two packets of a shot differ, or the first byte if they cannot be decoded.
 
     Args:
-        recorded: the one.
-        recomputed: the other, different one.
-        interface: by which they are read.
-        can: whether they are frame records.
+        recorded: packet of the recording.
+        recomputed: packet computed again; differs from `recorded`.
+        interface: interface definition of both.
+        can: whether the payloads are CAN frame records.
     """
     shot = recorded.shot
     if recorded.due_ns != recomputed.due_ns:
-        return Difference(shot, None, "due_ns", recorded.due_ns, recomputed.due_ns)
+        return PacketDifference(shot, None, "due_ns", recorded.due_ns, recomputed.due_ns)
     if not (recorded.payload and recomputed.payload):
-        return Difference(shot, None, "bytes", len(recorded.payload), len(recomputed.payload))
+        return PacketDifference(shot, None, "bytes", len(recorded.payload), len(recomputed.payload))
     pair = (_decoded(packet.payload, interface, can) for packet in (recorded, recomputed))
     was, now = pair
     if was is not None and now is not None:
         for beam, name, left, right in _fields(was, now):
             if left != right:
-                return Difference(shot, beam, name, left, right)
+                return PacketDifference(shot, beam, name, left, right)
     place = next(
         (k for k, (a, b) in enumerate(zip(recorded.payload, recomputed.payload, strict=False)) if a != b),
         min(len(recorded.payload), len(recomputed.payload)),
     )
     ends = (packet.payload[place : place + 1].hex() or None for packet in (recorded, recomputed))
-    return Difference(shot, None, f"byte {place}", *ends)
+    return PacketDifference(shot, None, f"byte {place}", *ends)
 
 
 def _decoded(payload: bytes, interface: Interface, can: bool) -> Message | None:

@@ -11,7 +11,7 @@ from lidar_emu.scenario.part import Fraction, NonNegative, Part, unusable
 BeamNumber = Annotated[int, Field(ge=0, le=63)]
 
 
-class Ordered(Part):
+class TimedFault(Part):
     """When a fault acts: in shots that begin within a window, in all of them or by chance."""
 
     at_s: NonNegative | None = None
@@ -37,21 +37,21 @@ class Ordered(Part):
         return self
 
 
-class OfBeams(Ordered):
+class PerBeamFault(TimedFault):
     """A fault of beams, each by its own chance."""
 
     beams: Annotated[list[BeamNumber], Field(min_length=1)] | None = None
     """Numbers of the beams, from 0. Left out: all."""
 
 
-class Ramped(OfBeams):
+class RampedFault(PerBeamFault):
     """A fault of beams that grows."""
 
     ramp_s: NonNegative = 0.0
     """Time from the start of the window in which it grows, evenly, to its full size."""
 
 
-class Window(Part):
+class FaultWindow(Part):
     """A fault without chance: it acts throughout a window."""
 
     from_s: NonNegative = 0.0

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.faults.hold import Row, hold
-from lidar_emu.faults.schedule import Injected, Schedule
+from lidar_emu.faults.held_values import Row, hold
+from lidar_emu.faults.schedule import FaultOccurrence, FaultSchedule
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.random_streams import Chance
 from lidar_emu.scenario import faults as kinds
@@ -24,11 +24,11 @@ _IN_METRES = (
     "residual_mps",
 )
 
-StampState = tuple[Row | None, ...]
+ContentState = tuple[Row | None, ...]
 """By each fault: the last number of a shot from before it."""
 
 
-class StampFaults:
+class ContentFaults:
     """All faults of clock, counter and units.
 
     Args:
@@ -37,16 +37,17 @@ class StampFaults:
         period_ns: from shot to shot.
     """
 
-    def __init__(self, numbered: Sequence[tuple[int, kinds.StampFault]], seed: int, period_ns: int) -> None:
+    def __init__(self, numbered: Sequence[tuple[int, kinds.ContentFault]], seed: int, period_ns: int) -> None:
         self._faults = [
-            (number, fault, Schedule(fault, Chance(seed, number), period_ns)) for number, fault in numbered
+            (number, fault, FaultSchedule(fault, Chance(seed, number), period_ns))
+            for number, fault in numbered
         ]
-        self.initial: StampState = (None,) * len(self._faults)
+        self.initial: ContentState = (None,) * len(self._faults)
         """What is carried before shot 0."""
 
     def apply(
-        self, shot: NDArray[np.int64], block: Measurement, state: StampState
-    ) -> tuple[Measurement, StampState, list[Injected]]:
+        self, shot: NDArray[np.int64], block: Measurement, state: ContentState
+    ) -> tuple[Measurement, ContentState, list[FaultOccurrence]]:
         """The shots as they are stamped, what is carried on, and which faults acted.
 
         Args:
@@ -54,7 +55,7 @@ class StampFaults:
             block: as the device would stamp them.
             state: carried from the shots before.
         """
-        injected, after = list[Injected](), list[Row | None]()
+        injected, after = list[FaultOccurrence](), list[Row | None]()
         for (number, fault, schedule), before in zip(self._faults, state, strict=True):
             acts, carried = schedule.shots(shot), None
             match fault:
@@ -67,7 +68,7 @@ class StampFaults:
                 case kinds.WrongUnit():
                     block = _in_other_units(block, acts, fault.metres)
             after.append(carried)
-            injected += [Injected(int(k), number, fault.kind, ()) for k in shot[acts]]
+            injected += [FaultOccurrence(int(k), number, fault.kind, ()) for k in shot[acts]]
         return block, tuple(after), injected
 
 
