@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from twins import write_all
 
 from lidar_emu.recording.read import Recording, read_recording
 from lidar_emu.recording.write import Recorder
@@ -36,3 +38,13 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Recording]
         return read_recording(path)
 
     return record
+
+
+@pytest.fixture(scope="session")
+def public_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of public maps and flights: the one named by LIDAR_EMU_REAL_DATA, or synthetic twins."""
+    if named := os.environ.get("LIDAR_EMU_REAL_DATA"):
+        return Path(named)
+    folder = tmp_path_factory.mktemp("public_data")
+    write_all(folder)
+    return folder

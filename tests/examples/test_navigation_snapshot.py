@@ -12,12 +12,12 @@ from beams import Array, DataSheet, Shot, directions, from_message, from_run
 from hypothesis import given
 from hypothesis import strategies as st
 from truth import Truth
+from twins import NEW_SHEPARD, NEW_SHEPARD_GEOMETRY
 
 import lidar_emu
 from lidar_emu.wire import Encoder
 from lidar_protocol import Message, SerialReceiver, default_interface
 
-DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "lidar"
 SQUARE_DEG = np.array([45.0, 135.0, 225.0, 315.0])
 SLANTED_FLIGHT = """{kind: profile, path_angle_deg: 60, attitude: {yaw_deg: 20, pitch_deg: 10, roll_deg: -15},
     waypoints: [{altitude_m: 600, speed_mps: 30}, {altitude_m: 350, speed_mps: 20}]}"""
@@ -172,14 +172,13 @@ def test_a_core_set_is_filled_up_from_the_data_sheet() -> None:
     assert (shot.sigma_range_m > 0).all()
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="the flight's data are not here")
-def test_a_real_descent() -> None:
+def test_the_descent_of_a_real_lidar(public_data: Path) -> None:
     """New Shepard NS-13, its last ten seconds: straight down, and parity half as large again as the beams' own noise.
 
     The beams are not square: of one unit of parity the second has 0.85. Doppler dilution by numpy's own inverse.
     """
-    told = json.loads((DATA / "ns13_boddl_geometry.json").read_text())
-    rows = np.genfromtxt(DATA / "ns13_boddl_commercial_lidar.csv", delimiter=",", skip_header=1)
+    told = json.loads((public_data / NEW_SHEPARD_GEOMETRY).read_text())
+    rows = np.genfromtxt(public_data / NEW_SHEPARD, delimiter=",", skip_header=1)
     time_s = (rows[:, 0] - 1_602_596_210_210_000_000) * 1e-9
     speeds_mps = rows[(time_s > 436.5) & (time_s < 447), 5:9]
     sigmas_mps = np.array(told["observed_in_the_csv"]["noise_436p5_to_447s"]["doppler_robust_sigma_mps"])

@@ -87,7 +87,7 @@ class Program:
             with suppress(OSError):
                 pid = self.process.pid
                 for text in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
-                    if b"port_process" in Path(f"/proc/{text}/cmdline").read_bytes():
+                    if b"lidar_emu.runtime.port.process" in Path(f"/proc/{text}/cmdline").read_bytes():
                         return int(text)
             return None
 

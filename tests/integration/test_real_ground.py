@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from twins import APOLLO, ARISTARCHUS, HERODOTUS, MOLA
 
 import lidar_emu
 from lidar_emu.errors import InputError
@@ -25,16 +26,10 @@ from lidar_emu.scene.terrain.read import read_terrain
 
 rasterio = pytest.importorskip("rasterio")
 
-DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
-ARISTARCHUS = DATA / "terrain" / "moon_aristarchus_imp_4p76m.tif"
-HERODOTUS = DATA / "terrain" / "moon_herodotus_mons_53p6m.tif"
-MOLA = DATA / "terrain" / "megt90n000cb.lbl"
-APOLLO = DATA / "trajectory" / "apollo11_descent_clean.csv"
 VALIDITY_S = round(2 * 300e-6 - 131_072 / 600e6 / 2, 9)
 """Centre of the constant segment's record, by the waveform of ndl_four_beam, in whole nanoseconds."""
 
 Floats = NDArray[np.float64]
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no maps in {DATA}")
 
 
 def flown(folder: Path, ground: dict[str, Any], trajectory: str, pattern: str, rate_hz: float) -> Measurement:
@@ -139,12 +134,13 @@ def ranges_by_bisection_m(surface: Surface, altitude_m: Floats, angle_deg: float
 
 
 @pytest.mark.parametrize(
-    ("file", "band", "from_m", "to_m", "angle_deg"),
+    ("name", "band", "from_m", "to_m", "angle_deg"),
     [(ARISTARCHUS, 1, 1500.0, 60.0, 22.5), (HERODOTUS, 2, 6000.0, 1500.0, 22.5)],
 )
 def test_true_ranges_over_a_map_are_those_of_bisection(
-    tmp_path: Path, file: Path, band: int, from_m: float, to_m: float, angle_deg: float
+    public_data: Path, tmp_path: Path, name: str, band: int, from_m: float, to_m: float, angle_deg: float
 ) -> None:
+    file = public_data / name
     with rasterio.open(file) as stream:
         assert stream.descriptions[band - 1] == "qts_demstack"
     waypoints = f"[{{altitude_m: {from_m}, speed_mps: 90}}, {{altitude_m: {to_m}, speed_mps: 5}}]"
@@ -163,12 +159,18 @@ def test_true_ranges_over_a_map_are_those_of_bisection(
     assert np.sqrt(np.mean(error_m**2)) < 0.01 * np.median(expected_m)
 
 
-def test_a_band_is_not_guessed(tmp_path: Path) -> None:
+def test_a_band_is_not_guessed(public_data: Path, tmp_path: Path) -> None:
     trajectory = (
         "{kind: profile, waypoints: [{altitude_m: 900, speed_mps: 9}, {altitude_m: 800, speed_mps: 9}]}"
     )
     with pytest.raises(InputError, match="qts_demstack_slope"):
-        flown(tmp_path, map_of(HERODOTUS, band="elevation"), trajectory, "{kind: square, angle_deg: 9}", 1)
+        flown(
+            tmp_path,
+            map_of(public_data / HERODOTUS, band="elevation"),
+            trajectory,
+            "{kind: square, angle_deg: 9}",
+            1,
+        )
 
 
 @pytest.mark.parametrize(
@@ -184,19 +186,19 @@ def test_a_band_is_not_guessed(tmp_path: Path) -> None:
     ],
 )
 def test_known_places_of_mars(
-    latitude_deg: float, longitude_deg: float, lowest_m: float, highest_m: float
+    public_data: Path, latitude_deg: float, longitude_deg: float, lowest_m: float, highest_m: float
 ) -> None:
     origin = Origin(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
-    terrain = read_terrain(Grid(kind="grid", file=str(MOLA), origin=origin))
+    terrain = read_terrain(Grid(kind="grid", file=str(public_data / MOLA), origin=origin))
     assert lowest_m < terrain.origin_elevation_m < highest_m
     assert not np.isnan(terrain.elevation_m).any()
 
 
-def test_a_descent_over_curved_mars(tmp_path: Path) -> None:
+def test_a_descent_over_curved_mars(public_data: Path, tmp_path: Path) -> None:
     """Beams of 60 degrees meet Isidis' flat floor beyond the tangent plane: by the law of cosines."""
     ground = {
         "kind": "grid",
-        "file": MOLA,
+        "file": public_data / MOLA,
         "origin": "{latitude_deg: 12.9, longitude_deg: 87.0}",
         "half_size_m": 150_000,
     }
@@ -230,17 +232,18 @@ def test_a_descent_over_curved_mars(tmp_path: Path) -> None:
     ("ground", "body"),
     [
         (
-            f"{{kind: grid, file: {ARISTARCHUS}, band: qts_demstack, rock_abundance_band: dlre_ra}}",
+            f"{{kind: grid, file: FOLDER/{ARISTARCHUS}, band: qts_demstack, rock_abundance_band: dlre_ra}}",
             "{name: Moon}",
         ),
-        (f"{{kind: grid, file: {HERODOTUS}, band: qts_demstack, beyond: sphere}}", "{name: Moon}"),
+        (f"{{kind: grid, file: FOLDER/{HERODOTUS}, band: qts_demstack, beyond: sphere}}", "{name: Moon}"),
         (
-            f"{{kind: grid, file: {MOLA}, origin: {{latitude_deg: 18.4, longitude_deg: 77.5}}}}",
+            f"{{kind: grid, file: FOLDER/{MOLA}, origin: {{latitude_deg: 18.4, longitude_deg: 77.5}}}}",
             "{name: Mars, radius_m: 3396000}",
         ),
     ],
 )
-def test_each_map_is_planned_and_flown(tmp_path: Path, ground: str, body: str) -> None:
+def test_each_map_is_planned_and_flown(public_data: Path, tmp_path: Path, ground: str, body: str) -> None:
+    ground = ground.replace("FOLDER", str(public_data))
     waypoints = "[{altitude_m: 1000, speed_mps: 60}, {altitude_m: 900, speed_mps: 50}]"
     (tmp_path / "map.yaml").write_text(
         f"name: map\ntiming: {{rate_hz: 20}}\nsite: {{ground: {ground}, body: {body}}}\n"
@@ -263,17 +266,18 @@ def lidar_emu_says(*arguments: str) -> str:
     return done.stdout
 
 
-APOLLO_DESCENT = (
-    f"{{kind: table, file: {APOLLO}, time: {{column: t_touchdown_s, unit: s}}, "
-    "up: {column: alt_m, unit: m, rate_column: hdot_mps, rate_unit: m/s}, "
-    "pitch: {column: pitch_from_vertical_deg, unit: deg}, "
-    "from_time: -245, to_time: -11, maximum_gap_s: 40}"
-)
+def apollo_descent(file: Path) -> str:
+    return (
+        f"{{kind: table, file: {file}, time: {{column: t_touchdown_s, unit: s}}, "
+        "up: {column: alt_m, unit: m, rate_column: hdot_mps, rate_unit: m/s}, "
+        "pitch: {column: pitch_from_vertical_deg, unit: deg}, "
+        "from_time: -245, to_time: -11, maximum_gap_s: 40}"
+    )
 
 
-def apollo_rows(*columns: str) -> Floats:
+def apollo_rows(file: Path, *columns: str) -> Floats:
     """Columns of the rows in which all are filled, and the time before contact."""
-    with APOLLO.open() as stream:
+    with file.open() as stream:
         rows = [[row[name] for name in ("t_touchdown_s", *columns)] for row in csv.DictReader(stream)]
     return np.array([row for row in rows if all(row)], dtype=np.float64).T
 
@@ -292,15 +296,16 @@ def between_rows(
     return height_m, rate
 
 
-def test_apollo_over_a_plane(tmp_path: Path) -> None:
-    run = flown(tmp_path, {"kind": "plane"}, APOLLO_DESCENT, "{kind: square, angle_deg: 7.5}", 20)
+def test_apollo_over_a_plane(public_data: Path, tmp_path: Path) -> None:
+    file = public_data / APOLLO
+    run = flown(tmp_path, {"kind": "plane"}, apollo_descent(file), "{kind: square, angle_deg: 7.5}", 20)
     assert len(run) == 20 * 234
     time_s = -245 + run.shot / 20 + VALIDITY_S
-    altitude_m, rate_mps = between_rows(time_s, *apollo_rows("alt_m", "hdot_mps"))
+    altitude_m, rate_mps = between_rows(time_s, *apollo_rows(file, "alt_m", "hdot_mps"))
     np.testing.assert_allclose(run.position_site_m[:, 2], altitude_m, rtol=0, atol=1e-8)
     np.testing.assert_allclose(run.velocity_site_mps[:, 2], rate_mps, rtol=0, atol=1e-9)
     # Shots next to a row have its displayed pitch, whatever is flown between rows.
-    row_s, pitch_deg = apollo_rows("pitch_from_vertical_deg")
+    row_s, pitch_deg = apollo_rows(file, "pitch_from_vertical_deg")
     inside = (row_s >= -245) & (row_s < -11)
     shot = np.rint((row_s[inside] + 245) * 20).astype(int)
     beams = square(7.5, pitch_deg[inside])
@@ -314,14 +319,15 @@ def test_apollo_over_a_plane(tmp_path: Path) -> None:
     assert run.range_valid.mean() > 0.9
 
 
-def test_apollo_over_aristarchus(tmp_path: Path) -> None:
-    ground = map_of(ARISTARCHUS, beyond="plane")
-    run = flown(tmp_path, ground, APOLLO_DESCENT, "{kind: square, angle_deg: 7.5}", 5)
-    surface = Surface.read(ARISTARCHUS, 1)
+def test_apollo_over_aristarchus(public_data: Path, tmp_path: Path) -> None:
+    file, terrain = public_data / APOLLO, public_data / ARISTARCHUS
+    ground = map_of(terrain, beyond="plane")
+    run = flown(tmp_path, ground, apollo_descent(file), "{kind: square, angle_deg: 7.5}", 5)
+    surface = Surface.read(terrain, 1)
     hit = run.fired & np.isfinite(run.true_range_m)
     assert hit.all(), "the level plane lies around the map"
     # True points lie on the bilinear surface, or around it on the plane.
-    row_s, pitch_deg = apollo_rows("pitch_from_vertical_deg")
+    row_s, pitch_deg = apollo_rows(file, "pitch_from_vertical_deg")
     shot = np.rint((row_s + 245) * 5).astype(int)
     inside = (row_s >= -245) & (row_s < -11) & (np.abs((row_s + 245) * 5 - shot) < 1e-9)
     shot, beams = shot[inside], square(7.5, pitch_deg[inside])

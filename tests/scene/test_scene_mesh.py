@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from twins import ITOKAWA
 
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.mesh_ground import Mesh as MeshPart
@@ -22,7 +23,6 @@ from lidar_emu.scene.plane import PlaneGround
 
 trimesh = pytest.importorskip("trimesh")
 
-ITOKAWA = Path(__file__).resolve().parents[2].parent / "shared" / "data/smallbody/itokawa_hayabusa_49152.obj"
 RNG = np.random.default_rng
 
 
@@ -364,10 +364,8 @@ def test_an_open_mesh_that_faces_down_is_still_ground(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scene.covers(np.array([4.0, 40.0]), np.array([4.0, 4.0])), [True, False])
 
 
-def test_itokawa_is_as_it_is_known() -> None:
-    if not ITOKAWA.is_file():
-        pytest.skip("the real shape model is not here")
-    file = read_mesh(str(ITOKAWA), "km")
+def test_a_small_body_is_as_it_is_known(public_data: Path) -> None:
+    file = read_mesh(str(public_data / ITOKAWA), "km")
     assert len(file.corner_m) == 49152
     assert file.is_closed
     assert enclosed_m3(file.corner_m) == pytest.approx(0.017786e9, rel=1e-4)
@@ -380,12 +378,11 @@ def test_itokawa_is_as_it_is_known() -> None:
     assert math.isfinite(scene.height_m(np.zeros(1), np.zeros(1))[0])
 
 
-def test_itokawa_is_flown_over(tmp_path: Path) -> None:
-    if not ITOKAWA.is_file():
-        pytest.skip("the real shape model is not here")
+def test_a_small_body_is_flown_over(public_data: Path, tmp_path: Path) -> None:
     from lidar_emu import load, simulate
 
-    ground = f"{{kind: mesh, file: {ITOKAWA}, unit: km, origin: {{latitude_deg: 20, longitude_deg: 30}}}}"
+    file = public_data / ITOKAWA
+    ground = f"{{kind: mesh, file: {file}, unit: km, origin: {{latitude_deg: 20, longitude_deg: 30}}}}"
     ways = "[{altitude_m: 300, speed_mps: 20}, {altitude_m: 20, speed_mps: 5}]"
     (tmp_path / "itokawa.yaml").write_text(
         "name: itokawa\ninstrument: ndl_fine\nscanner: ndl_four_beam\n"

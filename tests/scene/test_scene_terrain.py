@@ -2,10 +2,10 @@
 
 import sys
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
+from twins import ARISTARCHUS, HERODOTUS
 
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.site import Grid, Site
@@ -17,7 +17,6 @@ from lidar_emu.scene.terrain.read import read_terrain
 
 rasterio = pytest.importorskip("rasterio", reason="the extra geo is not installed")
 
-TERRAIN = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "terrain"
 MOON = "+proj=ortho +lat_0=25 +lon_0=-46 +R=1737400 +units=m"
 PLACE = (2.0, 0, 100.0, 0, -2.0, 300.0)
 RAMP = np.arange(20, dtype=np.float32).reshape(4, 5) * 10
@@ -353,23 +352,22 @@ def test_without_rasterio(tmp_path, monkeypatch):
 # -- real maps
 
 
-@pytest.mark.skipif(not TERRAIN.is_dir(), reason="the real maps are not here")
 @pytest.mark.parametrize(
     ("file", "lowest_m", "highest_m", "site"),
     [
-        ("moon_aristarchus_imp_4p76m.tif", -1393.27, -1297.31, (25.047646, -46.76548)),
-        ("moon_herodotus_mons_53p6m.tif", -1684.63, -297.43, (27.489461, 307.042976)),
+        (ARISTARCHUS, -1393.27, -1297.31, (25.047646, -46.76548)),
+        (HERODOTUS, -1684.63, -297.43, (27.489461, 307.042976)),
     ],
 )
-def test_real_maps_of_the_moon(file, lowest_m, highest_m, site):
+def test_maps_of_the_moon(public_data, file, lowest_m, highest_m, site):
     """Bands in different order, chosen by description; the projection is centred on the map's middle."""
     origin = {"latitude_deg": site[0], "longitude_deg": site[1]}
     keys = {"band": "QTS_DEMstack", "placement": "flat", "origin": origin}
-    terrain = read_terrain(grid(TERRAIN / file, **keys))
+    terrain = read_terrain(grid(public_data / file, **keys))
     assert (terrain.elevation_m.min(), terrain.elevation_m.max()) == pytest.approx(
         (lowest_m, highest_m), abs=0.005
     )
-    ground = scene(TERRAIN / file, beyond="sphere", **keys)
+    ground = scene(public_data / file, beyond="sphere", **keys)
     centre = (ground.samples.east_m[[0, -1]].mean(), ground.samples.north_m[[0, -1]].mean())
     assert np.abs(centre).max() < 50
     assert ground.height_m(np.zeros(1), np.zeros(1))[0] == pytest.approx(0, abs=1e-9)

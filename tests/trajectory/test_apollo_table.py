@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from twins import APOLLO
 
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.load import load
@@ -16,22 +17,18 @@ from lidar_emu.scenario.trajectory import Table
 from lidar_emu.shots.model import build_model, measure_whole
 from lidar_emu.trajectory.build import build_trajectory
 
-FILE = (
-    Path(__file__).resolve().parents[2].parent
-    / "shared"
-    / "data"
-    / "trajectory"
-    / "apollo11_descent_clean.csv"
-)
 FROM_S, TO_S = -245.0, -11.0
 
-pytestmark = pytest.mark.skipif(not FILE.exists(), reason=f"no {FILE.name} beside the project")
+
+@pytest.fixture
+def file(public_data: Path) -> Path:
+    return public_data / APOLLO
 
 
-def descent(**keys: Any) -> Table:
+def descent(file: Path, **keys: Any) -> Table:
     given = {
         "kind": "table",
-        "file": str(FILE),
+        "file": str(file),
         "time": {"column": "t_touchdown_s", "unit": "s"},
         "up": {"column": "alt_m", "unit": "m", "rate_column": "hdot_mps", "rate_unit": "m/s"},
         "pitch": {"column": "pitch_from_vertical_deg", "unit": "deg"},
@@ -43,14 +40,14 @@ def descent(**keys: Any) -> Table:
     return Table.model_validate(given)
 
 
-def test_flies_through_every_row() -> None:
-    with FILE.open() as stream:
+def test_flies_through_every_row(file: Path) -> None:
+    with file.open() as stream:
         rows = [row for row in csv.DictReader(stream) if FROM_S <= float(row["t_touchdown_s"]) <= TO_S]
     columns = ("t_touchdown_s", "alt_m", "hdot_mps", "pitch_from_vertical_deg")
     time, up, rate, tilt = np.array(
         [[float(row[name]) for name in columns] for row in rows if row["hdot_mps"]]
     ).T
-    flight = build_trajectory(descent())
+    flight = build_trajectory(descent(file))
     state = flight.state(time - FROM_S)
     assert flight.duration_s == TO_S - FROM_S
     assert len(time) > 80
@@ -61,23 +58,23 @@ def test_flies_through_every_row() -> None:
     np.testing.assert_allclose(state.site_from_body[:, 1, 2], np.sin(np.radians(tilt)), atol=1e-12)
 
 
-def test_states_its_gap_and_refuses_it_where_shorter_ones_are_asked_for() -> None:
-    longest = build_trajectory(descent()).gaps[0]
+def test_states_its_gap_and_refuses_it_where_shorter_ones_are_asked_for(file: Path) -> None:
+    longest = build_trajectory(descent(file)).gaps[0]
     assert (longest.start_s, longest.length_s) == (-191 - FROM_S, 32)
     with pytest.raises(InputError, match=r"32 s after -191.*maximum_gap_s, 10 s"):
-        build_trajectory(descent(maximum_gap_s=10.0))
+        build_trajectory(descent(file, maximum_gap_s=10.0))
 
 
-def test_speed_over_the_gap_stays_between_the_speeds_around_it() -> None:
+def test_speed_over_the_gap_stays_between_the_speeds_around_it(file: Path) -> None:
     time_s = np.linspace(-191, -159, 200) - FROM_S
-    speed = build_trajectory(descent()).state(time_s).velocity_site_mps[:, 2]
+    speed = build_trajectory(descent(file)).state(time_s).velocity_site_mps[:, 2]
     assert speed.min() >= -16.276 - 1e-9
     assert speed.max() <= -7.650 + 1e-9
 
 
-def test_flies_as_it_is_and_says_where_it_knows_nothing() -> None:
+def test_flies_as_it_is_and_says_where_it_knows_nothing(file: Path) -> None:
     given = {
-        **descent(maximum_gap_s=10.0).model_dump(mode="json"), "from_time": None, "to_time": 0, "pitch": None,
+        **descent(file, maximum_gap_s=10.0).model_dump(mode="json"), "from_time": None, "to_time": 0, "pitch": None,
         "longer_gaps": "bridge",
     }  # fmt: skip
     scenario = load(
@@ -85,7 +82,7 @@ def test_flies_as_it_is_and_says_where_it_knows_nothing() -> None:
     )
     model = build_model(scenario)
     run = measure_whole(model)
-    with FILE.open() as stream:
+    with file.open() as stream:
         time = np.array([float(row["t_touchdown_s"]) for row in csv.DictReader(stream)])
     before = np.searchsorted(time, run.time_s[:, 0] + time[0], side="right") - 1
     expected = np.diff(time)[before] > 10
