@@ -13,7 +13,7 @@ import pytest
 from programs import COMMAND
 
 TREE = Path(__file__).resolve().parents[2]
-PACKAGES = {"emulator": "lidar_emu", "protocol": "lidar_protocol"}
+PACKAGES = {"lidar_emu": "emulator", "lidar_protocol": "protocol", "lidar_icd": "protocol"}
 HEAVY = {
     "numba",
     "numpy",
@@ -75,14 +75,18 @@ def installed(wheel: Path, tmp_path: Path) -> Path:
 def test_the_wheel_holds_every_file_of_the_packages(wheel: Path) -> None:
     in_tree = {
         str(path.relative_to(TREE / root))
-        for root, package in PACKAGES.items()
+        for package, root in PACKAGES.items()
         for path in (TREE / root / package).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
     with zipfile.ZipFile(wheel) as archive:
         packed = {name for name in archive.namelist() if ".dist-info/" not in name}
     assert packed == in_tree
-    assert {"lidar_protocol/lidar.dbc", "lidar_protocol/INTERFACE.md"} <= packed
+    assert {
+        "lidar_protocol/lidar.dbc",
+        "lidar_protocol/INTERFACE.md",
+        "lidar_icd/c/header_template.h",
+    } <= packed
     assert "lidar_emu/shipped/ground/mare.npz" in packed
 
 

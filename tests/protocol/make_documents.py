@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import lidar_icd
 import lidar_protocol
-from lidar_icd import documents
 
 
 def main() -> None:
     """Write all files."""
     folder = Path(lidar_protocol.__file__).parent
     interface = lidar_protocol.default_interface()
-    (folder / "INTERFACE.md").write_text(documents.interface_markdown(interface), encoding="utf-8")
-    (folder / "lidar.h").write_text(documents.c_header(interface), encoding="utf-8")
-    (folder / "lidar.dbc").write_text(documents.dbc(interface), encoding="utf-8")
+    (folder / "INTERFACE.md").write_text(lidar_icd.interface_markdown(interface), encoding="utf-8")
+    (folder / "lidar.h").write_text(lidar_icd.c_header(interface), encoding="utf-8")
+    (folder / "lidar.dbc").write_text(lidar_icd.dbc(interface), encoding="utf-8")
 
 
 if __name__ == "__main__":

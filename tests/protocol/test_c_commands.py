@@ -8,7 +8,7 @@ from any_interface import document, trees, values
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from lidar_icd import documents
+import lidar_icd
 from lidar_protocol import EncodeError, Host, default_interface, load
 from lidar_protocol.fields import Constant, Counter, Number
 from lidar_protocol.reading import files
@@ -43,7 +43,7 @@ int main(void) {
 def said(folder, interface, calls):
     """What these encoders write, a line each."""
     lines = "".join(f"    {call}\n" for call in calls)
-    (folder / "lidar.h").write_text(documents.c_header(interface))
+    (folder / "lidar.h").write_text(lidar_icd.c_header(interface))
     (folder / "main.c").write_text(MAIN + lines + "    return 0;\n}\n")
     subprocess.run([COMPILER, *FLAGS, "main.c", "-o", "main"], cwd=folder, check=True)
     run = subprocess.run([folder / "main"], capture_output=True, check=True, text=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from lidar_icd import documents
+import lidar_icd
 from lidar_protocol import Device, default_interface, load, shipped_interface
 from lidar_protocol.reading import files
 
@@ -76,7 +76,7 @@ int main(void) {
 
 def built(folder, interface, program):
     """A program that includes the interface's header."""
-    (folder / "lidar.h").write_text(documents.c_header(interface))
+    (folder / "lidar.h").write_text(lidar_icd.c_header(interface))
     (folder / "main.c").write_text('#include "lidar.h"\n#include <stdio.h>\n' + program)
     subprocess.run([COMPILER, *FLAGS, "main.c", "-o", "main"], cwd=folder, check=True)
     return lambda data: subprocess.run(

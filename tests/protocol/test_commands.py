@@ -268,9 +268,9 @@ def test_an_altimeter_tells_how_it_is():
 def test_cantools_reads_commands_answers_and_health():
     import cantools
 
-    from lidar_icd import documents
+    import lidar_icd
 
-    database = cantools.database.load_string(documents.dbc(DEFAULT), "dbc", strict=True)
+    database = cantools.database.load_string(lidar_icd.dbc(DEFAULT), "dbc", strict=True)
     host, device = Host(DEFAULT), Device(DEFAULT)
 
     def read(frame):

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import lidar_icd
 import lidar_protocol
-from lidar_icd import documents, example
+from lidar_icd import example
 from lidar_protocol import Device, default_interface, packet
 from lidar_protocol.can_frames import block_addresses, command_addresses
 
@@ -24,9 +25,9 @@ PACKET = packet.encode(INTERFACE, 5, {**example.HEADER, "shot": 20_000}, example
 
 def test_the_documents_are_up_to_date():
     hint = "run tests/protocol/make_documents.py"
-    assert documents.interface_markdown(INTERFACE) == DOCUMENT, hint
-    assert documents.c_header(INTERFACE) == (FOLDER / "lidar.h").read_text(encoding="utf-8"), hint
-    assert documents.dbc(INTERFACE) == (FOLDER / "lidar.dbc").read_text(encoding="utf-8"), hint
+    assert lidar_icd.interface_markdown(INTERFACE) == DOCUMENT, hint
+    assert lidar_icd.c_header(INTERFACE) == (FOLDER / "lidar.h").read_text(encoding="utf-8"), hint
+    assert lidar_icd.dbc(INTERFACE) == (FOLDER / "lidar.dbc").read_text(encoding="utf-8"), hint
 
 
 def test_spacepackets_reads_the_primary_header():

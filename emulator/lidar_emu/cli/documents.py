@@ -63,19 +63,19 @@ def icd(out: str, name: str) -> None:
     lidar-emu icd --out docs/
     lidar-emu icd --interface my.toml --out docs/
     """
+    import lidar_icd
     from lidar_emu.wire import interface_named
-    from lidar_icd import documents
 
     folder = Path(out)
     if not folder.is_dir():
         raise InputError("--out", None, out, "allowed: a folder that exists")
     interface = interface_named(name, "--interface")
     texts = {
-        "INTERFACE.md": documents.interface_markdown(interface),
-        "lidar.h": documents.c_header(interface),
+        "INTERFACE.md": lidar_icd.interface_markdown(interface),
+        "lidar.h": lidar_icd.c_header(interface),
     }
     if interface.can is not None:
-        texts["lidar.dbc"] = documents.dbc(interface)
+        texts["lidar.dbc"] = lidar_icd.dbc(interface)
     for file, text in texts.items():
         try:
             (folder / file).write_text(text)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from string import Template
 
-from lidar_icd.c_blocks import block_text, comment_text, shipped_text
-from lidar_icd.c_commands import commands_text
-from lidar_icd.c_reading import reading_text
+from lidar_icd.c.decoder import reading_text
+from lidar_icd.c.encoder import commands_text
+from lidar_icd.c.structs import block_text, comment_text, shipped_text
 from lidar_protocol.crc import Crc, table_of
 from lidar_protocol.definitions import CanBlock, CanMessage, Interface
 from lidar_protocol.framing import Synced
@@ -15,7 +15,7 @@ from lidar_protocol.framing import Synced
 def c_header(interface: Interface, prefix: str = "lidar") -> str:
     """The header. Everything in it is called after `prefix`."""
     parts = [_constants(interface), _enumerations(interface), *_blocks(interface)]
-    text = Template(shipped_text("c_header_template.h")).substitute(
+    text = Template(shipped_text("header_template.h")).substitute(
         name=comment_text(interface.name),
         version=interface.version,
         epoch=comment_text(interface.epoch),
@@ -135,7 +135,9 @@ static inline {kind} lidar_crc({kind} crc, const uint8_t *data, size_t length) {
 def _framing(interface: Interface) -> str:
     """What finds packets in a stream, and what puts them into one."""
     framing = interface.link.framing
-    names = ["c_sync.h"] if isinstance(framing, Synced) else [f"c_{framing.kind}.h", "c_stuffed_reader.h"]
+    names = (
+        ["sync_receiver.h"] if isinstance(framing, Synced) else [f"{framing.kind}.h", "stuffed_receiver.h"]
+    )
     return "\n\n".join(shipped_text(name) for name in names)
 
 

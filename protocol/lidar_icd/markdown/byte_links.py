@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lidar_icd.document_tables import field_table
+from lidar_icd.markdown.field_tables import field_table
 from lidar_protocol.crc import CRCS, Crc
 from lidar_protocol.definitions import ByteLink, Interface
 from lidar_protocol.framing import Stuffed, Synced

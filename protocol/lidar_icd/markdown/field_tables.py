@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lidar_icd.dbc import decimal_text
+from lidar_icd.can_database import decimal_text
 from lidar_protocol.fields import Codec, Constant, Flag, Number, Real, Time, Value
 from lidar_protocol.layout import Layout, Placed
 

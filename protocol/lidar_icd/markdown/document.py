@@ -1,20 +1,16 @@
-"""The interface as documents for the other side, as text: INTERFACE.md, the DBC file and the C header."""
+"""The interface control document: all that is needed to write a decoder and an encoder of commands."""
 
 from __future__ import annotations
 
 from string import Template
 
 from lidar_icd import example
-from lidar_icd.c_header import c_header
-from lidar_icd.dbc import dbc
-from lidar_icd.document_links import crc_text, framing_text, header_text
-from lidar_icd.document_tables import code_block, field_table, hex_block, shown
+from lidar_icd.markdown.byte_links import crc_text, framing_text, header_text
+from lidar_icd.markdown.field_tables import code_block, field_table, hex_block, shown
 from lidar_protocol import packet
 from lidar_protocol.definitions import CanBlock, CanDefinition, CanMessage, CanSet, Interface
 from lidar_protocol.device import Device
 from lidar_protocol.host import Host
-
-__all__ = ["c_header", "dbc", "interface_markdown"]
 
 
 def interface_markdown(interface: Interface) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lidar_icd.c_blocks import c_type, shipped_text
+from lidar_icd.c.structs import c_type, shipped_text
 from lidar_protocol.definitions import CanDefinition, CommandDefinition, Interface
 from lidar_protocol.fields import Constant, Counter, Flag, Number, Real, Time
 from lidar_protocol.framing import Stuffed
@@ -25,7 +25,7 @@ def commands_text(interface: Interface) -> str:
         return ""
     commands = interface.commands.commands
     put = _PUT_BIG if interface.byte_order == "big" else _PUT_LITTLE
-    parts = [_room(interface), put, shipped_text("c_put.h"), _seal(interface)]
+    parts = [_room(interface), put, shipped_text("put_values.h"), _seal(interface)]
     for command in commands:
         parts += [_pack("", command, command.packet), _encode(command)]
         if interface.can is not None and command.can is not None:

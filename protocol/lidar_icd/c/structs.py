@@ -10,7 +10,7 @@ from lidar_protocol.layout import Layout, Placed
 
 def shipped_text(name: str) -> str:
     """A piece of C that comes with the package."""
-    return (files("lidar_icd") / name).read_text(encoding="utf-8").rstrip()
+    return (files("lidar_icd.c") / name).read_text(encoding="utf-8").rstrip()
 
 
 def comment_text(text: str) -> str:

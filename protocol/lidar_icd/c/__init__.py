@@ -1,0 +1,1 @@
+"""A host in C99: structs, decoder and encoder in one header."""
