@@ -37,7 +37,7 @@ class Packet(NamedTuple):
 
     shot: int
     due_ns: int
-    fate: int  # 0: it was sent
+    status: int  # 0: it was sent
     payload: bytes  # as on the link
 
 
@@ -59,9 +59,9 @@ def packets_of(link: socket.socket, sequence: int) -> list[Packet] | None:
             raise ValueError(f"truth {sequence} was refused: status {status}")
         start = ANSWER.size
         for _ in range(count):
-            length, shot, due_ns, fate = PACKET.unpack_from(data, start)
+            length, shot, due_ns, status = PACKET.unpack_from(data, start)
             start += PACKET.size + length
-            packets.append(Packet(shot, due_ns, fate, data[start - length : start]))
+            packets.append(Packet(shot, due_ns, status, data[start - length : start]))
     return packets
 
 

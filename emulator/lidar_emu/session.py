@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from lidar_emu.device.conduct import Conduct, conduct
-from lidar_emu.device.machine import advance, initial, timed
+from lidar_emu.device.modes import advance, initial, timed
 from lidar_emu.device.rules import Event, Rules, device_rules
 from lidar_emu.device.settling import Settling
+from lidar_emu.device.shot_policy import ShotPolicy, shot_policy
 from lidar_emu.device.state import DeviceState
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray
@@ -60,7 +60,7 @@ class _State(NamedTuple):
     """What is carried from shot to shot."""
 
     model: ModelState
-    conduct: Conduct
+    shot_policy: ShotPolicy
     unnumbered: int
     """Shots of the scenario that the device has not counted: before its last restart, and silent ones."""
     settling: Settling
@@ -93,7 +93,7 @@ class Session:
         """Of the device."""
         self._state = _State(
             initial_state(model),
-            conduct(initial(self.rules), model.beam_count),
+            shot_policy(initial(self.rules), model.beam_count),
             0,
             _NOT_SETTLING,
             None if faulty is None else faulty.initial,
@@ -105,7 +105,7 @@ class Session:
     @property
     def device(self) -> DeviceState:
         """As the last shot has left it, or the last command after that."""
-        return self._state.conduct.device
+        return self._state.shot_policy.device
 
     @property
     def is_over(self) -> bool:
@@ -127,7 +127,7 @@ class Session:
             unnumbered = self.next_shot
         self._state = state._replace(
             model=state.model._replace(scanner=scanner),
-            conduct=conduct(device, self._model.beam_count),
+            shot_policy=shot_policy(device, self._model.beam_count),
             unnumbered=unnumbered,
         )
 
@@ -162,11 +162,13 @@ class Session:
         if count <= 0:
             return None
         self._before.append((shot, self._state))
-        if self._state.conduct.is_plain and fired:
+        if self._state.shot_policy.is_plain and fired:
             return self._fire(count, None, _NOT_SETTLING)
         count, silent = self._advance(count)
         settled, settling = self._settled(count)
-        fires = self._state.conduct.fires if fired else np.zeros((1, self._model.beam_count), dtype=np.bool_)
+        fires = (
+            self._state.shot_policy.fires if fired else np.zeros((1, self._model.beam_count), dtype=np.bool_)
+        )
         if settled is not None:
             fires = settled[:, None] if fires is None else fires & settled[:, None]
         return self._fire(count, fires, settling, silent)
@@ -204,7 +206,7 @@ class Session:
         device = advance(self.rules, self.device, shot * period_ns)
         if device is not self.device:
             self.use_device(device)
-        return self._state.conduct.steady(shot, most, period_ns)
+        return self._state.shot_policy.steady(shot, most, period_ns)
 
     def _settled(self, count: int) -> tuple[BoolArray | None, Settling]:
         """(shots,) In which of the next shots the beams have settled, None: in all; and what is carried on."""
@@ -218,7 +220,7 @@ class Session:
         """Measure and encode the next shots, through which the device is as it is."""
         state = self._state
         measurement, model, injected = measure(self._model, self.next_shot, count, state.model, fires, silent)
-        stamped, status = _stamped(measurement, state), state.conduct.status
+        stamped, status = _stamped(measurement, state), state.shot_policy.status
         if silent:
             status = status._replace(silent=True)
         due_ns, wire = measurement.due_ns.tolist(), None
@@ -228,7 +230,7 @@ class Session:
             packets, due_ns, wire, more = self._faulty.packets(measurement, stamped, status, state.wire)
             injected = [*injected, *more]
         self.next_shot += count
-        self._state = _State(model, state.conduct, state.unnumbered + silent * count, settling, wire)
+        self._state = _State(model, state.shot_policy, state.unnumbered + silent * count, settling, wire)
         return Block(measurement, packets, due_ns, tuple(injected), silent)
 
     def _catch_up(self, shot: int) -> None:
@@ -251,8 +253,8 @@ class Session:
 
 def _stamped(measurement: Measurement, state: _State) -> Measurement:
     """The shots with the numbers and the times that the device gives them."""
-    clock = state.conduct.device.clock
-    if state.unnumbered == 0 and (state.conduct.is_plain or clock.is_right):
+    clock = state.shot_policy.device.clock
+    if state.unnumbered == 0 and (state.shot_policy.is_plain or clock.is_right):
         return measurement
     return replace(
         measurement,

@@ -10,13 +10,13 @@ from itertools import count
 import pytest
 
 from lidar_emu.cli.commander import SENT, UNANSWERED, Commander
-from lidar_emu.device.machine import initial
-from lidar_emu.device.now import DeviceNow
+from lidar_emu.device.modes import initial
 from lidar_emu.device.rules import device_rules
+from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.runtime.change_queue import Changes
-from lidar_emu.runtime.device_link.command_handler import CommandPost
-from lidar_emu.runtime.device_link.encoder import Voice
-from lidar_emu.runtime.device_link.received_command import Heard
+from lidar_emu.runtime.device_link.command_handler import CommandHandler
+from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
+from lidar_emu.runtime.device_link.received_command import ReceivedCommand
 from lidar_emu.scenario.device import Device
 from lidar_emu.transports.can_port import open_can
 from lidar_emu.transports.host import CanHost
@@ -33,16 +33,16 @@ class Unit:
     def __init__(self, spec: PortSpec, unit: int) -> None:
         self._channel = open_can(spec)
         rules = device_rules(Device(), 20.0, 4, 2, 1.0)
-        voice = Voice(INTERFACE, unit, True, self._channel.send)
-        self.heard: list[Heard] = []
-        device = DeviceNow(rules, initial(rules))
+        voice = DownlinkEncoder(INTERFACE, unit, True, self._channel.send)
+        self.heard: list[ReceivedCommand] = []
+        device = DeviceTimeline(rules, initial(rules))
         self._changes = Changes()
-        self._post = CommandPost(voice, device, lambda _: True, self._changes, self._tell, lambda *_: None)
+        self._post = CommandHandler(voice, device, lambda _: True, self._changes, self._tell, lambda *_: None)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._listen)
         self._thread.start()
 
-    def _tell(self, heard: Heard, _shot: int | None) -> None:
+    def _tell(self, heard: ReceivedCommand, _shot: int | None) -> None:
         self.heard.append(heard)
 
     def _listen(self) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from lidar_emu.device.machine import advance, initial
-from lidar_emu.device.obey import Order, obey
+from lidar_emu.device.commands import Order, obey
+from lidar_emu.device.modes import advance, initial
 from lidar_emu.device.rules import Rules, device_rules
 from lidar_emu.device.state import DeviceState
 from lidar_emu.scenario.device import Device

@@ -10,15 +10,15 @@ from typing import Any
 import pytest
 from devices import MS, rules
 
-from lidar_emu.device.machine import initial
-from lidar_emu.device.now import DeviceNow
+from lidar_emu.device.modes import initial
 from lidar_emu.device.state import DeviceState
+from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.change_queue import Changes
-from lidar_emu.runtime.device_link.command_handler import CommandPost
-from lidar_emu.runtime.device_link.encoder import Voice
-from lidar_emu.runtime.device_link.housekeeping import Housekeeper
-from lidar_emu.runtime.device_link.received_command import Heard
+from lidar_emu.runtime.device_link.command_handler import CommandHandler
+from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
+from lidar_emu.runtime.device_link.housekeeping import HousekeepingSender
+from lidar_emu.runtime.device_link.received_command import ReceivedCommand
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
@@ -44,20 +44,20 @@ class Line:
     def __init__(self, interface: Interface = DEFAULT, can: bool = False, **part: Any) -> None:
         self.interface, self.can = interface, can
         self.said: list[bytes] = []
-        self.told: list[tuple[Heard, int | None]] = []
+        self.told: list[tuple[ReceivedCommand, int | None]] = []
         self.answered: list[tuple[bytes, int]] = []
         self.kept: list[tuple[bytes, int]] = []
         behaviour = rules(**part)
-        self.device = DeviceNow(behaviour, initial(behaviour))
-        voice = Voice(interface, 0, can, self.said.append)
+        self.device = DeviceTimeline(behaviour, initial(behaviour))
+        voice = DownlinkEncoder(interface, 0, can, self.said.append)
         self.changes = Changes()
-        self.post = CommandPost(
+        self.post = CommandHandler(
             voice, self.device, lambda shown_ns: shown_ns < 1 << 61, self.changes, self._tell, self._answer
         )
         self.tally = Tally(Pace.WALL)
-        self.housekeeper = Housekeeper(voice, self.device, self.tally, self.post, self._keep)
+        self.housekeeper = HousekeepingSender(voice, self.device, self.tally, self.post, self._keep)
 
-    def _tell(self, heard: Heard, shot: int | None) -> None:
+    def _tell(self, heard: ReceivedCommand, shot: int | None) -> None:
         self.told.append((heard, shot))
 
     def _answer(self, payload: bytes, time_ns: int) -> None:
@@ -158,9 +158,9 @@ def test_a_change_waits_for_the_shots_and_is_told_with_the_first_that_follows() 
     session: Any = SimpleNamespace(next_shot=4, use_device=lambda device: states.append(device))
     line.changes.follow(session, 1234)
     assert [state.settings.pattern for state in states] == [1]
-    assert line.told[-1] == (Heard(20 * MS, "set_pattern", {"pattern": 1}, 1, "accepted"), 4)
+    assert line.told[-1] == (ReceivedCommand(20 * MS, "set_pattern", {"pattern": 1}, 1, "accepted"), 4)
     line.changes.close()
-    assert line.told[-1] == (Heard(40 * MS, "set_pattern", {"pattern": 0}, 3, "accepted"), None)
+    assert line.told[-1] == (ReceivedCommand(40 * MS, "set_pattern", {"pattern": 0}, 3, "accepted"), None)
     assert line.changes.first is None
     assert line.post.to_json()["delay"]["count"] == 1
 
@@ -183,8 +183,8 @@ def test_a_time_that_packets_cannot_tell_is_refused() -> None:
 def test_housekeeping_bit_by_bit() -> None:
     """Read by struct from INTERFACE.md, an hour after power-up."""
     line = Line(thermal={"ambient_c": 20.0, "rise_k": 12.0, "time_constant_s": 240.0})
-    line.tally.fates.update({})
-    line.housekeeper.truth_used(3, 12_345_000, 0)
+    line.tally.statuses.update({})
+    line.housekeeper.on_truth_used(3, 12_345_000, 0)
     line.housekeeper.tick(3_600 * S)
     (payload,) = line.said
     assert line.kept == [(payload, 3_600 * S)]

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lidar_emu.device.clock import powered_up
-from lidar_emu.device.wander import Wander
+from lidar_emu.device.frequency_noise import Wander
 from lidar_emu.scenario.device import DeviceClock
 
 S = 1000 * MS
@@ -69,7 +69,7 @@ def test_time_at_the_tone_sets_the_clock_and_its_error_grows_anew() -> None:
 
 
 def test_the_tone_may_lie_before_the_command() -> None:
-    from lidar_emu.device.obey import Order, obey
+    from lidar_emu.device.commands import Order, obey
 
     unit = Unit()
     pulse = Order("time_at_tone", {"tone_ns": 100 * S}, 1_020 * MS, 1_000 * MS)

@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lidar_emu
-from lidar_emu.device.machine import initial
-from lidar_emu.device.now import DeviceNow
-from lidar_emu.device.obey import Order
+from lidar_emu.device.commands import Order
+from lidar_emu.device.modes import initial
 from lidar_emu.device.rules import Rules, device_rules
 from lidar_emu.device.state import Mode
+from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.scenario.device import Device
@@ -74,7 +74,7 @@ def decoded(blocks: list[Block]) -> dict[int, Message]:
 
 def after(rules: Rules, *orders: tuple[float, str, dict[str, Any]]) -> Any:
     """The state after commands, each at a time in milliseconds."""
-    device, state = DeviceNow(rules, initial(rules)), None
+    device, state = DeviceTimeline(rules, initial(rules)), None
     for time_ms, name, values in orders:
         changed, verdict = device.obey(Order(name, values, round(time_ms * MS), round(time_ms * MS)))
         assert verdict == "accepted"

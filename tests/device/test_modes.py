@@ -9,8 +9,8 @@ from devices import MS, Unit, rules
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.device.machine import advance, initial, timed
-from lidar_emu.device.obey import Order, obey
+from lidar_emu.device.commands import Order, obey
+from lidar_emu.device.modes import advance, initial, timed
 from lidar_emu.device.state import Mode
 
 

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 import lidar_emu
-from lidar_emu.device.machine import initial
-from lidar_emu.device.now import DeviceNow
-from lidar_emu.device.obey import Order
+from lidar_emu.device.commands import Order
+from lidar_emu.device.modes import initial
 from lidar_emu.device.rules import Rules, all_events
+from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
 from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.scenario.faults.injected import read_fault, shifted
@@ -24,15 +24,15 @@ FIRST, END, SHOTS = 20, 30, 100
 QUICK = {"device": {"boot_s": 0.1, "self_test_s": 0.06, "acquisition_s": 0.04}}
 
 
-def begun(bench: Any, rules_of: Any, *faults: dict[str, Any]) -> tuple[Session, DeviceNow]:
+def begun(bench: Any, rules_of: Any, *faults: dict[str, Any]) -> tuple[Session, DeviceTimeline]:
     scenario = bench(*faults, **QUICK)
     model = build_model(scenario)
     encoder, rules = Encoder(scenario.wire, False, False, 4), rules_of(scenario, model)
     session = Session(model, encoder, 10, faulty_encoder(scenario, encoder, False), rules)
-    return session, DeviceNow(rules, initial(rules))
+    return session, DeviceTimeline(rules, initial(rules))
 
 
-def ordered(session: Session, device: DeviceNow, scenario: Any, text: str) -> Any:
+def ordered(session: Session, device: DeviceTimeline, scenario: Any, text: str) -> Any:
     """The scenario with a fault that comes in flight."""
     fault = shifted(read_fault(text), session.next_shot * PERIOD_NS * 1e-9)
     scenario = scenario.model_copy(update={"faults": [*scenario.faults, fault]})
@@ -43,7 +43,7 @@ def ordered(session: Session, device: DeviceNow, scenario: Any, text: str) -> An
     return scenario
 
 
-def command(session: Session, device: DeviceNow, at_ms: int, name: str, **values: Any) -> str:
+def command(session: Session, device: DeviceTimeline, at_ms: int, name: str, **values: Any) -> str:
     state, verdict = device.obey(Order(name, values, at_ms * MS, at_ms * MS))
     if state is not None:
         session.use_device(state)

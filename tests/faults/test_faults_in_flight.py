@@ -18,14 +18,14 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 import lidar_emu
-from lidar_emu.device.machine import initial
-from lidar_emu.device.now import DeviceNow
+from lidar_emu.device.modes import initial
 from lidar_emu.device.rules import all_events
+from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
 from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.runtime.change_queue import Changes
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.fault_injector import Injector
+from lidar_emu.runtime.fault_injector import FaultInjector
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port.pacing import Pace
@@ -185,7 +185,7 @@ class Told(Observer):
     def __init__(self) -> None:
         self.faults: list[tuple[int, Any, int]] = []
 
-    def ordered(self, number: int, fault: Any, shot: int) -> None:
+    def on_fault_injected(self, number: int, fault: Any, shot: int) -> None:
         self.faults.append((number, fault, shot))
 
 
@@ -197,10 +197,10 @@ class Controlled:
         self.path, self.told = path, Told()
         model = build_model(scenario)
         self.session = Session(model, encoder, 10, faulty_encoder(scenario, encoder, False))
-        self.device = DeviceNow(self.session.rules, initial(self.session.rules))
+        self.device = DeviceTimeline(self.session.rules, initial(self.session.rules))
         self.changes = Changes()
         self.port_orders: list[dict[str, Any]] = []
-        self.injector = Injector(
+        self.injector = FaultInjector(
             str(path / "control"),
             scenario,
             model,

@@ -213,21 +213,21 @@ def test_summary_recording_and_plan_tell_of_faults(tmp_path: Path) -> None:
     shown = command("run", *run, "--pace", "max", "--summary", "s.json", "--record", "r.mcap", cwd=tmp_path)
     summary = json.loads((tmp_path / "s.json").read_text())
     kinds = {"delayed": 20, "dropout": 10, "lost": 1, "reordered": 1}
-    assert summary["faults"] == {"shots": kinds, "withheld": 2}
+    assert summary["faults"] == {"shots": kinds, "suppressed": 2}
     assert (summary["shots"]["due"], summary["shots"]["sent"]) == (80, 78)
-    assert "dropout 10, lost 1, reordered 1; 2 packets withheld" in shown
-    faults, fates = [], {}
+    assert "dropout 10, lost 1, reordered 1; 2 packets suppressed" in shown
+    faults, deliveries = [], {}
     with (tmp_path / "r.mcap").open("rb") as file:
         for _, channel, message in make_reader(file).iter_messages(topics=["/fault", "/delivery"]):
             told = json.loads(message.data)
             if channel.topic == "/fault":
                 faults.append(told)
             else:
-                fates[told["shot"]] = told
+                deliveries[told["shot"]] = told
     assert faults[0] == {"shot": 10, "fault": 0, "kind": "dropout", "beams": [2]}
     assert len(faults) == 32
-    assert sorted(shot for shot, told in fates.items() if told["status"] == "suppressed") == [30, 50]
-    assert fates[60]["due_ns"] - fates[59]["due_ns"] == 600_000_000
+    assert sorted(shot for shot, told in deliveries.items() if told["status"] == "suppressed") == [30, 50]
+    assert deliveries[60]["due_ns"] - deliveries[59]["due_ns"] == 600_000_000
     planned = json.loads(command("plan", *run, "--json", cwd=tmp_path))["decisions"]
     assert [(row["stage"], row["how"]) for row in planned if row["stage"].startswith("fault")] == [
         ("fault 0", "dropout, beams 2"),

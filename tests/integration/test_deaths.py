@@ -57,7 +57,7 @@ def test_the_death_of_the_port_process_is_one_line_and_a_summary(
     assert run.err == DIED
     told = read_summary(tmp_path / "s.json")
     assert f"lidar-emu: {told['error']}\n" == DIED
-    assert told["last_words"] == "not sent: the line ended with the port's process"
+    assert told["final_message"] == "not sent: the line ended with the port's process"
 
 
 def test_a_run_whose_port_process_dies_keeps_what_was_flown(
@@ -70,13 +70,13 @@ def test_a_run_whose_port_process_dies_keeps_what_was_flown(
     told = read_summary(tmp_path / "s.json")
     shots, words = received(far_end)
     assert words == []
-    assert told["last_words"] is None
+    assert told["final_message"] is None
     # Between a write and its report there is a moment, in which a packet is sent of which nobody hears.
     assert told["shots"]["sent"] in (len(shots), len(shots) - 1)
     assert_equal(handwritten.rows(far_end.data), simulated("descent.yaml"))
     with (tmp_path / "r.mcap").open("rb") as stream:
-        fates = [m.sequence for _, c, m in make_reader(stream).iter_messages() if c.topic == "/delivery"]
-    assert fates == list(range(told["shots"]["due"]))
+        deliveries = [m.sequence for _, c, m in make_reader(stream).iter_messages() if c.topic == "/delivery"]
+    assert deliveries == list(range(told["shots"]["due"]))
     assert sum(told["beams"][0].values()) == told["shots"]["due"]
 
 
@@ -92,11 +92,11 @@ def test_where_the_port_process_dies_the_model_says_that_the_device_is_safe(
     assert_safe(words)
     assert words[0].values["time_ns"] == pytest.approx(50_000_000 * shots[-1], abs=60_000_000)
     told = read_summary(tmp_path / "s.json")
-    assert told["last_words"] == "sent"
-    assert "last words sent" in run.out
+    assert told["final_message"] == "sent"
+    assert "final message sent" in run.out
 
 
-@pytest.mark.parametrize(("policy", "complaint"), [([], ""), (SAFE, ", last words sent")])
+@pytest.mark.parametrize(("policy", "complaint"), [([], ""), (SAFE, ", final message sent")])
 def test_where_the_model_dies_no_more_of_its_shots_are_sent(
     policy: list[str], complaint: str, start: Start, far_end: FarEnd
 ) -> None:
@@ -139,9 +139,11 @@ def test_an_interface_that_cannot_say_so(start: Start, far_end: FarEnd, tmp_path
     far_end.wait_for(100)
     os.kill(run.port_process(), signal.SIGKILL)
     assert run.wait() == 1
-    unsayable = "interface altimeter has no housekeeping with mode safe on this link"
-    assert run.err == f"lidar-emu: warning: {unsayable}: nothing is sent where a process dies\n{DIED}"
-    assert read_summary(tmp_path / "s.json")["last_words"] == "none"
+    why_no_final_message = "interface altimeter has no housekeeping with mode safe on this link"
+    assert (
+        run.err == f"lidar-emu: warning: {why_no_final_message}: nothing is sent where a process dies\n{DIED}"
+    )
+    assert read_summary(tmp_path / "s.json")["final_message"] == "none"
 
 
 def test_an_orderly_end_says_nothing(start: Start, far_end: FarEnd) -> None:

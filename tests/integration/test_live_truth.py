@@ -110,7 +110,7 @@ def test_lockstep_answers_with_faulty_packets(start: Start, simulator: Simulator
     shots = [handwritten.decoded(packet)[0]["shot"] for packet in packets]
     assert shots == [*range(20), *range(30, 100)]
     told = read_summary(tmp_path / "s.json")
-    assert told["faults"] == {"shots": {"delayed": 10, "lost": 10}, "withheld": 10}
+    assert told["faults"] == {"shots": {"delayed": 10, "lost": 10}, "suppressed": 10}
     assert (told["shots"]["due"], told["shots"]["sent"]) == (100, 90)
 
 

@@ -109,7 +109,7 @@ class Shot(NamedTuple):
 
     time_ns: int
     measured: dict[str, Any]
-    fate: dict[str, Any]
+    delivery: dict[str, Any]
     faults: set[str]
     packet: bytes
 
@@ -127,25 +127,25 @@ def recorded(path: Path) -> Iterator[Shot]:
             packets[message.sequence] = message.data
         elif channel.topic in ("/measurement", "/delivery"):
             topics[channel.topic].append((message.log_time - EPOCH_NS, json.loads(message.data)))
-    for (time_ns, measured), (_, fate) in zip(topics["/measurement"], topics["/delivery"], strict=True):
-        shot = fate["shot"]
+    for (time_ns, measured), (_, delivery) in zip(topics["/measurement"], topics["/delivery"], strict=True):
+        shot = delivery["shot"]
         assert set(measured["shot"]) == {shot}
-        yield Shot(time_ns, measured, fate, faults[shot], packets.get(shot, b""))
+        yield Shot(time_ns, measured, delivery, faults[shot], packets.get(shot, b""))
 
 
 def sent_frames(path: Path) -> Iterator[Sent]:
     """What was on the wire by the record, fault by fault."""
     last: dict[str, Any] = {}
     silent = 0  # shots that a mode leaves out, which the device does not count
-    for time_ns, measured, fate, faults, packet in recorded(path):
-        assert fate["status"] == ("sent" if packet else "suppressed")
+    for time_ns, measured, delivery, faults, packet in recorded(path):
+        assert delivery["status"] == ("sent" if packet else "suppressed")
         assert not ("lost" in faults and packet)
         if not packet:
             silent += "lost" not in faults
             continue
         is_whole = not faults & {"wrong_crc", "truncated"}
         mode = handwritten.decoded(handwritten.unstuffed(packet)[0])[0]["mode"] if is_whole else 0
-        message = expected_message(fate["shot"] - silent, time_ns, fate["due_ns"], mode, measured)
+        message = expected_message(delivery["shot"] - silent, time_ns, delivery["due_ns"], mode, measured)
         if "time_jump" in faults:
             message["time_ns"] = as_time_code(time_ns + 1_500_000_000)
         if "frozen_counter" in faults:

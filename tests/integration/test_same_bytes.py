@@ -83,8 +83,8 @@ def test_neither_pace_nor_repetition_nor_link_matters(
 def test_the_pace_of_the_clock_sends_the_same(sent_bytes: Callable[..., bytes], tmp_path: Path) -> None:
     reference = computed()
     stream = sent_bytes("--record", "wall.mcap", "--summary", "s.json")
-    fates = [json.loads(text) for text in recorded(tmp_path / "wall.mcap", "/delivery")]
-    sent = [fate["shot"] for fate in fates if fate["status"] == "sent"]
+    deliveries = [json.loads(text) for text in recorded(tmp_path / "wall.mcap", "/delivery")]
+    sent = [delivery["shot"] for delivery in deliveries if delivery["status"] == "sent"]
     assert len(sent) == read_summary(tmp_path / "s.json")["shots"]["sent"] > SHOTS / 2
     assert stream == b"".join(reference[shot] for shot in sent)
 
@@ -132,26 +132,26 @@ def test_a_stall_is_counted_and_changes_no_byte(start: Start, far_end: FarEnd, t
     run.stall(port, STALL_S)
     run.succeed()
     summary = read_summary(tmp_path / "s.json")
-    fates = [json.loads(text) for text in recorded(tmp_path / "stall.mcap", "/delivery")]
-    assert [fate["shot"] for fate in fates] == list(range(SHOTS))
-    sent = [fate for fate in fates if fate["status"] == "sent"]
-    late = [fate["shot"] for fate in fates if fate["status"] == "late"]
+    deliveries = [json.loads(text) for text in recorded(tmp_path / "stall.mcap", "/delivery")]
+    assert [delivery["shot"] for delivery in deliveries] == list(range(SHOTS))
+    sent = [delivery for delivery in deliveries if delivery["status"] == "sent"]
+    late = [delivery["shot"] for delivery in deliveries if delivery["status"] == "late"]
     assert summary["shots"] == {
         "due": SHOTS,
         "sent": len(sent),
         "late": len(late),
-        "withheld": 0,
+        "suppressed": 0,
         "dropped": {"full": 0, "nobody_connected": 0, "broken": 0},
     }
     # What was due in the half second is skipped, but for the period within which nothing is late.
     longest = max(len(run) for run in runs(late))
     assert longest >= STALL_S * 100 - 3
     # No burst: whatever was sent, was sent when it was due and not when the stall was over.
-    lateness_s = [(fate["sent_ns"] - fate["due_ns"]) * 1e-9 for fate in sent]
+    lateness_s = [(delivery["sent_ns"] - delivery["due_ns"]) * 1e-9 for delivery in sent]
     assert max(lateness_s) < STALL_S / 2
     assert min(lateness_s) >= 0
     reference = computed()
-    assert bytes(far_end.data) == b"".join(reference[fate["shot"]] for fate in sent)
+    assert bytes(far_end.data) == b"".join(reference[delivery["shot"]] for delivery in sent)
     assert not is_running(port)
 
 

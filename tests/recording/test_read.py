@@ -21,7 +21,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.recording import channels
 from lidar_emu.recording.read import Recording, read_recording
-from lidar_emu.runtime.port.packets import Fate
+from lidar_emu.runtime.port.packets import DeliveryStatus
 from lidar_protocol import Housekeeping, Message, SerialReceiver
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "recordings.md"
@@ -47,13 +47,13 @@ def test_the_measurement_is_that_of_the_simulation(flight: Recording) -> None:
 def test_packets_are_what_a_receiver_decodes(flight: Recording) -> None:
     packets = flight.packets()
     assert len(packets) == 160
-    withheld = packets.status == Fate.SUPPRESSED
-    assert packets.shot[withheld].tolist() == [60]
+    suppressed = packets.status == DeliveryStatus.SUPPRESSED
+    assert packets.shot[suppressed].tolist() == [60]
     assert packets.payload[60] == b""
-    assert np.array_equal(packets.sent_ns >= 0, packets.status == Fate.SENT)
+    assert np.array_equal(packets.sent_ns >= 0, packets.status == DeliveryStatus.SENT)
     receiver = SerialReceiver(flight.interface)
     shots = [m.shot for m in receiver.receive(b"".join(packets.payload)) if isinstance(m, Message)]
-    assert shots == packets.shot[~withheld].tolist()
+    assert shots == packets.shot[~suppressed].tolist()
     np.testing.assert_array_equal(packets.due_ns, flight.measurement().due_ns)
 
 
@@ -104,9 +104,9 @@ def test_every_message_is_what_its_schema_says(flight: Recording) -> None:
 
 def test_a_column_that_a_schema_lacks_is_refused_by_it() -> None:
     schema = channels.DELIVERY.schema()
-    fate = {"shot": 0, "due_ns": 1, "sent_ns": None, "status": "late", "overtaken": False}
-    jsonschema.validate(fate, schema)
-    for wrong in (fate | {"more": 1}, fate | {"sent_ns": "never"}, {"shot": 0}):
+    delivery = {"shot": 0, "due_ns": 1, "sent_ns": None, "status": "late", "overtaken": False}
+    jsonschema.validate(delivery, schema)
+    for wrong in (delivery | {"more": 1}, delivery | {"sent_ns": "never"}, {"shot": 0}):
         with pytest.raises(jsonschema.ValidationError):
             jsonschema.validate(wrong, schema)
 

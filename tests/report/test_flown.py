@@ -15,7 +15,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.recording.read import read_recording
 from lidar_emu.report.flight_pages import draw_all
 from lidar_emu.report.flown import Flown, read_flown
-from lidar_emu.runtime.port.packets import Fate
+from lidar_emu.runtime.port.packets import DeliveryStatus
 
 COMMAND = Path(sys.executable).parent / "lidar-emu"
 FAULTS = "faults=[{kind: dropout, beams: [2], from_s: 0.5, to_s: 1}, {kind: lost, from_s: 1, to_s: 1.2}]"
@@ -58,7 +58,7 @@ def test_it_is_the_summary_of_the_run(tmp_path):
         "faults",
     )
     assert {name: told[name] for name in same} == {name: ran[name] for name in same}
-    assert ran["faults"]["withheld"] == 2
+    assert ran["faults"]["suppressed"] == 2
     for name in ("range_error_m", "speed_error_mps"):
         assert told[name] == pytest.approx(ran[name], rel=1e-9)
     with np.load(tmp_path / "r.npz") as table:
@@ -96,7 +96,7 @@ def test_a_recording_without_a_column_is_refused_in_one_line(bench_flown, tmp_pa
 def test_all_packets_late(bench_flown):
     packets = replace(
         bench_flown.packets,
-        status=np.full_like(bench_flown.packets.status, Fate.LATE),
+        status=np.full_like(bench_flown.packets.status, DeliveryStatus.LATE),
         sent_ns=np.full_like(bench_flown.packets.sent_ns, -1),
     )
     late = replace(bench_flown, packets=packets)

@@ -8,9 +8,9 @@ import pytest
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
 from lidar_emu.runtime.port.runner import PortRunner
-from lidar_emu.transports.faulty_link import LinkOrder
+from lidar_emu.transports.faulty_link import PortFault
 from lidar_emu.transports.spec import PortSpec
 
 MS = 1_000_000
@@ -35,16 +35,18 @@ def order(kind: str, **more: Any) -> dict[str, Any]:
 
 
 def joined(reports: list[Report]) -> bytes:
-    return b"".join(PACKETS[report.shot].payload for report in reports if report.fate is Fate.SENT)
+    return b"".join(
+        PACKETS[report.shot].payload for report in reports if report.status is DeliveryStatus.SENT
+    )
 
 
 @pytest.mark.parametrize("later", [False, True])
 def test_disconnect(later: bool) -> None:
     reports, out, runner = flown(order("disconnect"), later=later)
-    fates = [report.fate for report in reports]
-    assert len(fates) == len(PACKETS)
-    assert set(fates[:20]) == {Fate.SENT}
-    assert set(fates[22:40]) == {Fate.DROPPED_BROKEN}
+    statuses = [report.status for report in reports]
+    assert len(statuses) == len(PACKETS)
+    assert set(statuses[:20]) == {DeliveryStatus.SENT}
+    assert set(statuses[22:40]) == {DeliveryStatus.DROPPED_BROKEN}
     assert out == joined(reports)
     assert next(event.text for event in runner.told.events) == "link broken: disconnected, as ordered"
 
@@ -52,15 +54,15 @@ def test_disconnect(later: bool) -> None:
 def test_slow_line_delivers_all_that_it_took() -> None:
     # 200 bits to a packet, 50 packets a second: half of what comes, until the buffer is full.
     reports, out, _ = flown(order("slow_line", rate=10_000.0, buffer_bytes=100))
-    assert {report.fate for report in reports} == {Fate.SENT, Fate.DROPPED_FULL}
+    assert {report.status for report in reports} == {DeliveryStatus.SENT, DeliveryStatus.DROPPED_FULL}
     assert out == joined(reports)
 
 
 def test_babble_is_between_whole_packets() -> None:
     babble = order("babble", rate=3000.0, seed=4)
     reports, out, _ = flown(babble)
-    noise = LinkOrder(**babble).noise(0, 600)
-    assert {report.fate for report in reports} == {Fate.SENT}
+    noise = PortFault(**babble).noise(0, 600)
+    assert {report.status for report in reports} == {DeliveryStatus.SENT}
     for packet in PACKETS:
         place = out.index(packet.payload)
         out = out[:place] + out[place + len(packet.payload) :]

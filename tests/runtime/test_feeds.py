@@ -195,13 +195,13 @@ def desk(world: World, changes: list[tuple[int, Change]] | None = None) -> Any:
 
 
 def fly_live(
-    world: World, truths: list[tuple[int, Truth]], awake_share: float = 0.1, **part: Any
+    world: World, truths: list[tuple[int, Truth]], busy_wait_share: float = 0.1, **part: Any
 ) -> TruthSource:
     socket: Any = Socket(world, truths)
     source = TruthSource(socket, LiveTrajectory(10.0), 100 * MS, [])
     flight: Any = world
     live = Live(kind="live", **part)
-    LiveFeed(desk(world), source, flight, live, START_NS, PERIOD_NS, awake_share).fly()
+    LiveFeed(desk(world), source, flight, live, START_NS, PERIOD_NS, busy_wait_share).fly()
     return source
 
 
@@ -278,7 +278,7 @@ def test_on_a_slow_machine_no_more_than_the_share_is_spent_awake() -> None:
 def test_where_cores_are_few_nobody_stays_awake() -> None:
     world = World(10)
     truths = [(START_NS + world.due_ns(k), truth(k, 1)._replace(time_ns=world.seen_ns(k))) for k in range(10)]
-    fly_live(world, [(START_NS - MS, truth(0, MS)), *truths], awake_share=0, lead_s=0)
+    fly_live(world, [(START_NS - MS, truth(0, MS)), *truths], busy_wait_share=0, lead_s=0)
     assert len(world.computed) == 10
     assert (world.awake, world.rehearsed, world.alerts) == ([], [], [])
 

@@ -1,4 +1,4 @@
-"""Last words by the interface's own description, read with `struct`; and the ends of the processes that say them."""
+"""The final message, decoded with `struct` from the interface description, and the processes that send it."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from typing import Any
 
 import pytest
 
-from lidar_emu.device.machine import initial
-from lidar_emu.device.now import DeviceNow
+from lidar_emu.device.modes import initial
 from lidar_emu.device.rules import device_rules
+from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import RunError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.device_link.encoder import Voice
-from lidar_emu.runtime.device_link.final_message import LastWords, unsayable
-from lidar_emu.runtime.device_link.housekeeping import Housekeeper
+from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
+from lidar_emu.runtime.device_link.final_message import FinalMessage, why_no_final_message
+from lidar_emu.runtime.device_link.housekeeping import HousekeepingSender
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import Fate, Outgoing, Report, unpack_frames
+from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report, unpack_frames
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.device import Device
@@ -29,7 +29,7 @@ from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_protocol import default_interface, shipped_interface
 
 SECOND_NS = 1_000_000_000
-WORDS = b"these are the last words"
+WORDS = b"these are the final message"
 
 
 def unstuffed(frame: bytes) -> bytes:
@@ -42,24 +42,24 @@ def unstuffed(frame: bytes) -> bytes:
     return data[:-1]
 
 
-def words_of(tally: Tally, prepare: Callable[[bytes], None], can: bool = False) -> LastWords:
-    voice = Voice(default_interface(), 3, can, say=prepare)
+def words_of(tally: Tally, prepare: Callable[[bytes], None], can: bool = False) -> FinalMessage:
+    voice = DownlinkEncoder(default_interface(), 3, can, say=prepare)
     rules = device_rules(Device(), 10.0, 4, 1)
-    keeper = Housekeeper(voice, DeviceNow(rules, initial(rules)), tally, None, lambda *_: None)
-    return LastWords(voice, keeper, prepare)
+    keeper = HousekeepingSender(voice, DeviceTimeline(rules, initial(rules)), tally, None, lambda *_: None)
+    return FinalMessage(voice, keeper, prepare)
 
 
 def test_they_are_a_housekeeping_packet_with_mode_safe_and_the_laser_off() -> None:
     tally = Tally(Pace.WALL)
-    for fate in (Fate.LATE, Fate.LATE, Fate.DROPPED_FULL):
-        tally.report(Report(0, 0, -1, fate))
+    for status in (DeliveryStatus.LATE, DeliveryStatus.LATE, DeliveryStatus.DROPPED_FULL):
+        tally.report(Report(0, 0, -1, status))
     prepared: list[bytes] = []
     said = words_of(tally, prepared.append)
     said.begin()
     for tenth in range(26):
-        said.report(
+        said.on_report(
             Outgoing(tenth, tenth * SECOND_NS // 10, b""),
-            Report(tenth, tenth * SECOND_NS // 10, 0, Fate.SENT),
+            Report(tenth, tenth * SECOND_NS // 10, 0, DeliveryStatus.SENT),
         )
     assert len(prepared) == 1 + 2, "once a second"
     *_, frame, rest = prepared[-1].split(b"\0")
@@ -84,8 +84,8 @@ def test_on_can_they_are_frames() -> None:
 
 @pytest.mark.parametrize("can", [False, True])
 def test_an_interface_without_such_a_mode_says_nothing(can: bool) -> None:
-    assert "no housekeeping" in str(unsayable(shipped_interface("altimeter"), can))
-    assert unsayable(default_interface(), can) is None
+    assert "no housekeeping" in str(why_no_final_message(shipped_interface("altimeter"), can))
+    assert why_no_final_message(default_interface(), can) is None
 
 
 @pytest.fixture

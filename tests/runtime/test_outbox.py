@@ -6,11 +6,11 @@ from collections import deque
 
 import lidar_emu
 from lidar_emu.device.state import DeviceState
-from lidar_emu.runtime.feed.packet_queue import Outbox
+from lidar_emu.runtime.feed.packet_queue import PacketQueue
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.events import LinkEvent
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block, Session
 from lidar_emu.shots.model import build_model
@@ -31,16 +31,16 @@ class Port:
         return True
 
     def meet(self, count: int) -> None:
-        """Let so many packets meet their fate."""
+        """Deliver this many packets."""
         for _ in range(count):
             packet = self.pushed.popleft()
             old = self.superseded is not None and packet.generation < self.superseded[0]
             gone = (old and packet.shot >= self.superseded[1]) or packet.shot <= self.last_shot
-            fate = Fate.SUPERSEDED if gone else Fate.SENT
+            status = DeliveryStatus.SUPERSEDED if gone else DeliveryStatus.SENT
             if not gone:
                 self.last_shot = packet.shot
             self._reports.append(
-                Report(packet.shot, packet.due_ns, 1 if gone else packet.due_ns, fate, packet.due_ns)
+                Report(packet.shot, packet.due_ns, 1 if gone else packet.due_ns, status, packet.due_ns)
             )
 
     def supersede(self, generation: int, from_shot: int) -> None:
@@ -63,20 +63,20 @@ class Kept(Observer):
         self.angles_deg: list[float] = []
         self.reported: list[int] = []
 
-    def settled(self, block: Block) -> None:
+    def on_block_sent(self, block: Block) -> None:
         self.shots += block.measurement.shot.tolist()
         self.angles_deg += block.measurement.beam_angle_deg[:, 0].tolist()
 
-    def report(self, packet: Outgoing, report: Report) -> None:
+    def on_report(self, packet: Outgoing, report: Report) -> None:
         assert packet.shot == report.shot
         self.reported.append(packet.shot)
 
 
-def begun() -> tuple[Session, Port, Kept, Tally, Outbox]:
+def begun() -> tuple[Session, Port, Kept, Tally, PacketQueue]:
     scenario = lidar_emu.load("descent.yaml", {"level": "geometric"})
     session = Session(build_model(scenario), Encoder(scenario.wire, False, False, 4), 10)
     port, kept, tally = Port(), Kept(), Tally(Pace.WALL)
-    return session, port, kept, tally, Outbox(port, [kept], tally, 100)  # type: ignore[arg-type]
+    return session, port, kept, tally, PacketQueue(port, [kept], tally, 100)  # type: ignore[arg-type]
 
 
 def with_pattern(session: Session, number: int) -> DeviceState:
@@ -84,7 +84,7 @@ def with_pattern(session: Session, number: int) -> DeviceState:
     return session.device._replace(settings=settings)
 
 
-def post(session: Session, outbox: Outbox, shots: int) -> None:
+def post(session: Session, outbox: PacketQueue, shots: int) -> None:
     block = session.shoot(shots)
     assert block is not None
     for packet in outbox.announce(block):

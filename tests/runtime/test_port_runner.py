@@ -17,7 +17,7 @@ import pytest
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.spec import Kind, PortSpec
 
@@ -56,7 +56,7 @@ def test_the_loopback_delivers_every_byte_in_order_at_full_speed(runner: PortRun
     reports = fly(runner, sent, Pace.MAX)
     assert runner.far_end() == joined(sent)
     assert [(report.shot, report.due_ns) for report in reports] == [(p.shot, p.due_ns) for p in sent]
-    assert {report.fate for report in reports} == {Fate.SENT}
+    assert {report.status for report in reports} == {DeliveryStatus.SENT}
     assert runner.told.sent_bytes == len(joined(sent))
     assert runner.told.events == []
 
@@ -65,7 +65,7 @@ def test_nothing_goes_out_before_it_is_due(runner: PortRunner) -> None:
     sent = packets(40, SECOND_NS // 200)
     runner.start(LOOPBACK)
     reports = fly(runner, sent, Pace.WALL, late_after_ns=60 * SECOND_NS)
-    assert {report.fate for report in reports} == {Fate.SENT}
+    assert {report.status for report in reports} == {DeliveryStatus.SENT}
     assert all(report.sent_ns >= report.due_ns for report in reports)
     assert runner.far_end() == joined(sent)
 
@@ -77,7 +77,9 @@ def test_what_comes_too_late_is_skipped_and_said(runner: PortRunner) -> None:
     for packet in sent:
         assert runner.push(packet)
     runner.finish()
-    assert [(r.shot, r.fate, r.sent_ns) for r in runner.reports()] == [(k, Fate.LATE, -1) for k in range(10)]
+    assert [(r.shot, r.status, r.sent_ns) for r in runner.reports()] == [
+        (k, DeliveryStatus.LATE, -1) for k in range(10)
+    ]
     assert (runner.far_end(), runner.told.sent_bytes) == (b"", 0)
 
 
@@ -92,7 +94,9 @@ def test_after_an_alert_packets_go_their_usual_way(runner: PortRunner) -> None:
     runner.alert()
     runner.finish()
     reports = runner.reports()
-    assert [(report.shot, report.fate) for report in reports] == [(k, Fate.SENT) for k in range(30)]
+    assert [(report.shot, report.status) for report in reports] == [
+        (k, DeliveryStatus.SENT) for k in range(30)
+    ]
     assert all(report.sent_ns >= report.due_ns for report in reports)
 
 
@@ -116,7 +120,7 @@ def test_a_pty_reader_gets_every_byte_even_the_last(runner: PortRunner, pty_read
     runner.close()
     reader.stop()
     assert reader.data == joined(sent)
-    assert Counter(report.fate for report in reports) == {Fate.SENT: 2000}
+    assert Counter(report.status for report in reports) == {DeliveryStatus.SENT: 2000}
 
 
 def test_at_full_speed_a_pty_waits_for_its_first_reader(
@@ -136,7 +140,7 @@ def test_at_full_speed_a_pty_waits_for_its_first_reader(
     runner.finish()
     runner.close()
     reader.stop()
-    assert {report.fate for report in runner.reports()} == {Fate.SENT}
+    assert {report.status for report in runner.reports()} == {DeliveryStatus.SENT}
     assert reader.data == joined(sent)
     assert [event.text for event in runner.told.events] == ["nobody connected", "connected"]
 

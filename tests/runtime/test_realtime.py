@@ -17,11 +17,11 @@ WISHES = ["fifo", "isolated_core", "locked_memory", "timer_slack"]
 IMPORTS = """
 import ctypes, json, os, resource
 from pathlib import Path
-from lidar_emu.runtime.realtime import become_punctual
+from lidar_emu.runtime.realtime import request_realtime
 """
 REPORT = """
 before = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-had = become_punctual()
+had = request_realtime()
 room = bytearray(256 << 20)
 locked = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmLck"))
 print(json.dumps({
@@ -101,7 +101,7 @@ def test_a_system_that_does_not_tell_has_none(tmp_path: Path) -> None:
 def test_a_prompt_process_is_an_ordinary_one_again_afterwards() -> None:
     code = """
 import json, os
-from lidar_emu.runtime.realtime import become_punctual, prompt
+from lidar_emu.runtime.realtime import request_realtime, prompt
 scheduler = [os.sched_getscheduler(0)]
 try:
     with prompt():
@@ -109,7 +109,7 @@ try:
         raise KeyError
 except KeyError:
     scheduler.append(os.sched_getscheduler(0))
-print(json.dumps({"scheduler": scheduler, "granted": become_punctual().granted}))
+print(json.dumps({"scheduler": scheduler, "granted": request_realtime().granted}))
 """
     told = ask(code)
     assert isinstance(told["granted"], list)

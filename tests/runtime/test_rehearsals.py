@@ -69,7 +69,7 @@ class Listener(Observer):
     def __init__(self) -> None:
         self.heard: list[tuple[bytes, int, bool]] = []
 
-    def truth(self, datagram: bytes, time_ns: int, counted: bool) -> None:
+    def on_truth(self, datagram: bytes, time_ns: int, counted: bool) -> None:
         self.heard.append((datagram, time_ns, counted))
 
 

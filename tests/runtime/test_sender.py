@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.pacing import Action, Pace, Pacing, WhenLate
-from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
 from lidar_emu.runtime.port.ring import Ring
 from lidar_emu.runtime.port.sender import Sender, Wait
 
@@ -45,7 +45,7 @@ class Line:
 
     def __init__(self) -> None:
         self.taken: list[tuple[int, bytes]] = []
-        self.fate = Fate.SENT
+        self.status = DeliveryStatus.SENT
         self.unread = 0
         self.notes: list[tuple[int, str]] = []
         self.busy: tuple[VirtualClock, int] | None = None
@@ -56,13 +56,13 @@ class Line:
     def send_takes(self, clock: VirtualClock, duration_ns: int) -> None:
         self.busy = (clock, duration_ns)
 
-    def send(self, payload: bytes, now_ns: int) -> Fate:
-        if self.fate is Fate.SENT:
+    def send(self, payload: bytes, now_ns: int) -> DeliveryStatus:
+        if self.status is DeliveryStatus.SENT:
             self.taken.append((now_ns, payload))
         if self.busy is not None:
             clock, duration_ns = self.busy
             clock.time_ns += duration_ns
-        return self.fate
+        return self.status
 
 
 class Rig:
@@ -140,7 +140,11 @@ def test_an_empty_packet_meets_its_fate_at_its_time_and_the_line_sees_nothing(wa
     assert wall.packets.push(Outgoing(1, 1000, b"").to_bytes())
     wall.push(2, 2000)
     wall.run_until_empty()
-    assert [report.fate for report in wall.seen] == [Fate.SENT, Fate.SUPPRESSED, Fate.SENT]
+    assert [report.status for report in wall.seen] == [
+        DeliveryStatus.SENT,
+        DeliveryStatus.SUPPRESSED,
+        DeliveryStatus.SENT,
+    ]
     assert (wall.seen[1].sent_ns, wall.seen[1].woke_ns) == (-1, 1000)
     assert [int.from_bytes(payload, "big") for _, payload in wall.line.taken] == [0, 2]
 
@@ -152,7 +156,7 @@ def test_an_empty_packet_is_never_late() -> None:
     rig.push(1, SECOND_NS)
     rig.clock.time_ns = START_NS + SECOND_NS // 2
     rig.run_until_empty()
-    assert [report.fate for report in rig.seen] == [Fate.SUPPRESSED, Fate.SENT]
+    assert [report.status for report in rig.seen] == [DeliveryStatus.SUPPRESSED, DeliveryStatus.SENT]
     rig.close()
 
 
@@ -168,9 +172,9 @@ def test_a_stall_of_ten_seconds_is_skipped_without_a_burst(wall: Rig) -> None:
         wall.run_until_empty()
     # Late are those with due < wake - late_after; shot s is due at s * period.
     first_in_time = -(-(wakes_ns - period_ns) // period_ns)
-    late = [report.shot for report in wall.seen if report.fate is Fate.LATE]
+    late = [report.shot for report in wall.seen if report.status is DeliveryStatus.LATE]
     assert late == list(range(stalls_at, first_in_time))
-    assert all(report.sent_ns == -1 for report in wall.seen if report.fate is Fate.LATE)
+    assert all(report.sent_ns == -1 for report in wall.seen if report.status is DeliveryStatus.LATE)
     assert len(wall.line.taken) == shots - len(late)
     assert max(Counter(time_ns for time_ns, _ in wall.line.taken).values()) <= 2
 
@@ -180,10 +184,10 @@ def test_where_a_late_packet_ends_the_run_it_was_the_last_one() -> None:
     for shot in range(5):
         rig.push(shot, shot * SECOND_NS)
     rig.run_until(START_NS + SECOND_NS // 2)
-    assert [report.fate for report in rig.fetch()] == [Fate.SENT]
+    assert [report.status for report in rig.fetch()] == [DeliveryStatus.SENT]
     rig.clock.time_ns = START_NS + SECOND_NS + 1001
     rig.run_until_empty()
-    assert rig.seen == [Report(1, SECOND_NS, -1, Fate.LATE, SECOND_NS + 1001)]
+    assert rig.seen == [Report(1, SECOND_NS, -1, DeliveryStatus.LATE, SECOND_NS + 1001)]
     assert [payload for _, payload in rig.line.taken] == [b"\0\0\0\0"]
     rig.close()
 
@@ -193,63 +197,65 @@ def test_reports_tell_when_the_process_had_woken_up(wall: Rig) -> None:
     wall.clock.time_ns = START_NS + SECOND_NS + 700
     wall.line.send_takes(wall.clock, 30)
     wall.run_until_empty()
-    assert wall.seen == [Report(0, SECOND_NS, SECOND_NS + 730, Fate.SENT, SECOND_NS + 700)]
+    assert wall.seen == [Report(0, SECOND_NS, SECOND_NS + 730, DeliveryStatus.SENT, SECOND_NS + 700)]
 
 
 def test_a_full_line_drops_the_new_packet_at_its_time(wall: Rig) -> None:
-    wall.line.fate = Fate.DROPPED_FULL
+    wall.line.status = DeliveryStatus.DROPPED_FULL
     wall.push(0, 0)
     wall.run_until_empty()
-    wall.line.fate = Fate.SENT
+    wall.line.status = DeliveryStatus.SENT
     wall.push(1, SECOND_NS)
     wall.run_until_empty()
-    assert [report.fate for report in wall.seen] == [Fate.DROPPED_FULL, Fate.SENT]
+    assert [report.status for report in wall.seen] == [DeliveryStatus.DROPPED_FULL, DeliveryStatus.SENT]
     assert [payload for _, payload in wall.line.taken] == [b"\0\0\0\1"]
 
 
 def test_full_speed_waits_for_room_and_for_nothing_else(full_speed: Rig) -> None:
     for shot in range(10):
         full_speed.push(shot, shot * SECOND_NS)
-    full_speed.line.fate = Fate.DROPPED_FULL
+    full_speed.line.status = DeliveryStatus.DROPPED_FULL
     wait = full_speed.sender.step()
     assert wait == Wait(full_speed.clock.time_ns + 5 * SECOND_NS, for_room=True)
     assert full_speed.reports.pop() is None
-    full_speed.line.fate = Fate.SENT
+    full_speed.line.status = DeliveryStatus.SENT
     full_speed.run_until_empty()
     assert [report.shot for report in full_speed.seen] == list(range(10))
     assert full_speed.clock.time_ns < START_NS
 
 
-@pytest.mark.parametrize("refusal", [Fate.DROPPED_FULL, Fate.DROPPED_NOBODY])
-def test_full_speed_waits_half_a_minute_in_all_and_then_drops(full_speed: Rig, refusal: Fate) -> None:
+@pytest.mark.parametrize("refusal", [DeliveryStatus.DROPPED_FULL, DeliveryStatus.DROPPED_NOBODY])
+def test_full_speed_waits_half_a_minute_in_all_and_then_drops(
+    full_speed: Rig, refusal: DeliveryStatus
+) -> None:
     for shot in range(100):
         full_speed.push(shot, 0)
-    full_speed.line.fate = refusal
+    full_speed.line.status = refusal
     began_ns = full_speed.clock.time_ns
     full_speed.run_until_empty()
-    assert [report.fate for report in full_speed.seen] == [refusal] * 100
+    assert [report.status for report in full_speed.seen] == [refusal] * 100
     assert full_speed.clock.time_ns == began_ns + 30 * SECOND_NS
     assert full_speed.sender.sent_bytes == 0
     told = [(began_ns + 5 * SECOND_NS, "the line has taken nothing for 5 s"),
             (began_ns + 30 * SECOND_NS, "the line has taken nothing for 30 s: packets are dropped")]  # fmt: skip
-    assert full_speed.line.notes == (told if refusal is Fate.DROPPED_FULL else [])
+    assert full_speed.line.notes == (told if refusal is DeliveryStatus.DROPPED_FULL else [])
 
 
 def test_a_line_that_moves_again_is_borne_anew(full_speed: Rig) -> None:
-    full_speed.line.fate = Fate.DROPPED_FULL
+    full_speed.line.status = DeliveryStatus.DROPPED_FULL
     full_speed.push(0, 0)
     full_speed.run_until_empty()
-    full_speed.line.fate = Fate.SENT
+    full_speed.line.status = DeliveryStatus.SENT
     full_speed.push(1, 0)
     full_speed.run_until_empty()
-    full_speed.line.fate = Fate.DROPPED_FULL
+    full_speed.line.status = DeliveryStatus.DROPPED_FULL
     full_speed.push(2, 0)
     assert full_speed.sender.step() == Wait(full_speed.clock.time_ns + 5 * SECOND_NS, for_room=True)
     assert len(full_speed.line.notes) == 2
 
 
 def test_a_line_that_works_on_what_it_has_is_not_given_up(full_speed: Rig) -> None:
-    full_speed.line.fate, full_speed.line.unread = Fate.DROPPED_FULL, 4096
+    full_speed.line.status, full_speed.line.unread = DeliveryStatus.DROPPED_FULL, 4096
     full_speed.push(0, 0)
     for _ in range(1000):
         assert full_speed.sender.step().for_room
@@ -259,23 +265,26 @@ def test_a_line_that_works_on_what_it_has_is_not_given_up(full_speed: Rig) -> No
 
 
 def test_only_the_first_reader_is_waited_for(full_speed: Rig) -> None:
-    full_speed.line.fate = Fate.DROPPED_NOBODY
+    full_speed.line.status = DeliveryStatus.DROPPED_NOBODY
     full_speed.push(0, 0)
     wait = full_speed.sender.step()
     assert wait.until_ns is not None
     assert not wait.for_room
-    full_speed.line.fate = Fate.SENT
+    full_speed.line.status = DeliveryStatus.SENT
     full_speed.run_until_empty()
-    full_speed.line.fate = Fate.DROPPED_NOBODY
+    full_speed.line.status = DeliveryStatus.DROPPED_NOBODY
     full_speed.push(1, 0)
     began_ns = full_speed.clock.time_ns
     full_speed.run_until_empty()
-    assert [report.fate for report in full_speed.seen] == [Fate.SENT, Fate.DROPPED_NOBODY]
+    assert [report.status for report in full_speed.seen] == [
+        DeliveryStatus.SENT,
+        DeliveryStatus.DROPPED_NOBODY,
+    ]
     assert full_speed.clock.time_ns == began_ns
 
 
 def test_by_the_clock_nobody_is_waited_for(wall: Rig) -> None:
-    wall.line.fate = Fate.DROPPED_NOBODY
+    wall.line.status = DeliveryStatus.DROPPED_NOBODY
     wall.push(0, 0)
     wall.run_until_empty()
     assert (wall.clock.time_ns, len(wall.seen)) == (START_NS, 1)
@@ -285,7 +294,7 @@ def test_a_start_in_another_century_does_not_matter_at_full_speed(full_speed: Ri
     full_speed.clock.time_ns = START_NS - 8000 * 365 * 86_400 * SECOND_NS
     full_speed.push(0, 0)
     full_speed.run_until_empty()
-    assert [(report.fate, report.sent_ns) for report in full_speed.seen] == [(Fate.SENT, 0)]
+    assert [(report.status, report.sent_ns) for report in full_speed.seen] == [(DeliveryStatus.SENT, 0)]
 
 
 def test_a_step_is_bounded(full_speed: Rig) -> None:
@@ -309,14 +318,14 @@ def test_the_rule_of_pace(now_ns: int, due_ns: int, late_after_ns: int) -> None:
     st.integers(0, 2**63 - 1),
     st.integers(-(2**63), 2**63 - 1),
     st.integers(-1, 2**63 - 1),
-    st.sampled_from(Fate),
+    st.sampled_from(DeliveryStatus),
     st.binary(),
     st.integers(-1, 2**63 - 1),
 )
 def test_packets_and_reports_survive_the_ring(
-    shot: int, due_ns: int, sent_ns: int, fate: Fate, payload: bytes, woke_ns: int
+    shot: int, due_ns: int, sent_ns: int, status: DeliveryStatus, payload: bytes, woke_ns: int
 ) -> None:
-    packet, report = Outgoing(shot, due_ns, payload), Report(shot, due_ns, sent_ns, fate, woke_ns)
+    packet, report = Outgoing(shot, due_ns, payload), Report(shot, due_ns, sent_ns, status, woke_ns)
     assert Outgoing.from_bytes(packet.to_bytes()) == packet
     assert Report.from_bytes(report.to_bytes()) == report
     assert len(report.to_bytes()) == Report.SIZE_BYTES

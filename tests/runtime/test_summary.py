@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import Fate, Report
+from lidar_emu.runtime.port.packets import DeliveryStatus, Report
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model, measure_in_blocks, simulate
@@ -22,11 +22,14 @@ def test_counts_of_shots_and_of_their_errors():
         tally.measured(block.part(0, 70 - int(block.shot[0])) if 64 <= block.shot[0] < 70 else block)
         if block.shot[0] >= 64:
             break
-    fates = [Fate.LATE if shot % 10 == 0 else Fate.SENT for shot in range(70)]
-    for shot, fate in enumerate(fates):
+    statuses = [DeliveryStatus.LATE if shot % 10 == 0 else DeliveryStatus.SENT for shot in range(70)]
+    for shot, status in enumerate(statuses):
         tally.report(
             Report(
-                shot, shot * 50_000_000, shot * 50_000_000 + 1000 * shot if fate is Fate.SENT else -1, fate
+                shot,
+                shot * 50_000_000,
+                shot * 50_000_000 + 1000 * shot if status is DeliveryStatus.SENT else -1,
+                status,
             )
         )
     told = tally.to_json()
@@ -34,7 +37,7 @@ def test_counts_of_shots_and_of_their_errors():
         "due": 70,
         "sent": 63,
         "late": 7,
-        "withheld": 0,
+        "suppressed": 0,
         "dropped": {"full": 0, "nobody_connected": 0, "broken": 0},
     }
     assert told["lateness"]["count"] == 63
@@ -61,5 +64,5 @@ def test_counts_of_shots_and_of_their_errors():
 
 def test_pace_max_knows_no_lateness():
     tally = Tally(Pace.MAX)
-    tally.report(Report(0, 10_000_000, 5, Fate.SENT))
+    tally.report(Report(0, 10_000_000, 5, DeliveryStatus.SENT))
     assert tally.to_json()["lateness"]["count"] == 0

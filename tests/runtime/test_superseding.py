@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.pacing import Pace, Pacing
-from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
 from lidar_emu.runtime.port.ring import Ring
 from lidar_emu.runtime.port.sender import Sender
 
@@ -20,9 +20,9 @@ class Line:
     def __init__(self) -> None:
         self.sent: list[bytes] = []
 
-    def send(self, payload: bytes, now_ns: int) -> Fate:  # noqa: ARG002
+    def send(self, payload: bytes, now_ns: int) -> DeliveryStatus:  # noqa: ARG002
         self.sent.append(payload)
-        return Fate.SENT
+        return DeliveryStatus.SENT
 
     def note(self, text: str, now_ns: int) -> None:  # noqa: ARG002
         raise AssertionError(text)
@@ -48,6 +48,9 @@ def test_of_each_shot_the_last_announcement_is_sent(commands: list[tuple[int, in
         pass
     assert line.sent == [bytes(entry) for entry in sorted(wanted.items())]
     told = [Report.from_bytes(entry) for entry in iter(reports.pop, None)]
-    assert sum(report.sent_ns if report.fate is Fate.SUPERSEDED else 1 for report in told) == packets.written
+    assert (
+        sum(report.sent_ns if report.status is DeliveryStatus.SUPERSEDED else 1 for report in told)
+        == packets.written
+    )
     packets.close()
     reports.close()

@@ -14,14 +14,14 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import Outgoing
 from lidar_emu.runtime.port.runner import PortRunner
-from lidar_emu.transports.link import Fate, Link
+from lidar_emu.transports.link import DeliveryStatus, Link
 from lidar_emu.transports.opening import opener
 
 _LIMIT_S = 20.0
 _TICK_NS, _MOMENT_NS = 20_000_000, 200_000
 _AGES_NS = 3600 * 10**9
 _MOST_PACKETS = 20_000
-_DROPPED = {Fate.DROPPED_FULL, Fate.DROPPED_NOBODY, Fate.DROPPED_BROKEN}
+_DROPPED = {DeliveryStatus.DROPPED_FULL, DeliveryStatus.DROPPED_NOBODY, DeliveryStatus.DROPPED_BROKEN}
 
 
 class Device(Protocol):
@@ -30,7 +30,7 @@ class Device(Protocol):
     description: str
     received: bytes
 
-    def send(self, payload: bytes) -> Fate: ...
+    def send(self, payload: bytes) -> DeliveryStatus: ...
     def pump(self) -> None:
         """Let time pass."""
 
@@ -52,7 +52,7 @@ class InThisProcess:
         self.description = self._link.description
         self.received = b""
 
-    def send(self, payload: bytes) -> Fate:
+    def send(self, payload: bytes) -> DeliveryStatus:
         self._link.service(self._now_ns)
         return self._link.send(payload, self._now_ns)
 
@@ -83,13 +83,13 @@ class InAnother:
         self._count = 0
         self.received = b""
 
-    def send(self, payload: bytes) -> Fate:
+    def send(self, payload: bytes) -> DeliveryStatus:
         assert self._runner.push(Outgoing(self._count, 0, payload))
         self._count += 1
         while not (reports := self._runner.reports()):
             self._runner.wait(Clock().now_ns() + _MOMENT_NS)
         (report,) = reports
-        return report.fate
+        return report.status
 
     def pump(self) -> None:
         self._runner.wait(Clock().now_ns() + _TICK_NS)
@@ -135,7 +135,7 @@ class EveryLine:
         with opened(place, far) as device:
             far.attach(device.description)
             for number in range(3):  # what the narrowest of them holds without being read
-                assert device.send(far.packet(number)) is Fate.SENT
+                assert device.send(far.packet(number)) is DeliveryStatus.SENT
             until(device, lambda: far.numbers() == [0, 1, 2])
 
     def test_what_the_far_end_says_arrives(self, place: Place, far: FarEnd) -> None:
@@ -150,9 +150,9 @@ class EveryLine:
             far.attach(device.description)
             taken, dropped = [], 0
             for number in range(_MOST_PACKETS if far.fills else 200):
-                fate = device.send(far.packet(number))
-                assert fate in (Fate.SENT, Fate.DROPPED_FULL)
-                if fate is Fate.SENT:
+                status = device.send(far.packet(number))
+                assert status in (DeliveryStatus.SENT, DeliveryStatus.DROPPED_FULL)
+                if status is DeliveryStatus.SENT:
                     taken.append(number)
                 elif (dropped := dropped + 1) == 20:
                     break
@@ -180,13 +180,13 @@ class EveryLine:
             far.leave()
 
             def is_noticed() -> bool:
-                fate = device.send(far.packet(1))
-                return fate in _DROPPED and bool(device.events())
+                status = device.send(far.packet(1))
+                return status in _DROPPED and bool(device.events())
 
             if far.tells_of_loss:
                 until(device, is_noticed)
             else:
-                assert [device.send(far.packet(1)) for _ in range(20)] == [Fate.SENT] * 20
+                assert [device.send(far.packet(1)) for _ in range(20)] == [DeliveryStatus.SENT] * 20
             if not far.comes_back:
                 return
             far.come_back()

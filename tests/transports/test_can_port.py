@@ -64,7 +64,7 @@ def test_slcan_receives_and_passes_over_what_is_no_frame(raw_pty: Any) -> None:
     for _ in range(10):  # each line that makes no sense ends one call
         frames += unpack_frames(channel.receive())
     assert frames[0] == Frame(0x123, b"\xaa\xbb")
-    assert channel.take_noticed().counts == {"ignored_frames": 2}
+    assert channel.take_diagnostics().counts == {"ignored_frames": 2}
     assert [frame.can_id for frame in frames[1:]] == [0x123]
     channel.close()
 
@@ -199,11 +199,11 @@ def test_error_frames_are_no_data_and_tell_when_the_controller_changes() -> None
     ]
     channel = on(bus)
     assert unpack_frames(channel.receive()) == [Frame(5, b"\1")]
-    noticed = channel.take_noticed()
+    noticed = channel.take_diagnostics()
     assert noticed.counts == {"error_frames": 6}
     states = ["error warning", "error passive", "restarted after bus-off", "error active"]
     assert noticed.events == [f"CAN controller: {state}" for state in states]
-    assert channel.take_noticed().events == []
+    assert channel.take_diagnostics().events == []
 
 
 def test_bus_off_is_a_lost_link() -> None:
@@ -212,7 +212,7 @@ def test_bus_off_is_a_lost_link() -> None:
     channel = on(bus)
     with pytest.raises(LinkLostError, match="bus off"):
         channel.receive()
-    assert channel.take_noticed().counts == {"error_frames": 1}
+    assert channel.take_diagnostics().counts == {"error_frames": 1}
 
 
 def test_a_socketcan_reader_gets_room() -> None:

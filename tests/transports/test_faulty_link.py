@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from lidar_emu.transports.faulty_link import FaultyPort, LinkOrder
+from lidar_emu.transports.faulty_link import FaultyPort, PortFault
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
-from lidar_emu.transports.link import NOTHING, Fate, Link, Noticed
+from lidar_emu.transports.link import NOTHING, DeliveryStatus, Link, LinkDiagnostics
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_emu.transports.wire_load import frame_bits
 
@@ -54,7 +54,7 @@ class Line:
     def receive(self) -> bytes:
         return self.arrived.pop(0) if self.arrived else b""
 
-    def take_noticed(self) -> Noticed:
+    def take_diagnostics(self) -> LinkDiagnostics:
         return NOTHING
 
     def unread(self) -> int:
@@ -80,7 +80,7 @@ class Bench:
         self.now_ns = START_NS + round(time_ms * MS)
         return self
 
-    def send(self, payload: bytes) -> Fate:
+    def send(self, payload: bytes) -> DeliveryStatus:
         return self.link.send(payload, self.now_ns)
 
     def service(self) -> Bench:
@@ -93,15 +93,15 @@ class Bench:
 
 def test_a_disconnected_port_is_closed_and_opened_again() -> None:
     bench = Bench(SERIAL, {"kind": "disconnect"})
-    assert bench.at(99).send(b"a") is Fate.SENT
-    assert bench.at(100).send(b"b") is Fate.DROPPED_BROKEN
+    assert bench.at(99).send(b"a") is DeliveryStatus.SENT
+    assert bench.at(100).send(b"b") is DeliveryStatus.DROPPED_BROKEN
     assert not bench.line.is_open
     for time_ms in range(101, 300):
         bench.at(time_ms).service()
-        assert bench.send(b"c") is Fate.DROPPED_BROKEN
+        assert bench.send(b"c") is DeliveryStatus.DROPPED_BROKEN
     for time_ms in range(300, 2400):
         bench.at(time_ms).service()
-    assert bench.send(b"d") is Fate.SENT
+    assert bench.send(b"d") is DeliveryStatus.SENT
     assert (bench.line.sent, bench.line.opened) == ([b"a", b"d"], 2)
     (broke, why), (again, reopened) = bench.told()
     assert (broke, why, reopened) == (100, "link broken: disconnected, as ordered", "reopened")
@@ -117,7 +117,7 @@ def test_it_is_noticed_without_a_packet() -> None:
 
 def test_what_would_not_come_back_is_kept_and_deaf() -> None:
     bench = Bench(PTY, {"kind": "disconnect"})
-    assert bench.at(120).send(b"a") is Fate.DROPPED_BROKEN
+    assert bench.at(120).send(b"a") is DeliveryStatus.DROPPED_BROKEN
     assert bench.line.is_open
     bench.line.arrived = [b"lost"]
     for time_ms in range(300, 2400):
@@ -131,21 +131,21 @@ def test_what_would_not_come_back_is_kept_and_deaf() -> None:
 def test_bus_off_is_told_as_a_real_one_is_and_the_bus_stays_open() -> None:
     bench = Bench(CAN, {"kind": "bus_off"})
     frames = pack_frames([Frame(0x100, b"12345678")])
-    assert bench.at(150).send(frames) is Fate.DROPPED_BROKEN
+    assert bench.at(150).send(frames) is DeliveryStatus.DROPPED_BROKEN
     assert bench.told() == [(150, "link broken: bus off, as ordered")]
     for time_ms in range(300, 2400):
         bench.at(time_ms).service()
-    assert bench.send(frames) is Fate.SENT
+    assert bench.send(frames) is DeliveryStatus.SENT
     assert (bench.line.opened, bench.line.sent) == (1, [frames])
 
 
 def test_a_slow_line_lets_packets_out_one_after_another() -> None:
     # 1000 bits a second: a packet of 5 bytes takes 50 ms.
     bench = Bench(SERIAL, {"kind": "slow_line", "rate": 1000.0, "buffer_bytes": 12})
-    assert bench.at(99).send(b"00000") is Fate.SENT
+    assert bench.at(99).send(b"00000") is DeliveryStatus.SENT
     assert bench.line.sent == [b"00000"]
     assert [bench.at(120).send(packet) for packet in (b"11111", b"22222", b"33333")] == [
-        Fate.SENT, Fate.SENT, Fate.DROPPED_FULL,
+        DeliveryStatus.SENT, DeliveryStatus.SENT, DeliveryStatus.DROPPED_FULL,
     ]  # fmt: skip
     assert bench.link.pending
     assert bench.link.unread == 10
@@ -159,11 +159,11 @@ def test_a_slow_line_lets_packets_out_one_after_another() -> None:
     assert bench.line.sent == [b"00000", b"11111", b"22222"]
     assert not bench.link.pending
     # At the end of the window what waits goes first.
-    assert bench.at(290).send(b"44444") is Fate.SENT
-    assert bench.at(300).send(b"55555") is Fate.SENT
+    assert bench.at(290).send(b"44444") is DeliveryStatus.SENT
+    assert bench.at(300).send(b"55555") is DeliveryStatus.SENT
     bench.at(340).service()
     assert bench.line.sent[3:] == [b"44444", b"55555"]
-    assert bench.at(341).send(b"6") is Fate.SENT
+    assert bench.at(341).send(b"6") is DeliveryStatus.SENT
     assert bench.line.sent[-1] == b"6"
 
 
@@ -182,7 +182,7 @@ def test_a_slow_line_tells_of_a_full_one_below() -> None:
     bench.line.is_full = True
     bench.at(100).send(b"a" * 200)
     bench.at(200).service()
-    assert bench.send(b"b" * 200) is Fate.DROPPED_FULL
+    assert bench.send(b"b" * 200) is DeliveryStatus.DROPPED_FULL
     bench.line.is_full = False
     bench.service()
     assert bench.line.sent == [b"a" * 200]
@@ -197,8 +197,8 @@ def test_babble_comes_at_its_rate_and_is_the_same_however_often_one_looks(step_m
     noise = b"".join(bench.line.sent)
     # The last look within the window was up to a step before its end.
     assert 400 - 2 * step_ms <= len(noise) <= 400
-    assert noise == LinkOrder(0, "babble", 100 * MS, 300 * MS, 5, 2000.0).noise(0, len(noise))
-    assert noise != LinkOrder(0, "babble", 100 * MS, 300 * MS, 6, 2000.0).noise(0, len(noise))
+    assert noise == PortFault(0, "babble", 100 * MS, 300 * MS, 5, 2000.0).noise(0, len(noise))
+    assert noise != PortFault(0, "babble", 100 * MS, 300 * MS, 6, 2000.0).noise(0, len(noise))
     assert len(set(noise)) > 150
 
 
@@ -206,7 +206,7 @@ def test_babble_stays_between_packets_and_packets_keep_their_order() -> None:
     bench = Bench(SERIAL, {"kind": "babble", "rate": 5000.0})
     packets = [bytes([k]) * 3000 for k in range(1, 40)]
     for k, packet in enumerate(packets):
-        assert bench.at(95 + 5 * k).service().send(packet) is Fate.SENT
+        assert bench.at(95 + 5 * k).service().send(packet) is DeliveryStatus.SENT
     assert [sent for sent in bench.line.sent if sent in packets] == packets
     assert len(bench.line.sent) > len(packets) + 30
 
@@ -242,7 +242,7 @@ def test_what_comes_at_a_rate_comes_once_though_the_port_is_lost_meanwhile() -> 
     assert [text for _, text in bench.told()] == ["link broken: bus off, as ordered", "reopened"]
     assert bench.link.counts["error_frames"] == 10
     frames = [frame for payload in bench.line.sent for frame in unpack_frames(payload)]
-    noise = LinkOrder(1, "babble", 100 * MS, 300 * MS, 0, 800.0).noise(0, 160)
+    noise = PortFault(1, "babble", 100 * MS, 300 * MS, 0, 800.0).noise(0, 160)
     assert b"".join(frame.data for frame in frames) == noise[: 8 * len(frames)]
     assert len(frames) == 19
 
@@ -252,16 +252,16 @@ def test_nothing_goes_wrong_before_the_start() -> None:
     port = FaultyPort(line.open, SERIAL, lambda: START_NS)
     port.order({"number": 0, "kind": "disconnect", "from_ns": 0, "to_ns": None})
     link = Link(port)
-    assert link.send(b"a", START_NS) is Fate.SENT
+    assert link.send(b"a", START_NS) is DeliveryStatus.SENT
     port.begin(START_NS)
-    assert link.send(b"b", START_NS) is Fate.DROPPED_BROKEN
+    assert link.send(b"b", START_NS) is DeliveryStatus.DROPPED_BROKEN
 
 
 def test_orders_may_come_later() -> None:
     bench = Bench(SERIAL)
-    assert bench.at(150).send(b"a") is Fate.SENT
+    assert bench.at(150).send(b"a") is DeliveryStatus.SENT
     bench.port.order({"number": 0, "kind": "disconnect", "from_ns": 100 * MS, "to_ns": 300 * MS})
-    assert bench.send(b"b") is Fate.DROPPED_BROKEN
+    assert bench.send(b"b") is DeliveryStatus.DROPPED_BROKEN
 
 
 def test_a_sound_port_passes_everything_on() -> None:

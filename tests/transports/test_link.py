@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from lidar_emu.errors import InputError
-from lidar_emu.transports.link import Extras, Fate, Link, LinkLostError, Noticed
+from lidar_emu.transports.link import DeliveryStatus, DriverFeatures, Link, LinkDiagnostics, LinkLostError
 
 MS = 1_000_000
 
@@ -20,7 +20,7 @@ class Cable:
         self.room = True
         self.attempts = 0
         self.carried: list[bytes] = []
-        self.noticed = Noticed()
+        self.noticed = LinkDiagnostics()
 
     def open(self) -> Plug:
         self.attempts += 1
@@ -33,7 +33,7 @@ class Plug:
     """The channel of a `Cable`."""
 
     description = "cable"
-    extras = Extras(("low_latency",))
+    driver_features = DriverFeatures(("low_latency",))
     pending = False
     readable: int | None = 7
     writable: int | None = 7
@@ -62,7 +62,7 @@ class Plug:
         self._check()
         return b"hello"
 
-    def take_noticed(self) -> Noticed:
+    def take_diagnostics(self) -> LinkDiagnostics:
         return self._cable.noticed
 
     def unread(self) -> int:
@@ -79,9 +79,9 @@ def texts(link: Link) -> list[tuple[int, str]]:
 def test_a_pulled_cable_is_reported_once_and_opened_again_with_back_off() -> None:
     cable = Cable()
     link = Link(cable.open)
-    assert link.send(b"a", 0) is Fate.SENT
+    assert link.send(b"a", 0) is DeliveryStatus.SENT
     cable.plugged = False
-    assert [link.send(b"b", 10 * MS), link.send(b"c", 20 * MS)] == [Fate.DROPPED_BROKEN] * 2
+    assert [link.send(b"b", 10 * MS), link.send(b"c", 20 * MS)] == [DeliveryStatus.DROPPED_BROKEN] * 2
     attempts_at_ms = []
     for now_ms in range(20, 8000):
         before = cable.attempts
@@ -92,7 +92,7 @@ def test_a_pulled_cable_is_reported_once_and_opened_again_with_back_off() -> Non
     assert link.wake_ns(8000 * MS, wants_room=False) == 9110 * MS
     cable.plugged = True
     link.service(9110 * MS)
-    assert link.send(b"d", 9120 * MS) is Fate.SENT
+    assert link.send(b"d", 9120 * MS) is DeliveryStatus.SENT
     assert cable.carried == [b"a", b"d"]
     assert texts(link) == [(10, "link broken: pulled"), (9110, "reopened")]
 
@@ -120,16 +120,16 @@ def test_a_break_seen_while_reading_counts_as_well() -> None:
 def test_nobody_connected_is_reported_when_it_changes() -> None:
     cable = Cable()
     link = Link(cable.open)
-    assert link.send(b"w", 0) is Fate.SENT
+    assert link.send(b"w", 0) is DeliveryStatus.SENT
     cable.somebody = False
     link.service(0)
-    fates = [link.send(b"x", now_ms * MS) for now_ms in range(3)]
-    assert fates == [Fate.DROPPED_NOBODY] * 3
+    statuses = [link.send(b"x", now_ms * MS) for now_ms in range(3)]
+    assert statuses == [DeliveryStatus.DROPPED_NOBODY] * 3
     assert (link.readable, link.unread) == ([], 0)
     # The descriptor of a pty without a reader is always readable: it must be looked at by time.
     assert link.wake_ns(3 * MS, wants_room=False) is not None
     cable.somebody = True
-    assert link.send(b"y", 4 * MS) is Fate.SENT
+    assert link.send(b"y", 4 * MS) is DeliveryStatus.SENT
     assert (link.readable, link.unread) == ([7], 3)
     assert texts(link) == [(0, "nobody connected"), (4, "connected")]
     assert texts(link) == []
@@ -148,19 +148,19 @@ def test_a_full_line_is_not_a_broken_one() -> None:
     cable = Cable()
     link = Link(cable.open)
     cable.room = False
-    assert link.send(b"x", 0) is Fate.DROPPED_FULL
+    assert link.send(b"x", 0) is DeliveryStatus.DROPPED_FULL
     cable.room = True
-    assert link.send(b"y", 0) is Fate.SENT
+    assert link.send(b"y", 0) is DeliveryStatus.SENT
     assert texts(link) == []
 
 
 def test_what_the_channel_noticed_is_told_and_added_up_before_a_break_and_after() -> None:
     cable = Cable()
     link = Link(cable.open)
-    cable.noticed = Noticed(["error passive"], Counter(error_frames=2))
+    cable.noticed = LinkDiagnostics(["error passive"], Counter(error_frames=2))
     link.receive(1 * MS)
     cable.plugged = False
-    cable.noticed = Noticed(counts=Counter(error_frames=1, lost_frames=5))
+    cable.noticed = LinkDiagnostics(counts=Counter(error_frames=1, lost_frames=5))
     link.receive(2 * MS)
     assert texts(link) == [(1, "error passive"), (2, "link broken: pulled")]
     assert link.counts == {"error_frames": 3, "lost_frames": 5}

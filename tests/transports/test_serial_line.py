@@ -48,20 +48,20 @@ class Driver:
 def test_a_driver_that_can_is_asked_for_low_latency_and_for_rs485_where_it_is_wanted() -> None:
     driver = Driver("low_latency", "rs485")
     assert ask_driver(driver, spec("x")).granted == ("low_latency",)
-    extras = ask_driver(driver, spec("x", rs485=True))
-    assert extras.granted == ("low_latency", "rs485")
-    assert not extras.missing
+    driver_features = ask_driver(driver, spec("x", rs485=True))
+    assert driver_features.granted == ("low_latency", "rs485")
+    assert not driver_features.missing
     assert driver.done == ["low_latency True", "low_latency True", "rs485, RTS while sending: True"]
 
 
 def test_what_a_driver_cannot_do_is_said_and_no_error(raw_pty: Any) -> None:
     assert list(ask_driver(Driver(), spec("x", rs485=True)).missing) == ["low_latency", "rs485"]
     link = Link(opener(spec(raw_pty.path, rs485=True)))
-    assert list(link.extras.missing) == ["low_latency", "rs485"]
+    assert list(link.driver_features.missing) == ["low_latency", "rs485"]
     link.service(0)
     assert link.take_events() == []
     link.close()
-    assert not link.extras.missing
+    assert not link.driver_features.missing
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 
 from lidar_emu.errors import InputError
 from lidar_emu.transports.host import ByteHost, open_host
-from lidar_emu.transports.link import Fate, Link
+from lidar_emu.transports.link import DeliveryStatus, Link
 from lidar_emu.transports.opening import opener
 from lidar_emu.transports.spec import PortSpec, parse_port
 
@@ -56,12 +56,12 @@ def test_the_host_opens_by_the_same_name_and_may_be_started_again(
     spec: PortSpec, host: ByteHost, link: Link
 ) -> None:
     assert host.description == str(spec) == f"udp:127.0.0.1:{address(spec)[1]}"
-    assert link.send(b"one", 0) is Fate.SENT
+    assert link.send(b"one", 0) is DeliveryStatus.SENT
     assert host.read(5.0) == b"one"
     host.close()
-    assert link.send(b"two", 1) is Fate.DROPPED_NOBODY
+    assert link.send(b"two", 1) is DeliveryStatus.DROPPED_NOBODY
     again = open_host(spec)
-    assert link.send(b"three", 2) is Fate.SENT
+    assert link.send(b"three", 2) is DeliveryStatus.SENT
     assert again.read(5.0) == b"three"
     again.close()
     assert [text for _, text in link.take_events()] == ["nobody connected", "connected"]
@@ -90,9 +90,9 @@ def test_nothing_but_loopback_is_reached_unless_it_is_named(link: Link, host: By
 
 
 def test_a_peer_that_was_never_there_costs_packets_and_no_more(link: Link) -> None:
-    fates = [link.send(b"x", now_ns) for now_ns in range(5)]
+    statuses = [link.send(b"x", now_ns) for now_ns in range(5)]
     link.service(10)
-    assert fates == [Fate.DROPPED_NOBODY] * 5
+    assert statuses == [DeliveryStatus.DROPPED_NOBODY] * 5
     assert [text for _, text in link.take_events()] == ["nobody connected"]
 
 
@@ -100,7 +100,7 @@ def test_a_refusal_that_comes_later_is_seen_without_a_packet(spec: PortSpec) -> 
     """Across a network it takes a while; here the peer leaves between two looks."""
     link = Link(opener(spec))
     with datagram_socket(*address(spec)):
-        assert link.send(b"x", 0) is Fate.SENT
+        assert link.send(b"x", 0) is DeliveryStatus.SENT
     sock: Any = link._channel
     sock._socket.send(b"on its way")
     link.service(1)
@@ -131,7 +131,7 @@ def test_no_way_to_a_network_is_a_broken_link_and_no_end(monkeypatch: pytest.Mon
 
     channel: Any = link._channel
     monkeypatch.setattr(channel, "_put", fail)
-    assert link.send(b"x", 0) is Fate.DROPPED_BROKEN
+    assert link.send(b"x", 0) is DeliveryStatus.DROPPED_BROKEN
     link.service(1_000_000_000)
     assert [text for _, text in link.take_events()] == ["link broken: Network is unreachable", "reopened"]
 

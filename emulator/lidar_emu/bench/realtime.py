@@ -22,7 +22,7 @@ from lidar_emu.runtime.feed.packet_queue import payload_of
 from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
 from lidar_emu.runtime.run import Run
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario
@@ -144,27 +144,27 @@ class _Witness(Observer):
         self._second = -1
         self._steal: list[tuple[int, int]] = []
 
-    def opened(self, port: str, start: datetime) -> None:
+    def on_opened(self, port: str, start: datetime) -> None:
         """Pass it on."""
         for other in self.others:
-            other.opened(port, start)
+            other.on_opened(port, start)
 
-    def computed(self, block: Block) -> None:
+    def on_block_computed(self, block: Block) -> None:
         """Pass it on."""
         for other in self.others:
-            other.computed(block)
+            other.on_block_computed(block)
 
-    def settled(self, block: Block) -> None:
+    def on_block_sent(self, block: Block) -> None:
         """Pass it on."""
         for other in self.others:
-            other.settled(block)
+            other.on_block_sent(block)
 
-    def report(self, packet: Outgoing, report: Report) -> None:
+    def on_report(self, packet: Outgoing, report: Report) -> None:
         """Note it, and the steal ticks once a second."""
         self._due.append(report.due_ns)
         self._woke.append(report.woke_ns)
         self._sent.append(report.sent_ns)
-        self._late.append(report.fate is Fate.LATE)
+        self._late.append(report.status is DeliveryStatus.LATE)
         if report.due_ns // _NS_PER_S != self._second:
             self._second = report.due_ns // _NS_PER_S
             self._progress(f"{self._second} s, {sum(self._late)} late")
@@ -172,7 +172,7 @@ class _Witness(Observer):
             if ticks is not None:
                 self._steal.append((self._second, ticks))
         for other in self.others:
-            other.report(packet, report)
+            other.on_report(packet, report)
 
     def side(self, start_ns: int, received_ns: IntArray, delimiters: int) -> Side:
         """What was noted, with the instants of the reader (monotonic clock, one per delimiter)."""
@@ -222,14 +222,14 @@ class _Beside(Observer):
         self.packet_bytes = 0
         self.delimiters = 1
 
-    def computed(self, block: Block) -> None:
+    def on_block_computed(self, block: Block) -> None:
         """With the first shots it is known what the control has to write."""
         if self._first_due_ns is None:
             payload = payload_of(block.packets[0])
             self.packet_bytes, self.delimiters = len(payload), payload.count(0)
             self._first_due_ns = int(block.measurement.due_ns[0])
 
-    def opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
+    def on_opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
         """Open the far end of the emulator's pty; the start is known, and so is when the control has to write."""
         self._reader.tell(path=port)
         self._reader.hear()

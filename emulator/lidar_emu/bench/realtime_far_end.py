@@ -8,7 +8,7 @@ from array import array
 
 from lidar_emu.bench.realtime_answers import LIFELINE, answer, answer_arrays, next_order
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.realtime import become_punctual
+from lidar_emu.runtime.realtime import request_realtime
 
 _READ_BYTES = 65536
 _THIRD_ISOLATED_CORE = 2
@@ -22,7 +22,7 @@ def main() -> None:
     if order is None:
         return
     descriptor = os.open(order["path"], os.O_RDWR | os.O_NOCTTY)
-    become_punctual(_THIRD_ISOLATED_CORE)
+    request_realtime(_THIRD_ISOLATED_CORE)
     answer(open=True)
     answer_arrays(_note_delimiters(Clock(), descriptor))
 

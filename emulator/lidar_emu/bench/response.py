@@ -129,7 +129,7 @@ class _Beside(Observer):
         control_reader.tell(path=path)
         control_reader.hear()
 
-    def awaiting(self, port: str, what: str) -> None:  # noqa: ARG002
+    def on_waiting(self, port: str, what: str) -> None:  # noqa: ARG002
         """The port is open: so can be the others."""
         self._reader.tell(path=port)
         self._reader.hear()
@@ -148,11 +148,11 @@ class _Beside(Observer):
             speed_mps=self._speed_mps,
         )
 
-    def opened(self, port: str, start: datetime) -> None:
+    def on_opened(self, port: str, start: datetime) -> None:
         """Say so."""
         self._progress(f"flying on {port} from {start:%H:%M:%S}")
 
-    def report(self, packet: Outgoing, report: Report) -> None:
+    def on_report(self, packet: Outgoing, report: Report) -> None:
         """Note when it was written."""
         if report.sent_ns >= 0:
             self.shots.append(packet.shot)

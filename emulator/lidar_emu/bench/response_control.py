@@ -13,7 +13,7 @@ from array import array
 
 from lidar_emu.bench.realtime_answers import LIFELINE, answer, answer_arrays, next_order
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.realtime import become_punctual
+from lidar_emu.runtime.realtime import request_realtime
 
 _NEVER = -1
 
@@ -24,7 +24,7 @@ def main() -> None:
     master, slave = os.openpty()
     tty.setraw(slave)
     os.set_blocking(master, False)
-    answer(path=os.ttyname(slave), granted=become_punctual(1).granted)
+    answer(path=os.ttyname(slave), granted=request_realtime(1).granted)
     order = next_order()
     if order is None:
         return

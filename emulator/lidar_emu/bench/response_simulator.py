@@ -12,7 +12,7 @@ from contextlib import suppress
 
 from lidar_emu.bench.realtime_answers import LIFELINE, answer, answer_arrays, next_order
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.realtime import become_punctual
+from lidar_emu.runtime.realtime import request_realtime
 from lidar_emu.trajectory.live_datagram import Truth
 
 _FACING_DOWN = (0.0, 0.5**0.5, 0.5**0.5, 0.0)
@@ -25,7 +25,7 @@ def main() -> None:
     order = next_order()
     if order is None:
         return
-    become_punctual()
+    request_realtime()
     answer_arrays(*_send(Clock(), **order))
 
 

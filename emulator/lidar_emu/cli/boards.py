@@ -10,7 +10,7 @@ from lidar_emu.cli.dashboard import Dashboard
 from lidar_emu.cli.far_end import Decoder, counter_line, reason
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block
 from lidar_emu.transports.frames import unpack_frames
@@ -135,47 +135,47 @@ class RunBoard(Observer):
         self._acting: dict[str, int] = {}
         self._notice = ""
 
-    def awaiting(self, port: str, what: str) -> None:  # noqa: ARG002
+    def on_waiting(self, port: str, what: str) -> None:  # noqa: ARG002
         """Say what the run waits for."""
         self._notice = f"waits for {what}"
         self._draw()
 
-    def opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
+    def on_opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
         """It waits no more."""
         self._notice = ""
 
-    def kept_house(self, payload: bytes, time_ns: int) -> None:  # noqa: ARG002
+    def on_housekeeping(self, payload: bytes, time_ns: int) -> None:  # noqa: ARG002
         """Know how the device is."""
         self._decode(payload)
         if self._dashboard.is_due:
             self._draw()
 
-    def answered(self, payload: bytes, time_ns: int) -> None:  # noqa: ARG002
+    def on_acknowledgement(self, payload: bytes, time_ns: int) -> None:  # noqa: ARG002
         """Know what it answered."""
         self._decode(payload)
 
-    def settled(self, block: Block) -> None:
+    def on_block_sent(self, block: Block) -> None:
         """Know which faults acted, and when."""
         for fault in block.faults:
             beams = f" ({', '.join(map(str, fault.beams))})" if fault.beams else ""
             row = fault.shot - int(block.measurement.shot[0])
             self._acting[fault.kind.replace("_", " ") + beams] = block.due_ns[row]
 
-    def noticed(self, time_ns: int, what: str) -> None:
+    def on_process_event(self, time_ns: int, what: str) -> None:
         """Show the last thing that happened."""
         self._notice = f"{time_ns * 1e-9:.3f} s: {what}"
 
-    def link_noticed(self, time_ns: int, what: str) -> None:
+    def on_link_event(self, time_ns: int, what: str) -> None:
         """Show the last thing that happened."""
-        self.noticed(time_ns, what)
+        self.on_process_event(time_ns, what)
 
-    def report(self, packet: Outgoing, report: Report) -> None:
+    def on_report(self, packet: Outgoing, report: Report) -> None:
         """Draw, if it is time."""
-        if report.fate is Fate.SENT:
+        if report.status is DeliveryStatus.SENT:
             self._sent_bytes += len(packet.payload)
             self._late_ns = max(self._late_ns, report.sent_ns - report.due_ns)
         if self._dashboard.is_due:
-            if report.fate is Fate.SENT:
+            if report.status is DeliveryStatus.SENT:
                 self._decode(packet.payload)
             self._draw(report.due_ns)
 

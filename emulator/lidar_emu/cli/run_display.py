@@ -27,17 +27,17 @@ class Announcer(Observer):
         self._name, self._pace = name, pace
         self._say = say
 
-    def awaiting(self, port: str, what: str) -> None:
+    def on_waiting(self, port: str, what: str) -> None:
         """The port is open; the run begins with something that is waited for."""
         self._say(f"{self._name} on {port}, pace {self._pace}, waits for {what}; Ctrl-C ends it")
 
-    def opened(self, port: str, start: datetime) -> None:
+    def on_opened(self, port: str, start: datetime) -> None:
         """The port is open under this name."""
         self._say(
             f"{self._name} on {port}, pace {self._pace}, from {start:%Y-%m-%d %H:%M:%S} UTC; Ctrl-C ends it"
         )
 
-    def noticed(self, time_ns: int, what: str) -> None:
+    def on_process_event(self, time_ns: int, what: str) -> None:
         """A process stands still, or goes on."""
         self._say(_at(time_ns * 1e-9, what))
 
@@ -53,7 +53,7 @@ class Progress(Observer):
         self._tally = tally
         self._next_ns = 0
 
-    def report(self, packet: Outgoing, report: Report) -> None:  # noqa: ARG002
+    def on_report(self, packet: Outgoing, report: Report) -> None:  # noqa: ARG002
         """Show the counts twice a second."""
         if report.due_ns >= self._next_ns:
             self._next_ns = report.due_ns + round(_SHOW_EVERY_S * 1e9)
@@ -69,7 +69,7 @@ class LoopbackView(Observer):
         self._decoder = Decoder(interface)
         self._screen = None if quiet else Screen(_SHOW_EVERY_S, interface)
 
-    def arrived(self, data: bytes) -> None:
+    def on_far_end_data(self, data: bytes) -> None:
         """Decode, and show what is due."""
         messages = self._decoder.decode(data)
         if self._screen is not None:
@@ -91,8 +91,8 @@ def summary_lines(told: dict[str, Any]) -> list[str]:
     for name in _ERRORS:
         lines += [error_line(told, name), *_expected(told, name)]
     lines += traffic_lines(told)
-    if told["last_words"] is not None:
-        lines.append(f"last words {told['last_words']}")
+    if told["final_message"] is not None:
+        lines.append(f"final message {told['final_message']}")
     left_out = ", ".join(row["stage"] for row in told["left_out"])
     lines.append(f"left out   {left_out or 'nothing'} (lidar-emu plan says why)")
     if told["interrupted"]:
@@ -114,8 +114,8 @@ def traffic_lines(told: dict[str, Any]) -> list[str]:
 def shot_lines(told: dict[str, Any], planned: str = "") -> list[str]:
     """What became of the shots, and how many faults acted on them."""
     shots = told["shots"]
-    withheld = f", {shots['withheld']} not fired by the device" if shots["withheld"] else ""
-    counts = f"{shots['sent']} sent, {shots['late']} late, {dropped_text(shots['dropped'])}{withheld}"
+    suppressed = f", {shots['suppressed']} not fired by the device" if shots["suppressed"] else ""
+    counts = f"{shots['sent']} sent, {shots['late']} late, {dropped_text(shots['dropped'])}{suppressed}"
     return [f"shots      {shots['due']} due{planned}: {counts}", *_faults(told["faults"])]
 
 
@@ -166,7 +166,7 @@ def _faults(told: dict[str, Any]) -> list[str]:
     if not told["shots"]:
         return []
     kinds = ", ".join(f"{kind.replace('_', ' ')} {count}" for kind, count in told["shots"].items())
-    return [f"faults     on shots: {kinds}; {told['withheld']} packets withheld"]
+    return [f"faults     on shots: {kinds}; {told['suppressed']} packets suppressed"]
 
 
 def _truth(told: dict[str, Any] | None) -> list[str]:

@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.device.wander import Wander
+from lidar_emu.device.frequency_noise import Wander
 from lidar_emu.scenario.device import DeviceClock
 
 _DAY_NS = 86_400e9

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lidar_emu.device.heat import Heating
+from lidar_emu.device.frequency_noise import Wander
 from lidar_emu.device.state import Mode, Settings
-from lidar_emu.device.wander import Wander
+from lidar_emu.device.thermal import Heating
 from lidar_emu.scenario.device import Device, DeviceClock
 from lidar_emu.scenario.faults import BrownOut, DeviceFault, Fault, Interlock
 

@@ -6,7 +6,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from lidar_emu.device.clock import Clock
-from lidar_emu.device.heat import Heat
+from lidar_emu.device.thermal import Heat
 
 
 class Mode(StrEnum):

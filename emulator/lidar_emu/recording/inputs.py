@@ -7,10 +7,10 @@ from collections import deque
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from lidar_emu.device.machine import initial
-from lidar_emu.device.now import DeviceNow
-from lidar_emu.device.obey import Order
+from lidar_emu.device.commands import Order
+from lidar_emu.device.modes import initial
 from lidar_emu.device.rules import all_events
+from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.recording import channels
 from lidar_emu.recording.read import JsonMessage, Recording
@@ -53,7 +53,7 @@ class RecordedInputs:
         effective = [each for each in inputs if _affects_shots(each)]
         waited_ns = recording.origin.get("waited_ns")
         if waited_ns is None:
-            self._device = DeviceNow(session.rules, initial(session.rules))
+            self._device = DeviceTimeline(session.rules, initial(session.rules))
         else:
             self._device = waiting_device(session.rules)
             effective = self._apply_before_flight(effective, int(waited_ns))
@@ -74,7 +74,7 @@ class RecordedInputs:
         count = 1 + max((k for k, each in enumerate(inputs) if each.time_ns < 0), default=-1)
         for each in inputs[:count]:
             self._apply(each, waited_ns)
-        self._session.use_device(self._device.begin_flight(self._session.rules, waited_ns))
+        self._session.use_device(self._device.start_flight(self._session.rules, waited_ns))
         return inputs[count:]
 
     def _apply(self, message: JsonMessage, zero_ns: int) -> None:

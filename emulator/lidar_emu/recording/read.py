@@ -4,7 +4,7 @@ recording = read_recording("flight.mcap")
 recording.scenario, recording.origin["started_utc"], recording.is_whole
 measurement = recording.measurement()  # a `Measurement`, like that of `simulate`
 packets = recording.packets()
-late_us = (packets.sent_ns - packets.due_ns)[packets.status == Fate.SENT] / 1e3
+late_us = (packets.sent_ns - packets.due_ns)[packets.status == DeliveryStatus.SENT] / 1e3
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import Channel
 from lidar_emu.recording.mcap_file import ALLOWED, McapFile
-from lidar_emu.runtime.port.packets import Fate
+from lidar_emu.runtime.port.packets import DeliveryStatus
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.transports.spec import PortSpec
 from lidar_protocol import DefinitionError, Interface, load
@@ -65,7 +65,7 @@ class Packets:
     sent_ns: NDArray[np.int64]
     """Time at which the link had accepted the whole packet, from the start of the run; -1: not sent."""
     status: NDArray[np.int8]
-    """Delivery status, a `Fate`."""
+    """Delivery status, a `DeliveryStatus`."""
     overtaken: NDArray[np.bool_]
     """Whether the packet was sent before the device had processed a command that affects its shot."""
     payload: list[bytes]
@@ -164,7 +164,7 @@ class Recording:
                 continue
             delivery = self._values(data)
             sent_ns = -1 if delivery["sent_ns"] is None else delivery["sent_ns"]
-            status = Fate[delivery["status"].upper()]
+            status = DeliveryStatus[delivery["status"].upper()]
             rows.append((delivery["shot"], delivery["due_ns"], sent_ns, status, delivery["overtaken"]))
             payloads.append(payload)
             payload = b""

@@ -18,7 +18,7 @@ from lidar_emu.recording.provenance import build, hashed_files, interface_text
 from lidar_emu.recording.read import Packets, Recording
 from lidar_emu.runtime.feed.packet_queue import outgoing
 from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port.packets import Fate, Outgoing
+from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing
 from lidar_emu.runtime.port_faults import packets_on_order
 from lidar_emu.runtime.prepare import rules_of
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
@@ -78,7 +78,7 @@ def recompute(recording: Recording) -> RecomputeResult:
 
 def _is_missed(recorded: Packets, row: int) -> bool:
     """Whether the shot was too late to be computed."""
-    return recorded.status[row] == Fate.LATE and not recorded.payload[row]
+    return recorded.status[row] == DeliveryStatus.LATE and not recorded.payload[row]
 
 
 class _Parts(NamedTuple):

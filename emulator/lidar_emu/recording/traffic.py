@@ -15,7 +15,7 @@ from lidar_emu.recording.mcap_file import MAGIC as MCAP_MAGIC
 from lidar_emu.recording.mcap_file import first_bytes
 from lidar_emu.recording.pcap import MAGICS, NEXT_GENERATION_MAGIC, read_capture
 from lidar_emu.recording.read import Recording, read_recording
-from lidar_emu.runtime.port.packets import Fate, Outgoing
+from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing
 from lidar_emu.transports.spec import Kind
 
 _ALLOWED = (
@@ -106,7 +106,7 @@ def _from_recording(recording: Recording, as_sent: bool) -> Traffic:
     """Packets that were sent; late, dropped and suppressed ones were not on the link."""
     packets = recording.packets()
     by_clock = as_sent and recording.origin.get("pace") == "wall"
-    sent = packets.status == Fate.SENT
+    sent = packets.status == DeliveryStatus.SENT
     times_ns = (packets.sent_ns if by_clock else packets.due_ns)[sent].tolist()
     payloads = [payload for payload, was_sent in zip(packets.payload, sent, strict=True) if was_sent]
     between = [
@@ -116,7 +116,9 @@ def _from_recording(recording: Recording, as_sent: bool) -> Traffic:
     # The sort is stable: housekeeping that is due with a shot follows it.
     ordered = sorted([*zip(times_ns, payloads, strict=True), *between], key=itemgetter(0))
     unsent = {
-        Fate(code).name.lower(): int((packets.status == code).sum()) for code in Fate if code != Fate.SENT
+        DeliveryStatus(code).name.lower(): int((packets.status == code).sum())
+        for code in DeliveryStatus
+        if code != DeliveryStatus.SENT
     }
     return Traffic(
         [(int(time_ns), payload) for time_ns, payload in ordered],

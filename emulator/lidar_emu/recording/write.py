@@ -23,7 +23,7 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import Channel
 from lidar_emu.recording.provenance import provenance
-from lidar_emu.runtime.device_link.received_command import Heard
+from lidar_emu.runtime.device_link.received_command import ReceivedCommand
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port.packets import Outgoing, Report
@@ -83,7 +83,7 @@ class Recorder(Observer):
         with self._trying():
             self._file.close()
 
-    def opened(self, port: str, start: datetime) -> None:
+    def on_opened(self, port: str, start: datetime) -> None:
         """Create the file.
 
         Raises:
@@ -113,42 +113,42 @@ class Recorder(Observer):
             number = writer.register_channel(channel.topic, encoding, schema, {"holds": channel.holds})
             self._numbers[channel.topic] = number
 
-    def began_flight(self, waited_ns: int) -> None:
+    def on_flight_started(self, waited_ns: int) -> None:
         """Count times from the start of the flight instead of from power-up."""
         self._waited_ns = waited_ns
         self._metadata["waited_ns"] = str(waited_ns)
 
-    def truth(self, datagram: bytes, time_ns: int, counted: bool) -> None:
+    def on_truth(self, datagram: bytes, time_ns: int, counted: bool) -> None:
         """Record a simulator's datagram."""
         self._write(channels.LIVE_TRUTH if counted else channels.REFUSED_TRUTH, time_ns, datagram)
 
-    def truth_used(self, shot: int, age_ns: int, truth_time_ns: int) -> None:
+    def on_truth_used(self, shot: int, age_ns: int, truth_time_ns: int) -> None:
         """Record the age of the live truth with the truth of the shot."""
         self._truth_used[shot] = {"age_s": age_ns * 1e-9, "truth_time_ns": truth_time_ns}
 
-    def commanded(self, heard: Heard, shot: int | None) -> None:
+    def on_command(self, heard: ReceivedCommand, shot: int | None) -> None:
         """Record the command and its verdict."""
         command = heard._asdict() | {"values": dict(heard.values), "first_shot": shot}
         self._write(channels.COMMAND, command.pop("time_ns"), _json(command), shot or 0)
 
-    def answered(self, payload: bytes, time_ns: int) -> None:
+    def on_acknowledgement(self, payload: bytes, time_ns: int) -> None:
         """Record the acknowledgement of a command."""
         self._write(channels.ACKNOWLEDGEMENT, time_ns, payload)
 
-    def kept_house(self, payload: bytes, time_ns: int) -> None:
+    def on_housekeeping(self, payload: bytes, time_ns: int) -> None:
         """Record a housekeeping packet."""
         self._write(channels.HOUSEKEEPING, time_ns, payload)
 
-    def ordered(self, number: int, fault: ScheduledFault | LinkFault, shot: int) -> None:
+    def on_fault_injected(self, number: int, fault: ScheduledFault | LinkFault, shot: int) -> None:
         """Record a fault injected in flight, as a scenario would state it."""
         injected = {"fault": number, "first_shot": shot, "definition": fault.model_dump(mode="json")}
         self._write(channels.INJECTED_FAULT, shot * self._period_ns, _json(injected), shot)
 
-    def superseded(self, generation: int, from_shot: int) -> None:
+    def on_superseded(self, generation: int, from_shot: int) -> None:
         """Remember the generation, to mark packets of older ones that are sent all the same."""
         self._superseded.append((generation, from_shot))
 
-    def settled(self, block: Block) -> None:
+    def on_block_sent(self, block: Block) -> None:
         """Record truth and measurements, shot by shot."""
         begins_ns = block.measurement.time_ns.min(axis=1).tolist()
         first = int(block.measurement.shot[0])
@@ -163,7 +163,7 @@ class Recorder(Observer):
             self._write(channels.FAULT, begins_ns[fault.shot - first], _json(occurrence), fault.shot)
         self._flush()
 
-    def report(self, packet: Outgoing, report: Report) -> None:
+    def on_report(self, packet: Outgoing, report: Report) -> None:
         """Record the packet and its delivery status."""
         # Generations only grow: a command that this packet follows is followed by all later packets.
         self._superseded = [mark for mark in self._superseded if mark[0] > packet.generation]
@@ -171,18 +171,18 @@ class Recorder(Observer):
             "shot": report.shot,
             "due_ns": report.due_ns,
             "sent_ns": report.sent_ns if report.sent_ns >= 0 else None,
-            "status": report.fate.name.lower(),
+            "status": report.status.name.lower(),
             "overtaken": any(packet.shot >= from_shot for _, from_shot in self._superseded),
         }
         if packet.payload:  # empty where the shot was suppressed, or too late to be computed
             self._write(channels.PACKET, packet.due_ns, packet.payload, packet.shot)
         self._write(channels.DELIVERY, packet.due_ns, _json(delivery), packet.shot)
 
-    def noticed(self, time_ns: int, what: str) -> None:
+    def on_process_event(self, time_ns: int, what: str) -> None:
         """Record an event of a process."""
         self._write(channels.EVENT, time_ns, _json({"of": "process", "what": what}))
 
-    def link_noticed(self, time_ns: int, what: str) -> None:
+    def on_link_event(self, time_ns: int, what: str) -> None:
         """Record an event of the link."""
         self._write(channels.EVENT, time_ns, _json({"of": "link", "what": what}))
 

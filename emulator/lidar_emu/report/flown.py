@@ -14,7 +14,7 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.recording import channels
 from lidar_emu.recording.read import JsonMessage, Packets, Recording
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import Fate, Report
+from lidar_emu.runtime.port.packets import DeliveryStatus, Report
 from lidar_emu.runtime.summary import Tally
 
 
@@ -53,7 +53,7 @@ class Flown:
     @property
     def lateness_us(self) -> FloatArray:
         """(packets,) Of those that were sent, from due to written."""
-        sent = self.packets.status == Fate.SENT
+        sent = self.packets.status == DeliveryStatus.SENT
         late_us: FloatArray = np.maximum(self.packets.sent_ns - self.packets.due_ns, 0)[sent] / 1e3
         return late_us
 
@@ -63,8 +63,8 @@ class Flown:
         tally.measured(self.measurement)
         packets, silent = self.packets, self._silent()
         columns = (packets.shot, packets.due_ns, packets.sent_ns, packets.status, silent)
-        for shot, due_ns, sent_ns, fate, is_silent in zip(*(c.tolist() for c in columns), strict=True):
-            tally.report(Report(shot, due_ns, sent_ns, Fate(fate)), is_silent)
+        for shot, due_ns, sent_ns, status, is_silent in zip(*(c.tolist() for c in columns), strict=True):
+            tally.report(Report(shot, due_ns, sent_ns, DeliveryStatus(status)), is_silent)
         tally.faults = Counter(fault.values["kind"] for fault in self.faults)
         return tally
 

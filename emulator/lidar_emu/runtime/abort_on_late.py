@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
 
 
-class LateEnds(Observer):
+class AbortOnLate(Observer):
     """Ends the run with the first shot that is late.
 
     Args:
@@ -18,8 +18,8 @@ class LateEnds(Observer):
     def __init__(self, fail: Callable[[str], None]) -> None:
         self._fail = fail
 
-    def report(self, packet: Outgoing, report: Report) -> None:  # noqa: ARG002
-        """A packet met its fate."""
-        if report.fate is Fate.LATE:
+    def on_report(self, packet: Outgoing, report: Report) -> None:  # noqa: ARG002
+        """The delivery status of a packet is known."""
+        if report.status is DeliveryStatus.LATE:
             late_ms = (report.woke_ns - report.due_ns) * 1e-6
             self._fail(f"shot {report.shot} was {late_ms:.3f} ms late, and timing.when_late is abort")

@@ -34,7 +34,7 @@ _ONE_OF_EACH = (Dropout(kind="dropout"), Lost(kind="lost"), FalseAlarms(kind="fa
 Order = ScheduledFault | LinkFault
 
 
-class Injector:
+class FaultInjector:
     """Takes orders on a Unix datagram socket that only its owner can write to; its path is given back at the end.
 
     An order is a fault in YAML; the answer, for whoever has a name to be answered by, is a JSON object:
@@ -128,7 +128,7 @@ class Injector:
             self._order_of_port(order)
         self._ordered.append(ordered.model_dump(mode="json", exclude_defaults=True) | {"kind": ordered.kind})
         for observer in self._observers:
-            observer.ordered(number, ordered, shot)
+            observer.on_fault_injected(number, ordered, shot)
 
     def _prepared(self, scenario: Scenario) -> tuple[Model, FaultyEncoder | None]:
         """What a session needs for a scenario that differs in its faults."""

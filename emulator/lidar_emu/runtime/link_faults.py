@@ -9,7 +9,7 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.scenario import faults as kinds
 from lidar_emu.scenario.schema import Scenario
-from lidar_emu.transports.faulty_link import LinkOrder
+from lidar_emu.transports.faulty_link import PortFault
 
 _ON_A_BUS = (kinds.ErrorFrames, kinds.BusOff)
 
@@ -44,7 +44,7 @@ def link_order(
     if isinstance(fault, _ON_A_BUS) and not can:
         found = Finding(f"{fault.kind} on a byte link")
         raise InputError(scenario.name, where, found, "allowed: on a CAN bus")
-    order = LinkOrder(
+    order = PortFault(
         number,
         fault.kind,
         round(fault.from_s * 1e9),

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from lidar_emu.device.machine import initial
-from lidar_emu.device.now import DeviceNow
+from lidar_emu.device.modes import initial
 from lidar_emu.device.rules import Rules, device_rules
-from lidar_emu.runtime.device_link.final_message import unsayable
+from lidar_emu.device.timeline import DeviceTimeline
+from lidar_emu.runtime.device_link.final_message import why_no_final_message
 from lidar_emu.runtime.feed.on_command import waiting_device
 from lidar_emu.runtime.feed.packet_queue import payload_of
 from lidar_emu.runtime.feed.shots_ahead import ShotsAhead
@@ -41,7 +41,7 @@ class Prepared:
     live: Live | None
     """The trajectory, if a simulator flies it."""
     encoder: Encoder
-    device: DeviceNow
+    device: DeviceTimeline
     session: Session
     ahead: ShotsAhead
     slots: int
@@ -114,8 +114,8 @@ def prepared(scenario: Scenario, model: Model, options: RunOptions) -> Prepared:
     ahead = ShotsAhead(session, model, encoder, block_shots, options.pace, known)
     longest = max((payload_of(packet) for packet in encoder.packets(ahead.first.measurement)), key=len)
     faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
-    says_last_words = scenario.timing.when_process_dies == "safe"
-    wordless = unsayable(encoder.interface, can) if says_last_words else None
+    sends_final_message = scenario.timing.when_process_dies == "safe"
+    wordless = why_no_final_message(encoder.interface, can) if sends_final_message else None
     warnings = check_wire_load(port, longest, rate_hz), wordless
     return Prepared(
         scenario,
@@ -123,7 +123,7 @@ def prepared(scenario: Scenario, model: Model, options: RunOptions) -> Prepared:
         options,
         live,
         encoder,
-        waiting_device(rules) if options.on_command else DeviceNow(rules, initial(rules)),
+        waiting_device(rules) if options.on_command else DeviceTimeline(rules, initial(rules)),
         session,
         ahead,
         slots,

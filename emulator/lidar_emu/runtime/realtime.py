@@ -20,7 +20,7 @@ _ISOLATED = Path("/sys/devices/system/cpu/isolated")
 
 
 @dataclass(frozen=True)
-class Punctuality:
+class RealtimePrivileges:
     """What was asked for."""
 
     granted: list[str]
@@ -35,7 +35,7 @@ class _Wish(NamedTuple):
     remedy: str
 
 
-def become_punctual(place: int = 0) -> Punctuality:
+def request_realtime(place: int = 0) -> RealtimePrivileges:
     """Ask for everything that helps this process to wake up in time.
 
     Not for a process that never sleeps: it would keep a core from everybody else.
@@ -54,7 +54,7 @@ def become_punctual(place: int = 0) -> Punctuality:
         _Wish("isolated_core", lambda: _pin(place), f"kernel command line: {_isolation(place)}"),
     )
     asked = [(wish, wish.ask()) for wish in wishes]
-    return Punctuality(
+    return RealtimePrivileges(
         [wish.name for wish, given in asked if given],
         {wish.name: wish.remedy for wish, given in asked if not given},
     )
@@ -76,7 +76,7 @@ def prompt() -> Iterator[None]:
             os.sched_setscheduler(0, *before)
 
 
-def awake_share() -> float:
+def busy_wait_share() -> float:
     """Of the time, how much a process may stay awake for what it expects: none where a simulator, the model and the
     port have less than a core each."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -96,7 +96,7 @@ class Replay:
         start_ns, now = self._clock.now_ns() + _LEAD_NS, self._clock.utc_now()
         self._start_utc = now + timedelta(microseconds=_LEAD_NS / 1000)
         for observer in self._observers:
-            observer.opened(description, self._start_utc)
+            observer.on_opened(description, self._start_utc)
         port.begin(start_ns, LATE_AFTER_NS, self._pace)
         for packet in self._packets:
             while not (self._interrupted or port.push(packet)):
@@ -119,19 +119,19 @@ class Replay:
         for packet, report in zip(self._in_flight, reports, strict=False):
             self.tally.report(report)
             for observer in self._observers:
-                observer.report(packet, report)
+                observer.on_report(packet, report)
         del self._in_flight[: len(reports)]
         for event in port.link_events():
             for observer in self._observers:
-                observer.link_noticed(event.time_ns, event.text)
+                observer.on_link_event(event.time_ns, event.text)
         if data := port.far_end():
             for observer in self._observers:
-                observer.arrived(data)
+                observer.on_far_end_data(data)
 
     def _noticed(self, time_ns: int, what: str) -> None:
         self._process_events.add(self._process_events.count + 1, time_ns, what)
         for observer in self._observers:
-            observer.noticed(time_ns, what)
+            observer.on_process_event(time_ns, what)
 
     def _interrupt(self, *_: object) -> None:
         """While the port is being opened there is no loop that would look."""

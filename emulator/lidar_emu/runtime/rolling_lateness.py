@@ -7,7 +7,7 @@ from lidar_emu.runtime.lateness import LatenessHistogram
 WINDOW_NS = 1_000_000_000
 
 
-class LatenessWindows:
+class RollingLateness:
     """The p99 of each window of one second of due times.
 
     Where one quantile over a whole run tells a bad minute from an even trickle of late packets by nothing, these do.

@@ -10,18 +10,18 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.device.rules import Event
-from lidar_emu.runtime.abort_on_late import LateEnds
+from lidar_emu.runtime.abort_on_late import AbortOnLate
 from lidar_emu.runtime.change_queue import Changes
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.device_link.build import Front, open_front
-from lidar_emu.runtime.device_link.encoder import Voice
-from lidar_emu.runtime.device_link.final_message import LastWords
+from lidar_emu.runtime.device_link.build import Front, open_device_link
+from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
+from lidar_emu.runtime.device_link.final_message import FinalMessage
 from lidar_emu.runtime.feed.base import Desk, Feed
 from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
 from lidar_emu.runtime.feed.live import LiveFeed
 from lidar_emu.runtime.feed.lockstep import LockstepFeed
 from lidar_emu.runtime.feed.on_command import OnCommandFeed
-from lidar_emu.runtime.feed.packet_queue import Outbox
+from lidar_emu.runtime.feed.packet_queue import PacketQueue
 from lidar_emu.runtime.feed.truth_source import TruthSource, truth_socket
 from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.observer import Observer
@@ -32,14 +32,14 @@ from lidar_emu.runtime.port.events import EventLog, told
 from lidar_emu.runtime.port.pacing import Pace, WhenLate
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.prepare import prepared
-from lidar_emu.runtime.realtime import awake_share
+from lidar_emu.runtime.realtime import busy_wait_share
 from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import Tally, of_scenario
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.shots.model import Model
 
 if TYPE_CHECKING:
-    from lidar_emu.runtime.fault_injector import Injector
+    from lidar_emu.runtime.fault_injector import FaultInjector
 
 
 class Run:
@@ -69,7 +69,7 @@ class Run:
         self._observers = observers
         self._clock = clock or Clock()
         self._changes = Changes()
-        self._injector: Injector | None = None
+        self._injector: FaultInjector | None = None
         self._opening = True
         self._interrupted = False
         self._error: str | None = None
@@ -80,7 +80,7 @@ class Run:
         self.tally = Tally(options.pace)
         self._known = of_scenario(scenario, model)
         self._process_events = EventLog()
-        self._last_words: LastWords | None = None
+        self._final_message: FinalMessage | None = None
 
     @property
     def warnings(self) -> list[str]:
@@ -117,13 +117,13 @@ class Run:
             self._changes.close()
         return Outcome(self.tally, self._details(port, source, front, stolen), self._error)
 
-    def _open_injector(self, port: PortRunner) -> AbstractContextManager[Injector | None]:
+    def _open_injector(self, port: PortRunner) -> AbstractContextManager[FaultInjector | None]:
         """Where faults are ordered in flight."""
         if self._options.control is None:
             return nullcontext()
-        from lidar_emu.runtime.fault_injector import Injector
+        from lidar_emu.runtime.fault_injector import FaultInjector
 
-        return Injector(
+        return FaultInjector(
             self._options.control,
             self._ready.scenario,
             self._ready.model,
@@ -138,15 +138,17 @@ class Run:
 
     def _front(
         self, port: PortRunner, source: TruthSource | None, watching: list[Observer]
-    ) -> tuple[Front, Outbox]:
+    ) -> tuple[Front, PacketQueue]:
         """What the device hears and says, and the shots' way out; whoever is to know of them watches from now on."""
-        ready, outbox = self._ready, Outbox(port, watching, self.tally, self._ready.slots)
-        voice = Voice(ready.encoder.interface, ready.scenario.wire.unit, ready.is_can, outbox.send_now)
-        front = open_front(voice, ready.device, ready.can_date, self.tally, self._changes, watching)
+        ready, outbox = self._ready, PacketQueue(port, watching, self.tally, self._ready.slots)
+        voice = DownlinkEncoder(
+            ready.encoder.interface, ready.scenario.wire.unit, ready.is_can, outbox.send_now
+        )
+        front = open_device_link(voice, ready.device, ready.can_date, self.tally, self._changes, watching)
         if self._timing.when_process_dies == "safe":
-            self._last_words = LastWords(voice, front.housekeeper, port.prepare)
-        judge = LateEnds(self._fail) if self._timing.when_late == "abort" else None
-        ours = source, judge, front.housekeeper, self._last_words
+            self._final_message = FinalMessage(voice, front.housekeeper, port.prepare)
+        judge = AbortOnLate(self._fail) if self._timing.when_late == "abort" else None
+        ours = source, judge, front.housekeeper, self._final_message
         watching += [each for each in ours if each is not None]
         return front, outbox
 
@@ -161,13 +163,13 @@ class Run:
             yield
         except PortDiedError as death:
             self._fail(str(death))
-            if self._last_words is not None:
-                self._last_words.say(self._options.port, self._clock)
+            if self._final_message is not None:
+                self._final_message.say(self._options.port, self._clock)
 
     def _noticed(self, time_ns: int, what: str) -> None:
         self._process_events.add(self._process_events.count + 1, time_ns, what)
         for observer in self._observers:
-            observer.noticed(time_ns, what)
+            observer.on_process_event(time_ns, what)
 
     def _source(self, socket: DatagramSocket | None, watching: list[Observer]) -> TruthSource | None:
         live = self._ready.live
@@ -179,7 +181,7 @@ class Run:
         assert isinstance(trajectory, LiveTrajectory)
         return TruthSource(socket, trajectory, round(live.stale_after_s * 1e9), watching)
 
-    def _feed(self, port: PortRunner, outbox: Outbox, source: TruthSource | None, front: Front) -> Feed:
+    def _feed(self, port: PortRunner, outbox: PacketQueue, source: TruthSource | None, front: Front) -> Feed:
         ready = self._ready
         desk = Desk(
             ready.session,
@@ -198,7 +200,9 @@ class Run:
             if self._options.pace is Pace.LOCKSTEP:
                 return LockstepFeed(desk, source, ready.flight)
             late_after_ns = self._timing.late_after_ns
-            return LiveFeed(desk, source, ready.flight, ready.live, start_ns, late_after_ns, awake_share())
+            return LiveFeed(
+                desk, source, ready.flight, ready.live, start_ns, late_after_ns, busy_wait_share()
+            )
         fly_from = partial(ready.ahead.feed, desk)
         if not self._options.on_command:
             return fly_from(start_ns)
@@ -207,11 +211,11 @@ class Run:
 
     def _announce(self, what: str) -> None:
         for observer in self._observers:
-            observer.awaiting(self._description, what)
+            observer.on_waiting(self._description, what)
 
     def _began_flight(self, waited_ns: int) -> None:
         for observer in self._observers:
-            observer.began_flight(waited_ns)
+            observer.on_flight_started(waited_ns)
 
     def _interrupt(self, *_: object) -> None:
         """Noted, and acted on between packets: an exception anywhere could lose reports that were just fetched.
@@ -230,11 +234,11 @@ class Run:
         now_ns, now = self._clock.now_ns(), self._clock.utc_now()
         self.start_ns, self._start_utc = start_ns, now + timedelta(microseconds=(start_ns - now_ns) / 1000)
         for observer in self._observers:
-            observer.opened(self._description, self._start_utc)
+            observer.on_opened(self._description, self._start_utc)
         timing = self._timing
         port.begin(start_ns, timing.late_after_ns, self._options.pace, WhenLate(timing.when_late))
-        if self._last_words is not None:
-            self._last_words.begin()
+        if self._final_message is not None:
+            self._final_message.begin()
 
     def _details(
         self, port: PortRunner, source: TruthSource | None, front: Front, stolen: int | None
@@ -250,7 +254,7 @@ class Run:
             "steal_ticks": None if stolen is None or stolen_now is None else stolen_now - stolen,
             **port.told.to_json(self._ready.wire_load),
             **told("process", self._process_events.count, self._process_events.since(0)),
-            "last_words": None if self._last_words is None else self._last_words.told,
+            "final_message": None if self._final_message is None else self._final_message.told,
             **front.to_json(),
             "faults_in_flight": None if self._injector is None else self._injector.to_json(),
             "truth": None if source is None else source.to_json(),

@@ -13,12 +13,16 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.runtime.lateness import LatenessHistogram
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import Fate, Report
-from lidar_emu.runtime.rolling_lateness import LatenessWindows
+from lidar_emu.runtime.port.packets import DeliveryStatus, Report
+from lidar_emu.runtime.rolling_lateness import RollingLateness
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.shots.model import Model
 
-_DROPS = {Fate.DROPPED_FULL: "full", Fate.DROPPED_NOBODY: "nobody_connected", Fate.DROPPED_BROKEN: "broken"}
+_DROPS = {
+    DeliveryStatus.DROPPED_FULL: "full",
+    DeliveryStatus.DROPPED_NOBODY: "nobody_connected",
+    DeliveryStatus.DROPPED_BROKEN: "broken",
+}
 
 
 @dataclass
@@ -52,9 +56,9 @@ class Tally:
     """Counts of a run in constant memory."""
 
     pace: Pace
-    fates: Counter[Fate] = field(default_factory=Counter)
+    statuses: Counter[DeliveryStatus] = field(default_factory=Counter)
     lateness: LatenessHistogram = field(default_factory=LatenessHistogram)
-    windows: LatenessWindows = field(default_factory=LatenessWindows)
+    windows: RollingLateness = field(default_factory=RollingLateness)
     range_error_m: ErrorStatistics = field(default_factory=ErrorStatistics)
     speed_error_mps: ErrorStatistics = field(default_factory=ErrorStatistics)
     reasons: list[Counter[int]] = field(default_factory=list)
@@ -64,7 +68,7 @@ class Tally:
     """Shots that the device did not fire, by its mode or by its rate."""
 
     def measured(self, block: Measurement) -> None:
-        """Shots whose packets have met their fates."""
+        """Add shots whose delivery status is known."""
         self.range_error_m.add((block.range_m - block.true_range_m)[block.range_valid])
         self.speed_error_mps.add((block.closing_speed_mps - block.true_closing_speed_mps)[block.speed_valid])
         if not self.reasons:
@@ -73,37 +77,37 @@ class Tally:
             counts.update(block.reason[:, beam].tolist())
 
     def report(self, report: Report, silent: bool = False) -> None:
-        """One packet met its fate, or the device was silent when one was due."""
-        self.fates[report.fate] += 1
-        self.silent += silent and report.fate is Fate.SUPPRESSED
-        if report.fate is Fate.SENT and self.pace is Pace.WALL:
+        """Count the delivery status of a packet; `silent`: the device sent none."""
+        self.statuses[report.status] += 1
+        self.silent += silent and report.status is DeliveryStatus.SUPPRESSED
+        if report.status is DeliveryStatus.SENT and self.pace is Pace.WALL:
             lateness_ns = max(0, report.sent_ns - report.due_ns)
             self.lateness.add(lateness_ns)
             self.windows.add(report.due_ns, lateness_ns)
 
     def missed(self) -> None:
         """A shot was late before it was computed."""
-        self.fates[Fate.LATE] += 1
+        self.statuses[DeliveryStatus.LATE] += 1
 
     @property
     def due(self) -> int:
-        """Packets that met their fate."""
-        return self.fates.total()
+        """Packets whose delivery status is known."""
+        return self.statuses.total()
 
     @property
     def sent(self) -> int:
         """Packets that the link took."""
-        return self.fates[Fate.SENT]
+        return self.statuses[DeliveryStatus.SENT]
 
     @property
     def late(self) -> int:
         """Packets skipped because they were late."""
-        return self.fates[Fate.LATE]
+        return self.statuses[DeliveryStatus.LATE]
 
     @property
     def dropped(self) -> int:
         """Packets that the link did not take."""
-        return sum(self.fates[fate] for fate in _DROPS)
+        return sum(self.statuses[status] for status in _DROPS)
 
     def to_json(self) -> dict[str, Any]:
         """The counts under the names of the summary file."""
@@ -112,8 +116,8 @@ class Tally:
                 "due": self.due,
                 "sent": self.sent,
                 "late": self.late,
-                "withheld": self.silent,
-                "dropped": {name: self.fates[fate] for fate, name in _DROPS.items()},
+                "suppressed": self.silent,
+                "dropped": {name: self.statuses[status] for status, name in _DROPS.items()},
             },
             "lateness": {**self.lateness.summary(), "windows": self.windows.summary()},
             "beams": [
@@ -122,7 +126,7 @@ class Tally:
             ],
             "faults": {
                 "shots": dict(sorted(self.faults.items())),
-                "withheld": self.fates[Fate.SUPPRESSED] - self.silent,
+                "suppressed": self.statuses[DeliveryStatus.SUPPRESSED] - self.silent,
             },
             "range_error_m": self.range_error_m.to_json(),
             "speed_error_mps": self.speed_error_mps.to_json(),

@@ -98,8 +98,8 @@ class AnsweredPacket(NamedTuple):
 
     shot: int
     due_ns: int
-    fate: int
-    """What became of it on the link: a `transports.link.Fate`."""
+    status: int
+    """What became of it on the link: a `transports.link.DeliveryStatus`."""
     payload: bytes
     """As on the link; on CAN as frame records."""
 
@@ -121,7 +121,7 @@ class Answer(NamedTuple):
             _ANSWER_MAGIC, VERSION, self.verdict, self.more, self.sequence, len(self.packets), self.time_ns
         )
         return head + b"".join(
-            _PACKET.pack(len(p.payload), p.shot & 0xFFFFFFFF, p.due_ns, p.fate) + p.payload
+            _PACKET.pack(len(p.payload), p.shot & 0xFFFFFFFF, p.due_ns, p.status) + p.payload
             for p in self.packets
         )
 
@@ -136,9 +136,9 @@ class Answer(NamedTuple):
             magic, version, verdict, more, sequence, count, time_ns = _ANSWER.unpack_from(datagram)
             packets, start = [], _ANSWER.size
             for _ in range(count):
-                length, shot, due_ns, fate = _PACKET.unpack_from(datagram, start)
+                length, shot, due_ns, status = _PACKET.unpack_from(datagram, start)
                 start += _PACKET.size + length
-                packets.append(AnsweredPacket(shot, due_ns, fate, datagram[start - length : start]))
+                packets.append(AnsweredPacket(shot, due_ns, status, datagram[start - length : start]))
         except struct.error as error:
             raise ValueError(f"not an answer: {error}") from None
         if (magic, version, start) != (_ANSWER_MAGIC, VERSION, len(datagram)):

@@ -11,7 +11,7 @@ import tty
 from collections.abc import Callable
 from contextlib import suppress
 
-from lidar_emu.transports.link import NO_EXTRAS, NOTHING, LinkLostError, Noticed
+from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, LinkDiagnostics, LinkLostError
 
 _READ_BYTES = 4096
 _INT = struct.Struct("i")
@@ -27,7 +27,7 @@ class DescriptorChannel:
         input_descriptor: where to read, if it is another one.
     """
 
-    extras = NO_EXTRAS
+    driver_features = NO_DRIVER_FEATURES
 
     def __init__(
         self,
@@ -90,7 +90,7 @@ class DescriptorChannel:
             return data
         return b""
 
-    def take_noticed(self) -> Noticed:
+    def take_diagnostics(self) -> LinkDiagnostics:
         """Nothing: bytes have no news of their own."""
         return NOTHING
 

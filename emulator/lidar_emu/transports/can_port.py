@@ -15,7 +15,7 @@ from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.can_adapters import patient_remote, patient_slcan
 from lidar_emu.transports.can_messages import frame_of, message_of
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
-from lidar_emu.transports.link import NO_EXTRAS, NOTHING, LinkLostError, Noticed
+from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, LinkDiagnostics, LinkLostError
 from lidar_emu.transports.socketcan import controller_state, is_bus_off, lost_frames, prepare_socket
 from lidar_emu.transports.spec import PortSpec
 
@@ -30,7 +30,7 @@ _PATIENT = {"slcan": patient_slcan, "remote": patient_remote}
 class CanChannel:
     """An open bus. A set of frames that did not fit in whole is completed before the next one."""
 
-    extras = NO_EXTRAS
+    driver_features = NO_DRIVER_FEATURES
 
     def __init__(self, bus: can.BusABC, description: str, lines: DescriptorChannel | None = None) -> None:
         self.description = description
@@ -39,7 +39,7 @@ class CanChannel:
         self._lines = lines
         self._rest: deque[can.Message] = deque()
         self._descriptor = _descriptor_of(bus)
-        self._noticed = Noticed()
+        self._noticed = LinkDiagnostics()
         self._controller: str | None = None
         self._lost_frames = 0
 
@@ -98,11 +98,11 @@ class CanChannel:
         self._notice_losses()
         return pack_frames(frames)
 
-    def take_noticed(self) -> Noticed:
+    def take_diagnostics(self) -> LinkDiagnostics:
         """Error frames, frames that make no sense, frames lost on the way in; since the last call."""
         if self._noticed == NOTHING:
             return NOTHING
-        noticed, self._noticed = self._noticed, Noticed()
+        noticed, self._noticed = self._noticed, LinkDiagnostics()
         return noticed
 
     def unread(self) -> int:

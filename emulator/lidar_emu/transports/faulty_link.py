@@ -14,7 +14,7 @@ from typing import Any
 
 from lidar_emu.errors import InputError
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
-from lidar_emu.transports.link import Channel, LinkLostError, Noticed
+from lidar_emu.transports.link import Channel, LinkDiagnostics, LinkLostError
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_emu.transports.wire_load import SERIAL_BITS_PER_BYTE, frame_bits
 
@@ -26,7 +26,7 @@ _MOST_BABBLE_BYTES = 1024
 
 
 @dataclass(frozen=True)
-class LinkOrder:
+class PortFault:
     """A fault of the port, as its process is told."""
 
     number: int
@@ -76,7 +76,7 @@ class FaultyPort:
         # What is lost there does not come back: its line goes dead instead.
         self._keeps = spec.kind in (Kind.PTY, Kind.LOOPBACK) or spec.path.startswith("/dev/pts/")
         self._kept: Channel | None = None
-        self.orders: list[LinkOrder] = []
+        self.orders: list[PortFault] = []
         self._told: dict[int, int] = {}
 
     def begin(self, start_ns: int) -> None:
@@ -85,7 +85,7 @@ class FaultyPort:
 
     def order(self, order: dict[str, Any]) -> None:
         """One more fault."""
-        self.orders.append(LinkOrder(**order))
+        self.orders.append(PortFault(**order))
 
     def __call__(self) -> Channel:
         """Open the port.
@@ -103,16 +103,16 @@ class FaultyPort:
             continue
         return FaultyChannel(self, channel)
 
-    def broken(self) -> LinkOrder | None:
+    def broken(self) -> PortFault | None:
         """The fault that has the port broken, if there is one."""
         return next((order for order in self.acting("disconnect", "bus_off")), None)
 
-    def acting(self, *kinds: str) -> list[LinkOrder]:
+    def acting(self, *kinds: str) -> list[PortFault]:
         """The faults of these kinds that act now."""
         time_ns = self.time_ns
         return [order for order in self.orders if order.kind in kinds and order.acts(time_ns)]
 
-    def news(self, order: LinkOrder) -> tuple[int, int]:
+    def news(self, order: PortFault) -> tuple[int, int]:
         """Of what comes at a rate: how much had come at the last call, and how much has by now."""
         before, now = self._told.get(order.number, 0), order.due(self.time_ns)
         self._told[order.number] = now
@@ -189,9 +189,9 @@ class FaultyChannel:
         self._break()
         return self._channel.receive()
 
-    def take_noticed(self) -> Noticed:
+    def take_diagnostics(self) -> LinkDiagnostics:
         """What was noticed since the last call, ordered error frames among it."""
-        noticed = self._channel.take_noticed()
+        noticed = self._channel.take_diagnostics()
         errors = 0
         for order in self._port.orders:
             if order.kind == "error_frames" and self._port.time_ns >= 0:
@@ -230,7 +230,7 @@ class FaultyChannel:
                 # Where there is no room it is lost.
                 self._channel.send(self._babble_of(order, first, end))
 
-    def _babble_of(self, order: LinkOrder, first: int, end: int) -> bytes:
+    def _babble_of(self, order: PortFault, first: int, end: int) -> bytes:
         noise = order.noise(first, end)
         if not self._port.is_can:
             return noise

@@ -16,7 +16,7 @@ _LOOK_AGAIN_NS = 50_000_000
 _TRY_AGAIN_NS = 1_000_000
 
 
-class Fate(IntEnum):
+class DeliveryStatus(IntEnum):
     """What became of a packet."""
 
     SENT = 0
@@ -44,7 +44,7 @@ COUNTED = ("error_frames", "ignored_frames", "lost_frames")
 
 
 @dataclass
-class Noticed:
+class LinkDiagnostics:
     """What happened on a link besides its data."""
 
     events: list[str] = field(default_factory=list)
@@ -54,11 +54,11 @@ class Noticed:
     """When the last pulse came, on the monotonic clock; None: none has."""
 
 
-NOTHING = Noticed()
+NOTHING = LinkDiagnostics()
 
 
 @dataclass(frozen=True)
-class Extras:
+class DriverFeatures:
     """What a port's driver was asked for that a link can do without."""
 
     granted: tuple[str, ...] = ()
@@ -66,14 +66,14 @@ class Extras:
     """What it does not have, each with what would have it."""
 
 
-NO_EXTRAS = Extras()
+NO_DRIVER_FEATURES = DriverFeatures()
 
 
 class Channel(Protocol):
     """An open port. No call waits; every call but `close` may raise LinkLostError."""
 
     description: str
-    extras: Extras
+    driver_features: DriverFeatures
 
     @property
     def pending(self) -> bool:
@@ -99,7 +99,7 @@ class Channel(Protocol):
     def receive(self) -> bytes:
         """What has arrived (CAN: frame records), also from one who left since; empty if nothing."""
 
-    def take_noticed(self) -> Noticed:
+    def take_diagnostics(self) -> LinkDiagnostics:
         """What was noticed since the last call; does not raise."""
 
     def unread(self) -> int:
@@ -129,22 +129,22 @@ class Link:
         self.pulse_ns: int | None = None
         """When the last pulse came on the port's pulse line, on the monotonic clock; None: none has."""
 
-    def send(self, payload: bytes, now_ns: int) -> Fate:
+    def send(self, payload: bytes, now_ns: int) -> DeliveryStatus:
         """Send a packet or drop it."""
         channel = self._channel
         if channel is None:
-            return Fate.DROPPED_BROKEN
+            return DeliveryStatus.DROPPED_BROKEN
         try:
             taken = channel.send(payload)
             if not (taken and self._somebody):
                 self._is_connected(channel, now_ns)
         except LinkLostError as lost:
             self._lose(str(lost), now_ns)
-            return Fate.DROPPED_BROKEN
+            return DeliveryStatus.DROPPED_BROKEN
         if not taken:
-            return Fate.DROPPED_FULL if self._somebody else Fate.DROPPED_NOBODY
+            return DeliveryStatus.DROPPED_FULL if self._somebody else DeliveryStatus.DROPPED_NOBODY
         self._back_off_ns = _FIRST_RETRY_NS
-        return Fate.SENT
+        return DeliveryStatus.SENT
 
     def receive(self, now_ns: int) -> bytes:
         """What has arrived (CAN: frame records); empty if nothing, or while the link is broken."""
@@ -153,7 +153,7 @@ class Link:
         try:
             self._is_connected(self._channel, now_ns)
             data = self._channel.receive()
-            self._take_noticed(self._channel, now_ns)
+            self._take_diagnostics(self._channel, now_ns)
             return data
         except LinkLostError as lost:
             self._lose(str(lost), now_ns)
@@ -168,14 +168,14 @@ class Link:
         try:
             if self._is_connected(self._channel, now_ns):
                 self._channel.flush()
-            self._take_noticed(self._channel, now_ns)
+            self._take_diagnostics(self._channel, now_ns)
         except LinkLostError as lost:
             self._lose(str(lost), now_ns)
 
     @property
-    def extras(self) -> Extras:
+    def driver_features(self) -> DriverFeatures:
         """What the port's driver was asked for besides, as it is now."""
-        return NO_EXTRAS if self._channel is None else self._channel.extras
+        return NO_DRIVER_FEATURES if self._channel is None else self._channel.driver_features
 
     @property
     def pending(self) -> bool:
@@ -233,8 +233,8 @@ class Link:
             self.note("connected" if somebody else "nobody connected", now_ns)
         return somebody
 
-    def _take_noticed(self, channel: Channel, now_ns: int) -> None:
-        noticed = channel.take_noticed()
+    def _take_diagnostics(self, channel: Channel, now_ns: int) -> None:
+        noticed = channel.take_diagnostics()
         if noticed is NOTHING:
             return
         self.counts += noticed.counts
@@ -245,7 +245,7 @@ class Link:
 
     def _lose(self, text: str, now_ns: int) -> None:
         if self._channel is not None:
-            self._take_noticed(self._channel, now_ns)
+            self._take_diagnostics(self._channel, now_ns)
         self.close()
         self._somebody = True
         self._retry_later(now_ns)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar_emu.transports.byte_channel import DescriptorChannel
-from lidar_emu.transports.link import NOTHING, Extras, Noticed
+from lidar_emu.transports.link import NOTHING, DriverFeatures, LinkDiagnostics
 from lidar_emu.transports.pulse_line import MODEM_LINES, PulseLine, modem_bits
 from lidar_emu.transports.spec import PortSpec
 from lidar_emu.transports.tty_reader import TtyReader
@@ -39,14 +39,14 @@ class SerialChannel(DescriptorChannel):
         os.set_blocking(self._tty, False)
         self._reader = TtyReader(self._tty)
         super().__init__(self._tty, spec.path, port.close, self._reader.descriptor)
-        self.extras = ask_driver(port, spec)
+        self.driver_features = ask_driver(port, spec)
         self._settings = _settings_of(self._tty)
-        self._noticed = Noticed(modem_lines(self._tty))
+        self._noticed = LinkDiagnostics(modem_lines(self._tty))
         # A pty outlives us: to whoever holds its other end the mark would stay.
         self._marked = not _is_pty(self._tty) and _ask(self._tty, termios.TIOCEXCL)
         self._pulses = PulseLine(self._tty, spec.pulse_line, now_ns) if spec.pulse_line and now_ns else None
 
-    def take_noticed(self) -> Noticed:
+    def take_diagnostics(self) -> LinkDiagnostics:
         """The modem lines as they were found, pulses, and whether another program has changed the settings."""
         if self._settings is not None and _settings_of(self._tty) not in (self._settings, None):
             with suppress(OSError):
@@ -59,7 +59,7 @@ class SerialChannel(DescriptorChannel):
             self._noticed.events += self._pulses.take_failure()
         if self._noticed == NOTHING:
             return NOTHING
-        noticed, self._noticed = self._noticed, Noticed()
+        noticed, self._noticed = self._noticed, LinkDiagnostics()
         return noticed
 
     def close(self) -> None:
@@ -72,7 +72,7 @@ class SerialChannel(DescriptorChannel):
         super().close()
 
 
-def ask_driver(port: Any, spec: PortSpec) -> Extras:
+def ask_driver(port: Any, spec: PortSpec) -> DriverFeatures:
     """Ask the driver of a pyserial port for what a link can do without."""
     from serial.rs485 import RS485Settings
 
@@ -84,7 +84,7 @@ def ask_driver(port: Any, spec: PortSpec) -> Extras:
         with suppress(OSError, ValueError, NotImplementedError):
             wish()
             granted.append(name)
-    return Extras(tuple(granted), {name: _REMEDIES[name] for name in wishes if name not in granted})
+    return DriverFeatures(tuple(granted), {name: _REMEDIES[name] for name in wishes if name not in granted})
 
 
 def modem_lines(descriptor: int) -> list[str]:

@@ -13,7 +13,7 @@ from typing import Any
 
 from lidar_emu.errors import InputError, one_line
 from lidar_emu.transports.byte_channel import DescriptorChannel, PtyChannel
-from lidar_emu.transports.link import NO_EXTRAS, NOTHING, Channel, LinkLostError, Noticed
+from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, Channel, LinkDiagnostics, LinkLostError
 from lidar_emu.transports.serial_line import SerialChannel, users_of
 from lidar_emu.transports.spec import Kind, PortSpec
 
@@ -145,7 +145,7 @@ class UrlChannel:
     Its `write` may wait for a short while; a packet that did not fit in that time counts as dropped.
     """
 
-    extras = NO_EXTRAS
+    driver_features = NO_DRIVER_FEATURES
     pending = False
     readable = None
     writable = None
@@ -181,7 +181,7 @@ class UrlChannel:
         except (OSError, termios.error) as error:
             raise LinkLostError(one_line(str(error))) from None
 
-    def take_noticed(self) -> Noticed:
+    def take_diagnostics(self) -> LinkDiagnostics:
         """Nothing: bytes have no news of their own."""
         return NOTHING
 

@@ -14,7 +14,7 @@ from typing import Any
 from lidar_emu.errors import InputError, reason_of
 from lidar_emu.transports.byte_channel import queued_bytes
 from lidar_emu.transports.datagrams import Join, udp_socket
-from lidar_emu.transports.link import NO_EXTRAS, NOTHING, LinkLostError, Noticed
+from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, LinkDiagnostics, LinkLostError
 from lidar_emu.transports.socketcan import enlarge_receive_buffer, lost_frames
 from lidar_emu.transports.spec import PortSpec
 
@@ -32,7 +32,7 @@ class UdpChannel:
     """
 
     pending = False
-    extras = NO_EXTRAS
+    driver_features = NO_DRIVER_FEATURES
 
     def __init__(self, sock: socket.socket, description: str) -> None:
         self.description = description
@@ -88,7 +88,7 @@ class UdpChannel:
             self._notice_losses()
         return b"".join(arrived)
 
-    def take_noticed(self) -> Noticed:
+    def take_diagnostics(self) -> LinkDiagnostics:
         """Datagrams that came faster than they were read."""
         noticed, self._noticed = self._noticed, NOTHING
         return noticed
@@ -106,7 +106,7 @@ class UdpChannel:
         if lost:
             self._lost += lost
             text = f"{lost} received datagrams lost: they came faster than they were read"
-            self._noticed = Noticed(
+            self._noticed = LinkDiagnostics(
                 [*self._noticed.events, text], self._noticed.counts + Counter(lost_frames=lost)
             )
 

@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from lidar_emu.device.now import DeviceNow
-from lidar_emu.device.obey import OUT_OF_RANGE, Order, Value
+from lidar_emu.device.commands import OUT_OF_RANGE, Order, Value
 from lidar_emu.device.state import DeviceState
+from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.change_queue import Change, Changes
-from lidar_emu.runtime.device_link.encoder import Voice
-from lidar_emu.runtime.device_link.rate_limiter import Intake
-from lidar_emu.runtime.device_link.received_command import Heard
+from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
+from lidar_emu.runtime.device_link.rate_limiter import RateLimiter
+from lidar_emu.runtime.device_link.received_command import ReceivedCommand
 from lidar_emu.runtime.lateness import LatenessHistogram
 from lidar_emu.transports.frames import unpack_frames
 from lidar_protocol import (
@@ -29,7 +29,7 @@ _UNKNOWN = 255
 _VERDICTS = ("accepted", "unknown", "malformed", "bad_sequence", "out_of_state", "out_of_range")
 
 
-class CommandPost:
+class CommandHandler:
     """The device's ears and mouth on a link.
 
     Args:
@@ -46,11 +46,11 @@ class CommandPost:
 
     def __init__(
         self,
-        voice: Voice,
-        device: DeviceNow,
+        voice: DownlinkEncoder,
+        device: DeviceTimeline,
         can_date: Callable[[int], bool],
         changes: Changes,
-        tell: Callable[[Heard, int | None], None],
+        tell: Callable[[ReceivedCommand, int | None], None],
         answered: Callable[[bytes, int], None],
     ) -> None:
         self._voice, self._interface = voice, voice.interface
@@ -64,7 +64,7 @@ class CommandPost:
         self._life = 0
         self._verdicts: Counter[str] = Counter()
         self._delay = LatenessHistogram()
-        self._intake = Intake()
+        self._intake = RateLimiter()
         self._unanswerable = self._ignored_bytes = 0
         for verdict in _VERDICTS:  # an interface that cannot say them is refused before the run
             self._check_answer(verdict)
@@ -136,15 +136,17 @@ class CommandPost:
 
     def _obey(
         self, command: Command | BadCommand, time_ns: int, pulse_ns: int | None
-    ) -> tuple[Heard, DeviceState | None]:
+    ) -> tuple[ReceivedCommand, DeviceState | None]:
         """The command as it was heard, and the state that it leads to; None where it changes nothing."""
         in_turn = self._in_turn(command)
         if in_turn:
             self._sequence = command.sequence
         if isinstance(command, BadCommand):
-            return Heard(time_ns, command.code, {}, command.sequence, command.verdict, pulse_ns), None
+            return ReceivedCommand(
+                time_ns, command.code, {}, command.sequence, command.verdict, pulse_ns
+            ), None
         values = self._words(command)
-        heard = Heard(time_ns, command.name, values, command.sequence, "bad_sequence", pulse_ns)
+        heard = ReceivedCommand(time_ns, command.name, values, command.sequence, "bad_sequence", pulse_ns)
         if not in_turn:
             return heard, None
         tone_ns = values.get("tone_ns")
@@ -154,12 +156,14 @@ class CommandPost:
         state, verdict = self._device.obey(order)
         return heard._replace(verdict=verdict), state
 
-    def _change(self, after: DeviceState, heard: Heard, arrived_ns: int) -> Change:
+    def _change(self, after: DeviceState, heard: ReceivedCommand, arrived_ns: int) -> Change:
         return Change(
             lambda session: session.use_device(after), arrived_ns, partial(self._settled, heard, arrived_ns)
         )
 
-    def _settled(self, heard: Heard, arrived_ns: int, shot: int | None, begins_ns: int | None) -> None:
+    def _settled(
+        self, heard: ReceivedCommand, arrived_ns: int, shot: int | None, begins_ns: int | None
+    ) -> None:
         self._tell(heard, shot)
         if begins_ns is not None:
             self._delay.add(max(0, begins_ns - arrived_ns))
@@ -185,7 +189,7 @@ class CommandPost:
             for name, value in command.values.items()
         }
 
-    def _reply(self, heard: Heard) -> None:
+    def _reply(self, heard: ReceivedCommand) -> None:
         shown_ns = self._device.at(heard.time_ns).clock.reads_ns(heard.time_ns)
         try:
             answer = self._answer(heard, shown_ns)
@@ -196,7 +200,7 @@ class CommandPost:
             self._voice.say(answer)
             self._answered(answer, heard.time_ns)
 
-    def _answer(self, heard: Heard, shown_ns: int) -> bytes | None:
+    def _answer(self, heard: ReceivedCommand, shown_ns: int) -> bytes | None:
         command = _UNKNOWN if heard.command is None else heard.command
         values = {
             "sequence": heard.sequence or 0,
@@ -208,7 +212,7 @@ class CommandPost:
 
     def _check_answer(self, verdict: str) -> None:
         try:
-            self._answer(Heard(0, None, {}, None, verdict), 0)
+            self._answer(ReceivedCommand(0, None, {}, None, verdict), 0)
         except EncodeError as error:
             raise InputError(
                 "wire.interface", "acknowledge", verdict, f"it cannot be sent: {error}"

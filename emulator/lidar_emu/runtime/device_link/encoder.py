@@ -18,7 +18,7 @@ def housekeeping_layouts(interface: Interface, can: bool) -> list[Layout]:
     return [] if interface.housekeeping is None else [interface.housekeeping]
 
 
-class Voice:
+class DownlinkEncoder:
     """What one unit can say on one kind of link.
 
     Args:

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.device_link.encoder import Voice, housekeeping_layouts
-from lidar_emu.runtime.device_link.housekeeping import Housekeeper
+from lidar_emu.runtime.device_link.encoder import DownlinkEncoder, housekeeping_layouts
+from lidar_emu.runtime.device_link.housekeeping import HousekeepingSender
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import Outgoing, Report
@@ -21,7 +21,7 @@ _AT_ONCE_NS = 10_000_000_000
 _ENDED_WITH_ITS_PROCESS = (Kind.PTY, Kind.LOOPBACK)
 
 
-def unsayable(interface: Interface, can: bool) -> str | None:
+def why_no_final_message(interface: Interface, can: bool) -> str | None:
     """Why nothing could be said on such a link; None if it can."""
     fields = (placed.field for layout in housekeeping_layouts(interface, can) for placed in layout.placed)
     known = (interface.enumerations.get(field.enumeration or "") for field in fields if field.name == "mode")
@@ -31,7 +31,7 @@ def unsayable(interface: Interface, can: bool) -> str | None:
     return f"{lacks}: nothing is sent where a process dies"
 
 
-class LastWords(Observer):
+class FinalMessage(Observer):
     """Prepared, and prepared anew every second of a run, since whoever needs them can ask nobody any more.
 
     Args:
@@ -41,10 +41,10 @@ class LastWords(Observer):
     """
 
     def __init__(
-        self, voice: Voice, housekeeper: Housekeeper | None, prepare: Callable[[bytes], None]
+        self, voice: DownlinkEncoder, housekeeper: HousekeepingSender | None, prepare: Callable[[bytes], None]
     ) -> None:
-        self._unsayable = unsayable(voice.interface, voice.can)
-        self._housekeeper = None if self._unsayable else housekeeper
+        self._why_not = why_no_final_message(voice.interface, voice.can)
+        self._housekeeper = None if self._why_not else housekeeper
         self._prepare = prepare
         self._time_ns = self._prepared_ns = 0
         self.told: str | None = None
@@ -61,7 +61,7 @@ class LastWords(Observer):
         """The port's process has heard when the run begins."""
         self._prepare(self.words())
 
-    def report(self, packet: Outgoing, report: Report) -> None:  # noqa: ARG002
+    def on_report(self, packet: Outgoing, report: Report) -> None:  # noqa: ARG002
         """Every second they are another's."""
         self._time_ns = report.due_ns
         if report.due_ns - self._prepared_ns >= _EVERY_NS:
@@ -89,4 +89,4 @@ def _sent_alone(spec: PortSpec, words: bytes, clock: Clock) -> str:
             (report,) = port.reports()
     except (InputError, RunError) as error:
         return f"not sent: {error}"
-    return told_of(report.fate)
+    return told_of(report.status)

@@ -7,11 +7,11 @@ from functools import cached_property
 from typing import Any
 
 from lidar_emu import __version__
-from lidar_emu.device.now import DeviceNow
 from lidar_emu.device.state import Mode
+from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.device_link.command_handler import CommandPost
-from lidar_emu.runtime.device_link.encoder import Voice, housekeeping_layouts
+from lidar_emu.runtime.device_link.command_handler import CommandHandler
+from lidar_emu.runtime.device_link.encoder import DownlinkEncoder, housekeeping_layouts
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import Outgoing, Report
 from lidar_emu.runtime.summary import Tally
@@ -20,7 +20,7 @@ from lidar_protocol import EncodeError
 _SILENT_COUNTS = {"commands_accepted": 0, "commands_rejected": 0, "bad_bytes": 0}
 
 
-class Housekeeper(Observer):
+class HousekeepingSender(Observer):
     """Composes housekeeping and sends it as the shots pass by: at every pace, and as the device is at that time.
 
     Args:
@@ -36,10 +36,10 @@ class Housekeeper(Observer):
 
     def __init__(
         self,
-        voice: Voice,
-        device: DeviceNow,
+        voice: DownlinkEncoder,
+        device: DeviceTimeline,
         tally: Tally,
-        commands: CommandPost | None,
+        commands: CommandHandler | None,
         tell: Callable[[bytes, int], None],
     ) -> None:
         self._voice = voice
@@ -49,7 +49,7 @@ class Housekeeper(Observer):
         self._truth_age_s: float | None = None
         self.sent = 0
         """How many times the device has told how it is."""
-        self.unsayable = 0
+        self.encode_failures = 0
         """How many times it could not, for want of a word or of room in a field."""
         try:
             voice.housekeeping(0, self.values(0) | {"mode": self._word(Mode.TRACK)})
@@ -58,11 +58,11 @@ class Housekeeper(Observer):
                 "wire.interface", "housekeeping", str(error), "allowed: fields of the default interface"
             ) from None
 
-    def report(self, packet: Outgoing, report: Report) -> None:  # noqa: ARG002
-        """A shot has met its fate, or none was sent: time goes by."""
+    def on_report(self, packet: Outgoing, report: Report) -> None:  # noqa: ARG002
+        """Send what is due by the time of this packet."""
         self.tick(packet.due_ns)
 
-    def truth_used(self, shot: int, age_ns: int, truth_time_ns: int) -> None:  # noqa: ARG002
+    def on_truth_used(self, shot: int, age_ns: int, truth_time_ns: int) -> None:  # noqa: ARG002
         """Remember how old the truth of the last shot was."""
         self._truth_age_s = age_ns * 1e-9
 
@@ -80,14 +80,14 @@ class Housekeeper(Observer):
             self._told = period
             self._send(time_ns)
 
-    def begin_flight(self) -> None:
+    def start_flight(self) -> None:
         """Scenario time begins anew."""
         self._told = None
 
     def _send(self, time_ns: int) -> None:
         payload = self.composed(time_ns)
         if not payload:
-            self.unsayable += 1
+            self.encode_failures += 1
             return
         self.sent += 1
         self._voice.say(payload)

@@ -7,7 +7,7 @@ _BYTES_PER_S = 16_000
 """A thousand commands a second, which take a tenth of a processor."""
 
 
-class Intake:
+class RateLimiter:
     """A buffer of arrivals that is emptied at a steady rate; what finds no room is not heard."""
 
     def __init__(self) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 
-class Heard(NamedTuple):
+class ReceivedCommand(NamedTuple):
     """A command, good or bad, and what the device answered."""
 
     time_ns: int

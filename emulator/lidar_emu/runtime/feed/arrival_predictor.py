@@ -25,7 +25,7 @@ class Window(NamedTuple):
 _NEVER = Window(0, 0)
 
 
-class Anticipation:
+class ArrivalPredictor:
     """Expects the truth of each shot as long before its packet is due as it came for the last ones.
 
     Args:

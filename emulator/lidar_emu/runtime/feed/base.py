@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from lidar_emu.runtime.change_queue import Changes
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.device_link.command_handler import CommandPost
-from lidar_emu.runtime.feed.packet_queue import Outbox
+from lidar_emu.runtime.device_link.command_handler import CommandHandler
+from lidar_emu.runtime.feed.packet_queue import PacketQueue
 from lidar_emu.runtime.port.packets import Outgoing, Report
 from lidar_emu.session import Session
 
 if TYPE_CHECKING:
-    from lidar_emu.runtime.fault_injector import Injector
+    from lidar_emu.runtime.fault_injector import FaultInjector
 
 POLL_NS = 20_000_000
 """How long an interruption may go unseen."""
@@ -23,7 +23,7 @@ class Desk(NamedTuple):
     """What a feed works with."""
 
     session: Session
-    outbox: Outbox
+    outbox: PacketQueue
     clock: Clock
     interrupted: Callable[[], bool]
     fail: Callable[[str], None]
@@ -32,9 +32,9 @@ class Desk(NamedTuple):
     """Tell the port that scenario time 0 is at this instant of the monotonic clock."""
     changes: Changes
     """What shots are to follow."""
-    commands: CommandPost | None
+    commands: CommandHandler | None
     """Where a host is heard; None where the interface has no commands."""
-    injector: Injector | None = None
+    injector: FaultInjector | None = None
     """Where faults are ordered in flight."""
 
     def push(self, packet: Outgoing) -> bool:

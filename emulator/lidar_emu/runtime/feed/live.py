@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
-from lidar_emu.runtime.feed.arrival_predictor import Anticipation
+from lidar_emu.runtime.feed.arrival_predictor import ArrivalPredictor
 from lidar_emu.runtime.feed.base import POLL_NS, Desk
 from lidar_emu.runtime.feed.truth_source import Arrival, TruthSource
 from lidar_emu.runtime.realtime import prompt
@@ -26,8 +26,8 @@ class LiveFeed:
         start_ns: instant of the monotonic clock at scenario time 0; None: the first truth says, by its own time, as it
             arrives.
         late_after_ns: a shot that is later than this before it is computed is not computed.
-        awake_share: of the time from shot to shot that may be spent awake before truth comes, and after it should have
-            come. 0 where simulator, model and port have less than a core each: then nobody is kept off.
+        busy_wait_share: share of the shot period that may be spent in a busy wait around the expected arrival of truth;
+            0 where simulator, model and port have less than a core each.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class LiveFeed:
         part: Live,
         start_ns: int | None,
         late_after_ns: int,
-        awake_share: float,
+        busy_wait_share: float,
     ) -> None:
         self._desk = desk
         self._source = source
@@ -46,8 +46,8 @@ class LiveFeed:
         self._part = part
         self._start_ns = start_ns
         self._late_after_ns = late_after_ns
-        self._may_wake = awake_share > 0
-        self._anticipation = Anticipation(round(awake_share * flight.period_ns))
+        self._may_wake = busy_wait_share > 0
+        self._anticipation = ArrivalPredictor(round(busy_wait_share * flight.period_ns))
 
     def fly(self) -> None:
         """See `Feed`."""

@@ -89,7 +89,7 @@ class LockstepFeed:
             self._computed.extend(self._desk.outbox.announce(block))
 
     def _send(self, up_to_ns: int | None) -> list[AnsweredPacket]:
-        """What is due by then, or everything; returns it once each packet has met its fate."""
+        """What is due by then, or everything; returns it once the delivery status of each packet is known."""
         desk, reports = self._desk, list[Report]()
         pushed: list[Outgoing] = []
         while self._computed and (up_to_ns is None or self._computed[0].due_ns <= up_to_ns):
@@ -99,7 +99,7 @@ class LockstepFeed:
         while not (desk.outbox.empty or desk.interrupted()):
             reports += desk.rest()
         return [
-            AnsweredPacket(packet.shot, packet.due_ns, report.fate, packet.payload)
+            AnsweredPacket(packet.shot, packet.due_ns, report.status, packet.payload)
             for packet, report in zip(
                 pushed, reports, strict=False
             )  # fewer reports if the run was interrupted

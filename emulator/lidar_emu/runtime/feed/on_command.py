@@ -5,23 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from lidar_emu.device.machine import initial
-from lidar_emu.device.now import DeviceNow
+from lidar_emu.device.modes import initial
 from lidar_emu.device.rules import Rules
 from lidar_emu.device.state import Mode
+from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.device_link.housekeeping import Housekeeper
+from lidar_emu.runtime.device_link.housekeeping import HousekeepingSender
 from lidar_emu.runtime.feed.base import POLL_NS, Desk, Feed
 
 _LEAD_NS = 100_000_000
 """From the command to scenario time 0."""
 
 
-def waiting_device(rules: Rules) -> DeviceNow:
+def waiting_device(rules: Rules) -> DeviceTimeline:
     """The device before the flight: times count from power-up, and nothing happens to it that the scenario dates."""
     start = Mode.STANDBY if rules.start is Mode.TRACK else rules.start
     before = replace(rules, start=start, power_on_ns=0, events=())
-    return DeviceNow(before, initial(before))
+    return DeviceTimeline(before, initial(before))
 
 
 class OnCommandFeed:
@@ -39,8 +39,8 @@ class OnCommandFeed:
     def __init__(
         self,
         desk: Desk,
-        device: DeviceNow,
-        housekeeper: Housekeeper | None,
+        device: DeviceTimeline,
+        housekeeper: HousekeepingSender | None,
         flight: Callable[[int], Feed],
         begun: Callable[[int], None],
     ) -> None:
@@ -58,9 +58,9 @@ class OnCommandFeed:
         if not self._wait_for_command(powered_ns):
             return
         start_ns = self._desk.clock.now_ns() + _LEAD_NS
-        state = self._device.begin_flight(self._desk.session.rules, start_ns - powered_ns)
+        state = self._device.start_flight(self._desk.session.rules, start_ns - powered_ns)
         if self._housekeeper is not None:
-            self._housekeeper.begin_flight()
+            self._housekeeper.start_flight()
         self._desk.session.use_device(state)
         self._begun(start_ns - powered_ns)
         self._flight(start_ns).fly()

@@ -1,4 +1,4 @@
-"""Shots on their way through the port: handed over in order, counted and shown once their fate is known."""
+"""Shots on their way through the port: handed over in order, counted and shown once their delivery status is known."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.port.status import Arrival
 from lidar_emu.runtime.summary import Tally
@@ -22,7 +22,7 @@ _PUT_OFF_AT_MOST = 32
 """Parts of blocks."""
 
 
-class Outbox:
+class PacketQueue:
     """Between whoever computes shots and the port's process.
 
     Args:
@@ -46,7 +46,7 @@ class Outbox:
     def announce(self, block: Block) -> list[Outgoing]:
         """Tell of shots just computed; returns their packets, which are to be pushed in this order."""
         for observer in self._observers:
-            observer.computed(block)
+            observer.on_block_computed(block)
         packets = list(outgoing(block, self._generation))
         for row, packet in enumerate(packets):
             self._announced[packet.generation, packet.shot] = block, row
@@ -74,7 +74,7 @@ class Outbox:
         self._is_urgent = True
         self._port.supersede(self._generation, from_shot)
         for observer in self._observers:
-            observer.superseded(self._generation, from_shot)
+            observer.on_superseded(self._generation, from_shot)
         self._left = self._room - sum(packet.shot < from_shot for packet, _, _ in self._in_flight)
         self._announced = {key: value for key, value in self._announced.items() if key[1] < from_shot}
 
@@ -89,7 +89,7 @@ class Outbox:
         """
         reports = self._port.reports()
         for report in reports:
-            if report.fate is Fate.SUPERSEDED:
+            if report.status is DeliveryStatus.SUPERSEDED:
                 for _ in range(report.packets):
                     self._in_flight.popleft()
                 continue
@@ -97,14 +97,14 @@ class Outbox:
             self._left = min(self._room, self._left + 1)
             self._tally.report(report, block.silent)
             for observer in self._observers:
-                observer.report(packet, report)
+                observer.on_report(packet, report)
             self._met_fate(block, row)
         for event in self._port.link_events():
             for observer in self._observers:
-                observer.link_noticed(event.time_ns, event.text)
+                observer.on_link_event(event.time_ns, event.text)
         if data := self._port.far_end():
             for observer in self._observers:
-                observer.arrived(data)
+                observer.on_far_end_data(data)
         if not self._is_urgent or len(self._settled) > _PUT_OFF_AT_MOST:
             self._tell_settled()
         return reports
@@ -118,13 +118,13 @@ class Outbox:
     def missed(self, shot: int, due_ns: int, now_ns: int) -> None:
         """Count a shot that was too late to be computed; times from the start of the run."""
         self._tally.missed()
-        report = Report(shot, due_ns, -1, Fate.LATE, now_ns)
+        report = Report(shot, due_ns, -1, DeliveryStatus.LATE, now_ns)
         for observer in self._observers:
-            observer.report(Outgoing(shot, due_ns, b""), report)
+            observer.on_report(Outgoing(shot, due_ns, b""), report)
 
     @property
     def empty(self) -> bool:
-        """Whether every packet has met its fate."""
+        """Whether the delivery status of every packet is known."""
         return not self._in_flight
 
     @property
@@ -166,7 +166,7 @@ class Outbox:
             self._tally.measured(part.measurement)
             self._tally.faults.update(fault.kind for fault in part.faults)
             for observer in self._observers:
-                observer.settled(part)
+                observer.on_block_sent(part)
 
 
 def outgoing(block: Block, generation: int = 0) -> Iterator[Outgoing]:

@@ -11,7 +11,7 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
 from lidar_emu.runtime.lateness import LatenessHistogram
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
 from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict, sequence_of
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ class TruthSource(Observer):
         for data, arrived_ns, lockstep_ns, counted in untold:
             time_ns = lockstep_ns if self._start_ns is None else arrived_ns - self._start_ns
             for observer in self._observers:
-                observer.truth(data, max(0, time_ns), counted)
+                observer.on_truth(data, max(0, time_ns), counted)
 
     def answer(self, parts: Sequence[Answer], receiver: Any) -> None:
         """To the sender of a datagram; an answer that cannot be delivered is counted."""
@@ -146,7 +146,7 @@ class TruthSource(Observer):
         assert self._start_ns is not None
         assert self.newest is not None
         for observer in self._observers:
-            observer.truth_used(packet.shot, age_ns, self.newest.time_ns)
+            observer.on_truth_used(packet.shot, age_ns, self.newest.time_ns)
         since_ns = max(self.newest_arrived_ns - self._start_ns, packet.due_ns)
         self._awaited.append((packet.shot, since_ns))
 
@@ -154,12 +154,12 @@ class TruthSource(Observer):
         newest = self.newest
         return 0 if newest is None else max(0, time_ns - newest.time_ns)
 
-    def report(self, packet: Outgoing, report: Report) -> None:
+    def on_report(self, packet: Outgoing, report: Report) -> None:
         """Count how long it took from truth in, or from when the packet was due if that was later, to its last byte
         written."""
         while self._awaited and self._awaited[0][0] <= packet.shot:
             shot, since_ns = self._awaited.popleft()
-            if shot == packet.shot and report.fate is Fate.SENT:
+            if shot == packet.shot and report.status is DeliveryStatus.SENT:
                 self._response.add(max(0, report.sent_ns - since_ns))
 
     def to_json(self) -> dict[str, Any]:

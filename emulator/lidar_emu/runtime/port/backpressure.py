@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from lidar_emu.transports.link import Fate
+from lidar_emu.transports.link import DeliveryStatus
 
 _TELL_AFTER_NS = 5_000_000_000
 _GIVE_UP_AFTER_NS = 30_000_000_000
 _NOTHING_TAKEN = "the line has taken nothing for"
 
 
-class Refuser(Protocol):
+class BlockedLink(Protocol):
     """Whose refusals are borne: a `Link`."""
 
     @property
@@ -22,37 +22,39 @@ class Refuser(Protocol):
         """Add to what happened to the link."""
 
 
-class Patience:
+class BackpressurePolicy:
     """Decides for each packet that the link did not take whether to wait or to drop it; see `Pace.MAX`.
 
     Its clock starts anew with every packet taken, and whenever the other end has fetched something: a slow
     line may have no room for seconds, and yet work.
     """
 
-    def __init__(self, link: Refuser) -> None:
+    def __init__(self, link: BlockedLink) -> None:
         self._link = link
         self._somebody_came = False
-        self._standstill: tuple[Fate, int] | None = None
+        self._standstill: tuple[DeliveryStatus, int] | None = None
         self._since_ns = 0
         self._told_ns = 0
 
-    def wait_until(self, fate: Fate, now_ns: int) -> int | None:
-        """Until when to wait before the packet is tried again; None: this is its fate.
+    def wait_until(self, status: DeliveryStatus, now_ns: int) -> int | None:
+        """Until when to wait before the packet is tried again; None: its delivery status is final.
 
         Args:
-            fate: what the link made of the packet.
+            status: of the packet.
             now_ns: instant of the monotonic clock.
         """
-        self._somebody_came |= fate in (Fate.SENT, Fate.DROPPED_FULL)
-        waited_for = fate is Fate.DROPPED_FULL or (fate is Fate.DROPPED_NOBODY and not self._somebody_came)
+        self._somebody_came |= status in (DeliveryStatus.SENT, DeliveryStatus.DROPPED_FULL)
+        waited_for = status is DeliveryStatus.DROPPED_FULL or (
+            status is DeliveryStatus.DROPPED_NOBODY and not self._somebody_came
+        )
         if not waited_for:
             self._standstill = None
             return None
-        standstill = fate, self._link.unread
+        standstill = status, self._link.unread
         if standstill != self._standstill:
             self._standstill, self._since_ns, self._told_ns = standstill, now_ns, 0
         stood_ns = now_ns - self._since_ns
-        if fate is Fate.DROPPED_FULL:
+        if status is DeliveryStatus.DROPPED_FULL:
             self._tell(stood_ns, now_ns)
         if stood_ns >= _GIVE_UP_AFTER_NS:
             return None

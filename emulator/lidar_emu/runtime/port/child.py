@@ -99,7 +99,7 @@ class PortChild:
         """Cut the lifeline: it closes the port and ends.
 
         Args:
-            in_order: False: first it says its last words.
+            in_order: False: first it says its final message.
         """
         os.set_blocking(self._lifeline.fileno(), False)  # it may hang, with a full pipe
         self.tell(end=in_order)

@@ -10,7 +10,7 @@ from typing import Any
 _PIPE_BYTES = 65536
 
 
-class Lifeline:
+class ControlPipe:
     """The reading end. At its end of file the parent has hung up, or is no more.
 
     Args:

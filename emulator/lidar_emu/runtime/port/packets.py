@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Self
 
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
-from lidar_emu.transports.link import Fate
+from lidar_emu.transports.link import DeliveryStatus
 
-__all__ = ["ALERT", "NEWS", "Fate", "Frame", "Outgoing", "Report", "pack_frames", "unpack_frames"]
+__all__ = ["ALERT", "NEWS", "DeliveryStatus", "Frame", "Outgoing", "Report", "pack_frames", "unpack_frames"]
 
 NEWS, ALERT = b"\0", b"\1"
 """What the doorbell of the port's process says: something has changed; a packet that is due will follow at once."""
@@ -52,7 +52,7 @@ class Report:
     """From the start of the run."""
     sent_ns: int
     """When the link had taken it, from the start of the run; -1 if it did not. Of superseded packets: their number."""
-    fate: Fate
+    status: DeliveryStatus
     woke_ns: int = -1
     """When the port's process had woken up for it, from the start of the run; -1 if that was before the start."""
 
@@ -61,14 +61,14 @@ class Report:
     @property
     def packets(self) -> int:
         """Of how many packets this tells."""
-        return self.sent_ns if self.fate is Fate.SUPERSEDED else 1
+        return self.sent_ns if self.status is DeliveryStatus.SUPERSEDED else 1
 
     def to_bytes(self) -> bytes:
         """As a ring entry."""
-        return _REPORT.pack(self.shot, self.due_ns, self.sent_ns, self.fate, self.woke_ns)
+        return _REPORT.pack(self.shot, self.due_ns, self.sent_ns, self.status, self.woke_ns)
 
     @classmethod
     def from_bytes(cls, entry: bytes) -> Self:
         """The inverse of `to_bytes`."""
-        shot, due_ns, sent_ns, fate, woke_ns = _REPORT.unpack(entry)
-        return cls(shot, due_ns, sent_ns, Fate(fate), woke_ns)
+        shot, due_ns, sent_ns, status, woke_ns = _REPORT.unpack(entry)
+        return cls(shot, due_ns, sent_ns, DeliveryStatus(status), woke_ns)

@@ -2,23 +2,23 @@
 
 Started by `PortRunner` with a pipe as standard input, which is its lifeline: at the end of file it closes the
 port and ends, however the parent ended; in mid-run the other end has half a second to fetch what was sent. Unless the
-parent had hung up in order, it sends nothing more of what it was given but last words, if it has any.
+parent had hung up in order, it sends nothing more of what it was given but final message, if it has any.
 Both pipes carry one JSON object per line:
 
-    in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "faults": [a LinkOrder] or null}
+    in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "faults": [a PortFault] or null}
                                                      once; also "loopback": fd, "complaints": fd
          {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ..., "when_late": ...}}    monotonic clock
-         {"fault": a LinkOrder}                      one more, if there was a list at the start
+         {"fault": a PortFault}                      one more, if there was a list at the start
          {"finish": true}                            no more packets will come
          {"supersede": [generation, shot, number]}   older packets from this shot, before that entry: not to be sent
          {"send": hex}                               at once; it is no shot
-         {"last_words": hex}                         to be sent if the parent dies
+         {"final_message": hex}                         to be sent if the parent dies
          {"end": in order}                           before the end of file, unless the parent died; or false: it fails
     out  {"ready": description} or {"refused": [where, key, value, allowed]}
          {"granted": [name], "missing": {name: command}}     what the system gave towards punctuality
          {"arrived": [time_ns, hex, pulse_ns]}       received on the port, and when the last pulse came, or null; lost
                                                      while the parent does not listen
-         {"settled": count}                          in lockstep: so many packets have met their fate
+         {"settled": count}                          in lockstep: number of packets whose delivery status is known
          {"event": [number, time_ns, text]}          counted from 1; lost while the parent does not listen
          {"finished": counts}                        every packet has its report
          {"stopped": counts}                         last line
@@ -33,15 +33,15 @@ from typing import TYPE_CHECKING, Any
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.answers import Answers
-from lidar_emu.runtime.port.control_pipe import Lifeline
+from lidar_emu.runtime.port.control_pipe import ControlPipe
 from lidar_emu.runtime.port.drain import SETTLE_NS, Drain
 from lidar_emu.runtime.port.pacing import Pace, Pacing, WhenLate
 from lidar_emu.runtime.port.packets import ALERT
-from lidar_emu.runtime.port.parent_death import complain, say_last_words, told_of
+from lidar_emu.runtime.port.parent_death import complain, send_final_message, told_of
 from lidar_emu.runtime.port.ring import Ring
 from lidar_emu.runtime.port.sender import Sender, Wait
-from lidar_emu.runtime.realtime import become_punctual
-from lidar_emu.transports.link import COUNTED, Fate, Link
+from lidar_emu.runtime.realtime import request_realtime
+from lidar_emu.transports.link import COUNTED, DeliveryStatus, Link
 from lidar_emu.transports.opening import Opener, opener
 from lidar_emu.transports.spec import PortSpec
 from lidar_emu.transports.wire_load import drain_time_s
@@ -65,7 +65,7 @@ def main() -> None:
     """Run until the lifeline ends."""
     # Ctrl-C in a terminal goes to the whole group; what it means is the parent's business.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    lifeline = Lifeline(_LIFELINE)
+    lifeline = ControlPipe(_LIFELINE)
     settings = lifeline.next_blocking()
     if settings is None:
         return
@@ -103,7 +103,7 @@ class _Port:
         packets: Ring,
         reports: Ring,
         doorbell: int,
-        lifeline: Lifeline,
+        lifeline: ControlPipe,
         answers: Answers,
         clock: Clock,
         faulty: FaultyPort | None,
@@ -129,7 +129,7 @@ class _Port:
         self._alert_until_ns = 0
         self._finishing = False
         self._drain: Drain | None = None
-        self._last_words = b""
+        self._final_message = b""
         self._ends_in_order: bool | None = None
 
     def run(self) -> str | None:
@@ -146,9 +146,9 @@ class _Port:
             self._answers.flush()
             alive = self._sleep(wait, drain_ns)
         complaint = "the model's process died: the run has ended" if self._ends_in_order is None else None
-        if self._last_words and not self._ends_in_order:
-            fate = say_last_words(self._link, self._last_words, self._clock)
-            complaint = complaint and f"{complaint}, last words {told_of(fate)}"
+        if self._final_message and not self._ends_in_order:
+            status = send_final_message(self._link, self._final_message, self._clock)
+            complaint = complaint and f"{complaint}, final message {told_of(status)}"
             self._drain_in_haste()
         elif self._sender is not None and (self._drain is None or self._finishing):
             self._drain_in_haste()
@@ -189,10 +189,11 @@ class _Port:
             pacing = Pacing(Pace(begin["pace"]), begin["late_after_ns"], WhenLate(begin["when_late"]))
             self._lockstep = pacing.pace is Pace.LOCKSTEP
             if pacing.pace is Pace.WALL:
-                had = become_punctual()
-                extras = self._link.extras
+                had = request_realtime()
+                driver_features = self._link.driver_features
                 self._answers.say(
-                    granted=[*had.granted, *extras.granted], missing={**had.missing, **extras.missing}
+                    granted=[*had.granted, *driver_features.granted],
+                    missing={**had.missing, **driver_features.missing},
                 )
             self._sender = Sender(
                 self._packets, self._reports, self._link, self._clock, begin["start_ns"], pacing
@@ -201,7 +202,7 @@ class _Port:
             self._faulty.order(order["fault"])
         if "finish" in order:
             self._finishing = True
-        self._last_words = bytes.fromhex(order.get("last_words", "")) or self._last_words
+        self._final_message = bytes.fromhex(order.get("final_message", "")) or self._final_message
         self._ends_in_order = order.get("end", self._ends_in_order)
         if "send" in order:
             self._say(bytes.fromhex(order["send"]))
@@ -210,7 +211,7 @@ class _Port:
 
     def _say(self, payload: bytes) -> None:
         """Send or drop at once what is no shot, also before the run begins."""
-        if self._link.send(payload, self._clock.now_ns()) is Fate.SENT:
+        if self._link.send(payload, self._clock.now_ns()) is DeliveryStatus.SENT:
             self._said_bytes += len(payload)
         else:
             self._unsent += 1
@@ -264,7 +265,7 @@ class _Port:
         return {
             "sent_bytes": sent_bytes,
             "received_bytes": self._received_bytes,
-            "unheard_bytes": self._unheard_bytes,
+            "rx_overrun_bytes": self._unheard_bytes,
             "unsent": self._unsent,
             **{name: self._link.counts[name] for name in COUNTED},
         }

@@ -17,7 +17,7 @@ from lidar_emu.runtime.port.pacing import Pace, WhenLate
 from lidar_emu.runtime.port.packets import ALERT, NEWS, Outgoing, Report
 from lidar_emu.runtime.port.ring import Ring
 from lidar_emu.runtime.port.stall_monitor import Notice, Watch
-from lidar_emu.runtime.port.status import Arrival, PortStory
+from lidar_emu.runtime.port.status import Arrival, PortStatus
 from lidar_emu.transports.spec import Kind, PortSpec
 
 _START_LIMIT_NS = 30_000_000_000
@@ -28,7 +28,7 @@ _OPENING_POLL_NS = 100_000_000
 
 class PortRunner:
     """A port in a process of its own. Leaving its context ends the process, whatever happened; where that is an error
-    of ours, after its last words (see `prepare`).
+    of ours, after its final message (see `prepare`).
 
     Order of use: `start`; `begin`, before or after the first `push`; `push` and `reports`; `finish`.
 
@@ -55,7 +55,7 @@ class PortRunner:
         self._far_end: LoopbackEnd | None = None
         self._begun = False
         self._closed = False
-        self.told = PortStory()
+        self.told = PortStatus()
         """What the process has said about itself, the port and the link."""
 
     def __enter__(self) -> Self:
@@ -71,7 +71,7 @@ class PortRunner:
 
         Args:
             spec: the port.
-            faults: of the port, each a `LinkOrder` as a mapping; None: there are none, nor will be.
+            faults: of the port, each a `PortFault` as a mapping; None: there are none, nor will be.
 
         Raises:
             InputError: the port cannot be opened.
@@ -140,9 +140,9 @@ class PortRunner:
         """Send what is no shot, between shots; there is no report."""
         self._running().tell(send=payload.hex())
 
-    def prepare(self, last_words: bytes) -> None:
+    def prepare(self, final_message: bytes) -> None:
         """What the process is to send, instead of whatever it was given, should ours die; each time anew."""
-        self._running().tell(last_words=last_words.hex())
+        self._running().tell(final_message=final_message.hex())
 
     def order_fault(self, order: dict[str, Any]) -> None:
         """One more fault of the port, if there was a list of them at the start."""
@@ -230,7 +230,7 @@ class PortRunner:
         In mid-run the other end still has half a second to fetch what counts as sent.
 
         Args:
-            in_order: False: the run fails, and the process says its last words.
+            in_order: False: the run fails, and the process says its final message.
         """
         if self._closed:
             return

@@ -6,18 +6,18 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.backpressure import Patience, Refuser
+from lidar_emu.runtime.port.backpressure import BackpressurePolicy, BlockedLink
 from lidar_emu.runtime.port.pacing import Action, Pace, Pacing, WhenLate
-from lidar_emu.runtime.port.packets import Fate, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
 from lidar_emu.runtime.port.ring import Ring
 
 _PACKETS_PER_STEP = 16
 
 
-class Sink(Refuser, Protocol):
+class Sink(BlockedLink, Protocol):
     """Where packets go: a `Link`."""
 
-    def send(self, payload: bytes, now_ns: int) -> Fate:
+    def send(self, payload: bytes, now_ns: int) -> DeliveryStatus:
         """Take the whole packet or drop it."""
 
 
@@ -48,14 +48,14 @@ class Sender:
         self._clock = clock
         self._start_ns = start_ns
         self._pacing = pacing
-        self._patience = Patience(link)
+        self._patience = BackpressurePolicy(link)
         self._next: Outgoing | None = None
         self._given_up = False
         self._superseded: list[tuple[int, int, int]] = []
         self._last_shot = -1
         self.sent_bytes = 0
         self.settled = 0
-        """Packets that have met their fate."""
+        """Packets whose delivery status is known."""
 
     def step(self) -> Wait:
         """Do what is due now, a bounded part of it at a time."""
@@ -67,22 +67,22 @@ class Sender:
                 return Wait(for_packets=True)
             now_ns = self._clock.now_ns()
             if (count := self._superseded_from(packet)) > 0:
-                self._report(Report(packet.shot, packet.due_ns, count, Fate.SUPERSEDED), count)
+                self._report(Report(packet.shot, packet.due_ns, count, DeliveryStatus.SUPERSEDED), count)
                 continue
             match self._pacing.action(now_ns - self._start_ns, packet.due_ns):
                 case Action.WAIT:
                     return Wait(until_ns=self._start_ns + packet.due_ns)
                 case _ if not packet.payload:  # what is not sent is not late either
-                    self._finish(packet, Fate.SUPPRESSED, now_ns)
+                    self._finish(packet, DeliveryStatus.SUPPRESSED, now_ns)
                 case Action.SKIP:
-                    self._finish(packet, Fate.LATE, now_ns)
+                    self._finish(packet, DeliveryStatus.LATE, now_ns)
                     self._given_up = self._pacing.when_late is WhenLate.ABORT
                 case Action.SEND:
-                    fate = self._link.send(packet.payload, now_ns)
-                    until_ns = self._patience_ends_ns(fate, now_ns)
+                    status = self._link.send(packet.payload, now_ns)
+                    until_ns = self._patience_ends_ns(status, now_ns)
                     if until_ns is not None:
-                        return Wait(until_ns, for_room=fate is Fate.DROPPED_FULL)
-                    self._finish(packet, fate, now_ns)
+                        return Wait(until_ns, for_room=status is DeliveryStatus.DROPPED_FULL)
+                    self._finish(packet, status, now_ns)
         return Wait(until_ns=self._clock.now_ns())
 
     def supersede(self, generation: int, from_shot: int, end: int) -> None:
@@ -92,7 +92,7 @@ class Sender:
     def _superseded_from(self, packet: Outgoing) -> int:
         """How many packets from this one on are not to be sent; they leave the ring at once.
 
-        One shot is also passed over where it has met its fate already: news of the command came too late for it.
+        A shot whose delivery status is known already is also passed over: news of the command came too late for it.
         """
         if self._superseded:
             # Those that no packet is older than any more concern nobody.
@@ -102,9 +102,9 @@ class Sender:
                 return 1 + self._packets.skip_to(max(ends))
         return int(packet.shot <= self._last_shot)
 
-    def _patience_ends_ns(self, fate: Fate, now_ns: int) -> int | None:
-        """Until when the packet is kept; None: it met its fate."""
-        return self._patience.wait_until(fate, now_ns) if self._pacing.pace is not Pace.WALL else None
+    def _patience_ends_ns(self, status: DeliveryStatus, now_ns: int) -> int | None:
+        """Until when the packet is kept; None: its delivery status is final."""
+        return self._patience.wait_until(status, now_ns) if self._pacing.pace is not Pace.WALL else None
 
     def _take(self) -> Outgoing | None:
         if self._next is None:
@@ -112,14 +112,16 @@ class Sender:
             self._next = None if entry is None else Outgoing.from_bytes(entry)
         return self._next
 
-    def _finish(self, packet: Outgoing, fate: Fate, woke_ns: int) -> None:
+    def _finish(self, packet: Outgoing, status: DeliveryStatus, woke_ns: int) -> None:
         sent_ns = -1
-        if fate is Fate.SENT:
+        if status is DeliveryStatus.SENT:
             # As fast as the link takes it, a packet may go out before the start, even centuries before it.
             sent_ns = max(0, self._clock.now_ns() - self._start_ns)
             self.sent_bytes += len(packet.payload)
         self._last_shot = packet.shot
-        self._report(Report(packet.shot, packet.due_ns, sent_ns, fate, max(-1, woke_ns - self._start_ns)), 1)
+        self._report(
+            Report(packet.shot, packet.due_ns, sent_ns, status, max(-1, woke_ns - self._start_ns)), 1
+        )
 
     def _report(self, report: Report, count: int) -> None:
         self._next = None

@@ -21,7 +21,7 @@ class Arrival(NamedTuple):
 
 
 @dataclass
-class PortStory:
+class PortStatus:
     """Kept from its answers."""
 
     description: str = ""
@@ -30,14 +30,14 @@ class PortStory:
     """Known at the end; None if the process died before it could tell."""
     received_bytes: int | None = None
     """What arrived on the port; known when `sent_bytes` is."""
-    unheard_bytes: int | None = None
+    rx_overrun_bytes: int | None = None
     """Of what arrived, what came too fast to be passed on."""
     unsent: int | None = None
     """Payloads of `send_now` that the link did not take."""
     noticed: dict[str, int | None] = field(default_factory=lambda: dict.fromkeys(COUNTED))
     """What a CAN bus counts besides data; known when `sent_bytes` is."""
     granted: list[str] = field(default_factory=list)
-    """What the system gave towards punctuality; see `Punctuality`."""
+    """What the system gave towards punctuality; see `RealtimePrivileges`."""
     missing: dict[str, str] = field(default_factory=dict)
     """What it refused, each with the command that would give it."""
     finished: bool = False
@@ -69,8 +69,8 @@ class PortStory:
             "load": load,
             "sent_bytes": self.sent_bytes,
             "received_bytes": self.received_bytes,
-            "unheard_bytes": self.unheard_bytes,
-            "unsent_answers": self.unsent,
+            "rx_overrun_bytes": self.rx_overrun_bytes,
+            "tx_dropped": self.unsent,
             **self.noticed,
         }
         return {
@@ -102,5 +102,5 @@ class PortStory:
                 case {"finished": counts} | {"stopped": counts}:
                     self.finished = True
                     self.sent_bytes, self.received_bytes = counts["sent_bytes"], counts["received_bytes"]
-                    self.unheard_bytes, self.unsent = counts["unheard_bytes"], counts["unsent"]
+                    self.rx_overrun_bytes, self.unsent = counts["rx_overrun_bytes"], counts["unsent"]
                     self.noticed = {name: counts[name] for name in COUNTED}

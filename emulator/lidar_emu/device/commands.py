@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from lidar_emu.device.machine import acquire, enter, restart, timed
+from lidar_emu.device.modes import acquire, enter, restart, timed
 from lidar_emu.device.rules import Rules
 from lidar_emu.device.state import DeviceState, Due, Mode
 from lidar_emu.scenario.device import LONGEST_STEP_S, MOST_HOUSEKEEPING_HZ

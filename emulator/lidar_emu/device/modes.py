@@ -12,9 +12,9 @@ Everything here is a function of the state before and of scenario time.
 from __future__ import annotations
 
 from lidar_emu.device.clock import powered_up
-from lidar_emu.device.heat import Heat
 from lidar_emu.device.rules import Rules
 from lidar_emu.device.state import GUARDED, MEASURING, DeviceState, Due, Mode
+from lidar_emu.device.thermal import Heat
 
 
 def initial(rules: Rules) -> DeviceState:

@@ -6,8 +6,8 @@ from collections import deque
 from dataclasses import replace
 from typing import NamedTuple
 
-from lidar_emu.device.machine import advance, counted_from, timed
-from lidar_emu.device.obey import Order, obey
+from lidar_emu.device.commands import Order, obey
+from lidar_emu.device.modes import advance, counted_from, timed
 from lidar_emu.device.rules import Event, Rules
 from lidar_emu.device.state import DeviceState
 
@@ -19,7 +19,7 @@ class _Since(NamedTuple):
     state: DeviceState
 
 
-class DeviceNow:
+class DeviceTimeline:
     """The state from each command on. It depends on time and commands alone, never on what was measured."""
 
     def __init__(self, rules: Rules, state: DeviceState) -> None:
@@ -50,7 +50,7 @@ class DeviceNow:
         since = [each._replace(state=timed(self.rules, each.state)) for each in self._since]
         self._since = deque(since, maxlen=_REMEMBERED)
 
-    def begin_flight(self, rules: Rules, zero_ns: int) -> DeviceState:
+    def start_flight(self, rules: Rules, zero_ns: int) -> DeviceState:
         """From now on times count from what was `zero_ns`, and these rules hold; returns the state then."""
         self.rules, self._first = rules, counted_from(rules, self.at(zero_ns), zero_ns)
         self._since.clear()

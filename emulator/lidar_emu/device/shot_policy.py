@@ -10,7 +10,7 @@ from lidar_emu.device.state import DeviceState, Mode, Status
 from lidar_emu.numerics.arrays import BoolArray
 
 
-class Conduct(NamedTuple):
+class ShotPolicy(NamedTuple):
     """A state of the device, and what follows from it."""
 
     device: DeviceState
@@ -32,7 +32,7 @@ class Conduct(NamedTuple):
         return (min(most, left_out), True) if left_out else (most if divisor == 1 else 1, False)
 
 
-def conduct(device: DeviceState, beam_count: int) -> Conduct:
+def shot_policy(device: DeviceState, beam_count: int) -> ShotPolicy:
     """Of a device with so many beams."""
     beams, settings = device.settings.beams, device.settings
     fires = np.array([[beams >> beam & 1 for beam in range(beam_count)]], dtype=np.bool_)
@@ -44,4 +44,4 @@ def conduct(device: DeviceState, beam_count: int) -> Conduct:
         and (settings.divisor, settings.settling_ns) == (1, 0)
     )
     status = Status(device.mode, device.measures, device.clock_locked)
-    return Conduct(device, status, None if fires.all() else fires, is_plain)
+    return ShotPolicy(device, status, None if fires.all() else fires, is_plain)
