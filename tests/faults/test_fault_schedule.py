@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from lidar_emu.faults.held_values import hold
 from lidar_emu.faults.schedule import FaultSchedule
-from lidar_emu.numerics.random_streams import Chance
+from lidar_emu.numerics.random_streams import RandomStream, fault_purpose
 from lidar_emu.scenario.faults import Dropout
 
 PERIOD_NS = 20_000_000
@@ -17,7 +17,7 @@ PERIOD_NS = 20_000_000
 
 def schedule(number: int = 0, seed: int = 1, **when: object) -> FaultSchedule:
     fault = Dropout.model_validate({"kind": "dropout", **when})
-    return FaultSchedule(fault, Chance(seed, number), PERIOD_NS)
+    return FaultSchedule(fault, RandomStream(seed, fault_purpose(number)), PERIOD_NS)
 
 
 def shots(first: int, count: int) -> np.ndarray:
@@ -56,7 +56,7 @@ def test_spells_of_any_block_are_those_of_each_shot_alone(
 ) -> None:
     to_s = from_s + length_s
     asked = schedule(3, seed, from_s=from_s, to_s=to_s, probability=probability, lasts_s=lasts_s)
-    chance = Chance(seed, 3)
+    chance = RandomStream(seed, fault_purpose(3))
     lasts = max(1, -(-round(lasts_s * 1e9) // PERIOD_NS))
 
     def inside(shot: int) -> bool:
@@ -96,16 +96,16 @@ def test_faults_beams_and_seeds_have_chances_of_their_own() -> None:
 
 def test_the_chances_of_a_whole_shot_are_none_of_a_beam() -> None:
     many = shots(0, 1000)
-    chance = Chance(1, 0)
-    whole = chance.of_shots(many)
-    run = chance.run_of(0, 0, 1000)
+    chance = RandomStream(1, fault_purpose(0))
+    whole = chance.per_shot(many)
+    run = chance.sequence(0, 0, 1000)
     drawn = [whole, run, *chance.uniforms(many, 4, 0).reshape(1000, -1).T, *chance.normals(many, 2, 1).T[0]]
     assert len({float(x) for numbers in drawn for x in numbers}) == sum(map(len, drawn))
-    np.testing.assert_array_equal(chance.run_of(0, 300, 50), run[300:350])
+    np.testing.assert_array_equal(chance.sequence(0, 300, 50), run[300:350])
 
 
 def test_noise_is_normal() -> None:
-    normals = Chance(1, 0).normals(shots(0, 20_000), 2, 1)
+    normals = RandomStream(1, fault_purpose(0)).normals(shots(0, 20_000), 2, 1)
     np.testing.assert_allclose(normals.mean(axis=0), 0, atol=5 / np.sqrt(20_000))
     np.testing.assert_allclose(normals.std(axis=0), 1, atol=5 / np.sqrt(2 * 20_000))
     np.testing.assert_allclose((normals**4).mean(axis=0), 3, atol=5 * np.sqrt(96 / 20_000))

@@ -9,12 +9,11 @@ import numpy as np
 from lidar_emu.campaign.quantiles import values_at
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.random_streams import RUN_SEEDS, SHARES, generator
 from lidar_emu.scenario.campaign import Campaign, Distribution, JointNormal, Normal
 
 _NEAREST_END = 2.0**-32
 """Shares keep away from 0 and 1, where normal distributions have no value: 6.2 sigma, and less than Sobol's step."""
-_SHARES, _SEEDS = 0, 1
-"""What a generator is for; each has a stream of its own."""
 
 
 class Drawn(NamedTuple):
@@ -50,12 +49,8 @@ def draw(campaign: Campaign, path: str) -> Drawn:
         key: values_at(distribution, np.clip(share[i], _NEAREST_END, 1 - _NEAREST_END))
         for i, (key, distribution) in enumerate(distributions.items())
     }
-    seeds = _generator(campaign, _SEEDS).integers(0, 2**63, size=campaign.runs, dtype=np.int64)
+    seeds = generator(campaign.seed, RUN_SEEDS).integers(0, 2**63, size=campaign.runs, dtype=np.int64)
     return Drawn(columns, [int(seed) for seed in seeds])
-
-
-def _generator(campaign: Campaign, purpose: int) -> np.random.Generator:
-    return np.random.Generator(np.random.Philox(np.random.SeedSequence([campaign.seed, purpose])))
 
 
 def _distributions(campaign: Campaign) -> dict[str, Distribution]:
@@ -74,17 +69,17 @@ def _sigmas(joint: JointNormal) -> list[float]:
 
 def _shares(campaign: Campaign, count: int) -> FloatArray:
     """(count, runs) Numbers from 0 to 1."""
-    generator = _generator(campaign, _SHARES)
+    stream = generator(campaign.seed, SHARES)
     if count == 0:
         return np.empty((0, campaign.runs))
     if campaign.sampling == "random":
         # Run by run, so that more runs begin with the same ones.
-        return generator.random((campaign.runs, count)).T.copy()
+        return stream.random((campaign.runs, count)).T.copy()
     from scipy.stats import qmc
 
     if campaign.sampling == "latin_hypercube":
-        return np.asarray(qmc.LatinHypercube(count, seed=generator).random(campaign.runs)).T.copy()
-    whole = qmc.Sobol(count, seed=generator).random_base2((campaign.runs - 1).bit_length())
+        return np.asarray(qmc.LatinHypercube(count, seed=stream).random(campaign.runs)).T.copy()
+    whole = qmc.Sobol(count, seed=stream).random_base2((campaign.runs - 1).bit_length())
     return np.asarray(whole)[: campaign.runs].T.copy()
 
 

@@ -1,4 +1,4 @@
-"""The part of a clock's rate that comes and goes: a few slow sines, with phases left to chance."""
+"""The part of a clock's rate that comes and goes: a few slow sines of random phases."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ class Wander:
         """The one of this seed, whose rate is off by `rms` in the long run; None for 0."""
         if rms == 0.0:
             return None
-        phases = np.random.default_rng(seed).uniform(0.0, math.tau, len(_PERIODS_NS))
+        from lidar_emu.numerics.random_streams import CLOCK_WANDER, RandomStream
+
+        phases = math.tau * RandomStream(seed, CLOCK_WANDER).sequence(0, 0, len(_PERIODS_NS))
         return cls(rms * math.sqrt(2 / len(_PERIODS_NS)), tuple(phases.tolist()))
 
     def gained_ns(self, from_ns: float, to_ns: _Time) -> _Time:

@@ -18,7 +18,7 @@ from lidar_emu.flight.flight import Pointing, sensor_height_m
 from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.numerics.random_streams import Chance
+from lidar_emu.numerics.random_streams import DUST, RandomStream
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.scenario.plume import Plume
 from lidar_emu.scenario.schema import FlightScenario
@@ -27,9 +27,6 @@ from lidar_emu.scene.hits import Hits
 _PARCELS = 8
 _LEAST_COSINE = 0.05
 """A beam that grazes the sheet is in it no longer than at 87 degrees."""
-
-_CHANCE = 4096
-"""In place of a fault's number; scenarios have fewer."""
 
 
 class _Paths(NamedTuple):
@@ -47,7 +44,7 @@ class Dust:
 
     def __init__(self, scenario: FlightScenario, plume: Plume) -> None:
         self._scenario, self._plume = scenario, plume
-        self._chance = Chance(scenario.seed, _CHANCE)
+        self._stream = RandomStream(scenario.seed, DUST)
         # One frequency for each segment: of ground and streak the stronger one is seen.
         self._stronger_only = scenario.level == "statistical"
 
@@ -74,7 +71,7 @@ class Dust:
         steep = np.maximum(-pointing.true_site[..., 2], _LEAST_COSINE)
         length_m = np.minimum(range_m, plume.thickness_m / steep)
         depth = growth[:, None] * plume.optical_depth * length_m / plume.thickness_m
-        met = self._chance.uniforms(shot, range_m.shape[1], 0)[..., 0] < growth[:, None] * plume.streak_share
+        met = self._stream.uniforms(shot, range_m.shape[1], 0)[..., 0] < growth[:, None] * plume.streak_share
         return _Paths(length_m, np.where(range_m > 0, depth, 0.0), met & (range_m > 0))
 
     def _parcels(
@@ -87,7 +84,7 @@ class Dust:
     ) -> Echoes:
         """The light of the dust as beamlets: the streak, if there is one, and the sheet's parcels from the top down."""
         beams = paths.depth.shape[1]
-        drawn = np.stack([self._chance.uniforms(shot, beams, 1 + k) for k in range(1 + _PARCELS)], axis=-2)
+        drawn = np.stack([self._stream.uniforms(shot, beams, 1 + k) for k in range(1 + _PARCELS)], axis=-2)
         share = (np.arange(_PARCELS) + drawn[..., 1:, 0]) / _PARCELS
         place = np.concatenate([drawn[..., :1, 0], share], axis=-1)
         top_m = (axis_hits.range_m - paths.length_m)[..., None]

@@ -185,7 +185,7 @@ def _drift(block: Measurement, act: _Act) -> _Result:
 
 
 def _noise(block: Measurement, act: _Act) -> _Result:
-    errors = act.size(block)[..., None] * act.ordered.chance.normals(
+    errors = act.size(block)[..., None] * act.ordered.stream.normals(
         block.shot, block.beam_count, _VALUE_DRAW
     )
     fault = act.fault
@@ -193,7 +193,7 @@ def _noise(block: Measurement, act: _Act) -> _Result:
 
 
 def _outlier(block: Measurement, act: _Act) -> _Result:
-    place = act.ordered.chance.uniforms(block.shot, block.beam_count, _VALUE_DRAW)
+    place = act.ordered.stream.uniforms(block.shot, block.beam_count, _VALUE_DRAW)
     columns: dict[str, Any] = {"range_m": _between(act.fault.range_m, place[..., 0])}
     if act.fault.closing_speed_mps is not None:
         columns["closing_speed_mps"] = _between(act.fault.closing_speed_mps, place[..., 1])

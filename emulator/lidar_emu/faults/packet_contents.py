@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lidar_emu.faults.held_values import Row, hold
 from lidar_emu.faults.schedule import FaultOccurrence, FaultSchedule
 from lidar_emu.measurement import Measurement
-from lidar_emu.numerics.random_streams import Chance
+from lidar_emu.numerics.random_streams import RandomStream, fault_purpose
 from lidar_emu.scenario import faults as kinds
 
 _IN_METRES = (
@@ -39,7 +39,7 @@ class ContentFaults:
 
     def __init__(self, numbered: Sequence[tuple[int, kinds.ContentFault]], seed: int, period_ns: int) -> None:
         self._faults = [
-            (number, fault, FaultSchedule(fault, Chance(seed, number), period_ns))
+            (number, fault, FaultSchedule(fault, RandomStream(seed, fault_purpose(number)), period_ns))
             for number, fault in numbered
         ]
         self.initial: ContentState = (None,) * len(self._faults)

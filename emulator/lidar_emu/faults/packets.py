@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.interface_mismatch import REWRITING, Rewriter
 from lidar_emu.faults.schedule import FaultOccurrence, FaultSchedule
-from lidar_emu.numerics.random_streams import Chance
+from lidar_emu.numerics.random_streams import RandomStream, fault_purpose
 from lidar_emu.scenario import faults as kinds
 from lidar_protocol import CanFrame, DecodeError, Interface
 from lidar_protocol.framing import Stuffed
@@ -30,7 +30,7 @@ _Fault = kinds.PacketFault | kinds.LinkFault | kinds.DeviceFault
 _CAN_DATA_BYTES = 8
 _CAN_IDS = 0x800
 _RECORD_BYTES = 14
-_CHANCES_AT_ONCE = 64
+_NUMBERS_AT_ONCE = 64
 _DOUBLING = (kinds.Doubled, kinds.Reordered)
 _MOST_DOUBLING = 6
 
@@ -48,7 +48,7 @@ class _Act:
     """A fault in one shot."""
 
     fault: Any
-    chance: Chance
+    stream: RandomStream
     shot: int
     interface: Interface
     rewriter: Rewriter
@@ -82,7 +82,7 @@ class PacketFaults:
         self._interface = interface
         self._rewriter = Rewriter(interface)
         self._can = can
-        self._faults: list[tuple[int, _Fault, FaultSchedule, Chance]] = []
+        self._faults: list[tuple[int, _Fault, FaultSchedule, RandomStream]] = []
         for number, fault in numbered:
             if isinstance(fault, kinds.WrongCrc) and (can or interface.link.crc is None):
                 found = Finding("wrong_crc on CAN" if can else "no CRC in this interface")
@@ -91,8 +91,8 @@ class PacketFaults:
             if (allowed_here := self._rewriter.refusal(fault, can)) is not None:
                 found = Finding(f"{fault.kind} with interface {interface.name}")
                 raise InputError(name, f"faults.{number}", found, f"allowed: {allowed_here}")
-            chance = Chance(seed, number)
-            self._faults.append((number, fault, FaultSchedule(fault, chance, period_ns), chance))
+            stream = RandomStream(seed, fault_purpose(number))
+            self._faults.append((number, fault, FaultSchedule(fault, stream, period_ns), stream))
         doubling = sum(isinstance(fault, _DOUBLING) for _, fault, *_ in self._faults)
         if doubling > _MOST_DOUBLING:
             found = Finding(f"{doubling} of kind doubled or reordered")
@@ -164,7 +164,7 @@ class PacketFaults:
     ) -> tuple[Pieces, PacketState]:
         pieces: Pieces = (packet,) if isinstance(packet, bytes) else tuple(packet)
         held: list[Pieces] = []
-        for (_, fault, _, chance), now, before in zip(self._faults, acting, state.held, strict=True):
+        for (_, fault, _, stream), now, before in zip(self._faults, acting, state.held, strict=True):
             kept: Pieces = ()
             if isinstance(fault, kinds.Reordered):
                 pieces, kept = ((), pieces) if now and not before else (pieces + before, ())
@@ -172,7 +172,7 @@ class PacketFaults:
                 pieces = before if now and before else pieces
                 kept = pieces if any(pieces) else before
             elif now and type(fault) in _EFFECTS:
-                act = _Act(fault, chance, shot, self._interface, self._rewriter, self._can)
+                act = _Act(fault, stream, shot, self._interface, self._rewriter, self._can)
                 pieces = _EFFECTS[type(fault)](pieces, act)
             held.append(kept)
         return pieces, state._replace(held=tuple(held))
@@ -216,10 +216,10 @@ def _error_places(act: _Act) -> Iterator[int]:
     place, drawn = -1, 0
     log_good = math.log1p(-act.fault.rate) if act.fault.rate < 1 else -math.inf
     while True:
-        for u in act.chance.run_of(act.shot, drawn, _CHANCES_AT_ONCE).tolist():
+        for u in act.stream.sequence(act.shot, drawn, _NUMBERS_AT_ONCE).tolist():
             place += 1 + int(math.log(u) / log_good)
             yield place
-        drawn += _CHANCES_AT_ONCE
+        drawn += _NUMBERS_AT_ONCE
 
 
 def _data(piece: Piece) -> bytes:
@@ -261,11 +261,11 @@ def _rewritten(pieces: Pieces, act: _Act) -> Pieces:
 
 def _garbage(pieces: Pieces, act: _Act) -> Pieces:
     count = act.fault.bytes
-    noise = bytes(int(u * 256) for u in act.chance.run_of(act.shot, 0, count).tolist())
+    noise = bytes(int(u * 256) for u in act.stream.sequence(act.shot, 0, count).tolist())
     if not act.can:
         return (noise, *pieces)
     blocks = [noise[k : k + _CAN_DATA_BYTES] for k in range(0, count, _CAN_DATA_BYTES)]
-    places = act.chance.run_of(act.shot, count, len(blocks)).tolist()
+    places = act.stream.sequence(act.shot, count, len(blocks)).tolist()
     frames = [CanFrame(int(u * _CAN_IDS), data) for u, data in zip(places, blocks, strict=True)]
     return (*frames, *pieces)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.numerics.random_streams import Chance
+from lidar_emu.numerics.random_streams import RandomStream, fault_purpose
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.scenario.faults.timing import PerBeamFault
 
@@ -32,12 +32,12 @@ class FaultSchedule:
 
     Args:
         fault: what the scenario says.
-        chance: its numbers.
+        stream: its random numbers.
         period_ns: from shot to shot.
     """
 
-    def __init__(self, fault: ScheduledFault | LinkFault, chance: Chance, period_ns: int) -> None:
-        self._chance = chance
+    def __init__(self, fault: ScheduledFault | LinkFault, stream: RandomStream, period_ns: int) -> None:
+        self._stream = stream
         self._period_ns = period_ns
         self._probability = fault.probability
         # At least one shot, begun or not: whoever asks for a spell of half a period gets a shot.
@@ -59,11 +59,11 @@ class FaultSchedule:
 
     def shots(self, shot: NDArray[np.int64]) -> BoolArray:
         """(shots,) On which of consecutive shots it acts, as one."""
-        return self._spells(shot, lambda asked: self._chance.of_shots(asked)[:, None])[:, 0]
+        return self._spells(shot, lambda asked: self._stream.per_shot(asked)[:, None])[:, 0]
 
     def beams(self, shot: NDArray[np.int64], beam_count: int) -> BoolArray:
         """(shots, beams) On which beams of consecutive shots it acts, each by its own chance."""
-        acts = self._spells(shot, lambda asked: self._chance.uniforms(asked, beam_count, 0)[..., 0])
+        acts = self._spells(shot, lambda asked: self._stream.uniforms(asked, beam_count, 0)[..., 0])
         return np.broadcast_to(acts, (len(shot), beam_count))
 
     def since_s(self, shot: NDArray[np.int64]) -> FloatArray:
@@ -109,8 +109,8 @@ class FaultInstance:
     ) -> None:
         self.number = number
         self.fault: Any = fault
-        self.chance = Chance(seed, number)
-        self.schedule = FaultSchedule(fault, self.chance, period_ns)
+        self.stream = RandomStream(seed, fault_purpose(number))
+        self.schedule = FaultSchedule(fault, self.stream, period_ns)
         self._beams = np.ones(beam_count, dtype=np.bool_)
         if isinstance(fault, PerBeamFault) and fault.beams is not None:
             self._beams[:] = False

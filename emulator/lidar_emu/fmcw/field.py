@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.model import ReceiverModel, as_records
-from lidar_emu.fmcw.records import PHASE, SPECKLE
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.speckle import SLOTS, forget, set_weights
 from lidar_emu.fmcw.tones import relative_turn
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import CACHED, njit
 from lidar_emu.numerics.philox import uniform_pair, unit_phasor
+from lidar_emu.numerics.random_streams import PHASE, SPECKLE
 
 
 def echo_field(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from math import cos, pi, sin
-from typing import Any
 
 import numpy as np
 
@@ -19,11 +18,7 @@ from lidar_emu.fmcw.tones import set_segment_tones
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import uniform_pair
-
-_purposes: Any = np.arange(1, 7)
-PHASE, NOISE_BINS, SPECKLE, LINE, HAZE, FALSE_ALARM = _purposes
-"""What a random number is for; part of its counter. Not literals, for each of which numba would compile all it goes to
-once more."""
+from lidar_emu.numerics.random_streams import HAZE, LINE, NOISE_BINS, PHASE, SPECKLE
 
 SEGMENT_INDICES = 2**24
 """Indices kept for the bins of each record; N is at most 2**24."""

@@ -15,13 +15,14 @@ import numpy as np
 from lidar_emu.fmcw.beam_filter import line_share, line_variance, smear_bins
 from lidar_emu.fmcw.model import ReceiverModel, Workspace
 from lidar_emu.fmcw.peaks import BIN_CENTRE, BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY
-from lidar_emu.fmcw.records import NOISE_BINS, SEGMENT_INDICES, set_look_tones
+from lidar_emu.fmcw.records import SEGMENT_INDICES, set_look_tones
 from lidar_emu.fmcw.response import clipping, noise_level
 from lidar_emu.fmcw.targets import draw_alarms, insert_alarms
 from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import complex_normal
+from lidar_emu.numerics.random_streams import NOISE_BINS
 from lidar_emu.numerics.sine import sin_pi
 
 

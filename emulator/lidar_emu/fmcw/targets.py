@@ -11,12 +11,12 @@ from lidar_emu.fmcw.detect import MAX_GROUPS, find_groups
 from lidar_emu.fmcw.false_alarms import exceeding_bins, noise_peak
 from lidar_emu.fmcw.model import ReceiverModel, Workspace
 from lidar_emu.fmcw.peaks import BIN_CENTRE, BIN_VARIANCE, peak
-from lidar_emu.fmcw.records import FALSE_ALARM
 from lidar_emu.fmcw.response import noise_level
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, TAPS
 from lidar_emu.fmcw.tones import RANGE_M
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.random_streams import FALSE_ALARM
 
 _PEAK_VARIANCE_TIMES_SNR = 0.5
 """Of the estimators that resolve part of a bin, for peaks in noise, whose bins are not computed."""

@@ -1,4 +1,4 @@
-"""Chance by counter: any number of any shot can be drawn alone, whatever was drawn before.
+"""Counter-based random numbers: any number of any shot can be drawn alone, whatever was drawn before.
 
 Philox4x32-10 of Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC11. The key is the run's
 seed; the counter says what the number is for: shot, beam, purpose and index.

@@ -1,6 +1,14 @@
-"""Numbers by counter for what befalls a run: those of one fault depend on no other's, nor on the receiver's."""
+"""Random numbers of the whole package, and what each is for.
+
+A number that belongs to a shot is a function of seed, shot, beam and purpose (`philox`), so that any shot can be
+computed alone and no effect changes the numbers of another. Kernels call `philox` themselves, with a purpose from here;
+everything else has a `RandomStream`. What is drawn once for a whole run or a whole ground, in one large array, comes
+from a numpy generator made by `generator`.
+"""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,53 +17,88 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import complex_normal, uniform_pair
 
-_FIRST_PURPOSE = 1024
-"""The receiver's purposes are below."""
+_RECEIVER: Any = np.arange(1, 7)
+PHASE, NOISE_BINS, SPECKLE, LINE, HAZE, FALSE_ALARM = _RECEIVER
+"""Purposes in the receiver's kernels. They are not literals: numba would compile what they are passed to for each."""
+FIRST_FAULT = 1024
+"""Purpose of the first fault of a scenario's list; the others follow."""
+DUST = 5120
+"""Purpose of the dust raised by the plume."""
+CLOCK_WANDER = 5121
+"""Purpose of the slow changes of the device clock's rate."""
+
+RELIEF, CRATERS, ROCKS = range(3)
+"""Keys of `generator`, after the seed of a generated ground."""
+SHARES, RUN_SEEDS = range(2)
+"""Keys of `generator`, after the seed of a campaign: quantiles of the dispersed keys, and the seeds of its runs."""
 
 _WHOLE_SHOT = 0xFFFF
 """In place of a beam's number."""
 
 
-class Chance:
-    """The numbers of one fault, or of the dust.
+def fault_purpose(number: int) -> int:
+    """Purpose of a fault by its place in the scenario's list.
+
+    Raises:
+        ValueError: the purposes of faults are used up.
+    """
+    if not 0 <= number < DUST - FIRST_FAULT:
+        raise ValueError(f"fault {number}; allowed: fewer than {DUST - FIRST_FAULT}")
+    return FIRST_FAULT + number
+
+
+def generator(
+    *key: int, bit_generator: type[np.random.BitGenerator] = np.random.Philox
+) -> np.random.Generator:
+    """A numpy generator for arrays drawn as a whole.
+
+    Args:
+        key: seed and what follows it, natural numbers; another key gives an independent stream.
+        bit_generator: Philox unless published results rest on another one.
+    """
+    return np.random.Generator(bit_generator(np.random.SeedSequence(key)))
+
+
+class RandomStream:
+    """Random numbers of one purpose by shot and beam: those of a fault, of the dust.
 
     Args:
         seed: of the run.
-        number: of the fault in the scenario's list; 4096 the dust.
+        purpose: declared in this module.
     """
 
-    def __init__(self, seed: int, number: int) -> None:
+    def __init__(self, seed: int, purpose: int) -> None:
         self._seed = np.uint64(seed)
-        self._purpose = _FIRST_PURPOSE + number
-        # Kernels are compiled before the run: what is drawn at a fault's first shot must not make it late.
-        nobody = np.empty(0, dtype=np.int64)
-        self.uniforms(nobody, 1, 0)
-        self.normals(nobody, 1, 0)
-        self.of_shots(nobody)
-        self.run_of(0, 0, 0)
+        self._purpose = purpose
+        # Kernels are compiled before the run: a fault's first shot must not be late for it.
+        no_shot = np.empty(0, dtype=np.int64)
+        self.uniforms(no_shot, 1, 0)
+        self.normals(no_shot, 1, 0)
+        self.per_shot(no_shot)
+        self.sequence(0, 0, 0)
 
     def uniforms(self, shot: NDArray[np.int64], beams: int, index: int) -> FloatArray:
-        """(shots, beams, 2) Uniforms between 0 and 1; other ones for each index."""
+        """(shots, beams, 2) Uniforms between 0 and 1; another `index` gives other numbers."""
         out = np.empty((len(shot), beams, 2))
         _fill_uniforms(self._seed, shot, self._purpose, index, out)
         return out
 
     def normals(self, shot: NDArray[np.int64], beams: int, index: int) -> FloatArray:
-        """(shots, beams, 2) Standard normal numbers; other ones for each index."""
+        """(shots, beams, 2) Standard normal numbers; another `index` gives other numbers."""
         out = np.empty((len(shot), beams, 2))
         _fill_normals(self._seed, shot, self._purpose, index, out)
         return out
 
-    def of_shots(self, shot: NDArray[np.int64]) -> FloatArray:
-        """(shots,) A uniform for each shot as a whole."""
+    def per_shot(self, shot: NDArray[np.int64]) -> FloatArray:
+        """(shots,) One uniform for each shot as a whole."""
         out = np.empty(len(shot))
-        _fill_whole(self._seed, shot, self._purpose, out)
+        _fill_per_shot(self._seed, shot, self._purpose, out)
         return out
 
-    def run_of(self, shot: int, first: int, count: int) -> FloatArray:
-        """(count,) Uniforms `first` onward of those that a shot as a whole has besides."""
+    def sequence(self, shot: int, first: int, count: int) -> FloatArray:
+        """(count,) Uniforms number `first` onward of a sequence that a shot as a whole has besides."""
         out = np.empty(count)
-        _fill_run(self._seed, shot, self._purpose, first, out)
+        _fill_sequence(self._seed, shot, self._purpose, first, out)
         return out
 
 
@@ -79,12 +122,12 @@ def _fill_normals(
 
 
 @kernel(outermost=True)
-def _fill_whole(seed: np.uint64, shot: NDArray[np.int64], purpose: int, out: FloatArray) -> None:
+def _fill_per_shot(seed: np.uint64, shot: NDArray[np.int64], purpose: int, out: FloatArray) -> None:
     for s in range(len(shot)):
         out[s], _ = uniform_pair(seed, shot[s], _WHOLE_SHOT, purpose, 0)
 
 
 @kernel(outermost=True)
-def _fill_run(seed: np.uint64, shot: int, purpose: int, first: int, out: FloatArray) -> None:
+def _fill_sequence(seed: np.uint64, shot: int, purpose: int, first: int, out: FloatArray) -> None:
     for k in range(len(out)):
         out[k], _ = uniform_pair(seed, shot, _WHOLE_SHOT, purpose, 1 + first + k)

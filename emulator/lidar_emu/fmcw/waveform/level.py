@@ -16,6 +16,7 @@ from lidar_emu.fmcw.waveform.measure import Footprint, Measurement, measure_wave
 from lidar_emu.fmcw.waveform.receive import Digitiser, Response, noise_level
 from lidar_emu.fmcw.waveform.samples import ComplexArray
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.random_streams import generator
 from lidar_emu.scenario.instrument import Instrument
 
 _DARK = Footprint(np.ones(1), np.zeros(1), np.zeros(1, dtype=complex))
@@ -70,7 +71,7 @@ def listen_to_beam(
 
 
 def _rng(seed: int, shot: int, b: int) -> np.random.Generator:
-    return np.random.default_rng((seed, shot, b))
+    return generator(seed, shot, b, bit_generator=np.random.PCG64)
 
 
 def _measure_beam(

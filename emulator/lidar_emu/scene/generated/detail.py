@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.random_streams import generator
 from lidar_emu.scene.generated.statistics import second_structure_function
 
 MARGIN = 4
@@ -167,10 +168,8 @@ def lattice(key: tuple[int, int, int], first: tuple[int, int], count: tuple[int,
             rows, of_rows = _overlap(tile_row * _TILE, first[0], count[0])
             columns, of_columns = _overlap(tile_column * _TILE, first[1], count[1])
             # Seeds are natural numbers; places left and below of the first sample are not.
-            own = [*key, tile_row + 2**31, tile_column + 2**31]
-            tile = np.random.Generator(np.random.Philox(np.random.SeedSequence(own))).standard_normal(
-                (_TILE, _TILE)
-            )
+            stream = generator(*key, tile_row + 2**31, tile_column + 2**31)
+            tile = stream.standard_normal((_TILE, _TILE))
             part[rows, columns] = tile[of_rows, of_columns]
     return part
 

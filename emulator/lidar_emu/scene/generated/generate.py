@@ -9,14 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.random_streams import CRATERS, RELIEF, ROCKS, generator
 from lidar_emu.scenario.generated_ground import Generated, Relief
 from lidar_emu.scene.generated.craters import CraterField, crater_layer, scatter_craters
 from lidar_emu.scene.generated.relief import fractional_surface
 from lidar_emu.scene.generated.rocks import RockField, rock_layer, scatter_rocks
 from lidar_emu.scene.generated.statistics import rms_slope
-
-_RELIEF, _CRATERS, _ROCKS = range(3)
-"""Streams of chance: none of the three changes with what is asked of the others."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +46,10 @@ def generate(ground: Generated) -> Layers:
     relief_m = None if ground.relief is None else _relief(ground, ground.relief)
     craters = crater_m = rocks = rock_m = None
     if ground.craters is not None:
-        craters = scatter_craters(ground, ground.craters, _chance(ground.seed, _CRATERS))
+        craters = scatter_craters(ground, ground.craters, generator(ground.seed, CRATERS))
         crater_m = crater_layer(ground, ground.craters, craters)
     if ground.rocks is not None:
-        rocks = scatter_rocks(ground, ground.rocks, _chance(ground.seed, _ROCKS))
+        rocks = scatter_rocks(ground, ground.rocks, generator(ground.seed, ROCKS))
         rock_m = rock_layer(ground, ground.rocks, rocks)
     return Layers(relief_m, craters, crater_m, rocks, rock_m)
 
@@ -62,10 +60,6 @@ def _relief(ground: Generated, relief: Relief) -> FloatArray:
     Of a smooth surface much of the slope is in waves as long as the square, and one sample's may be half of the
     next one's: the slope of *this* ground is what somebody who asks for one means.
     """
-    surface = fractional_surface(ground.cells + 1, relief.hurst, _chance(ground.seed, _RELIEF))
+    surface = fractional_surface(ground.cells + 1, relief.hurst, generator(ground.seed, RELIEF))
     now = rms_slope(surface, ground.spacing_m, relief.baseline_m, relief.hurst)
     return np.asarray(surface * (math.tan(math.radians(relief.rms_slope_deg)) / now), dtype=np.float64)
-
-
-def _chance(seed: int, stream: int) -> np.random.Generator:
-    return np.random.Generator(np.random.Philox(np.random.SeedSequence([seed, stream])))

@@ -7,6 +7,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.random_streams import generator
 from lidar_emu.numerics.vector_arrays import from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.objects import Scatter
 from lidar_emu.scene.mesh.model import Triangles
@@ -73,7 +74,7 @@ class Standing(NamedTuple):
 
 def strewn(scatter: Scatter) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Of each copy its place (n, 2) east and north of the centre, size (n,), and turn (n,) about the vertical."""
-    random = np.random.default_rng(scatter.seed).random((scatter.count, 4))
+    random = generator(scatter.seed, bit_generator=np.random.PCG64).random((scatter.count, 4))
     away_m, towards = scatter.radius_m * np.sqrt(random[:, 0]), 2 * np.pi * random[:, 1]
     place_m = away_m[:, None] * np.stack([np.sin(towards), np.cos(towards)], axis=-1)
     least, greatest = scatter.scale
