@@ -1,4 +1,4 @@
-"""The package as a flight-software team takes it: a bare copy, without site-packages, before any other of ours."""
+"""The folder as a flight-software team copies it: alone, without site-packages."""
 
 import json
 import shutil
@@ -6,9 +6,21 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import lidar_protocol
 
+FOLDER = Path(lidar_protocol.__file__).parent
 GOLDEN = Path(__file__).parent / "golden.json"
+NOT_CODE = {
+    "INTERFACE.md",
+    "README.md",
+    "altimeter.toml",
+    "default.toml",
+    "lidar.dbc",
+    "lidar.h",
+    "py.typed",
+}
 
 ROUND_TRIP = """
 import json, pathlib, sys
@@ -23,19 +35,31 @@ for shot in json.loads(pathlib.Path(sys.argv[2]).read_text()):
     assert Device(interface, shot["unit"]).serial_bytes(message.header, message.beams) == frame
 load_file(pathlib.Path(lidar_protocol.__file__).parent / "altimeter.toml")
 shipped_interface("altimeter")
-loaded = {name.partition(".")[0] for name in set(sys.modules) - before}
-print(json.dumps(sorted(loaded - set(sys.stdlib_module_names))))
+loaded = set(sys.modules) - before
+print(json.dumps(sorted(name for name in loaded if name.partition(".")[0] not in sys.stdlib_module_names)))
 """
 
 
-def test_a_bare_copy_works_with_the_standard_library_alone(tmp_path):
-    folder = Path(lidar_protocol.__file__).parent
-    shutil.copytree(folder, tmp_path / "lidar_protocol", ignore=shutil.ignore_patterns("__pycache__"))
-    run = [sys.executable, "-S", "-I", "-W", "error", "-c", ROUND_TRIP, str(tmp_path), str(GOLDEN)]
+@pytest.fixture(scope="module")
+def loaded(tmp_path_factory):
+    """The modules outside of the standard library that a host and a device load from a bare copy of the folder."""
+    folder = tmp_path_factory.mktemp("vendored")
+    shutil.copytree(FOLDER, folder / "lidar_protocol", ignore=shutil.ignore_patterns("__pycache__"))
+    run = [sys.executable, "-S", "-I", "-W", "error", "-c", ROUND_TRIP, str(folder), str(GOLDEN)]
     done = subprocess.run(run, capture_output=True, check=False, text=True)
     assert done.stderr == ""
-    assert json.loads(done.stdout) == ["lidar_protocol"]
+    return set(json.loads(done.stdout))
 
 
-def test_it_says_that_it_is_typed():
-    assert (Path(lidar_protocol.__file__).parent / "py.typed").exists()
+def test_a_bare_copy_needs_the_standard_library_alone(loaded):
+    assert {name.partition(".")[0] for name in loaded} == {"lidar_protocol"}
+
+
+def test_the_folder_holds_what_a_host_or_a_device_runs_and_nothing_else(loaded):
+    files = {path.name for path in FOLDER.iterdir() if path.name != "__pycache__"}
+    modules = {name.rpartition(".")[2] + ".py" for name in loaded - {"lidar_protocol"}}
+    assert files == modules | {"__init__.py"} | NOT_CODE
+
+
+def test_the_folder_is_marked_as_typed():
+    assert (FOLDER / "py.typed").exists()
