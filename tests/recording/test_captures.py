@@ -121,6 +121,61 @@ def test_big_endian_and_microseconds(tmp_path: Path) -> None:
     assert read_traffic(path).packets == [(0, b"xyz")]
 
 
+def _block(order: str, kind: int, body: bytes) -> bytes:
+    """A block of pcapng: type and length before, length behind."""
+    body += b"\0" * (-len(body) % 4)
+    return struct.pack(f"{order}II", kind, len(body) + 12) + body + struct.pack(f"{order}I", len(body) + 12)
+
+
+def _interface(order: str, link_type: int, **options: bytes) -> bytes:
+    codes = {"resolution": 9, "offset": 14}
+    body = struct.pack(f"{order}HHI", link_type, 0, 0)
+    for name, value in options.items():
+        padding = b"\0" * (-len(value) % 4)
+        body += struct.pack(f"{order}HH", codes[name], len(value)) + value + padding
+    return _block(order, 1, body)
+
+
+def _record(order: str, interface: int, ticks: int, data: bytes) -> bytes:
+    head = struct.pack(f"{order}IIIII", interface, ticks >> 32, ticks & 0xFFFFFFFF, len(data), len(data))
+    return _block(order, 6, head + data)
+
+
+def _section(order: str) -> bytes:
+    return _block(order, 0x0A0D0D0A, struct.pack(f"{order}IHHq", 0x1A2B3C4D, 1, 0, -1))
+
+
+def test_pcapng_times_and_link_types_are_those_of_each_interface(tmp_path: Path) -> None:
+    path = tmp_path / "c.pcapng"
+    big = ">"
+    path.write_bytes(
+        _section("<")
+        + _interface("<", SOCKETCAN, resolution=b"\x09")
+        + _interface("<", 147)
+        + _record("<", 0, START_NS, b"abc")
+        + _block("<", 5, bytes(12))  # statistics
+        + _record("<", 1, START_NS // 1000, b"defgh")
+        + _record("<", 2, 0, b"of no interface")
+        + _section(big)
+        + _interface(big, RTAC_SERIAL, resolution=b"\x8a", offset=struct.pack(">q", 1_900_000_000))
+        + _record(big, 0, 3 * 1024 + 256, b"i")
+    )
+    assert list(read_capture(path)) == [
+        Captured(SOCKETCAN, START_NS, b"abc"),
+        Captured(147, START_NS // 1000 * 1000, b"defgh"),
+        Captured(RTAC_SERIAL, 1_900_000_003_250_000_000, b"i"),
+    ]
+
+
+@pytest.mark.parametrize("lost", range(1, 40))
+def test_a_truncated_pcapng_gives_the_records_before(lost: int, tmp_path: Path) -> None:
+    path = tmp_path / "cut.pcapng"
+    records = [_record("<", 0, k, bytes([k]) * 8) for k in range(4)]
+    path.write_bytes(b"".join([_section("<"), _interface("<", 147), *records])[:-lost])
+    kept = 4 - -(-lost // len(records[0]))
+    assert [record.data for record in read_capture(path)] == [bytes([k]) * 8 for k in range(kept)]
+
+
 @pytest.mark.parametrize("lost", range(1, 40))
 def test_a_capture_that_was_cut_gives_what_was_before(lost: int, tmp_path: Path) -> None:
     whole = _write(tmp_path / "w.pcap", 147, [(START_NS + k, bytes([k]) * 10) for k in range(4)])
