@@ -16,7 +16,7 @@ from scipy.fft import fft, ifft
 
 from lidar_emu.fmcw.spectrum import Window
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.numerics.kernels import CACHED, njit
+from lidar_emu.numerics.kernels import kernel
 
 Deposit = Literal["nearest", "cubic"]
 """A tone on the grid's nearest point, or on four by Lagrange's cubic."""
@@ -81,7 +81,7 @@ def published_bins(spectrum: PublishedSpectrum, tones: FloatArray, first_bin: Fl
     return np.where(odd, -bins, bins)
 
 
-@njit(cache=CACHED)
+@kernel(outermost=True)
 def _deposit(tones: FloatArray, first_bin: FloatArray, oversample: float, cubic: bool, grid: Any) -> None:
     for s in range(tones.shape[0]):
         for i in range(tones.shape[2]):

@@ -33,7 +33,7 @@ from lidar_emu.fmcw.spectrum import (
 )
 from lidar_emu.fmcw.tones import signed_bin
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.numerics.kernels import CACHED, njit
+from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scenario.schema import FlightScenario
 
 BEAMLETS = 61
@@ -130,7 +130,7 @@ def _record_bins(tones: FloatArray, length: int, window: Window) -> _ComplexArra
     return np.asarray(spectrum * np.exp(-1j * np.pi * np.arange(length // 2 + 1) / length))
 
 
-@njit(cache=CACHED)
+@kernel(outermost=True)
 def _synthesise(tones: FloatArray, length: int, samples: FloatArray) -> None:
     for i in range(tones.shape[1]):
         n = int(tones[0, i])
@@ -159,7 +159,7 @@ class _Product:
         )
 
 
-@njit(cache=CACHED)
+@kernel(outermost=True)
 def _bin_by_bin(
     tones: FloatArray,
     length: float,

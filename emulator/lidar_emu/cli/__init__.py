@@ -91,7 +91,9 @@ def main() -> None:
         _complain(error.format_message() + _where_to_look(error), EXIT_USAGE)
     except RunError as error:
         _complain(str(error), EXIT_FAILED)
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, click.Abort) as end:
+        if isinstance(end.__cause__, EOFError):  # click takes it for Ctrl-D at a prompt; no command prompts
+            raise end.__cause__ from None
         sys.exit(EXIT_INTERRUPTED)
     except MemoryError:
         _complain("not enough memory; a shorter --duration or a lower timing.rate_hz needs less", EXIT_FAILED)

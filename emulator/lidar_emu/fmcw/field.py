@@ -12,7 +12,7 @@ from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.speckle import SLOTS, forget, set_weights
 from lidar_emu.fmcw.tones import relative_turn
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.numerics.kernels import CACHED, njit
+from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import uniform_pair, unit_phasor
 from lidar_emu.numerics.random_streams import PHASE, SPECKLE
 
@@ -58,7 +58,7 @@ def echo_field(
     return field
 
 
-@njit(cache=CACHED)
+@kernel(outermost=True, allocates=True)
 def _set_field(
     models: NDArray[Any],
     lit: BoolArray,

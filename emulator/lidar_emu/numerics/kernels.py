@@ -1,18 +1,10 @@
-"""numba's compiler, with a cache of compiled kernels that follows the sources.
-
-numba keeps a compiled function until the file of that very function changes, whatever changes in what it calls.
-So the cache lies in a folder named after all files that hold kernels, in `~/.cache/lidar-emu/` unless `XDG_CACHE_HOME`
-or `NUMBA_CACHE_DIR` say otherwise. Where nothing can be written every start compiles.
-"""
+"""numba's compiler for kernels: functions of arrays and numbers, kept on disk once they are compiled."""
 
 from __future__ import annotations
 
 import gc
-import hashlib
-import os
 from collections.abc import Callable
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Protocol, TypeVar, overload
 
 import numpy as np
@@ -20,48 +12,11 @@ from numba import njit
 from numba.core import config, event
 from numba.core.registry import CPUDispatcher
 
-from lidar_emu.files import cache_folder
+from lidar_emu.numerics.kernel_cache import KernelCache
 
-__all__ = ["CACHED", "interpreted", "kernel", "njit", "with_fields"]
+__all__ = ["interpreted", "kernel", "with_fields"]
 
-_ROOMS = ("fmcw", "scene")
-"""Every file of these may hold what kernels take in."""
-_OTHERS = ("echo", "faults", "flight", "numerics", "scanner", "trajectory", "trajectory/powered")
-"""Of these, the files that have kernels."""
-
-_OPTIONS = {"error_model": "numpy", "_nrt": False}
 _NO_WRAPPERS = {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-
-
-def _sources_digest() -> str:
-    package = Path(__file__).parents[1]
-    digest = hashlib.sha256()
-    for room in (*_ROOMS, *_OTHERS):
-        for path in sorted((package / room).glob("**/*.py" if room in _ROOMS else "*.py")):
-            source = path.read_bytes()
-            if room in _ROOMS or b"lidar_emu.numerics.kernels" in source:
-                digest.update(source)
-    return digest.hexdigest()[:16]
-
-
-def _kernels_folder() -> Path:
-    stated: str = config.CACHE_DIR  # type: ignore[attr-defined]
-    return (Path(stated) if stated else cache_folder()) / f"kernels-{_sources_digest()}"
-
-
-def _use_cache() -> bool:
-    """Tell numba where to keep what it compiles; whether it can be kept."""
-    try:
-        folder = _kernels_folder()
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):  # read-only, or a user without a home
-        return False
-    config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
-    return os.access(folder, os.W_OK)
-
-
-CACHED = _use_cache()
-"""Whether compiled kernels are kept; else numba would give up, or keep them beside the sources whatever changes."""
 
 
 class _Uncollected(event.Listener):
@@ -106,7 +61,7 @@ class _Inner(CPUDispatcher):
     @cached_property
     def _for_python(self) -> Any:
         own = {name: value for name, value in self.targetoptions.items() if name not in _NO_WRAPPERS}
-        return _compiled(self.py_func, cache=CACHED, **own)
+        return _compiled(self.py_func, **own)
 
 
 @overload
@@ -115,31 +70,43 @@ def kernel(function: _Function) -> _Function: ...
 
 @overload
 def kernel(
-    *, outermost: bool = False, fastmath: Any = False, inline: str = "never", forceinline: bool = False
+    *,
+    outermost: bool = False,
+    allocates: bool = False,
+    fastmath: Any = False,
+    inline: str = "never",
+    forceinline: bool = False,
 ) -> _Decorator: ...
 
 
-def kernel(function: Any = None, *, outermost: bool = False, **options: Any) -> Any:
-    """`njit` for kernels that work in their caller's arrays and allocate none; divisions follow IEEE 754.
+def kernel(function: Any = None, *, outermost: bool = False, allocates: bool = False, **options: Any) -> Any:
+    """`njit` for kernels that work in their caller's arrays; divisions follow IEEE 754.
 
     numba counts references to an array's owner wherever the array is handed on, and does so atomically. In code made of
-    short kernels that is half of the time, of running and of compiling alike; here nothing is counted.
+    short kernels that is half of the time, of running and of compiling alike; here nothing is counted, unless a kernel
+    allocates.
 
     Args:
         outermost: called from Python, and kept in the cache with all that it calls.
+        allocates: makes arrays of its own.
     """
+
+    common = {"error_model": "numpy", "_nrt": allocates}
 
     def decorate(function: Any) -> Any:
         if outermost or config.DISABLE_JIT:  # type: ignore[attr-defined]
-            return _compiled(function, cache=CACHED, **_OPTIONS, **options)
-        return _Inner(function, targetoptions=_NO_WRAPPERS | _OPTIONS | options)
+            return _compiled(function, **common, **options)
+        return _Inner(function, targetoptions=_NO_WRAPPERS | common | options)
 
     return decorate if function is None else decorate(function)
 
 
 def _compiled(function: Any, **options: Any) -> Any:
     decorate: Any = njit  # whose types do not know of `_nrt`
-    return decorate(**options)(function)
+    compiled = decorate(**options)(function)
+    if compiled is not function:  # kernels are not interpreted
+        compiled._cache = KernelCache(compiled)
+    return compiled
 
 
 def with_fields(structured: Any) -> Any:

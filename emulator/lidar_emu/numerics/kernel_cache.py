@@ -1,0 +1,166 @@
+"""Compiled kernels on disk: one file for each kernel and signature, named after all that it was compiled from.
+
+numba's own cache keeps a compiled function until its file changes, whatever changes in the functions that it calls,
+and two processes that compile at once may exchange entries of its index. Here a name is a hash of the code, the
+constants and the options of the kernel and of every kernel that it calls, and a file carries a check sum: it is right
+or it is compiled again. The files lie in `~/.cache/lidar-emu/kernels`, unless `XDG_CACHE_HOME` or `NUMBA_CACHE_DIR` say
+otherwise, and may be deleted at any time.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import pickle
+import sys
+from collections.abc import Iterator
+from enum import EnumType
+from functools import cache
+from hashlib import sha256
+from multiprocessing import parent_process
+from pathlib import Path
+from types import BuiltinFunctionType, CodeType
+from typing import Any
+
+import numba
+import numpy as np
+from numba.core import config
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
+from numba.core.dispatcher import Dispatcher
+from numba.core.serialize import dumps
+
+from lidar_emu.errors import InputError, RunError, reason_of
+from lidar_emu.files import cache_folder, whole_file
+
+_COMPILERS = (numba.__version__, np.__version__, sys.version_info[:2])
+_CHECK_SUM_BYTES = 32
+_UNKEPT = "every start compiles the kernels, since they cannot be kept"
+_warned = set[str]()
+
+
+# Without types: numba's annotations are partial, and strict checks take them for untyped calls.
+_rebuild: Any = CompileResult._rebuild
+_dumps: Any = dumps
+
+
+class KernelCache(NullCache):
+    """What a dispatcher asks for a kernel before it compiles one, and gives one to keep."""
+
+    def __init__(self, kernel: Dispatcher) -> None:
+        self._kernel = kernel
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """The kernel compiled for this signature; None where it has to be compiled."""
+        target_context.refresh()
+        try:
+            kept = self._path(signature, target_context.codegen()).read_bytes()
+        except (OSError, RuntimeError):  # not there, not readable, or a user without a home
+            return None
+        check_sum, content = kept[:_CHECK_SUM_BYTES], kept[_CHECK_SUM_BYTES:]
+        if sha256(content).digest() != check_sum:
+            _warn("damaged", f"damaged kernels in {_folder()} are compiled again")
+            return None
+        return _rebuild(target_context, *pickle.loads(content))
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        """Keep a kernel that was just compiled; where that fails, say so once."""
+        content = _dumps(compiled._reduce())
+        try:
+            path = self._path(signature, compiled.codegen)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with whole_file(path) as file:
+                file.write(sha256(content).digest() + content)
+        except InputError as error:
+            _warn("unkept", f"{_UNKEPT}: {error.where}: {error.value}")
+        except (OSError, RuntimeError, RunError) as error:
+            _warn("unkept", f"{_UNKEPT}: {reason_of(error)}")
+
+    def _path(self, signature: Any, codegen: Any) -> Path:
+        target = *_COMPILERS, *codegen.magic_tuple(), *map(_spelt, signature)
+        function = self._kernel.py_func
+        name = f"{function.__module__}.{function.__qualname__}".removeprefix("lidar_emu.")
+        return _folder() / f"{name}-{digest(self._kernel, repr(target))}"
+
+
+def _folder() -> Path:
+    stated: str = config.CACHE_DIR  # type: ignore[attr-defined]
+    return Path(stated or cache_folder()) / "kernels"
+
+
+def _warn(cause: str, text: str) -> None:
+    """Once for each cause, and not by every worker of a pool."""
+    if cause not in _warned and parent_process() is None:
+        logging.getLogger(__name__).warning("lidar-emu: warning: %s", text)
+    _warned.add(cause)
+
+
+def _spelt(numba_type: Any) -> str:
+    """A type with the names of a named tuple's fields, which numba leaves out of its name."""
+    fields = getattr(getattr(numba_type, "instance_class", None), "_fields", ())
+    return f"{numba_type}{fields}" + "".join(map(_spelt, getattr(numba_type, "types", ())))
+
+
+def digest(kernel: Dispatcher, target: str = "") -> str:
+    """A hash of all that a kernel is compiled from: its own code, and the code of the kernels that it calls.
+
+    Raises:
+        TypeError: one of them takes in a global of a kind that is not known here.
+    """
+    found: dict[Dispatcher, bytes] = {}
+    waiting = [kernel]
+    while waiting:
+        if (each := waiting.pop()) not in found:
+            found[each], called = _ingredients(each)
+            waiting += called
+    return sha256(b"".join([target.encode(), *found.values()])).hexdigest()[:24]
+
+
+@cache
+def _ingredients(kernel: Dispatcher) -> tuple[bytes, tuple[Dispatcher, ...]]:
+    """A hash of a kernel's own code, constants and options; and the kernels that it calls."""
+    function, called = kernel.py_func, list[Dispatcher]()
+    cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
+    scope = function.__globals__ | {name: cell.cell_contents for name, cell in cells.items()}
+    parts = [function.__module__, function.__qualname__, repr(function.__defaults__)]
+    parts += [f"{name}={_shown(value)}" for name, value in sorted(kernel.targetoptions.items())]
+    for code in _codes(function.__code__):
+        constants = [each for each in code.co_consts if each != function.__doc__]
+        constants = [each for each in constants if not isinstance(each, CodeType)]
+        parts += [code.co_code.hex(), repr(constants), repr(code.co_varnames)]
+        for name in (*code.co_names, *code.co_freevars):
+            if name not in scope:  # an attribute, or Python's own
+                parts.append(name)
+            elif isinstance(value := scope[name], Dispatcher):
+                called.append(value)
+            else:
+                parts.append(f"{name}={_shown(value)}")
+    return sha256("\0".join(parts).encode()).digest(), tuple(called)
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _codes(constant)
+
+
+def _shown(value: object) -> str:
+    """A value that is compiled into a kernel, in full."""
+    if value is np or value is math:
+        return "library"
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
+    if isinstance(value, set | frozenset):
+        return repr(sorted(value))
+    if isinstance(value, tuple | list):
+        return f"{type(value).__name__} {[_shown(each) for each in value]}"
+    if isinstance(value, EnumType):
+        return repr(list(value))
+    if isinstance(value, type) and hasattr(value, "_fields"):
+        return f"{value.__qualname__} {value._fields}"
+    if value is None or isinstance(
+        value, bool | int | float | complex | str | np.generic | BuiltinFunctionType
+    ):
+        return repr(value)
+    raise TypeError(f"a kernel takes in {value!r}, of which no digest can be made")

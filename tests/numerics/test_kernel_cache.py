@@ -1,0 +1,236 @@
+"""Compiled kernels on disk: found again, never wrong, and compiled again where a file is not whole."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import pkgutil
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from numba.core import config
+from numba.core.dispatcher import Dispatcher
+
+import lidar_emu
+from lidar_emu.numerics import kernel_cache
+from lidar_emu.numerics.kernel_cache import digest
+
+SOURCE = '''
+from typing import NamedTuple
+import numpy as np
+from lidar_emu.numerics.kernels import kernel
+
+OFFSET, TABLE = 2.0, np.array([1.0, 5.0])
+
+class Line(NamedTuple):
+    slope: float
+    start: float
+
+def factory(extra):
+    @kernel
+    def added(x):
+        return x + extra
+    return added
+
+added = factory(3.0)
+
+@kernel
+def inner(line, x):
+    """Of no matter."""
+    return added(line.slope * x + line.start + OFFSET + TABLE[1])
+
+@kernel(outermost=True)
+def outer(line, x):
+    return inner(line, x)
+'''
+
+
+def made(source: str = SOURCE) -> ModuleType:
+    """A module of kernels as a new process would make it."""
+    module = ModuleType("lidar_emu.made")
+    sys.modules[module.__name__] = module  # where a compiled kernel looks its globals up
+    exec(source, vars(module))
+    return module
+
+
+def start(source: str = SOURCE, x: float = 10.0) -> tuple[float, int]:
+    """Call the outermost kernel in a new start of the program: its result, and how often it was compiled."""
+    module = made(source)
+    result = module.outer(module.Line(4.0, 1.0), x)
+    return result, sum(module.outer.stats.cache_misses.values())
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(kernel_cache, "_warned", set())
+    return tmp_path / "kernels"
+
+
+@pytest.fixture
+def warnings(caplog: pytest.LogCaptureFixture) -> Callable[[], list[str]]:
+    """Returns and forgets the lines of warning."""
+
+    def warnings() -> list[str]:
+        lines = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+        caplog.clear()
+        return lines
+
+    return warnings
+
+
+def test_a_kernel_is_compiled_once_and_found_again(folder: Path, warnings: Callable[[], list[str]]) -> None:
+    assert start() == (51.0, 1)
+    assert [file.name.rpartition("-")[0] for file in folder.iterdir()] == ["made.outer"]
+    assert start() == (51.0, 0)
+    assert start(x=10) == (51.0, 1), "of another type"
+    assert len(list(folder.iterdir())) == 2
+    assert warnings() == []
+
+
+DAMAGES: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda _: b"",
+    "a byte": lambda data: data[:1],
+    "half": lambda data: data[: len(data) // 2],
+    "one byte short": lambda data: data[:-1],
+    "longer": lambda data: data + b"\0",
+    "a flipped bit": lambda data: data[:-9] + bytes([data[-9] ^ 1]) + data[-8:],
+    "garbage": lambda data: np.random.default_rng(1).bytes(len(data)),
+    "zeros": lambda data: bytes(len(data)),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_file_is_compiled_again(
+    damage: str, folder: Path, warnings: Callable[[], list[str]]
+) -> None:
+    start()
+    start(x=10)
+    whole = {file: file.read_bytes() for file in folder.iterdir()}
+    for file, data in whole.items():
+        file.write_bytes(DAMAGES[damage](data))
+    assert start() == (51.0, 1)
+    assert start(x=10) == (51.0, 1)
+    assert warnings() == [f"lidar-emu: warning: damaged kernels in {folder} are compiled again"], "once"
+    assert start() == start(x=10) == (51.0, 0)
+    assert set(folder.iterdir()) == set(whole)
+
+
+def test_what_cannot_be_kept_is_compiled_and_said_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: Path, warnings: Callable[[], list[str]]
+) -> None:
+    del folder
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "file"))
+    assert start() == (51.0, 1)
+    assert start(x=10) == (51.0, 1)
+    (line,) = warnings()
+    assert "every start compiles the kernels, since they cannot be kept: Not a directory" in line
+
+
+def test_what_cannot_be_written_is_still_read(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, warnings: Callable[[], list[str]]
+) -> None:
+    start()
+    monkeypatch.setattr("os.access", lambda *_: False)  # to root every folder is writable
+    assert start() == (51.0, 0)
+    assert warnings() == []
+    assert start(x=10) == (51.0, 1)
+    (line,) = warnings()
+    assert str(folder) in line
+    assert line.endswith(": not writable")
+
+
+def test_a_user_without_a_home_compiles(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, warnings: Callable[[], list[str]]
+) -> None:
+    def no_home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(config, "CACHE_DIR", "")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", no_home)
+    assert start() == (51.0, 1)
+    (line,) = warnings()
+    assert "Could not determine home directory" in line
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("OFFSET, TABLE = 2.0", "OFFSET, TABLE = 2.5"),
+        ("[1.0, 5.0]", "[1.0, 5.5]"),
+        ("line.slope * x", "line.slope / x"),
+        ("factory(3.0)", "factory(3.5)"),
+        ("return x + extra", "return x - extra"),
+        ("slope: float\n    start: float", "start: float\n    slope: float"),
+        ("@kernel\ndef inner", "@kernel(fastmath={'nnan'})\ndef inner"),
+    ],
+)
+def test_a_change_of_what_a_kernel_is_compiled_from_compiles_it_again(
+    old: str, new: str, folder: Path
+) -> None:
+    del folder
+    assert SOURCE.count(old) == 1
+    start()
+    changed = SOURCE.replace(old, new)
+    uncached = made(changed)
+    expected = uncached.outer.py_func(uncached.Line(4.0, 1.0), 10.0)
+    assert start(changed) == (expected, 1)
+    assert start() == (51.0, 0), "both are kept"
+
+
+def test_words_and_places_change_nothing(folder: Path) -> None:
+    del folder
+    start()
+    assert start("# A comment.\n\n" + SOURCE.replace("Of no matter.", "Of none at all.")) == (51.0, 0)
+
+
+def test_a_global_of_an_unknown_kind_is_refused() -> None:
+    with pytest.raises(TypeError, match="of which no digest can be made"):
+        digest(made(SOURCE.replace("OFFSET, TABLE = 2.0", "OFFSET, TABLE = {}")).outer)
+
+
+def every_kernel() -> set[Dispatcher]:
+    names = [module.name for module in pkgutil.walk_packages(lidar_emu.__path__, "lidar_emu.")]
+    modules = [importlib.import_module(name) for name in names if not name.endswith("__main__")]
+    return {each for module in modules for each in vars(module).values() if isinstance(each, Dispatcher)}
+
+
+def test_every_kernel_has_a_digest_of_its_own() -> None:
+    kernels = every_kernel()
+    assert len(kernels) > 200
+    assert len({digest(each) for each in kernels}) == len(kernels)
+
+
+def test_a_run_outlives_a_damaged_file(tmp_path: Path) -> None:
+    def run(**environment: str) -> subprocess.CompletedProcess[str]:
+        command = ["simulate", "descent.yaml", "--duration", "0.05", "--out", str(tmp_path / "out.csv")]
+        return subprocess.run(
+            [sys.executable, "-m", "lidar_emu", *command],
+            env=os.environ | environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+
+    run()
+    expected = (tmp_path / "out.csv").read_bytes()
+    shutil.copytree(kernel_cache._folder(), tmp_path / "kernels")
+    damaged = list((tmp_path / "kernels").glob("scanner.model.*"))
+    for file in damaged:
+        file.write_bytes(b"")
+    ran = run(NUMBA_CACHE_DIR=str(tmp_path))
+    assert len(ran.stderr.splitlines()) == 1
+    assert "damaged kernels" in ran.stderr
+    assert (tmp_path / "out.csv").read_bytes() == expected
+    assert damaged
+    assert all(file.stat().st_size for file in damaged)
