@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthesis import fft_bins, tones_in_time
 
-from lidar_emu.fmcw.cauchy import TONES_PER_DIVISION, are_close, set_close_tones
+from lidar_emu.fmcw.close_tones import TONES_PER_DIVISION, are_close, set_close_tones
 from lidar_emu.fmcw.spectrum import BIN, REACH, ROWS, grid_capacity, lay_bins, set_tones
 
 

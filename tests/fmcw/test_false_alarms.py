@@ -8,8 +8,8 @@ from instruments import plain
 from scipy import stats
 from synthesis import COSINES
 
-from lidar_emu.fmcw.build import build_receiver
 from lidar_emu.fmcw.false_alarms import exceeding_bins, log_exceedance, noise_peak
+from lidar_emu.fmcw.receiver_constants import build_receiver
 
 LENGTH = 256
 SHOTS = 6000

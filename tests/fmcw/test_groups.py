@@ -8,14 +8,15 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.fmcw.detect import MAX_GROUPS, find_groups
+from lidar_emu.fmcw.detection import find_groups
+from lidar_emu.fmcw.workspace import MAX_TARGETS
 
 
 def _slow_groups(power: list[float], noise: list[float], threshold: float, floor: float) -> list[int]:
     runs = [list(run) for above, run in groupby(range(len(power)), lambda j: power[j] > floor) if above]
     peaks = [max(run, key=lambda j: power[j]) for run in runs]
     strong = [j for j in peaks if power[j] / noise[j] > threshold]
-    return sorted(strong, key=lambda j: -power[j])[:MAX_GROUPS]
+    return sorted(strong, key=lambda j: -power[j])[:MAX_TARGETS]
 
 
 @settings(deadline=None)
@@ -32,6 +33,6 @@ def _slow_groups(power: list[float], noise: list[float], threshold: float, floor
 )
 def test_groups(bins: list[tuple[float, float]], threshold: float, floor: float) -> None:
     power, noise = (list(row) for row in zip(*bins, (0.0, 1.0), strict=True))
-    peaks = np.zeros(MAX_GROUPS, dtype=np.int64)
+    peaks = np.zeros(MAX_TARGETS, dtype=np.int64)
     count = find_groups(np.array(power), np.array(noise), threshold, floor, peaks)
     assert peaks[:count].tolist() == _slow_groups(power, noise, threshold, floor)

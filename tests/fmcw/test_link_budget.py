@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import dblquad, quad
 
 from lidar_emu.errors import InputError
-from lidar_emu.fmcw.build import build_receiver
 from lidar_emu.fmcw.link_budget import coherent_power_w, haze_power_w, haze_w_per_m, sunlight_over_shot
+from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.scenario.instrument import Detection, Instrument, Optics, Receiver, Waveform
 from lidar_emu.scenario.site import Atmosphere, Plane, Site, Surface
 

@@ -8,14 +8,9 @@ import numpy as np
 import pytest
 from synthesis import fft_bins, tones_in_time
 
-from lidar_emu.fmcw.modulation import (
-    LEAST_TAPS,
-    convolve_taps,
-    filter_bins,
-    gaussian_line_taps,
-    line_taps,
-    smear_taps,
-)
+from lidar_emu.fmcw.bin_filter import convolve_taps, filter_bins
+from lidar_emu.fmcw.laser_phase_noise import gaussian_line_taps, line_taps
+from lidar_emu.fmcw.motion_smear import LEAST_TAPS, smear_taps
 from lidar_emu.fmcw.spectrum import (
     BIN,
     REACH,

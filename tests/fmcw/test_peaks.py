@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.fmcw.peaks import BIN_VARIANCE, METHODS, peak
+from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE, METHODS, peak
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, ROWS, TAPS, WINDOWS
 from lidar_emu.numerics.kernels import njit
 from lidar_emu.scenario.instrument import Detection

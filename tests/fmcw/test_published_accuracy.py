@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from instruments import C_MPS, PLAIN, beats_hz, echoes, estimates, plain
 
-from lidar_emu.fmcw.build import build_receiver
 from lidar_emu.fmcw.receiver import receive
+from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import Returns
 
 Shots = tuple[np.ndarray, np.ndarray, Returns]

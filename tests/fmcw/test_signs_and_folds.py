@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.fmcw.estimate import (
+from lidar_emu.fmcw.estimation import (
     ALL,
     CONSTANT,
     DOWN,

@@ -7,8 +7,8 @@ import pytest
 from instruments import PLAIN_RECEIVER, echoes
 from scipy import stats
 
-from lidar_emu.fmcw.build import build_receiver
 from lidar_emu.fmcw.receiver import receive
+from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.speckle import SLOTS, forget, set_weights
 from lidar_emu.scenario.instrument import Detection, Instrument, Optics, Waveform
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from lidar_emu.fmcw.build import build_receiver
 from lidar_emu.fmcw.link_budget import coherent_power_w
+from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.plan.detection_forecast import (
     beam_angles_deg,

@@ -35,7 +35,7 @@ def echoes_of(scenario):
     shot = np.arange(model.shot_count)
     pointing, _ = model.aim(shot, model.initial_state)
     hits = model.flight.cast(pointing)
-    ground = model.light.echoes(pointing, hits)
+    ground = model.echo_model.echoes(pointing, hits)
     return ground, model.dust.raised(ground, pointing, hits, shot), pointing.position_site_m[:, 2]
 
 

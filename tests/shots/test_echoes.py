@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from lidar_emu.echo.echoes import SPECKLE_PITCH_W, receive_light
+from lidar_emu.echo.echoes import SPECKLE_PITCH_W, compute_echoes
 from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
@@ -46,7 +46,11 @@ def look(scenario, shots, period_ns=None, beamlets=19):
         flight.period_ns = period_ns
     pointing, _ = flight.point(np.asarray(shots, dtype=np.int64), flight.scanner.initial)
     hits = flight.cast(pointing)
-    return pointing, hits, receive_light(scenario.instrument, scenario.site, flight, beamlets, pointing, hits)
+    return (
+        pointing,
+        hits,
+        compute_echoes(scenario.instrument, scenario.site, flight, beamlets, pointing, hits),
+    )
 
 
 def path_m(pointing, point_site_m):

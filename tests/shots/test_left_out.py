@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.fmcw.build import build_receiver
-from lidar_emu.fmcw.limits import LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
-from lidar_emu.fmcw.modulation import smear_taps
+from lidar_emu.fmcw.motion_smear import smear_taps
 from lidar_emu.fmcw.receiver import receive
+from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.fmcw.skip_limits import LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
 from lidar_emu.plan.receiver import LINE_BOUND_BINS, LINE_BOUND_POWER, SMEAR_BOUND, largest_smear_bins
 from lidar_emu.scenario.instrument import Detection, Instrument, Waveform
 

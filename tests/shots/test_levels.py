@@ -58,7 +58,7 @@ def test_statistical_errors_and_dropouts_are_those_of_the_spectra(detection: str
 def test_what_a_level_does_not_need_is_not_imported() -> None:
     code = (
         "import sys, lidar_emu; lidar_emu.simulate(lidar_emu.load('paper_fig4', {'level': %r, 'duration_s': '1'}));"
-        "print(*[m for m in ('lidar_emu.fmcw.measure', 'lidar_emu.fmcw.waveform', 'matplotlib') if m in sys.modules])"
+        "print(*[m for m in ('lidar_emu.fmcw.receiver', 'lidar_emu.fmcw.waveform', 'matplotlib') if m in sys.modules])"
     )
     imported = {
         level: subprocess.run(
@@ -66,4 +66,4 @@ def test_what_a_level_does_not_need_is_not_imported() -> None:
         ).stdout.split()
         for level in ("geometric", "spectral")
     }
-    assert imported == {"geometric": [], "spectral": ["lidar_emu.fmcw.measure"]}
+    assert imported == {"geometric": [], "spectral": ["lidar_emu.fmcw.receiver"]}

@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from lidar_emu.echo.echoes import receive_light
+from lidar_emu.echo.echoes import compute_echoes
 from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import VELOCITY
 from lidar_emu.fmcw.returns import Echoes
@@ -48,7 +48,7 @@ def test_at_one_instant_it_does_not_matter_which_of_the_two_moves(make_flight) -
     for over, where in ((flight, pointing), (at_rest, pointing._replace(beams=beams))):
         hits = over.cast(where)
         assert (hits.thing == 1).all()
-        seen.append(receive_light(scenario.instrument, scenario.site, over, 19, where, hits))
+        seen.append(compute_echoes(scenario.instrument, scenario.site, over, 19, where, hits))
     for field in fields(Echoes):
         one, other = (getattr(echoes, field.name) for echoes in seen)
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-11, err_msg=field.name)

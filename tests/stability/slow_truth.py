@@ -9,10 +9,10 @@ from beat_truth import BeatTruth
 from instruments import echoes, plain
 from outcomes import Extreme, Outcome, check_report, compare, joined
 
-from lidar_emu.fmcw.build import build_receiver
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver import receive
-from lidar_emu.fmcw.waveform.measure import Footprint, measure_waveform
+from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, measure_waveform
 
 _JOINT = plain(peak="hann", combine="least_squares")
 _SNR = 1e14
@@ -25,7 +25,7 @@ def _measure(range_m: float, speed_mps: float, acceleration_mps2: float) -> Outc
     beams = replace(beams, closing_acceleration_mps2=acceleration, smear_acceleration_mps2=acceleration)
     returns = receive(model, beams, np.zeros(1, dtype=np.int64), 1)
     check_report(returns, _JOINT.detection.maximum_range_m)
-    footprint = Footprint(
+    footprint = ScattererPatches(
         np.array([range_m]),
         np.array([speed_mps]),
         np.array([np.sqrt(_SNR)]),

@@ -20,8 +20,8 @@ from lidar_emu.fmcw.spectrum import (
     lay_bins,
     set_tones,
 )
-from lidar_emu.fmcw.waveform.detect import transform
-from lidar_emu.fmcw.waveform.samples import Beamlets, Segment, frequency_plan, sample_record
+from lidar_emu.fmcw.waveform.detection import transform
+from lidar_emu.fmcw.waveform.record_samples import Beamlets, Segment, frequency_plan, sample_record
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
 
 WINDOW_NAMES = ["rect", "hann", "hamming"]

@@ -18,15 +18,15 @@ import numpy as np
 import pytest
 from scipy.stats import ks_2samp
 
-from lidar_emu.fmcw.build import build_receiver
-from lidar_emu.fmcw.field import echo_field
-from lidar_emu.fmcw.model import ReceiverModel
+from lidar_emu.fmcw.echo_field import echo_field
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver import receive
+from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, noise_level
+from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, WaveformMeasurement, measure_waveform
 from lidar_emu.fmcw.waveform.level import measure_echoes
-from lidar_emu.fmcw.waveform.measure import Footprint, Measurement, measure_waveform
-from lidar_emu.fmcw.waveform.receive import Response, noise_level
 from lidar_emu.probability.fading import detection_probability, shared_fade_probability
 from lidar_emu.probability.false_lock import false_lock_probability
 from lidar_emu.scenario.instrument import (
@@ -97,16 +97,16 @@ class Case(NamedTuple):
         field_seed: int | None = None,
         noise_share: float = 1.0,
         acceleration_mps2: float = 0.0,
-    ) -> Measurement:
+    ) -> WaveformMeasurement:
         """All shots at once; a share of 0 leaves the noise out."""
         receiver = self.instrument.receiver
-        response = Response(receiver.bandwidth_hz, receiver.ac_coupling_hz)
+        response = AnalogResponse(receiver.bandwidth_hz, receiver.ac_coupling_hz)
         echoes = self.echoes(shots)
         field = echo_field(self.model, echoes, np.arange(shots), seed if field_seed is None else field_seed)
         return measure_waveform(
             self.instrument.waveform,
             self.instrument.detection,
-            Footprint(self.range_m, self.speed_mps, field[:, 0], 0.0, 0.0, acceleration_mps2),
+            ScattererPatches(self.range_m, self.speed_mps, field[:, 0], 0.0, 0.0, acceleration_mps2),
             response=response,
             rng=np.random.default_rng(seed),
             noise_share=noise_share,
@@ -202,7 +202,7 @@ def _finite(column: np.ndarray) -> np.ndarray:
     return np.ravel(column)[np.isfinite(np.ravel(column))]
 
 
-def _least_p(spectral: Returns, exact: Measurement) -> float:
+def _least_p(spectral: Returns, exact: WaveformMeasurement) -> float:
     """Of Kolmogorov and Smirnov's test, over power, errors of range and speed, and residual."""
     names = "snr_db", "range_m", "closing_speed_mps", "residual_mps", "sigma_range_m"
     return min(

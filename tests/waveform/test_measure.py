@@ -12,19 +12,19 @@ from scipy.stats import ncx2
 
 from lidar_emu.fmcw import estimate
 from lidar_emu.fmcw.reasons import Reason
-from lidar_emu.fmcw.waveform.combine import chirp_minus_doppler, least_squares
-from lidar_emu.fmcw.waveform.detect import TARGETS, find_peaks, find_targets, transform, window_noise_power
-from lidar_emu.fmcw.waveform.measure import Footprint, measure_waveform
-from lidar_emu.fmcw.waveform.receive import Digitiser
-from lidar_emu.fmcw.waveform.samples import Beamlets, frequency_plan, sample_record
+from lidar_emu.fmcw.waveform.analog_receiver import Digitiser
+from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, measure_waveform
+from lidar_emu.fmcw.waveform.detection import TARGETS, find_peaks, find_targets, transform, window_noise_power
+from lidar_emu.fmcw.waveform.estimation import chirp_minus_doppler, least_squares
+from lidar_emu.fmcw.waveform.record_samples import Beamlets, frequency_plan, sample_record
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
 
 FINE = Detection(peak="hann", combine="least_squares")
 SMALL = Waveform(fft_length=256, sample_rate_hz=600e6 / 512)
 
 
-def _point(range_m: float, speed_mps: float, amplitude: complex = 1e3, **motion: float) -> Footprint:
-    return Footprint(np.array([range_m]), np.array([speed_mps]), np.array([amplitude]), **motion)
+def _point(range_m: float, speed_mps: float, amplitude: complex = 1e3, **motion: float) -> ScattererPatches:
+    return ScattererPatches(np.array([range_m]), np.array([speed_mps]), np.array([amplitude]), **motion)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_footprint_slides_from_segment_to_segment() -> None:
 
 def test_bins_are_those_of_each_segments_record() -> None:
     weight = np.array([[1.0 + 2.0j, 3.0j], [0.5 - 1.0j, 2.0], [-1.0j, 1.0 + 1.0j]])
-    footprint = Footprint(np.array([100.0, 150.0]), np.array([1.0, 1.5]), weight, range_rate_mps=3.0)
+    footprint = ScattererPatches(np.array([100.0, 150.0]), np.array([1.0, 1.5]), weight, range_rate_mps=3.0)
     bins = measure_waveform(SMALL, Detection(window="hann"), footprint, keep_bins=True).bins
     assert bins is not None
     for s, segment in enumerate(frequency_plan(SMALL)):
@@ -121,7 +121,7 @@ def test_clipping_makes_harmonics_and_coarse_steps_noise() -> None:
 def test_noise_alone_crosses_the_threshold_as_often_as_asked(window: str) -> None:
     records, probability = 10_000, 0.05
     detection = Detection(window=window, false_alarm_probability=probability)
-    dark = Footprint(np.array([100.0]), np.array([1.0]), np.broadcast_to(0j, (records, 3, 1)))
+    dark = ScattererPatches(np.array([100.0]), np.array([1.0]), np.broadcast_to(0j, (records, 3, 1)))
     measured = measure_waveform(SMALL, detection, dark, rng=np.random.default_rng(7))
     for target in measured.targets:
         rate = np.isfinite(target.frequency_bin[:, 0]).mean()
@@ -134,7 +134,7 @@ def test_noise_alone_crosses_the_threshold_as_often_as_asked(window: str) -> Non
 def test_a_tone_is_detected_with_the_probability_of_marcum() -> None:
     records, amplitude = 10_000, 2.9
     speed_mps = 40 * SMALL.bin_width_hz * SMALL.wavelength_m / 2
-    steady = Footprint(
+    steady = ScattererPatches(
         np.array([100.0]), np.array([speed_mps]), np.broadcast_to(amplitude + 0j, (records, 3, 1))
     )
     detection = Detection(window="rect", false_alarm_probability=1e-2)
@@ -147,9 +147,9 @@ def test_a_tone_is_detected_with_the_probability_of_marcum() -> None:
 
 def test_blocks_do_not_change_what_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     weight = np.full((7, 3, 1), 6.0 + 0j)
-    beam = Footprint(np.array([100.0]), np.array([1.0]), weight)
+    beam = ScattererPatches(np.array([100.0]), np.array([1.0]), weight)
     whole = measure_waveform(SMALL, Detection(), beam, rng=np.random.default_rng(3), keep_bins=True)
-    monkeypatch.setattr("lidar_emu.fmcw.waveform.measure._BLOCK_SAMPLES", 512)
+    monkeypatch.setattr("lidar_emu.fmcw.waveform.beam_measurement._BLOCK_SAMPLES", 512)
     parts = measure_waveform(SMALL, Detection(), beam, rng=np.random.default_rng(3), keep_bins=True)
     np.testing.assert_array_equal(whole.bins, parts.bins)
     np.testing.assert_array_equal(whole.range_m, parts.range_m)

@@ -6,15 +6,22 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
-from lidar_emu.fmcw.waveform.detect import transform, window_noise_power
-from lidar_emu.fmcw.waveform.line import draw_drift
-from lidar_emu.fmcw.waveform.receive import FLAT, Digitiser, Response, draw_noise, noise_level, receive_record
-from lidar_emu.fmcw.waveform.samples import Beamlets, frequency_plan, phasor, sample_record
+from lidar_emu.fmcw.waveform.analog_receiver import (
+    FLAT,
+    AnalogResponse,
+    Digitiser,
+    draw_noise,
+    noise_level,
+    receive_record,
+)
+from lidar_emu.fmcw.waveform.detection import transform, window_noise_power
+from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift
+from lidar_emu.fmcw.waveform.record_samples import Beamlets, frequency_plan, phasor, sample_record
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
 
 RATE_HZ = 20e6
 WAVEFORM = Waveform(fft_length=2048, sample_rate_hz=RATE_HZ)
-POLES = Response(bandwidth_hz=10e6, ac_coupling_hz=50e3)
+POLES = AnalogResponse(bandwidth_hz=10e6, ac_coupling_hz=50e3)
 
 
 def _steady(beat_hz: list[float], weight: list[complex]) -> Beamlets:
@@ -49,16 +56,22 @@ def test_beamlets_and_records_add_up() -> None:
     np.testing.assert_allclose(together[3], alone, atol=1e-12)
 
 
-def _folded_gain(response: Response, frequency_hz: np.ndarray, folds: int) -> np.ndarray:
+def _folded_gain(response: AnalogResponse, frequency_hz: np.ndarray, folds: int) -> np.ndarray:
     shift_hz = np.arange(-folds, folds + 1) * RATE_HZ
     return np.sum(abs(response.gain(frequency_hz[:, None] + shift_hz)) ** 2, axis=1)
 
 
 @pytest.mark.parametrize(
     "response",
-    [FLAT, Response(5e6), Response(10e6, 50e3), Response(3e6, 2e6), Response(None, 1e6)],
+    [
+        FLAT,
+        AnalogResponse(5e6),
+        AnalogResponse(10e6, 50e3),
+        AnalogResponse(3e6, 2e6),
+        AnalogResponse(None, 1e6),
+    ],
 )
-def test_noise_bins_have_the_folded_gain(response: Response) -> None:
+def test_noise_bins_have_the_folded_gain(response: AnalogResponse) -> None:
     waveform = Waveform(fft_length=256, sample_rate_hz=RATE_HZ)
     records = 10_000
     noise = draw_noise(np.random.default_rng(4), records, waveform, response)
@@ -71,8 +84,10 @@ def test_noise_bins_have_the_folded_gain(response: Response) -> None:
         np.testing.assert_allclose(mean[inner], expected[inner], rtol=5 / np.sqrt(records) + 0.01)
 
 
-@pytest.mark.parametrize("response", [FLAT, Response(5e6), Response(10e6, 50e3), Response(None, 1e6)])
-def test_noise_level_is_the_folded_gain(response: Response) -> None:
+@pytest.mark.parametrize(
+    "response", [FLAT, AnalogResponse(5e6), AnalogResponse(10e6, 50e3), AnalogResponse(None, 1e6)]
+)
+def test_noise_level_is_the_folded_gain(response: AnalogResponse) -> None:
     waveform = Waveform(fft_length=256, sample_rate_hz=RATE_HZ)
     folds = 20_000 if response.bandwidth_hz else 0
     expected = _folded_gain(response, np.arange(129) * RATE_HZ / 256, folds)
@@ -80,7 +95,7 @@ def test_noise_level_is_the_folded_gain(response: Response) -> None:
 
 
 def test_coupled_noise_at_dc_is_what_folds_there() -> None:
-    waveform, response = Waveform(fft_length=4096, sample_rate_hz=RATE_HZ), Response(5e6, 50e3)
+    waveform, response = Waveform(fft_length=4096, sample_rate_hz=RATE_HZ), AnalogResponse(5e6, 50e3)
     noise = draw_noise(np.random.default_rng(4), 1000, waveform, response)
     mean = np.mean(abs(transform(noise, "hann")) ** 2, axis=0) / window_noise_power("hann", 4096)
     expected = _folded_gain(response, np.arange(2, 60) * RATE_HZ / 4096, 2000)
@@ -89,7 +104,7 @@ def test_coupled_noise_at_dc_is_what_folds_there() -> None:
 
 
 def test_noise_has_its_power_from_the_first_sample() -> None:
-    waveform, response = Waveform(fft_length=256, sample_rate_hz=RATE_HZ), Response(300e3, 100e3)
+    waveform, response = Waveform(fft_length=256, sample_rate_hz=RATE_HZ), AnalogResponse(300e3, 100e3)
     noise = draw_noise(np.random.default_rng(4), 20_000, waveform, response)
     power = np.mean(noise**2, axis=0)
     # ∫ |H|² df over all frequencies is π B²/(B + b) for corners B and b.
@@ -99,7 +114,7 @@ def test_noise_has_its_power_from_the_first_sample() -> None:
 
 def test_coinciding_poles_are_refused() -> None:
     with pytest.raises(ValueError, match="coincide"):
-        draw_noise(np.random.default_rng(1), 1, WAVEFORM, Response(1e6, 1e6))
+        draw_noise(np.random.default_rng(1), 1, WAVEFORM, AnalogResponse(1e6, 1e6))
 
 
 def test_digitiser_clips_and_adds_a_twelfth_of_a_step_squared() -> None:
@@ -116,7 +131,7 @@ def test_swept_echo_rings_through_the_poles_as_a_state_equation_says() -> None:
     segment = frequency_plan(waveform)[0]
     range_m = waveform.record_edge_range_m + SPEED_OF_LIGHT_MPS / 2 * 0.4 * waveform.record_time_s
     beamlets = Beamlets(np.array([range_m]), np.array([2.8]), 0.0, np.array([1.0 + 0j]))
-    response = Response(None, 200e3)
+    response = AnalogResponse(None, 200e3)
     ours = receive_record(waveform, segment, beamlets, response, edges=True).real
     # First-order hold at 16 times the rate, over a run-in twice as long as ours.
     ahead, fine = 2 * response.run_in(RATE_HZ), 16

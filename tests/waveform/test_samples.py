@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from lidar_emu.fmcw.waveform.samples import (
+from lidar_emu.fmcw.waveform.record_samples import (
     Beamlets,
     Segment,
     frequency_plan,

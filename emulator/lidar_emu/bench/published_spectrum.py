@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft, ifft
 
-from lidar_emu.fmcw.spectrum import Window
+from lidar_emu.fmcw.spectrum import SpectralWindow
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 
@@ -39,7 +39,11 @@ class PublishedSpectrum(NamedTuple):
 
 
 def build_published_spectrum(
-    window: Window, length: float, points: int = 2048, oversample: int = 8, deposit: Deposit = "nearest"
+    window: SpectralWindow,
+    length: float,
+    points: int = 2048,
+    oversample: int = 8,
+    deposit: Deposit = "nearest",
 ) -> PublishedSpectrum:
     """Sample the transform of a window of `length` samples, referred to the record's centre, on a ring of points.
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.bench.errors_against_truth import ErrorSpread, spread
-from lidar_emu.echo.echoes import receive_light
+from lidar_emu.echo.echoes import compute_echoes
 from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.levels import build_level
 from lidar_emu.fmcw.returns import Echoes, Returns
@@ -65,7 +65,7 @@ def light(scenario: FlightScenario, flight: Flight, beamlets: int, shot: NDArray
     """Echoes of shots anywhere in the flight, in ascending order."""
     pointing, _ = flight.point(shot, flight.scanner.initial)
     hits = flight.cast(pointing)
-    return receive_light(scenario.instrument, scenario.site, flight, beamlets, pointing, hits)
+    return compute_echoes(scenario.instrument, scenario.site, flight, beamlets, pointing, hits)
 
 
 def measure(
@@ -78,7 +78,7 @@ def measure(
     """
     pointing, _ = flight.point(shot, flight.scanner.initial)
     hits = flight.cast(pointing)
-    echoes = receive_light(scenario.instrument, scenario.site, flight, setting.beamlets, pointing, hits)
+    echoes = compute_echoes(scenario.instrument, scenario.site, flight, setting.beamlets, pointing, hits)
     true_mps = dot(pointing.sensor_velocity_site_mps, pointing.true_site)
     range_error_m, speed_error_mps = [], []
     for run in range(runs):

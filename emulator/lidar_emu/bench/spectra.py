@@ -15,23 +15,23 @@ from lidar_emu.bench.published_spectrum import Deposit, build_published_spectrum
 from lidar_emu.bench.settings import light
 from lidar_emu.bench.stopwatch import median_times_s
 from lidar_emu.flight.flight import Flight
-from lidar_emu.fmcw.build import build_receiver
-from lidar_emu.fmcw.cauchy import TONES_PER_DIVISION, are_close, set_close_tones
-from lidar_emu.fmcw.field import echo_field
+from lidar_emu.fmcw.beat_tones import signed_bin
+from lidar_emu.fmcw.close_tones import TONES_PER_DIVISION, are_close, set_close_tones
+from lidar_emu.fmcw.echo_field import echo_field
+from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.spectrum import (
     BIN,
     REACH,
     ROWS,
     TAPS,
     WINDOWS,
-    Window,
+    SpectralWindow,
     fold,
     grid_capacity,
     lay_bins,
     set_tones,
     windowed_bin,
 )
-from lidar_emu.fmcw.tones import signed_bin
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scenario.schema import FlightScenario
@@ -121,7 +121,7 @@ def _tones(scenario: FlightScenario, flight: Flight) -> FloatArray:
     return tones[lit]
 
 
-def _record_bins(tones: FloatArray, length: int, window: Window) -> _ComplexArray:
+def _record_bins(tones: FloatArray, length: int, window: SpectralWindow) -> _ComplexArray:
     """All bins of one record, from its samples; phases are reduced in whole numbers, so that none loses digits."""
     samples = np.zeros(length)
     _synthesise(tones, length, samples)
@@ -144,7 +144,7 @@ def _synthesise(tones: FloatArray, length: int, samples: FloatArray) -> None:
 class _Product:
     """Arrays for the bins of `fmcw.spectrum`, laid out once as a run does."""
 
-    def __init__(self, tones: FloatArray, length: float, window: Window) -> None:
+    def __init__(self, tones: FloatArray, length: float, window: SpectralWindow) -> None:
         self.tones, self.length, self.window = tones, length, window
         capacity = grid_capacity(tones.shape[2], REACH, length)
         self.grid, self.bins = np.empty((ROWS, capacity)), np.empty((2, capacity))

@@ -39,7 +39,7 @@ _LEAST_COSINE = 1e-3
 """A beamlet at 89.94 degrees of incidence or more slides no faster than there: it would leave its facet at once."""
 
 
-class Spots(NamedTuple):
+class BeamletHits(NamedTuple):
     """Where beamlets (shots, beams, beamlets) start, go and hit."""
 
     start_site_m: FloatArray
@@ -49,7 +49,7 @@ class Spots(NamedTuple):
     hits: Hits
 
 
-class _Room(NamedTuple):
+class _Buffers(NamedTuple):
     """Arrays of one shape of block, filled again for each block."""
 
     footprint: Footprint
@@ -87,7 +87,7 @@ class _Room(NamedTuple):
         )
 
 
-class Light:
+class EchoModel:
     """What echoes need of instrument, site and flight, in the numbers of the kernel."""
 
     def __init__(self, instrument: Instrument, site: Site, flight: Flight, beamlets: int) -> None:
@@ -96,23 +96,23 @@ class Light:
         self._waist_m, self._wavelength_m = instrument.optics.waist_radius_m, instrument.waveform.wavelength_m
         self._law = echo_law(instrument, site.surface, site.atmosphere)
         self._swing_radps = np.empty(3)
-        self._room = _Room.of((0, 0), beamlets, flight.has_moving_things)
-        self._hits = self._room.hits
+        self._buffers = _Buffers.of((0, 0), beamlets, flight.has_moving_things)
+        self._hits = self._buffers.hits
 
     @property
-    def spots(self) -> Spots:
+    def beamlet_hits(self) -> BeamletHits:
         """Where the light of the last echoes met the ground. They hold until the next echoes."""
-        room = self._room
-        shape = room.echoes.range_m.shape
-        starts, rays = (vectors.reshape(*shape, 3) for vectors in (room.starts_site_m, room.rays_site))
-        return Spots(starts, rays, self._hits.shaped(shape))
+        buffers = self._buffers
+        shape = buffers.echoes.range_m.shape
+        starts, rays = (vectors.reshape(*shape, 3) for vectors in (buffers.starts_site_m, buffers.rays_site))
+        return BeamletHits(starts, rays, self._hits.shaped(shape))
 
-    def beamlet_hits(self, pointing: Pointing, axis_hits: Hits) -> Hits:
+    def cast_beamlets(self, pointing: Pointing, axis_hits: Hits) -> Hits:
         """Where beamlets meet the ground, (rays,), if axes do at `axis_hits`. They hold until the next ones."""
         shots, beams = axis_hits.range_m.shape
-        if self._room.echoes.fired.shape != (shots, beams):
-            self._room = _Room.of((shots, beams), self._beamlets, self._flight.has_moving_things)
-        room = self._room
+        if self._buffers.echoes.fired.shape != (shots, beams):
+            self._buffers = _Buffers.of((shots, beams), self._beamlets, self._flight.has_moving_things)
+        buffers = self._buffers
         sample_footprint(
             pointing.sensor_site_m.reshape(-1, 3),
             pointing.true_site.reshape(-1, 3),
@@ -120,19 +120,21 @@ class Light:
             self._beamlets,
             self._waist_m,
             self._wavelength_m,
-            room.footprint,
+            buffers.footprint,
         )
         if self._beamlets == 1:
             self._hits = axis_hits.shaped((shots * beams,))
-            room.hits.range_m[:] = self._hits.range_m
+            buffers.hits.range_m[:] = self._hits.range_m
         else:
-            self._hits = self._flight.cast_beamlets(pointing, room.starts_site_m, room.rays_site, room.hits)
+            self._hits = self._flight.cast_beamlets(
+                pointing, buffers.starts_site_m, buffers.rays_site, buffers.hits
+            )
         return self._hits
 
     def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
         """Echoes of beams (shots, beams) whose axes met the ground at `axis_hits`. They hold until the next ones."""
-        hits = self.beamlet_hits(pointing, axis_hits)
-        footprint, echoes = self._room.footprint, self._room.echoes
+        hits = self.cast_beamlets(pointing, axis_hits)
+        footprint, echoes = self._buffers.footprint, self._buffers.echoes
         echoes.fired[:], echoes.inside[:] = pointing.fired, axis_hits.inside
         _receive(
             *self._law,
@@ -161,11 +163,11 @@ class Light:
         return echoes
 
 
-def receive_light(
+def compute_echoes(
     instrument: Instrument, site: Site, flight: Flight, beamlets: int, pointing: Pointing, axis_hits: Hits
 ) -> Echoes:
     """Echoes of beams (shots, beams), each of so many beamlets, whose axes met the ground at `axis_hits`."""
-    return Light(instrument, site, flight, beamlets).echoes(pointing, axis_hits)
+    return EchoModel(instrument, site, flight, beamlets).echoes(pointing, axis_hits)
 
 
 @kernel(outermost=True)

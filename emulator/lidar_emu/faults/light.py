@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.echo.echoes import Spots
+from lidar_emu.echo.echoes import BeamletHits
 from lidar_emu.faults.schedule import FaultInstance
 from lidar_emu.flight.flight import Flight, Pointing
 from lidar_emu.flight.pointing import TRUE
@@ -32,7 +32,7 @@ class _Act:
     """(shots, beams) Beams that have fired and on which it acts."""
     size: FloatArray
     """(shots, 1) Part of its full size that a growing fault has."""
-    spots: Spots
+    beamlet_hits: BeamletHits
 
 
 class LightFaults:
@@ -62,13 +62,13 @@ class LightFaults:
                 pointing = self._with_tilt(pointing, hit, each.grown(shot), each.fault.tilt_mrad)
         return pointing
 
-    def lit(self, echoes: Echoes, spots: Spots, shot: NDArray[np.int64]) -> Echoes:
-        """What comes back of beams whose light met the ground at `spots`."""
+    def lit(self, echoes: Echoes, beamlet_hits: BeamletHits, shot: NDArray[np.int64]) -> Echoes:
+        """What comes back of beams whose light met the ground at `beamlet_hits`."""
         for each in self._others:
             hit = each.hit(shot, echoes.fired)
             if hit.any():
                 echoes = self._effects[type(each.fault)](
-                    echoes, _Act(each.fault, hit, each.grown(shot), spots)
+                    echoes, _Act(each.fault, hit, each.grown(shot), beamlet_hits)
                 )
         return echoes
 
@@ -111,7 +111,7 @@ def _faded(echoes: Echoes, act: _Act) -> Echoes:
 
 def _patched(echoes: Echoes, act: _Act) -> Echoes:
     """Beamlets that meet the ground within the disc."""
-    start_m, ray, hits = act.spots
+    start_m, ray, hits = act.beamlet_hits
     east_m, north_m = (start_m[..., k] + hits.range_m * ray[..., k] for k in range(2))
     away_m = np.hypot(east_m - act.fault.centre_m[0], north_m - act.fault.centre_m[1])
     # What clutter and dust have added lies behind the beamlets; dust that is seen instead of the ground has its place.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.echo.echoes import Spots
+from lidar_emu.echo.echoes import BeamletHits
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.light import LightFaults
 from lidar_emu.faults.receiver import FaultyReceivers
@@ -73,9 +73,9 @@ class PhysicsFaults:
         """Where the beams go. Published directions stay."""
         return self._light.tilted(pointing, shot)
 
-    def returns(self, echoes: Echoes, spots: Spots, shot: NDArray[np.int64]) -> Returns:
-        """What is measured of echoes from beams whose light met the ground at `spots`."""
-        return self._level(self._light.lit(echoes, spots, shot), shot)
+    def returns(self, echoes: Echoes, beamlet_hits: BeamletHits, shot: NDArray[np.int64]) -> Returns:
+        """What is measured of echoes from beams whose light met the ground at `beamlet_hits`."""
+        return self._level(self._light.lit(echoes, beamlet_hits, shot), shot)
 
     def injected(self, shot: NDArray[np.int64], fired: BoolArray) -> list[FaultOccurrence]:
         """Which faults acted on consecutive shots, and on which of their beams, (shots, beams)."""

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.faults.schedule import FaultInstance
-from lidar_emu.fmcw.build import build_receiver
 from lidar_emu.fmcw.levels import Level
-from lidar_emu.fmcw.model import ReceiverModel
-from lidar_emu.fmcw.receiver import Receiver
+from lidar_emu.fmcw.receiver import FmcwReceiver
+from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.receiver_faults import decimated, noisier, with_opposite_doppler_sign, without_segments
+from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes, Returns
-from lidar_emu.fmcw.variants import decimated, noisier, on_wrong_branch, without_segments
 from lidar_emu.numerics.arrays import BoolArray
 from lidar_emu.scenario import faults as kinds
 from lidar_emu.scenario.schema import FlightScenario
@@ -63,7 +63,7 @@ class FaultyReceivers:
             for bit, each in enumerate(self._ordered):
                 if acting >> bit & 1:
                     model = _faulty(model, each.fault, self._scenario)
-            self._receivers[acting] = Receiver(model, self._scenario.seed)
+            self._receivers[acting] = FmcwReceiver(model, self._scenario.seed)
         return self._receivers[acting]
 
 
@@ -72,7 +72,7 @@ def _faulty(model: ReceiverModel, fault: Any, scenario: FlightScenario) -> Recei
         case kinds.MissingSegment():
             return without_segments(model, fault.segments)
         case kinds.WrongBranch():
-            return on_wrong_branch(model)
+            return with_opposite_doppler_sign(model)
         case kinds.Alias():
             return decimated(model, fault.decimation)
         case kinds.FalseAlarms():

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.fmcw.model import ReceiverModel, Workspace
+from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, signed_bin
+from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.response import tone_gain
 from lidar_emu.fmcw.spectrum import BIN, NOISE, fold
-from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS, signed_bin
+from lidar_emu.fmcw.workspace import Workspace
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import complex_normal
 

@@ -28,7 +28,7 @@ def build_level(scenario: FlightScenario) -> Level:
     if scenario.level == "geometric":
         maximum_range_m = scenario.instrument.detection.maximum_range_m
         return lambda echoes, _shot: geometric(echoes, maximum_range_m)
-    from lidar_emu.fmcw.build import build_receiver
+    from lidar_emu.fmcw.receiver_constants import build_receiver
 
     statistical = scenario.level == "statistical"
     model = build_receiver(scenario.instrument, scenario.site, scenario.exact, statistical)
@@ -36,9 +36,9 @@ def build_level(scenario: FlightScenario) -> Level:
         from lidar_emu.fmcw.waveform.level import measure_echoes
 
         return lambda echoes, shot: measure_echoes(scenario.instrument, model, echoes, shot, scenario.seed)
-    from lidar_emu.fmcw.receiver import Receiver
+    from lidar_emu.fmcw.receiver import FmcwReceiver
 
-    return Receiver(model, scenario.seed)
+    return FmcwReceiver(model, scenario.seed)
 
 
 def geometric(echoes: Echoes, maximum_range_m: float) -> Returns:

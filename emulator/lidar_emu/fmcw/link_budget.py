@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidar_emu.fmcw.constants import ELEMENTARY_CHARGE_C
+from lidar_emu.fmcw.physical_constants import ELEMENTARY_CHARGE_C
 from lidar_emu.numerics.kernels import interpreted, kernel
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.site import Atmosphere, Site, Surface

@@ -8,16 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.measure import BEAM_RETURN, measure_spectra, measure_statistically, prepare
-from lidar_emu.fmcw.model import ReceiverModel, Workspace, as_records, build_workspace
+from lidar_emu.fmcw.beam_measurement import BEAM_RETURN, measure_spectra, measure_statistically, prepare
+from lidar_emu.fmcw.receiver_model import ReceiverModel, as_records
 from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.fmcw.workspace import Workspace, build_workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import with_fields
 
 _COLUMNS = tuple(field.name for field in fields(Returns))
 
 
-class Receiver:
+class FmcwReceiver:
     """Measures every beam of every shot: three spectra, their targets, range and closing speed.
 
     Range, speed and speckle are those of each record's own time. With speckle each beamlet's amplitude is the root
@@ -100,5 +101,5 @@ def _flat(values: FloatArray) -> FloatArray:
 
 
 def receive(model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed: int) -> Returns:
-    """See `Receiver`."""
-    return Receiver(model, seed)(echoes, shot)
+    """See `FmcwReceiver`."""
+    return FmcwReceiver(model, seed)(echoes, shot)

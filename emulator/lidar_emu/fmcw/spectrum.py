@@ -30,7 +30,7 @@ from lidar_emu.numerics.sine import FAST, sin_pi
 
 BIN, COS, SIN, NOISE, POWER, TOP, LOW = range(7)
 """Rows of a grid: index k of the bin, cosine and sine of πk/N, mean noise power of the rectangular bin, power
-under the window, and taps of a peak's two filters (`peaks`)."""
+under the window, and taps of a peak's two filters (`peak_interpolation`)."""
 ROWS = 7
 
 TAPS = 2
@@ -42,8 +42,8 @@ _ONE_INTERVAL = 48.0
 """Tones no farther apart share one interval without being sorted."""
 
 
-class Window(NamedTuple):
-    """A window as a filter over bins."""
+class SpectralWindow(NamedTuple):
+    """A window of the transform as a filter over bins."""
 
     centre: float
     side: float
@@ -55,9 +55,9 @@ class Window(NamedTuple):
 
 
 WINDOWS = {
-    "rect": Window(1.0, 0.0),
-    "hann": Window(0.5, -0.25),
-    "hamming": Window(0.54, -0.23),
+    "rect": SpectralWindow(1.0, 0.0),
+    "hann": SpectralWindow(0.5, -0.25),
+    "hamming": SpectralWindow(0.54, -0.23),
 }
 
 

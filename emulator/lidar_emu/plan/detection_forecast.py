@@ -12,12 +12,12 @@ from functools import partial
 
 import numpy as np
 
-from lidar_emu.fmcw.beam_filter import line_share
-from lidar_emu.fmcw.build import build_receiver
+from lidar_emu.fmcw.laser_phase_noise import line_share
 from lidar_emu.fmcw.link_budget import coherent_power_w
-from lidar_emu.fmcw.model import ReceiverModel
+from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.response import noise_level, tone_gain
-from lidar_emu.fmcw.spectrum import WINDOWS, Window, fold
+from lidar_emu.fmcw.spectrum import WINDOWS, SpectralWindow, fold
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.numerics.vector_arrays import rotate
@@ -149,7 +149,7 @@ def beam_angles_deg(scenario: FlightScenario) -> FloatArray:
     return np.unique(angle_deg[~np.isnan(angle_deg)])
 
 
-def mean_straddling_gain(window: Window) -> float:
+def mean_straddling_gain(window: SpectralWindow) -> float:
     """Mean power of the highest windowed bin for tones anywhere, over that of a tone on its rectangular bin.
 
     Both are relative to their own mean noise power. A tone δ bins away has the amplitude sinc(δ) [c - 2 s δ² / (1 -

@@ -15,17 +15,17 @@ from functools import partial
 import numpy as np
 from scipy.special import exp1, gammaincc
 
-from lidar_emu.echo.echoes import SPECKLE_PITCH_W, receive_light
+from lidar_emu.echo.echoes import SPECKLE_PITCH_W, compute_echoes
 from lidar_emu.echo.spectral_spread import Spread, no_spread, spread_bins
 from lidar_emu.flight.flight import Flight
-from lidar_emu.fmcw.beam_filter import line_share
-from lidar_emu.fmcw.build import build_receiver
-from lidar_emu.fmcw.model import ReceiverModel
-from lidar_emu.fmcw.peaks import BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY, METHODS
+from lidar_emu.fmcw.beat_tones import signed_bin
+from lidar_emu.fmcw.laser_phase_noise import line_share
+from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY, METHODS
+from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.response import noise_level, tone_gain
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.spectrum import WINDOWS, fold
-from lidar_emu.fmcw.tones import signed_bin
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.detection_forecast import mean_straddling_gain, measured
@@ -63,7 +63,7 @@ def expected_error(scenario: FlightScenario, flight: Flight, beamlets: int) -> E
     shot = np.unique(np.linspace(0, flight.shot_count - 1, count).astype(np.int64))
     pointing, _ = flight.point(shot, flight.scanner.initial)
     hits = flight.cast(pointing)
-    echoes = receive_light(instrument, site, flight, 1, pointing, hits)
+    echoes = compute_echoes(instrument, site, flight, 1, pointing, hits)
     model = build_receiver(instrument, site, scenario.exact)
     spread = spread_bins(instrument, pointing, hits) if beamlets > 1 else no_spread(hits)
 
@@ -231,7 +231,7 @@ def _biases_bin(
 def _combined(
     detection: Detection, up: FloatArray, constant: FloatArray, down: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """As `fmcw.estimate` combines segments of equal variance whose signs are known."""
+    """As `fmcw.estimation` combines segments of equal variance whose signs are known."""
     if detection.combine == "least_squares":
         return 0.5 * (up + down), (down - up + constant) / 3.0
     return np.where(constant >= 0.0, down - constant, up + constant), constant

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.echo.echoes import receive_light
+from lidar_emu.echo.echoes import compute_echoes
 from lidar_emu.echo.spectral_spread import spread_bins
 from lidar_emu.flight.flight import Flight, Pointing, sensor_height_m
 from lidar_emu.plan.faults import planned_faults
@@ -28,7 +28,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     if flight.is_live:
         return _plan_unknown(scenario, flight)
     pointing, hits = _look(flight)
-    echoes = receive_light(scenario.instrument, scenario.site, flight, 1, pointing, hits)
+    echoes = compute_echoes(scenario.instrument, scenario.site, flight, 1, pointing, hits)
     footprint, beamlets = _footprint(scenario, pointing, hits)
     decisions = (
         *_flown(scenario, flight, pointing, hits),

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.fmcw.limits import LEAST_FALSE_ALARM, LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
 from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.fmcw.skip_limits import LEAST_FALSE_ALARM, LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.plan import Decision
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Waveform

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar_emu.echo.echoes import Light
+from lidar_emu.echo.echoes import EchoModel
 from lidar_emu.files import whole_file
 from lidar_emu.flight.recorded_conditions import conditions
 from lidar_emu.flight.recorded_file import BLOCK_SHOTS, About, GeometryWriter
@@ -38,7 +38,7 @@ def record_geometry(scenario: FlightScenario, path: Path) -> About:
         name=scenario.name,
         conditions=conditions(scenario),
     )
-    light = Light(scenario.instrument, scenario.site, flight, beamlets)
+    light = EchoModel(scenario.instrument, scenario.site, flight, beamlets)
     state = model.initial_state
     with whole_file(path) as file:
         writer = GeometryWriter(file, about)
@@ -46,6 +46,6 @@ def record_geometry(scenario: FlightScenario, path: Path) -> About:
             shot = np.arange(first, min(first + BLOCK_SHOTS, flight.shot_count), dtype=np.int64)
             pointing, state = model.aim(shot, state)
             axis_hits = flight.cast(pointing)
-            writer.add(pointing, axis_hits, light.beamlet_hits(pointing, axis_hits))
+            writer.add(pointing, axis_hits, light.cast_beamlets(pointing, axis_hits))
         writer.close()
     return about

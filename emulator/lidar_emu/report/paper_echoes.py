@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.fmcw.build import build_receiver
+from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.waveform.level import listen_to_beam
+from lidar_emu.fmcw.waveform.level import measure_one_beam
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.scanner.state import ScannerState
 from lidar_emu.shots.flight_model import FlightModel
@@ -58,7 +58,7 @@ def find_two_targets(model: FlightModel) -> TwoTargets:
     number, beam, before = _most_shared(model, _LEAST_APART_BINS * receiver.range_bin_m)
     shot = np.arange(number, number + 1, dtype=np.int64)
     echoes, _ = _echoes(model, shot, before)
-    heard = listen_to_beam(scenario.instrument, receiver, echoes, shot, scenario.seed, 0, beam)
+    heard = measure_one_beam(scenario.instrument, receiver, echoes, shot, scenario.seed, 0, beam)
     assert heard.bins is not None
     power = np.abs(heard.bins[0, _DOWN]) ** 2 / heard.noise_power
     peak = heard.targets[_DOWN].peak_bin[0]
@@ -97,7 +97,7 @@ def _most_shared(model: FlightModel, least_apart_m: float) -> tuple[int, int, Sc
 def _echoes(model: FlightModel, shot: NDArray[np.int64], state: ScannerState) -> tuple[Echoes, ScannerState]:
     """They hold until the next echoes."""
     pointing, after = model.aim(shot, state)
-    return model.light.echoes(pointing, model.flight.cast(pointing)), after
+    return model.echo_model.echoes(pointing, model.flight.cast(pointing)), after
 
 
 def lesser_share(range_m: FloatArray, power_w: FloatArray, least_apart_m: float) -> FloatArray:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidar_emu.fmcw.build import build_receiver
-from lidar_emu.fmcw.waveform.level import listen_to_beam
+from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.waveform.level import measure_one_beam
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.page_style import Drawing, draw
@@ -78,9 +78,9 @@ def listen(model: FlightModel, measurement: Measurement, row: int, beam: int) ->
             f"shot {first} is not as the scenario alone has it: commands changed what follows"
         )
     receiver = build_receiver(scenario.instrument, scenario.site, scenario.exact)
-    echoes = model.light.echoes(pointing, hits)
+    echoes = model.echo_model.echoes(pointing, hits)
     try:
-        heard = listen_to_beam(scenario.instrument, receiver, echoes, shot, scenario.seed, 0, beam)
+        heard = measure_one_beam(scenario.instrument, receiver, echoes, shot, scenario.seed, 0, beam)
     except ValueError as error:
         raise CannotHearError(f"this instrument is not computed from samples: {error}") from None
     assert heard.bins is not None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.echo.echoes import Light
+from lidar_emu.echo.echoes import EchoModel
 from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight.flight import Flight, Pointing
 from lidar_emu.flight.pointing import approach, locate
@@ -34,7 +34,7 @@ class FlightModel:
         self.scenario = scenario
         self.flight = Flight(scenario) if flight is None else flight
         self.plan = plan_flight(scenario, self.flight)
-        self.light = Light(scenario.instrument, scenario.site, self.flight, self.plan.beamlets)
+        self.echo_model = EchoModel(scenario.instrument, scenario.site, self.flight, self.plan.beamlets)
         self.dust = _dust(scenario)
         self.level = build_level(scenario)
         self.beam_count = self.flight.scanner.beam_count
@@ -70,13 +70,13 @@ class FlightModel:
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.aim(shot, state)
         axis_hits = self.flight.cast(pointing)
-        echoes = self.light.echoes(pointing, axis_hits)
+        echoes = self.echo_model.echoes(pointing, axis_hits)
         if self.dust is not None:
             echoes = self.dust.raised(echoes, pointing, axis_hits, shot)
         if self.physics is None:
             returns = self.level(echoes, shot)
         else:
-            returns = self.physics.returns(echoes, self.light.spots, shot)
+            returns = self.physics.returns(echoes, self.echo_model.beamlet_hits, shot)
         return self._measurement(shot, pointing, axis_hits, returns), state
 
     def unlit(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:

@@ -7,19 +7,19 @@ from dataclasses import fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.field import echo_field
-from lidar_emu.fmcw.model import ReceiverModel
+from lidar_emu.fmcw.echo_field import echo_field
 from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes, Returns
-from lidar_emu.fmcw.waveform.conclude import Conclusion
-from lidar_emu.fmcw.waveform.measure import Footprint, Measurement, measure_waveform
-from lidar_emu.fmcw.waveform.receive import Digitiser, Response, noise_level
-from lidar_emu.fmcw.waveform.samples import ComplexArray
+from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level
+from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, WaveformMeasurement, measure_waveform
+from lidar_emu.fmcw.waveform.beam_result import BeamResult
+from lidar_emu.fmcw.waveform.record_samples import ComplexArray
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import generator
 from lidar_emu.scenario.instrument import Instrument
 
-_DARK = Footprint(np.ones(1), np.zeros(1), np.zeros(1, dtype=complex))
+_DARK = ScattererPatches(np.ones(1), np.zeros(1), np.zeros(1, dtype=complex))
 """No light: noise alone is measured."""
 
 
@@ -47,13 +47,13 @@ def measure_echoes(
         _measure_beam(instrument, model, echoes, field[s, b], s, b, _rng(seed, int(shot[s]), b))
         for s, b in np.ndindex(echoes.fired.shape)
     ]
-    columns = {f.name: np.concatenate([getattr(beam, f.name) for beam in beams]) for f in fields(Conclusion)}
+    columns = {f.name: np.concatenate([getattr(beam, f.name) for beam in beams]) for f in fields(BeamResult)}
     shaped = {name: np.reshape(a, (*echoes.fired.shape, *a.shape[1:])) for name, a in columns.items()}
     valid = shaped["reason"] == Reason.VALID
     return Returns(**shaped, range_valid=valid, speed_valid=valid.copy())
 
 
-def listen_to_beam(
+def measure_one_beam(
     instrument: Instrument,
     model: ReceiverModel,
     echoes: Echoes,
@@ -61,13 +61,15 @@ def listen_to_beam(
     seed: int,
     s: int,
     b: int,
-) -> Measurement:
+) -> WaveformMeasurement:
     """What `measure_echoes` finds on its way to beam `b` of shot `shot[s]`, a beam that fires: its three whole spectra.
 
     Args and errors are those of `measure_echoes`.
     """
     field = echo_field(model, echoes, shot, seed)[s, b]
-    return _listen(instrument, model, echoes, field, s, b, _rng(seed, int(shot[s]), b), keep_bins=True)
+    return _measure_records(
+        instrument, model, echoes, field, s, b, _rng(seed, int(shot[s]), b), keep_bins=True
+    )
 
 
 def _rng(seed: int, shot: int, b: int) -> np.random.Generator:
@@ -82,20 +84,20 @@ def _measure_beam(
     s: int,
     b: int,
     rng: np.random.Generator,
-) -> Conclusion:
+) -> BeamResult:
     """One beam of one shot."""
     if not echoes.fired[s, b]:
         return _nothing(Reason.NOT_FIRED)
     range_m = echoes.range_m[s, b]
     if echoes.inside[s, b] or (range_m <= 0.0).any():
         return _nothing(Reason.INSIDE_GROUND)
-    measured = _listen(instrument, model, echoes, field, s, b, rng)
+    measured = _measure_records(instrument, model, echoes, field, s, b, rng)
     if measured.reason[0] == Reason.BELOW_THRESHOLD:
         return replace(measured, reason=np.array([_unseen(range_m, model.record_edge_range_m)], np.int8))
     return measured
 
 
-def _listen(
+def _measure_records(
     instrument: Instrument,
     model: ReceiverModel,
     echoes: Echoes,
@@ -104,7 +106,7 @@ def _listen(
     b: int,
     rng: np.random.Generator,
     keep_bins: bool = False,
-) -> Measurement:
+) -> WaveformMeasurement:
     """The records of a beam, measured."""
     range_m, power_w = echoes.range_m[s, b], echoes.power_w[s, b]
     waveform, receiver = instrument.waveform, instrument.receiver
@@ -112,7 +114,7 @@ def _listen(
     footprint = _DARK
     if lit.any():
         rate_mps = echoes.range_rate_mps[s, b, lit]
-        footprint = Footprint(
+        footprint = ScattererPatches(
             range_m[lit],
             echoes.closing_speed_mps[s, b, lit],
             field[None, :, lit],
@@ -120,7 +122,7 @@ def _listen(
             float(echoes.closing_acceleration_mps2[s, b]),
             float(echoes.smear_acceleration_mps2[s, b]),
         )
-    response = Response(receiver.bandwidth_hz, receiver.ac_coupling_hz)
+    response = AnalogResponse(receiver.bandwidth_hz, receiver.ac_coupling_hz)
     # The echo makes shot noise of its own; the digitiser's noise arises behind the poles, by rounding.
     share = model.response.amplifier_noise * (1.0 + model.signal_shot_per_w * float(power_w[lit].sum()))
     level = share * noise_level(waveform, response) + model.response.digitiser_noise
@@ -148,10 +150,10 @@ def _unseen(range_m: FloatArray, edge_m: float) -> Reason:
     return Reason.BELOW_THRESHOLD if np.nanmin(range_m) <= edge_m else Reason.BEYOND_RANGE
 
 
-def _nothing(reason: Reason) -> Conclusion:
+def _nothing(reason: Reason) -> BeamResult:
     """Of a beam that is not measured at all."""
     unknown = np.full(1, np.nan)
-    return Conclusion(
+    return BeamResult(
         range_m=unknown,
         closing_speed_mps=unknown,
         reason=np.array([reason], dtype=np.int8),

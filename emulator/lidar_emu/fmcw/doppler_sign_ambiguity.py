@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.fmcw.estimate import ALL, CONSTANT, UP, Estimate
+from lidar_emu.fmcw.estimation import ALL, CONSTANT, UP, Estimate
 from lidar_emu.numerics.kernels import kernel
 
 
 @kernel
-def other_branch(
+def with_opposite_sign(
     usual: Estimate,
     mask: int,
     up: float,

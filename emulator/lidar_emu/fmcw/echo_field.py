@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.model import ReceiverModel, as_records
+from lidar_emu.fmcw.beat_tones import relative_turn
+from lidar_emu.fmcw.receiver_model import ReceiverModel, as_records
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.speckle import SLOTS, forget, set_weights
-from lidar_emu.fmcw.tones import relative_turn
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import uniform_pair, unit_phasor

@@ -1,4 +1,4 @@
-"""What the receiver's kernels know of an instrument, and where they work."""
+"""The constants of a receiver that its kernels use."""
 
 from __future__ import annotations
 
@@ -6,15 +6,8 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidar_emu.fmcw.cauchy import TONES_PER_DIVISION
-from lidar_emu.fmcw.detect import MAX_GROUPS
-from lidar_emu.fmcw.modulation import LEAST_TAPS
 from lidar_emu.fmcw.response import Response
-from lidar_emu.fmcw.speckle import SLOTS
-from lidar_emu.fmcw.spectrum import REACH, ROWS, grid_capacity
-from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import with_fields
 
 
@@ -86,7 +79,7 @@ class ReceiverModel(NamedTuple):
     """N, or less where samples are missing: then beats are folded again at half of it."""
     lost_segments: int
     """Bits of the segments of which nothing is seen."""
-    wrong_branch: bool
+    opposite_doppler_sign: bool
     """Take the other sign of the Doppler shift."""
 
 
@@ -105,54 +98,3 @@ def _field_type(value: Any) -> np.dtype[Any]:
     if not isinstance(value, tuple):
         return np.dtype(type(value))
     return _record_type(value) if hasattr(value, "_fields") else np.dtype((float, len(value)))
-
-
-class Workspace(NamedTuple):
-    """Arrays that the kernels write to; their size bounds beamlets, looks and the widest filter."""
-
-    beamlets: FloatArray
-    """(5, tones) see `gather_beamlets`; columns are beamlets, and at least one more, for the haze."""
-    tones: FloatArray
-    """(looks, 4, tones) see `set_tones`; also the places of all, one after another, to lay bins."""
-    places: FloatArray
-    residues: FloatArray
-    weights: FloatArray
-    held: NDArray[np.int64]
-    corners: FloatArray
-    grid: FloatArray
-    bins: FloatArray
-    filtered: FloatArray
-    noise: FloatArray
-    words: NDArray[np.uint64]
-    taps: FloatArray
-    """(3, 2, taps) of smear, of the line, and of both."""
-    peaks: NDArray[np.int64]
-    targets: FloatArray
-    """(3, MAX_GROUPS, 4) frequency, its variance, power over noise, and power of each segment's targets."""
-    alarms: FloatArray
-    """(MAX_GROUPS, 3) power, bin, and power over noise of peaks in noise."""
-
-
-def build_workspace(beamlets: int, looks: int, half: int, length: float) -> Workspace:
-    """Room for beams of so many beamlets, and filters of `half` taps on each side."""
-    tones = -(-(beamlets + 1) // TONES_PER_DIVISION) * TONES_PER_DIVISION
-    reach = REACH + max(0, half - LEAST_TAPS)
-    capacity = grid_capacity(looks * tones, reach, length)
-    return Workspace(
-        beamlets=np.empty((5, tones)),
-        tones=np.zeros((looks, 4, tones)),
-        places=np.empty((2, looks * tones)),
-        residues=np.empty((2, tones)),
-        weights=np.empty((2, tones)),
-        held=np.empty((SLOTS, 2), dtype=np.int64),
-        corners=np.empty((SLOTS, 2, tones)),
-        grid=np.empty((ROWS, capacity)),
-        bins=np.empty((looks, 2, capacity)),
-        filtered=np.empty((4, capacity + 2 * half + 4)),
-        noise=np.empty((2, capacity + 4)),
-        words=np.empty((4, capacity // 2 + tones + 4), dtype=np.uint64),
-        taps=np.empty((3, 2, 2 * half + 1)),
-        peaks=np.empty(MAX_GROUPS, dtype=np.int64),
-        targets=np.empty((3, MAX_GROUPS, 4)),
-        alarms=np.empty((MAX_GROUPS, 3)),
-    )

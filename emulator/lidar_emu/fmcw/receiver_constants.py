@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
-from scipy.special import chndtr
 
 from lidar_emu.errors import InputError
-from lidar_emu.fmcw.constants import BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C, PLANCK_J_S
-from lidar_emu.fmcw.false_alarms import quantile
-from lidar_emu.fmcw.limits import (
+from lidar_emu.fmcw.carrier_to_noise import noise_over_shot, shot_a2_per_hz
+from lidar_emu.fmcw.false_alarms import neighbour_exceedance, quantile
+from lidar_emu.fmcw.link_budget import haze_w_per_m
+from lidar_emu.fmcw.peak_interpolation import METHODS
+from lidar_emu.fmcw.physical_constants import ELEMENTARY_CHARGE_C, PLANCK_J_S
+from lidar_emu.fmcw.receiver_model import Haze, ReceiverModel
+from lidar_emu.fmcw.response import Response
+from lidar_emu.fmcw.skip_limits import (
     LEAST_FALSE_ALARM,
     LEAST_LINE_DRIFT,
     LEAST_LINE_SCATTER_BINS,
     LEAST_SMEAR_BINS,
 )
-from lidar_emu.fmcw.link_budget import haze_w_per_m, sunlight_over_shot
-from lidar_emu.fmcw.model import Haze, ReceiverModel
-from lidar_emu.fmcw.peaks import METHODS
-from lidar_emu.fmcw.response import Response
-from lidar_emu.fmcw.spectrum import WINDOWS, Window
+from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.numerics.kernels import interpreted
-from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Receiver
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.site import Site
 
 
@@ -83,7 +81,7 @@ def build_receiver(
         window_side=window.side,
         noise_power=window.noise_power,
         # Averaging looks makes a peak's neighbours no likelier than chance, nearly.
-        independent_share=1.0 - followed(window, threshold) if detection.looks == 1 else 1.0,
+        independent_share=1.0 - neighbour_exceedance(window, threshold) if detection.looks == 1 else 1.0,
         threshold=threshold,
         group_power_share=detection.group_fraction**2,
         peak_method=METHODS[detection.peak],
@@ -97,37 +95,8 @@ def build_receiver(
         least_false_alarm=0.0 if exact else LEAST_FALSE_ALARM,
         sampled_length=float(waveform.fft_length),
         lost_segments=0,
-        wrong_branch=False,
+        opposite_doppler_sign=False,
     )
-
-
-def noise_over_shot(instrument: Instrument, site: Site | None) -> tuple[float, float]:
-    """Noise before and after the poles of the amplifier, over the local oscillator's shot noise.
-
-    Current noise of shot 2 q R P_LO, dark 2 q I_d, thermal 4kT/R_f, intensity RIN (R P_LO)² after common-mode
-    rejection, sunlight in the receiver's own mode, and the digitiser's (full scale / 2^bits)² / 12 spread from 0 to
-    half the sample rate.
-    """
-    receiver, waveform = instrument.receiver, instrument.waveform
-    current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
-    shot_a2_per_hz = _shot_a2_per_hz(receiver)
-    others = 4.0 * BOLTZMANN_J_PER_K * receiver.temperature_k / receiver.transimpedance_ohm
-    others += 2.0 * ELEMENTARY_CHARGE_C * receiver.dark_current_a
-    if receiver.relative_intensity_noise_db_per_hz is not None:
-        rejected_db = receiver.relative_intensity_noise_db_per_hz - receiver.common_mode_rejection_db
-        others += 10.0 ** (rejected_db / 10.0) * current_a**2
-    digitiser = 0.0
-    if receiver.adc is not None:
-        step_v = receiver.adc.full_scale_v / 2.0**receiver.adc.effective_bits
-        digitiser = step_v**2 / 12.0 / receiver.transimpedance_ohm**2 / (0.5 * waveform.sample_rate_hz)
-    sunlight = 0.0 if site is None else sunlight_over_shot(instrument, site)
-    return 1.0 + sunlight + others / shot_a2_per_hz, digitiser / shot_a2_per_hz
-
-
-def _shot_a2_per_hz(receiver: Receiver) -> float:
-    """Of the local oscillator's current."""
-    current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
-    return 2.0 * ELEMENTARY_CHARGE_C * current_a
 
 
 def _response(instrument: Instrument, amplifier: float, digitiser: float) -> Response:
@@ -136,7 +105,7 @@ def _response(instrument: Instrument, amplifier: float, digitiser: float) -> Res
     lowpass_bin = np.inf if receiver.bandwidth_hz is None else receiver.bandwidth_hz / bin_hz
     full_scale = np.inf
     if receiver.adc is not None:
-        noise_a2 = (amplifier + digitiser) * _shot_a2_per_hz(receiver) * 0.5 * waveform.sample_rate_hz
+        noise_a2 = (amplifier + digitiser) * shot_a2_per_hz(receiver) * 0.5 * waveform.sample_rate_hz
         # White noise of unit power per bin has the variance N/4 where a tone of unit weight has the amplitude 1.
         noise_v = receiver.transimpedance_ohm * np.sqrt(noise_a2)
         full_scale = 0.5 * receiver.adc.full_scale_v / noise_v * np.sqrt(length / 4.0)
@@ -166,22 +135,6 @@ def _haze(instrument: Instrument, site: Site | None, snr_per_w: float) -> Haze:
         extinction_per_m=0.0 if air is None else air.extinction_per_m,
         rayleigh_range_m=np.pi * waist_m**2 / wavelength_m,
     )
-
-
-@lru_cache(16)
-def followed(window: Window, threshold: float) -> float:
-    """Probability that a bin of noise above the threshold is followed by another: windows correlate neighbours.
-
-    Of two circular Gaussians with squared correlation ρ² the one's power, given the other's p, is noncentral
-    chi-squared; p beyond the threshold is exponential.
-    """
-    correlation = (2.0 * window.centre * window.side / window.noise_power) ** 2
-    if correlation == 0.0:
-        return 0.0
-    node, weight = np.polynomial.laguerre.laggauss(40)
-    scale = 2.0 / (1.0 - correlation)
-    below = chndtr(scale * threshold, 2.0, scale * correlation * (threshold + node))
-    return float(np.sum(weight * (1.0 - below)))
 
 
 def _refuse_gain(instrument: Instrument) -> None:

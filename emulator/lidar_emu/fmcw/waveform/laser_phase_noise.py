@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.fmcw.waveform.samples import ComplexArray
+from lidar_emu.fmcw.waveform.record_samples import ComplexArray
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.instrument import Waveform
 

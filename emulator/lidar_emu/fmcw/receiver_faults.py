@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from lidar_emu.fmcw.build import followed
-from lidar_emu.fmcw.model import ReceiverModel
+from lidar_emu.fmcw.false_alarms import neighbour_exceedance
+from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.scenario.instrument import Detection
 
@@ -18,9 +18,9 @@ def without_segments(model: ReceiverModel, names: Iterable[str]) -> ReceiverMode
     return model._replace(lost_segments=model.lost_segments | lost)
 
 
-def on_wrong_branch(model: ReceiverModel) -> ReceiverModel:
-    """One that takes the sign of the Doppler shift for the other one, see `other_branch`."""
-    return model._replace(wrong_branch=True)
+def with_opposite_doppler_sign(model: ReceiverModel) -> ReceiverModel:
+    """One that takes the sign of the Doppler shift for the other one, see `opposite_doppler_sign`."""
+    return model._replace(opposite_doppler_sign=True)
 
 
 def decimated(model: ReceiverModel, factor: int) -> ReceiverModel:
@@ -44,7 +44,7 @@ def noisier(model: ReceiverModel, detection: Detection, noise_db: float) -> Rece
     single = detection.looks == 1
     return model._replace(
         threshold=threshold,
-        independent_share=1.0 - followed(WINDOWS[detection.window], threshold) if single else 1.0,
+        independent_share=1.0 - neighbour_exceedance(WINDOWS[detection.window], threshold) if single else 1.0,
         snr_per_w=model.snr_per_w / ratio,
         signal_shot_per_w=model.signal_shot_per_w / ratio,
         haze=model.haze._replace(snr_per_m=model.haze.snr_per_m / ratio),

@@ -8,18 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.beam_filter import widest_filter
-from lidar_emu.fmcw.branch import other_branch
-from lidar_emu.fmcw.estimate import DOWN, UP, Estimate, chirp_minus_doppler, least_squares
-from lidar_emu.fmcw.limits import GROSS_RESIDUAL_BINS
-from lidar_emu.fmcw.model import ReceiverModel, Workspace
+from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, gather_beamlets
+from lidar_emu.fmcw.bin_filter import widest_filter
+from lidar_emu.fmcw.detection import find_targets
+from lidar_emu.fmcw.doppler_sign_ambiguity import with_opposite_sign
+from lidar_emu.fmcw.estimation import DOWN, UP, Estimate, chirp_minus_doppler, least_squares
 from lidar_emu.fmcw.reasons import Reason
-from lidar_emu.fmcw.records import set_spectrum
+from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.segment_spectrum import set_spectrum
+from lidar_emu.fmcw.skip_limits import GROSS_RESIDUAL_BINS
 from lidar_emu.fmcw.speckle import forget
 from lidar_emu.fmcw.spectrum import fold
-from lidar_emu.fmcw.statistical import draw_targets
-from lidar_emu.fmcw.targets import find_targets
-from lidar_emu.fmcw.tones import RANGE_M, SPEED_MPS, gather_beamlets
+from lidar_emu.fmcw.statistical_model import draw_targets
+from lidar_emu.fmcw.workspace import Workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 
@@ -232,7 +233,7 @@ def _blank(row: Any, fired: bool, inside: bool) -> None:
 
 @kernel(inline="always")
 def _conclude(model: ReceiverModel, targets: FloatArray, row: Any) -> None:
-    """What the targets of three segments, (3, MAX_GROUPS, 3), say together."""
+    """What the targets of three segments, (3, MAX_TARGETS, 3), say together."""
     power = 0.0
     detections = 0
     for segment in range(3):
@@ -265,8 +266,8 @@ def _estimate(model: ReceiverModel, segments: int, targets: FloatArray) -> Estim
         )
     else:
         estimate = chirp_minus_doppler(up, constant, down, up_var, constant_var, down_var)
-    if model.wrong_branch:
-        return other_branch(estimate, segments, up, constant, down, up_var, constant_var, down_var)
+    if model.opposite_doppler_sign:
+        return with_opposite_sign(estimate, segments, up, constant, down, up_var, constant_var, down_var)
     return estimate
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.fmcw.waveform.samples import (
+from lidar_emu.fmcw.waveform.record_samples import (
     Beamlets,
     ComplexArray,
     Segment,
@@ -36,7 +36,7 @@ _PROBES = 513
 """Times at which a beamlet's momentary frequency is looked at before its rate of synthesis is chosen."""
 
 
-class Response(NamedTuple):
+class AnalogResponse(NamedTuple):
     """A single-pole low-pass and a single-pole high-pass."""
 
     bandwidth_hz: float | None = None
@@ -66,7 +66,7 @@ class Response(NamedTuple):
         return _MARGIN + ceil(_TIME_CONSTANTS * sample_rate_hz / (2 * pi * min(corners)))
 
 
-FLAT = Response()
+FLAT = AnalogResponse()
 
 
 class Digitiser(NamedTuple):
@@ -85,7 +85,11 @@ class Digitiser(NamedTuple):
 
 
 def receive_record(
-    waveform: Waveform, segment: Segment, beamlets: Beamlets, response: Response = FLAT, edges: bool = False
+    waveform: Waveform,
+    segment: Segment,
+    beamlets: Beamlets,
+    response: AnalogResponse = FLAT,
+    edges: bool = False,
 ) -> ComplexArray:
     """The record of one segment behind the receiver's poles, without noise: (..., N), whose real part is sampled.
 
@@ -149,7 +153,7 @@ def _highest_frequency(
 
 
 def draw_noise(
-    rng: np.random.Generator, records: int, waveform: Waveform, response: Response = FLAT
+    rng: np.random.Generator, records: int, waveform: Waveform, response: AnalogResponse = FLAT
 ) -> FloatArray:
     """Gaussian noise behind the receiver's poles, (records, N), drawn record by record.
 
@@ -170,7 +174,7 @@ def draw_noise(
     return sigma * _sampled_process(rng, records, waveform, response.bandwidth_hz, response.ac_coupling_hz)
 
 
-def noise_level(waveform: Waveform, response: Response) -> FloatArray:
+def noise_level(waveform: Waveform, response: AnalogResponse) -> FloatArray:
     """Mean power of `draw_noise` in rectangular bins 0 to N/2, without what leaks over the record's ends: (N/2 + 1,).
 
     With a low-pass the spectrum of the sampled process from its autocovariance Σ A_i exp(-p_i |k| / fs), in the
@@ -189,7 +193,7 @@ def noise_level(waveform: Waveform, response: Response) -> FloatArray:
 
 
 def _high_passed(
-    rng: np.random.Generator, records: int, waveform: Waveform, response: Response
+    rng: np.random.Generator, records: int, waveform: Waveform, response: AnalogResponse
 ) -> FloatArray:
     from scipy import fft
 

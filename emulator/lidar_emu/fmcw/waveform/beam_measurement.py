@@ -7,11 +7,17 @@ from typing import Literal
 
 import numpy as np
 
-from lidar_emu.fmcw.waveform.conclude import Conclusion, conclude
-from lidar_emu.fmcw.waveform.detect import Targets, find_targets, transform, window_noise_power
-from lidar_emu.fmcw.waveform.line import draw_drift
-from lidar_emu.fmcw.waveform.receive import FLAT, Digitiser, Response, draw_noise, receive_record
-from lidar_emu.fmcw.waveform.samples import Beamlets, ComplexArray, Segment, frequency_plan
+from lidar_emu.fmcw.waveform.analog_receiver import (
+    FLAT,
+    AnalogResponse,
+    Digitiser,
+    draw_noise,
+    receive_record,
+)
+from lidar_emu.fmcw.waveform.beam_result import BeamResult, to_beam_result
+from lidar_emu.fmcw.waveform.detection import Targets, find_targets, transform, window_noise_power
+from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift
+from lidar_emu.fmcw.waveform.record_samples import Beamlets, ComplexArray, Segment, frequency_plan
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
 
@@ -20,7 +26,7 @@ _BLOCK_SAMPLES = 2**23
 
 
 @dataclass(frozen=True)
-class Footprint:
+class ScattererPatches:
     """The scatterer patches of one beam, at the measurement's validity."""
 
     range_m: FloatArray
@@ -50,7 +56,7 @@ class Footprint:
 
 
 @dataclass(frozen=True)
-class Measurement(Conclusion):
+class WaveformMeasurement(BeamResult):
     """What one beam reports, and what it found on the way."""
 
     targets: tuple[Targets, Targets, Targets]
@@ -71,16 +77,16 @@ class Measurement(Conclusion):
 def measure_waveform(
     waveform: Waveform,
     detection: Detection,
-    footprint: Footprint,
+    footprint: ScattererPatches,
     *,
-    response: Response = FLAT,
+    response: AnalogResponse = FLAT,
     rng: np.random.Generator | None = None,
     noise_share: float = 1.0,
     digitiser: Digitiser | None = None,
     noise_level: float | FloatArray = 1.0,
     edges: bool = False,
     keep_bins: bool = False,
-) -> Measurement:
+) -> WaveformMeasurement:
     """Measure one beam, as many times as the footprint's weights have records.
 
     Args:
@@ -135,8 +141,8 @@ def measure_waveform(
                 kept[rows, s] = bins
         found.append(Targets(*(np.concatenate(column) for column in zip(*parts, strict=True))))
     targets = found[0], found[1], found[2]
-    concluded = conclude(waveform, detection, targets, windowed_level)
-    return Measurement(
+    concluded = to_beam_result(waveform, detection, targets, windowed_level)
+    return WaveformMeasurement(
         **vars(concluded), targets=targets, noise_power=windowed_level, threshold=threshold, bins=kept
     )
 

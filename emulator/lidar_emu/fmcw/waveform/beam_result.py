@@ -1,4 +1,4 @@
-"""From the targets of three segments to what a beam reports."""
+"""Result of one beam from the targets of three segments: range, closing speed, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.reasons import Reason
-from lidar_emu.fmcw.waveform.combine import Combined, chirp_minus_doppler, least_squares
-from lidar_emu.fmcw.waveform.detect import Targets, window_gain, window_noise_power
+from lidar_emu.fmcw.waveform.detection import Targets, window_gain, window_noise_power
+from lidar_emu.fmcw.waveform.estimation import Combined, chirp_minus_doppler, least_squares
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
 
 
 @dataclass(frozen=True)
-class Conclusion:
+class BeamResult:
     """(records,) each; NaN where there is nothing to report. The meanings are those of `Returns`."""
 
     range_m: FloatArray
@@ -35,12 +35,12 @@ class Conclusion:
     """(records, 3)"""
 
 
-def conclude(
+def to_beam_result(
     waveform: Waveform,
     detection: Detection,
     targets: tuple[Targets, Targets, Targets],
     windowed_level: FloatArray,
-) -> Conclusion:
+) -> BeamResult:
     """Range and closing speed from the strongest target of each segment, or why there are none.
 
     Args:
@@ -61,7 +61,7 @@ def conclude(
     valid = reason == Reason.VALID
     second_m = _combine(waveform, detection, targets, 1).range_bin * range_per_bin_m
     second_m[~((second_m >= 0.0) & (second_m <= detection.maximum_range_m))] = np.nan
-    return Conclusion(
+    return BeamResult(
         range_m=np.where(valid, range_m, np.nan),
         closing_speed_mps=np.where(valid, combined.doppler_bin * speed_per_bin_mps, np.nan),
         reason=reason,

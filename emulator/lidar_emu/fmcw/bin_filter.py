@@ -1,0 +1,148 @@
+"""The filter over bins of one beam's record: smear by motion and the laser's line, where they matter.
+
+A factor m(t) common to all tones is a filter over rectangular bins, whose taps are the Fourier coefficients of m
+over the record.
+"""
+
+from __future__ import annotations
+
+from math import ceil, floor, sqrt
+
+import numpy as np
+
+from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, signed_bin
+from lidar_emu.fmcw.laser_phase_noise import gaussian_line_taps, line_matters, line_taps, phase_drift
+from lidar_emu.fmcw.motion_smear import LEAST_TAPS, smear_bins, smear_taps
+from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.spectrum import BIN
+from lidar_emu.fmcw.workspace import Workspace
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.sine import FAST
+
+_MOST_TAPS = 512
+
+_INDICES = 4 * _MOST_TAPS
+
+_MOST_SMEAR_BINS = 128.0
+"""Beats that change by more are spread over so many bins, and are as weak there as they would be."""
+
+_LANES = 4
+"""Numbers in a vector."""
+
+
+@kernel
+def widest_filter(model: ReceiverModel, range_m: float, speed_mps: float, acceleration_mps2: float) -> int:
+    """Taps on each side that the segments of a beam need; 0 where none does."""
+    smear = 0.0
+    for segment in range(3):
+        smear = max(smear, abs(smear_bins(model, segment, speed_mps, acceleration_mps2)))
+    needed = 0.0
+    if smear > model.least_smear_bins:
+        needed = LEAST_TAPS + floor(0.5 * min(smear, _MOST_SMEAR_BINS))
+    if line_matters(model, range_m):
+        # Wide lines lose their central tap; what remains is as wide as the line itself.
+        narrow = model.homodyne_line and phase_drift(model, range_m) < 0.5
+        needed = max(needed, LEAST_TAPS + (0.0 if narrow else ceil(2.0 * model.linewidth_bins)))
+    return int(min(needed, float(_MOST_TAPS)))
+
+
+@kernel(inline="always")
+def filter_beam(
+    model: ReceiverModel,
+    work: Workspace,
+    half: int,
+    segment: int,
+    look: int,
+    smear_acceleration_mps2: float,
+    count: int,
+    purpose: int,
+    shot: int,
+    beam: int,
+    seed: np.uint64,
+) -> None:
+    """Apply smear and the laser's line, those of the two that matter, to the bins of one record."""
+    range_m, speed_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
+    by_smear, by_line, both = work.taps[0], work.taps[1], work.taps[2]
+    smear = smear_bins(model, segment, speed_mps, smear_acceleration_mps2)
+    smeared, lined = abs(smear) > model.least_smear_bins, line_matters(model, range_m)
+    index = (segment + 3 * look) * _INDICES
+    if lined and model.homodyne_line:
+        delay = model.delay_per_m * range_m
+        line_taps(model.linewidth_bins, delay, seed, shot, beam, purpose, index, half, by_line)
+    elif lined:
+        gaussian_line_taps(model.linewidth_bins, seed, shot, beam, purpose, index, half, by_line)
+    if smeared:
+        computed = min(max(smear, -_MOST_SMEAR_BINS), _MOST_SMEAR_BINS)
+        smear_taps(computed, half, by_smear)
+        if computed != smear:
+            for part in range(2):
+                for m in range(2 * half + 1):
+                    by_smear[part, m] *= sqrt(computed / smear)
+    if smeared and lined:
+        convolve_taps(by_smear, by_line, half, both)
+    taps = both if smeared and lined else (by_smear if smeared else by_line)
+    if smeared or lined:
+        beat = signed_bin(model, segment, range_m, speed_mps)
+        nearest = beat - model.fft_length * np.rint(beat / model.fft_length)
+        filter_bins(taps, half, nearest < 0.0, work.grid, count, work.bins[look], work.filtered)
+
+
+@kernel(fastmath=FAST)
+def convolve_taps(first: FloatArray, second: FloatArray, half: int, result: FloatArray) -> None:
+    """The taps of a product of two factors, cut off at `half` on each side; arrays (2, 2 half + 1 or more)."""
+    width = 2 * half + 1
+    result[:, :width] = 0.0
+    for a in range(width):
+        re, im = first[0, a], first[1, a]
+        start, stop = max(0, half - a), min(width, width + half - a)
+        from_re, from_im = second[0, start:stop], second[1, start:stop]
+        to_re, to_im = result[0, a + start - half :], result[1, a + start - half :]
+        for b in range(len(from_re)):
+            to_re[b] += re * from_re[b] - im * from_im[b]
+            to_im[b] += re * from_im[b] + im * from_re[b]
+
+
+@kernel(fastmath=FAST)
+def filter_bins(
+    taps: FloatArray,
+    half: int,
+    mirrored: bool,
+    grid: FloatArray,
+    count: int,
+    bins: FloatArray,
+    scratch: FloatArray,
+) -> None:
+    """Apply a common factor's taps to the first `count` bins; `mirrored` for tones folded at 0 or N/2.
+
+    Bins outside the intervals laid count as empty, and the images of tones within `half` bins of 0 and N/2 are
+    filtered like the tones themselves.
+
+    Args:
+        scratch: (4, capacity + 2 half + 4) overwritten.
+    """
+    sign = -1.0 if mirrored else 1.0
+    from_re, from_im, to_re, to_im = scratch[0], scratch[1], scratch[2], scratch[3]
+    start = 0
+    while start < count:
+        stop = start + 1
+        while stop < count and grid[BIN, stop] - grid[BIN, stop - 1] == 1.0:
+            stop += 1
+        # Zeros on both sides, and whole vectors: so all taps are one loop each, without ends.
+        width = -(-(stop - start) // _LANES) * _LANES
+        scratch[:, : width + 2 * half] = 0.0
+        for j in range(stop - start):
+            from_re[half + j], from_im[half + j] = bins[0, start + j], bins[1, start + j]
+        for m in range(-half, half + 1):
+            # A folded tone has the complex conjugate factor, whose taps are conjugate and in reverse order. Bins as
+            # `spectrum` refers them to the centre change sign from one to the next, and so do the taps.
+            turn = -1.0 if m % 2 else 1.0
+            re = turn * (taps[0, half - m] if mirrored else taps[0, half + m])
+            im = turn * sign * (taps[1, half - m] if mirrored else taps[1, half + m])
+            at_re, at_im = from_re[half - m :], from_im[half - m :]
+            for j in range(width):
+                to_re[j] += re * at_re[j] - im * at_im[j]
+                to_im[j] += re * at_im[j] + im * at_re[j]
+        for j in range(stop - start):
+            bins[0, start + j], bins[1, start + j] = to_re[j], to_im[j]
+        start = stop

@@ -1,0 +1,37 @@
+"""Carrier-to-noise ratio: photons of the echo over the noise of shot, amplifier, digitiser and sun, in a bin."""
+
+from __future__ import annotations
+
+from lidar_emu.fmcw.link_budget import sunlight_over_shot
+from lidar_emu.fmcw.physical_constants import BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C
+from lidar_emu.scenario.instrument import Instrument, Receiver
+from lidar_emu.scenario.site import Site
+
+
+def noise_over_shot(instrument: Instrument, site: Site | None) -> tuple[float, float]:
+    """Noise before and after the poles of the amplifier, over the local oscillator's shot noise.
+
+    Current noise of shot 2 q R P_LO, dark 2 q I_d, thermal 4kT/R_f, intensity RIN (R P_LO)² after common-mode
+    rejection, sunlight in the receiver's own mode, and the digitiser's (full scale / 2^bits)² / 12 spread from 0 to
+    half the sample rate.
+    """
+    receiver, waveform = instrument.receiver, instrument.waveform
+    current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
+    shot_noise_a2_per_hz = shot_a2_per_hz(receiver)
+    others = 4.0 * BOLTZMANN_J_PER_K * receiver.temperature_k / receiver.transimpedance_ohm
+    others += 2.0 * ELEMENTARY_CHARGE_C * receiver.dark_current_a
+    if receiver.relative_intensity_noise_db_per_hz is not None:
+        rejected_db = receiver.relative_intensity_noise_db_per_hz - receiver.common_mode_rejection_db
+        others += 10.0 ** (rejected_db / 10.0) * current_a**2
+    digitiser = 0.0
+    if receiver.adc is not None:
+        step_v = receiver.adc.full_scale_v / 2.0**receiver.adc.effective_bits
+        digitiser = step_v**2 / 12.0 / receiver.transimpedance_ohm**2 / (0.5 * waveform.sample_rate_hz)
+    sunlight = 0.0 if site is None else sunlight_over_shot(instrument, site)
+    return 1.0 + sunlight + others / shot_noise_a2_per_hz, digitiser / shot_noise_a2_per_hz
+
+
+def shot_a2_per_hz(receiver: Receiver) -> float:
+    """Of the local oscillator's current."""
+    current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
+    return 2.0 * ELEMENTARY_CHARGE_C * current_a

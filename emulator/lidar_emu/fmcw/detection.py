@@ -1,0 +1,114 @@
+"""Detection: groups of strong bins in a spectrum, the targets in them, and peaks of the noise elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.fmcw.beat_tones import RANGE_M
+from lidar_emu.fmcw.false_alarms import draw_alarms, insert_alarms
+from lidar_emu.fmcw.laser_phase_noise import line_variance
+from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, peak
+from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, TAPS
+from lidar_emu.fmcw.workspace import MAX_TARGETS, Workspace
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+
+
+@kernel(inline="always")
+def find_targets(
+    model: ReceiverModel, work: Workspace, count: int, segment: int, shot: int, beam: int, seed: np.uint64
+) -> int:
+    """Fill `work.targets[segment]` with frequency, its variance and power over noise, strongest first.
+
+    Args:
+        count: bins in use, 0 without light.
+
+    Returns:
+        Number of targets, MAX_TARGETS at most.
+    """
+    targets = work.targets[segment]
+    highest = 0.0
+    noisiest = 0.0
+    for j in range(count):
+        highest = max(highest, work.grid[POWER, j])
+        noisiest = max(noisiest, work.grid[NOISE, j])
+    if count == 0:
+        noisiest = 1.0
+    computed = float(max(0, count - 2 * TAPS))
+    alarms = draw_alarms(model, highest, noisiest, computed, segment, shot, beam, seed, work.alarms)
+    if alarms > 0:
+        highest = max(highest, work.alarms[0, 0])
+    groups = find_groups(
+        work.grid[POWER, :count],
+        work.grid[NOISE, :count],
+        model.threshold * model.noise_power,
+        model.group_power_share * highest,
+        work.peaks,
+    )
+    for g in range(groups):
+        _set_target(model, work, work.peaks[g], targets[g])
+        if model.peak_method != BIN_CENTRE:
+            # The estimators know of noise only.
+            targets[g, 1] += line_variance(model, work.beamlets[RANGE_M, 0]) / model.looks
+    return insert_alarms(model, work.alarms[:alarms], highest, targets, groups)
+
+
+@kernel(inline="always")
+def _set_target(model: ReceiverModel, work: Workspace, j: int, target: FloatArray) -> None:
+    offset, variance = peak(
+        model.peak_method,
+        work.grid,
+        work.bins,
+        j,
+        model.window_centre,
+        model.window_side,
+        model.fft_length,
+    )
+    target[0] = work.grid[BIN, j] + offset
+    target[1] = variance
+    target[2] = work.grid[POWER, j] / (work.grid[NOISE, j] * model.noise_power)
+    target[3] = work.grid[POWER, j]
+
+
+@kernel
+def find_groups(
+    power: FloatArray, noise: FloatArray, threshold: float, floor: float, peaks: NDArray[np.int64]
+) -> int:
+    """Contiguous bins above a floor, with a peak above the threshold.
+
+    Args:
+        power: (bins,) with 0 at the end and between intervals that do not touch.
+        noise: (bins,) mean power of the noise, in any unit.
+        threshold: least power of a group's peak over its noise.
+        floor: least power of a group's bins.
+        peaks: (MAX_TARGETS,) receives the indices of the groups' highest bins, strongest first.
+
+    Returns:
+        The number of groups, MAX_TARGETS at most.
+    """
+    # No literals, for which numba would compile `_keep` once more.
+    count, peak = int(np.int64(0)), int(np.int64(-1))
+    for j in range(len(power)):
+        if power[j] > floor:
+            if peak < 0 or power[j] > power[peak]:
+                peak = j
+        elif peak >= 0:
+            if power[peak] > threshold * noise[peak]:
+                count = _keep(power, peak, peaks, count)
+            peak = -1
+    return count
+
+
+@kernel
+def _keep(power: FloatArray, peak: int, peaks: NDArray[np.int64], count: int) -> int:
+    """Put a peak in its place among the `count` strongest; of equals the first stays before."""
+    place = count
+    while place > 0 and power[peaks[place - 1]] < power[peak]:
+        if place < MAX_TARGETS:
+            peaks[place] = peaks[place - 1]
+        place -= 1
+    if place < MAX_TARGETS:
+        peaks[place] = peak
+    return min(count + 1, MAX_TARGETS)
