@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib import import_module
 
 import pytest
 from click.testing import CliRunner
@@ -18,7 +19,7 @@ def test_the_exact_path_comes_to_the_same(job: Job) -> None:
 
 
 def test_every_cost_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lidar_emu.cli.bench_protocol._ROUNDS", 1)
+    monkeypatch.setattr(import_module("lidar_emu.cli.bench.protocol"), "_ROUNDS", 1)
     told = CliRunner().invoke(cli, ["bench", "protocol", "--json"], standalone_mode=False)
     costs = json.loads(told.output)
     assert [cost["name"] for cost in costs] == [job.name for job in protocol_jobs()]

@@ -1,4 +1,4 @@
-"""The picture of a run: what fits a terminal of any size, and what becomes of the terminal."""
+"""The live display of a run: it fits a terminal of any size, and restores the terminal."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from lidar_emu.cli.boards import Instruments, RunBoard
 from lidar_emu.cli.dashboard import Dashboard
-from lidar_emu.cli.dashboard_screen import picture
+from lidar_emu.cli.dashboard_process import render
+from lidar_emu.cli.displays import LatestMessages, RunDisplay
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
 from lidar_emu.runtime.summary import Tally
@@ -50,7 +50,7 @@ def told(beams: int) -> dict[str, Any]:
 @pytest.mark.parametrize("beams", [0, 4, 100])
 def test_it_fits_the_terminal(width: int, height: int, beams: int) -> None:
     console = Console(width=width, file=io.StringIO())
-    console.print(picture(told(beams), width, height))
+    console.print(render(told(beams), width, height))
     assert isinstance(console.file, io.StringIO)
     lines = console.file.getvalue().splitlines()
     assert max(map(len, lines)) <= width
@@ -75,11 +75,11 @@ def test_a_run_shows_what_is_on_the_wire() -> None:
     measured = simulate(scenario).part(0, 3)
     packets = list(Encoder(scenario.wire, can=False, fd=False, beam_count=4).packets(measured))
     slate, tally = Slate(), Tally(Pace.WALL)
-    board = RunBoard(slate, default_interface(), False, "bench", tally, 20.0)  # type: ignore[arg-type]
+    display = RunDisplay(slate, default_interface(), False, "bench", tally, 20.0)  # type: ignore[arg-type]
     for shot, late_ns in enumerate((5000, 9000, 2000)):
         report = Report(shot, shot * 10**8, shot * 10**8 + late_ns, DeliveryStatus.SENT)
         tally.report(report)
-        board.on_report(Outgoing(shot, report.due_ns, bytes(packets[shot])), report)
+        display.on_report(Outgoing(shot, report.due_ns, bytes(packets[shot])), report)
     lines = dict(slate.told["lines"])
     assert lines["shots"] == "3 sent, 0 late, 0 dropped"
     assert lines["lateness"] == "2 us, at most 9 us so far"
@@ -96,11 +96,11 @@ def test_several_units_and_their_modes() -> None:
         twin = load("bench.yaml", {"wire.unit": str(unit)})
         encoder = Encoder(twin.wire, can=False, fd=False, beam_count=4)
         arrived += b"".join(map(bytes, encoder.packets(simulate(scenario).part(0, 1))))
-    instruments = Instruments(default_interface())
-    instruments.take(SerialReceiver(default_interface()).receive(arrived))
-    instruments.take([Housekeeping(3, {"mode": 4, "interlock_closed": False})])
-    assert [beam[0] for beam in instruments.beams()] == [f"{u}.{b}" for u in (1, 3) for b in range(4)]
-    (_, first), (_, second) = instruments.lines()
+    latest = LatestMessages(default_interface())
+    latest.store(SerialReceiver(default_interface()).receive(arrived))
+    latest.store([Housekeeping(3, {"mode": 4, "interlock_closed": False})])
+    assert [beam[0] for beam in latest.beams()] == [f"{u}.{b}" for u in (1, 3) for b in range(4)]
+    (_, first), (_, second) = latest.lines()
     assert first.startswith("unit 1, ")
     assert second.startswith("unit 3, ")
     assert "interlock open" in second
@@ -166,7 +166,7 @@ def test_lines_if_asked_for(tmp_path: Path) -> None:
     assert terminal.seen.count(b" shot ") >= 2
 
 
-def test_what_is_said_stays_above_the_picture(tmp_path: Path) -> None:
+def test_what_is_said_stays_above_the_display(tmp_path: Path) -> None:
     with on_terminal(tmp_path, "listen", "--port", "pty") as listener:
         listener.read_until(b"\n")
         (path,) = re.findall(r"/dev/pts/\d+", listener.seen.decode())

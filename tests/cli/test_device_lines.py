@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from lidar_emu.cli.device_lines import DeviceLines
-from lidar_emu.cli.far_end import Decoder
+from lidar_emu.cli.decoder import Decoder
+from lidar_emu.cli.message_lines import DeviceLines
 from lidar_emu.transports.frames import Frame
 from lidar_icd.example import values
 from lidar_protocol import Device, default_interface

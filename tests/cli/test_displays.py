@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from lidar_emu.cli.far_end import Decoder, Screen
+from lidar_emu.cli.decoder import Decoder
+from lidar_emu.cli.message_lines import ShotPrinter
 from lidar_emu.cli.plan import plan
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import simulate
@@ -25,20 +26,20 @@ def packets(unit: int, shots: int) -> list[bytes]:
     return list(encoder.packets(simulate(scenario).part(0, shots)))
 
 
-def lines_of(screen: Screen, stream: list[bytes], capsys: pytest.CaptureFixture[str]) -> list[str]:
+def lines_of(screen: ShotPrinter, stream: list[bytes], capsys: pytest.CaptureFixture[str]) -> list[str]:
     screen.show(Decoder().decode(b"".join(stream)))
     return [line for line in capsys.readouterr().out.splitlines() if " shot " in line]
 
 
 def test_a_listener_shows_the_second_flight_as_well(capsys: pytest.CaptureFixture[str]) -> None:
-    screen = Screen(every_s=0.0)
+    screen = ShotPrinter(every_s=0.0)
     assert len(lines_of(screen, packets(0, 5), capsys)) == 5
     assert len(lines_of(screen, packets(0, 3), capsys)) == 3
 
 
 def test_units_do_not_hide_one_another(capsys: pytest.CaptureFixture[str]) -> None:
     mixed = [packet for pair in zip(packets(0, 20)[10:], packets(7, 10), strict=True) for packet in pair]
-    lines = lines_of(Screen(every_s=0.5), mixed, capsys)
+    lines = lines_of(ShotPrinter(every_s=0.5), mixed, capsys)
     # Ten shots at 10 Hz, one line each half second of each unit's own time.
     assert sum("unit 0 " in line for line in lines) == 2
     assert sum("unit 7 " in line for line in lines) == 2
@@ -85,7 +86,7 @@ def test_an_interrupted_run_proves_nothing(tmp_path: Path) -> None:
             "2 ms late ends the run",
             "the other one ends the run",
         ),
-        (["timing.when_process_dies=safe"], "100 ms late is skipped", "by mode safe, and ends the run"),
+        (["timing.when_process_dies=safe"], "100 ms late is skipped", "sends mode safe, and ends the run"),
     ],
 )
 def test_a_plan_tells_what_a_run_does_when_something_goes_wrong(

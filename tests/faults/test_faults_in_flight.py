@@ -320,7 +320,7 @@ def test_a_run_is_ordered_about_by_command(tmp_path: Path) -> None:
     assert json.loads(second.stdout) == {"accepted": True, "fault": 1, "kind": "disconnect"}
     third = inject("kind=dropout", "beams=[7]")
     assert (third.returncode, third.stdout) == (1, "")
-    assert "refused: bench: faults.2.beams: [7] is not usable" in third.stderr
+    assert "rejected: bench: faults.2.beams: [7] is not usable" in third.stderr
     out, _ = running.communicate(timeout=60)
     summary = json.loads(out)
     assert running.returncode == 0

@@ -13,7 +13,7 @@ from pathlib import Path
 from lidar_emu.bench.realtime import RealtimeOptions, measure_realtime
 from lidar_emu.bench.realtime_document import realtime_document
 from lidar_emu.bench.realtime_statistics import NEVER
-from lidar_emu.cli.bench_realtime_table import print_realtime
+from lidar_emu.cli.bench.realtime import print_realtime
 
 LIDAR_EMU = "from lidar_emu.cli import main; main()"
 STAGES = ("wake_up", "due_to_written", "due_to_received")

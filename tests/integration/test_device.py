@@ -170,7 +170,7 @@ def test_send_again_and_again_from_new_processes(start: Start, tmp_path: Path) -
 def test_send_says_when_nobody_answers(start: Start, far_end: FarEnd) -> None:
     send = start("send", "--port", far_end.path, "--timeout", "0.2", "set_mode", "mode=track")
     assert send.wait() == 1
-    assert send.out == "no_op: no answer\n"
+    assert send.out == "no_op: no acknowledgement\n"
 
 
 def test_a_flight_on_command(start: Start, far_end: FarEnd, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The command line: one group, a file per family of commands, heavy imports inside the commands."""
+"""The command line: one module per command; heavy imports stay inside the commands."""
 
 from __future__ import annotations
 
@@ -35,25 +35,25 @@ EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 @click.version_option(__version__, prog_name="lidar-emu")
 @click.pass_context
 def cli(context: click.Context) -> None:
-    """Stand in for a multi-beam FMCW Doppler landing lidar.
+    """Emulate a multi-beam FMCW Doppler landing lidar, hardware in the loop.
 
     \b
-    lidar-emu run descent.yaml                        fly on an in-memory loopback, show what arrives
+    lidar-emu run descent.yaml                        fly on an in-memory loopback and print the measurements
     lidar-emu run descent.yaml --port /dev/ttyUSB0 --baud 921600
     lidar-emu run descent.yaml -i socketcan -c vcan0
-    lidar-emu replay flight.mcap --port /dev/ttyUSB0  what run --record has kept, again
-    lidar-emu report flight.mcap --html flight.html   what is in it: table, exports, a page with figures
+    lidar-emu replay flight.mcap --port /dev/ttyUSB0  send a recording again
+    lidar-emu report flight.mcap --html flight.html   summary, exports, an HTML page with figures
     lidar-emu listen --port /dev/ttyUSB1 --baud 921600 --json
     lidar-emu send --port /dev/ttyUSB1 set_mode mode=track
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
     lidar-emu campaign dispersed_descent.yaml --out results
-    lidar-emu report --paper-figure 2                 figures of the published simulation, drawn again
-    lidar-emu detection descent.yaml                  what the instrument will detect, by altitude
-    lidar-emu hazards hazards.yaml                    which boulders, steps and slopes the points tell
+    lidar-emu report --paper-figure 2                 figures of the published simulation, reproduced
+    lidar-emu detection descent.yaml                  detection probability by altitude
+    lidar-emu hazards hazards.yaml                    boulders, steps and slopes detected in the points
     lidar-emu ground descent.yaml --set site=cratered --plot ground.png
-    lidar-emu plan descent.yaml                       what the run computes and what it leaves out
+    lidar-emu plan descent.yaml                       what the run computes and leaves out
     lidar-emu bench accuracy descent.yaml             error and time of every level
-    lidar-emu bench realtime                          how late packets are on this machine
+    lidar-emu bench realtime                          lateness and jitter of packets on this machine
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help())
@@ -81,40 +81,40 @@ for command in (
 
 
 def main() -> None:
-    """Run a command: exit code 0 on success, 1 for a run that failed, 2 for what the user has to mend."""
+    """Run a command: exit code 0 on success, 1 for a run that failed, 2 for a usage or scenario error."""
     _open_standard_descriptors()
     try:
         sys.exit(cli(prog_name="lidar-emu", standalone_mode=False))
     except InputError as error:
-        _complain(str(error), EXIT_USAGE)
+        _fail(str(error), EXIT_USAGE)
     except click.ClickException as error:
-        _complain(error.format_message() + _where_to_look(error), EXIT_USAGE)
+        _fail(error.format_message() + _help_hint(error), EXIT_USAGE)
     except RunError as error:
-        _complain(str(error), EXIT_FAILED)
+        _fail(str(error), EXIT_FAILED)
     except (KeyboardInterrupt, click.Abort) as end:
         if isinstance(end.__cause__, EOFError):  # click takes it for Ctrl-D at a prompt; no command prompts
             raise end.__cause__ from None
         sys.exit(EXIT_INTERRUPTED)
     except MemoryError:
-        _complain("not enough memory; a shorter --duration or a lower timing.rate_hz needs less", EXIT_FAILED)
+        _fail("not enough memory; a shorter --duration or a lower timing.rate_hz needs less", EXIT_FAILED)
     except OSError as error:
         silence()
-        _complain(str(error), EXIT_FAILED)
+        _fail(str(error), EXIT_FAILED)
 
 
 def _open_standard_descriptors() -> None:
-    """Started with `>&-` or the like: no port and no file may become descriptor 0, 1 or 2 in its place."""
+    """Open descriptors 0 to 2 if they are closed (`>&-`), so that no port or file takes their numbers."""
     descriptor = os.open(os.devnull, os.O_RDWR)
     while descriptor <= 2:
         descriptor = os.dup(descriptor)
     os.close(descriptor)
 
 
-def _where_to_look(error: click.ClickException) -> str:
+def _help_hint(error: click.ClickException) -> str:
     context = getattr(error, "ctx", None)
     return "" if context is None else f" What is allowed: {context.command_path} --help"
 
 
-def _complain(message: str, code: int) -> None:
+def _fail(message: str, code: int) -> None:
     click.echo(f"lidar-emu: {one_line(message)}", err=True)
     sys.exit(code)

@@ -1,11 +1,11 @@
-"""`lidar-emu campaign`: many runs of a scenario, some of its keys drawn by chance."""
+"""`lidar-emu campaign`: Monte Carlo runs of a scenario with dispersed keys."""
 
 from __future__ import annotations
 
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
     from lidar_emu.campaign.pools import Pool
     from lidar_emu.campaign.read import Prepared
     from lidar_emu.campaign.run import Progress
+    from lidar_emu.campaign.statistics import BandStatistics, Estimate
 
 _STATISTICS = "statistics.csv"
+_HEADINGS = {"altitude_m": "altitude\n\nm", "true_incidence_deg": "incidence\n\n°"}
 
 
-@click.command(short_help="Many runs with keys drawn by chance: tables, statistics, a picture.")
+@click.command(short_help="Monte Carlo runs with dispersed keys: tables, statistics, a plot.")
 @click.argument("campaign")
-@click.option(
-    "--out", metavar="DIR", help="Folder of the results; one that holds a part of them is gone on with."
-)
-@click.option("--plan", is_flag=True, help="Fly a few runs and tell what all will take; nothing is kept.")
-@click.option("--runs", metavar="N", help="Runs instead of the campaign's.")
-@click.option("--workers", metavar="N", help="Processes. Left out: one for each core.")
+@click.option("--out", metavar="DIR", help="Folder of the results; an unfinished campaign in it is resumed.")
+@click.option("--plan", is_flag=True, help="Fly a few runs and estimate time, memory and disk; keep nothing.")
+@click.option("--runs", metavar="N", help="Number of runs, instead of the campaign's.")
+@click.option("--workers", metavar="N", help="Worker processes.  [default: one per core]")
 @click.option(
     "--scheduler", metavar="ADDRESS", help="Fly on the workers of this Dask scheduler, e.g. tcp://host:8786."
 )
-@click.option("--plot", metavar="FILE.png", help="Picture: dropouts and errors by altitude and incidence.")
+@click.option("--plot", metavar="FILE.png", help="Plot dropouts and errors by altitude and incidence.")
 @settings_option
-@click.option("--json", "as_json", is_flag=True, help="For machines.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def campaign(
     campaign: str,
     out: str | None,
@@ -49,10 +49,10 @@ def campaign(
     settings: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Fly CAMPAIGN, a YAML file that names a scenario, the keys of it that are drawn, and their distributions.
+    """Fly CAMPAIGN, a YAML file that names a scenario, its dispersed keys, and their distributions.
 
-    In DIR are the tables `runs` and `beams` as Parquet files, and statistics.csv. What was interrupted (Ctrl-C, a
-    crash, a power cut) is gone on with by the same command; docs/campaigns.md has all keys and columns.
+    DIR receives the tables `runs` and `beams` as Parquet files, and statistics.csv. The same command resumes a campaign
+    that was interrupted (Ctrl-C, a crash, a power cut). docs/campaigns.md has all keys and columns.
 
     \b
     lidar-emu campaign dispersed_descent.yaml --plan
@@ -72,9 +72,7 @@ def campaign(
 
     prepared = prepare(Path(campaign), keys_and_values(settings), count)
     if out is None:
-        from lidar_emu.cli.campaign_plan import print_plan
-
-        print_plan(prepared, slots, as_json)
+        _print_plan(prepared, slots, as_json)
         return
     progress = _fly(prepared, Path(out), _pool_maker(slots, scheduler))
     _conclude(prepared, Path(out), plot, progress, as_json)
@@ -107,28 +105,28 @@ def _fly(prepared: Prepared, out: Path, make_pool: Callable[[], Pool]) -> Progre
     from lidar_emu.shots.model import build_model, initial_state, measure
 
     with busy(COMPILING):
-        # Once, here: the workers find the kernels compiled.
+        # Compile the kernels once here, so that the workers find them in the cache.
         model = build_model(prepared.first)
         measure(model, 0, 1, initial_state(model))
     last: list[Progress] = []
     try:
-        with _shown(prepared.campaign.name, prepared.campaign.runs) as show:
+        with _progress_bar(prepared.campaign.name, prepared.campaign.runs) as show:
 
-            def told(progress: Progress) -> None:
+            def on_progress(progress: Progress) -> None:
                 last[:] = [progress]
                 show(progress)
 
-            return fly_campaign(prepared, model.shot_count * model.beam_count, out, make_pool, told)
+            return fly_campaign(prepared, model.shot_count * model.beam_count, out, make_pool, on_progress)
     except KeyboardInterrupt:
         if last:
-            done = f"{last[0].done} of {last[0].runs} runs are kept"
-            click.echo(f"interrupted: {done} in {out}; the same command goes on with them", err=True)
+            done = f"{last[0].done} of {last[0].runs} runs are complete"
+            click.echo(f"interrupted: {done} in {out}; the same command resumes the campaign", err=True)
         raise
 
 
 @contextmanager
-def _shown(name: str, runs: int) -> Iterator[Callable[[Progress], None]]:
-    """A bar on a terminal, nothing elsewhere."""
+def _progress_bar(name: str, runs: int) -> Iterator[Callable[[Progress], None]]:
+    """A progress bar on a terminal, nothing elsewhere."""
     if sys.stderr is None or not sys.stderr.isatty():
         yield lambda _: None
         return
@@ -145,7 +143,7 @@ def _conclude(prepared: Prepared, out: Path, plot: str | None, progress: Progres
     from lidar_emu.campaign.statistics import LEVELS, campaign_statistics
     from lidar_emu.campaign.told import failures, plot_columns, rows, write_statistics
 
-    with busy("counting"):
+    with busy("computing the statistics"):
         bands = campaign_statistics(out)
         reasons = failures(out)
     write_statistics(bands, out / _STATISTICS)
@@ -157,18 +155,102 @@ def _conclude(prepared: Prepared, out: Path, plot: str | None, progress: Progres
         plot_campaign(plot_columns(bands), [f"{100 * level:g} %" for level in LEVELS], title, Path(plot))
         click.echo(f"{plot}: {name}", err=True)
     if as_json:
-        told = {
+        document = {
             "name": name,
             "runs": progress.runs,
             "failed": failed,
             "reasons": reasons,
             "statistics": rows(bands),
         }
-        click.echo(json.dumps(told, indent=2))
+        click.echo(json.dumps(document, indent=2))
         return
-    from lidar_emu.cli.campaign_table import print_statistics
-
-    print_statistics(bands)
-    for reason, many in reasons.items():
-        click.echo(f"{many} failed: {reason}")
+    _print_statistics(bands)
+    for reason, count in reasons.items():
+        click.echo(f"{count} failed: {reason}")
     click.echo(f"{out}: {progress.runs} runs, {failed} failed")
+
+
+def _print_statistics(bands: Sequence[BandStatistics]) -> None:
+    """Print a table per axis, with the intervals of the dropouts; the CSV file has the intervals of the errors too."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    for axis, heading in _HEADINGS.items():
+        table = Table(box=box.SIMPLE_HEAD, padding=0)
+        for column in (
+            heading, "beams", "lost\n\n%", "95 % con-\nfidence\n%",
+            "range\nerror\n5 %", "\n\n50 %", "\nm\n95 %", "speed\nerror\n5 %", "\n\n50 %", "\nmm/s\n95 %",
+        ):  # fmt: skip
+            table.add_column(column, justify="right")
+        for band in (band for band in bands if band.axis == axis):
+            table.add_row(
+                f"{band.low:g}-{band.high:g}",
+                str(band.expected),
+                f"{100 * band.dropout.value:.2f}",
+                f"{100 * band.dropout.low:.2f}-{100 * band.dropout.high:.2f}",
+                *_values(band.quantiles["range_error_m"], 1.0),
+                *_values(band.quantiles["speed_error_mps"], 1e3),
+            )
+        console.print(table)
+
+
+def _values(estimates: Sequence[Estimate], scale: float) -> list[str]:
+    return ["-" if one.value != one.value else f"{scale * one.value:.3f}" for one in estimates]
+
+
+def _print_plan(prepared: Prepared, workers: int, as_json: bool) -> None:
+    """Estimate time, memory and disk from a few runs flown now."""
+    from lidar_emu.campaign.forecast import forecast
+
+    with busy(COMPILING):
+        estimate = forecast(prepared)
+    if as_json:
+        hours = estimate.hours(workers)
+        click.echo(json.dumps({**estimate._asdict(), "workers": workers, "hours": hours}, indent=2))
+        return
+    campaign = prepared.campaign
+    click.echo(
+        f"{campaign.name}: {estimate.runs} runs of {campaign.scenario}, {campaign.sampling}, seed {campaign.seed}"
+    )
+    for key in campaign.drawn_keys:
+        column = prepared.drawn.columns[key]
+        click.echo(f"  {key}: {_range(column)}")
+    faster = estimate.flight_s / estimate.run_s
+    click.echo(
+        f"a run takes {estimate.run_s * 1e3:.3g} ms of one core, {faster:.0f} times faster than real time"
+    )
+    click.echo(
+        f"all runs take {_duration(estimate.hours(workers))} with {workers} workers, "
+        f"{_duration(estimate.hours(1))} of one core"
+    )
+    click.echo(
+        f"memory {_size(estimate.process_bytes)} per worker; "
+        f"disk {_size(estimate.disk_bytes)}, {_size(estimate.run_bytes)} a run"
+    )
+    click.echo(f"(measured: {estimate.flown} runs flown one after another in one process of this machine)")
+
+
+def _range(column: list[object]) -> str:
+    numbers = [value for value in column if isinstance(value, int | float)]
+    if len(numbers) < len(column):
+        kinds = dict.fromkeys(json.dumps(value) for value in column)
+        return ", ".join(list(kinds)[:4]) + (f" and {len(kinds) - 4} more" if len(kinds) > 4 else "")
+    return f"{min(numbers):.6g} to {max(numbers):.6g}, mean {sum(numbers) / len(numbers):.6g}"
+
+
+def _duration(hours: float) -> str:
+    seconds = hours * 3600
+    for unit, length_s in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * length_s:
+            return f"{seconds / length_s:.3g} {unit}"
+    return f"{seconds:.3g} s"
+
+
+def _size(count: float) -> str:
+    for unit in ("B", "kB", "MB", "GB"):
+        if count < 1000:
+            return f"{count:.3g} {unit}"
+        count /= 1000
+    return f"{count:.3g} TB"

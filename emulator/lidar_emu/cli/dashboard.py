@@ -1,4 +1,4 @@
-"""A picture of a run on the terminal, drawn by a process of its own: whoever flies never waits for a terminal."""
+"""Live display on the terminal, drawn by a process of its own so that a run never waits for the terminal."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ _END_LIMIT_S = 2.0
 
 
 def has_terminal() -> bool:
-    """Whether somebody looks on, at something that can be drawn on."""
+    """Whether standard output is a terminal that can show a live display."""
     return sys.stdout is not None and sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
 
 
 class Dashboard:
-    """The other end of the process that draws. What it cannot take at once is left out; if it dies, lines are printed.
+    """Client of the display process: drops updates that it cannot take at once; prints lines if it has died.
 
-    It has no part in Ctrl-C: it ends, and leaves the terminal as it was, when this end is closed or gone.
+    The process ignores Ctrl-C: it ends, and restores the terminal, when this end of the socket is closed.
     """
 
     def __init__(self) -> None:
         self._clock = Clock()
         self._next_ns = 0
-        self._unsaid: list[str] = []
+        self._pending: list[str] = []
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "lidar_emu.cli.dashboard_screen", str(theirs.fileno())],
+                [sys.executable, "-m", "lidar_emu.cli.dashboard_process", str(theirs.fileno())],
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,
@@ -49,55 +49,55 @@ class Dashboard:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Give the terminal back."""
+        """Restore the terminal."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
         try:
             self._process.wait(_END_LIMIT_S)
-        except subprocess.TimeoutExpired:  # it hangs in a terminal that takes nothing
+        except subprocess.TimeoutExpired:  # it hangs in a blocked terminal
             self._process.kill()
             self._process.wait()
-        self._give_up()
+        self._print_pending()
 
     @property
     def is_due(self) -> bool:
-        """Whether the picture is old enough to be drawn anew."""
+        """Whether it is time for an update."""
         return self._socket is not None and self._clock.now_ns() >= self._next_ns
 
-    def show(self, picture: dict[str, Any]) -> None:
-        """Draw this, as `dashboard_screen.picture` has it."""
+    def show(self, content: dict[str, Any]) -> None:
+        """Update the display; the content is described at `dashboard_process.render`."""
         self._next_ns = self._clock.now_ns() + _EVERY_NS
-        self._catch_up()
-        self._send(picture)
+        self._flush()
+        self._send(content)
 
     def say(self, text: str) -> None:
-        """A line that stays, above the picture."""
-        self._unsaid.append(text)
-        self._catch_up()
+        """Print a line that stays, above the display."""
+        self._pending.append(text)
+        self._flush()
         if self._socket is None:
-            self._give_up()
+            self._print_pending()
 
-    def _catch_up(self) -> None:
-        while self._unsaid and self._send({"say": self._unsaid[0]}):
-            self._unsaid.pop(0)
+    def _flush(self) -> None:
+        while self._pending and self._send({"say": self._pending[0]}):
+            self._pending.pop(0)
 
-    def _send(self, told: dict[str, Any]) -> bool:
+    def _send(self, message: dict[str, Any]) -> bool:
         if self._socket is None:
             return False
         try:
-            self._socket.send(json.dumps(told).encode())
+            self._socket.send(json.dumps(message).encode())
         except BlockingIOError:
             return False
         except OSError:
             self._socket.close()
             self._socket = None
-            self._give_up()
+            self._print_pending()
             return False
         return True
 
-    def _give_up(self) -> None:
-        """Nobody draws: what was to be said is printed."""
-        unsaid, self._unsaid = self._unsaid, []
-        for text in unsaid:
+    def _print_pending(self) -> None:
+        """Print the pending lines without the display."""
+        pending, self._pending = self._pending, []
+        for text in pending:
             say(text)

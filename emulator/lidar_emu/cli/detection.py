@@ -1,4 +1,4 @@
-"""`lidar-emu detection`: what an instrument will detect over a site, before anything is flown."""
+"""`lidar-emu detection`: predicted detection and false-detection probabilities of an instrument over a site."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ _COLUMNS = (
 @click.option(
     "--altitudes", metavar="LOW:HIGH", default="10:12000", show_default=True, help="Metres above the ground."
 )
-@click.option("--plot", metavar="FILE.png", help="Picture: signal-to-noise ratio and probabilities.")
-@click.option("--json", "as_json", is_flag=True, help="For machines.")
+@click.option("--plot", metavar="FILE.png", help="Plot carrier-to-noise ratio and probabilities.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def detection(
     scenario: str, settings: tuple[str, ...], altitudes: str, plot: str | None, as_json: bool
 ) -> None:
-    """Foretell what SCENARIO's instrument detects over a level plane of its site's surface.
+    """Predict what SCENARIO's instrument detects over a level plane of its site's surface.
 
-    Per altitude and beam angle of all patterns: slant range, mean signal-to-noise ratio of the highest bin, and the
-    probabilities that one segment is detected, that the measurement is (as many segments as the instrument's rule
-    asks for), and that a bin of noise is the strongest. Steady, and in speckle: "own" fades of each segment (fast
-    flight) and one "shared" by all three (hover) are its bounds.
+    Per altitude and beam angle of all patterns: slant range, mean carrier-to-noise ratio of the highest bin, and the
+    probabilities of detecting one segment, of detecting the measurement (as many segments as the instrument's rule
+    requires), and that a noise bin is the strongest. Each for steady echoes and in speckle: independent fading of each
+    segment ("own", fast flight) and a fade "shared" by all three (hover) are its bounds.
 
     \b
     lidar-emu detection descent.yaml
@@ -115,7 +115,7 @@ def _document(flown: FlightScenario, forecast: DetectionForecast) -> dict[str, o
 
 
 def _rows(forecast: DetectionForecast) -> Iterator[dict[str, float | None]]:
-    """A row per angle and altitude; null where there is no value."""
+    """A row per angle and altitude; None where there is no value."""
     for i, angle_deg in enumerate(forecast.angle_deg):
         for j, altitude_m in enumerate(forecast.altitude_m):
             row: dict[str, float | None] = {"angle_deg": float(angle_deg), "altitude_m": float(altitude_m)}
@@ -131,7 +131,7 @@ def _print(flown: FlightScenario, forecast: DetectionForecast) -> None:
     from rich.table import Table
 
     detection = flown.instrument.detection
-    fades = "echoes fade" if forecast.speckle else "echoes are steady"
+    fades = "fading echoes" if forecast.speckle else "steady echoes"
     title = f"{flown.instrument.name} over {flown.site.name}, {fades}; probabilities in %"
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     for heading in (
@@ -150,7 +150,7 @@ def _print(flown: FlightScenario, forecast: DetectionForecast) -> None:
     console.print(table)
     rule = "all three segments" if detection.rule == "all_three" else "any two segments"
     console.print(
-        f"Measured: {rule}, {detection.looks} look(s). Window and straddling cost {forecast.window_loss_db:.2f} dB. "
+        f"Measured: {rule}, {detection.looks} look(s). Window and straddling loss {forecast.window_loss_db:.2f} dB. "
         f"False alarm per FFT {forecast.false_alarm:.3g}, -ln P_fa of a bin {forecast.minus_log_pfa:.2f}. "
         f"Beyond {detection.maximum_range_m:g} m nothing is valid.",
         highlight=False,
@@ -162,7 +162,7 @@ def _number(value: float | None, style: str) -> str:
 
 
 def _percent(probability: float | None) -> str:
-    """With the digits that matter close to 0; close to 100 two decimals do."""
+    """A percentage: significant digits close to 0, two decimals elsewhere."""
     if probability is None:
         return "-"
     percent = 100.0 * probability

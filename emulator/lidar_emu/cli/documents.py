@@ -1,4 +1,4 @@
-"""Commands that print documents: the shipped scenarios, the schema, the interface."""
+"""Commands that print documents: shipped scenarios, schema, interface control document."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import click
 from lidar_emu.errors import Finding, InputError, RunError
 
 
-@click.command(short_help="The scenarios and campaigns that come with the tool.")
+@click.command(short_help="List the shipped scenarios and campaigns.")
 def scenarios() -> None:
-    """List the shipped scenarios and campaigns, and where they are, to be copied and changed."""
+    """List the shipped scenarios and campaigns, and the folder from which to copy them."""
     from lidar_emu.scenario.load import shipped, shipped_names
 
     for folder in ("scenarios", "campaigns"):
@@ -22,9 +22,9 @@ def scenarios() -> None:
         click.echo(f"in {shipped(folder)}")
 
 
-@click.command(short_help="The scenario's JSON schema, or its reference for people.")
-@click.option("--markdown", is_flag=True, help="Every key of both with its documentation.")
-@click.option("--campaign", is_flag=True, help="The schema of campaign files instead.")
+@click.command(short_help="Print the scenario's JSON schema, or the reference of all keys.")
+@click.option("--markdown", is_flag=True, help="Print the reference of all scenario and campaign keys.")
+@click.option("--campaign", is_flag=True, help="Print the schema of campaign files.")
 def schema(markdown: bool, campaign: bool) -> None:
     """Print the JSON schema of scenario files.
 
@@ -45,8 +45,8 @@ def schema(markdown: bool, campaign: bool) -> None:
     click.echo(json.dumps(made, indent=2))
 
 
-@click.command(short_help="The interface document, the CAN database and a decoder in C.")
-@click.option("--out", metavar="FOLDER", default=".", show_default=True, help="Where to write them.")
+@click.command(short_help="Write the interface control document, the CAN database and a C decoder.")
+@click.option("--out", metavar="FOLDER", default=".", show_default=True, help="Output folder.")
 @click.option(
     "--interface",
     "--wire-interface",
@@ -57,7 +57,7 @@ def schema(markdown: bool, campaign: bool) -> None:
     help="Message definitions: a name, or FILE.toml.",
 )
 def icd(out: str, name: str) -> None:
-    """Write INTERFACE.md, lidar.dbc (where there is CAN) and lidar.h, generated from the message definitions.
+    """Write INTERFACE.md, lidar.dbc (if the interface has CAN) and lidar.h, generated from the message definitions.
 
     \b
     lidar-emu icd --out docs/

@@ -1,4 +1,4 @@
-"""`lidar-emu ground`: generated ground, made, measured, shown and exported."""
+"""`lidar-emu ground`: generate, measure, plot and export ground."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
     from lidar_emu.scene.generated.compare import Comparison
 
 
-@click.command(short_help="Make generated ground: see it, measure it, export it.")
+@click.command(short_help="Generate ground; measure, plot and export it.")
 @scenario_argument
 @settings_option
-@click.option("--plot", metavar="FILE.png", help="Picture: the ground in low sun, and its statistics.")
+@click.option("--plot", metavar="FILE.png", help="Plot the ground in low sun, and its statistics.")
 @click.option("--out", metavar="FILE", help="Elevations as .npz, .tif (GeoTIFF) or .asc (ESRI ASCII grid).")
-@click.option("--json", "as_json", is_flag=True, help="For machines.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def ground(
     scenario: str, settings: tuple[str, ...], plot: str | None, out: str | None, as_json: bool
 ) -> None:
-    """Make the generated ground of SCENARIO's site, and compare what came out with what was asked.
+    """Generate the ground of SCENARIO's site, and compare its statistics with the requested ones.
 
-    The ground is kept for the runs that follow. An exported file serves as `ground: {kind: grid, file: FILE}` and to
+    The ground is cached for later runs. An exported file can be used as `ground: {kind: grid, file: FILE}`, and by
     other tools.
 
     \b
@@ -101,7 +101,7 @@ def _title(asked: Generated) -> str:
 
 
 def _whole(asked: Generated, elevation_m: FloatArray) -> dict[str, Any]:
-    """What nobody asked for by itself, since relief, craters and rocks all have a share in it."""
+    """Height range and slopes of the whole ground, to which relief, craters and rocks all contribute."""
     import numpy as np
 
     from lidar_emu.scene.generated.statistics import doubling_lags, structure_function
@@ -126,7 +126,7 @@ def _print(asked: Generated, found: list[Comparison], whole: dict[str, Any]) -> 
 
     table = Table(title=_title(asked), title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     table.add_column("statistic")
-    for heading in ("asked", "found", "from", "to"):
+    for heading in ("requested", "found", "from", "to"):
         table.add_column(heading, justify="right")
     table.add_column("")
     for row in found:

@@ -1,4 +1,4 @@
-"""`lidar-emu hazards`: which boulders, steps and slopes a flight's points tell."""
+"""`lidar-emu hazards`: the boulders, steps and slopes that a flight's points reveal."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
     from lidar_emu.report.hazards import Band
 
 
-@click.command(short_help="Which boulders, steps and slopes the points of a flight tell.")
+@click.command(short_help="Boulders, steps and slopes detected in the points of a flight.")
 @scenario_argument
 @settings_option
-@click.option("--json", "as_json", is_flag=True, help="For machines.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def hazards(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
-    """Fly SCENARIO, and tell from its points what stands out of the ground, and how the ground slopes.
+    """Fly SCENARIO, and detect in its points what stands out of the ground, and the slope of the ground.
 
-    A point stands out if it is off the plane through the points around it by four standard deviations; beside it stands
-    how far it really is off. A slope is that of the plane through the beams of one shot. What no beam touches nobody
-    tells: the second table has how many boulders are touched.
+    A point stands out if it is off the plane through its neighbours by four standard deviations; the table compares it
+    with its true offset. The slope is the slope of the plane through the beams of one shot. An obstacle without a point
+    on it cannot be detected: the second table states the share of boulders with a point on them.
 
     \b
     lidar-emu hazards hazards.yaml
@@ -66,8 +66,8 @@ def _print_bands(name: str, bands: list[Band]) -> None:
 
     table = Table(title=name, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     for heading in (
-        "altitude\nfrom\nm", "points\n\n", "spacing\n\nm", "height\ntold from\nm", "higher\n\n", "of them\ntold\n%",
-        "level\n\n", "false\nalarms\n%", "slope\nover\nm", "slope\nerror\n°", "as fore-\ntold\n°",
+        "altitude\nfrom\nm", "points\n\n", "spacing\n\nm", "detected\nfrom\nm", "higher\n\n", "detec-\nted\n%",
+        "level\n\n", "false\nalarms\n%", "slope\nover\nm", "slope\nerror\n°", "expec-\nted\n°",
     ):  # fmt: skip
         table.add_column(heading, justify="right")
     for band in bands:

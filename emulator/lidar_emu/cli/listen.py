@@ -1,4 +1,4 @@
-"""`lidar-emu listen`: the host's end of the line."""
+"""`lidar-emu listen`: the host's end of the link."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
-    from lidar_emu.cli.far_end import Decoder
+    from lidar_emu.cli.decoder import Decoder
     from lidar_emu.transports.spec import PortSpec
     from lidar_protocol import Interface, Received
 
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
 _READ_S = 0.2
 
 
-@click.command(short_help="Decode what arrives at the other end of the line.")
+@click.command(short_help="Decode packets at the host's end of the link.")
 @port_options
 @click.option(
     "--json",
     "as_json",
     is_flag=True,
-    help="A line of JSON per beam, acknowledgement and housekeeping.",
+    help="Print a line of JSON per beam, acknowledgement and housekeeping packet.",
 )
 @plain_option
 @wire_interface_option
-@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N shots.")
+@click.option("--count", type=click.IntRange(min=1), metavar="N", help="Stop after N shots.")
 def listen(port: PortSpec, as_json: bool, plain: bool, wire_interface: str, count: int | None) -> None:
-    """Decode what arrives, and count gaps and bad bytes.
+    """Decode received packets, and count gaps and bad bytes.
 
-    A terminal shows the last shot of each unit, its mode and the counters. Elsewhere, and with --plain, shots line by
-    line; acknowledgements of commands; and of housekeeping what has changed: mode, flags, counters.
+    A terminal shows the last shot of each unit, its mode and the counters. Elsewhere, and with --plain, one line is
+    printed per shot, per acknowledgement, and per change in housekeeping (mode, flags, counters).
 
     `--port pty` opens a pseudo-terminal and prints the path for `lidar-emu run --port PATH`. Ctrl-C ends it.
 
@@ -49,7 +49,8 @@ def listen(port: PortSpec, as_json: bool, plain: bool, wire_interface: str, coun
     lidar-emu listen -i socketcan -c vcan0 --count 100
     lidar-emu listen --port /dev/ttyUSB1 --wire-interface my.toml
     """
-    from lidar_emu.cli.far_end import Decoder, counter_line
+    from lidar_emu.cli.decoder import Decoder
+    from lidar_emu.cli.message_lines import counter_line
     from lidar_emu.transports.host import open_host
     from lidar_emu.transports.spec import Kind
     from lidar_emu.wire import interface_named
@@ -59,7 +60,7 @@ def listen(port: PortSpec, as_json: bool, plain: bool, wire_interface: str, coun
     if port.kind is Kind.CAN and interface.can is None:
         raise InputError("--wire-interface", None, wire_interface, "allowed: one with messages on CAN")
     require_port(port, "listen")
-    # A listener is also ended by `timeout` and by a terminal that closes: its counts are told all the same.
+    # Also print the counts when `timeout` or a closing terminal ends it.
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)
     host = open_host(port)
@@ -77,7 +78,7 @@ def listen(port: PortSpec, as_json: bool, plain: bool, wire_interface: str, coun
     except KeyboardInterrupt:
         pass
     except BrokenPipeError:
-        silence()  # whoever read along has enough: `lidar-emu listen --json | head`
+        silence()  # the reader has closed the pipe: `lidar-emu listen --json | head`
     finally:
         host.close()
         lost = f"; the link broke {host.times_lost} times" if host.times_lost else ""
@@ -91,16 +92,15 @@ def _view(decoder: Decoder, as_json: bool, plain: bool) -> Iterator[Show]:
     if as_json or plain or not has_terminal():
         yield _json_view(decoder.interface) if as_json else _text_view(decoder.interface)
         return
-    from lidar_emu.cli.boards import ListenBoard
+    from lidar_emu.cli.displays import ListenDisplay
 
     with Dashboard() as dashboard:
-        board = ListenBoard(dashboard, decoder, "what arrives")
-        yield lambda message: board.take([message])
+        display = ListenDisplay(dashboard, decoder, "received")
+        yield lambda message: display.store([message])
 
 
 def _json_view(interface: Interface) -> Show:
-    from lidar_emu.cli.device_lines import DeviceLines
-    from lidar_emu.cli.far_end import json_lines
+    from lidar_emu.cli.message_lines import DeviceLines, json_lines
     from lidar_protocol import Message
 
     device = DeviceLines(interface)
@@ -113,15 +113,14 @@ def _json_view(interface: Interface) -> Show:
 
 
 def _text_view(interface: Interface) -> Show:
-    from lidar_emu.cli.device_lines import DeviceLines
-    from lidar_emu.cli.far_end import Screen
+    from lidar_emu.cli.message_lines import DeviceLines, ShotPrinter
     from lidar_protocol import Message
 
-    screen, device = Screen(0.0, interface), DeviceLines(interface)
+    shots, device = ShotPrinter(0.0, interface), DeviceLines(interface)
 
     def show(message: Received) -> None:
         if isinstance(message, Message):
-            screen.show([message])
+            shots.show([message])
         elif (line := device.text_line(message)) is not None:
             say(line)
 

@@ -11,6 +11,7 @@ import click
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
+    from lidar_emu.runtime.summary import Tally
     from lidar_emu.scenario.schema import BenchScenario, FlightScenario
     from lidar_emu.transports.spec import PortSpec
 
@@ -25,33 +26,40 @@ settings_option = click.option(
     help="Replace a key of the scenario, e.g. timing.rate_hz=100 (repeatable).",
 )
 geometry_option = click.option(
-    "--geometry", metavar="FILE.npz", help="Take trajectory and ground from a recorded geometry."
+    "--geometry", metavar="FILE.npz", help="Use trajectory and ground from a recorded geometry."
 )
 wire_interface_option = click.option(
     "--wire-interface", metavar="FILE", default="default", help="Message definitions: a name, or FILE.toml."
 )
-plain_option = click.option("--plain", is_flag=True, help="Print lines on a terminal, too, and draw nothing.")
+_FAILURES = ("late", "dropped")
+fail_on_option = click.option(
+    "--fail-on",
+    metavar="WHAT",
+    default="",
+    help="Exit 1 if packets were late or dropped (late,dropped: either), or if Ctrl-C interrupted the run.",
+)
+plain_option = click.option("--plain", is_flag=True, help="Print lines instead of a live display.")
 _SCENARIO_OPTIONS = (
     scenario_argument,
     click.option("--duration", metavar="S", help="Fly only the first seconds."),
-    click.option("--seed", metavar="N", help="Seed instead of the scenario's."),
+    click.option("--seed", metavar="N", help="Seed, instead of the scenario's."),
     settings_option,
-    click.option("--exact", is_flag=True, help="Leave out nothing, whatever its effect."),
+    click.option("--exact", is_flag=True, help="Compute everything, whatever its effect."),
 )
 
 
 def scenario_options(command: Command) -> Command:
-    """Give a click command `scenario`, `duration`, `seed`, `settings` and `exact`."""
+    """Add to a click command the parameters `scenario`, `duration`, `seed`, `settings` and `exact`."""
     for option in reversed(_SCENARIO_OPTIONS):
         command = option(command)
     return command
 
 
 def require_port(port: PortSpec, command: str) -> None:
-    """Refuse the loopback to a command that needs another program at the other end.
+    """Reject the loopback for a command that needs another program at the other end.
 
     Raises:
-        InputError: no port was named.
+        InputError: no port was given.
     """
     from lidar_emu.transports.spec import Kind
 
@@ -63,10 +71,10 @@ def require_port(port: PortSpec, command: str) -> None:
 def load_scenario(
     scenario: str, duration: str | None, seed: str | None, settings: tuple[str, ...], exact: bool = False
 ) -> FlightScenario | BenchScenario:
-    """The scenario with what the options say instead of the file.
+    """Load a scenario with the changes given by options.
 
     Raises:
-        InputError: a setting without a key or a value, or whatever `load` refuses, under the option's own name.
+        InputError: a setting without a key or a value, or an error of `load`, under the option's own name.
     """
     from lidar_emu.scenario.load import load
 
@@ -86,10 +94,10 @@ def load_scenario(
 
 
 def as_number(option: str, text: str) -> float:
-    """What an option says.
+    """The value of an option as a positive number.
 
     Raises:
-        InputError: it is no number above 0.
+        InputError: not a number above 0.
     """
     try:
         number = float(text)
@@ -101,10 +109,10 @@ def as_number(option: str, text: str) -> float:
 
 
 def as_whole(option: str, text: str) -> int:
-    """What an option says.
+    """The value of an option as a positive integer.
 
     Raises:
-        InputError: it is no whole number above 0.
+        InputError: not a whole number above 0.
     """
     if not (text.isascii() and text.isdecimal() and 0 < len(text) < 10 and int(text) > 0):
         raise InputError(option, None, text, "allowed: a whole number above 0")
@@ -112,7 +120,7 @@ def as_whole(option: str, text: str) -> int:
 
 
 def keys_and_values(settings: tuple[str, ...]) -> dict[str, str]:
-    """What `settings_option` says.
+    """The keys and values of `settings_option`.
 
     Raises:
         InputError: a setting without a key or a value.
@@ -124,3 +132,21 @@ def keys_and_values(settings: tuple[str, ...]) -> dict[str, str]:
             raise InputError("--set", None, setting, "allowed: KEY=VALUE, e.g. timing.rate_hz=100")
         result[key] = value
     return result
+
+
+def failures_named(text: str) -> set[str]:
+    """The failures listed by `--fail-on`.
+
+    Raises:
+        InputError: an unknown word.
+    """
+    names = {name.strip() for name in text.split(",") if name.strip()}
+    for name in sorted(names - set(_FAILURES)):
+        raise InputError("--fail-on", None, name, f"allowed: {', '.join(_FAILURES)}")
+    return names
+
+
+def has_failed(tally: Tally, interrupted: bool, failures: set[str]) -> bool:
+    """Whether a failure listed by `--fail-on` occurred; an interrupted run counts as a failure."""
+    lost = {"late": tally.late > 0, "dropped": tally.dropped > 0}
+    return bool(failures) and (interrupted or any(lost[name] for name in failures))

@@ -1,4 +1,4 @@
-"""Standard output that may go away: a flight does not end because whoever read along has enough."""
+"""Standard output that may be closed: a run does not end because its reader went away."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lidar_emu.errors import RunError
 
 
 def say(text: str) -> None:
-    """Print a line; where standard output is closed or full, this and all later lines go nowhere."""
+    """Print a line; once standard output is closed or full, discard this and all later lines."""
     try:
         click.echo(text)
     except OSError:
@@ -20,10 +20,10 @@ def say(text: str) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file that was promised.
+    """Write a text file.
 
     Raises:
-        RunError: it could not be written.
+        RunError: the file could not be written.
     """
     try:
         path.write_text(text)
@@ -32,6 +32,6 @@ def write_text(path: Path, text: str) -> None:
 
 
 def silence() -> None:
-    """From now on standard output goes nowhere."""
+    """Redirect standard output to the null device."""
     with open(os.devnull, "w") as nowhere:  # noqa: PTH123
         os.dup2(nowhere.fileno(), sys.stdout.fileno())

@@ -1,4 +1,4 @@
-"""`lidar-emu plan`: what a run computes, what it leaves out, and why."""
+"""`lidar-emu plan`: what a run computes and leaves out, with reasons and error bounds."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from lidar_emu.scenario.schema import Timing
 
 
-@click.command(short_help="What a run computes and what it leaves out, with reasons.")
+@click.command(short_help="Show what a run computes and leaves out, with reasons.")
 @scenario_options
 @geometry_option
-@click.option("--json", "as_json", is_flag=True, help="For machines.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def plan(
     scenario: str,
     duration: str | None,
@@ -27,7 +27,7 @@ def plan(
     geometry: str | None,
     as_json: bool,
 ) -> None:
-    """Show what SCENARIO needs, what is left out, the reason and what it costs at most.
+    """Show what a run of SCENARIO computes and leaves out, with the reason and a bound on the error.
 
     \b
     lidar-emu plan descent.yaml
@@ -42,8 +42,8 @@ def plan(
     if as_json:
         from dataclasses import asdict
 
-        told = {"scenario": flown.name, "decisions": [asdict(d) for d in decisions], "policies": policies}
-        click.echo(json.dumps(told, indent=2))
+        document = {"scenario": flown.name, "decisions": [asdict(d) for d in decisions], "policies": policies}
+        click.echo(json.dumps(document, indent=2))
         return
     from rich.console import Console
     from rich.table import Table
@@ -58,13 +58,13 @@ def plan(
 
 
 def _policies(timing: Timing) -> dict[str, str]:
-    """What `lidar-emu run` does when something goes wrong, by the key of the scenario that says so."""
+    """Reactions of `lidar-emu run` to a late packet and a dead process, by scenario key."""
     late = f"a packet that is {timing.late_after_ns * 1e-6:g} ms late "
     when_late = {"skip": f"{late}is skipped", "abort": f"{late}ends the run"}
-    dies = "if the process of the model or of the port dies, the other one "
+    dies = "if the model process or the port process dies, the other one "
     when_process_dies = {
         "end": f"{dies}ends the run",
-        "safe": f"{dies}says so by mode safe, and ends the run",
+        "safe": f"{dies}sends mode safe, and ends the run",
     }
     return {
         "timing.when_late": when_late[timing.when_late],

@@ -1,4 +1,4 @@
-"""While something takes its time: signs of life on a terminal, silence elsewhere, and an open ear for Ctrl-C."""
+"""Progress of long steps on a terminal, nothing elsewhere; Ctrl-C keeps working."""
 
 from __future__ import annotations
 
@@ -7,19 +7,29 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from typing import Any
 
+import click
+
+COMPILING = "preparing (the first start compiles the kernels: about 20 s)"
+
 
 @contextmanager
 def busy(what: str) -> Iterator[None]:
-    """Show `what` meanwhile; nothing where nobody looks.
+    """Show `what` on a terminal during the block.
 
     Raises:
-        KeyboardInterrupt: at the end, where one got lost on the way.
+        KeyboardInterrupt: at the end of the block, if a callback swallowed one.
     """
     with (
-        _hearing_ctrl_c(),
+        _keep_ctrl_c(),
         _status(what) if sys.stderr is not None and sys.stderr.isatty() else nullcontext(),
     ):
         yield
+
+
+def show_step(what: str) -> None:
+    """Replace the status line on a terminal; an empty text clears it."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        click.echo(f"\r\x1b[K{what}", nl=False, err=True)
 
 
 def _status(what: str) -> Any:
@@ -29,8 +39,8 @@ def _status(what: str) -> Any:
 
 
 @contextmanager
-def _hearing_ctrl_c() -> Iterator[None]:
-    """The compiler calls back through ctypes, which passes no exception on: it prints a traceback and goes on."""
+def _keep_ctrl_c() -> Iterator[None]:
+    """Raise a Ctrl-C that a ctypes callback of the compiler swallowed: ctypes prints it and goes on."""
     lost: list[object] = []
     before = sys.unraisablehook
 
@@ -47,6 +57,3 @@ def _hearing_ctrl_c() -> Iterator[None]:
         sys.unraisablehook = before
     if lost:
         raise KeyboardInterrupt
-
-
-COMPILING = "preparing (the first start compiles the kernels: about 20 s)"

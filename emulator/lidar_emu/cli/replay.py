@@ -1,4 +1,4 @@
-"""`lidar-emu replay`: what was recorded, sent again, written to another file, or computed again."""
+"""`lidar-emu replay`: a recording sent again, exported to another format, or recomputed."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.fail_on import fail_on_option, failures_named, has_failed
-from lidar_emu.cli.options import as_number, require_port
+from lidar_emu.cli.options import as_number, fail_on_option, failures_named, has_failed, require_port
 from lidar_emu.cli.output import say, write_text
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import Finding, InputError, RunError
@@ -23,17 +22,17 @@ if TYPE_CHECKING:
     from lidar_emu.transports.spec import PortSpec
 
 
-@click.command(short_help="Send what was recorded again, or compute it again and compare.")
+@click.command(short_help="Send a recording again, export it, or recompute it and compare.")
 @click.argument("file")
 @port_options
 @click.option(
-    "--speed", default="1", show_default=True, metavar="X", help="Times faster than it was, or max."
+    "--speed", default="1", show_default=True, metavar="X", help="Speed relative to the recording, or max."
 )
-@click.option("--from", "from_s", metavar="S", help="Begin at this instant, in seconds of the recording.")
-@click.option("--until", "until_s", metavar="S", help="End before this instant.")
-@click.option("--loop", is_flag=True, help="Again and again, until Ctrl-C.")
+@click.option("--from", "from_s", metavar="S", help="Start at this instant, in seconds of the recording.")
+@click.option("--until", "until_s", metavar="S", help="Stop before this instant.")
+@click.option("--loop", is_flag=True, help="Repeat until Ctrl-C.")
 @click.option("--to", metavar="FILE", help="Write a capture (.pcap) or a CAN log (.log, .asc, .blf) instead.")
-@click.option("--recompute", is_flag=True, help="Compute the run again and compare packet by packet.")
+@click.option("--recompute", is_flag=True, help="Recompute the run and compare packet by packet.")
 @click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
 @fail_on_option
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON, nothing else.")
@@ -52,8 +51,8 @@ def replay(
 ) -> int:
     """Send the packets of FILE again, each when it is due, byte for byte.
 
-    FILE is a recording (`lidar-emu run --record`), or one of a real instrument: a capture (.pcap, .pcapng: UDP, serial,
-    SocketCAN), or the log of a CAN bus (.log, .asc, .blf, .trc).
+    FILE is a recording (`lidar-emu run --record`), or traffic of a real instrument: a capture (.pcap, .pcapng: UDP,
+    serial, SocketCAN), or a CAN log (.log, .asc, .blf, .trc).
 
     \b
     lidar-emu replay flight.mcap --port /dev/ttyUSB0 --baud 921600
@@ -73,10 +72,10 @@ def replay(
     }
     windows = {"--from": from_s, "--until": until_s}
     if recompute:
-        _refuse("--recompute", {**sending, **windows, "--to": to, **_named(port)})
+        _reject("--recompute", {**sending, **windows, "--to": to, **_port_option(port)})
         return _compare(Path(file), summary_file, as_json)
     if to is not None:
-        _refuse("--to", {**sending, "--summary": summary_file, **_named(port)})
+        _reject("--to", {**sending, "--summary": summary_file, **_port_option(port)})
         _write(Path(file), Path(to), *times_s)
         return 0
     return _send(Path(file), port, speed, times_s, loop, failures, summary_file, as_json)
@@ -92,8 +91,8 @@ def _send(
     summary_file: str | None,
     as_json: bool,
 ) -> int:
-    from lidar_emu.cli.replay_display import replay_lines
-    from lidar_emu.cli.run_display import Announcer, LoopbackView, Progress
+    from lidar_emu.cli.run_observers import Announcer, LoopbackView, ProgressLine
+    from lidar_emu.cli.summary_lines import replay_lines
     from lidar_emu.recording.traffic import read_traffic
     from lidar_emu.runtime.port.pacing import Pace
     from lidar_emu.runtime.replay import Replay
@@ -113,26 +112,26 @@ def _send(
     longest = max(len(payload) for _, payload in traffic.packets)
     this_replay = Replay(packets, longest, port, pace, load, observers)
     if port.kind is not Kind.LOOPBACK and sys.stderr is not None and sys.stderr.isatty():
-        observers.append(Progress(this_replay.tally))
-    told: dict[str, Any] = {
+        observers.append(ProgressLine(this_replay.tally))
+    summary: dict[str, Any] = {
         "file": str(file),
         "speed": "max" if pace is Pace.MAX else factor,
         "left_out": traffic.left_out,
         **this_replay.play(),
         "far_end": view.counters(),
     }
-    _tell(told, replay_lines(told), summary_file, as_json)
+    _print(summary, replay_lines(summary), summary_file, as_json)
     if this_replay.error is not None:
         raise RunError(this_replay.error)
-    # Without end, Ctrl-C is the end.
-    return int(has_failed(this_replay.tally, told["interrupted"] and not loop, failures))
+    # --loop has no other end than Ctrl-C.
+    return int(has_failed(this_replay.tally, summary["interrupted"] and not loop, failures))
 
 
 def _check_port(traffic: Traffic, port: PortSpec, speed: float, keeps_time: bool) -> float:
-    """How much of the link the packets take.
+    """Load of the packets on the link, as a fraction.
 
     Raises:
-        InputError: they are none for this link, or too many.
+        InputError: packets of another kind of link, or too many.
     """
     from lidar_emu.transports.frames import unpack_frames
     from lidar_emu.transports.spec import Kind
@@ -159,14 +158,14 @@ def _check_port(traffic: Traffic, port: PortSpec, speed: float, keeps_time: bool
 
 
 def _compare(file: Path, summary_file: str | None, as_json: bool) -> int:
-    from lidar_emu.cli.replay_display import comparison_lines
+    from lidar_emu.cli.summary_lines import comparison_lines
     from lidar_emu.recording.read import read_recording
     from lidar_emu.recording.recompute import recompute
 
     with busy(COMPILING):
-        told = recompute(read_recording(file)).to_json()
-    _tell(told, comparison_lines(told), summary_file, as_json)
-    return int(told["different"] > 0)
+        comparison = recompute(read_recording(file)).to_json()
+    _print(comparison, comparison_lines(comparison), summary_file, as_json)
+    return int(comparison["different"] > 0)
 
 
 def _write(file: Path, to: Path, from_s: float | None, until_s: float | None) -> None:
@@ -180,20 +179,20 @@ def _write(file: Path, to: Path, from_s: float | None, until_s: float | None) ->
     say(f"{to}: {len(traffic.packets)} packets")
 
 
-def _tell(told: dict[str, Any], lines: list[str], summary_file: str | None, as_json: bool) -> None:
-    text = json.dumps(told, indent=2)
+def _print(summary: dict[str, Any], lines: list[str], summary_file: str | None, as_json: bool) -> None:
+    text = json.dumps(summary, indent=2)
     say(text if as_json else "\n".join(lines))
     if summary_file is not None:
         write_text(Path(summary_file), text + "\n")
 
 
-def _named(port: PortSpec) -> dict[str, str | None]:
+def _port_option(port: PortSpec) -> dict[str, str | None]:
     from lidar_emu.transports.spec import Kind
 
     return {"--port": None if port.kind is Kind.LOOPBACK else str(port)}
 
 
-def _refuse(option: str, others: dict[str, Any]) -> None:
+def _reject(option: str, others: dict[str, Any]) -> None:
     for name, value in others.items():
         if value is not None:
             raise InputError(name, None, value, f"allowed: without {option}")

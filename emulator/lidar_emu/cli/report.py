@@ -1,4 +1,4 @@
-"""`lidar-emu report`: what is in a recording, as a table, files for other tools, figures and a page."""
+"""`lidar-emu report`: a recording as a table, as files for other tools, figures and an HTML page."""
 
 from __future__ import annotations
 
@@ -18,20 +18,18 @@ if TYPE_CHECKING:
     from lidar_emu.report.flown import Flown
 
 
-@click.command(short_help="What is in a recording: table, files for other tools, a page with figures.")
+@click.command(short_help="Summarise a recording: table, files for other tools, an HTML page with figures.")
 @click.argument("file", required=False)
 @click.option("--out", metavar="FILE", multiple=True,
-              help="Write measurements (.csv, .parquet, .npz), points (.ply), or what was on the link (.pcap; of a CAN "
-                   "bus .log as candump has it, .asc, .blf). Repeatable.")  # fmt: skip
-@click.option(
-    "--html", metavar="FILE", help="Write one page with everything, that asks nothing of a network."
-)
+              help="Write measurements (.csv, .parquet, .npz), points (.ply), or link traffic (.pcap; for CAN .log in "
+                   "candump's format, .asc, .blf). Repeatable.")  # fmt: skip
+@click.option("--html", metavar="FILE", help="Write one HTML page with everything; it needs no network.")
 @click.option("--figures", metavar="DIR", help="Write the page's figures as PNG.")
 @click.option("--spectra-at", metavar="S", multiple=True,
-              help="Show the spectra of the valid measurement nearest to this instant (repeatable).")  # fmt: skip
+              help="Plot the spectra of the valid measurement nearest to this instant (repeatable).")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON, nothing else.")
 @click.option("--paper-figure", metavar="2|3|4|5",
-              help="Instead of FILE: draw this figure of Budge et al. from its own scenario.")  # fmt: skip
+              help="Instead of FILE: plot this figure of Budge et al. from its own scenario.")  # fmt: skip
 def report(
     file: str | None,
     out: tuple[str, ...],
@@ -41,7 +39,7 @@ def report(
     as_json: bool,
     paper_figure: str | None,
 ) -> None:
-    """Say what is in FILE, a recording of `lidar-emu run --record`, also one that was cut short.
+    """Summarise FILE, a recording of `lidar-emu run --record`, complete or truncated.
 
     \b
     lidar-emu report flight.mcap
@@ -75,15 +73,15 @@ def report(
         from lidar_emu.files import check_extra
 
         check_extra(Path("figure.png"), "matplotlib", "plots")
-    from lidar_emu.cli.report_display import contents_lines
+    from lidar_emu.cli.summary_lines import contents_lines
     from lidar_emu.recording.read import read_recording
     from lidar_emu.report.flown import read_flown
 
     with busy(f"reading {file}"):
         flown = read_flown(read_recording(file))
-        told = flown.contents()
-    lines = contents_lines(told)
-    say(json.dumps(told, indent=2) if as_json else "\n".join(lines))
+        contents = flown.contents()
+    lines = contents_lines(contents)
+    say(json.dumps(contents, indent=2) if as_json else "\n".join(lines))
     written = [_write(flown, path) for path in outputs]
     if page is not None or folder is not None:
         written += _draw(flown, lines, page, folder, at_s)
@@ -92,12 +90,24 @@ def report(
 
 
 def _draw_paper_figure(figure: str, out: tuple[str, ...], others: dict[str, Any]) -> None:
-    from lidar_emu.cli.paper_figure import draw_paper_figure
-
     for name, value in (others | {"--out": out[1] if len(out) > 1 else None}).items():
         if value is not None:
             raise InputError(name, None, value, "allowed with --paper-figure: one --out FILE.png")
-    draw_paper_figure(figure, out[0] if out else None)
+    if figure not in ("2", "3", "4", "5"):
+        raise InputError("--paper-figure", None, figure, "allowed: 2, 3, 4 or 5")
+    from lidar_emu.report.paper_figures import errors_of, plot_paper_figure
+
+    path = Path(out[0] if out else f"paper_fig{figure}.png")
+    with busy(COMPILING):
+        errors = errors_of(plot_paper_figure(figure, path))
+    click.echo(f"{path}: figure {figure} of Budge et al., {errors.measured} of {errors.asked} beams measured")
+    click.echo(
+        f"range error: mean {errors.range_mean_m:+.4f} m, standard deviation {errors.range_deviation_m:.4f} m"
+    )
+    click.echo(
+        f"speed error: mean {1e3 * errors.speed_mean_mps:+.4f} mm/s, "
+        f"standard deviation {1e3 * errors.speed_deviation_mps:.4f} mm/s"
+    )
 
 
 def _write(flown: Flown, path: Path) -> str:

@@ -11,8 +11,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.fail_on import fail_on_option, failures_named, has_failed
-from lidar_emu.cli.options import load_scenario, plain_option, scenario_options
+from lidar_emu.cli.options import (
+    fail_on_option,
+    failures_named,
+    has_failed,
+    load_scenario,
+    plain_option,
+    scenario_options,
+)
 from lidar_emu.cli.output import say, write_text
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import InputError, RunError
@@ -32,14 +38,14 @@ if TYPE_CHECKING:
 @scenario_options
 @port_options
 @click.option("--pace", type=click.Choice(["wall", "max", "lockstep"]), default="wall", show_default=True,
-              help="With the clock, as fast as the link takes it, or step by step with a simulator.")  # fmt: skip
+              help="In real time, as fast as the link accepts packets, or in lockstep with a simulator.")  # fmt: skip
 @click.option("--start", default=None, metavar="now|on-truth|on-command|UTC",
-              help="When scenario time 0 is, e.g. 2030-01-01T12:00:00Z, or as the first live truth says, or once a "
-                   "command makes the device acquire.")  # fmt: skip
+              help="Start of scenario time: a UTC instant, e.g. 2030-01-01T12:00:00Z, the first live truth, or the "
+                   "command that makes the device acquire.")  # fmt: skip
 @click.option(
-    "--control", metavar="PATH", help="Take faults in flight on this Unix socket: lidar-emu inject PATH."
+    "--control", metavar="PATH", help="Accept fault injections on this Unix socket: lidar-emu inject PATH."
 )
-@click.option("--record", metavar="FILE", help="Keep truth, measurements and packets (MCAP).")
+@click.option("--record", metavar="FILE", help="Record ground truth, measurements and packets (MCAP).")
 @click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
 @fail_on_option
 @plain_option
@@ -62,7 +68,7 @@ def run(
 ) -> int:
     """Fly SCENARIO, a YAML file or a shipped one by name, and send every shot when it is due.
 
-    Without a port the packets go through an in-memory loopback, and what its far end decodes is shown.
+    Without a port the packets go through an in-memory loopback, which decodes and prints them.
 
     \b
     lidar-emu run descent.yaml
@@ -76,7 +82,7 @@ def run(
     lidar-emu run my.yaml --pace max --fail-on late,dropped --summary out.json --set timing.rate_hz=100
     """
     failures = failures_named(fail_on)
-    if control == "":  # the system would make up a name, open to everybody
+    if control == "":  # the system would choose an abstract name, open to every user
         raise InputError("--control", None, control, "allowed: a path where nothing is")
     start_utc = _start(start)
     for option, file in (("--record", record), ("--summary", summary_file)):
@@ -85,7 +91,8 @@ def run(
     if record is not None and record == summary_file:
         raise InputError("--summary", None, summary_file, "it is the recording; allowed: another file")
     from lidar_emu.cli.dashboard import Dashboard, has_terminal
-    from lidar_emu.cli.run_display import Announcer, LoopbackView, Progress, summary_lines
+    from lidar_emu.cli.run_observers import Announcer, LoopbackView, ProgressLine
+    from lidar_emu.cli.summary_lines import summary_lines
     from lidar_emu.runtime.options import RunOptions
     from lidar_emu.runtime.port.pacing import Pace
     from lidar_emu.runtime.run import Run
@@ -105,7 +112,7 @@ def run(
         options = RunOptions(port, Pace(pace), start_utc, start == "on-command", control)
         this_run = Run(flown, model, options, observers)
     if not (draws or port.kind is Kind.LOOPBACK) and sys.stderr is not None and sys.stderr.isatty():
-        observers.append(Progress(this_run.tally))
+        observers.append(ProgressLine(this_run.tally))
     for warning in this_run.warnings:
         click.echo(f"lidar-emu: warning: {warning}", err=True)
     recorder = None
@@ -116,14 +123,14 @@ def run(
         observers.append(recorder)
     with Dashboard() if draws else nullcontext() as dashboard, recorder or nullcontext():
         if dashboard is not None:
-            observers += _drawn_on(dashboard, flown, interface, this_run.tally, port, pace)
+            observers += _display(dashboard, flown, interface, this_run.tally, port, pace)
         elif not as_json:
             observers.insert(0, Announcer(flown.name, pace))
         outcome = this_run.fly()
     recording_error = None if recorder is None else recorder.error
-    told = outcome.to_json() | {"far_end": view.counters(), "recording_error": recording_error}
-    text = json.dumps(told, indent=2)
-    say(text if as_json else "\n".join(summary_lines(told)))
+    summary = outcome.to_json() | {"far_end": view.counters(), "recording_error": recording_error}
+    text = json.dumps(summary, indent=2)
+    say(text if as_json else "\n".join(summary_lines(summary)))
     if summary_file is not None:
         write_text(Path(summary_file), text + "\n")
     for error in (recording_error, outcome.error):
@@ -132,7 +139,7 @@ def run(
     return int(has_failed(outcome.tally, outcome.details["interrupted"], failures))
 
 
-def _drawn_on(
+def _display(
     dashboard: Dashboard,
     flown: FlightScenario | BenchScenario,
     interface: Interface,
@@ -140,13 +147,13 @@ def _drawn_on(
     port: PortSpec,
     pace: str,
 ) -> list[Observer]:
-    from lidar_emu.cli.boards import RunBoard
-    from lidar_emu.cli.run_display import Announcer
+    from lidar_emu.cli.displays import RunDisplay
+    from lidar_emu.cli.run_observers import Announcer
     from lidar_emu.transports.spec import Kind
 
     title, is_can = f"{flown.name} on {port}, pace {pace}", port.kind is Kind.CAN
-    board = RunBoard(dashboard, interface, is_can, title, tally, flown.duration_s)
-    return [Announcer(flown.name, pace, dashboard.say), board]
+    display = RunDisplay(dashboard, interface, is_can, title, tally, flown.duration_s)
+    return [Announcer(flown.name, pace, dashboard.say), display]
 
 
 def _check_start(text: str | None, flown: FlightScenario | BenchScenario) -> None:
@@ -168,7 +175,7 @@ def _start(text: str | None) -> datetime | None:
         allowed = "allowed: now, on-truth, on-command, or an instant as 2030-01-01T12:00:00Z"
         raise InputError("--start", None, text, allowed) from None
     instant = instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant
-    # Seen again when the run begins, but then the kernels have been compiled.
+    # Checked again when the run begins; here, before the kernels are compiled, the error comes sooner.
     if instant < Clock().utc_now():
         raise InputError("--start", None, text, "it is past; allowed: now, or an instant to come")
     return instant

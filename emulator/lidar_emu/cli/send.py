@@ -1,4 +1,4 @@
-"""`lidar-emu send`: the host's commands."""
+"""`lidar-emu send`: telecommands to the device."""
 
 from __future__ import annotations
 
@@ -13,24 +13,35 @@ from lidar_emu.errors import InputError
 from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
-    from lidar_emu.cli.commander import Reply
+    from lidar_emu.cli.command_client import CommandResult
     from lidar_emu.transports.spec import PortSpec
     from lidar_protocol import Interface
     from lidar_protocol.commands import Argument
     from lidar_protocol.definitions import Commands
 
-_Order = tuple[str, dict[str, "Argument"]]
+_Command = tuple[str, dict[str, "Argument"]]
 
 
-@click.command(short_help="Command the device at the other end of the line.")
+@click.command(short_help="Send commands to the device at the other end of the link.")
 @port_options
-@click.option("--unit", type=click.IntRange(min=0), metavar="N", default=0, help="Of several on one bus.")
-@wire_interface_option
-@click.option("--timeout", metavar="S", default="2", show_default=True, help="How long an answer may take.")
 @click.option(
-    "--sequence", type=int, metavar="N", help="Number of the first command; else a no_op agrees on one."
+    "--unit",
+    type=click.IntRange(min=0),
+    metavar="N",
+    default=0,
+    help="Unit to command, of several on one bus.",
 )
-@click.option("--json", "as_json", is_flag=True, help="One JSON object per command and line.")
+@wire_interface_option
+@click.option(
+    "--timeout", metavar="S", default="2", show_default=True, help="Longest wait for an acknowledgement."
+)
+@click.option(
+    "--sequence",
+    type=int,
+    metavar="N",
+    help="Sequence number of the first command.  [default: found by a no_op]",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print a line of JSON per command.")
 @click.argument("words", metavar="COMMAND [ARGUMENT=VALUE]...", nargs=-1, required=True)
 def send(
     port: PortSpec,
@@ -41,10 +52,10 @@ def send(
     as_json: bool,
     words: tuple[str, ...],
 ) -> int:
-    """Send commands one after another, each once the one before it is accepted.
+    """Send commands one after another, each after the one before it was accepted.
 
-    Exit code 0 if all were accepted, 1 if one was rejected or not answered. A serial line has one host: what
-    `lidar-emu listen` has open, `send` cannot.
+    Exit code 0 if all were accepted, 1 if one was rejected or not acknowledged. A serial line has one host: `send`
+    cannot open a port that `lidar-emu listen` has open.
 
     \b
     lidar-emu send --port /dev/ttyUSB1 --baud 921600 set_mode mode=track
@@ -52,7 +63,7 @@ def send(
     lidar-emu send -i socketcan -c vcan0 enable_beams beams=0b1011
     lidar-emu send --port /dev/pts/5 reset restart=cold
     """
-    from lidar_emu.cli.commander import SENT, Commander
+    from lidar_emu.cli.command_client import NO_ACKNOWLEDGEMENT, SENT, CommandClient
     from lidar_emu.transports.host import open_host
     from lidar_emu.transports.spec import Kind
     from lidar_emu.wire import interface_named
@@ -61,20 +72,20 @@ def send(
     timeout_s = as_number("--timeout", timeout)
     interface = interface_named(wire_interface, "--wire-interface")
     require_port(port, "send")
-    orders = _orders(words, _commands(interface, wire_interface, port.kind is Kind.CAN))
-    _check(interface, unit, sequence or 0, orders)
+    commands = _parse(words, _definitions(interface, wire_interface, port.kind is Kind.CAN))
+    _check(interface, unit, sequence or 0, commands)
     host = open_host(port)
     try:
-        commander = Commander(host, interface, unit, timeout_s)
+        client = CommandClient(host, interface, unit, timeout_s)
         if sequence is not None:
-            commander.begin_at(sequence)
-        elif (greeting := commander.begin_anew()) is not None and not _is_answer(greeting):
-            _tell("no_op", {}, greeting, as_json)
+            client.set_sequence(sequence)
+        elif (first := client.synchronise()) is not None and first.verdict == NO_ACKNOWLEDGEMENT:
+            _print("no_op", {}, first, as_json)
             return 1
-        for name, values in orders:
-            reply = commander.ask(name, values)
-            _tell(name, values, reply, as_json)
-            if reply.verdict not in ("accepted", SENT):
+        for name, values in commands:
+            result = client.send(name, values)
+            _print(name, values, result, as_json)
+            if result.verdict not in ("accepted", SENT):
                 return 1
     except EncodeError as error:
         raise InputError("send", None, " ".join(words), str(error)) from None
@@ -83,47 +94,45 @@ def send(
     return 0
 
 
-def _is_answer(greeting: Reply) -> bool:
-    from lidar_emu.cli.commander import UNANSWERED
-
-    return greeting.verdict != UNANSWERED
-
-
-def _tell(name: str, values: dict[str, Argument], reply: Reply, as_json: bool) -> None:
+def _print(name: str, values: dict[str, Argument], result: CommandResult, as_json: bool) -> None:
     if as_json:
-        say(json.dumps({"command": name, "values": values, "verdict": reply.verdict, "time_s": reply.time_s}))
+        say(
+            json.dumps(
+                {"command": name, "values": values, "verdict": result.verdict, "time_s": result.time_s}
+            )
+        )
         return
-    at = "" if reply.time_s is None else f" at {reply.time_s:.3f} s"
-    say(f"{_said(name, values)}: {reply.verdict.replace('_', ' ')}{at}")
+    at = "" if result.time_s is None else f" at {result.time_s:.3f} s"
+    say(f"{_text(name, values)}: {result.verdict.replace('_', ' ')}{at}")
 
 
-def _said(name: str, values: dict[str, Argument]) -> str:
+def _text(name: str, values: dict[str, Argument]) -> str:
     return " ".join([name, *(f"{key}={value}" for key, value in values.items())])
 
 
-def _commands(interface: Interface, where: str, can: bool) -> Commands:
+def _definitions(interface: Interface, where: str, can: bool) -> Commands:
     commands = interface.commands
     if commands is None or (can and any(each.can is None for each in commands.commands)):
         raise InputError("--wire-interface", None, where, "allowed: one with commands on this kind of link")
     return commands
 
 
-def _orders(words: tuple[str, ...], commands: Commands) -> list[_Order]:
-    """Commands with their arguments: a word without `=` begins the next one."""
-    orders: list[_Order] = []
+def _parse(words: tuple[str, ...], known: Commands) -> list[_Command]:
+    """Commands with their arguments: a word without `=` begins the next command."""
+    commands: list[_Command] = []
     for word in words:
         name, separator, text = word.partition("=")
         if not separator:
-            if name not in commands.by_name:
-                raise InputError("send", None, name, f"allowed: {', '.join(commands.by_name)}")
-            orders.append((name, {}))
-        elif not orders:
+            if name not in known.by_name:
+                raise InputError("send", None, name, f"allowed: {', '.join(known.by_name)}")
+            commands.append((name, {}))
+        elif not commands:
             raise InputError("send", None, word, "allowed first: a command")
-        elif name in orders[-1][1]:
-            raise InputError("send", None, word, f"{orders[-1][0]} has {name} already")
+        elif name in commands[-1][1]:
+            raise InputError("send", None, word, f"{commands[-1][0]} has {name} already")
         else:
-            orders[-1][1][name] = _value(text)
-    return orders
+            commands[-1][1][name] = _value(text)
+    return commands
 
 
 def _value(text: str) -> Argument:
@@ -138,12 +147,12 @@ def _value(text: str) -> Argument:
         return text
 
 
-def _check(interface: Interface, unit: int, sequence: int, orders: list[_Order]) -> None:
-    """Find what cannot be sent before anything is."""
+def _check(interface: Interface, unit: int, sequence: int, commands: list[_Command]) -> None:
+    """Encode all commands before the first one is sent, to reject errors early."""
     from lidar_protocol import EncodeError, Host
 
-    for name, values in orders:
+    for name, values in commands:
         try:
             Host(interface, unit).encode_command(name, **{**values, "sequence": sequence})
         except EncodeError as error:
-            raise InputError("send", None, _said(name, values), str(error)) from None
+            raise InputError("send", None, _text(name, values), str(error)) from None

@@ -1,4 +1,4 @@
-"""`lidar-emu simulate`: the measurements of a run, without wire and clock."""
+"""`lidar-emu simulate`: the measurements of a run, without link and clock."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 
 
-@click.command(short_help="The same measurements as a table, point cloud or picture.")
+@click.command(short_help="Compute the measurements without a link: table, point cloud or plot.")
 @scenario_options
 @click.option("--out", metavar="FILE", help="Table or point cloud: .csv, .npz, .parquet or .ply.")
-@click.option("--plot", metavar="FILE.png", help="Picture of the descent: path, footprints, errors.")
-@click.option("--geometry-out", metavar="FILE.npz", help="Record where the beams point and what they meet.")
+@click.option("--plot", metavar="FILE.png", help="Plot the descent: path, footprints, errors.")
+@click.option("--geometry-out", metavar="FILE.npz", help="Record where the beams point and what they hit.")
 @geometry_option
 def simulate(
     scenario: str,
@@ -32,7 +32,7 @@ def simulate(
     geometry_out: str | None,
     geometry: str | None,
 ) -> None:
-    """Measure SCENARIO without a wire: for the same seed the same values as `run`.
+    """Measure SCENARIO without a link: the same values as `run` for the same seed.
 
     \b
     lidar-emu simulate descent.yaml --out descent.csv
@@ -47,7 +47,7 @@ def simulate(
         allowed = "allowed: --out FILE, --plot FILE.png, --geometry-out FILE.npz, or several"
         raise InputError("simulate", None, Finding("no output"), allowed)
     if geometry_out is not None and geometry is not None:
-        allowed = "allowed: --geometry-out to record, --geometry to measure what was recorded"
+        allowed = "allowed: --geometry-out to record, --geometry to measure a recorded geometry"
         raise InputError("simulate", None, Finding("both geometries"), allowed)
     if out is not None:
         check_export_path(Path(out))
@@ -62,13 +62,13 @@ def simulate(
     require_known_flight(flown)
     if geometry_out is not None:
         _record(flown, Path(geometry_out))
-        geometry = geometry_out  # the light comes after, from what was recorded
+        geometry = geometry_out  # the receiver measures the recorded geometry
     if out is None and plot is None:
         return
     with busy(COMPILING):
         model = build_model(flown, None if geometry is None else Path(geometry))
         measurement = measure_whole(model)
-    # The picture first: it may find nothing to draw, and then no file must be left.
+    # The plot first: if it has nothing to draw, no file must be left.
     if plot is not None:
         scene = None if model.flight is None else model.flight.scene
         plot_descent(measurement, scene, flown.name, Path(plot))

@@ -19,19 +19,23 @@ Command = Callable[..., Any]
 
 _OPTIONS = (
     click.option("--port", metavar="PORT", help="Serial device, pyserial URL, udp:[HOST:]PORT, or pty."),
-    click.option("--baud", type=int, metavar="N", help=f"Serial bit rate.  [default: {DEFAULT_BAUD}]"),
     click.option(
-        "--rs485", is_flag=True, help="Let the serial driver enable the transmitter while it sends."
+        "--baud", type=int, metavar="N", help=f"Serial bit rate in bit/s.  [default: {DEFAULT_BAUD}]"
     ),
-    click.option("-i", "--interface", metavar="NAME", help="CAN interface, in python-can's words."),
+    click.option(
+        "--rs485", is_flag=True, help="Let the serial driver enable the RS-485 transmitter while it sends."
+    ),
+    click.option("-i", "--interface", metavar="NAME", help="python-can interface name, e.g. socketcan."),
     click.option("-c", "--channel", metavar="NAME", help="CAN channel, e.g. vcan0."),
-    click.option("--bitrate", type=int, metavar="N", help=f"CAN bit rate.  [default: {DEFAULT_BITRATE}]"),
+    click.option(
+        "--bitrate", type=int, metavar="N", help=f"CAN bit rate in bit/s.  [default: {DEFAULT_BITRATE}]"
+    ),
     click.option("--fd", is_flag=True, help="CAN FD frames."),
     click.option(
         "--data-bitrate",
         type=int,
         metavar="N",
-        help=f"CAN FD bit rate of the data phase.  [default: {DEFAULT_DATA_BITRATE}]",
+        help=f"CAN FD bit rate of the data phase in bit/s.  [default: {DEFAULT_DATA_BITRATE}]",
     ),
 )
 

@@ -1,4 +1,4 @@
-"""`lidar-emu bench protocol`: what packets and frames cost."""
+"""`lidar-emu bench protocol`: the cost of packets and frames."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import click
 _ROUNDS = 200
 
 
-@click.command(short_help="What packets, CAN frames and CRCs cost, beside a slow exact path.")
-@click.option("--json", "as_json", is_flag=True, help="For machines.")
+@click.command(short_help="Cost of packets, CAN frames and CRCs, compared with a slow exact path.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def protocol(as_json: bool) -> None:
-    """Build and decode a shot of four beams, every field of it, with the default interface.
+    """Encode and decode a shot of four beams, every field of it, with the default interface.
 
-    Medians of calls that take turns. The slow path walks through the definition field by field, in exact fractions, and
-    computes CRCs bit by bit; that both come to the same is what the tests are for.
+    Medians of alternating calls. The slow path goes through the definition field by field, in exact fractions, and
+    computes CRCs bit by bit; the tests check that both give the same result.
 
     \b
     lidar-emu bench protocol

@@ -1,4 +1,4 @@
-"""What the picture of a run and that of a listener show."""
+"""Contents of the live display: of a run, and of a listener."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from datetime import datetime
 from typing import Any
 
 from lidar_emu.cli.dashboard import Dashboard
-from lidar_emu.cli.far_end import Decoder, counter_line, reason
+from lidar_emu.cli.decoder import Decoder
+from lidar_emu.cli.message_lines import counter_line, reason
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
@@ -23,28 +24,28 @@ _FAULT_STAYS_NS = 1_000_000_000
 Line = tuple[str, str]
 
 
-class Instruments:
-    """What the last messages of each unit say."""
+class LatestMessages:
+    """The last messages of each unit, as rows and lines."""
 
     def __init__(self, interface: Interface) -> None:
         self._interface = interface
         self._shots: dict[int, Message] = {}
         self._states: dict[int, dict[str, Any]] = {}
-        self._answer = ""
+        self._acknowledgement = ""
 
-    def take(self, messages: Iterable[Received]) -> None:
-        """Know these as the last ones."""
+    def store(self, messages: Iterable[Received]) -> None:
+        """Store the newest messages."""
         for message in messages:
             if isinstance(message, Acknowledge):
-                self._answer = f"{message.command or 'unknown'}: {message.verdict.replace('_', ' ')}"
+                self._acknowledgement = f"{message.command or 'unknown'}: {message.verdict.replace('_', ' ')}"
                 continue
             if isinstance(message, Message):
                 self._shots[message.unit] = message
-            said = message.header if isinstance(message, Message) else message.values
-            self._states.setdefault(message.unit, {}).update(said)
+            fields = message.header if isinstance(message, Message) else message.values
+            self._states.setdefault(message.unit, {}).update(fields)
 
     def beams(self) -> list[tuple[str, Any, Any, Any, str | None]]:
-        """As the screen wants them."""
+        """Rows of beams: name, range, closing speed, SNR, and the reason if invalid."""
         several = len(self._shots) > 1
         return [
             (f"{unit}.{beam}" if several else str(beam), *self._cells(row))
@@ -58,28 +59,28 @@ class Instruments:
         return row.get("range_m"), row.get("closing_speed_mps"), row.get("snr_db"), why
 
     def lines(self) -> list[Line]:
-        """Mode and flags of each unit; the last answer."""
-        told = [("device", self._state(unit, state)) for unit, state in sorted(self._states.items())]
-        return [*told, *([("answer", self._answer)] if self._answer else [])]
+        """Mode and flags of each unit; the last acknowledgement."""
+        lines = [("device", self._state(unit, state)) for unit, state in sorted(self._states.items())]
+        return [*lines, *([("command", self._acknowledgement)] if self._acknowledgement else [])]
 
     def _state(self, unit: int, state: dict[str, Any]) -> str:
-        said = [f"unit {unit}"]
+        parts = [f"unit {unit}"]
         if (mode := state.get("mode")) is not None:
-            said.append(self._interface.word("mode", int(mode)) or str(mode))
+            parts.append(self._interface.word("mode", int(mode)) or str(mode))
         flags = (("laser_on", "laser"), ("clock_locked", "clock"), ("interlock_closed", "interlock"))
         words = {"laser": ("off", "on"), "clock": ("free", "locked"), "interlock": ("open", "closed")}
-        said += [f"{word} {words[word][bool(state[name])]}" for name, word in flags if name in state]
+        parts += [f"{word} {words[word][bool(state[name])]}" for name, word in flags if name in state]
         if (temperature_c := state.get("temperature_c")) is not None:
-            said.append(f"{temperature_c:.1f} °C")
-        return ", ".join(said).replace("_", " ")
+            parts.append(f"{temperature_c:.1f} °C")
+        return ", ".join(parts).replace("_", " ")
 
     def last_shot(self) -> Message | None:
-        """Of any unit."""
+        """The latest shot of any unit."""
         return max(self._shots.values(), key=lambda message: message.time_ns or 0, default=None)
 
 
-def _time_line(instruments: Instruments, until: str = "") -> list[Line]:
-    last = instruments.last_shot()
+def _time_line(latest: LatestMessages, until: str = "") -> list[Line]:
+    last = latest.last_shot()
     if last is None:
         return []
     time = "-" if last.time_ns is None else f"{last.time_ns * 1e-9:.3f} s{until}"
@@ -87,35 +88,35 @@ def _time_line(instruments: Instruments, until: str = "") -> list[Line]:
     return [("time", time + ("" if number is None else f", shot {number}"))]
 
 
-class ListenBoard:
-    """Draws what a listener hears."""
+class ListenDisplay:
+    """Live display of received messages."""
 
     def __init__(self, dashboard: Dashboard, decoder: Decoder, title: str) -> None:
         self._dashboard, self._decoder, self._title = dashboard, decoder, title
-        self._instruments = Instruments(decoder.interface)
+        self._latest = LatestMessages(decoder.interface)
 
-    def take(self, messages: Iterable[Received]) -> None:
-        """Know what came, and draw it if it is time."""
-        self._instruments.take(messages)
+    def store(self, messages: Iterable[Received]) -> None:
+        """Store messages, and update the display when it is due."""
+        self._latest.store(messages)
         if self._dashboard.is_due:
             lines = [
-                *_time_line(self._instruments),
+                *_time_line(self._latest),
                 ("received", counter_line(self._decoder.counters())),
-                *self._instruments.lines(),
+                *self._latest.lines(),
             ]
-            self._dashboard.show({"title": self._title, "beams": self._instruments.beams(), "lines": lines})
+            self._dashboard.show({"title": self._title, "beams": self._latest.beams(), "lines": lines})
 
 
-class RunBoard(Observer):
-    """Draws a run: what the last packet that went out says, and how it goes.
+class RunDisplay(Observer):
+    """Live display of a run: the last packet sent, counts, lateness, link and faults.
 
     Args:
-        dashboard: draws.
+        dashboard: the process that draws.
         interface: of the packets.
         is_can: whether packets are frame records.
-        title: stands above.
+        title: first line.
         tally: counts the run.
-        seconds: how long it is planned to be; None: nobody knows.
+        seconds: planned duration; None if unknown.
     """
 
     def __init__(
@@ -128,7 +129,7 @@ class RunBoard(Observer):
         seconds: float | None,
     ) -> None:
         self._dashboard, self._decoder, self._is_can = dashboard, Decoder(interface), is_can
-        self._instruments = Instruments(interface)
+        self._latest = LatestMessages(interface)
         self._title, self._tally = title, tally
         self._until = "" if seconds is None else f" of {seconds:g} s"
         self._late_ns = self._latest_ns = self._sent_bytes = 0
@@ -136,41 +137,41 @@ class RunBoard(Observer):
         self._notice = ""
 
     def on_waiting(self, port: str, what: str) -> None:  # noqa: ARG002
-        """Say what the run waits for."""
+        """Show what the run waits for."""
         self._notice = f"waits for {what}"
         self._draw()
 
     def on_opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
-        """It waits no more."""
+        """Clear that notice."""
         self._notice = ""
 
     def on_housekeeping(self, payload: bytes, time_ns: int) -> None:  # noqa: ARG002
-        """Know how the device is."""
+        """Show housekeeping."""
         self._decode(payload)
         if self._dashboard.is_due:
             self._draw()
 
     def on_acknowledgement(self, payload: bytes, time_ns: int) -> None:  # noqa: ARG002
-        """Know what it answered."""
+        """Store the acknowledgement."""
         self._decode(payload)
 
     def on_block_sent(self, block: Block) -> None:
-        """Know which faults acted, and when."""
+        """Store which faults acted, and when."""
         for fault in block.faults:
             beams = f" ({', '.join(map(str, fault.beams))})" if fault.beams else ""
             row = fault.shot - int(block.measurement.shot[0])
             self._acting[fault.kind.replace("_", " ") + beams] = block.due_ns[row]
 
     def on_process_event(self, time_ns: int, what: str) -> None:
-        """Show the last thing that happened."""
+        """Show the last event."""
         self._notice = f"{time_ns * 1e-9:.3f} s: {what}"
 
     def on_link_event(self, time_ns: int, what: str) -> None:
-        """Show the last thing that happened."""
+        """Show the last event."""
         self.on_process_event(time_ns, what)
 
     def on_report(self, packet: Outgoing, report: Report) -> None:
-        """Draw, if it is time."""
+        """Update the display when it is due."""
         if report.status is DeliveryStatus.SENT:
             self._sent_bytes += len(packet.payload)
             self._late_ns = max(self._late_ns, report.sent_ns - report.due_ns)
@@ -181,24 +182,24 @@ class RunBoard(Observer):
 
     def _decode(self, payload: bytes) -> None:
         arrived = unpack_frames(payload) if self._is_can else payload
-        self._instruments.take(self._decoder.receive(arrived))
+        self._latest.store(self._decoder.receive(arrived))
 
     def _draw(self, now_ns: int = 0) -> None:
         tally = self._tally
         lines = [
-            *_time_line(self._instruments, self._until),
+            *_time_line(self._latest, self._until),
             ("shots", f"{tally.sent} sent, {tally.late} late, {tally.dropped} dropped"),
             *self._lateness(),
             ("link", f"{self._sent_bytes / 1e3:.1f} kB" + (f"; {self._notice}" if self._notice else "")),
-            *self._instruments.lines(),
+            *self._latest.lines(),
         ]
         self._acting = {what: at for what, at in self._acting.items() if now_ns - at < _FAULT_STAYS_NS}
         if self._acting:
             lines.append(("faults", ", ".join(self._acting)))
-        self._dashboard.show({"title": self._title, "beams": self._instruments.beams(), "lines": lines})
+        self._dashboard.show({"title": self._title, "beams": self._latest.beams(), "lines": lines})
 
     def _lateness(self) -> list[Line]:
-        """Of what went out since the last picture, and of all."""
+        """Largest lateness since the last update, and of the run."""
         if self._tally.pace is not Pace.WALL:
             return []
         late_ns, self._late_ns = self._late_ns, 0

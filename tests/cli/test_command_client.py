@@ -9,7 +9,7 @@ from itertools import count
 
 import pytest
 
-from lidar_emu.cli.commander import SENT, UNANSWERED, Commander
+from lidar_emu.cli.command_client import NO_ACKNOWLEDGEMENT, SENT, CommandClient
 from lidar_emu.device.modes import initial
 from lidar_emu.device.rules import device_rules
 from lidar_emu.device.timeline import DeviceTimeline
@@ -79,12 +79,12 @@ def unit(spec: PortSpec) -> Iterator[Callable[[int], Unit]]:
 
 
 @pytest.fixture
-def commander(spec: PortSpec) -> Iterator[Callable[..., Commander]]:
+def commander(spec: PortSpec) -> Iterator[Callable[..., CommandClient]]:
     hosts: list[CanHost] = []
 
-    def connect(number: int, timeout_s: float = 20.0) -> Commander:
+    def connect(number: int, timeout_s: float = 20.0) -> CommandClient:
         hosts.append(CanHost(lambda: open_can(spec)))
-        return Commander(hosts[-1], INTERFACE, number, timeout_s)
+        return CommandClient(hosts[-1], INTERFACE, number, timeout_s)
 
     yield connect
     for host in hosts:
@@ -92,17 +92,17 @@ def commander(spec: PortSpec) -> Iterator[Callable[..., Commander]]:
 
 
 def test_units_on_one_bus_each_hear_their_own(
-    unit: Callable[[int], Unit], commander: Callable[..., Commander]
+    unit: Callable[[int], Unit], commander: Callable[..., CommandClient]
 ) -> None:
     units = {number: unit(number) for number in (0, 3)}
     hosts = {number: commander(number) for number in units}
     for host in hosts.values():
-        greeting = host.begin_anew()
+        greeting = host.synchronise()
         assert greeting is not None
         assert greeting.verdict == "accepted"
-    assert hosts[3].ask("set_rate_hz", {"rate_hz": 10}).verdict == "accepted"
-    assert hosts[0].ask("enable_beams", {"beams": 5}).verdict == "accepted"
-    assert hosts[3].ask("set_pattern", {"pattern": 7}).verdict == "out_of_range"
+    assert hosts[3].send("set_rate_hz", {"rate_hz": 10}).verdict == "accepted"
+    assert hosts[0].send("enable_beams", {"beams": 5}).verdict == "accepted"
+    assert hosts[3].send("set_pattern", {"pattern": 7}).verdict == "out_of_range"
     told = {
         number: [(heard.command, heard.sequence) for heard in each.heard] for number, each in units.items()
     }
@@ -113,11 +113,11 @@ def test_units_on_one_bus_each_hear_their_own(
 
 
 def test_a_unit_that_is_not_there_does_not_answer(
-    unit: Callable[[int], Unit], commander: Callable[..., Commander]
+    unit: Callable[[int], Unit], commander: Callable[..., CommandClient]
 ) -> None:
     present = unit(0)
-    assert commander(5, timeout_s=0.2).ask("no_op", {}).verdict == UNANSWERED
-    assert commander(0).ask("no_op", {}).verdict == "accepted"
+    assert commander(5, timeout_s=0.2).send("no_op", {}).verdict == NO_ACKNOWLEDGEMENT
+    assert commander(0).send("no_op", {}).verdict == "accepted"
     assert len(present.heard) == 1
 
 
@@ -125,5 +125,5 @@ def test_where_the_bus_has_no_answers_a_command_counts_as_sent(spec: PortSpec) -
     assert INTERFACE.can is not None
     silent = replace(INTERFACE, can=replace(INTERFACE.can, acknowledge=None))
     host = CanHost(lambda: open_can(spec))
-    assert Commander(host, silent, 0, 20.0).ask("no_op", {}).verdict == SENT
+    assert CommandClient(host, silent, 0, 20.0).send("no_op", {}).verdict == SENT
     host.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.cli.far_end import Decoder
+from lidar_emu.cli.decoder import Decoder
 from lidar_emu.runtime.feed.packet_queue import payload_of
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import BenchScenario, Wire

@@ -1,4 +1,4 @@
-"""The process that draws: `python -m lidar_emu.cli.dashboard_screen DESCRIPTOR` shows what comes through a socket."""
+"""The display process: `python -m lidar_emu.cli.dashboard_process DESCRIPTOR` draws what a socket receives."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ from rich.text import Text
 
 _LONGEST = 1 << 18
 _NARROW, _ROOMY = 52, 70
-"""Columns of a terminal: below the first, signal to noise is not shown; from the second on, columns stand apart."""
+"""Terminal widths in columns: below the first, SNR is not shown; from the second on, columns are padded."""
 _LABEL_WIDTH = 9
 
 
 def main(descriptor: int) -> None:
-    """Draw until the other end is closed."""
+    """Draw until the other end of the socket is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     console = Console()
     with (
-        socket.socket(fileno=descriptor) as told,
+        socket.socket(fileno=descriptor) as receiver,
         Live(console=console, auto_refresh=False, transient=True, vertical_overflow="crop") as live,
     ):
-        while message := told.recv(_LONGEST):
-            news = json.loads(message)
-            if "say" in news:
-                console.print(news["say"], markup=False, highlight=False, soft_wrap=True)
+        while message := receiver.recv(_LONGEST):
+            content = json.loads(message)
+            if "say" in content:
+                console.print(content["say"], markup=False, highlight=False, soft_wrap=True)
             else:
-                live.update(picture(news, console.width, console.height), refresh=True)
+                live.update(render(content, console.width, console.height), refresh=True)
 
 
-def picture(told: dict[str, Any], width: int, height: int) -> RenderableType:
-    """What is shown on a terminal of this size.
+def render(content: dict[str, Any], width: int, height: int) -> RenderableType:
+    """The display for a terminal of this size.
 
     Args:
-        told: `title`; `beams`: name, range in m, closing speed in m/s, SNR in dB, and why it is invalid or None;
+        content: `title`; `beams`: name, range in m, closing speed in m/s, SNR in dB, reason if invalid or None;
             `lines`: label and text.
         width: in columns.
         height: in rows.
     """
-    lines: Sequence[tuple[str, str]] = told["lines"]
+    lines: Sequence[tuple[str, str]] = content["lines"]
     room = max(1, height - len(lines) - 5)
-    beams, rest = told["beams"][:room], told["beams"][room:]
+    beams, rest = content["beams"][:room], content["beams"][room:]
     table = Table(box=None, pad_edge=False, padding=(0, 2 if width >= _ROOMY else 1, 0, 0))
     for heading in ("beam", "range m", "speed m/s", *(("SNR dB",) if width >= _NARROW else ())):
         table.add_column(heading, justify="right", no_wrap=True)
@@ -59,7 +59,7 @@ def picture(told: dict[str, Any], width: int, height: int) -> RenderableType:
         table.add_row(name, *numbers, Text(why or "valid", style="yellow" if why else "green"))
     more = [Text(f"and {len(rest)} beams more", style="dim")] if rest else []
     below = [_line(label, text) for label, text in lines]
-    return Group(_one_row(Text(told["title"], style="bold")), table, *more, Text(), *below)
+    return Group(_one_row(Text(content["title"], style="bold")), table, *more, Text(), *below)
 
 
 def _number(value: float | None, how: str) -> str:

@@ -1,0 +1,219 @@
+"""`lidar-emu bench accuracy`: error against computing time of every level."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from lidar_emu.cli.options import as_number, load_scenario, settings_option
+from lidar_emu.cli.progress import show_step
+from lidar_emu.errors import Finding, InputError, RunError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from lidar_emu.bench.accuracy import AccuracyReport, SettingResult
+
+
+@click.command(short_help="Error and time of every level and setting, relative to the waveform level.")
+@click.argument("scenario", default="descent.yaml")
+@settings_option
+@click.option("--shots", metavar="N", default="1000", show_default=True,
+              help="Shots at each fast setting, spread over the flight; any excess with other seeds.")  # fmt: skip
+@click.option(
+    "--target-range-error", metavar="M", help="Name the cheapest setting within this error of the reference."
+)
+@click.option("--target-speed-error", metavar="MPS", help="The same for closing speed.")
+@click.option("--plot", metavar="FILE.png", help="Plot error against time, with the Pareto front.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def accuracy(
+    scenario: str,
+    settings: tuple[str, ...],
+    shots: str,
+    target_range_error: str | None,
+    target_speed_error: str | None,
+    plot: str | None,
+    as_json: bool,
+) -> None:
+    """Compare levels and settings on SCENARIO (descent.yaml): error, dropouts, and time per beam measurement.
+
+    The reference is level waveform with 127 beamlets. A setting's error is the root mean square difference between the
+    quantiles (1 % to 99 %) of its errors against the ground truth and the reference's quantiles. docs/accuracy.md
+    explains the method. Takes about a minute with the default --shots.
+
+    \b
+    lidar-emu bench accuracy
+    lidar-emu bench accuracy descent.yaml --plot accuracy.png
+    lidar-emu bench accuracy my.yaml --target-range-error 0.01 --target-speed-error 1e-4
+    lidar-emu bench accuracy --set instrument=ndl_fine --shots 4000 --json
+    """
+    count = _count(shots)
+    range_m, speed_mps = (
+        None if text is None else as_number(option, text)
+        for option, text in (
+            ("--target-range-error", target_range_error),
+            ("--target-speed-error", target_speed_error),
+        )
+    )
+    if plot is not None:
+        from lidar_emu.report.work_precision_plot import check_plot_path
+
+        check_plot_path(Path(plot))
+    flown = load_scenario(scenario, None, None, settings)
+    from lidar_emu.scenario.schema import FlightScenario
+
+    if not isinstance(flown, FlightScenario):
+        allowed = "allowed: a flight, with an instrument and a site"
+        raise InputError(scenario, None, Finding("a bench pattern"), allowed)
+    from lidar_emu.bench.accuracy import measure_accuracy
+
+    report = measure_accuracy(flown, count, show_step)
+    show_step("")
+    targeted = range_m is not None or speed_mps is not None
+    chosen = None
+    if targeted:
+        bounds = (math.inf if bound is None else bound for bound in (range_m, speed_mps))
+        chosen = report.cheapest(*bounds)
+    if plot is not None:
+        _plot(report, Path(plot))
+    if as_json:
+        from lidar_emu.bench.document import document
+
+        click.echo(json.dumps(document(report) | {"cheapest": chosen and chosen.setting.name}, indent=2))
+    else:
+        _print(report)
+    if targeted:
+        _conclude(chosen, as_json)
+
+
+def _conclude(chosen: SettingResult | None, as_json: bool) -> None:
+    if chosen is None:
+        raise RunError(
+            "no setting is within the requested error of the reference; more --shots resolve smaller errors"
+        )
+    if not as_json:
+        setting = chosen.setting
+        keys = f"--set level={setting.level} --set instrument.optics.beamlets={setting.beamlets}"
+        keys += f" --set exact={str(setting.exact).lower()}" if setting.level == "spectral" else ""
+        click.echo(f"cheapest: {setting.name}, {chosen.time_s * 1e6:.3g} us per beam measurement: {keys}")
+
+
+def _plot(report: AccuracyReport, path: Path) -> None:
+    from lidar_emu.bench.document import marks
+    from lidar_emu.report.work_precision_plot import plot_work_precision
+
+    range_marks, speed_marks = marks(report)
+    panels = [
+        ("range error relative to the reference (m)", range_marks, report.floor.range_m),
+        ("speed error relative to the reference (m/s)", speed_marks, report.floor.speed_mps),
+    ]
+    plot_work_precision(panels, f"{report.scenario}: error against computing time", path)
+    click.echo(f"{path}: {report.scenario}", err=True)
+
+
+def _count(text: str) -> int:
+    try:
+        count = int(text)
+    except ValueError:
+        count = 0
+    if not 10 <= count <= 1_000_000:
+        raise InputError("--shots", None, text, "allowed: a whole number from 10 to 1000000")
+    return count
+
+
+def _print(report: AccuracyReport) -> None:
+    """Print settings, spectra, and the statistics that the figures depend on."""
+    from rich.console import Console
+
+    from lidar_emu.bench.settings import REFERENCE
+
+    console = Console()
+    console.print(_settings_table(report))
+    console.print(_spectra_table(report))
+    apart_m, apart_mps = report.twin
+    console.print(
+        f"{report.shots} shots. The last three columns are errors relative to the reference; for settings without * "
+        f"they are sampling noise below {report.floor.range_m:.2g} m, "
+        f"{1e3 * report.floor.speed_mps:.2g} mm/s and {100 * report.floor.dropout:.2g} %. "
+        f"{REFERENCE.name} and spectral differ by {apart_m:.1g} m and {1e3 * apart_mps:.1g} mm/s rms "
+        f"({report.pairs} beams, same speckle, negligible noise).",
+        highlight=False,
+    )
+
+
+def _settings_table(report: AccuracyReport) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    from lidar_emu.bench.settings import REFERENCE
+
+    title = f"{report.scenario}: settings relative to {REFERENCE.name}; > on the Pareto front"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
+    table.add_column("setting\n", no_wrap=True)
+    for heading in (
+        "time\nper beam", "times\nfaster", "range\nrms m", "speed\nmm/s", "drop-\nout %", "range\nerr. m",
+        "speed\nmm/s", "drop-\nout %",
+    ):  # fmt: skip
+        table.add_column(heading, justify="right", no_wrap=True)
+    front = set(report.front)
+    level = report.results[0].setting.level
+    for i, result in enumerate(report.results):
+        if result.setting.level != level:
+            table.add_section()
+            level = result.setting.level
+        name = ("> " if i in front else "  ") + result.setting.name
+        table.add_row(name + ("*" if result.setting.shares_draws else ""), *_cells(result))
+    return table
+
+
+def _cells(result: SettingResult) -> list[str]:
+    from lidar_emu.bench.errors_against_truth import rms
+
+    spread, error = result.spread, result.error
+    truth = ["-"] * 3
+    if spread is not None:
+        values = (
+            rms(spread.range_m),
+            1e3 * rms(spread.speed_mps),
+            100 * spread.dropout,
+        )
+        truth = [_number(value) for value in values]
+    return [
+        _time(result.time_s),
+        f"{result.waveform_ratio:.0f}",
+        *truth,
+        *(_number(value, 2) for value in (error.range_m, 1e3 * error.speed_mps, 100 * error.dropout)),
+    ]
+
+
+def _spectra_table(report: AccuracyReport) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title="One segment of 61 beamlets", title_justify="left", box=box.SIMPLE_HEAD, padding=0)
+    table.add_column("spectrum")
+    table.add_column("  us", justify="right")
+    table.add_column("  complex error over the peak", justify="right")
+    for method in report.spectra:
+        table.add_row(method.name, f"{1e6 * method.time_s:.3g}", f"{method.error:.1g}")
+    return table
+
+
+def _time(time_s: float) -> str:
+    for unit, scale in (("us", 1e6), ("ms", 1e3)):
+        if time_s * scale < 1000:
+            return f"{time_s * scale:.3g} {unit}"
+    return f"{time_s:.3g} s"
+
+
+def _number(value: float, digits: int = 3) -> str:
+    """Format a number in at most six characters."""
+    if not math.isfinite(value):
+        return "-"
+    if 0.0 < abs(value) < 1e-3:
+        return f"{value:.0e}".replace("e-0", "e-")
+    return f"{value:.{digits}g}"

@@ -1,0 +1,55 @@
+"""`lidar-emu bench campaign`: the speed of Monte Carlo campaigns on this machine."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict
+
+import click
+
+from lidar_emu.cli.options import as_whole
+from lidar_emu.cli.progress import show_step
+
+
+@click.command(short_help="How many times faster than real time campaigns run, on one core and on all.")
+@click.option("--workers", metavar="N", help="Worker processes.  [default: one per core]")
+@click.option("--runs", metavar="N", default="400", show_default=True, help="Runs for all workers together.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def campaign(workers: str | None, runs: str, as_json: bool) -> None:
+    """Fly runs of dispersed_descent.yaml and compare their time with real time, and the pool with separate processes.
+
+    \b
+    lidar-emu bench campaign
+    lidar-emu bench campaign --runs 2000 --json
+    """
+    count = len(os.sched_getaffinity(0)) if workers is None else as_whole("--workers", workers)
+    run_count = as_whole("--runs", runs)
+    from lidar_emu.bench.campaign import measure_cores, measure_scaling
+
+    cores = measure_cores(show_step)
+    scaling = measure_scaling(count, run_count, show_step)
+    show_step("")
+    if as_json:
+        document = {
+            "one_core": [
+                {
+                    **asdict(core),
+                    "faster_than_real_time": core.flight_s / core.run_s,
+                    "faster_than_real_time_per_core": core.flight_s / core.core_s,
+                }
+                for core in cores
+            ],
+            "all": {**asdict(scaling), "pool_over_alone": scaling.alone_s / scaling.pool_s},
+        }
+        click.echo(json.dumps(document, indent=2))
+        return
+    for core in cores:
+        ratio, per_core = core.flight_s / core.run_s, core.flight_s / core.core_s
+        run = f"{core.run_s * 1e3:.1f} ms a run, {core.core_s * 1e3:.1f} ms of processor time"
+        click.echo(f"{core.level}: {run}; {ratio:.0f} and {per_core:.0f} times faster than real time")
+    share = scaling.alone_s / scaling.pool_s
+    both = f"pool {scaling.pool_s:.2f} s, separate processes {scaling.alone_s:.2f} s"
+    click.echo(
+        f"{run_count} runs, {count} processes: {both}; the pool reaches {100 * share:.0f} % of their rate"
+    )

@@ -1,0 +1,213 @@
+"""`lidar-emu bench realtime`: lateness and jitter on this machine, compared with a control process."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from lidar_emu.cli.options import as_number
+from lidar_emu.cli.progress import show_step
+from lidar_emu.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from lidar_emu.bench.realtime import RealtimeReport
+
+_OPTIONS: dict[str | None, str] = {
+    "timing.rate_hz": "--rate",
+    "duration_s": "--duration",
+    "instrument.optics.beamlets": "--beamlets",
+}
+
+_FIGURES = {"p50_ns": "p50", "p99_ns": "p99", "p99_9_ns": "p99.9", "max_ns": "max"}
+_STAGES = {"wake_up": "woken up", "due_to_written": "written", "due_to_received": "received"}
+_BAR_COLUMNS = 24
+_COLUMN = 8 + 1 + _BAR_COLUMNS + 2
+
+
+@click.command(short_help="Lateness of packets on this machine, compared with a control process.")
+@click.option("--rate", default="1111", show_default=True, metavar="HZ", help="Shots per second.")
+@click.option("--duration", default="10", show_default=True, metavar="S", help="Length of the flight.")
+@click.option("--beamlets", default="61", show_default=True, metavar="N", help="Per beam, of four beams.")
+@click.option("--record", is_flag=True, help="Record the flight too, into a temporary file.")
+@click.option(
+    "--plot", metavar="FILE.png", help="Plot the distribution of lateness, and the p99 of each second."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def realtime(rate: str, duration: str, beamlets: str, record: bool, plot: str | None, as_json: bool) -> None:
+    """Fly at level spectral over a pty that represents a serial line of 3 Mbit/s, and measure every packet's lateness.
+
+    At the same time a control process writes as many bytes at the same instants to a pty of its own, with the same
+    priority, and does nothing else: its lateness is the machine's. docs/how-late.md explains the figures,
+    docs/bench-machine.md how to improve a machine. Ctrl-C ends the flight and prints the measurements so far.
+
+    \b
+    lidar-emu bench realtime
+    lidar-emu bench realtime --rate 100 --duration 600 --record --plot lateness.png
+    lidar-emu bench realtime --json
+    """
+    if plot is not None:
+        from lidar_emu.report.lateness_plot import check_plot_path
+
+        check_plot_path(Path(plot))
+    rate_hz, duration_s = as_number("--rate", rate), as_number("--duration", duration)
+    count = as_count(beamlets)
+    from lidar_emu.bench.realtime import RealtimeOptions, measure_realtime
+
+    with named_by_option():
+        report = measure_realtime(RealtimeOptions(rate_hz, duration_s, count, record), show_step)
+    show_step("")
+    if plot is not None:
+        _plot(report, Path(plot))
+    from lidar_emu.bench.realtime_document import realtime_document
+
+    document = realtime_document(report)
+    if as_json:
+        click.echo(json.dumps(document, indent=2))
+    else:
+        print_realtime(document)
+
+
+def _plot(report: RealtimeReport, path: Path) -> None:
+    from lidar_emu.report.lateness_plot import LatenessCurve, plot_lateness
+
+    options, at_s = report.options, [window.at_s for window in report.windows]
+    curves = [
+        LatenessCurve(
+            "emulator",
+            report.emulator.due_to_written_ns(),
+            at_s,
+            [window.p99_ns for window in report.windows],
+        ),
+        LatenessCurve(
+            "control",
+            report.control.due_to_written_ns(),
+            at_s,
+            [window.control_p99_ns for window in report.windows],
+        ),
+    ]
+    title = f"{options.rate_hz:g} shots/s, four beams of {options.beamlets} beamlets, level spectral"
+    plot_lateness(curves, title, path)
+    click.echo(f"{path}: {title}", err=True)
+
+
+@contextmanager
+def named_by_option() -> Iterator[None]:
+    """Name the command-line option in an error about the scenario key that it sets."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(_OPTIONS.get(error.key, error.where), None, error.value, error.allowed) from None
+
+
+def as_count(text: str) -> int:
+    """The number of beamlets given by --beamlets.
+
+    Raises:
+        InputError: not a whole number.
+    """
+    try:
+        return int(text)
+    except ValueError:
+        raise InputError("--beamlets", None, text, "allowed: a whole number") from None
+
+
+def print_realtime(document: dict[str, Any]) -> None:
+    """Print figures, seconds, histogram, and what the machine granted."""
+    from rich.console import Console
+
+    console = Console()
+    console.print(
+        f"{document['rate_hz']:g} shots/s of {document['packet_bytes']} bytes, "
+        f"four beams of {document['beamlets']} beamlets"
+        f"{', recorded' if document['recording'] else ''}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    console.print(_figures_table(document))
+    for line in (*_comparison(document), *_machine(document), "", *_histogram_lines(document["histogram"])):
+        console.print(line, highlight=False, soft_wrap=True)
+    if document["interrupted"]:
+        console.print("the flight was interrupted")
+
+
+def _figures_table(document: dict[str, Any]) -> Table:
+    table = figures_table("us after they were due")
+    for side in ("emulator", "control"):
+        for stage, name in _STAGES.items():
+            table.add_row(f"{side}, {name}", *figure_cells(document[side][stage]))
+        table.add_section()
+    if document["cyclictest"] is not None:
+        table.add_row("cyclictest, woken up", *figure_cells(document["cyclictest"]))
+    return table
+
+
+def figures_table(first_heading: str) -> Table:
+    """An empty table with a column for each quantile."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
+    table.add_column(first_heading)
+    for heading in ("shots", *_FIGURES.values()):
+        table.add_column(heading, justify="right")
+    return table
+
+
+def figure_cells(figures: dict[str, int | None]) -> list[str]:
+    """The cells of a row: count and quantiles in microseconds."""
+    return [str(figures["count"]), *(_us(figures[name]) for name in _FIGURES)]
+
+
+def _us(nanoseconds: float | None) -> str:
+    return "-" if nanoseconds is None else f"{nanoseconds / 1e3:.0f}"
+
+
+def _comparison(document: dict[str, Any]) -> list[str]:
+    windows, emulator, control = document["windows"], document["emulator"], document["control"]
+    return [
+        f"seconds    {windows['count']}: p99 due to written is {_us(windows['median_excess_p99_ns'])} us above the "
+        "control's (median over the seconds)",
+        f"late       {emulator['late']} of {emulator['due']} (control {control['late']}), "
+        f"{windows['late_where_control_had_none']} of them in seconds in which the control had none; "
+        f"{emulator['dropped']} dropped",
+    ]
+
+
+def _machine(document: dict[str, Any]) -> list[str]:
+    steal = (
+        "not available" if document["steal_ticks"] is None else f"{document['steal_ticks']} ticks of 10 ms"
+    )
+    machine = document["machine"]
+    lines = [
+        f"machine    {machine['cores']} cores, Linux {machine['kernel']}; stolen by the host: {steal}",
+        f"granted    {', '.join(document['granted']).replace('_', ' ') or 'nothing'}",
+    ]
+    lines += [
+        f"{'':10} no {name.replace('_', ' ')}; to get it: {how}" for name, how in document["missing"].items()
+    ]
+    if document["cyclictest"] is None:
+        lines.append(f"{'':10} no cyclictest; to get it: apt install rt-tests")
+    return lines
+
+
+def _histogram_lines(histogram: dict[str, list[int]]) -> list[str]:
+    """One line per bucket, with bars of logarithmic length."""
+    sides = [histogram["emulator"], histogram["control"]]
+    most = max((*sides[0], *sides[1], 2))
+    lines = [f"{'due to written':>16}  {'emulator':<{_COLUMN}}control"]
+    for edge, *counts in zip(histogram["edges_ns"], *sides, strict=False):
+        cells = "".join(f"{count:>8} {_bar(count, most):<{_BAR_COLUMNS + 2}}" for count in counts)
+        lines.append(f"{'from ' + _us(edge) + ' us':>16}{cells}".rstrip())
+    return lines
+
+
+def _bar(count: int, most: int) -> str:
+    return "#" * math.ceil(_BAR_COLUMNS * math.log(count + 1) / math.log(most + 1)) if count else ""

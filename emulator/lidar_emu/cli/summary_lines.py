@@ -1,0 +1,256 @@
+"""Summaries as text: of a run, a replay, a comparison and a recording."""
+
+from __future__ import annotations
+
+from collections import Counter
+from datetime import datetime
+from typing import Any
+
+from lidar_emu.cli.message_lines import counter_line
+
+_ERRORS = {"range": ("range_error_m", 1, "m"), "speed": ("speed_error_mps", 1000, "mm/s")}
+"""Key of the summary, factor and unit."""
+_MOST_FREQUENT = 5
+
+
+def at_time(time_s: float, what: str) -> str:
+    """An event with its time."""
+    return f"{time_s:.3f} s: {what}"
+
+
+def summary_lines(summary: dict[str, Any]) -> list[str]:
+    """The summary of a run."""
+    lines = ["", *shot_lines(summary, _planned(summary))]
+    lines += lateness_lines(summary["lateness"], summary["steal_ticks"])
+    lines += _truth(summary["truth"])
+    lines += _commands(summary["commands"])
+    lines += system_lines(summary["granted"], summary["missing"])
+    lines += beam_lines(summary)
+    for name in _ERRORS:
+        lines += [error_line(summary, name), *_expected(summary, name)]
+    lines += traffic_lines(summary)
+    if summary["final_message"] is not None:
+        lines.append(f"final message {summary['final_message']}")
+    left_out = ", ".join(row["stage"] for row in summary["left_out"])
+    lines.append(f"left out   {left_out or 'nothing'} (lidar-emu plan gives the reasons)")
+    if summary["interrupted"]:
+        lines.append("the run was interrupted")
+    return lines
+
+
+def replay_lines(summary: dict[str, Any]) -> list[str]:
+    """The summary of a replay."""
+    packets = summary["packets"]
+    lines = [
+        "",
+        f"packets    {packets['due']} due: {packets['sent']} sent, {packets['late']} late, "
+        f"{dropped_text(packets['dropped'])}",
+    ]
+    if summary["left_out"]:
+        lines.append(f"left out   {_counts(summary['left_out'])}")
+    lines += lateness_lines(summary["lateness"], summary["steal_ticks"])
+    lines += system_lines(summary["granted"], summary["missing"])
+    lines += traffic_lines(summary)
+    if summary["interrupted"]:
+        lines.append("the replay was interrupted")
+    return lines
+
+
+def comparison_lines(summary: dict[str, Any]) -> list[str]:
+    """The comparison of a recording with its recomputation."""
+    not_compared = f", {summary['not_compared']} not compared" if summary["not_compared"] else ""
+    lines = [
+        f"packets    {summary['packets']} recorded: {summary['equal']} equal, "
+        f"{summary['different']} different{not_compared}"
+    ]
+    first = summary["first"]
+    if first is not None:
+        beam = "" if first["beam"] is None else f", beam {first['beam']}"
+        lines.append(
+            f"first      shot {first['shot']}{beam}, {first['field']}: recorded {first['recorded']}, "
+            f"computed {first['recomputed']}"
+        )
+    for name, (then, now) in summary["changed"].items():
+        lines.append(f"changed    {name}: {then or 'none'} then, {now or 'none'} now")
+    return lines
+
+
+def _counts(counts: dict[str, int]) -> str:
+    return ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in counts.items())
+
+
+def contents_lines(summary: dict[str, Any]) -> list[str]:
+    """The contents of a recording, in the terms of the run's summary."""
+    started = datetime.fromisoformat(summary["started_utc"])
+    state = "complete" if summary["is_whole"] else "truncated: everything written before that is here"
+    level = "" if summary["level"] is None else f", level {summary['level']}"
+    return [
+        f"file       {summary['file']}: {summary['size_bytes'] / 1e6:.1f} MB, {state}",
+        f"flown      {summary['scenario']}, seed {summary['seed']}{level}: {summary['measured']} shots of "
+        f"{summary['beam_count']} beams at {summary['rate_hz']:g} Hz, "
+        f"{summary['from_s']:.3f} s to {summary['until_s']:.3f} s",
+        f"port       {summary['port']}, pace {summary['pace']}, from {started:%Y-%m-%d %H:%M:%S} UTC, "
+        f"lidar-emu {summary['version']}",
+        *shot_lines(summary),
+        *lateness_lines(summary["lateness"], None),
+        *_counted("commands", [f"{each['command']} {each['verdict']}" for each in summary["commanded"]]),
+        *_counted("ordered", [f"fault {each['definition'].get('kind')}" for each in summary["ordered"]]),
+        *_counted("events", [f"{each['of']}: {each['what']}" for each in summary["events"]]),
+        *beam_lines(summary),
+        error_line(summary, "range"),
+        error_line(summary, "speed"),
+        f"telemetry  {summary['said']} housekeeping packets",
+    ]
+
+
+def _counted(label: str, texts: list[str]) -> list[str]:
+    """The most frequent texts with their counts."""
+    if not texts:
+        return []
+    most = Counter(texts).most_common(_MOST_FREQUENT)
+    shown = ", ".join(text + (f" ({count})" if count > 1 else "") for text, count in most)
+    rest = len(texts) - sum(count for _, count in most)
+    return [f"{label:<10} {shown}{f', {rest} more' if rest else ''}".replace("_", " ")]
+
+
+def traffic_lines(summary: dict[str, Any]) -> list[str]:
+    """Bytes sent, messages received, and events of the link and the processes."""
+    lines = []
+    if summary["wire"]["sent_bytes"] is not None:
+        load = f", {100 * summary['wire']['load']:.1f} % of the link" if summary["wire"]["load"] else ""
+        lines.append(f"wire       {summary['wire']['sent_bytes']} bytes{load}")
+    if any(summary["far_end"].values()):
+        lines.append(f"far end    {counter_line(summary['far_end'])}")
+    return lines + event_lines("link", summary) + event_lines("process", summary)
+
+
+def shot_lines(summary: dict[str, Any], planned: str = "") -> list[str]:
+    """Counts of shots by delivery status, and of faults."""
+    shots = summary["shots"]
+    suppressed = f", {shots['suppressed']} not fired by the device" if shots["suppressed"] else ""
+    counts = f"{shots['sent']} sent, {shots['late']} late, {dropped_text(shots['dropped'])}{suppressed}"
+    return [f"shots      {shots['due']} due{planned}: {counts}", *_faults(summary["faults"])]
+
+
+def beam_lines(summary: dict[str, Any]) -> list[str]:
+    """Validity of each beam's measurements."""
+    return [f"beam {beam:<6}{_reasons(counts)}" for beam, counts in enumerate(summary["beams"])]
+
+
+def error_line(summary: dict[str, Any], name: str) -> str:
+    """Error of `range` or `speed` against the ground truth."""
+    key, factor, unit = _ERRORS[name]
+    return f"{name:<10} error {_error(summary[key], factor, unit)}"
+
+
+def dropped_text(dropped: dict[str, int]) -> str:
+    """Number of dropped packets, and the reasons."""
+    why = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in dropped.items() if count)
+    return f"{sum(dropped.values())} dropped" + (f" ({why})" if why else "")
+
+
+def lateness_lines(lateness: dict[str, Any], steal_ticks: int | None) -> list[str]:
+    """Lateness of packets; nothing if none had a due time."""
+    if not lateness["count"]:
+        return []
+    steal = "" if steal_ticks is None else f"; host steal {steal_ticks} ticks"
+    windows = lateness["windows"]
+    return [
+        f"lateness   {_figures(lateness)}{steal}",
+        f"{'':10} p99 of single seconds: median {_time(windows['p99_median_ns'])}, "
+        f"worst {_time(windows['p99_worst_ns'])} at {windows['worst_at_s']} s",
+    ]
+
+
+def event_lines(whose: str, summary: dict[str, Any]) -> list[str]:
+    """Events of the `link` or a `process`."""
+    events, count = summary[f"{whose}_events"], summary[f"{whose}_event_count"]
+    lines = [f"{whose:<10} {at_time(event['time_s'], event['what'])}" for event in events]
+    if count > len(events):
+        lines.append(f"{whose:<10} {count} events in all: the first and the last are shown")
+    return lines
+
+
+def _planned(summary: dict[str, Any]) -> str:
+    return "" if summary["planned_shots"] is None else f" of {summary['planned_shots']} planned"
+
+
+def _faults(summary: dict[str, Any]) -> list[str]:
+    if not summary["shots"]:
+        return []
+    kinds = ", ".join(f"{kind.replace('_', ' ')} {count}" for kind, count in summary["shots"].items())
+    return [f"faults     on shots: {kinds}; {summary['suppressed']} packets suppressed"]
+
+
+def _truth(summary: dict[str, Any] | None) -> list[str]:
+    """Counts, age and response of live truth, if there is any."""
+    if summary is None:
+        return []
+    refused = [
+        f"{name.replace('_', ' ')} {count}"
+        for name, count in (
+            summary["datagrams"] | {"lost": summary["lost"], "jumped": summary["jumped"]}
+        ).items()
+        if count and name != "accepted"
+    ]
+    lines = [
+        f"truth      {summary['datagrams']['accepted']} accepted" + "".join(f", {text}" for text in refused)
+    ]
+    if summary["age"]["count"]:
+        age, stale = _figures(summary["age"]), summary["stale_shots"]
+        lines.append(f"age        {age}" + (f"; stale in {stale} shots" if stale else ""))
+    if summary["response"]["count"]:
+        lines.append(f"response   {_figures(summary['response'])} from truth in to last byte written")
+    return lines
+
+
+def _commands(summary: dict[str, Any] | None) -> list[str]:
+    """Counts of telecommands, if there were any."""
+    if summary is None or not (summary["accepted"] or summary["rejected"]):
+        return []
+    rejected = "".join(f", {word.replace('_', ' ')} {count}" for word, count in summary["rejected"].items())
+    lines = [f"commands   {summary['accepted']} accepted{rejected}"]
+    if summary["delay"]["count"]:
+        lines.append(f"{'':10} {_figures(summary['delay'])} from command to the first shot affected")
+    return lines
+
+
+def _figures(summary: dict[str, Any]) -> str:
+    labels = (("p50", "p50_ns"), ("p99", "p99_ns"), ("p99.9", "p99_9_ns"), ("max", "max_ns"))
+    return ", ".join(f"{label} {_time(summary[key])}" for label, key in labels)
+
+
+def system_lines(granted: list[str], missing: dict[str, str]) -> list[str]:
+    """What the system granted the port process, and how to get the rest."""
+    if not (granted or missing):
+        return []
+    had = ", ".join(granted).replace("_", " ") or "nothing"
+    refused = ", ".join(f"{name.replace('_', ' ')} ({how})" for name, how in missing.items())
+    return [f"granted    {had}" + (f"; not: {refused}" if refused else "")]
+
+
+def _time(nanoseconds: int) -> str:
+    return f"{nanoseconds / 1e3:.0f} us" if nanoseconds < 10_000_000 else f"{nanoseconds / 1e6:.1f} ms"
+
+
+def _reasons(counts: dict[str, int]) -> str:
+    total = sum(counts.values())
+    return ", ".join(f"{name.replace('_', ' ')} {100 * n / total:.1f} %" for name, n in counts.items())
+
+
+def _expected(summary: dict[str, Any], name: str) -> list[str]:
+    """The expected error, if there is one."""
+    key, factor, unit = _ERRORS[name]
+    statistics = summary[f"expected_{key}"]
+    if statistics is None or statistics["rms"] is None:
+        return []
+    rms, mean = factor * statistics["rms"], factor * statistics["mean"]
+    mean = mean if abs(mean) > 1e-9 * rms else 0.0  # rounding residue of zero
+    return [f"{'':10} expected {rms:.4g} {unit} rms, {mean:+.3g} {unit} mean, false locks aside"]
+
+
+def _error(statistics: dict[str, Any], factor: float, unit: str) -> str:
+    if not statistics["count"]:
+        return "unknown: no valid measurement"
+    rms, mean, largest = (factor * statistics[key] for key in ("rms", "mean", "max"))
+    return f"{rms:.4g} {unit} rms, {mean:+.3g} {unit} mean, {largest:.4g} {unit} at most ({statistics['count']} values)"
