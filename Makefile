@@ -1,5 +1,7 @@
-# make run   install what is needed and fly a descent on the built-in loopback
-# make test  install and run the checks and the tests
+# make run       install what is needed and fly a descent on the built-in loopback
+# make test      install and run the checks and the quick tests: five minutes on two cores
+# make test-all  the checks and all tests but the soak
+# make soak      the tests that take minutes each
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -12,17 +14,30 @@ run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
 
 test: check kernels
-	$(BIN)/pytest -n auto --dist worksteal
+	$(PYTEST)
 
-check: $(VENV)/.ready-dev
+test-all: check kernels
+	$(PYTEST) -m 'not soak'
+
+soak: kernels
+	$(BIN)/pytest -m soak
+
+check: style types imports
+
+style: $(VENV)/.ready-dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+
+types: $(VENV)/.ready-dev
 	$(BIN)/mypy
+
+imports: $(VENV)/.ready-dev
 	$(BIN)/lint-imports --no-logo
 
-# A flight fills the cache of compiled kernels once, where the test workers would each fill it for themselves.
+# Runs fill the cache of compiled kernels once, where the test workers would each fill it for themselves.
 kernels: $(VENV)/.ready-dev
-	$(BIN)/lidar-emu run paper_fig4.yaml --pace max > /dev/null
+	@$(BIN)/lidar-emu run paper_fig4.yaml --pace max > /dev/null
+	@$(BIN)/lidar-emu run powered_descent.yaml --set level=statistical --duration 1 --pace max > /dev/null
 
 # Everything in docs/ and in the protocol package that is generated from code and definitions.
 docs: $(VENV)/.ready-dev

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 from twins import write_all
+from waiting import eventually as _eventually
 
 from lidar_emu.recording.read import Recording, read_recording
 from lidar_emu.recording.write import Recorder
@@ -48,3 +49,9 @@ def public_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("public_data")
     write_all(folder)
     return folder
+
+
+@pytest.fixture
+def eventually() -> Callable[..., object]:
+    """See `waiting.eventually`."""
+    return _eventually

@@ -13,6 +13,7 @@ from contextlib import suppress
 import pytest
 from click.testing import CliRunner
 from small_campaign import SMALL, content
+from waiting import LIMIT_S
 
 from lidar_emu.cli.campaign import campaign
 from lidar_emu.errors import InputError, RunError
@@ -165,7 +166,7 @@ def alive(group: int) -> bool:
 def test_ctrl_c_ends_it_and_the_same_command_goes_on(started, tmp_path):
     process = started()
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all of the group
-    out, complaint = process.communicate(timeout=30)
+    out, complaint = process.communicate(timeout=LIMIT_S)
     assert (process.returncode, out) == (130, "")
     assert complaint.startswith("interrupted: ")
     assert len(complaint.strip().splitlines()) == 1

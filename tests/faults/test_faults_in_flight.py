@@ -7,7 +7,6 @@ import socket
 import stat
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from waiting import LIMIT_S, eventually
 
 import lidar_emu
 from lidar_emu.device.modes import initial
@@ -305,11 +305,7 @@ def test_the_path_is_the_owners_and_is_given_back(bench: Any, tmp_path: Path) ->
 def test_a_run_is_ordered_about_by_command(tmp_path: Path) -> None:
     run = ["run", "bench.yaml", "--duration", "3", "--control", "c", "--record", "r.mcap", "--json"]
     running = subprocess.Popen([*COMMAND, *run], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
-    deadline_s = time.monotonic() + 60
-    while not (tmp_path / "c").exists():
-        assert running.poll() is None
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
+    eventually(lambda: (tmp_path / "c").exists() or running.poll() is not None)
 
     def inject(*words: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run([*COMMAND, "inject", "c", *words], cwd=tmp_path, capture_output=True, text=True)
@@ -321,7 +317,7 @@ def test_a_run_is_ordered_about_by_command(tmp_path: Path) -> None:
     third = inject("kind=dropout", "beams=[7]")
     assert (third.returncode, third.stdout) == (1, "")
     assert "rejected: bench: faults.2.beams: [7] is not usable" in third.stderr
-    out, _ = running.communicate(timeout=60)
+    out, _ = running.communicate(timeout=LIMIT_S)
     summary = json.loads(out)
     assert running.returncode == 0
     dropout, disconnect = summary["faults_in_flight"]["ordered"]

@@ -9,26 +9,16 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 import tty
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from waiting import LIMIT_S, eventually
+
 COMMAND = Path(sys.executable).parent / "lidar-emu"
-LIMIT_S = 120.0
 SHOTS_ALONE = ["--set", "device.housekeeping_rate_hz=0"]
 """Most tests read the bytes of shots; those of housekeeping ask for it."""
-
-
-def eventually(condition: Callable[[], Any], limit_s: float = LIMIT_S) -> Any:
-    """Wait until a condition of the outside world holds; returns what made it true."""
-    deadline_s = time.monotonic() + limit_s
-    while not (value := condition()):
-        assert time.monotonic() < deadline_s, "it did not happen"
-        time.sleep(0.005)
-    return value
 
 
 class Program:

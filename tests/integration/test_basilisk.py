@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from programs import LIMIT_S, Program
+from programs import Program
+from waiting import LIMIT_S
 
 from lidar_protocol import Message, SerialReceiver, default_interface
 

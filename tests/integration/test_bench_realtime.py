@@ -6,9 +6,10 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
+
+from waiting import LIMIT_S, eventually
 
 from lidar_emu.bench.realtime import RealtimeOptions, measure_realtime
 from lidar_emu.bench.realtime_document import realtime_document
@@ -58,10 +59,9 @@ def test_interrupted_it_tells_what_it_has(tmp_path):
             stdout=out, stderr=subprocess.PIPE, start_new_session=True, text=True,
         )  # fmt: skip
         pid = bench.pid
-        while not (port_is_open(pid) or bench.poll() is not None):
-            time.sleep(0.01)
+        eventually(lambda: port_is_open(pid) or bench.poll() is not None)
         bench.send_signal(signal.SIGINT)
-        _, errors = bench.communicate(timeout=60)
+        _, errors = bench.communicate(timeout=LIMIT_S)
     assert (bench.returncode, errors) == (0, "")
     told = json.loads(log.read_text())
     assert told["interrupted"] is True

@@ -9,7 +9,8 @@ from itertools import groupby, pairwise
 from pathlib import Path
 
 import pytest
-from programs import FarEnd, Program, eventually, read_summary
+from programs import FarEnd, Program, read_summary
+from waiting import eventually
 
 from lidar_protocol import Acknowledge, Host, Message, SerialReceiver, default_interface
 

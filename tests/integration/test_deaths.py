@@ -12,7 +12,8 @@ import pytest
 import slcan_lines
 from comparison import assert_equal
 from mcap.reader import make_reader
-from programs import FarEnd, Program, eventually, is_running, read_summary
+from programs import FarEnd, Program, is_running, read_summary
+from waiting import eventually
 
 from lidar_emu.measurement import Measurement
 from lidar_protocol import Housekeeping, Message, SerialReceiver, default_interface
@@ -105,7 +106,7 @@ def test_where_the_model_dies_no_more_of_its_shots_are_sent(
     far_end.wait_for(30 * PACKET_BYTES)
     run.process.kill()
     assert run.wait() == -signal.SIGKILL
-    eventually(lambda: not is_running(process), 10)
+    eventually(lambda: not is_running(process))
     assert run.err == f"{ORPHANED}{complaint}\n"
     shots, words = received(far_end)
     # Forty more were computed.
@@ -124,7 +125,7 @@ def test_last_words_on_can(start: Start, far_end: FarEnd) -> None:
     process = run.port_process()
     eventually(lambda: far_end.data.count(b"\r") > 200)
     run.process.kill()
-    eventually(lambda: not is_running(process), 10)
+    eventually(lambda: not is_running(process))
     run.wait()
     frames = slcan_lines.frames(far_end.data)
     database = slcan_lines.DATABASE

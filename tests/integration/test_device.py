@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 from mcap.reader import make_reader
-from programs import FarEnd, Program, eventually, read_summary
+from programs import FarEnd, Program, read_summary
+from waiting import eventually
 
 from lidar_protocol import Acknowledge, Host, Housekeeping, Message, SerialReceiver, default_interface
 

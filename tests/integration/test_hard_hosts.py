@@ -15,7 +15,8 @@ from typing import Any
 import handwritten
 import pytest
 from comparison import assert_complete, assert_equal
-from programs import FarEnd, Program, eventually, read_summary
+from programs import FarEnd, Program, read_summary
+from waiting import eventually
 
 from lidar_emu.measurement import Measurement
 from lidar_protocol import Acknowledge, Host, SerialReceiver, default_interface
@@ -138,7 +139,7 @@ def test_a_descent_over_udp_for_a_listener_and_for_nobody_else(
     listener.word_after("listening on ")
     start("run", "descent.yaml", "--port", port, "--duration", "3", "--summary", "s.json").succeed()
     summary = read_summary(tmp_path / "s.json")
-    eventually(lambda: listener.out.count("\n") >= 4 * summary["shots"]["sent"], 10)
+    eventually(lambda: listener.out.count("\n") >= 4 * summary["shots"]["sent"])
     listener.signal(signal.SIGINT)
     assert listener.wait() == 0
     rows = [json.loads(line) for line in listener.out.splitlines()]

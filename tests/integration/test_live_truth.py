@@ -12,7 +12,8 @@ from typing import Any
 
 import handwritten
 import pytest
-from programs import Program, eventually, read_summary
+from programs import Program, read_summary
+from waiting import eventually
 
 import lidar_emu
 from lidar_emu.shots.model import build_model

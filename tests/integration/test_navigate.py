@@ -9,7 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from programs import LIMIT_S, FarEnd, Program
+from programs import FarEnd, Program
+from waiting import LIMIT_S
 
 NAVIGATE = Path(__file__).resolve().parents[2] / "examples" / "navigation" / "navigate.py"
 FOR_TEN_SECONDS = ["--set", "duration_s=10"]

@@ -13,7 +13,8 @@ import handwritten
 import numpy as np
 import pytest
 from comparison import SERIAL_STEPS, assert_complete, assert_equal
-from programs import FarEnd, Program, PtyReader, eventually, read_summary
+from programs import FarEnd, Program, PtyReader, read_summary
+from waiting import eventually
 
 from lidar_emu.measurement import Measurement
 
@@ -26,7 +27,7 @@ Simulated = Callable[..., Measurement]
 def listened(listener: Program, summary: dict[str, Any]) -> list[dict[str, Any]]:
     """The rows of `listen --json` once all have come; the listener is ended as by Ctrl-C."""
     count = BEAMS * summary["shots"]["sent"]
-    eventually(lambda: listener.out.count("\n") >= count, 10)
+    eventually(lambda: listener.out.count("\n") >= count)
     listener.signal(signal.SIGINT)
     assert listener.wait() == 0
     sent = summary["shots"]["sent"]

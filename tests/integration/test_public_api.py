@@ -8,6 +8,7 @@ from enum import IntEnum
 
 import numpy as np
 import pytest
+from waiting import LIMIT_S
 
 import lidar_emu
 from lidar_emu.fmcw.reasons import Reason
@@ -105,6 +106,6 @@ def test_importing_the_package_is_light_and_names_what_it_has() -> None:
         "assert lidar_emu.__all__ == ['__version__', 'load', 'simulate']\n"
         "assert callable(lidar_emu.load)\n"
     )
-    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=LIMIT_S)
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = lidar_emu.nonsense

@@ -9,7 +9,8 @@ from pathlib import Path
 from time import monotonic_ns
 
 import pytest
-from programs import FarEnd, Program, eventually, read_summary
+from programs import FarEnd, Program, read_summary
+from waiting import eventually
 
 from lidar_protocol import Acknowledge, Host, SerialReceiver, default_interface
 

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from twins import APOLLO, ARISTARCHUS, HERODOTUS, MOLA
+from waiting import LIMIT_S
 
 import lidar_emu
 from lidar_emu.errors import InputError
@@ -261,7 +262,7 @@ def test_each_map_is_planned_and_flown(public_data: Path, tmp_path: Path, ground
 def lidar_emu_says(*arguments: str) -> str:
     """What the command prints."""
     command = [sys.executable, "-m", "lidar_emu", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -18,6 +18,7 @@ import handwritten
 import pytest
 from mcap.reader import make_reader
 from programs import FarEnd, Program, read_summary
+from waiting import LIMIT_S
 
 import lidar_protocol
 
@@ -222,7 +223,7 @@ def test_a_whole_descent_with_commands_and_faults(receiver: list[str], start: St
     )  # fmt: skip
     path = run.word_after("descent on ")
     following = subprocess.run(
-        [*receiver, path, "921600", *ORDERS], stdout=subprocess.PIPE, timeout=120, check=True
+        [*receiver, path, "921600", *ORDERS], stdout=subprocess.PIPE, timeout=LIMIT_S, check=True
     )
     run.succeed()
     lines = [json.loads(line, parse_float=str) for line in following.stdout.splitlines()]
@@ -264,7 +265,7 @@ def test_a_device_that_boots_is_asked_until_it_follows(receiver: list[str], star
     run = start("run", "descent.yaml", "--duration", "4.5", "--port", "pty", "--set", booting)
     port = run.word_after("descent on ")
     command = [*receiver, port, "921600", "0:set_mode=4"]
-    following = subprocess.run(command, stdout=subprocess.PIPE, timeout=60, check=True)
+    following = subprocess.run(command, stdout=subprocess.PIPE, timeout=LIMIT_S, check=True)
     run.succeed()
     lines = [json.loads(line) for line in following.stdout.splitlines()]
     verdicts = [line["verdict"] for line in lines if line["kind"] == "acknowledge"]

@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, make_reader
-from programs import Program, eventually
+from programs import Program
+from waiting import eventually
 
 from lidar_emu.measurement import Measurement
 

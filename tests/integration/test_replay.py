@@ -19,7 +19,8 @@ from typing import Any
 
 import pytest
 import slcan_lines
-from programs import COMMAND, FarEnd, Program, eventually, read_summary
+from programs import COMMAND, FarEnd, Program, read_summary
+from waiting import eventually
 
 from lidar_emu.recording import channels
 from lidar_emu.recording.read import read_recording

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 import slcan_lines
 from comparison import CODES, FLAGS, SERIAL_HELD, SERIAL_STEPS, assert_complete, assert_equal
-from programs import FarEnd, Program, eventually, read_summary
+from programs import FarEnd, Program, read_summary
+from waiting import eventually
 
 from lidar_emu.measurement import Measurement
 
@@ -100,7 +101,7 @@ def test_listen_at_the_other_end_of_the_bus(
     start("run", "descent.yaml", *slcan(far_end.path), *options).succeed()
     summary = read_summary(tmp_path / "s.json")
     count = BEAMS * summary["shots"]["sent"]
-    eventually(lambda: listener.out.count("\n") >= count, 10)
+    eventually(lambda: listener.out.count("\n") >= count)
     listener.signal(signal.SIGINT)
     assert listener.wait() == 0
     rows = [json.loads(line) for line in listener.out.splitlines()]

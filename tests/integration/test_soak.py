@@ -6,7 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from programs import FarEnd, Program, eventually, read_summary
+from programs import FarEnd, Program, read_summary
+from waiting import eventually
 
 Start = Callable[..., Program]
 RATE_HZ, DURATION_S, PACKET_BYTES = 100, 120, 144

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from programs import COMMAND
+from waiting import LIMIT_S
 
 TREE = Path(__file__).resolve().parents[2]
 PACKAGES = {"lidar_emu": "emulator", "lidar_protocol": "protocol", "lidar_icd": "protocol"}
@@ -32,7 +33,7 @@ HEAVY = {
 def done(*command: str | Path, folder: Path) -> str:
     """The output of a command that must succeed."""
     result = subprocess.run(
-        list(map(str, command)), cwd=folder, capture_output=True, text=True, check=False, timeout=300
+        list(map(str, command)), cwd=folder, capture_output=True, text=True, check=False, timeout=LIMIT_S
     )
     assert result.returncode == 0, result.stderr
     return result.stdout

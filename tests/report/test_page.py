@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from waiting import LIMIT_S
 
 from lidar_emu.report.flight_pages import draw_all
 from lidar_emu.report.flown import read_flown
@@ -81,7 +82,7 @@ def looked_at(page: Path, *options: str) -> tuple[str, list[str], list[str]]:
     command = [CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
                f"--user-data-dir={page.parent / 'profile'}", f"--log-net-log={log}", *options]  # fmt: skip
     done = subprocess.run(
-        [*command, "--dump-dom", page.as_uri()], capture_output=True, text=True, check=True, timeout=120
+        [*command, "--dump-dom", page.as_uri()], capture_output=True, text=True, check=True, timeout=LIMIT_S
     )
     console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
     text = log.read_text()

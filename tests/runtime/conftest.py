@@ -1,30 +1,14 @@
-"""What the tests of the port process share: a condition to wait for, and a reader on a pty."""
+"""What the tests of the port process share: a reader on a pty."""
 
 from __future__ import annotations
 
 import os
 import select
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 
 import pytest
-
-Eventually = Callable[[Callable[[], object]], None]
-
-
-@pytest.fixture
-def eventually() -> Eventually:
-    """Wait until a condition of the outside world holds."""
-
-    def wait(condition: Callable[[], object]) -> None:
-        deadline_s = time.monotonic() + 20
-        while not condition():
-            assert time.monotonic() < deadline_s, "it did not happen"
-            time.sleep(0.005)
-
-    return wait
 
 
 class PtyReader:

@@ -5,28 +5,12 @@ from __future__ import annotations
 import os
 import select
 import threading
-import time
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
 import pytest
-
-Eventually = Callable[[Callable[[], object]], None]
-
-
-@pytest.fixture
-def eventually() -> Eventually:
-    """Wait until a condition of the outside world holds."""
-
-    def wait(condition: Callable[[], object]) -> None:
-        deadline_s = time.monotonic() + 10
-        while not condition():
-            assert time.monotonic() < deadline_s, "it did not happen"
-            time.sleep(0.005)
-
-    return wait
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from far_ends import FarEnd
+from waiting import LIMIT_S
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.pacing import Pace
@@ -17,7 +18,6 @@ from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.link import DeliveryStatus, Link
 from lidar_emu.transports.opening import opener
 
-_LIMIT_S = 20.0
 _TICK_NS, _MOMENT_NS = 20_000_000, 200_000
 _AGES_NS = 3600 * 10**9
 _MOST_PACKETS = 20_000
@@ -114,7 +114,7 @@ def opened(place: Place, far: FarEnd) -> Iterator[Device]:
 
 def until(device: Device, condition: Callable[[], bool]) -> None:
     """Let time pass until a condition holds."""
-    deadline_s = time.monotonic() + _LIMIT_S
+    deadline_s = time.monotonic() + LIMIT_S
     while not condition():
         assert time.monotonic() < deadline_s, f"it did not happen; events: {device.events()}"
         device.pump()

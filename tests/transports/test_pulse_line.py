@@ -11,6 +11,7 @@ from queue import SimpleQueue
 from typing import Any
 
 import pytest
+from waiting import LIMIT_S
 
 from lidar_emu.transports.link import Link
 from lidar_emu.transports.opening import opener
@@ -43,10 +44,10 @@ class Modem:
 
     def change(self, now_ns: int, state: int) -> None:
         """The line changes; returns once the watcher waits for the next edge."""
-        assert self._waiting.acquire(timeout=10)
+        assert self._waiting.acquire(timeout=LIMIT_S)
         self.now_ns, self.state = now_ns, state
         self._edges.put(None)
-        assert self._waiting.acquire(timeout=10)
+        assert self._waiting.acquire(timeout=LIMIT_S)
         self._waiting.release()
 
 

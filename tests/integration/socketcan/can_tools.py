@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from programs import eventually
 from slcan_lines import Line
+from waiting import LIMIT_S, eventually
 
 from lidar_protocol import CanFrame
 
@@ -22,7 +22,9 @@ _LOGGED = re.compile(r"\(\d+\.\d+\) (\w+) ([0-9A-F]{3})#(#[0-9A-F])?([0-9A-F]*)(
 
 def run_tool(*command: str, stdin: str = "") -> str:
     """What a program prints that has to succeed."""
-    return subprocess.run(command, input=stdin, capture_output=True, text=True, check=True, timeout=60).stdout
+    return subprocess.run(
+        command, input=stdin, capture_output=True, text=True, check=True, timeout=LIMIT_S
+    ).stdout
 
 
 def send(can_id: int, data: bytes, interface: str = "vcan0") -> None:

@@ -13,7 +13,8 @@ from typing import Any
 
 import slcan_lines
 from can_tools import CANTOOLS, Candump, candump, run_tool, send, send_command
-from programs import Program, eventually, read_summary
+from programs import Program, read_summary
+from waiting import eventually
 
 import lidar_protocol
 from lidar_protocol import Host, default_interface

@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 import slcan_lines
 from can_tools import candump, send
-from programs import Program, eventually, read_summary
+from programs import Program, read_summary
+from waiting import eventually
 
 from lidar_emu.errors import InputError
 from lidar_emu.transports.can_port import open_can

@@ -16,7 +16,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "transports"))
 from can_tools import ended_at_the_end
 from far_ends import Bus, FarEnd
 from lines import EveryLine, InAnother, InThisProcess, closing
-from programs import Program, eventually
+from programs import Program
+from waiting import eventually
 
 from lidar_emu.transports.socketcan import enlarge_receive_buffer
 

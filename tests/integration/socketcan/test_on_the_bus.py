@@ -12,7 +12,8 @@ import pytest
 import slcan_lines
 from can_tools import CANTOOLS, candump, run_tool, tshark
 from comparison import CODES, FLAGS, SERIAL_HELD, SERIAL_STEPS, assert_complete, assert_equal
-from programs import Program, eventually, read_summary
+from programs import Program, read_summary
+from waiting import eventually
 
 import lidar_protocol
 from lidar_emu.measurement import Measurement
