@@ -22,16 +22,16 @@ StartProgram = Callable[..., Program]
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[StartProgram]:
-    """Start `lidar-emu` with these arguments, in the test's own folder."""
-    started: list[Program] = []
+    """Start `lidar-emu` with these arguments, in the test's own folder; `started=True` as a process of its own."""
+    programs: list[Program] = []
 
-    def begin(*arguments: str) -> Program:
-        program = Program(list(arguments), tmp_path, f"program{len(started)}")
-        started.append(program)
+    def begin(*arguments: str, started: bool = False) -> Program:
+        program = Program(list(arguments), tmp_path, f"program{len(programs)}", started)
+        programs.append(program)
         return program
 
     yield begin
-    for program in started:
+    for program in programs:
         program.end()
 
 

@@ -14,6 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from forked import ForkedProcess
 from waiting import LIMIT_S, eventually
 
 COMMAND = Path(sys.executable).parent / "lidar-emu"
@@ -22,14 +23,27 @@ SHOTS_ALONE = ["--set", "device.housekeeping_rate_hz=0"]
 
 
 class Program:
-    """A `lidar-emu` in a session of its own, as a shell starts it in a terminal."""
+    """A `lidar-emu` in a session of its own, as a shell starts it in a terminal.
 
-    def __init__(self, arguments: list[str], folder: Path, name: str) -> None:
+    Args:
+        started: a process of its own from the first byte on, instead of a fork of one that has loaded everything.
+    """
+
+    def __init__(self, arguments: list[str], folder: Path, name: str, started: bool = False) -> None:
         self._files = folder / f"{name}.out", folder / f"{name}.err"
         if arguments[0] == "run":
             arguments = ["run", *SHOTS_ALONE, *arguments[1:]]
+        for file in self._files:
+            file.touch()
+        self.process: ForkedProcess | subprocess.Popen[bytes]
+        if started:
+            self.process = self._started(arguments, folder)
+        else:
+            self.process = ForkedProcess(arguments, folder, *self._files)
+
+    def _started(self, arguments: list[str], folder: Path) -> subprocess.Popen[bytes]:
         with self._files[0].open("wb") as out, self._files[1].open("wb") as err:
-            self.process = subprocess.Popen(
+            return subprocess.Popen(
                 [str(COMMAND), *arguments],
                 cwd=folder,
                 stdin=subprocess.DEVNULL,
