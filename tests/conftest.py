@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,6 +20,9 @@ from lidar_emu.runtime.run import Run
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model
 from lidar_emu.transports.spec import PortSpec
+
+# A shell's background job ignores Ctrl-C, and so would every process that it starts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The first example of a test may compile a kernel; no test is about time.
 settings.register_profile("no deadline", deadline=None)
