@@ -59,7 +59,8 @@ def test_help_loads_nothing_heavy(command):
         "from lidar_emu.cli import main\n"
         "try: main()\n"
         "except SystemExit as end: assert not end.code, end.code\n"
-        "heavy = {'numba', 'numpy', 'scipy', 'trimesh', 'matplotlib', 'pydantic', 'can', 'serial', 'rich'}\n"
+        "heavy = {'numba', 'numpy', 'scipy', 'trimesh', 'matplotlib', 'pydantic', 'can', 'serial', 'rich', 'mcap',\n"
+        "         'rasterio', 'pyarrow'}\n"
         "print('loaded:', sorted(heavy & set(sys.modules)))"
     )
     done = subprocess.run(

@@ -11,12 +11,14 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from ruamel.yaml import YAML
 
 import lidar_emu
+from lidar_emu.cli import cli
 from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.runtime.link_faults import link_orders
 from lidar_emu.runtime.port.pacing import Pace
@@ -195,10 +197,9 @@ def test_a_run_measures_what_simulate_does(shoot: Any) -> None:
         np.testing.assert_array_equal(flown, getattr(measured, name))
 
 
-def command(*words: str, cwd: Path | None = None) -> str:
-    code = "import sys; sys.argv[0] = 'lidar-emu'; from lidar_emu.cli import main; main()"
-    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, cwd=cwd)
-    assert done.returncode == 0, done.stderr
+def command(*words: str) -> str:
+    done = CliRunner().invoke(cli, words)
+    assert done.exit_code == 0, done.output
     return done.stdout
 
 
@@ -208,9 +209,10 @@ ORDERED = (
 )
 
 
-def test_summary_recording_and_plan_tell_of_faults(tmp_path: Path) -> None:
+def test_summary_recording_and_plan_tell_of_faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     run = ["bench.yaml", "--set", ORDERED, "--duration", "8"]
-    shown = command("run", *run, "--pace", "max", "--summary", "s.json", "--record", "r.mcap", cwd=tmp_path)
+    shown = command("run", *run, "--pace", "max", "--summary", "s.json", "--record", "r.mcap")
     summary = json.loads((tmp_path / "s.json").read_text())
     kinds = {"delayed": 20, "dropout": 10, "lost": 1, "reordered": 1}
     assert summary["faults"] == {"shots": kinds, "suppressed": 2}
@@ -228,7 +230,7 @@ def test_summary_recording_and_plan_tell_of_faults(tmp_path: Path) -> None:
     assert len(faults) == 32
     assert sorted(shot for shot, told in deliveries.items() if told["status"] == "suppressed") == [30, 50]
     assert deliveries[60]["due_ns"] - deliveries[59]["due_ns"] == 600_000_000
-    planned = json.loads(command("plan", *run, "--json", cwd=tmp_path))["decisions"]
+    planned = json.loads(command("plan", *run, "--json"))["decisions"]
     assert [(row["stage"], row["how"]) for row in planned if row["stage"].startswith("fault")] == [
         ("fault 0", "dropout, beams 2"),
         ("fault 1", "lost"),

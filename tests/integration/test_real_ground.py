@@ -7,19 +7,18 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from numpy.typing import NDArray
 from twins import APOLLO, ARISTARCHUS, HERODOTUS, MOLA
-from waiting import LIMIT_S
 
 import lidar_emu
+from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.scenario.site import Grid, Origin
@@ -261,9 +260,8 @@ def test_each_map_is_planned_and_flown(public_data: Path, tmp_path: Path, ground
 
 def lidar_emu_says(*arguments: str) -> str:
     """What the command prints."""
-    command = [sys.executable, "-m", "lidar_emu", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
-    assert done.returncode == 0, done.stderr
+    done = CliRunner().invoke(cli, arguments)
+    assert done.exit_code == 0, done.output
     return done.stdout
 
 

@@ -15,19 +15,6 @@ from waiting import LIMIT_S
 
 TREE = Path(__file__).resolve().parents[2]
 PACKAGES = {"lidar_emu": "emulator", "lidar_protocol": "protocol", "lidar_icd": "protocol"}
-HEAVY = {
-    "numba",
-    "numpy",
-    "scipy",
-    "trimesh",
-    "matplotlib",
-    "pydantic",
-    "can",
-    "serial",
-    "mcap",
-    "rasterio",
-    "pyarrow",
-}
 
 
 def done(*command: str | Path, folder: Path) -> str:
@@ -110,20 +97,3 @@ def test_the_tree_flies_from_an_empty_folder(empty: Path) -> None:
     output = done(COMMAND, "run", "descent.yaml", "--pace", "max", folder=empty)
     assert "1008 due of 1008 planned: 1008 sent, 0 late, 0 dropped" in output
     assert list(empty.iterdir()) == []
-
-
-@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["simulate", "--help"], ["--version"]])
-def test_help_is_light(arguments: list[str], empty: Path) -> None:
-    program = (
-        "import sys\n"
-        f"sys.argv = ['lidar-emu', *{arguments}]\n"
-        "from lidar_emu.cli import main\n"
-        "try:\n"
-        "    main()\n"
-        "except SystemExit as end:\n"
-        "    assert not end.code\n"
-        "print(*sys.modules)\n"
-    )
-    *text, modules = done(sys.executable, "-c", program, folder=empty).splitlines()
-    assert text
-    assert HEAVY.isdisjoint(modules.split())

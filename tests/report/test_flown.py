@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
 from lidar_emu.recording.read import read_recording
 from lidar_emu.report.flight_pages import draw_all
 from lidar_emu.report.flown import Flown, read_flown
 from lidar_emu.runtime.port.packets import DeliveryStatus
 
-COMMAND = Path(sys.executable).parent / "lidar-emu"
 FAULTS = "faults=[{kind: dropout, beams: [2], from_s: 0.5, to_s: 1}, {kind: lost, from_s: 1, to_s: 1.2}]"
 
 
@@ -26,7 +24,7 @@ def bench_flown(record) -> Flown:
     return read_flown(record("bench.yaml", duration_s="2"))
 
 
-def test_it_is_the_summary_of_the_run(tmp_path):
+def test_it_is_the_summary_of_the_run(tmp_path, monkeypatch):
     run = [
         "run",
         "bench.yaml",
@@ -41,10 +39,8 @@ def test_it_is_the_summary_of_the_run(tmp_path):
         FAULTS,
     ]
     report = ["report", "r.mcap", "--json", "--out", "r.npz", "--out", "r.pcap"]
-    ran, told = (
-        json.loads(subprocess.run([COMMAND, *words], cwd=tmp_path, capture_output=True, check=True).stdout)
-        for words in (run, report)
-    )
+    monkeypatch.chdir(tmp_path)
+    ran, told = (json.loads(CliRunner().invoke(cli, words).stdout) for words in (run, report))
     same = (
         "scenario",
         "seed",

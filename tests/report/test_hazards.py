@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
 from lidar_emu.report.hazards import (
     BOULDERS_M,
@@ -98,8 +98,8 @@ def test_flight_without_surroundings_is_refused() -> None:
 
 
 def test_command_prints_what_the_library_finds() -> None:
-    arguments = [sys.executable, "-m", "lidar_emu", "hazards", "hazards", "--json", "--set", "site=flat"]
-    printed = json.loads(subprocess.run(arguments, capture_output=True, check=True, text=True).stdout)
+    done = CliRunner().invoke(cli, ["hazards", "hazards", "--json", "--set", "site=flat"])
+    printed = json.loads(done.stdout)
     assert [band["points"] for band in printed["bands"]] == [
         band.points for band in bands_of(cloud(instrument="ndl_four_beam"))
     ]
