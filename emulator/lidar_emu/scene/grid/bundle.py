@@ -10,14 +10,8 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.scene.grid.cell import BILINEAR, corners, facet
-from lidar_emu.scene.grid.numbers import (
-    CEILING_M,
-    CELLS_PER_M_EAST,
-    CELLS_PER_M_NORTH,
-    FLOOR_M,
-    in_cells,
-)
+from lidar_emu.scene.grid.cell import corners, facet
+from lidar_emu.scene.grid.structures import BILINEAR, Grid, in_cells
 from lidar_emu.scene.grid.traverse import starting_level
 
 _MARGIN_CELLS = 1e-6
@@ -28,15 +22,7 @@ _MARGIN_M = 1e-6
 
 
 @kernel
-def clear_way_m(
-    origin: FloatArray,
-    direction: FloatArray,
-    grid: FloatArray,
-    nodes: FloatArray,
-    interpolation: int,
-    maxima: FloatArray,
-    levels: IntArray,
-) -> float:
+def clear_way_m(origin: FloatArray, direction: FloatArray, grid: Grid) -> float:
     """How far all rays of a bundle stay above the ground and come to be over the grid; 0 where nothing can be said.
 
     A block is passed over where the box stays above its maximum; else the box is taken down to that maximum, and
@@ -45,19 +31,20 @@ def clear_way_m(
 
     Args:
         origin, direction: (3n,) the rays, x, y, z of one after another.
-        grid, nodes, interpolation, maxima, levels: as of `cast.cast_rays`.
+        grid: the ground.
     """
     (x, x_far), (y, y_far), (z, _) = _bounds(origin)
     (dx, dx_far), (dy, dy_far), (dz, _) = _bounds(direction)
     if not -np.inf < dz < 0.0:
         return 0.0
-    east, north = grid[CELLS_PER_M_EAST], grid[CELLS_PER_M_NORTH]
-    (u, v), (u_far, v_far) = in_cells(grid, x, y), in_cells(grid, x_far, y_far)
+    constants, levels = grid.constants, grid.levels
+    east, north = constants.cells_per_m_east, constants.cells_per_m_north
+    (u, v), (u_far, v_far) = in_cells(constants, x, y), in_cells(constants, x_far, y_far)
     u, u_far, v, v_far = u - _MARGIN_CELLS, u_far + _MARGIN_CELLS, v - _MARGIN_CELLS, v_far + _MARGIN_CELLS
     du, du_far, dv, dv_far = dx * east, dx_far * east, dy * north, dy_far * north
-    t: float = max((grid[CEILING_M] + _MARGIN_M - z) / dz, 0.0)
-    t_end: float = (grid[FLOOR_M] - z) / dz
-    rows, columns, top_level = nodes.shape[0] - 1, nodes.shape[1] - 1, levels.shape[0] - 1
+    t: float = max((constants.ceiling_m + _MARGIN_M - z) / dz, 0.0)
+    t_end: float = (constants.floor_m - z) / dz
+    rows, columns, top_level = grid.nodes.shape[0] - 1, grid.nodes.shape[1] - 1, levels.shape[0] - 1
     width = max(u_far - u + t_end * (du_far - du), v_far - v + t_end * (dv_far - dv))
     if not width < 1 << top_level:
         return 0.0
@@ -79,13 +66,11 @@ def clear_way_m(
             t_end,
         )
         if level > 0:
-            highest = _highest_block(maxima, levels[level], i_first, i_last, j_first, j_last)
+            highest = _highest_block(grid.maxima, levels[level], (i_first, i_last), (j_first, j_last))
         else:
             west, south = min(west, u + t_exit * du), min(south, v + t_exit * dv)
             east, north = max(east, u_far + t_exit * du_far), max(north, v_far + t_exit * dv_far)
-            highest = _highest_below(
-                nodes, interpolation, i_first, i_last, j_first, j_last, west, south, east, north
-            )
+            highest = _highest_within(grid, (i_first, i_last), (j_first, j_last), (west, south, east, north))
             if highest != highest:
                 return t
         highest += _MARGIN_M
@@ -126,36 +111,29 @@ def _leaving(near: float, far: float, near_rate: float, far_rate: float, first: 
 
 @kernel(forceinline=True)
 def _highest_block(
-    maxima: FloatArray, level: IntArray, i_first: int, i_last: int, j_first: int, j_last: int
+    maxima: FloatArray, level: IntArray, columns: tuple[int, int], rows: tuple[int, int]
 ) -> float:
-    """Greatest height of some blocks of a level."""
+    """Greatest height of some blocks of a level, between the first and the last column and row."""
     highest = -np.inf
-    for j in range(j_first, j_last + 1):
-        for i in range(i_first, i_last + 1):
+    for j in range(rows[0], rows[1] + 1):
+        for i in range(columns[0], columns[1] + 1):
             highest = max(highest, maxima[level[0] + j * level[1] + i])
     return highest
 
 
 @kernel(forceinline=True)
-def _highest_below(
-    nodes: FloatArray,
-    interpolation: int,
-    i_first: int,
-    i_last: int,
-    j_first: int,
-    j_last: int,
-    west: float,
-    south: float,
-    east: float,
-    north: float,
+def _highest_within(
+    grid: Grid, columns: tuple[int, int], rows: tuple[int, int], box: tuple[float, float, float, float]
 ) -> float:
-    """Greatest height of some cells within a rectangle; NaN where a sample is missing.
+    """Greatest height of some cells within a box (west, south, east, north); NaN where a sample is missing.
 
-    A facet, bilinear or plane, is highest in a corner of the rectangle.
+    A facet, bilinear or plane, is highest in a corner of the box.
     """
+    west, south, east, north = box
+    interpolation = grid.constants.interpolation
     highest = -np.inf
-    for j in range(j_first, j_last + 1):
-        for i in range(i_first, i_last + 1):
+    for j in range(rows[0], rows[1] + 1):
+        for i in range(columns[0], columns[1] + 1):
             a_first, a_last = max(west - i, 0.0), min(east - i, 1.0)
             b_first, b_last = max(south - j, 0.0), min(north - j, 1.0)
             for southeast in (False, True):
@@ -165,7 +143,9 @@ def _highest_below(
                     needed = a_last >= b_first if southeast else a_first <= b_last
                 if not needed:
                     continue
-                corner, eastward, northward, twist = facet(*corners(nodes, i, j), interpolation, southeast)
+                corner, eastward, northward, twist = facet(
+                    corners(grid.nodes, i, j), interpolation, southeast
+                )
                 for a in (a_first, a_last):
                     for b in (b_first, b_last):
                         height = corner + a * eastward + b * northward + a * b * twist

@@ -6,8 +6,8 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.scene.grid.cell import TRIANGLES, descent, facet
-from lidar_emu.scene.grid.numbers import CELLS_PER_M_EAST, CELLS_PER_M_NORTH, FLOOR_M, in_cells
+from lidar_emu.scene.grid.cell import Corners, descent, facet
+from lidar_emu.scene.grid.structures import TRIANGLES, GridConstants, in_cells
 
 _HALF_CELL = 0.5 + 1e-9
 """On an edge, where one cell is left for the next, rounding may put a ray a little beside both."""
@@ -17,11 +17,10 @@ _HALF_CELL = 0.5 + 1e-9
 def cast_onto_cell(
     origin: FloatArray,
     direction: FloatArray,
-    grid: FloatArray,
-    interpolation: int,
+    constants: GridConstants,
     i: int,
     j: int,
-    samples: tuple[float, float, float, float],
+    samples: Corners,
     range_m: FloatArray,
     normal: FloatArray,
 ) -> None:
@@ -32,15 +31,16 @@ def cast_onto_cell(
 
     Args:
         origin, direction: (3n,) the rays, x, y, z of one after another.
-        grid, interpolation: as of `cast.cast_rays`.
-        samples: corners of the cell.
+        constants: of the grid.
+        samples: of the cell.
         range_m: (n,) less than 0: the ray is clear of all ground for -range_m. Becomes the range of those that meet
             the facet, and minus the way past it of those that do not.
         normal: (3n,) of those that meet it.
     """
-    east_scale, north_scale, floor = grid[CELLS_PER_M_EAST], grid[CELLS_PER_M_NORTH], grid[FLOOR_M]
+    east_scale, north_scale = constants.cells_per_m_east, constants.cells_per_m_north
+    floor, interpolation = constants.floor_m, constants.interpolation
     for k in range(range_m.size):
-        u, v = in_cells(grid, origin[3 * k], origin[3 * k + 1])
+        u, v = in_cells(constants, origin[3 * k], origin[3 * k + 1])
         du, dv = direction[3 * k] * east_scale, direction[3 * k + 1] * north_scale
         z, dz = origin[3 * k + 2], direction[3 * k + 2]
         before = normal[3 * k], normal[3 * k + 1], normal[3 * k + 2]
@@ -57,14 +57,14 @@ def cast_onto_cell(
             t_diagonal = ((v - j) - (u - i)) / (du - dv)
             southeast = (t_from < t_diagonal) == (du < dv) if du != dv else southeast
             t_exit = t_diagonal if (t_from < t_diagonal) & (t_diagonal < t_exit) else t_exit
-        plane = facet(*samples, interpolation, southeast)
+        plane = facet(samples, interpolation, southeast)
         a, b = (u - i) + t_exit * du, (v - j) + t_exit * dv
-        s = descent(*plane, a, b, z + t_exit * dz, du, dv, dz, t_exit - t_from)
+        s = descent(plane, (a, b, z + t_exit * dz), (du, dv, dz), t_exit - t_from)
         t = t_exit + s
         goes = over & (t_exit > t_from) & (plane[3] == plane[3])
         meets = goes & (s == s)
         a, b = (u - i) + t * du, (v - j) + t * dv
-        _, east, north, twist = facet(*samples, interpolation, a >= b)
+        _, east, north, twist = facet(samples, interpolation, a >= b)
         east, north = (east + b * twist) * east_scale, (north + a * twist) * north_scale
         up = 1.0 / np.sqrt(1.0 + east * east + north * north)
         range_m[k] = t if meets else (-t_exit if goes else range_m[k])

@@ -10,9 +10,17 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.scene.grid.structures import BILINEAR
 
-BILINEAR, TRIANGLES = 0, 1
-"""What spans a cell: one bilinear patch, or two triangles that share its diagonal from south-west to north-east."""
+Corners = tuple[float, float, float, float]
+"""Heights of a cell's samples: south-west, south-east, north-west, north-east."""
+
+Facet = tuple[float, float, float, float]
+"""corner, east, north, twist: the height at (a, b), in the cell's own coordinates from 0 to 1, is
+``corner + a east + b north + a b twist``. The twist is NaN where one of the four samples is missing."""
+
+
+Point = tuple[float, float, float]
 
 
 @kernel(forceinline=True)
@@ -22,22 +30,15 @@ def cell_of(position: float, cells: int) -> int:
 
 
 @kernel(forceinline=True)
-def corners(nodes: FloatArray, i: int, j: int) -> tuple[float, float, float, float]:
-    """Heights of the samples of cell (i, j): south-west, south-east, north-west, north-east."""
+def corners(nodes: FloatArray, i: int, j: int) -> Corners:
+    """Heights of the samples of cell (i, j)."""
     return nodes[j, i], nodes[j, i + 1], nodes[j + 1, i], nodes[j + 1, i + 1]
 
 
 @kernel(forceinline=True)
-def facet(
-    z00: float, z10: float, z01: float, z11: float, interpolation: int, southeast: bool
-) -> tuple[float, float, float, float]:
-    """The surface of cell (i, j), or the half of it on one side of the diagonal, which goes on beyond it.
-
-    Its height at (a, b), in the cell's own coordinates from 0 to 1, is ``corner + a east + b north + a b twist``.
-
-    Returns:
-        corner, east, north, twist; twist is NaN where one of the four samples is missing.
-    """
+def facet(samples: Corners, interpolation: int, southeast: bool) -> Facet:
+    """The surface of a cell, or the half of it on one side of the diagonal, which goes on beyond it."""
+    z00, z10, z01, z11 = samples
     south, west, north, east = z10 - z00, z01 - z00, z11 - z01, z11 - z10
     twist = north - south
     if interpolation == BILINEAR:
@@ -51,7 +52,7 @@ def surface(nodes: FloatArray, interpolation: int, u: float, v: float) -> float:
     i = cell_of(u, nodes.shape[1] - 1)
     j = cell_of(v, nodes.shape[0] - 1)
     a, b = u - i, v - j
-    corner, east, north, twist = facet(*corners(nodes, i, j), interpolation, a >= b)
+    corner, east, north, twist = facet(corners(nodes, i, j), interpolation, a >= b)
     height: float = corner + a * east + b * north + a * b * twist
     return height
 
@@ -59,31 +60,23 @@ def surface(nodes: FloatArray, interpolation: int, u: float, v: float) -> float:
 @kernel(forceinline=True)
 def slopes(nodes: FloatArray, interpolation: int, i: int, j: int, a: float, b: float) -> tuple[float, float]:
     """Rise per cell to the east and to the north, at the point (a, b) of cell (i, j)."""
-    _, east, north, twist = facet(*corners(nodes, i, j), interpolation, a >= b)
+    _, east, north, twist = facet(corners(nodes, i, j), interpolation, a >= b)
     return east + b * twist, north + a * twist
 
 
 @kernel(forceinline=True)
-def descent(
-    corner: float,
-    east: float,
-    north: float,
-    twist: float,
-    a: float,
-    b: float,
-    z: float,
-    du: float,
-    dv: float,
-    dz: float,
-    before: float,
-) -> float:
+def descent(plane: Facet, at: Point, rate: Point, before: float) -> float:
     """The s in [-before, 0] at which a ray falls through a facet, NaN where it stays above it.
 
     Args:
-        corner, east, north, twist: the facet.
-        a, b, z, du, dv, dz: the ray, which passes at s = 0 through (a, b) in the cell's own coordinates, at height z.
+        plane: the facet.
+        at: (a, b, z) where the ray passes at s = 0, in the cell's own coordinates, and its height there.
+        rate: what these grow by per unit of s.
         before: how far back the ray is known to be above the facet.
     """
+    corner, east, north, twist = plane
+    a, b, z = at
+    du, dv, dz = rate
     # Its height above the facet is c0 + c1 s + c2 s².
     c0 = z - (corner + a * east + b * north + a * b * twist)
     c1 = dz - (east + b * twist) * du - (north + a * twist) * dv

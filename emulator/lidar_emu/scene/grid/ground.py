@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from copy import copy
+from typing import Any
 
 import numpy as np
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.scene.grid import cast, exact, numbers
-from lidar_emu.scene.grid.cell import BILINEAR, TRIANGLES
+from lidar_emu.numerics.records import as_record
+from lidar_emu.scene.grid import cast, exact
 from lidar_emu.scene.grid.pyramid import build_pyramid
 from lidar_emu.scene.grid.samples import Samples
+from lidar_emu.scene.grid.structures import BILINEAR, NO_GROUND, PLANE, SPHERE, TRIANGLES, GridConstants
 from lidar_emu.scene.hits import Hits, contiguous
 from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.sphere import SphereGround
@@ -45,33 +47,37 @@ class GridGround:
         self.beyond = beyond
         self.description = description
         self.origin_altitude_m = origin_altitude_m
-        self._kind = _kind_of(beyond)
-        self._interpolation = TRIANGLES if samples.interpolation == "triangles" else BILINEAR
         # In its holes the ground beyond, level plane or sphere, nowhere rises above the origin.
         hole_m = -np.inf if beyond is None else 0.0
         self._maxima, self._levels = build_pyramid(samples.height_m, hole_m)
-        self._grid = self._numbers()
+        self._constants = self._record()
 
     def with_reflectance(self, reflectance: float) -> GridGround:
         """The same ground, samples shared, of another albedo."""
         twin = copy(self)
         twin.reflectance = reflectance
+        twin._constants = twin._record()
         return twin
 
-    def _numbers(self) -> FloatArray:
+    def _record(self) -> Any:
         samples = self.samples
         lowest_m, highest_m = samples.bounds_with(self.beyond)
-        values = np.empty(numbers.COUNT)
-        values[numbers.WEST_M] = samples.west_m
-        values[numbers.SOUTH_M] = samples.south_m
-        values[numbers.CELLS_PER_M_EAST] = 1 / samples.pixel_east_m
-        values[numbers.CELLS_PER_M_NORTH] = 1 / samples.pixel_north_m
-        values[numbers.CEILING_M] = highest_m
-        values[numbers.FLOOR_M] = lowest_m - 1.0
-        values[numbers.RADIUS_M] = self.beyond.radius_m if isinstance(self.beyond, SphereGround) else np.inf
-        values[numbers.FIRST_COLUMN] = samples.first_column
-        values[numbers.FIRST_ROW] = samples.first_row
-        return values
+        return as_record(
+            GridConstants(
+                west_m=float(samples.west_m),
+                south_m=float(samples.south_m),
+                cells_per_m_east=1 / samples.pixel_east_m,
+                cells_per_m_north=1 / samples.pixel_north_m,
+                ceiling_m=float(highest_m),
+                floor_m=lowest_m - 1.0,
+                first_column=float(samples.first_column),
+                first_row=float(samples.first_row),
+                interpolation=TRIANGLES if samples.interpolation == "triangles" else BILINEAR,
+                beyond=_kind_of(self.beyond),
+                beyond_radius_m=self.beyond.radius_m if isinstance(self.beyond, SphereGround) else np.inf,
+                albedo=float(self.reflectance),
+            )
+        )
 
     def cast(
         self,
@@ -87,13 +93,10 @@ class GridGround:
             origin,
             direction,
             bundle,
-            self._grid,
+            self._constants,
             self.samples.height_m,
-            self._interpolation,
             self._maxima,
             self._levels,
-            self._kind,
-            self.reflectance,
             hits.range_m,
             hits.normal_site,
             hits.inside,
@@ -110,7 +113,7 @@ class GridGround:
         """(n,) z of the surface, or of the ground beyond."""
         east, north = contiguous(east_m, north_m)
         height = np.empty_like(east)
-        cast.surface_heights(self._grid, self.samples.height_m, self._interpolation, east, north, height)
+        cast.surface_heights(self._constants, self.samples.height_m, east, north, height)
         if self.beyond is None:
             return height
         return np.where(np.isnan(height), self.beyond.height_m(east, north), height)
@@ -127,5 +130,5 @@ class GridGround:
 
 def _kind_of(beyond: PlaneGround | SphereGround | None) -> int:
     if beyond is None:
-        return cast.NOTHING
-    return cast.PLANE if isinstance(beyond, PlaneGround) else cast.SPHERE
+        return NO_GROUND
+    return PLANE if isinstance(beyond, PlaneGround) else SPHERE

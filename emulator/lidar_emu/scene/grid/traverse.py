@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.scene.grid.cell import TRIANGLES, cell_of, corners, descent, facet
+from lidar_emu.scene.grid.cell import cell_of, corners, descent, facet
+from lidar_emu.scene.grid.structures import TRIANGLES, CellRay, Grid, Interval
 
 CLEAR, SURFACE, BEYOND, FACE = 0, 1, 2, 3
 """What a ray meets: nothing, the surface of a cell, the ground beyond the grid, or the upright face where one
@@ -17,8 +17,9 @@ FACE_DEPTH_M = 1e-6
 
 
 @kernel(forceinline=True)
-def meet_beyond(start: float, end: float, enter: float, leave: float) -> tuple[int, float]:
-    """First t in [start, end] inside the ground beyond, which the ray's line crosses from enter to leave."""
+def meet_beyond(start: float, end: float, beyond: Interval) -> tuple[int, float]:
+    """First t in [start, end] inside the ground beyond, in which the ray's line is on an interval."""
+    enter, leave = beyond
     t = max(start, enter)
     if not t <= min(end, leave):
         return CLEAR, np.nan
@@ -26,7 +27,7 @@ def meet_beyond(start: float, end: float, enter: float, leave: float) -> tuple[i
 
 
 @kernel(forceinline=True)
-def clip(position: float, rate: float, length: float) -> tuple[float, float]:
+def clip(position: float, rate: float, length: float) -> Interval:
     """First and last t with ``0 <= position + rate * t <= length``; (inf, -inf) if there is none."""
     if rate == 0.0:
         return (-np.inf, np.inf) if 0.0 <= position <= length else (np.inf, -np.inf)
@@ -69,21 +70,13 @@ def starting_level(reach: float, top_level: int) -> int:
 
 @kernel(forceinline=True)
 def _meet_facet(
-    nodes: FloatArray,
-    interpolation: int,
-    i: int,
-    j: int,
+    grid: Grid,
+    cell: tuple[int, int],
     southeast: bool,
-    u: float,
-    v: float,
-    z: float,
-    du: float,
-    dv: float,
-    dz: float,
+    ray: CellRay,
     t: float,
     t_exit: float,
-    enter: float,
-    leave: float,
+    beyond: Interval,
 ) -> tuple[int, float]:
     """What a ray meets between t and t_exit, where it is over a facet of cell (i, j).
 
@@ -91,67 +84,41 @@ def _meet_facet(
     that a ray through an edge or a vertex is taken by one of its facets whatever the rounding. The root counts
     from there too: it has the same bits from wherever the ray was followed.
     """
-    corner, east, north, twist = facet(*corners(nodes, i, j), interpolation, southeast)
+    (i, j), (u, v, z, du, dv, dz) = cell, ray
+    plane = facet(corners(grid.nodes, i, j), grid.constants.interpolation, southeast)
+    corner, east, north, twist = plane
     if twist != twist:
-        return meet_beyond(t, t_exit, enter, leave)
+        return meet_beyond(t, t_exit, beyond)
     a, b = (u - i) + t * du, (v - j) + t * dv
     height = (z + t * dz) - (corner + a * east + b * north + a * b * twist)
     if height <= 0.0:
         return (SURFACE if height >= -FACE_DEPTH_M else FACE), t
     a, b, above = (u - i) + t_exit * du, (v - j) + t_exit * dv, z + t_exit * dz
-    s = descent(corner, east, north, twist, a, b, above, du, dv, dz, t_exit - t)
+    s = descent(plane, (a, b, above), (du, dv, dz), t_exit - t)
     return (SURFACE, t_exit + s) if s == s else (CLEAR, np.nan)
 
 
 @kernel(forceinline=True)
 def _meet_cell(
-    nodes: FloatArray,
-    interpolation: int,
-    i: int,
-    j: int,
-    u: float,
-    v: float,
-    z: float,
-    du: float,
-    dv: float,
-    dz: float,
-    t: float,
-    t_exit: float,
-    enter: float,
-    leave: float,
+    grid: Grid, cell: tuple[int, int], ray: CellRay, t: float, t_exit: float, beyond: Interval
 ) -> tuple[int, float]:
     """What a ray meets between t and t_exit, where it is over cell (i, j)."""
-    southeast, t_facet = u - i >= v - j, t_exit
-    if interpolation == TRIANGLES and du != dv:
-        t_diagonal = ((v - j) - (u - i)) / (du - dv)
-        southeast = (t < t_diagonal) == (du < dv)
+    i, j = cell
+    southeast, t_facet = ray.u - i >= ray.v - j, t_exit
+    if grid.constants.interpolation == TRIANGLES and ray.du != ray.dv:
+        t_diagonal = ((ray.v - j) - (ray.u - i)) / (ray.du - ray.dv)
+        southeast = (t < t_diagonal) == (ray.du < ray.dv)
         if t < t_diagonal < t_exit:
             t_facet = t_diagonal
-    ray = u, v, z, du, dv, dz
-    met, t_met = _meet_facet(nodes, interpolation, i, j, southeast, *ray, t, t_facet, enter, leave)
+    met, t_met = _meet_facet(grid, cell, southeast, ray, t, t_facet, beyond)
     if met == CLEAR and t_facet < t_exit:
-        return _meet_facet(nodes, interpolation, i, j, not southeast, *ray, t_facet, t_exit, enter, leave)
+        return _meet_facet(grid, cell, not southeast, ray, t_facet, t_exit, beyond)
     return met, t_met
 
 
 @kernel(forceinline=True)
 def traverse(
-    nodes: FloatArray,
-    interpolation: int,
-    maxima: FloatArray,
-    levels: IntArray,
-    u: float,
-    v: float,
-    z: float,
-    du: float,
-    dv: float,
-    dz: float,
-    t: float,
-    t_end: float,
-    near: bool,
-    face: int,
-    enter: float,
-    leave: float,
+    grid: Grid, ray: CellRay, t: float, t_end: float, near: bool, face: int, beyond: Interval
 ) -> tuple[int, float, int, int, int]:
     """First contact of a ray between t and t_end, where it is over the grid.
 
@@ -160,16 +127,18 @@ def traverse(
     and never looked up by position alone: none is left out.
 
     Args:
-        nodes, maxima, levels: heights of the samples, and their pyramid (see `build_pyramid`).
-        u, v, z, du, dv, dz: the ray, horizontally in cells and upward in metres; t in metres along it.
+        grid, ray: the ground and the ray.
+        t, t_end: where the ray is over the grid.
         near: whether the ray is known to be close to the surface at t: cells are tried before blocks.
         face: axis (0 east, 1 north) of the edge by which the ray came in.
-        enter, leave: where the ray's line is in the ground beyond, which also fills cells without samples.
+        beyond: where the ray's line is in the ground beyond, which also fills cells without samples.
 
     Returns:
         What it meets, t, the cell (i, j), and the axis of the edge by which the ray came into it.
     """
-    rows, columns = nodes.shape[0] - 1, nodes.shape[1] - 1
+    u, v, z, du, dv, dz = ray
+    maxima, levels = grid.maxima, grid.levels
+    rows, columns = grid.nodes.shape[0] - 1, grid.nodes.shape[1] - 1
     i, j = cell_of(u + t * du, columns), cell_of(v + t * dv, rows)
     # The ray never climbs above the level where it begins: few of that level's blocks are on its way.
     top_level = starting_level(max(abs(du), abs(dv)) * (t_end - t), levels.shape[0] - 1)
@@ -181,7 +150,7 @@ def traverse(
         t_v = _crossing(v, dv, j_first, j_end)
         t_exit = max(min(t_u, t_v, t_end), t)
         if level == 0:
-            met, t_met = _meet_cell(nodes, interpolation, i, j, u, v, z, du, dv, dz, t, t_exit, enter, leave)
+            met, t_met = _meet_cell(grid, (i, j), ray, t, t_exit, beyond)
             if met != CLEAR:
                 return met, t_met, i, j, face
         else:

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.scene.grid.cell import BILINEAR, surface
+from lidar_emu.scene.grid.cell import surface
+from lidar_emu.scene.grid.structures import BILINEAR
 from lidar_emu.scene.hits import GROUND, Hits, Scene, contiguous
 
 

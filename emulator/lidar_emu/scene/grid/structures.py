@@ -1,0 +1,79 @@
+"""What the kernels of an elevation grid pass to one another."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.kernels import kernel
+
+BILINEAR, TRIANGLES = 0, 1
+"""What spans a cell: one bilinear patch, or two triangles that share its diagonal from south-west to north-east."""
+
+NO_GROUND, PLANE, SPHERE = 0, 1, 2
+"""What lies beyond the grid."""
+
+
+class GridConstants(NamedTuple):
+    """The numbers of a grid; kernels take them as a record."""
+
+    west_m: float
+    """East coordinate of the whole grid's first column."""
+    south_m: float
+    """North coordinate of the whole grid's first row."""
+    cells_per_m_east: float
+    cells_per_m_north: float
+    ceiling_m: float
+    """Highest of the grid and of what fills its holes."""
+    floor_m: float
+    """Below all of the grid and of what fills its holes."""
+    first_column: float
+    """Place in the whole grid of the first column that is held."""
+    first_row: float
+    """Place in the whole grid of the first row that is held."""
+    interpolation: int
+    """BILINEAR or TRIANGLES."""
+    beyond: int
+    """NO_GROUND, PLANE or SPHERE."""
+    beyond_radius_m: float
+    """Radius of the sphere beyond."""
+    albedo: float
+    """Of all of the ground."""
+
+
+class Grid(NamedTuple):
+    """A grid in kernels."""
+
+    constants: GridConstants
+    nodes: FloatArray
+    """(rows, columns) heights of the samples."""
+    maxima: FloatArray
+    """Maxima of blocks, see `build_pyramid`."""
+    levels: IntArray
+    """(levels, 2) where each level of the maxima begins, and its blocks per row."""
+
+
+class CellRay(NamedTuple):
+    """A ray, horizontally in cells and upward in metres; its parameter t is in metres along it."""
+
+    u: float
+    v: float
+    z: float
+    du: float
+    dv: float
+    dz: float
+
+
+Interval = tuple[float, float]
+"""First and last t of a stretch of a ray."""
+
+
+@kernel(forceinline=True)
+def in_cells(constants: GridConstants, x: float, y: float) -> tuple[float, float]:
+    """A place in cells from the first sample that is held.
+
+    The subtraction of whole cells is exact unless the place is far off: a part of a grid has the bits of the whole.
+    """
+    u = (x - constants.west_m) * constants.cells_per_m_east
+    v = (y - constants.south_m) * constants.cells_per_m_north
+    return u - constants.first_column, v - constants.first_row
