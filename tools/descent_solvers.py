@@ -27,8 +27,8 @@ from lidar_emu.trajectory.powered.actuators import Acting, Lags
 from lidar_emu.trajectory.powered.control import asked_at, throttle, turning_torque
 from lidar_emu.trajectory.powered.motion import gravity_at, inertia_at, set_derivative
 from lidar_emu.trajectory.powered.solution import Descent, prepare, solve
-from lidar_emu.trajectory.powered.steps import Mesh
-from lidar_emu.trajectory.powered.vehicle import POSITION, SIZE, VELOCITY, Body
+from lidar_emu.trajectory.powered.steps import StepSizes
+from lidar_emu.trajectory.powered.vehicle import POSITION, SIZE, VELOCITY, VehicleConstants
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "flights.md"
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
@@ -78,9 +78,9 @@ def flown(lag_s: float) -> Descent:
 
 
 def own(flight: Descent, factor: float) -> Measured:
-    first, growth, longest, standing = flight.mesh
-    mesh = Mesh(first / factor, growth / factor, longest / factor, standing / factor)
-    record, taken_s = timed(lambda: solve(flight._replace(mesh=mesh))[1], 5)
+    first, growth, longest, standing = flight.step_sizes
+    step_sizes = StepSizes(first / factor, growth / factor, longest / factor, standing / factor)
+    record, taken_s = timed(lambda: solve(flight._replace(step_sizes=step_sizes))[1], 5)
     ticks = np.arange(1, round(FLOWN_S * CONTROL_HZ) + 1) / CONTROL_HZ
     places = np.searchsorted(record.time_s, ticks - 1e-9)
     name = f"lidar-emu, steps up to {1e3 * longest / factor:g} ms"
@@ -89,7 +89,7 @@ def own(flight: Descent, factor: float) -> Measured:
 
 @kernel(outermost=True)
 def set_slope_with_lags(
-    body: Body, lags: Lags, acting: Acting, y: FloatArray, state: FloatArray, slope: FloatArray
+    body: VehicleConstants, lags: Lags, acting: Acting, y: FloatArray, state: FloatArray, slope: FloatArray
 ) -> None:
     """Of the states with thrust, mass and torque; `state` is room for the first 21."""
     for i in range(SIZE):

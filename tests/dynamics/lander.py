@@ -12,7 +12,15 @@ from scipy.spatial.transform import Rotation
 from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.trajectory.powered.actuators import Acting, Lags
 from lidar_emu.trajectory.powered.steps import set_slope, set_stepped
-from lidar_emu.trajectory.powered.vehicle import BEND, BENDING, HANG, SIZE, SWAY, Body, body_of
+from lidar_emu.trajectory.powered.vehicle import (
+    BEND,
+    BENDING,
+    HANG,
+    SIZE,
+    SWAY,
+    VehicleConstants,
+    vehicle_constants,
+)
 
 Floats = NDArray[np.float64]
 RIGID: dict[str, Any] = {
@@ -38,8 +46,10 @@ def descent(vehicle: dict[str, Any] | None = None, **keys: Any) -> PoweredDescen
     return PoweredDescent.model_validate_json(json.dumps(tree))
 
 
-def body(gravity_mps2: float = 0.0, ground_m: float = -1e9, radius_m: float = np.inf, **vehicle: Any) -> Body:
-    return body_of(descent(vehicle).vehicle, gravity_mps2, radius_m, ground_m)
+def body(
+    gravity_mps2: float = 0.0, ground_m: float = -1e9, radius_m: float = np.inf, **vehicle: Any
+) -> VehicleConstants:
+    return vehicle_constants(descent(vehicle).vehicle, gravity_mps2, radius_m, ground_m)
 
 
 def at_rest(turn: Rotation | None = None) -> Floats:
@@ -52,7 +62,12 @@ def at_rest(turn: Rotation | None = None) -> Floats:
 
 
 def coast(
-    of: Body, state: Floats, duration_s: float, steps: int, thrust_n: float = 0.0, kg: float = 1500.0
+    of: VehicleConstants,
+    state: Floats,
+    duration_s: float,
+    steps: int,
+    thrust_n: float = 0.0,
+    kg: float = 1500.0,
 ) -> Floats:
     """States (steps + 1, 21) without control, at constant thrust and mass."""
     acting, lags = Acting(thrust_n, kg, NONE, thrust_n, NONE), Lags(0.0, 0.0, np.inf)
@@ -72,7 +87,7 @@ class Sums(NamedTuple):
     energy: Floats
 
 
-def sums(of: Body, path: Floats, kg: float = 1500.0) -> Sums:
+def sums(of: VehicleConstants, path: Floats, kg: float = 1500.0) -> Sums:
     """Written anew from the definitions, with scipy's rotations."""
     turn = Rotation.from_quat(np.roll(path[:, 6:10], -1, axis=1))
     rate, speed = path[:, 10:13], path[:, BENDING]

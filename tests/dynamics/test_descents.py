@@ -16,7 +16,7 @@ from lidar_emu.trajectory.powered.control import asked_at, throttle, turning_tor
 from lidar_emu.trajectory.powered.integration import ALOFT, ENDED
 from lidar_emu.trajectory.powered.motion import gravity_at, inertia_at, set_derivative
 from lidar_emu.trajectory.powered.solution import Descent, prepare, solve
-from lidar_emu.trajectory.powered.steps import Mesh
+from lidar_emu.trajectory.powered.steps import StepSizes
 from lidar_emu.trajectory.powered.trajectory import DescentTrajectory
 
 MOON_M = 1_737_400.0
@@ -25,9 +25,9 @@ GRAVITY_TURN = {"kind": "gravity_turn"}
 
 def shortened(flight: Descent, factor: float, longest_s: float | None = None) -> Descent:
     """With all steps shorter by a factor."""
-    first, growth, longest, standing = flight.mesh
+    first, growth, longest, standing = flight.step_sizes
     schedule = flight.schedule if longest_s is None else flight.schedule._replace(longest_s=longest_s)
-    return flight._replace(mesh=Mesh(first / factor, growth / factor, longest / factor, standing / factor),
+    return flight._replace(step_sizes=StepSizes(first / factor, growth / factor, longest / factor, standing / factor),
                            schedule=schedule)  # fmt: skip
 
 
@@ -181,9 +181,9 @@ def test_attitude_and_spin_at_the_start_are_the_scenarios() -> None:
 
 
 def test_a_mode_shortens_the_steps() -> None:
-    assert prepare(descent(), MOON_M).mesh.longest_s == 0.01
+    assert prepare(descent(), MOON_M).step_sizes.longest_s == 0.01
     stiff = prepare(descent({"flexible_mode": MODE | {"frequency_hz": 20}}), MOON_M)
-    assert stiff.mesh.longest_s < 0.2 / (2 * np.pi * 20)
+    assert stiff.step_sizes.longest_s < 0.2 / (2 * np.pi * 20)
 
 
 def test_a_spin_at_the_start_is_followed_and_taken_out() -> None:
@@ -191,7 +191,7 @@ def test_a_spin_at_the_start_is_followed_and_taken_out() -> None:
     spin = {"attitude": {"body_rate_radps": [3.0, -2.5, 3.1]}, "position_site_m": [0, 0, 900]}
     start = spin | {"velocity_site_mps": [0, 0, -20]}
     flight = prepare(descent(start=start, step_s=0.1), MOON_M)
-    assert flight.mesh.longest_s == pytest.approx(0.2 / np.linalg.norm([3.0, -2.5, 3.1]))
+    assert flight.step_sizes.longest_s == pytest.approx(0.2 / np.linalg.norm([3.0, -2.5, 3.1]))
     course, record = solve(flight)
     assert course.outcome == ENDED
     np.testing.assert_allclose(np.sum(record.state[:, 6:10] ** 2, axis=1), 1, atol=1e-5)

@@ -11,7 +11,7 @@ from lander import EXHAUST_MPS, MODE, NONE, SLOSH, at_rest, body, coast, sums
 from scipy.spatial.transform import Rotation
 
 from lidar_emu.trajectory.powered.actuators import Acting, Lags, mass_after, thrust_after, torque_after
-from lidar_emu.trajectory.powered.steps import Mesh, next_step_s, set_slope, set_stepped
+from lidar_emu.trajectory.powered.steps import StepSizes, next_step_s, set_slope, set_stepped
 from lidar_emu.trajectory.powered.vehicle import BEND, HANG, SIZE, SWAY
 
 TUMBLING = Rotation.from_rotvec([0.4, -1.1, 0.7])
@@ -107,11 +107,11 @@ def test_rocket_equation(lag_s: float) -> None:
     """Speed gained in free space is the exhaust's times the logarithm of the masses, whatever the valve does."""
     free, lags = body(), Lags(lag_s, 0.0, EXHAUST_MPS)
     acting = Acting(500.0, 1500.0, NONE, 5000.0, NONE)
-    mesh = Mesh(min(0.01, lag_s / 4) if lag_s else 0.01, 0.5, 0.01, 0.01)
+    step_sizes = StepSizes(min(0.01, lag_s / 4) if lag_s else 0.01, 0.5, 0.01, 0.01)
     state, stepped, slopes = at_rest(), np.empty(SIZE), np.empty((4, SIZE))
     since_s = 0.0
     while since_s < 20.0:
-        step_s = next_step_s(mesh, mesh.longest_s, since_s, 20.0 - since_s)
+        step_s = next_step_s(step_sizes, step_sizes.longest_s, since_s, 20.0 - since_s)
         set_slope(free, lags, acting, since_s, state, slopes[0])
         set_stepped(free, lags, acting, since_s, step_s, state, slopes, stepped)
         state, since_s = stepped.copy(), since_s + step_s

@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.scene.cut import CutGround
+from lidar_emu.scene.cropped_ground import CroppedGround
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.grid.samples import Samples
+from lidar_emu.scene.map_area import Rectangle
 from lidar_emu.scene.mosaic import grids
 from lidar_emu.scene.mosaic.grids import Layer, join_grids
 from lidar_emu.scene.plane import PlaneGround
-from lidar_emu.scene.reach import Reach, Span, strays
-from lidar_emu.scene.rectangle import Rectangle
+from lidar_emu.scene.ray_reach import Reach, Span, strays
 from lidar_emu.scene.sphere import SphereGround
 
 BEYOND = [None, PlaneGround(0.0, 0.0, 0.0), SphereGround(1.7e6, 0.0)]
@@ -77,7 +77,7 @@ def test_hits_before_equal_hits_after(seed):
     reads = []
     cut = join_grids(forbidden, None, reach)
     whole = join_grids(lambda: (layers, beyond), None, reach, cut=False)
-    assert isinstance(cut, CutGround)
+    assert isinstance(cut, CroppedGround)
     origin, direction = beamlets(rng, *axes)
     before = whole.cast(origin, direction)
     for bundle in (1, 20):

@@ -5,8 +5,8 @@ import pytest
 
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.grid.samples import Samples
-from lidar_emu.scene.hits import Hits
 from lidar_emu.scene.plane import PlaneGround
+from lidar_emu.scene.ray_hits import Hits
 from lidar_emu.scene.sphere import SphereGround
 
 BEYOND = {"none": None, "plane": PlaneGround(0.0, 0.0, 0.0), "sphere": SphereGround(5000.0, 0.0)}
@@ -41,7 +41,7 @@ def beams(rng, count, beamlets, tilt_rad, radius_m=0.05, divergence=5e-5, reach_
 def assert_the_same_bits(scene, origin, direction, bundle):
     alone = scene.cast(origin, direction)
     together = scene.cast(origin, direction, bundle=bundle)
-    for name in ("range_m", "normal_site", "inside", "reflectance", "thing"):
+    for name in ("range_m", "normal_site", "inside", "reflectance", "object_id"):
         np.testing.assert_array_equal(getattr(together, name), getattr(alone, name), err_msg=name)
     return alone
 

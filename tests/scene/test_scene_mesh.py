@@ -14,12 +14,12 @@ from lidar_emu.scenario.mesh_ground import Mesh as MeshPart
 from lidar_emu.scenario.mesh_ground import MeshOrigin
 from lidar_emu.scenario.site import Body, Site, Sphere
 from lidar_emu.scene.build import build_scene
-from lidar_emu.scene.hits import Hits
 from lidar_emu.scene.mesh.file import enclosed_m3, read_mesh
 from lidar_emu.scene.mesh.ground import place_mesh
-from lidar_emu.scene.mesh.model import Mesh, Triangles
+from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
 from lidar_emu.scene.objects.shapes import ellipsoid
 from lidar_emu.scene.plane import PlaneGround
+from lidar_emu.scene.ray_hits import Hits
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -32,7 +32,7 @@ def units(vector: np.ndarray) -> np.ndarray:
 
 def assert_same(fast: Hits, exact: Hits, atol: float = 1e-10) -> None:
     np.testing.assert_array_equal(fast.inside, exact.inside)
-    np.testing.assert_array_equal(fast.thing, exact.thing)
+    np.testing.assert_array_equal(fast.object_id, exact.object_id)
     np.testing.assert_allclose(fast.range_m, exact.range_m, rtol=0, atol=atol)
     np.testing.assert_allclose(fast.normal_site, exact.normal_site, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(fast.reflectance, exact.reflectance)
@@ -57,7 +57,7 @@ def test_of_triangles_anywhere_the_nearest_is_found() -> None:
     )
     origin = 15 * rng.normal(size=(2000, 3))
     direction = units(rng.normal(size=(2000, 3)) * 8 - origin)
-    mesh = Mesh(triangles)
+    mesh = TriangleMesh(triangles)
     found = mesh.cast(origin, direction)
     assert_same(found, mesh.cast_exact(origin, direction))
     assert 200 < np.isfinite(found.range_m).sum() < 1800
@@ -72,7 +72,7 @@ def test_what_another_library_finds_is_found() -> None:
     plane, _, t = (np.asarray(x) for x in _every_triangle(other, origin, direction))
     nearest = np.full(300, np.inf)
     np.minimum.at(nearest, plane, t)
-    found = Mesh(Triangles.alike(corner_m, 0.2)).cast(origin, direction).range_m
+    found = TriangleMesh(Triangles.alike(corner_m, 0.2)).cast(origin, direction).range_m
     np.testing.assert_allclose(np.nan_to_num(found, nan=np.inf), nearest, rtol=0, atol=1e-9)
 
 
@@ -90,7 +90,7 @@ def _every_triangle(other: object, origin: np.ndarray, direction: np.ndarray) ->
 
 
 def test_a_box_is_where_it_is() -> None:
-    mesh = Mesh(Triangles.alike(np.asarray(trimesh.creation.box((2.0, 4.0, 6.0)).triangles), 0.3))
+    mesh = TriangleMesh(Triangles.alike(np.asarray(trimesh.creation.box((2.0, 4.0, 6.0)).triangles), 0.3))
     origin = RNG(7).uniform(-9, 9, (5000, 3))
     direction = units(RNG(8).normal(size=(5000, 3)))
     half = np.array([1.0, 2.0, 3.0])
@@ -109,7 +109,7 @@ def test_a_box_is_where_it_is() -> None:
 
 
 def test_a_ray_that_starts_on_the_surface_hits_it_there() -> None:
-    mesh = Mesh(Triangles.alike(np.asarray(trimesh.creation.box((2.0, 2.0, 2.0)).triangles), 0.3))
+    mesh = TriangleMesh(Triangles.alike(np.asarray(trimesh.creation.box((2.0, 2.0, 2.0)).triangles), 0.3))
     found = mesh.cast(np.tile([0.3, 0.2, 1.0], (2, 1)), np.array([[0, 0, -1.0], [0, 0, 1.0]]))
     np.testing.assert_array_equal(found.range_m, 0.0)
     assert not found.inside.any()
@@ -118,7 +118,7 @@ def test_a_ray_that_starts_on_the_surface_hits_it_there() -> None:
 def test_a_sheet_is_seen_from_both_sides() -> None:
     corner_m = np.array([[[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]]])
     for sheet in (True, False):
-        mesh = Mesh(Triangles.alike(corner_m, 0.5, sheet))
+        mesh = TriangleMesh(Triangles.alike(corner_m, 0.5, sheet))
         found = mesh.cast(np.array([[0, 0, 2.0], [0, 0, -2.0]]), np.array([[0, 0, -1.0], [0, 0, 1.0]]))
         np.testing.assert_array_equal(found.range_m, [2.0, 2.0 if sheet else np.nan])
         np.testing.assert_array_equal(found.normal_site[:, 2], [1.0, -1.0 if sheet else np.nan])
@@ -132,7 +132,7 @@ def test_no_ray_is_lost_at_edges_and_corners(away_m: float) -> None:
     inner = corner_m[(np.abs(corner_m[..., :2] - corner_m.mean(axis=(0, 1))[:2]) < 15).all(axis=(1, 2))]
     share = RNG(3).random((len(inner), 1))
     target = np.concatenate([inner[:, 0], inner[:, 0] * share + inner[:, 1] * (1 - share), inner[:, 1]])
-    mesh = Mesh(Triangles.alike(corner_m, 0.2))
+    mesh = TriangleMesh(Triangles.alike(corner_m, 0.2))
     for height_m in (20.0, 2e4):
         sensor = corner_m.mean(axis=(0, 1)) + np.array([3.1, -4.7, height_m])
         aimed = units(target - sensor)
@@ -150,7 +150,7 @@ def test_a_closed_body_loses_nothing_either() -> None:
     corner_m = ellipsoid(10.0, 6.0, 0.0)
     target = corner_m.reshape(-1, 3)
     origin = 40 * units(RNG(1).normal(size=target.shape)) + target
-    found = Mesh(Triangles.alike(corner_m, 0.2)).cast(origin, units(target - origin))
+    found = TriangleMesh(Triangles.alike(corner_m, 0.2)).cast(origin, units(target - origin))
     # A corner on the far side is behind the body; at the rim a ray may pass by.
     assert (found.range_m[np.isfinite(found.range_m)] <= 40 + 1e-9).all()
     facing = (units(origin - target) * units(target / [25, 25, 9])).sum(axis=1) > 0.35
@@ -165,7 +165,7 @@ def test_ten_kilometres_away_it_is_as_exact_as_a_formula() -> None:
     origin = np.tile([100.0, 20.0, 1e4], (200, 1))
     direction = units(RNG(4).normal(size=(200, 3)) * 0.1 - [0, 0, 1])
     found, exact = (
-        Mesh(Triangles.alike(corner_m, 1.0)).cast(origin, direction),
+        TriangleMesh(Triangles.alike(corner_m, 1.0)).cast(origin, direction),
         plane.cast_exact(origin, direction),
     )
     np.testing.assert_allclose(found.range_m, exact.range_m, rtol=0, atol=1e-9)
@@ -173,7 +173,7 @@ def test_ten_kilometres_away_it_is_as_exact_as_a_formula() -> None:
 
 
 def test_the_bits_do_not_depend_on_the_company_of_other_rays() -> None:
-    mesh = Mesh(Triangles.alike(hills(30), 0.2))
+    mesh = TriangleMesh(Triangles.alike(hills(30), 0.2))
     # Beams of beamlets, and rays on their own.
     beams = units(np.repeat(RNG(2).normal(size=(6, 3)) * 0.3 - [0, 0, 1], 64, axis=0))
     direction = units(np.concatenate([beams + 3e-4 * RNG(3).normal(size=beams.shape), beams[::-7]]))
@@ -185,7 +185,7 @@ def test_the_bits_do_not_depend_on_the_company_of_other_rays() -> None:
         parts = [
             mesh.cast(origin[k : k + size], direction[k : k + size]) for k in range(0, len(origin), size)
         ]
-        for name in ("range_m", "normal_site", "thing", "inside", "reflectance"):
+        for name in ("range_m", "normal_site", "object_id", "inside", "reflectance"):
             np.testing.assert_array_equal(
                 getattr(whole, name), np.concatenate([getattr(p, name) for p in parts])
             )
@@ -194,7 +194,9 @@ def test_the_bits_do_not_depend_on_the_company_of_other_rays() -> None:
 
 def test_triangles_all_at_one_place_are_still_a_tree() -> None:
     corner_m = np.tile(np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]]), (100, 1, 1))
-    found = Mesh(Triangles.alike(corner_m, 0.5)).cast(np.array([[0, 0, 3.0]]), np.array([[0, 0, -1.0]]))
+    found = TriangleMesh(Triangles.alike(corner_m, 0.5)).cast(
+        np.array([[0, 0, 3.0]]), np.array([[0, 0, -1.0]])
+    )
     assert found.range_m[0] == 3.0
 
 
@@ -312,7 +314,7 @@ def test_east_north_and_up_point_where_they_should(tmp_path: Path) -> None:
     for way in ([100.0, 0, -100.0], [0, 100.0, -100.0]):
         start = np.array([[0, 0, 50.0]])
         found = scene.cast(start, units(np.array([way]) - start))
-        assert found.thing[0] == 0
+        assert found.object_id[0] == 0
     assert scene.origin_altitude_m == pytest.approx(10.0)
 
 

@@ -10,9 +10,9 @@ from lidar_emu.errors import InputError
 from lidar_emu.scenario.objects import PlacedObject
 from lidar_emu.scenario.site import Body, Plane, Site, Sphere, Surface
 from lidar_emu.scene.build import build_scene
-from lidar_emu.scene.hits import MovingScene, Scene
 from lidar_emu.scene.mesh.file import enclosed_m3
 from lidar_emu.scene.objects.shapes import corners_m
+from lidar_emu.scene.ray_hits import MovingScene, Scene
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -94,7 +94,7 @@ def test_objects_stand_on_the_ground_and_keep_what_is_their_own() -> None:
     np.testing.assert_allclose(
         found.range_m, [100 - rise_m - 0.1, 100 + rise_m - 1, 49, 100 + 2 * rise_m], atol=0.02
     )
-    np.testing.assert_array_equal(found.thing, [1, 2, 3, 0])
+    np.testing.assert_array_equal(found.object_id, [1, 2, 3, 0])
     np.testing.assert_array_equal(found.reflectance, [0.7, 0.2, 0.0, 0.2])
 
 
@@ -108,9 +108,9 @@ def test_of_ground_and_objects_the_first_is_hit_and_none_from_within() -> None:
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     fast, exact = both.cast(origin, direction), both.cast_exact(origin, direction)
     np.testing.assert_allclose(fast.range_m, exact.range_m, rtol=0, atol=1e-10)
-    for name in ("inside", "thing", "reflectance"):
+    for name in ("inside", "object_id", "reflectance"):
         np.testing.assert_array_equal(getattr(fast, name), getattr(exact, name))
-    assert {0, 1, 2, -1} == set(fast.thing.tolist())
+    assert {0, 1, 2, -1} == set(fast.object_id.tolist())
     assert 5 < fast.inside.sum() < 250
     height_m = both.height_m(origin[:, 0], origin[:, 1])
     above = both.cast(origin + np.array([0, 0, 100.0]), np.broadcast_to(DOWN, origin.shape)).range_m
@@ -161,7 +161,7 @@ def test_a_wall_that_comes_nearer_is_met_where_it_is() -> None:
     np.testing.assert_array_equal(found.range_m[1::2], 5.0)
     np.testing.assert_array_equal(found.velocity_site_mps[::2], np.tile([-3.0, 1.0, 0], (3, 1)))
     np.testing.assert_array_equal(found.velocity_site_mps[1::2], 0.0)
-    np.testing.assert_array_equal(found.thing, [1, 0, 1, 0, 1, 0])
+    np.testing.assert_array_equal(found.object_id, [1, 0, 1, 0, 1, 0])
     # By 11 s it has passed to the north of the beam.
     late = on.cast_at(np.array([int(11e9)]), origin[:1], direction[:1])
     assert np.isnan([late.range_m[0], *late.velocity_site_mps[0]]).all()
@@ -213,7 +213,7 @@ def test_where_there_is_no_ground_nothing_can_stand() -> None:
     ):
         build_scene(small)
     aloft = part(kind="boulder", diameter_m=1, north_m=200.0, up_m=3.0)
-    assert look_down(build_scene(small.model_copy(update={"objects": [aloft]})), [(0, 200)]).thing[0] == 1
+    assert look_down(build_scene(small.model_copy(update={"objects": [aloft]})), [(0, 200)]).object_id[0] == 1
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ def test_at_one_instant_it_does_not_matter_which_of_the_two_moves(make_flight) -
     seen = []
     for over, where in ((flight, pointing), (at_rest, pointing._replace(beams=beams))):
         hits = over.cast(where)
-        assert (hits.thing == 1).all()
+        assert (hits.object_id == 1).all()
         seen.append(compute_echoes(scenario.instrument, scenario.site, over, 19, where, hits))
     for field in fields(Echoes):
         one, other = (getattr(echoes, field.name) for echoes in seen)
@@ -104,13 +104,13 @@ def test_light_that_falls_on_a_dark_object_is_fainter(make_flight) -> None:
 
 
 def test_objects_out_of_reach_are_left_out_and_nothing_is_missed(make_flight, monkeypatch) -> None:
-    from lidar_emu.scene.cut import CutGround
+    from lidar_emu.scene.cropped_ground import CroppedGround
 
     rocks = {"name": "rocks", "kind": "boulder", "diameter_m": 3, "scatter": {"count": 500, "radius_m": 600}}
     scenario = make_flight(**descent([rocks, moving([3.0, 0.0, 0.0], diameter_m=60)]))
     cut = simulate(scenario)
     scene = Flight(scenario).scene.still
-    assert isinstance(scene, CutGround)
+    assert isinstance(scene, CroppedGround)
     (kept,) = scene.kept
     assert kept.samples == 500 * 320
     assert 0 < kept.held < kept.samples / 2
@@ -121,7 +121,9 @@ def test_objects_out_of_reach_are_left_out_and_nothing_is_missed(make_flight, mo
     down = np.broadcast_to([0.0, 0.0, -1.0], origin.shape)
     monkeypatch.setattr("lidar_emu.scene.objects.build.CUT_FROM_TRIANGLES", 10**9)
     uncut = Flight(scenario).scene
-    np.testing.assert_array_equal(scene.cast(origin, down).thing, uncut.still.cast(origin, down).thing)
+    np.testing.assert_array_equal(
+        scene.cast(origin, down).object_id, uncut.still.cast(origin, down).object_id
+    )
     np.testing.assert_array_equal(scene.height_m(*origin.T[:2]), uncut.still.height_m(*origin.T[:2]))
     whole = simulate(scenario)
     for name in ("range_m", "closing_speed_mps", "snr_db"):

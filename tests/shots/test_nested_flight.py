@@ -9,7 +9,7 @@ import lidar_emu
 from lidar_emu.errors import InputError
 from lidar_emu.flight.flight import Flight
 from lidar_emu.plan.flight import plan_flight
-from lidar_emu.scene.cut import CutGround
+from lidar_emu.scene.cropped_ground import CroppedGround
 from lidar_emu.scene.generated.relief import fractional_surface
 from lidar_emu.scene.mosaic import grids
 
@@ -83,14 +83,14 @@ def test_same_measurements_before_and_after_the_cut(folder, monkeypatch):
     monkeypatch.setattr(grids, "CUT_FROM_SAMPLES", 0)
     flown = load(folder, ground, faults)
     flight = Flight(flown)
-    assert isinstance(flight.scene, CutGround)
+    assert isinstance(flight.scene, CroppedGround)
     assert sum(kept.held for kept in flight.scene.kept) < 0.8 * sum(
         kept.samples for kept in flight.scene.kept
     )
     decisions = [d for d in plan_flight(flown, flight).decisions if d.stage == "ground out of reach"]
     assert len(decisions) == 2
     assert not any(d.computed for d in decisions)
-    monkeypatch.setattr(CutGround, "whole", property(lambda _: pytest.fail("a ray strayed")))
+    monkeypatch.setattr(CroppedGround, "whole", property(lambda _: pytest.fail("a ray strayed")))
     after = lidar_emu.simulate(flown)
     for name, column in before.table().items():
         np.testing.assert_array_equal(after.table()[name], column, err_msg=name)
@@ -104,14 +104,14 @@ def test_a_misalignment_ordered_in_flight_finds_its_ground(folder, monkeypatch):
     monkeypatch.setattr(grids, "CUT_FROM_SAMPLES", 0)
     model = build_model(load(folder, nested()))
     ordered = measure_whole(model.with_faults(load(folder, nested(), faults).faults))
-    assert isinstance(model.flight.scene, CutGround)
+    assert isinstance(model.flight.scene, CroppedGround)
     np.testing.assert_array_equal(ordered.true_range_m, expected.true_range_m)
 
 
 def test_detail_is_where_the_flight_is_low(folder):
     flown = load(folder, nested(f", {DETAIL}"))
     scene = Flight(flown).scene
-    west_m, east_m, *_ = scene.rectangle
+    west_m, east_m, *_ = scene.map_area
     assert 100 < east_m - west_m < 300
     plain = Flight(load(folder, nested())).scene
     # Samples stay, and between them there is something new.
@@ -129,7 +129,7 @@ def test_fits_what_is_generated_into_a_map(folder):
         Flight(load(folder, ground)).scene  # noqa: B018
     ground = f"{{kind: nested, grids: [{made}, {{kind: grid, file: wide.npz, {ORIGIN}, at_m: [0, 0], beyond: plane}}]}}"
     scene = Flight(load(folder, ground)).scene
-    assert scene.rectangle == (-12, 52, -42, 22)
+    assert scene.map_area == (-12, 52, -42, 22)
 
 
 @pytest.mark.parametrize(

@@ -128,7 +128,7 @@ def test_things_that_move_keep_their_speed(block_shots, tmp_path):
     run = simulate(asked)
     assert_same(measured(asked, tmp_path / "g.npz", block_shots), run)
     with np.load(tmp_path / "g.npz") as archive:
-        assert set(np.unique(archive["0.axis.thing"])) == {1}
+        assert set(np.unique(archive["0.axis.object_id"])) == {1}
         np.testing.assert_array_equal(archive["0.axis.velocity_site_mps"][..., 0], 9)
         np.testing.assert_array_equal(archive["0.axis.reflectance"], 0.7)
     other = flown({"duration_s": "2", "site.objects": MOVING.replace("0.7", "0.6"),

@@ -31,7 +31,7 @@ from lidar_emu.bench.stopwatch import median_times_s
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.scene.grid.ground import GridGround
-from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.ray_hits import Hits
 
 OURS, BILINEAR = "lidar-emu", "lidar-emu, bilinear"
 

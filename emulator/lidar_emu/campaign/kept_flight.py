@@ -7,7 +7,7 @@ from functools import cached_property, lru_cache
 from lidar_emu.flight.flight import Flight
 from lidar_emu.scenario.trajectory import Trajectory as TrajectoryPart
 from lidar_emu.scene.grid.ground import GridGround
-from lidar_emu.scene.hits import Scene
+from lidar_emu.scene.ray_hits import Scene
 from lidar_emu.trajectory.build import build_trajectory
 from lidar_emu.trajectory.state import Trajectory
 

@@ -14,7 +14,7 @@ from lidar_emu.errors import Finding, InputError
 if TYPE_CHECKING:
     from lidar_emu.numerics.arrays import FloatArray
     from lidar_emu.scenario.generated_ground import Generated
-    from lidar_emu.scene.generated.compare import Comparison
+    from lidar_emu.scene.generated.compare import StatisticCheck
 
 
 @click.command(short_help="Generate ground; measure, plot and export it.")
@@ -119,7 +119,7 @@ def _whole(asked: Generated, elevation_m: FloatArray) -> dict[str, Any]:
     }
 
 
-def _print(asked: Generated, found: list[Comparison], whole: dict[str, Any]) -> None:
+def _print(asked: Generated, found: list[StatisticCheck], whole: dict[str, Any]) -> None:
     from rich import box
     from rich.console import Console
     from rich.table import Table

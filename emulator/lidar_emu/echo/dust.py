@@ -22,7 +22,7 @@ from lidar_emu.numerics.random_streams import DUST, RandomStream
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.scenario.plume import Plume
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.ray_hits import Hits
 
 _PARCELS = 8
 _LEAST_COSINE = 0.05

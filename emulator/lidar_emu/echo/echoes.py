@@ -30,7 +30,7 @@ from lidar_emu.numerics.vectors import cross, dot, nan_to_zero, store
 from lidar_emu.scanner.footprint import Footprint, sample_footprint
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.site import Site
-from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.ray_hits import Hits
 
 SPECKLE_PITCH_W = pi / sqrt(8)
 """Pitch of the speckle's lattice over the beam's radius w, see `fmcw.speckle`."""
@@ -96,7 +96,7 @@ class EchoModel:
         self._waist_m, self._wavelength_m = instrument.optics.waist_radius_m, instrument.waveform.wavelength_m
         self._law = echo_law(instrument, site.surface, site.atmosphere)
         self._swing_radps = np.empty(3)
-        self._buffers = _Buffers.of((0, 0), beamlets, flight.has_moving_things)
+        self._buffers = _Buffers.of((0, 0), beamlets, flight.has_moving_objects)
         self._hits = self._buffers.hits
 
     @property
@@ -111,7 +111,7 @@ class EchoModel:
         """Where beamlets meet the ground, (rays,), if axes do at `axis_hits`. They hold until the next ones."""
         shots, beams = axis_hits.range_m.shape
         if self._buffers.echoes.fired.shape != (shots, beams):
-            self._buffers = _Buffers.of((shots, beams), self._beamlets, self._flight.has_moving_things)
+            self._buffers = _Buffers.of((shots, beams), self._beamlets, self._flight.has_moving_objects)
         buffers = self._buffers
         sample_footprint(
             pointing.sensor_site_m.reshape(-1, 3),

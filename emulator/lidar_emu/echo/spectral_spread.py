@@ -11,7 +11,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import cross, dot
 from lidar_emu.scanner.footprint import beam_radius_m, wavefront_radius_m
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
-from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.ray_hits import Hits
 
 
 class Spread(NamedTuple):

@@ -27,8 +27,8 @@ from lidar_emu.scanner.model import build_scanner, mounting_rotation
 from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
 from lidar_emu.scene.build import build_ground, with_objects
-from lidar_emu.scene.hits import Hits, MovingScene, Scene
-from lidar_emu.scene.reach import Reach
+from lidar_emu.scene.ray_hits import Hits, MovingScene, Scene
+from lidar_emu.scene.ray_reach import Reach
 from lidar_emu.trajectory.build import build_trajectory
 from lidar_emu.trajectory.state import Trajectory, VehicleState, seconds
 
@@ -171,7 +171,7 @@ class Flight:
         return self.scene if isinstance(self.scene, MovingScene) else None
 
     @property
-    def has_moving_things(self) -> bool:
+    def has_moving_objects(self) -> bool:
         """Whether hits tell of velocities."""
         return self._moving_scene is not None
 

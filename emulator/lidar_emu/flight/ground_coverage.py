@@ -9,7 +9,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.site import Grid, Nested
-from lidar_emu.scene.hits import Scene
+from lidar_emu.scene.ray_hits import Scene
 from lidar_emu.trajectory.state import Trajectory, seconds
 
 _CHECKED_SHOTS = 4096

@@ -14,7 +14,7 @@ from lidar_emu.flight.recorded_file import GeometryFile
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.ray_hits import Hits
 
 
 class RecordedFlight(Flight):
@@ -36,7 +36,7 @@ class RecordedFlight(Flight):
         super().__init__(scenario)
 
     @property
-    def has_moving_things(self) -> bool:
+    def has_moving_objects(self) -> bool:
         """See `Flight`."""
         return self.file.about.moving
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.flight.flight import Pointing
-from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.ray_hits import Hits
 
 FORMAT, VERSION = "lidar-emu geometry", 1
 BLOCK_SHOTS = 1024

@@ -12,7 +12,7 @@ from lidar_emu.scanner.footprint import beamlet_pattern
 from lidar_emu.scanner.model import ScannerModel
 from lidar_emu.scenario.faults import Misalignment
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.scene.reach import Lines
+from lidar_emu.scene.ray_reach import Lines
 from lidar_emu.trajectory.state import Trajectory, seconds
 
 MOST_SHOTS = 1_000_000

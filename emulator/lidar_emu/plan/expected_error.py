@@ -32,7 +32,7 @@ from lidar_emu.plan.detection_forecast import mean_straddling_gain, measured
 from lidar_emu.probability.fading import detection_probability, shared_fade_probability
 from lidar_emu.scenario.instrument import Detection, Instrument
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.ray_hits import Hits
 
 _LOOKS_ALONG = 128
 _NODES = 33

@@ -16,7 +16,7 @@ from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.site import Grid, Nested
 from lidar_emu.scenario.trajectory import PoweredDescent
-from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.ray_hits import Hits
 from lidar_emu.scene.terrain.read import lies_flat
 
 ONE_BEAMLET_BELOW_BINS = 0.1

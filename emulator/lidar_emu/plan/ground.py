@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from lidar_emu.plan.plan import Decision
-from lidar_emu.scene.cut import CutGround, Kept
-from lidar_emu.scene.hits import Scene
+from lidar_emu.scene.cropped_ground import CroppedGround, Kept
 from lidar_emu.scene.mosaic.albedo import PaintedGround
 from lidar_emu.scene.mosaic.nested import NestedGround
+from lidar_emu.scene.ray_hits import Scene
 
 _BYTES_PER_SAMPLE = 8 * 4 / 3
 """A height, and its share of the pyramid of maxima over it."""
@@ -16,7 +16,7 @@ _BYTES_PER_SAMPLE = 8 * 4 / 3
 
 def plan_parts(ground: Scene) -> Iterator[Decision]:
     """A line for each seam between grids, and for each grid that was cut."""
-    if isinstance(ground, CutGround):
+    if isinstance(ground, CroppedGround):
         yield from (_cut(grid) for grid in ground.kept)
         ground = ground.held
     while isinstance(ground, PaintedGround):
@@ -30,11 +30,11 @@ def plan_objects(scene: Scene, ground: Scene) -> Iterator[Decision]:
     """A line for the objects on a ground that are left out."""
     if scene is ground:
         return
-    from lidar_emu.scene.objects.populated import SceneInMotion
+    from lidar_emu.scene.objects.populated_scene import SceneInMotion
 
     if isinstance(scene, SceneInMotion):
         scene = scene.still
-    if isinstance(scene, CutGround) and scene is not ground:
+    if isinstance(scene, CroppedGround) and scene is not ground:
         (cut,) = scene.kept
         yield Decision(
             "objects out of reach",

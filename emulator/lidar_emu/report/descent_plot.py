@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
-    from lidar_emu.scene.hits import Scene
+    from lidar_emu.scene.ray_hits import Scene
 
 _SIZE_INCH = (16.0, 11.0)
 _DOTS_PER_INCH = 100

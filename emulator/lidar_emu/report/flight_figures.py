@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.collections import PathCollection
     from matplotlib.figure import Figure
 
-    from lidar_emu.scene.hits import Scene
+    from lidar_emu.scene.ray_hits import Scene
 
 _GROUND_SAMPLES = 300
 _BAND_POINTS = 240

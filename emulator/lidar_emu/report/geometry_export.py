@@ -34,7 +34,7 @@ def record_geometry(scenario: FlightScenario, path: Path) -> About:
         shots=flight.shot_count,
         beams=model.beam_count,
         beamlets=beamlets,
-        moving=flight.has_moving_things,
+        moving=flight.has_moving_objects,
         name=scenario.name,
         conditions=conditions(scenario),
     )

@@ -11,7 +11,7 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
 
 if TYPE_CHECKING:
-    from lidar_emu.scene.hits import Scene
+    from lidar_emu.scene.ray_hits import Scene
 
 _WIDEST_RATIO = 3.0
 """Of the longer to the shorter horizontal axis: a long approach stays readable."""

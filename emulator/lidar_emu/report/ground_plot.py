@@ -11,7 +11,7 @@ from lidar_emu.files import whole_file
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.descent_plot import check_plot_path
 from lidar_emu.scenario.generated_ground import Generated, diameter_range_m
-from lidar_emu.scene.generated.compare import Comparison, asked_number
+from lidar_emu.scene.generated.compare import StatisticCheck, asked_number
 from lidar_emu.scene.generated.generate import Layers
 from lidar_emu.scene.generated.population import Population
 from lidar_emu.scene.generated.statistics import doubling_lags, structure_function
@@ -28,7 +28,7 @@ _ASKED: dict[str, Any] = {"color": "0.35", "linewidth": 1.2, "linestyle": "--"}
 
 
 def plot_ground(
-    ground: Generated, layers: Layers, comparisons: list[Comparison], title: str, path: Path
+    ground: Generated, layers: Layers, comparisons: list[StatisticCheck], title: str, path: Path
 ) -> None:
     """Draw a ground as a PNG of 1600 by 1100 pixels.
 
@@ -109,7 +109,7 @@ def _add_numbers(axes: Axes, ground: Generated, name: str, population: Populatio
     axes.legend(frameon=False, fontsize=9)
 
 
-def _add_table(axes: Axes, comparisons: list[Comparison]) -> None:
+def _add_table(axes: Axes, comparisons: list[StatisticCheck]) -> None:
     axes.set_axis_off()
     lines = [
         f"{row.quantity}: asked {row.asked:.4g}, found {row.found:.4g}, chance {row.low:.4g} to {row.high:.4g}"

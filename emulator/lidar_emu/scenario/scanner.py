@@ -25,7 +25,7 @@ class Square(Part):
         return [(self.angle_deg, 45.0 + 90.0 * k) for k in range(4)]
 
 
-class Ring(Part):
+class BeamRing(Part):
     """Beams evenly spaced in azimuth."""
 
     kind: Literal["ring"]
@@ -57,7 +57,7 @@ class Directions(Part):
         return self.beams
 
 
-Pattern = Annotated[Square | Ring | Directions, Field(discriminator="kind")]
+Pattern = Annotated[Square | BeamRing | Directions, Field(discriminator="kind")]
 
 
 class AltitudeSwitch(Part):

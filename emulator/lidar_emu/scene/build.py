@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 from lidar_emu.scenario import site
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.mesh_ground import Mesh
-from lidar_emu.scene.hits import Scene
+from lidar_emu.scene.ray_hits import Scene
 
 if TYPE_CHECKING:
     from lidar_emu.scene.plane import PlaneGround
-    from lidar_emu.scene.reach import Reach
+    from lidar_emu.scene.ray_reach import Reach
     from lidar_emu.scene.sphere import SphereGround
 
 AnyGrid = site.Grid | Generated

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.scene.hits import GROUND, NOTHING, Hits, contiguous
+from lidar_emu.scene.ray_hits import GROUND, NOTHING, Hits, contiguous
 
 
 @kernel(forceinline=True)
@@ -37,7 +37,7 @@ def _cast(
     normal: FloatArray,
     inside: BoolArray,
     reflectance: FloatArray,
-    thing: NDArray[np.int16],
+    object_id: NDArray[np.int16],
 ) -> None:
     a, b, c = plane_normal
     for k in range(origin.shape[0]):
@@ -48,7 +48,7 @@ def _cast(
         hit = not inside[k] and enter <= leave and leave >= 0.0
         range_m[k] = max(enter, 0.0) if hit else np.nan
         reflectance[k] = albedo if hit else np.nan
-        thing[k] = GROUND if hit else NOTHING
+        object_id[k] = GROUND if hit else NOTHING
         for axis in range(3):
             normal[k, axis] = plane_normal[axis] if hit else np.nan
 
@@ -103,7 +103,7 @@ class PlaneGround:
             hits.normal_site,
             hits.inside,
             hits.reflectance,
-            hits.thing,
+            hits.object_id,
         )
         return hits
 
@@ -123,7 +123,7 @@ class PlaneGround:
                 if height == 0 or (height > 0 and climb < 0):
                     hits.range_m[k] = float(-height / climb) if height else 0.0
                     hits.normal_site[k] = self.normal_site
-                    hits.reflectance[k], hits.thing[k] = self.reflectance, GROUND
+                    hits.reflectance[k], hits.object_id[k] = self.reflectance, GROUND
         return hits
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.scene.hits import GROUND, NOTHING, Hits, contiguous
+from lidar_emu.scene.ray_hits import GROUND, NOTHING, Hits, contiguous
 
 
 @kernel(forceinline=True)
@@ -49,7 +49,7 @@ def _cast(
     normal: FloatArray,
     inside: BoolArray,
     reflectance: FloatArray,
-    thing: NDArray[np.int16],
+    object_id: NDArray[np.int16],
 ) -> None:
     for k in range(origin.shape[0]):
         x, y, above = origin[k, 0], origin[k, 1], origin[k, 2] + drop
@@ -60,7 +60,7 @@ def _cast(
         t = max(enter, 0.0) if hit else np.nan
         range_m[k] = t
         reflectance[k] = albedo if hit else np.nan
-        thing[k] = GROUND if hit else NOTHING
+        object_id[k] = GROUND if hit else NOTHING
         normal[k, 0] = (x + t * dx) / radius
         normal[k, 1] = (y + t * dy) / radius
         normal[k, 2] = 1.0 + (above + t * dz) / radius
@@ -101,7 +101,7 @@ class SphereGround:
             hits.normal_site,
             hits.inside,
             hits.reflectance,
-            hits.thing,
+            hits.object_id,
         )
         return hits
 
@@ -125,7 +125,7 @@ class SphereGround:
                     t = (-b - discriminant.sqrt()) / a if c else Decimal(0)
                     hits.range_m[k] = float(t)
                     hits.normal_site[k] = [float((v + t * w) / radius) for v, w in zip(o, d, strict=True)]
-                    hits.reflectance[k], hits.thing[k] = self.reflectance, GROUND
+                    hits.reflectance[k], hits.object_id[k] = self.reflectance, GROUND
         return hits
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:

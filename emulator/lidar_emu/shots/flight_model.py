@@ -20,7 +20,7 @@ from lidar_emu.plan.flight import plan_flight
 from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.scene.hits import Hits
+from lidar_emu.scene.ray_hits import Hits
 
 if TYPE_CHECKING:
     from lidar_emu.echo.dust import Dust

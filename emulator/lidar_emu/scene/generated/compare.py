@@ -25,7 +25,7 @@ _FEWEST_MEASURED = 5
 
 
 @dataclass(frozen=True)
-class Comparison:
+class StatisticCheck:
     """One statistic of a ground."""
 
     quantity: str
@@ -45,9 +45,9 @@ class Comparison:
         return self.low <= self.found <= self.high
 
 
-def compare(ground: Generated, layers: Layers) -> list[Comparison]:
+def compare(ground: Generated, layers: Layers) -> list[StatisticCheck]:
     """Everything that was asked, measured on the layers of a ground."""
-    found: list[Comparison] = []
+    found: list[StatisticCheck] = []
     if ground.relief is not None and layers.relief_m is not None:
         found += _relief(ground, ground.relief, layers.relief_m)
     if ground.craters is not None and layers.craters is not None and layers.crater_m is not None:
@@ -72,10 +72,10 @@ def _law(ground: Generated, name: str) -> Law:
     raise ValueError(f"the ground has no {name}")
 
 
-def _relief(ground: Generated, relief: Relief, height_m: FloatArray) -> Iterator[Comparison]:
+def _relief(ground: Generated, relief: Relief, height_m: FloatArray) -> Iterator[StatisticCheck]:
     # The scatter of the estimate over many surfaces is 2 by the samples of a side, whatever the exponent.
     tolerance = 0.005 + _SIGMAS * 2.0 / ground.cells
-    yield Comparison(
+    yield StatisticCheck(
         "Hurst exponent of the relief",
         relief.hurst,
         hurst_exponent(height_m),
@@ -84,7 +84,7 @@ def _relief(ground: Generated, relief: Relief, height_m: FloatArray) -> Iterator
     )
     slope = rms_slope(height_m, ground.spacing_m, relief.baseline_m, relief.hurst)
     asked = relief.rms_slope_deg
-    yield Comparison(
+    yield StatisticCheck(
         f"rms slope of the relief over {relief.baseline_m:g} m (deg)",
         asked,
         math.degrees(math.atan(slope)),
@@ -95,14 +95,14 @@ def _relief(ground: Generated, relief: Relief, height_m: FloatArray) -> Iterator
 
 def _craters(
     ground: Generated, part: Craters, craters: CraterField, height_m: FloatArray
-) -> Iterator[Comparison]:
+) -> Iterator[StatisticCheck]:
     yield from _numbers(ground, "craters", craters.population)
     ratio = _depths_on_the_grid(ground, height_m, craters) / craters.depth_m(part)
     ratio = ratio[np.isfinite(ratio)]
     if len(ratio) >= _FEWEST_MEASURED:
         tolerance = 0.05 + 1.0 / math.sqrt(len(ratio))
         quantity = f"depth of craters on the grid over their own, median of {len(ratio)}"
-        yield Comparison(quantity, 1.0, float(np.median(ratio)), 1 - tolerance, 1 + tolerance)
+        yield StatisticCheck(quantity, 1.0, float(np.median(ratio)), 1 - tolerance, 1 + tolerance)
 
 
 def _depths_on_the_grid(ground: Generated, height_m: FloatArray, craters: CraterField) -> FloatArray:
@@ -125,7 +125,9 @@ def _depths_on_the_grid(ground: Generated, height_m: FloatArray, craters: Crater
     return np.where(clear, depth_m, np.nan)
 
 
-def _rocks(ground: Generated, part: Rocks, rocks: RockField, height_m: FloatArray) -> Iterator[Comparison]:
+def _rocks(
+    ground: Generated, part: Rocks, rocks: RockField, height_m: FloatArray
+) -> Iterator[StatisticCheck]:
     yield from _numbers(ground, "rocks", rocks.population)
     # Rocks overlap: of independent ones with areas a that sum up to a share s, 1 - exp(-s) of the ground is covered.
     asked = -math.expm1(-covered_share(*diameter_range_m(ground, "rocks"), part))
@@ -134,7 +136,7 @@ def _rocks(ground: Generated, part: Rocks, rocks: RockField, height_m: FloatArra
         math.sqrt(float((area_m2**2).sum()) + ground.spacing_m**2 * float(area_m2.sum())) / ground.size_m**2
     )
     tolerance = _SIGMAS * spread + (0.0 if len(area_m2) else asked)
-    yield Comparison(
+    yield StatisticCheck(
         "share of the ground under rocks",
         asked,
         float((height_m > 0).mean()),
@@ -143,7 +145,7 @@ def _rocks(ground: Generated, part: Rocks, rocks: RockField, height_m: FloatArra
     )
 
 
-def _numbers(ground: Generated, name: str, population: Population) -> Iterator[Comparison]:
+def _numbers(ground: Generated, name: str, population: Population) -> Iterator[StatisticCheck]:
     """How many there are above the smallest diameter, twice that, and so on, as long as one is expected."""
     smallest_m, largest_m = diameter_range_m(ground, name)
     doublings = np.arange(math.ceil(math.log2(largest_m / smallest_m)))
@@ -155,4 +157,4 @@ def _numbers(ground: Generated, name: str, population: Population) -> Iterator[C
         # The root of a Poisson number has a standard deviation of a half, whatever its mean.
         low, high = max(0.0, math.sqrt(asked) - _SIGMAS / 2) ** 2, (math.sqrt(asked) + _SIGMAS / 2) ** 2
         found = float(np.count_nonzero(own_m >= diameters_m[k]))
-        yield Comparison(f"{name} larger than {diameters_m[k]:.3g} m", asked, found, low, high)
+        yield StatisticCheck(f"{name} larger than {diameters_m[k]:.3g} m", asked, found, low, high)

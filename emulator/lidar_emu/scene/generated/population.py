@@ -1,4 +1,4 @@
-"""What is strewn over the ground: things of many sizes at random places, as many as a law says."""
+"""Objects of many sizes (craters, rocks) at random places, as many as a size-frequency law gives."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ class Population:
     """Diameters and places, the largest first; some lie outside the square, and reach into it."""
 
     diameter_m: FloatArray
-    """(things,)"""
+    """(n,)"""
     east_m: FloatArray
-    """(things,) from the centre of the square."""
+    """(n,) from the centre of the square."""
     north_m: FloatArray
-    """(things,) from the centre of the square."""
+    """(n,) from the centre of the square."""
 
     def __len__(self) -> int:
         return len(self.diameter_m)
 
     def within(self, size_m: float) -> BoolArray:
-        """(things,) whether the centre lies in the square."""
+        """(n,) whether the centre lies in the square."""
         inside = np.maximum(np.abs(self.east_m), np.abs(self.north_m)) <= size_m / 2
         return np.asarray(inside, dtype=np.bool_)
 
@@ -45,7 +45,7 @@ def scatter(ground: Generated, name: str, law: Law, reach: float, rng: np.random
         ground: what is asked for.
         name: `craters` or `rocks`.
         law: cumulative number per square metre.
-        reach: how far from its centre a thing changes the ground, in diameters.
+        reach: how far from its centre an object changes the ground, in diameters.
         rng: source of the chance.
 
     Raises:
@@ -74,15 +74,15 @@ Stamp = tuple[int, tuple[slice, slice], FloatArray, FloatArray]
 
 
 def stamps(population: Population, reach_radii: FloatArray, ground: Generated) -> Iterator[Stamp]:
-    """For each thing its index, the rows and columns of the grid that it changes, and where these lie.
+    """For each object its index, the rows and columns of the grid that it changes, and where these lie.
 
     Args:
         population: of a ground.
-        reach_radii: (things,) distance from the centre up to which it changes the ground, in its radii.
+        reach_radii: (n,) distance from the centre up to which it changes the ground, in its radii.
         ground: what is asked for.
 
     Yields:
-        index; rows and columns; (columns,) east and (rows, 1) north of the centre in radii of the thing.
+        index; rows and columns; (columns,) east and (rows, 1) north of the centre in radii of the object.
     """
     side, spacing_m, half_m = ground.cells + 1, ground.spacing_m, ground.size_m / 2
     radius_m = population.diameter_m / 2

@@ -22,8 +22,8 @@ from lidar_emu.scene.grid.structures import (
     in_cells,
 )
 from lidar_emu.scene.grid.traverse import BEYOND, CLEAR, FACE, SURFACE, clip, meet_beyond, traverse
-from lidar_emu.scene.hits import GROUND, NOTHING
 from lidar_emu.scene.plane import plane_stretch
+from lidar_emu.scene.ray_hits import GROUND, NOTHING
 from lidar_emu.scene.sphere import sphere_stretch
 
 _MOST_PASSES = 6
@@ -116,7 +116,7 @@ def cast_rays(
     normal: FloatArray,
     inside: BoolArray,
     reflectance: FloatArray,
-    thing: NDArray[np.int16],
+    object_id: NDArray[np.int16],
 ) -> None:
     """Fill the arrays of `Hits` for n rays in the site frame.
 
@@ -125,7 +125,7 @@ def cast_rays(
         bundle: that many consecutive rays are expected to be close together.
         constants: (1,) the record of `GridConstants`.
         nodes, maxima, levels: as in `Grid`.
-        range_m, normal, inside, reflectance, thing: of `Hits`.
+        range_m, normal, inside, reflectance, object_id: of `Hits`.
     """
     grid = Grid(constants[0], nodes, maxima, levels)
     flat_origin, flat_direction, flat_normal = (
@@ -149,7 +149,7 @@ def cast_rays(
     for k in range(range_m.size):
         hit = range_m[k] >= 0.0
         reflectance[k] = albedo if hit else np.nan
-        thing[k] = GROUND if hit else NOTHING
+        object_id[k] = GROUND if hit else NOTHING
 
 
 @kernel

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.scene.hits import GROUND, Hits
 from lidar_emu.scene.plane import PlaneGround
+from lidar_emu.scene.ray_hits import GROUND, Hits
 from lidar_emu.scene.sphere import SphereGround
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def cast(
         if not hits.inside[k]:
             hits.range_m[k], hits.normal_site[k] = _first_contact(samples, beyond, origin, direction)
     met = np.isfinite(hits.range_m)
-    hits.reflectance[met], hits.thing[met] = reflectance, GROUND
+    hits.reflectance[met], hits.object_id[met] = reflectance, GROUND
     return hits
 
 

@@ -13,8 +13,8 @@ from lidar_emu.scene.grid import cast, exact
 from lidar_emu.scene.grid.pyramid import build_pyramid
 from lidar_emu.scene.grid.samples import Samples
 from lidar_emu.scene.grid.structures import BILINEAR, NO_GROUND, PLANE, SPHERE, TRIANGLES, GridConstants
-from lidar_emu.scene.hits import Hits, contiguous
 from lidar_emu.scene.plane import PlaneGround
+from lidar_emu.scene.ray_hits import Hits, contiguous
 from lidar_emu.scene.sphere import SphereGround
 
 
@@ -101,7 +101,7 @@ class GridGround:
             hits.normal_site,
             hits.inside,
             hits.reflectance,
-            hits.thing,
+            hits.object_id,
         )
         return hits
 

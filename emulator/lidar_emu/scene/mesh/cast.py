@@ -53,26 +53,26 @@ def cast_rays(
     corner_m: FloatArray,
     sheet: BoolArray,
     albedo: FloatArray,
-    of_thing: NDArray[np.int16],
+    owner: NDArray[np.int16],
     rays: FloatArray,
     stack: IntArray,
     range_m: FloatArray,
     normal: FloatArray,
     inside: BoolArray,
     reflectance: FloatArray,
-    thing: NDArray[np.int16],
+    object_id: NDArray[np.int16],
 ) -> None:
     """Fill the arrays of `Hits` for n rays.
 
     Args:
         origin, direction: (n, 3).
-        box, first, count: of the `Tree`.
+        box, first, count: of the `BoxTree`.
         corner_m: (triangles, 3, 3), in the order of the tree, counter-clockwise from outside.
         sheet: (triangles,) seen from both sides; another one that is seen from behind is the end of a solid.
-        albedo, of_thing: (triangles,) what they reflect, and what they belong to.
+        albedo, owner: (triangles,) what they reflect, and what they belong to.
         rays: (BUNDLE, NUMBERS) room.
         stack: (depth of the tree + 1,) room.
-        range_m, normal, inside, reflectance, thing: as in `Hits`.
+        range_m, normal, inside, reflectance, object_id: as in `Hits`.
     """
     start = 0
     while start < origin.shape[0]:
@@ -85,7 +85,7 @@ def cast_rays(
             rays[0, ENTERED] = rays[0, LEFT] = NONE
             end = start + 1
         for k in range(start, end):
-            tell(rays[k - start], corner_m, albedo, of_thing, k, range_m, normal, inside, reflectance, thing)
+            tell(rays[k - start], corner_m, albedo, owner, k, range_m, normal, inside, reflectance, object_id)
         start = end
 
 

@@ -11,9 +11,9 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.scenario.mesh_ground import MeshOrigin
 from lidar_emu.scenario.site import Site
-from lidar_emu.scene.hits import Hits
 from lidar_emu.scene.mesh.file import MeshFile, enclosed_m3, turned_over
-from lidar_emu.scene.mesh.model import Mesh, Triangles
+from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
+from lidar_emu.scene.ray_hits import Hits
 from lidar_emu.scene.terrain.frame import site_from_body_fixed
 
 _ALIKE = 10.0
@@ -30,7 +30,7 @@ class MeshGround:
         origin_altitude_m: height of the origin above the body's sphere.
     """
 
-    def __init__(self, mesh: Mesh, closed: bool, description: str, origin_altitude_m: float) -> None:
+    def __init__(self, mesh: TriangleMesh, closed: bool, description: str, origin_altitude_m: float) -> None:
         self._mesh, self._closed = mesh, closed
         self.description = description
         self.origin_altitude_m = origin_altitude_m
@@ -46,7 +46,7 @@ class MeshGround:
         return self._mesh.cast(origin_site_m, direction_site, hits)
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """Every triangle; see `Mesh.cast_exact`."""
+        """Every triangle; see `TriangleMesh.cast_exact`."""
         return self._mesh.cast_exact(origin_site_m, direction_site)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
@@ -76,7 +76,7 @@ def place_mesh(file: MeshFile, origin: MeshOrigin, part: Site) -> MeshGround:
     triangles = Triangles.alike(corner_m, part.surface.reflectance, sheet=not file.faces_one_way)
     if part.origin_altitude_m is not None:
         altitude_m = part.origin_altitude_m
-    return MeshGround(Mesh(triangles), file.is_closed, file.description, altitude_m)
+    return MeshGround(TriangleMesh(triangles), file.is_closed, file.description, altitude_m)
 
 
 def _facing_up(corner_m: FloatArray, centre_below_m: float | None) -> FloatArray:

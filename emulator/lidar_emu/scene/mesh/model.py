@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.scene.hits import GROUND, Hits, contiguous
 from lidar_emu.scene.mesh.cast import BUNDLE, cast_rays
 from lidar_emu.scene.mesh.ray import NUMBERS
 from lidar_emu.scene.mesh.tree import build_tree
+from lidar_emu.scene.ray_hits import GROUND, Hits, contiguous
 
 
 class Triangles(NamedTuple):
-    """n triangles of one or of several things."""
+    """n triangles of one or of several objects."""
 
     corner_m: FloatArray
     """(n, 3, 3) their corners, counter-clockwise as seen from outside."""
@@ -23,12 +23,12 @@ class Triangles(NamedTuple):
     """(n,) whether it is seen from both sides, as part of a sheet; others are the skin of something solid."""
     reflectance: FloatArray
     """(n,) albedo."""
-    thing: NDArray[np.int16]
-    """(n,) what it belongs to, see `Hits.thing`."""
+    object_id: NDArray[np.int16]
+    """(n,) what it belongs to, see `Hits.object_id`."""
 
     @classmethod
     def alike(
-        cls, corner_m: FloatArray, reflectance: float, sheet: bool = False, thing: int = GROUND
+        cls, corner_m: FloatArray, reflectance: float, sheet: bool = False, object_id: int = GROUND
     ) -> Self:
         """Triangles that differ by their corners alone."""
         count = len(corner_m)
@@ -36,7 +36,7 @@ class Triangles(NamedTuple):
             corner_m,
             np.full(count, sheet),
             np.full(count, reflectance),
-            np.full(count, thing, dtype=np.int16),
+            np.full(count, object_id, dtype=np.int16),
         )
 
     def chosen(self, which: IntArray) -> Self:
@@ -45,7 +45,7 @@ class Triangles(NamedTuple):
             np.ascontiguousarray(self.corner_m[which]),
             self.sheet[which],
             self.reflectance[which],
-            self.thing[which],
+            self.object_id[which],
         )
 
     @classmethod
@@ -54,7 +54,7 @@ class Triangles(NamedTuple):
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-class Mesh:
+class TriangleMesh:
     """Triangles in a tree of boxes; any frame, as long as it is that of the rays."""
 
     def __init__(self, triangles: Triangles) -> None:
@@ -88,14 +88,14 @@ class Mesh:
             triangles.corner_m,
             triangles.sheet,
             triangles.reflectance,
-            triangles.thing,
+            triangles.object_id,
             self._rays,
             self._stack,
             hits.range_m,
             hits.normal_site,
             hits.inside,
             hits.reflectance,
-            hits.thing,
+            hits.object_id,
         )
         return hits
 
@@ -138,4 +138,7 @@ class Mesh:
             normal *= -1 if behind and triangles.sheet[nearest] else 1
             hits.range_m[k] = t[nearest]
             hits.normal_site[k] = normal / np.sqrt((normal * normal).sum())
-            hits.reflectance[k], hits.thing[k] = triangles.reflectance[nearest], triangles.thing[nearest]
+            hits.reflectance[k], hits.object_id[k] = (
+                triangles.reflectance[nearest],
+                triangles.object_id[nearest],
+            )

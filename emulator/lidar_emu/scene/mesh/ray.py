@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.scene.hits import NOTHING
+from lidar_emu.scene.ray_hits import NOTHING
 
 NUMBERS = 20
 X, Y, Z, DX, DY, DZ, RX, RY, RZ, _E1X, _E1Y, _E1Z, _E2X, _E2Y, _E2Z = range(15)
@@ -80,17 +80,17 @@ def tell(
     ray: FloatArray,
     corner_m: FloatArray,
     albedo: FloatArray,
-    of_thing: NDArray[np.int16],
+    owner: NDArray[np.int16],
     k: int,
     range_m: FloatArray,
     normal: FloatArray,
     inside: BoolArray,
     reflectance: FloatArray,
-    thing: NDArray[np.int16],
+    object_id: NDArray[np.int16],
 ) -> None:
     """Set hit k to what a ray has met."""
     inside[k] = False
-    range_m[k], reflectance[k], thing[k] = np.nan, np.nan, NOTHING
+    range_m[k], reflectance[k], object_id[k] = np.nan, np.nan, NOTHING
     normal[k, 0], normal[k, 1], normal[k, 2] = np.nan, np.nan, np.nan
     enters = ray[ENTERED] < NONE and ray[_ENTRY] <= ray[_EXIT] * _SAME
     if not enters and ray[LEFT] == NONE:
@@ -100,7 +100,7 @@ def tell(
         return
     triangle = int(ray[ENTERED] if enters else ray[LEFT])
     range_m[k] = ray[_ENTRY] if enters else 0.0
-    reflectance[k], thing[k] = albedo[triangle], of_thing[triangle]
+    reflectance[k], object_id[k] = albedo[triangle], owner[triangle]
     a, b, c = corner_m[triangle, 0], corner_m[triangle, 1], corner_m[triangle, 2]
     x = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
     y = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])

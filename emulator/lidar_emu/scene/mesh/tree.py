@@ -23,7 +23,7 @@ _BINS = 16
 """Places between which a split is looked for, along each axis."""
 
 
-class Tree(NamedTuple):
+class BoxTree(NamedTuple):
     """Boxes, the root first; the two halves of a box lie side by side."""
 
     box: FloatArray
@@ -38,14 +38,14 @@ class Tree(NamedTuple):
     """Boxes on the longest way down."""
 
 
-def build_tree(low: FloatArray, high: FloatArray) -> Tree:
+def build_tree(low: FloatArray, high: FloatArray) -> BoxTree:
     """The tree over triangles whose least and greatest corners are (n, 3), n > 0."""
     count = len(low)
     box, order = np.empty((2 * count, 6)), np.arange(count, dtype=np.int64)
     first, held, depth = (np.zeros(2 * count, dtype=np.int64) for _ in range(3))
     bins, right = np.empty((_BINS, 7)), np.empty(_BINS)
     boxes = _split_all(low - MARGIN_M, high + MARGIN_M, order, box, first, held, depth, bins, right)
-    return Tree(
+    return BoxTree(
         box[:boxes].copy(), first[:boxes].copy(), held[:boxes].copy(), order, int(depth[:boxes].max()) + 1
     )
 
@@ -62,7 +62,7 @@ def _split_all(
     bins: FloatArray,
     right: FloatArray,
 ) -> int:
-    """Fill the arrays of a `Tree`; the number of boxes."""
+    """Fill the arrays of a `BoxTree`; the number of boxes."""
     boxes, node = 1, 0
     first[0], count[0] = 0, order.shape[0]
     while node < boxes:

@@ -11,7 +11,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scene.grid.cell import surface
 from lidar_emu.scene.grid.structures import BILINEAR
-from lidar_emu.scene.hits import GROUND, Hits, Scene, contiguous
+from lidar_emu.scene.ray_hits import GROUND, Hits, Scene, contiguous
 
 
 @dataclass(frozen=True)
@@ -39,14 +39,14 @@ def _paint(
     origin: FloatArray,
     direction: FloatArray,
     range_m: FloatArray,
-    thing: NDArray[np.int16],
+    object_id: NDArray[np.int16],
     share: FloatArray,
     place: FloatArray,
     reflectance: FloatArray,
 ) -> None:
     west, south, columns_per_m, rows_per_m, first_column, first_row = place
     for k in range(range_m.shape[0]):
-        if thing[k] != GROUND:
+        if object_id[k] != GROUND:
             continue
         u = (origin[k, 0] + range_m[k] * direction[k, 0] - west) * columns_per_m - first_column
         v = (origin[k, 1] + range_m[k] * direction[k, 1] - south) * rows_per_m - first_row
@@ -99,5 +99,7 @@ class PaintedGround:
 
     def _painted(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits) -> Hits:
         origin, direction = contiguous(origin_site_m, direction_site)
-        _paint(origin, direction, hits.range_m, hits.thing, self.albedo.share, self._place, hits.reflectance)
+        _paint(
+            origin, direction, hits.range_m, hits.object_id, self.albedo.share, self._place, hits.reflectance
+        )
         return hits

@@ -13,9 +13,9 @@ from lidar_emu.scenario.ground_detail import Detail
 from lidar_emu.scene.generated.detail import MARGIN, Law, law_of, law_with, refine
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.grid.samples import Samples
-from lidar_emu.scene.hits import Scene
+from lidar_emu.scene.map_area import Rectangle, around
 from lidar_emu.scene.mosaic.seam import extent, nest
-from lidar_emu.scene.rectangle import Rectangle, around
+from lidar_emu.scene.ray_hits import Scene
 
 MAXIMUM_SAMPLES = 40_000_000
 EDGE = 3

@@ -8,15 +8,15 @@ from functools import partial
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.ground_detail import Detail
-from lidar_emu.scene.cut import CutGround, Kept
+from lidar_emu.scene.cropped_ground import CroppedGround, Kept
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.grid.samples import Samples
-from lidar_emu.scene.hits import Scene
+from lidar_emu.scene.map_area import Rectangle, around
 from lidar_emu.scene.mosaic.albedo import Albedo, PaintedGround
 from lidar_emu.scene.mosaic.seam import extent, nest
 from lidar_emu.scene.plane import PlaneGround
-from lidar_emu.scene.reach import Reach, Span
-from lidar_emu.scene.rectangle import Rectangle, around
+from lidar_emu.scene.ray_hits import Scene
+from lidar_emu.scene.ray_reach import Reach, Span
 from lidar_emu.scene.sphere import SphereGround
 
 CUT_FROM_SAMPLES = 1_000_000
@@ -99,7 +99,7 @@ def join_grids(
     if not kept:
         return ground
     build_whole = partial(join_grids, read, feather_m, reach, cut=False)
-    return CutGround(ground, tuple(kept), build_whole)
+    return CroppedGround(ground, tuple(kept), build_whole)
 
 
 def _spans(layers: Sequence[Layer], beyond: Beyond) -> list[Span]:

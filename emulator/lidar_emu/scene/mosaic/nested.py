@@ -11,8 +11,8 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.grid.traverse import FACE_DEPTH_M, clip
-from lidar_emu.scene.hits import Hits, Scene, contiguous
-from lidar_emu.scene.rectangle import Rectangle
+from lidar_emu.scene.map_area import Rectangle
+from lidar_emu.scene.ray_hits import Hits, Scene, contiguous
 
 
 class Seam(NamedTuple):

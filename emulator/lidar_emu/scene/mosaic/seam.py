@@ -10,9 +10,9 @@ import numpy as np
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.grid.samples import Samples
-from lidar_emu.scene.hits import Scene
+from lidar_emu.scene.map_area import Rectangle
 from lidar_emu.scene.mosaic.nested import NestedGround, Seam
-from lidar_emu.scene.rectangle import Rectangle
+from lidar_emu.scene.ray_hits import Scene
 
 _COMPARED = 10_000
 """Samples, at most, by which two grids are compared: more tell nothing new."""

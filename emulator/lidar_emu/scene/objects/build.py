@@ -11,16 +11,16 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import SITE_FROM_NED, compose, from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.objects import MeshObject, PlacedObject
 from lidar_emu.scenario.site import Site
-from lidar_emu.scene.cut import CutGround, Kept
-from lidar_emu.scene.hits import GROUND, Scene
+from lidar_emu.scene.cropped_ground import CroppedGround, Kept
+from lidar_emu.scene.map_area import Rectangle
 from lidar_emu.scene.mesh.file import MAXIMUM_TRIANGLES, read_mesh
-from lidar_emu.scene.mesh.model import Mesh, Triangles
+from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
 from lidar_emu.scene.objects.motion import MovingObject
-from lidar_emu.scene.objects.populated import PopulatedScene, SceneInMotion
+from lidar_emu.scene.objects.populated_scene import PopulatedScene, SceneInMotion
 from lidar_emu.scene.objects.shapes import corners_m
-from lidar_emu.scene.objects.standing import Standing, strewn
-from lidar_emu.scene.reach import Reach, Span
-from lidar_emu.scene.rectangle import Rectangle
+from lidar_emu.scene.objects.static_objects import Standing, strewn
+from lidar_emu.scene.ray_hits import GROUND, Scene
+from lidar_emu.scene.ray_reach import Reach, Span
 
 _NED_FROM_OBJECT = np.diag([1.0, -1.0, -1.0])
 """Forward-right-down angles, for shapes that are forward-left-up."""
@@ -63,7 +63,7 @@ def _within_reach(ground: Scene, still: list[Standing], part: Site, reach: Reach
     description = _counted(part.objects, count)
 
     def whole() -> Scene:
-        return PopulatedScene(ground, Mesh(_joined(still)), description)
+        return PopulatedScene(ground, TriangleMesh(_joined(still)), description)
 
     if reach is None or count < CUT_FROM_TRIANGLES:
         _require_room(count, part)
@@ -73,8 +73,8 @@ def _within_reach(ground: Scene, still: list[Standing], part: Site, reach: Reach
     near = [each.near(area) for each in still]
     _require_room(sum(each.triangle_count for each in near), part)
     met = _over(area, _joined(near))
-    held = PopulatedScene(ground, Mesh(met), description) if len(met.corner_m) else ground
-    return CutGround(held, (Kept(span, area, count, len(met.corner_m)),), whole)
+    held = PopulatedScene(ground, TriangleMesh(met), description) if len(met.corner_m) else ground
+    return CroppedGround(held, (Kept(span, area, count, len(met.corner_m)),), whole)
 
 
 def _require_room(triangles: int, part: Site) -> None:
@@ -114,7 +114,7 @@ def _counted(parts: list[PlacedObject], triangles: int) -> str:
     return f"objects: {kinds} ({triangles} triangles)"
 
 
-def _triangles(part: PlacedObject, thing: int, reflectance: float) -> Triangles:
+def _triangles(part: PlacedObject, object_id: int, reflectance: float) -> Triangles:
     """About its place, along the site's axes."""
     sheet = False
     if isinstance(part, MeshObject):
@@ -126,14 +126,14 @@ def _triangles(part: PlacedObject, thing: int, reflectance: float) -> Triangles:
     ned_from_object = compose(from_yaw_pitch_roll(yaw, pitch, roll), _NED_FROM_OBJECT)
     turned_m = rotate(compose(SITE_FROM_NED, ned_from_object), corner_m)
     albedo = reflectance if part.reflectance is None else part.reflectance
-    return Triangles.alike(turned_m, albedo, sheet, thing)
+    return Triangles.alike(turned_m, albedo, sheet, object_id)
 
 
 def _moving(part: PlacedObject, number: int, triangles: Triangles, ground: Scene, site: Site) -> MovingObject:
     assert part.motion is not None
     here = np.array([[part.east_m, part.north_m]])
     place_m = np.zeros((1, 3)) if part.motion.waypoints else _on_ground(part, number, here, ground, site)
-    return MovingObject(Mesh(triangles), place_m[0], part.motion)
+    return MovingObject(TriangleMesh(triangles), place_m[0], part.motion)
 
 
 def _standing(part: PlacedObject, number: int, shape: Triangles, ground: Scene, site: Site) -> Standing:

@@ -9,9 +9,8 @@ import numpy as np
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.vector_arrays import cross, from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.objects import Motion
-from lidar_emu.scene.hits import Hits
-from lidar_emu.scene.mesh.model import Mesh
-from lidar_emu.scene.objects.nearer import keep_nearer
+from lidar_emu.scene.mesh.model import TriangleMesh
+from lidar_emu.scene.ray_hits import Hits
 from lidar_emu.trajectory.state import seconds
 
 
@@ -35,7 +34,7 @@ class MovingObject:
         motion: from there.
     """
 
-    def __init__(self, mesh: Mesh, place_site_m: FloatArray, motion: Motion) -> None:
+    def __init__(self, mesh: TriangleMesh, place_site_m: FloatArray, motion: Motion) -> None:
         self._mesh, self._start_site_m, self._motion = mesh, place_site_m, motion
         self._rate_site_radps = np.array([0.0, 0.0, -np.radians(motion.turn_rate_dps)])
         self._reach_m = float(np.sqrt(np.maximum(mesh.low_m**2, mesh.high_m**2).sum()))
@@ -89,7 +88,7 @@ class MovingObject:
             velocity_site_mps=velocity_mps
             + cross(np.broadcast_to(self._rate_site_radps, arm_m.shape), arm_m),
         )
-        keep_nearer(hits, moving, rows)
+        hits.keep_nearer(moving, rows)
 
 
 def _passes(origin_m: FloatArray, direction: FloatArray, centre_m: FloatArray, reach_m: float) -> FloatArray:

@@ -10,12 +10,12 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.site import Grid
-from lidar_emu.scene.rectangle import Rectangle
+from lidar_emu.scene.map_area import Rectangle
 from lidar_emu.scene.terrain.frame import LocalFrame
 from lidar_emu.scene.terrain.map import RasterMap, read_window, window_of
 from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing
 from lidar_emu.scene.terrain.raster import band_number, elevations_m, other_bands, shares
-from lidar_emu.scene.terrain.resample import Surface, resampled
+from lidar_emu.scene.terrain.resample import MapSurface, resampled
 
 SAMPLES_TO_EACH_SIDE = 1000
 """How far a grid reaches from the origin where the site does not say it."""
@@ -49,7 +49,7 @@ def read_on_body(ground: Grid, file: Any) -> Terrain:
     window = window_of(raster, *_spread(raster, frame, extent, column), column, _has_pole(frame, extent))
     samples = read_window(raster, window, partial(elevations_m, ground, file, band))
     refuse_nothing(ground.file, samples.values)
-    surface = Surface(raster, frame, samples, column)
+    surface = MapSurface(raster, frame, samples, column)
     others = {
         name: read_window(raster, window, partial(shares, ground, file, name, number))
         for name, number in other_bands(ground, file).items()

@@ -102,7 +102,7 @@ def _mapped(affine: Any, first: FloatArray, second: FloatArray) -> tuple[FloatAr
 
 
 @dataclass(frozen=True)
-class Window:
+class MapWindow:
     """A rectangle of samples: rows and columns that may lie beyond the file where the map goes on."""
 
     first_column: int
@@ -116,7 +116,7 @@ Read = Callable[[Any], FloatArray]
 
 
 @dataclass(frozen=True)
-class Samples:
+class MapSamples:
     """A window of samples as a bilinear surface."""
 
     values: FloatArray
@@ -145,7 +145,7 @@ class Samples:
 
 def window_of(
     raster: RasterMap, column: FloatArray, row: FloatArray, near_column: float, around_pole: bool
-) -> Window:
+) -> MapWindow:
     """The window with all samples around places (n,), some of which may be off the map (NaN).
 
     Args:
@@ -165,17 +165,17 @@ def window_of(
     if raster.is_closed and (around_pole or first_row < 0 or end_row > raster.rows):
         assert raster.turn is not None
         middle, half = round(near_column), int(raster.turn) // 2 + margin
-        window = Window(middle - half, middle + half + 1, first_row, end_row)
+        window = MapWindow(middle - half, middle + half + 1, first_row, end_row)
     elif raster.is_closed:
-        window = Window(int(np.floor(columns[0])), int(np.ceil(columns[1])), first_row, end_row)
+        window = MapWindow(int(np.floor(columns[0])), int(np.ceil(columns[1])), first_row, end_row)
     else:
         first, end = max(int(np.floor(columns[0])), 0), min(int(np.ceil(columns[1])), raster.columns)
-        window = Window(first, end, first_row, end_row)
+        window = MapWindow(first, end, first_row, end_row)
     check_size(raster.source, window.end_row - window.first_row, window.end_column - window.first_column)
     return window
 
 
-def read_window(raster: RasterMap, window: Window, read: Read) -> Samples:
+def read_window(raster: RasterMap, window: MapWindow, read: Read) -> MapSamples:
     """The samples of a window, carried on around the body where it leaves a closed map.
 
     Beyond the row next to a pole the map goes on with the same row, half a turn away.
@@ -187,17 +187,17 @@ def read_window(raster: RasterMap, window: Window, read: Read) -> Samples:
         pieces.insert(0, _beyond_pole(raster, window, 0, read))
     if window.end_row > raster.rows:
         pieces.append(_beyond_pole(raster, window, raster.rows - 1, read))
-    return Samples(np.concatenate(pieces), window.first_column, window.first_row)
+    return MapSamples(np.concatenate(pieces), window.first_column, window.first_row)
 
 
-def _beyond_pole(raster: RasterMap, window: Window, row: int, read: Read) -> FloatArray:
+def _beyond_pole(raster: RasterMap, window: MapWindow, row: int, read: Read) -> FloatArray:
     assert raster.turn is not None
     half = round(raster.turn / 2)
-    opposite = Window(window.first_column + half, window.end_column + half, row, row + 1)
+    opposite = MapWindow(window.first_column + half, window.end_column + half, row, row + 1)
     return _around(raster, opposite, row, row + 1, read)
 
 
-def _around(raster: RasterMap, window: Window, first_row: int, end_row: int, read: Read) -> FloatArray:
+def _around(raster: RasterMap, window: MapWindow, first_row: int, end_row: int, read: Read) -> FloatArray:
     """Rows of the file, in pieces where the columns run over its edge."""
     from rasterio.windows import Window as Cut
 

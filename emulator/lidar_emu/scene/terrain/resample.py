@@ -15,7 +15,7 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scene.terrain.frame import LocalFrame
-from lidar_emu.scene.terrain.map import RasterMap, Samples
+from lidar_emu.scene.terrain.map import MapSamples, RasterMap
 from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing
 
 _TOLERANCE_M = 0.01
@@ -26,12 +26,12 @@ _PROBES = 20_000
 
 
 @dataclass(frozen=True)
-class Surface:
+class MapSurface:
     """The ground of a file in the site frame."""
 
     raster: RasterMap
     frame: LocalFrame
-    samples: Samples
+    samples: MapSamples
     near_column: float
     """Of the origin; see `RasterMap.sample_at`."""
 
@@ -56,7 +56,7 @@ class Surface:
 
 
 def resampled(
-    surface: Surface, others: dict[str, Samples], east_m: FloatArray, north_m: FloatArray
+    surface: MapSurface, others: dict[str, MapSamples], east_m: FloatArray, north_m: FloatArray
 ) -> Terrain:
     """The surface, and what else the file tells of it, at the nodes of a grid."""
     shape = len(north_m), len(east_m)
@@ -91,7 +91,9 @@ def _blocks(rows: int, columns: int) -> Iterator[slice]:
         yield slice(first, first + step)
 
 
-def _error_in_words(surface: Surface, height_m: FloatArray, east_m: FloatArray, north_m: FloatArray) -> str:
+def _error_in_words(
+    surface: MapSurface, height_m: FloatArray, east_m: FloatArray, north_m: FloatArray
+) -> str:
     """How far the grid is from the file's own bilinear surface where it is furthest from both: between samples."""
     step = max(1, int(np.sqrt(height_m.size / _PROBES)))
     row, column = (k.ravel() for k in np.mgrid[0 : len(north_m) - 1 : step, 0 : len(east_m) - 1 : step])

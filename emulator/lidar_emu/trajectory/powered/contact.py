@@ -8,14 +8,14 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.rotations import quaternion_at, to_child, to_parent
 from lidar_emu.numerics.vectors import Vector, add, cross, vector_at
-from lidar_emu.trajectory.powered.vehicle import ATTITUDE, POSITION, RATE, VELOCITY, Body
+from lidar_emu.trajectory.powered.vehicle import ATTITUDE, POSITION, RATE, VELOCITY, VehicleConstants
 
 SLIDING_MPS = 0.02
 """Below this speed friction is proportional to it."""
 
 
 @kernel
-def lowest_foot_m(body: Body, state: FloatArray) -> float:
+def lowest_foot_m(body: VehicleConstants, state: FloatArray) -> float:
     """Height above the ground; negative while a foot is in it."""
     turn, lowest = quaternion_at(state, ATTITUDE), inf
     for foot in range(len(body.feet_m)):
@@ -25,7 +25,7 @@ def lowest_foot_m(body: Body, state: FloatArray) -> float:
 
 
 @kernel
-def feet_push(body: Body, state: FloatArray) -> tuple[Vector, Vector]:
+def feet_push(body: VehicleConstants, state: FloatArray) -> tuple[Vector, Vector]:
     """Force in the site frame and torque about the body's axes.
 
     A foot's force is k d (1 + c d') with depth d (Hunt and Crossley, 1975): it begins at nought, and what it takes

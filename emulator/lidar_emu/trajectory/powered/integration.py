@@ -13,8 +13,8 @@ from lidar_emu.trajectory.powered.actuators import Acting, Lags, commanded, mass
 from lidar_emu.trajectory.powered.contact import lowest_foot_m
 from lidar_emu.trajectory.powered.control import Guide, asked_at, throttle, turning_torque
 from lidar_emu.trajectory.powered.motion import gravity_at, inertia_at
-from lidar_emu.trajectory.powered.steps import Mesh, next_step_s, set_slope, set_stepped, step_to_height
-from lidar_emu.trajectory.powered.vehicle import ATTITUDE, POSITION, RATE, SIZE, VELOCITY, Body
+from lidar_emu.trajectory.powered.steps import StepSizes, next_step_s, set_slope, set_stepped, step_to_height
+from lidar_emu.trajectory.powered.vehicle import ATTITUDE, POSITION, RATE, SIZE, VELOCITY, VehicleConstants
 
 BURNING, FALLING, STANDING = 0, 1, 2
 ENDED, EMPTY, LOST, ALOFT, CROWDED = 0, 1, 2, 3, 4
@@ -61,11 +61,11 @@ class Course(NamedTuple):
 
 @kernel(outermost=True)
 def fly(
-    body: Body,
+    body: VehicleConstants,
     lags: Lags,
     guide: Guide,
     schedule: Schedule,
-    mesh: Mesh,
+    step_sizes: StepSizes,
     acting: Acting,
     state: FloatArray,
     slopes: FloatArray,
@@ -86,7 +86,10 @@ def fly(
             note_start(record, lags, acting, steps, now_s, since_s, state, slopes[0])
             remaining_s = until_s - now_s
             step_s = next_step_s(
-                mesh, mesh.standing_s if phase == STANDING else mesh.longest_s, since_s, remaining_s
+                step_sizes,
+                step_sizes.standing_s if phase == STANDING else step_sizes.longest_s,
+                since_s,
+                remaining_s,
             )
             set_stepped(body, lags, acting, since_s, step_s, state, slopes, stepped)
             event_m = schedule.cut_off_m if phase == BURNING else 0.0
@@ -119,7 +122,7 @@ def fly(
 
 @kernel
 def commands(
-    body: Body,
+    body: VehicleConstants,
     lags: Lags,
     guide: Guide,
     phase: int,

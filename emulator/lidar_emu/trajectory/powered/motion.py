@@ -24,12 +24,12 @@ from lidar_emu.trajectory.powered.vehicle import (
     RATE,
     SWAY,
     VELOCITY,
-    Body,
+    VehicleConstants,
 )
 
 
 @kernel
-def gravity_at(body: Body, position_m: Vector) -> Vector:
+def gravity_at(body: VehicleConstants, position_m: Vector) -> Vector:
     """Of a central mass below the origin, m/s² in the site frame."""
     k = body.curvature_per_m
     x, y, z = k * position_m[0], k * position_m[1], 1.0 + k * position_m[2]
@@ -38,7 +38,7 @@ def gravity_at(body: Body, position_m: Vector) -> Vector:
 
 
 @kernel
-def inertia_at(body: Body, mass_kg: float) -> Vector:
+def inertia_at(body: VehicleConstants, mass_kg: float) -> Vector:
     """Constant radii of gyration: what leaves takes its own angular momentum along, and nothing is left to add."""
     return scale(mass_kg / body.start_kg, body.inertia_kgm2)
 
@@ -53,7 +53,12 @@ def angular_acceleration(inertia: Vector, coupling: Vector, torque: Vector) -> V
 
 @kernel
 def set_derivative(
-    body: Body, mass_kg: float, thrust_n: float, torque_nm: Vector, state: FloatArray, derivative: FloatArray
+    body: VehicleConstants,
+    mass_kg: float,
+    thrust_n: float,
+    torque_nm: Vector,
+    state: FloatArray,
+    derivative: FloatArray,
 ) -> None:
     """Of a state (21,), under what the actuators give at that instant."""
     turn, rate = quaternion_at(state, ATTITUDE), vector_at(state, RATE)

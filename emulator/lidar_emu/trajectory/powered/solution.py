@@ -33,7 +33,7 @@ from lidar_emu.trajectory.powered.integration import (
     fly,
 )
 from lidar_emu.trajectory.powered.motion import gravity_at
-from lidar_emu.trajectory.powered.steps import Mesh
+from lidar_emu.trajectory.powered.steps import StepSizes
 from lidar_emu.trajectory.powered.vehicle import (
     ATTITUDE,
     HANG,
@@ -42,8 +42,8 @@ from lidar_emu.trajectory.powered.vehicle import (
     SIZE,
     STANDARD_GRAVITY_MPS2,
     VELOCITY,
-    Body,
-    body_of,
+    VehicleConstants,
+    vehicle_constants,
 )
 
 MOST_STEPS = 500_000
@@ -57,11 +57,11 @@ PER_BOUNCE = 0.1
 class Descent(NamedTuple):
     """All that the kernel takes: who flies, how, and from where."""
 
-    body: Body
+    body: VehicleConstants
     lags: Lags
     guide: Guide
     schedule: Schedule
-    mesh: Mesh
+    step_sizes: StepSizes
     acting: Acting
     state: FloatArray
     """(21,) At the start."""
@@ -70,7 +70,7 @@ class Descent(NamedTuple):
 def prepare(part: PoweredDescent, body_radius_m: float = inf) -> Descent:
     """The numbers of a scenario's descent over a body of some radius (infinite: uniform gravity)."""
     vehicle = part.vehicle
-    body = body_of(vehicle, part.gravity_mps2, body_radius_m, part.target.up_m)
+    body = vehicle_constants(vehicle, part.gravity_mps2, body_radius_m, part.target.up_m)
     guide = _guide(part)
     state = _start(part, body, guide)
     weight_n = vehicle.mass_kg * part.gravity_mps2
@@ -92,7 +92,7 @@ def prepare(part: PoweredDescent, body_radius_m: float = inf) -> Descent:
             vehicle.dry_mass_kg,
             MOST_STEPS,
         ),
-        mesh=_mesh(part, body),
+        step_sizes=_step_sizes(part, body),
         acting=Acting(thrust_n, vehicle.mass_kg, none, thrust_n, none),
         state=state,
     )
@@ -128,9 +128,11 @@ def fly_descent(part: PoweredDescent, body_radius_m: float = inf) -> tuple[Cours
 
 
 def _fly(descent: Descent, record: Record) -> Course:
-    body, lags, guide, schedule, mesh, acting, state = descent
+    body, lags, guide, schedule, step_sizes, acting, state = descent
     slopes, stepped = np.empty((4, SIZE)), np.empty(SIZE)
-    return Course(*fly(body, lags, guide, schedule, mesh, acting, state.copy(), slopes, stepped, record))
+    return Course(
+        *fly(body, lags, guide, schedule, step_sizes, acting, state.copy(), slopes, stepped, record)
+    )
 
 
 def _record(steps: int) -> Record:
@@ -171,16 +173,16 @@ def _time_to_gate_s(part: PoweredDescent, gate_m: tuple[float, float, float]) ->
     return max(2 * distance_m / (hypot(*velocity) + part.descent_speed_mps), 2 * GIVEN_UP_S)
 
 
-def _mesh(part: PoweredDescent, body: Body) -> Mesh:
+def _step_sizes(part: PoweredDescent, body: VehicleConstants) -> StepSizes:
     longest_s = min(part.step_s, 1 / part.control_rate_hz, PER_SWING / max(_swings_radps(part, body)))
     rigid_kg = part.vehicle.dry_mass_kg - body.slosh_kg
     bounce_radps = sqrt(len(body.feet_m) * body.stiffness_npm / rigid_kg)
     lags = [lag for lag in (part.vehicle.engine.valve_lag_s, part.vehicle.attitude_control.lag_s) if lag > 0]
     first_s = min([longest_s, *(lag / 4 for lag in lags)])
-    return Mesh(first_s, 0.5, longest_s, min(longest_s, PER_BOUNCE / bounce_radps))
+    return StepSizes(first_s, 0.5, longest_s, min(longest_s, PER_BOUNCE / bounce_radps))
 
 
-def _swings_radps(part: PoweredDescent, body: Body) -> list[float]:
+def _swings_radps(part: PoweredDescent, body: VehicleConstants) -> list[float]:
     """Highest frequencies of what steps have to follow in flight; the first is the vehicle's own control."""
     vehicle, spin = part.vehicle, part.start.attitude
     swings = [vehicle.attitude_control.bandwidth_radps]
@@ -195,7 +197,7 @@ def _swings_radps(part: PoweredDescent, body: Body) -> list[float]:
     return swings
 
 
-def _start(part: PoweredDescent, body: Body, guide: Guide) -> FloatArray:
+def _start(part: PoweredDescent, body: VehicleConstants, guide: Guide) -> FloatArray:
     """The slosh hangs along the engine, at rest in the body."""
     state = np.zeros(SIZE)
     state[POSITION : POSITION + 3] = part.start.position_site_m

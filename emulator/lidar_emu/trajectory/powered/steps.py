@@ -13,13 +13,13 @@ from lidar_emu.numerics.kernels import kernel
 from lidar_emu.trajectory.powered.actuators import Acting, Lags, mass_after, thrust_after, torque_after
 from lidar_emu.trajectory.powered.contact import lowest_foot_m
 from lidar_emu.trajectory.powered.motion import set_derivative
-from lidar_emu.trajectory.powered.vehicle import SIZE, Body
+from lidar_emu.trajectory.powered.vehicle import SIZE, VehicleConstants
 
 HALVINGS = 52
 """Of a step, in looking for an event: down to the last bit."""
 
 
-class Mesh(NamedTuple):
+class StepSizes(NamedTuple):
     """Lengths of steps."""
 
     first_s: float
@@ -32,9 +32,9 @@ class Mesh(NamedTuple):
 
 
 @kernel
-def next_step_s(mesh: Mesh, longest_s: float, since_s: float, remaining_s: float) -> float:
+def next_step_s(step_sizes: StepSizes, longest_s: float, since_s: float, remaining_s: float) -> float:
     """Length of the next step; the last two before the end of an interval are alike."""
-    step_s = min(longest_s, max(mesh.first_s, mesh.growth * since_s))
+    step_s = min(longest_s, max(step_sizes.first_s, step_sizes.growth * since_s))
     if step_s >= remaining_s:
         return remaining_s
     return min(step_s, 0.5 * remaining_s) if 2.0 * step_s > remaining_s else step_s
@@ -42,7 +42,7 @@ def next_step_s(mesh: Mesh, longest_s: float, since_s: float, remaining_s: float
 
 @kernel
 def set_slope(
-    body: Body, lags: Lags, acting: Acting, since_s: float, state: FloatArray, slope: FloatArray
+    body: VehicleConstants, lags: Lags, acting: Acting, since_s: float, state: FloatArray, slope: FloatArray
 ) -> None:
     """Derivative of a state some time after the command that acts."""
     mass_kg, thrust_n = mass_after(acting, lags, since_s), thrust_after(acting, lags, since_s)
@@ -51,7 +51,7 @@ def set_slope(
 
 @kernel
 def set_stepped(
-    body: Body,
+    body: VehicleConstants,
     lags: Lags,
     acting: Acting,
     since_s: float,
@@ -81,7 +81,7 @@ def move(state: FloatArray, by_s: float, slope: FloatArray, moved: FloatArray) -
 
 @kernel
 def step_to_height(
-    body: Body,
+    body: VehicleConstants,
     lags: Lags,
     acting: Acting,
     since_s: float,

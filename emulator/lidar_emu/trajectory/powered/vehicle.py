@@ -22,7 +22,7 @@ SIZE = 21
 STANDARD_GRAVITY_MPS2 = 9.80665
 
 
-class Body(NamedTuple):
+class VehicleConstants(NamedTuple):
     """What the equations of motion need; of parts that are not there the masses are 0."""
 
     start_kg: float
@@ -42,20 +42,22 @@ class Body(NamedTuple):
     """Angular momentum of the mode per bending speed, by axes."""
     ground_m: float
     feet_m: FloatArray
-    """(feet, 3) Body frame."""
+    """(feet, 3) VehicleConstants frame."""
     stiffness_npm: float
     foot_damping_spm: float
     friction: float
 
 
-def body_of(vehicle: parts.Vehicle, gravity_mps2: float, body_radius_m: float, ground_m: float) -> Body:
+def vehicle_constants(
+    vehicle: parts.Vehicle, gravity_mps2: float, body_radius_m: float, ground_m: float
+) -> VehicleConstants:
     """From the scenario's part."""
     slosh, mode, gear = vehicle.slosh, vehicle.flexible_mode, vehicle.gear
     dry = vehicle.dry_mass_kg / vehicle.mass_kg
     x, y, z = vehicle.inertia_kgm2
     shares = (0.0, 0.0, 0.0) if mode is None else mode.inertia_share
     bend_radps = 0.0 if mode is None else 2 * pi * mode.frequency_hz
-    return Body(
+    return VehicleConstants(
         start_kg=vehicle.mass_kg,
         inertia_kgm2=vehicle.inertia_kgm2,
         gravity_mps2=gravity_mps2,

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.scene.hits import Hits, Scene, contiguous
-from lidar_emu.scene.reach import Span, strays
-from lidar_emu.scene.rectangle import Rectangle
+from lidar_emu.scene.map_area import Rectangle
+from lidar_emu.scene.ray_hits import Hits, Scene, contiguous
+from lidar_emu.scene.ray_reach import Span, strays
 
 
 class Kept(NamedTuple):
@@ -27,7 +27,7 @@ class Kept(NamedTuple):
     """Of these."""
 
 
-class CutGround:
+class CroppedGround:
     """A ground cut to what a run can reach.
 
     Which rays a run has is known beforehand, but for a fault that is ordered in flight, and for those who use the

@@ -10,9 +10,9 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import generator
 from lidar_emu.numerics.vector_arrays import from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.objects import Scatter
+from lidar_emu.scene.map_area import Rectangle
 from lidar_emu.scene.mesh.model import Triangles
-from lidar_emu.scene.reach import Span
-from lidar_emu.scene.rectangle import Rectangle
+from lidar_emu.scene.ray_reach import Span
 
 _ROUNDING = 1 + 1e-9
 """Turned corners may come to lie further out than the widest by so much."""

@@ -1,4 +1,4 @@
-"""What a ray finds, and what every ground can be asked.
+"""Hits of rays, and the interface of every scene.
 
 The ground is solid: everything at and below its surface. A ray hits the first of its points that lies in the
 ground, so one that starts on the surface hits it at range 0, and one that starts below it is inside.
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 
 NOTHING, GROUND = -1, 0
-"""What a ray hits that hits no object, see `Hits.thing`."""
+"""What a ray hits that hits no object, see `Hits.object_id`."""
 
 
 class Hits(NamedTuple):
@@ -28,20 +28,20 @@ class Hits(NamedTuple):
     """(n,) whether the ray starts below the surface; its range is NaN."""
     reflectance: FloatArray
     """(n,) albedo of the place that is hit; NaN where nothing is."""
-    thing: NDArray[np.int16]
+    object_id: NDArray[np.int16]
     """(n,) what is hit: 0 the ground, 1, 2, ... the site's objects in their order, -1 nothing."""
     velocity_site_mps: FloatArray
     """(n, 3) of the place that is hit, NaN where nothing is; empty in a scene in which nothing moves."""
 
     @classmethod
     def empty(cls, count: int, moving: bool = False) -> Self:
-        """Room for ``count`` rays, for a kernel to fill."""
+        """Uninitialised hits of ``count`` rays, for a kernel to fill."""
         return cls(
             range_m=np.empty(count),
             normal_site=np.empty((count, 3)),
             inside=np.empty(count, dtype=np.bool_),
             reflectance=np.empty(count),
-            thing=np.empty(count, dtype=np.int16),
+            object_id=np.empty(count, dtype=np.int16),
             velocity_site_mps=np.empty((count if moving else 0, 3)),
         )
 
@@ -52,24 +52,40 @@ class Hits(NamedTuple):
         for numbers in (hits.range_m, hits.normal_site, hits.reflectance, hits.velocity_site_mps):
             numbers.fill(np.nan)
         hits.inside.fill(False)
-        hits.thing.fill(NOTHING)
+        hits.object_id.fill(NOTHING)
         return hits
 
     @property
     def moving(self) -> bool:
-        """Whether they tell of velocities."""
+        """Whether velocities are kept."""
         return self.velocity_site_mps.size > 0
 
     def set_rows(self, rows: IntArray | slice, found: Hits) -> None:
-        """Take over what some of the rays have found: velocities where both tell of them."""
+        """Replace the hits of some rays; velocities where both keep them."""
         ours: tuple[NDArray[Any], ...] = self
         theirs: tuple[NDArray[Any], ...] = found
         for all_rays, some in zip(ours, theirs, strict=True):
             if len(all_rays) and len(some):
                 all_rays[rows] = some
 
+    def keep_nearer(self, others: Hits, rows: IntArray | None = None) -> None:
+        """Take over hits on other objects where they come first, or at the same place.
+
+        What a ray starts inside of comes before all that it hits.
+
+        Args:
+            others: (m,) hits of the same rays.
+            rows: (m,) which of the n rays they are; None: all.
+        """
+        rows = np.arange(len(others.range_m)) if rows is None else rows
+        range_m = self.range_m[rows]
+        nearer = (others.range_m <= range_m) | (np.isnan(range_m) & np.isfinite(others.range_m))
+        nearer = others.inside | (nearer & ~self.inside[rows])
+        if nearer.any():
+            self.set_rows(rows[nearer], others.chosen(nearer))
+
     def chosen(self, which: BoolArray) -> Self:
-        """Those of some rays."""
+        """The hits of some of the rays."""
         arrays: tuple[NDArray[Any], ...] = self
         return type(self)(*(values[which] if len(values) else values for values in arrays))
 
@@ -81,7 +97,7 @@ class Hits(NamedTuple):
             normal_site=self.normal_site.reshape(*shape, 3),
             inside=self.inside.reshape(shape),
             reflectance=self.reflectance.reshape(shape),
-            thing=self.thing.reshape(shape),
+            object_id=self.object_id.reshape(shape),
             velocity_site_mps=self.velocity_site_mps.reshape(*moving_shape, 3),
         )
 
@@ -126,7 +142,7 @@ class Scene(Protocol):
 
 @runtime_checkable
 class MovingScene(Scene, Protocol):
-    """A scene of which something moves: what `Scene` tells of it holds at the start of the run."""
+    """A scene with moving objects; the methods of `Scene` answer for the start of the run."""
 
     def cast_at(
         self,

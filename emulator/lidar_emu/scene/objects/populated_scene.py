@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.scene.hits import Hits, Scene
-from lidar_emu.scene.mesh.model import Mesh
+from lidar_emu.scene.mesh.model import TriangleMesh
 from lidar_emu.scene.objects.motion import MovingObject
-from lidar_emu.scene.objects.nearer import keep_nearer
+from lidar_emu.scene.ray_hits import Hits, Scene
 
 
 class PopulatedScene:
@@ -20,7 +19,7 @@ class PopulatedScene:
         description: of the objects, for plans.
     """
 
-    def __init__(self, ground: Scene, mesh: Mesh, description: str) -> None:
+    def __init__(self, ground: Scene, mesh: TriangleMesh, description: str) -> None:
         self._ground, self._mesh = ground, mesh
         self.description = f"{ground.description}; {description}"
         self.origin_altitude_m, self.covers = ground.origin_altitude_m, ground.covers
@@ -34,13 +33,13 @@ class PopulatedScene:
     ) -> Hits:
         """First contact with the ground or an object; see `Scene.cast`."""
         hits = self._ground.cast(origin_site_m, direction_site, hits, bundle)
-        keep_nearer(hits, self._mesh.cast(origin_site_m, direction_site))
+        hits.keep_nearer(self._mesh.cast(origin_site_m, direction_site))
         return hits
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
         """Both by their own slow paths."""
         hits = self._ground.cast_exact(origin_site_m, direction_site)
-        keep_nearer(hits, self._mesh.cast_exact(origin_site_m, direction_site))
+        hits.keep_nearer(self._mesh.cast_exact(origin_site_m, direction_site))
         return hits
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.scene.rectangle import Rectangle
+from lidar_emu.scene.map_area import Rectangle
 
 Lines = tuple[FloatArray, FloatArray]
 """Origins and unit directions (n, 3) of rays."""
