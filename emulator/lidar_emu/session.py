@@ -147,8 +147,8 @@ class Session:
             self.rules = replace(self.rules, events=events)
             self.use_device(self.device)
         self._model, self._faulty = model, faulty
-        held = () if model.faults is None else model.faults.resumed(self._state.model.faults)
-        wire = None if faulty is None else faulty.resumed(self._state.wire)
+        held = () if model.faults is None else model.faults.extended(self._state.model.faults)
+        wire = None if faulty is None else faulty.extended(self._state.wire)
         self._state = self._state._replace(model=self._state.model._replace(faults=held), wire=wire)
 
     def shoot(self, most: int, fired: bool = True) -> Block | None:

@@ -38,7 +38,7 @@ def shots(first: int, count: int) -> np.ndarray:
     ],
 )
 def test_windows(when: dict[str, float], expected: object) -> None:
-    assert np.flatnonzero(schedule(**when).shots(shots(0, 100))).tolist() == list(expected)  # type: ignore[call-overload]
+    assert np.flatnonzero(schedule(**when).active_shots(shots(0, 100))).tolist() == list(expected)  # type: ignore[call-overload]
 
 
 @given(
@@ -51,21 +51,21 @@ def test_windows(when: dict[str, float], expected: object) -> None:
     seed=st.integers(0, 2**63 - 1),
 )
 @settings(deadline=None, max_examples=60)
-def test_spells_of_any_block_are_those_of_each_shot_alone(
+def test_onsets_in_any_block_are_those_of_each_shot_alone(
     first: int, count: int, from_s: float, length_s: float, probability: float, lasts_s: float, seed: int
 ) -> None:
     to_s = from_s + length_s
     asked = schedule(3, seed, from_s=from_s, to_s=to_s, probability=probability, lasts_s=lasts_s)
-    chance = RandomStream(seed, fault_purpose(3))
+    stream = RandomStream(seed, fault_purpose(3))
     lasts = max(1, -(-round(lasts_s * 1e9) // PERIOD_NS))
 
     def inside(shot: int) -> bool:
         return round(from_s * 1e9) <= shot * PERIOD_NS < round(to_s * 1e9)
 
     def sets_in(shot: int, beam: int) -> bool:
-        return inside(shot) and chance.uniforms(shots(shot, 1), 3, 0)[0, beam, 0] < probability
+        return inside(shot) and stream.uniforms(shots(shot, 1), 3, 0)[0, beam, 0] < probability
 
-    acts = asked.beams(shots(first, count), 3)
+    acts = asked.active_beams(shots(first, count), 3)
     for row, shot in enumerate(range(first, first + count)):
         for beam in range(3):
             hit = any(sets_in(k, beam) for k in range(max(0, shot - lasts + 1), shot + 1))
@@ -73,20 +73,23 @@ def test_spells_of_any_block_are_those_of_each_shot_alone(
 
 
 @pytest.mark.parametrize("lasts_s", [0.0, 0.02, 0.021, 0.1])
-def test_spells_of_single_shots_are_those_of_all_together(lasts_s: float) -> None:
+def test_onsets_of_single_shots_are_those_of_all_together(lasts_s: float) -> None:
     asked = schedule(from_s=0.5, to_s=30, probability=0.1, lasts_s=lasts_s)
-    together = asked.beams(shots(0, 2000), 2)
-    singly = np.concatenate([asked.beams(shots(k, 1), 2) for k in range(2000)])
+    together = asked.active_beams(shots(0, 2000), 2)
+    singly = np.concatenate([asked.active_beams(shots(k, 1), 2) for k in range(2000)])
     np.testing.assert_array_equal(singly, together)
     np.testing.assert_array_equal(
-        [asked.shots(shots(k, 1))[0] for k in range(2000)], asked.shots(shots(0, 2000))
+        [asked.active_shots(shots(k, 1))[0] for k in range(2000)], asked.active_shots(shots(0, 2000))
     )
 
 
-def test_faults_beams_and_seeds_have_chances_of_their_own() -> None:
+def test_faults_beams_and_seeds_have_random_streams_of_their_own() -> None:
     many = shots(0, 20_000)
-    first = schedule(0, probability=0.1).beams(many, 2)
-    others = schedule(1, probability=0.1).beams(many, 2), schedule(0, 2, probability=0.1).beams(many, 2)
+    first = schedule(0, probability=0.1).active_beams(many, 2)
+    others = (
+        schedule(1, probability=0.1).active_beams(many, 2),
+        schedule(0, 2, probability=0.1).active_beams(many, 2),
+    )
     for acts in (first, *others):
         # Five sigma of a binomial count.
         np.testing.assert_allclose(acts.mean(axis=0), 0.1, atol=5 * np.sqrt(0.09 / len(many)))
@@ -94,14 +97,14 @@ def test_faults_beams_and_seeds_have_chances_of_their_own() -> None:
         assert (one & other).mean() == pytest.approx(0.01, abs=5 * np.sqrt(0.01 / len(many)))
 
 
-def test_the_chances_of_a_whole_shot_are_none_of_a_beam() -> None:
+def test_numbers_of_a_whole_shot_differ_from_those_of_its_beams() -> None:
     many = shots(0, 1000)
-    chance = RandomStream(1, fault_purpose(0))
-    whole = chance.per_shot(many)
-    run = chance.sequence(0, 0, 1000)
-    drawn = [whole, run, *chance.uniforms(many, 4, 0).reshape(1000, -1).T, *chance.normals(many, 2, 1).T[0]]
+    stream = RandomStream(1, fault_purpose(0))
+    whole = stream.per_shot(many)
+    run = stream.sequence(0, 0, 1000)
+    drawn = [whole, run, *stream.uniforms(many, 4, 0).reshape(1000, -1).T, *stream.normals(many, 2, 1).T[0]]
     assert len({float(x) for numbers in drawn for x in numbers}) == sum(map(len, drawn))
-    np.testing.assert_array_equal(chance.sequence(0, 300, 50), run[300:350])
+    np.testing.assert_array_equal(stream.sequence(0, 300, 50), run[300:350])
 
 
 def test_noise_is_normal() -> None:

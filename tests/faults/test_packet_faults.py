@@ -276,7 +276,7 @@ def test_other_version(sent: Any) -> None:
 @pytest.mark.parametrize(
     ("fault", "interface", "said"),
     [
-        ({"kind": "other_unit", "unit": 4}, "altimeter", "allowed: units 0 to 3, those of the interface"),
+        ({"kind": "other_unit", "unit": 4}, "altimeter", "allowed: units 0 to 3 of the interface"),
         (
             {"kind": "other_version", "version": 2},
             "altimeter",

@@ -1,1 +1,1 @@
-"""Faults on order: a schedule, and functions that act on what they are given."""
+"""Injected faults: when they act, and their effects on light, receiver, measurements and packets."""

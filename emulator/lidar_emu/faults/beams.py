@@ -1,4 +1,4 @@
-"""Faults of beams: what they make of a measurement."""
+"""Faults of beams: effects on measurements."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.faults.held_values import Row, hold, resumed
+from lidar_emu.faults.held_values import Row, extended, hold
 from lidar_emu.faults.schedule import FaultInstance, FaultOccurrence
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
@@ -17,7 +17,7 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.scenario import faults as kinds
 
 Held = dict[str, Row]
-"""What one fault carries from shot to shot: rows (1, beams) by their names in `Measurement`."""
+"""Values that a fault holds from shot to shot: rows (1, beams) by their names in `Measurement`."""
 
 _FLOATS = (
     "range_m",
@@ -39,32 +39,32 @@ _VALUE_DRAW = 1
 
 
 @dataclass(frozen=True)
-class _Act:
-    """A fault in a block of shots."""
+class _ActiveFault:
+    """A fault that acts in a block of shots."""
 
-    ordered: FaultInstance
-    hit: BoolArray
-    """(shots, beams) Beams that have fired and on which the fault acts."""
+    instance: FaultInstance
+    affected: BoolArray
+    """(shots, beams) Fired beams on which the fault acts."""
     held: Held | None
-    """From before the block; None: nothing yet."""
+    """Values held before the block; None: none yet."""
 
     @property
     def fault(self) -> Any:
-        """What the scenario says."""
-        return self.ordered.fault
+        """Fault as the scenario defines it."""
+        return self.instance.fault
 
-    def size(self, block: Measurement) -> FloatArray:
-        """(shots, 1) Part of its full size that a growing fault has."""
-        return self.ordered.grown(block.shot)
+    def ramp(self, block: Measurement) -> FloatArray:
+        """(shots, 1) Fraction of the full magnitude."""
+        return self.instance.ramp(block.shot)
 
     def with_columns(self, block: Measurement, **columns: Any) -> Measurement:
-        """The block with these values where the fault acts."""
-        if not self.hit.any():
+        """Block with these values where the fault acts."""
+        if not self.affected.any():
             return block
         chosen: dict[str, Any] = {}
         for name, values in columns.items():
             own = getattr(block, name)
-            chosen[name] = np.where(self.hit, values, own).astype(own.dtype)
+            chosen[name] = np.where(self.affected, values, own).astype(own.dtype)
         return replace(block, **chosen)
 
 
@@ -72,172 +72,179 @@ class BeamFaults:
     """All faults of beams of a scenario.
 
     Args:
-        numbered: the faults, with their places in the scenario's list.
-        seed: of the run.
-        period_ns: from shot to shot.
+        faults: faults with their indices in the scenario's list.
+        seed: seed of the run.
+        period_ns: shot period.
         beam_count: beams of a shot.
     """
 
     def __init__(
         self,
-        numbered: Sequence[tuple[int, kinds.BeamFault]],
+        faults: Sequence[tuple[int, kinds.BeamFault]],
         seed: int,
         period_ns: int,
         beam_count: int,
     ) -> None:
-        self._faults = [
-            FaultInstance(number, fault, seed, period_ns, beam_count) for number, fault in numbered
-        ]
+        self._faults = [FaultInstance(index, fault, seed, period_ns, beam_count) for index, fault in faults]
         self.initial: tuple[Held | None, ...] = (None,) * len(self._faults)
-        """What is carried before shot 0."""
+        """State before shot 0: values held by each fault."""
 
-    def resumed(self, held: tuple[Held | None, ...]) -> tuple[Held | None, ...]:
-        """What fewer of these faults have carried so far, for all of them."""
-        return resumed(held, self.initial)
+    def extended(self, held: tuple[Held | None, ...]) -> tuple[Held | None, ...]:
+        """State of the first of these faults, extended by the initial state of the faults added behind them."""
+        return extended(held, self.initial)
 
     def apply(
         self, block: Measurement, held: tuple[Held | None, ...]
     ) -> tuple[Measurement, tuple[Held | None, ...], list[FaultOccurrence]]:
-        """What becomes of consecutive shots, but for `point_site_m`; what is carried on; and which faults acted."""
-        injected: list[FaultOccurrence] = []
+        """Apply the faults to consecutive shots; `point_site_m` is left to the caller.
+
+        Returns:
+            The measurement after faults, the values held after it, and the occurrences of faults.
+        """
+        occurrences: list[FaultOccurrence] = []
         after: list[Held | None] = []
-        for ordered, before in zip(self._faults, held, strict=True):
-            effect = _EFFECTS[type(ordered.fault)]
-            carries = effect in _CARRY
-            due = carries or ordered.schedule.begins_by(int(block.shot[-1]))
-            if not due or ordered.schedule.is_over(int(block.shot[0])):
+        for instance, before in zip(self._faults, held, strict=True):
+            effect = _EFFECTS[type(instance.fault)]
+            holds = effect in _HOLDING
+            may_act = holds or instance.schedule.has_begun(int(block.shot[-1]))
+            if not may_act or instance.schedule.has_ended(int(block.shot[0])):
                 after.append(None)
                 continue
-            act = _Act(ordered, _hit(ordered, block), before)
-            changed, carried = effect(block, act) if carries or act.hit.any() else (block, None)
-            after.append(carried)
-            for row in np.flatnonzero(act.hit.any(axis=1)).tolist():
-                beams = tuple(np.flatnonzero(act.hit[row]).tolist())
-                injected.append(
-                    FaultOccurrence(int(block.shot[row]), ordered.number, ordered.fault.kind, beams)
-                )
+            active = _ActiveFault(instance, _affected(instance, block), before)
+            changed, holding = effect(block, active) if holds or active.affected.any() else (block, None)
+            after.append(holding)
+            for row in np.flatnonzero(active.affected.any(axis=1)).tolist():
+                beams = tuple(np.flatnonzero(active.affected[row]).tolist())
+                shot, kind = int(block.shot[row]), instance.fault.kind
+                occurrences.append(FaultOccurrence(shot, instance.index, kind, beams))
             block = changed
-        return block, tuple(after), injected
+        return block, tuple(after), occurrences
 
 
-def _hit(ordered: FaultInstance, block: Measurement) -> BoolArray:
+def _affected(instance: FaultInstance, block: Measurement) -> BoolArray:
     """(shots, beams) Beams on which a fault acts."""
-    fault = ordered.fault
+    fault = instance.fault
     if isinstance(fault, kinds.SwappedBeams):
-        both = ordered.schedule.shots(block.shot) & block.fired[:, list(fault.beams)].all(axis=1)
-        hit = np.zeros_like(block.fired)
-        hit[:, list(fault.beams)] = both[:, None]
-        return hit
-    hit = ordered.hit(block.shot, block.fired)
-    return hit & _HITS[type(fault)](block, fault) if type(fault) in _HITS else hit
+        both = instance.schedule.active_shots(block.shot) & block.fired[:, list(fault.beams)].all(axis=1)
+        affected = np.zeros_like(block.fired)
+        affected[:, list(fault.beams)] = both[:, None]
+        return affected
+    affected = instance.affected_beams(block.shot, block.fired)
+    return affected & _ELIGIBLE[type(fault)](block, fault) if type(fault) in _ELIGIBLE else affected
 
 
 _Result = tuple[Measurement, Held | None]
 
 
-def _dropout(block: Measurement, act: _Act) -> _Result:
+def _dropout(block: Measurement, active: _ActiveFault) -> _Result:
     nothing: dict[str, Any] = {**dict.fromkeys(_FLOATS, np.nan), **dict.fromkeys(_FLAGS, False)}
     reason = Reason.BELOW_THRESHOLD
-    return act.with_columns(block, **nothing, reason=reason, segments=0, returns=0), None
+    return active.with_columns(block, **nothing, reason=reason, segments=0, returns=0), None
 
 
-def _stuck(block: Measurement, act: _Act) -> _Result:
-    columns, carried = {}, {}
-    for value, flag in _VALUES[act.fault.value]:
+def _stuck(block: Measurement, active: _ActiveFault) -> _Result:
+    columns, holding = {}, {}
+    for value, flag in _VALUES[active.fault.value]:
         valid = getattr(block, flag)
         own = np.where(valid, getattr(block, value), np.nan)
-        before = act.held[value] if act.held else None
-        held, carried[value] = hold(own, valid & ~act.hit, before)
+        before = active.held[value] if active.held else None
+        held, holding[value] = hold(own, valid & ~active.affected, before)
         columns[value] = np.where(valid & ~np.isnan(held), held, getattr(block, value))
-    return act.with_columns(block, **columns), carried
+    return active.with_columns(block, **columns), holding
 
 
-def _frozen(block: Measurement, act: _Act) -> _Result:
-    columns, carried = {}, {}
+def _frozen(block: Measurement, active: _ActiveFault) -> _Result:
+    columns, holding = {}, {}
     for name in _REPORTED:
-        before = act.held[name] if act.held else None
-        columns[name], carried[name] = hold(getattr(block, name), block.fired & ~act.hit, before)
-    return act.with_columns(block, **columns), carried
+        before = active.held[name] if active.held else None
+        columns[name], holding[name] = hold(getattr(block, name), block.fired & ~active.affected, before)
+    return active.with_columns(block, **columns), holding
 
 
-def _with_errors(block: Measurement, act: _Act, range_m: Any, speed_mps: Any) -> _Result:
+def _with_errors(block: Measurement, active: _ActiveFault, range_m: Any, speed_mps: Any) -> _Result:
     erroneous_m = np.maximum(0.0, block.range_m + range_m)
-    return act.with_columns(
+    return active.with_columns(
         block, range_m=erroneous_m, closing_speed_mps=block.closing_speed_mps + speed_mps
     ), None
 
 
-def _bias(block: Measurement, act: _Act) -> _Result:
-    size = act.size(block)
-    return _with_errors(block, act, size * act.fault.range_m, size * act.fault.closing_speed_mps)
+def _bias(block: Measurement, active: _ActiveFault) -> _Result:
+    ramp = active.ramp(block)
+    return _with_errors(block, active, ramp * active.fault.range_m, ramp * active.fault.closing_speed_mps)
 
 
-def _scale(block: Measurement, act: _Act) -> _Result:
-    size, fault = act.size(block), act.fault
-    range_m = block.range_m * (1 + size * (fault.range_factor - 1))
-    speed_mps = block.closing_speed_mps * (1 + size * (fault.closing_speed_factor - 1))
-    return act.with_columns(block, range_m=range_m, closing_speed_mps=speed_mps), None
+def _scale(block: Measurement, active: _ActiveFault) -> _Result:
+    ramp, fault = active.ramp(block), active.fault
+    range_m = block.range_m * (1 + ramp * (fault.range_factor - 1))
+    speed_mps = block.closing_speed_mps * (1 + ramp * (fault.closing_speed_factor - 1))
+    return active.with_columns(block, range_m=range_m, closing_speed_mps=speed_mps), None
 
 
-def _drift(block: Measurement, act: _Act) -> _Result:
-    since_s = act.ordered.schedule.since_s(block.shot)[:, None]
-    return _with_errors(block, act, since_s * act.fault.range_mps, since_s * act.fault.closing_speed_mps2)
+def _drift(block: Measurement, active: _ActiveFault) -> _Result:
+    elapsed_s = active.instance.schedule.elapsed_s(block.shot)[:, None]
+    return _with_errors(
+        block, active, elapsed_s * active.fault.range_mps, elapsed_s * active.fault.closing_speed_mps2
+    )
 
 
-def _noise(block: Measurement, act: _Act) -> _Result:
-    errors = act.size(block)[..., None] * act.ordered.stream.normals(
+def _noise(block: Measurement, active: _ActiveFault) -> _Result:
+    errors = active.ramp(block)[..., None] * active.instance.stream.normals(
         block.shot, block.beam_count, _VALUE_DRAW
     )
-    fault = act.fault
-    return _with_errors(block, act, errors[..., 0] * fault.range_m, errors[..., 1] * fault.closing_speed_mps)
+    fault = active.fault
+    return _with_errors(
+        block, active, errors[..., 0] * fault.range_m, errors[..., 1] * fault.closing_speed_mps
+    )
 
 
-def _outlier(block: Measurement, act: _Act) -> _Result:
-    place = act.ordered.stream.uniforms(block.shot, block.beam_count, _VALUE_DRAW)
-    columns: dict[str, Any] = {"range_m": _between(act.fault.range_m, place[..., 0])}
-    if act.fault.closing_speed_mps is not None:
-        columns["closing_speed_mps"] = _between(act.fault.closing_speed_mps, place[..., 1])
-    return _claimed_valid(block, act, columns), None
+def _outlier(block: Measurement, active: _ActiveFault) -> _Result:
+    fraction = active.instance.stream.uniforms(block.shot, block.beam_count, _VALUE_DRAW)
+    columns: dict[str, Any] = {"range_m": _between(active.fault.range_m, fraction[..., 0])}
+    if active.fault.closing_speed_mps is not None:
+        columns["closing_speed_mps"] = _between(active.fault.closing_speed_mps, fraction[..., 1])
+    return _claimed_valid(block, active, columns), None
 
 
-def _between(interval: kinds.Interval, place: FloatArray) -> FloatArray:
-    return interval[0] + (interval[1] - interval[0]) * place
+def _between(interval: kinds.Interval, fraction: FloatArray) -> FloatArray:
+    return interval[0] + (interval[1] - interval[0]) * fraction
 
 
-def _claimed_valid(block: Measurement, act: _Act, columns: dict[str, Any]) -> Measurement:
+def _claimed_valid(block: Measurement, active: _ActiveFault, columns: dict[str, Any]) -> Measurement:
     flags = dict.fromkeys(_FLAGS, True)
     returns = np.maximum(1, block.returns)
-    return act.with_columns(block, **columns, **flags, reason=Reason.VALID, segments=7, returns=returns)
+    return active.with_columns(block, **columns, **flags, reason=Reason.VALID, segments=7, returns=returns)
 
 
-def _wrong_sign(block: Measurement, act: _Act) -> _Result:
-    return act.with_columns(block, closing_speed_mps=-block.closing_speed_mps), None
+def _wrong_sign(block: Measurement, active: _ActiveFault) -> _Result:
+    return active.with_columns(block, closing_speed_mps=-block.closing_speed_mps), None
 
 
-def _swapped_beams(block: Measurement, act: _Act) -> _Result:
+def _swapped_beams(block: Measurement, active: _ActiveFault) -> _Result:
     columns: dict[str, NDArray[Any]] = {}
-    a, b = act.fault.beams
+    a, b = active.fault.beams
     for name in _REPORTED:
         columns[name] = getattr(block, name).copy()
         columns[name][:, [a, b]] = columns[name][:, [b, a]]
-    return act.with_columns(block, **columns), None
+    return active.with_columns(block, **columns), None
 
 
-def _false_valid(block: Measurement, act: _Act) -> _Result:
-    fault = act.fault
+def _false_valid(block: Measurement, active: _ActiveFault) -> _Result:
+    fault = active.fault
     columns = {"range_m": fault.range_m, "closing_speed_mps": fault.closing_speed_mps}
-    return _claimed_valid(block, act, columns), None
+    return _claimed_valid(block, active, columns), None
 
 
-def _false_invalid(block: Measurement, act: _Act) -> _Result:
-    return act.with_columns(block, range_valid=False, speed_valid=False, reason=Reason.BELOW_THRESHOLD), None
+def _false_invalid(block: Measurement, active: _ActiveFault) -> _Result:
+    return active.with_columns(
+        block, range_valid=False, speed_valid=False, reason=Reason.BELOW_THRESHOLD
+    ), None
 
 
 def _is_valid(block: Measurement, fault: Any = None) -> BoolArray:  # noqa: ARG001
     return block.range_valid | block.speed_valid
 
 
-_EFFECTS: dict[type, Callable[[Measurement, _Act], _Result]] = {
+_EFFECTS: dict[type, Callable[[Measurement, _ActiveFault], _Result]] = {
     kinds.Dropout: _dropout,
     kinds.Stuck: _stuck,
     kinds.Frozen: _frozen,
@@ -251,8 +258,8 @@ _EFFECTS: dict[type, Callable[[Measurement, _Act], _Result]] = {
     kinds.FalseValid: _false_valid,
     kinds.FalseInvalid: _false_invalid,
 }
-_CARRY = (_stuck, _frozen)
-_HITS: dict[type, Callable[[Measurement, Any], BoolArray]] = {
+_HOLDING = (_stuck, _frozen)
+_ELIGIBLE: dict[type, Callable[[Measurement, Any], BoolArray]] = {
     kinds.Stuck: _is_valid,
     kinds.Bias: _is_valid,
     kinds.Scale: _is_valid,
@@ -263,4 +270,4 @@ _HITS: dict[type, Callable[[Measurement, Any], BoolArray]] = {
     kinds.FalseValid: lambda block, _: ~_is_valid(block),
     kinds.FalseInvalid: _is_valid,
 }
-"""Beams on which a fault can act; those that are not here act on any that fired."""
+"""Beams on which a fault can act; kinds that are not listed act on any fired beam."""

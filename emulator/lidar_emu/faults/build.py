@@ -1,4 +1,4 @@
-"""The faults that a scenario orders; what they need is imported where there are some."""
+"""Build the faults of a scenario. Their modules are imported only if the scenario has such faults."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 _PHYSICS = LightFault | ReceiverFault
 
 
-def numbered(scenario: Scenario, kinds: Any) -> list[tuple[int, Any]]:
-    """The faults of a union of kinds, with their places in the scenario's list."""
-    return [(number, fault) for number, fault in enumerate(scenario.faults) if type(fault) in get_args(kinds)]
+def indexed_faults(scenario: Scenario, kinds: Any) -> list[tuple[int, Any]]:
+    """Faults of a union of kinds, each with its index in the scenario's list."""
+    return [(index, fault) for index, fault in enumerate(scenario.faults) if type(fault) in get_args(kinds)]
 
 
 def beam_faults(scenario: Scenario, beam_count: int) -> BeamFaults | None:
-    """None where the scenario orders none.
+    """Faults that act on measurements; None if the scenario has none.
 
     Raises:
-        InputError: a fault is of a beam that there is not.
+        InputError: a fault names a beam that does not exist.
     """
-    found = numbered(scenario, BeamFault)
+    found = indexed_faults(scenario, BeamFault)
     if not found:
         return None
     from lidar_emu.faults.beams import BeamFaults
@@ -38,12 +38,12 @@ def beam_faults(scenario: Scenario, beam_count: int) -> BeamFaults | None:
 
 
 def physics_faults(scenario: FlightScenario, flight: Flight, level: Level) -> PhysicsFaults | None:
-    """None where the scenario orders none.
+    """Faults of light and receiver; None if the scenario has none.
 
     Raises:
-        InputError: a fault is none of this level, of this ground, or of a beam that there is not.
+        InputError: a fault does not apply to this level or this ground, or names a beam that does not exist.
     """
-    found = numbered(scenario, _PHYSICS)
+    found = indexed_faults(scenario, _PHYSICS)
     if not found:
         return None
     from lidar_emu.faults.physics import PhysicsFaults
@@ -53,25 +53,25 @@ def physics_faults(scenario: FlightScenario, flight: Flight, level: Level) -> Ph
 
 
 def refuse_physics(scenario: BenchScenario) -> None:
-    """A bench pattern has neither light nor receiver.
+    """Refuse faults of light and receiver in a bench pattern, which has neither.
 
     Raises:
-        InputError: the scenario orders a fault of theirs.
+        InputError: the scenario has such a fault.
     """
-    for number, fault in numbered(scenario, _PHYSICS):
+    for index, fault in indexed_faults(scenario, _PHYSICS):
         found = Finding(f"{fault.kind} on a bench pattern")
         allowed = "allowed: in a scenario with a flight"
-        raise InputError(scenario.name, f"faults.{number}.kind", found, allowed)
+        raise InputError(scenario.name, f"faults.{index}.kind", found, allowed)
 
 
 def require_beams(scenario: Scenario, found: list[tuple[int, Any]], beam_count: int) -> None:
-    """Refuse faults of beams that there are not.
+    """Refuse faults that name a beam that does not exist.
 
     Raises:
-        InputError: there is one.
+        InputError: a fault does.
     """
-    for number, fault in found:
+    for index, fault in found:
         beams = getattr(fault, "beams", None) or ()
         if any(beam >= beam_count for beam in beams):
             allowed = f"allowed: 0 to {beam_count - 1}, the scenario's beams"
-            raise InputError(scenario.name, f"faults.{number}.beams", list(beams), allowed)
+            raise InputError(scenario.name, f"faults.{index}.beams", list(beams), allowed)

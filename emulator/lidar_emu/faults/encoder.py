@@ -1,12 +1,12 @@
-"""Packets with the faults that a scenario orders: of what stamps them, of the packets and of the link."""
+"""Encode packets with the scenario's faults of packet contents, packets and link."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 from lidar_emu.device.state import Status
-from lidar_emu.faults.build import numbered
-from lidar_emu.faults.held_values import resumed
+from lidar_emu.faults.build import indexed_faults
+from lidar_emu.faults.held_values import extended
 from lidar_emu.faults.packet_contents import ContentFaults, ContentState
 from lidar_emu.faults.packets import PacketFaults, PacketState
 from lidar_emu.faults.schedule import FaultOccurrence
@@ -15,72 +15,82 @@ from lidar_emu.scenario.faults import ContentFault, DeviceFault, LinkFault, Pack
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.wire import Encoder, Packet
 
-_OF_PACKETS = PacketFault | LinkFault | DeviceFault
-"""Those of the port and of the device act elsewhere; here they are only told of."""
+_REPORTED = PacketFault | LinkFault | DeviceFault
+"""Faults of the port and of the device act elsewhere; only their occurrences are reported here."""
 
 
 class WireState(NamedTuple):
-    """What is carried from shot to shot."""
+    """State of the faults, passed from shot to shot."""
 
-    stamps: ContentState
+    contents: ContentState
     packets: PacketState
 
 
 class FaultyEncoder:
-    """An encoder behind which things go wrong.
+    """An encoder with faults of packet contents and packets.
+
+    Args:
+        scenario: scenario with the faults.
+        encoder: encoder without faults.
+        can: whether the link is a CAN bus.
 
     Raises:
-        InputError: a fault is none of this link.
+        InputError: a fault does not apply to this link.
     """
 
     def __init__(self, scenario: Scenario, encoder: Encoder, can: bool) -> None:
         seed, period_ns = scenario.seed, scenario.timing.period_ns
         self._encoder = encoder
-        self._stamps = ContentFaults(numbered(scenario, ContentFault), seed, period_ns)
+        self._contents = ContentFaults(indexed_faults(scenario, ContentFault), seed, period_ns)
         self._packets = PacketFaults(
-            numbered(scenario, _OF_PACKETS), seed, period_ns, encoder.interface, can, scenario.name
+            indexed_faults(scenario, _REPORTED), seed, period_ns, encoder.interface, can, scenario.name
         )
-        self.initial = WireState(self._stamps.initial, self._packets.initial)
-        """What is carried before shot 0."""
+        self.initial = WireState(self._contents.initial, self._packets.initial)
+        """State before shot 0."""
 
     def packets(
         self, measurement: Measurement, stamped: Measurement, status: Status, state: WireState
     ) -> tuple[list[Packet], list[int], WireState, list[FaultOccurrence]]:
-        """The packet of each of consecutive shots, perhaps empty; when each is due; what is carried on; and which
-        faults acted.
+        """Encode consecutive shots.
 
         Args:
-            measurement: of the shots.
-            stamped: the same with the numbers and times that the device gives them.
-            status: of the device through these shots.
-            state: carried from the shots before.
+            measurement: measurement of the shots.
+            stamped: the same with the shot numbers and times of the device's counter and clock.
+            status: status of the device during these shots.
+            state: state after the shots before.
+
+        Returns:
+            The packet of each shot, empty if suppressed; their due times; the state after them; and the occurrences of
+            faults.
         """
-        wrong, stamps, by_stamp = stamped, state.stamps, list[FaultOccurrence]()
+        contents, after_contents, in_contents = stamped, state.contents, list[FaultOccurrence]()
         if not status.silent:
-            wrong, stamps, by_stamp = self._stamps.apply(measurement.shot, stamped, stamps)
-        finished = list(self._encoder.packets(wrong, status))
-        packets, due_ns, after, by_packet = self._packets.apply(
+            contents, after_contents, in_contents = self._contents.apply(
+                measurement.shot, stamped, state.contents
+            )
+        finished = list(self._encoder.packets(contents, status))
+        packets, due_ns, after_packets, in_packets = self._packets.apply(
             measurement.shot, measurement.due_ns, finished, state.packets, status.silent
         )
-        return packets, due_ns, WireState(stamps, after), by_stamp + by_packet
+        return packets, due_ns, WireState(after_contents, after_packets), in_contents + in_packets
 
-    def resumed(self, state: WireState | None) -> WireState:
-        """What fewer of these faults have carried so far, for all of them."""
+    def extended(self, state: WireState | None) -> WireState:
+        """State of the first of these faults, extended by the initial state of the faults added behind them."""
         if state is None:
             return self.initial
-        held = resumed(state.packets.held, self.initial.packets.held)
-        return WireState(resumed(state.stamps, self.initial.stamps), state.packets._replace(held=held))
+        held = extended(state.packets.held, self.initial.packets.held)
+        return WireState(extended(state.contents, self.initial.contents), state.packets._replace(held=held))
 
     def longest(self, packet_bytes: int) -> int:
-        """Of a packet, as the port takes it, that was so long before faults."""
+        """Greatest length in bytes of a packet after faults, if it has `packet_bytes` before them."""
         return self._packets.longest(packet_bytes)
 
 
 def faulty_encoder(scenario: Scenario, encoder: Encoder, can: bool) -> FaultyEncoder | None:
-    """None where the scenario orders no faults of packets.
+    """Encoder with the scenario's faults; None if none of them concerns packets, link or device.
 
     Raises:
-        InputError: a fault is none of this link.
+        InputError: a fault does not apply to this link.
     """
-    ordered = numbered(scenario, ContentFault) + numbered(scenario, _OF_PACKETS)
-    return FaultyEncoder(scenario, encoder, can) if ordered else None
+    faults = indexed_faults(scenario, ContentFault) + indexed_faults(scenario, _REPORTED)
+    return FaultyEncoder(scenario, encoder, can) if faults else None

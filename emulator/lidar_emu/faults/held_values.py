@@ -1,4 +1,4 @@
-"""What is carried over a fault: the last values from before it."""
+"""Sample and hold: the last values before a fault, kept from block to block."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ _Held = TypeVar("_Held")
 
 
 def hold(values: NDArray[Any], renewed: BoolArray, before: Row | None) -> tuple[NDArray[Any], Row]:
-    """The last renewed value of each place, shot by shot.
+    """Hold the last renewed value of each beam, shot by shot.
 
     Args:
-        values: (shots, beams), consecutive shots.
-        renewed: (shots, beams) where a value takes the place of what was held.
-        before: (1, beams) held before the first of the shots; None: nothing yet, which stands for its own values.
+        values: (shots, beams) values of consecutive shots.
+        renewed: (shots, beams) where a value replaces the held one.
+        before: (1, beams) values held before the first shot; None: none yet, the first shot's values are taken.
 
     Returns:
-        (shots, beams) what is held at each shot, and (1, beams) after the last.
+        (shots, beams) values held at each shot, and (1, beams) values held after the last.
     """
     if renewed.all():
         return values, values[-1:]
@@ -32,6 +32,6 @@ def hold(values: NDArray[Any], renewed: BoolArray, before: Row | None) -> tuple[
     return held, held[-1:]
 
 
-def resumed(held: tuple[_Held, ...], initial: tuple[_Held, ...]) -> tuple[_Held, ...]:
-    """What the first of several faults have carried so far, and of the others what they begin with."""
+def extended(held: tuple[_Held, ...], initial: tuple[_Held, ...]) -> tuple[_Held, ...]:
+    """State of the first faults of a list, extended by the initial state of the faults added behind them."""
     return held + initial[len(held) :]

@@ -1,4 +1,4 @@
-"""Packets and frames in which something else stands, and which are whole: the CRC is right."""
+"""Mismatch of the interface: another unit, byte order or version in packets and frames whose CRC is correct."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from lidar_protocol.layout import Layout
 from lidar_protocol.packet import seal, unseal
 
 REWRITING = (kinds.OtherUnit, kinds.WrongEndian, kinds.OtherVersion)
-"""Kinds of faults that this file knows."""
+"""Kinds of faults that `Rewriter` applies."""
 
 _VERSION = "interface_version"
 
 
 class Rewriter:
-    """Changes what an interface has made. What it did not make stays as it is."""
+    """Rewrites packets and frames of an interface; other bytes are left unchanged."""
 
     def __init__(self, interface: Interface) -> None:
         self._interface = interface
 
     def refusal(self, fault: Any, can: bool) -> str | None:
-        """Why a fault is none of this interface; None where it is one."""
+        """What the interface needs for a fault to apply; None if it applies."""
         if isinstance(fault, kinds.OtherUnit) and fault.unit >= self._interface.units:
-            return f"units 0 to {self._interface.units - 1}, those of the interface"
+            return f"units 0 to {self._interface.units - 1} of the interface"
         if isinstance(fault, kinds.OtherVersion) and not self._states_version(can):
             return f"an interface that sends {_VERSION} as a field of whole bytes"
         return None
 
     def packet(self, frame: bytes, fault: Any) -> bytes:
-        """A framed packet with the fault."""
+        """Apply a fault to a framed packet."""
         link, definition = self._interface.link, self._interface.packet
         framing = link.framing
         try:
@@ -57,7 +57,7 @@ class Rewriter:
         return framing.encode(seal(link, kind, _unit(unit, fault), sequence or 0, b"".join(blocks)))
 
     def frame(self, frame: CanFrame, fault: Any) -> CanFrame:
-        """A CAN frame with the fault."""
+        """Apply a fault to a CAN frame."""
         address = self._addresses.get(frame.can_id)
         if address is None or (len(frame.data), frame.is_fd) != (
             address.message.layout.length,
@@ -65,9 +65,9 @@ class Rewriter:
         ):
             return frame
         assert self._interface.can is not None
-        away = (_unit(address.unit, fault) - address.unit) * self._interface.can.unit_stride
+        offset = (_unit(address.unit, fault) - address.unit) * self._interface.can.unit_stride
         data = _changed(frame.data, address.message.layout, fault)
-        return frame._replace(can_id=frame.can_id + away, data=data)
+        return frame._replace(can_id=frame.can_id + offset, data=data)
 
     @cached_property
     def _addresses(self) -> dict[int, Address]:
@@ -86,7 +86,7 @@ def _unit(unit: int, fault: Any) -> int:
 
 
 def _changed(data: bytes, layout: Layout, fault: Any) -> bytes:
-    """A block of fields with the fault."""
+    """Apply a fault to a block of fields."""
     changed = bytearray(data)
     if isinstance(fault, kinds.WrongEndian):
         for place in _places(layout):
@@ -98,7 +98,7 @@ def _changed(data: bytes, layout: Layout, fault: Any) -> bytes:
 
 
 def _places(layout: Layout, name: str | None = None) -> list[slice]:
-    """Where fields of whole bytes stand: those of a name, or all."""
+    """Positions of the fields of whole bytes that have a name, or of all."""
     return [
         slice(placed.first_byte, placed.end_byte)
         for placed in layout.placed

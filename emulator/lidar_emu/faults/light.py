@@ -1,4 +1,4 @@
-"""Faults of light: what they do to beams on their way out, and to echoes on their way back."""
+"""Faults of light: effects on the direction of beams and on the power of echoes."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from lidar_emu.trajectory.state import seconds
 
 
 @dataclass(frozen=True)
-class _Act:
-    """A fault in a block of shots."""
+class _ActiveFault:
+    """A fault that acts in a block of shots."""
 
     fault: Any
-    hit: BoolArray
-    """(shots, beams) Beams that have fired and on which it acts."""
-    size: FloatArray
-    """(shots, 1) Part of its full size that a growing fault has."""
+    affected: BoolArray
+    """(shots, beams) Fired beams on which the fault acts."""
+    ramp: FloatArray
+    """(shots, 1) Fraction of the full magnitude."""
     beamlet_hits: BeamletHits
 
 
@@ -39,62 +39,64 @@ class LightFaults:
     """All faults of light of a scenario.
 
     Args:
-        ordered: the faults with their schedules, in the order in which they act.
-        flight: of the scenario.
+        faults: faults in the order in which they act.
+        scenario: scenario with the faults.
+        flight: flight of the scenario.
     """
 
-    def __init__(self, ordered: Sequence[FaultInstance], scenario: FlightScenario, flight: Flight) -> None:
-        self._tilts = [each for each in ordered if isinstance(each.fault, kinds.Misalignment)]
-        self._others = [each for each in ordered if not isinstance(each.fault, kinds.Misalignment)]
+    def __init__(self, faults: Sequence[FaultInstance], scenario: FlightScenario, flight: Flight) -> None:
+        self._misalignments = [each for each in faults if isinstance(each.fault, kinds.Misalignment)]
+        self._echo_faults = [each for each in faults if not isinstance(each.fault, kinds.Misalignment)]
         self._scenario, self._flight = scenario, flight
         self._body_from_sensor = mounting_rotation(scenario.mounting)
-        self._effects: dict[type, Callable[[Echoes, _Act], Echoes]] = {
+        self._effects: dict[type, Callable[[Echoes, _ActiveFault], Echoes]] = {
             kinds.LaserFade: _faded,
             kinds.ReflectancePatch: _patched,
             kinds.Clutter: self._cluttered,
         }
 
     def tilted(self, pointing: Pointing, shot: NDArray[np.int64]) -> Pointing:
-        """Where the beams go. Published directions stay."""
-        for each in self._tilts:
-            hit = each.hit(shot, pointing.fired)
-            if hit.any():
-                pointing = self._with_tilt(pointing, hit, each.grown(shot), each.fault.tilt_mrad)
+        """Pointing with misaligned true directions; published directions are unchanged."""
+        for each in self._misalignments:
+            affected = each.affected_beams(shot, pointing.fired)
+            if affected.any():
+                pointing = self._with_tilt(pointing, affected, each.ramp(shot), each.fault.tilt_mrad)
         return pointing
 
-    def lit(self, echoes: Echoes, beamlet_hits: BeamletHits, shot: NDArray[np.int64]) -> Echoes:
-        """What comes back of beams whose light met the ground at `beamlet_hits`."""
-        for each in self._others:
-            hit = each.hit(shot, echoes.fired)
-            if hit.any():
-                echoes = self._effects[type(each.fault)](
-                    echoes, _Act(each.fault, hit, each.grown(shot), beamlet_hits)
-                )
+    def modified(self, echoes: Echoes, beamlet_hits: BeamletHits, shot: NDArray[np.int64]) -> Echoes:
+        """Echoes after faults, from beams whose light hit the ground at `beamlet_hits`."""
+        for each in self._echo_faults:
+            affected = each.affected_beams(shot, echoes.fired)
+            if affected.any():
+                active = _ActiveFault(each.fault, affected, each.ramp(shot), beamlet_hits)
+                echoes = self._effects[type(each.fault)](echoes, active)
         return echoes
 
     def _with_tilt(
-        self, pointing: Pointing, hit: BoolArray, size: FloatArray, tilt_mrad: tuple[float, float]
+        self, pointing: Pointing, affected: BoolArray, ramp: FloatArray, tilt_mrad: tuple[float, float]
     ) -> Pointing:
         vehicle = self._flight.trajectory.state(seconds(pointing.time_ns.reshape(-1)))
         sensor_rad = np.array([*tilt_mrad, 0.0]) * 1e-3
         axis_site = rotate(vehicle.site_from_body, rotate(self._body_from_sensor, sensor_rad))
-        turn = from_rotation_vector(size[..., None] * axis_site.reshape(*hit.shape, 3))
+        turn = from_rotation_vector(ramp[..., None] * axis_site.reshape(*affected.shape, 3))
         beams = pointing.beams.copy()
-        beams[TRUE] = np.where(hit[..., None], rotate(turn, pointing.true_site), pointing.true_site)
+        beams[TRUE] = np.where(affected[..., None], rotate(turn, pointing.true_site), pointing.true_site)
         return pointing._replace(beams=beams)
 
-    def _cluttered(self, echoes: Echoes, act: _Act) -> Echoes:
-        """One more beamlet, which rides along with the sensor. It shares the beam's speckle, and its motion within a
-        measurement: metres per second squared, over less than a millisecond."""
-        fault, site = act.fault, self._scenario.site
+    def _cluttered(self, echoes: Echoes, active: _ActiveFault) -> Echoes:
+        """Echoes with one more beamlet, which moves with the sensor.
+
+        The beamlet shares the speckle of the beam and its acceleration, which matters little within a millisecond.
+        """
+        fault, site = active.fault, self._scenario.site
         surface = site.surface.model_copy(update={"reflectance": fault.reflectance})
         power_w = coherent_power_w(self._scenario.instrument, surface, site.atmosphere, fault.range_m, 1.0)
-        hit = act.hit[..., None]
+        affected = active.affected[..., None]
 
         def joined(ground: FloatArray, structure: float, elsewhere: float) -> FloatArray:
-            return np.concatenate([ground, np.where(hit, structure, elsewhere)], axis=-1)
+            return np.concatenate([ground, np.where(affected, structure, elsewhere)], axis=-1)
 
-        ground_w = np.where(hit, (1.0 - fault.share) * echoes.power_w, echoes.power_w)
+        ground_w = np.where(affected, (1.0 - fault.share) * echoes.power_w, echoes.power_w)
         return replace(
             echoes,
             range_m=joined(echoes.range_m, fault.range_m, np.nan),
@@ -104,22 +106,22 @@ class LightFaults:
         )
 
 
-def _faded(echoes: Echoes, act: _Act) -> Echoes:
-    factor = 10.0 ** (-act.fault.loss_db * act.size / 10.0)
-    return replace(echoes, power_w=np.where(act.hit, factor, 1.0)[..., None] * echoes.power_w)
+def _faded(echoes: Echoes, active: _ActiveFault) -> Echoes:
+    factor = 10.0 ** (-active.fault.loss_db * active.ramp / 10.0)
+    return replace(echoes, power_w=np.where(active.affected, factor, 1.0)[..., None] * echoes.power_w)
 
 
-def _patched(echoes: Echoes, act: _Act) -> Echoes:
-    """Beamlets that meet the ground within the disc."""
-    start_m, ray, hits = act.beamlet_hits
+def _patched(echoes: Echoes, active: _ActiveFault) -> Echoes:
+    """Echoes with another reflectance for the beamlets that hit the ground within the disc."""
+    start_m, ray, hits = active.beamlet_hits
     east_m, north_m = (start_m[..., k] + hits.range_m * ray[..., k] for k in range(2))
-    away_m = np.hypot(east_m - act.fault.centre_m[0], north_m - act.fault.centre_m[1])
-    # What clutter and dust have added lies behind the beamlets; dust that is seen instead of the ground has its place.
-    of_ground = echoes.range_m[..., : away_m.shape[-1]] == hits.range_m
-    within = act.hit[..., None] & of_ground & (away_m <= act.fault.radius_m)
-    # Of a place that is wholly black there is no echo to change.
+    away_m = np.hypot(east_m - active.fault.centre_m[0], north_m - active.fault.centre_m[1])
+    # Clutter and dust add beamlets behind those of the ground; a beamlet whose echo comes from dust has another range.
+    from_ground = echoes.range_m[..., : away_m.shape[-1]] == hits.range_m
+    within = active.affected[..., None] & from_ground & (away_m <= active.fault.radius_m)
+    # Ground with reflectance 0 returns no echo that could be scaled.
     ratio = np.divide(
-        act.fault.reflectance,
+        active.fault.reflectance,
         hits.reflectance,
         out=np.ones(within.shape),
         where=within & (hits.reflectance > 0.0),

@@ -1,4 +1,4 @@
-"""Faults of clock, counter and units: what stands in packets. What was measured, and when, stays."""
+"""Faults of packet contents: clock, counter and units. The measurement and its timing are not affected."""
 
 from __future__ import annotations
 
@@ -25,63 +25,66 @@ _IN_METRES = (
 )
 
 ContentState = tuple[Row | None, ...]
-"""By each fault: the last number of a shot from before it."""
+"""For each fault, the last shot number before it acted."""
 
 
 class ContentFaults:
-    """All faults of clock, counter and units.
+    """All faults of packet contents of a scenario.
 
     Args:
-        numbered: the faults, with their places in the scenario's list.
-        seed: of the run.
-        period_ns: from shot to shot.
+        faults: faults with their indices in the scenario's list.
+        seed: seed of the run.
+        period_ns: shot period.
     """
 
-    def __init__(self, numbered: Sequence[tuple[int, kinds.ContentFault]], seed: int, period_ns: int) -> None:
+    def __init__(self, faults: Sequence[tuple[int, kinds.ContentFault]], seed: int, period_ns: int) -> None:
         self._faults = [
-            (number, fault, FaultSchedule(fault, RandomStream(seed, fault_purpose(number)), period_ns))
-            for number, fault in numbered
+            (index, fault, FaultSchedule(fault, RandomStream(seed, fault_purpose(index)), period_ns))
+            for index, fault in faults
         ]
         self.initial: ContentState = (None,) * len(self._faults)
-        """What is carried before shot 0."""
+        """State before shot 0."""
 
     def apply(
         self, shot: NDArray[np.int64], block: Measurement, state: ContentState
     ) -> tuple[Measurement, ContentState, list[FaultOccurrence]]:
-        """The shots as they are stamped, what is carried on, and which faults acted.
+        """Apply the faults to consecutive shots.
 
         Args:
-            shot: (shots,) the scenario's numbers of the shots; those in `block` are the device's.
-            block: as the device would stamp them.
-            state: carried from the shots before.
+            shot: (shots,) shot numbers of the scenario; those in `block` are the device's.
+            block: shots with the device's numbers and times.
+            state: state after the shots before.
+
+        Returns:
+            The shots as packets state them, the state after them, and the occurrences of faults.
         """
-        injected, after = list[FaultOccurrence](), list[Row | None]()
-        for (number, fault, schedule), before in zip(self._faults, state, strict=True):
-            acts, carried = schedule.shots(shot), None
+        occurrences, after = list[FaultOccurrence](), list[Row | None]()
+        for (index, fault, schedule), before in zip(self._faults, state, strict=True):
+            active, held = schedule.active_shots(shot), None
             match fault:
                 case kinds.FrozenCounter():
-                    counter, carried = _frozen(block.shot, acts, before)
+                    counter, held = _frozen(block.shot, active, before)
                     block = replace(block, shot=counter)
                 case kinds.TimeJump():
                     shifted_ns = np.maximum(0, block.time_ns + round(fault.jump_s * 1e9))
-                    block = replace(block, time_ns=np.where(acts[:, None], shifted_ns, block.time_ns))
+                    block = replace(block, time_ns=np.where(active[:, None], shifted_ns, block.time_ns))
                 case kinds.WrongUnit():
-                    block = _in_other_units(block, acts, fault.metres)
-            after.append(carried)
-            injected += [FaultOccurrence(int(k), number, fault.kind, ()) for k in shot[acts]]
-        return block, tuple(after), injected
+                    block = _in_other_units(block, active, fault.metres)
+            after.append(held)
+            occurrences += [FaultOccurrence(int(k), index, fault.kind, ()) for k in shot[active]]
+        return block, tuple(after), occurrences
 
 
-def _in_other_units(block: Measurement, acts: NDArray[np.bool_], metres: float) -> Measurement:
-    if not acts.any():
+def _in_other_units(block: Measurement, active: NDArray[np.bool_], metres: float) -> Measurement:
+    if not active.any():
         return block
-    factor = np.where(acts, 1 / metres, 1.0)[:, None]
+    factor = np.where(active, 1 / metres, 1.0)[:, None]
     columns: dict[str, Any] = {name: factor * getattr(block, name) for name in _IN_METRES}
     return replace(block, **columns)
 
 
 def _frozen(
-    counter: NDArray[np.int64], acts: NDArray[np.bool_], before: Row | None
+    counter: NDArray[np.int64], active: NDArray[np.bool_], before: Row | None
 ) -> tuple[NDArray[np.int64], Row]:
-    held, carried = hold(counter[:, None], ~acts[:, None], before)
-    return held[:, 0], carried
+    values, held = hold(counter[:, None], ~active[:, None], before)
+    return values[:, 0], held

@@ -1,4 +1,4 @@
-"""Faults of packets, of what stamps them and of the link: what they make of finished packets."""
+"""Faults of packets: effects on encoded packets."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ from lidar_emu.faults.interface_mismatch import REWRITING, Rewriter
 from lidar_emu.faults.schedule import FaultOccurrence, FaultSchedule
 from lidar_emu.numerics.random_streams import RandomStream, fault_purpose
 from lidar_emu.scenario import faults as kinds
+from lidar_emu.wire import Packet
 from lidar_protocol import CanFrame, DecodeError, Interface
 from lidar_protocol.framing import Stuffed
 
 Piece = bytes | CanFrame
-"""What a fault handles as one: a framed packet, or a frame."""
+"""Unit that a fault acts on: a framed packet, or a CAN frame."""
 
 Pieces = tuple[Piece, ...]
-
-Packet = bytes | list[CanFrame]
 
 _Fault = kinds.PacketFault | kinds.LinkFault | kinds.DeviceFault
 
@@ -32,20 +31,20 @@ _CAN_IDS = 0x800
 _RECORD_BYTES = 14
 _NUMBERS_AT_ONCE = 64
 _DOUBLING = (kinds.Doubled, kinds.Reordered)
-_MOST_DOUBLING = 6
+_MAXIMUM_DOUBLING = 6
 
 
 class PacketState(NamedTuple):
-    """What is carried from shot to shot."""
+    """State of the faults, passed from shot to shot."""
 
     held: tuple[Pieces, ...]
-    """By each fault: a packet that is held back, or the last good one."""
+    """For each fault, the packet that it holds back, or the last packet before it."""
     last_due_ns: int = 0
 
 
 @dataclass(frozen=True)
-class _Act:
-    """A fault in one shot."""
+class _ActiveFault:
+    """A fault that acts on one shot."""
 
     fault: Any
     stream: RandomStream
@@ -56,23 +55,23 @@ class _Act:
 
 
 class PacketFaults:
-    """All faults of packets; those of the port and of the device are told of only.
+    """All faults of packets of a scenario; of faults of the link and of the device only occurrences are reported.
 
     Args:
-        numbered: the faults, with their places in the scenario's list.
-        seed: of the run.
-        period_ns: from shot to shot.
-        interface: by which packets are made.
+        faults: faults with their indices in the scenario's list.
+        seed: seed of the run.
+        period_ns: shot period.
+        interface: interface definition of the packets.
         can: whether the link is a CAN bus.
-        name: of the scenario, for complaints.
+        name: name of the scenario, for error messages.
 
     Raises:
-        InputError: a fault is none of this link, or packets could grow without measure.
+        InputError: a fault does not apply to this link, or too many faults double the length of packets.
     """
 
     def __init__(
         self,
-        numbered: Sequence[tuple[int, _Fault]],
+        faults: Sequence[tuple[int, _Fault]],
         seed: int,
         period_ns: int,
         interface: Interface,
@@ -83,24 +82,24 @@ class PacketFaults:
         self._rewriter = Rewriter(interface)
         self._can = can
         self._faults: list[tuple[int, _Fault, FaultSchedule, RandomStream]] = []
-        for number, fault in numbered:
+        for index, fault in faults:
             if isinstance(fault, kinds.WrongCrc) and (can or interface.link.crc is None):
                 found = Finding("wrong_crc on CAN" if can else "no CRC in this interface")
                 allowed = "allowed: on a byte link with an interface that has a CRC"
-                raise InputError(name, f"faults.{number}.kind", found, allowed)
+                raise InputError(name, f"faults.{index}.kind", found, allowed)
             if (allowed_here := self._rewriter.refusal(fault, can)) is not None:
                 found = Finding(f"{fault.kind} with interface {interface.name}")
-                raise InputError(name, f"faults.{number}", found, f"allowed: {allowed_here}")
-            stream = RandomStream(seed, fault_purpose(number))
-            self._faults.append((number, fault, FaultSchedule(fault, stream, period_ns), stream))
+                raise InputError(name, f"faults.{index}", found, f"allowed: {allowed_here}")
+            stream = RandomStream(seed, fault_purpose(index))
+            self._faults.append((index, fault, FaultSchedule(fault, stream, period_ns), stream))
         doubling = sum(isinstance(fault, _DOUBLING) for _, fault, *_ in self._faults)
-        if doubling > _MOST_DOUBLING:
+        if doubling > _MAXIMUM_DOUBLING:
             found = Finding(f"{doubling} of kind doubled or reordered")
             raise InputError(
-                name, "faults", found, f"allowed: {_MOST_DOUBLING}, each of which can double a packet"
+                name, "faults", found, f"allowed: {_MAXIMUM_DOUBLING}, each of which can double a packet"
             )
         self.initial = PacketState(((),) * len(self._faults))
-        """What is carried before shot 0."""
+        """State before shot 0."""
 
     def apply(
         self,
@@ -110,48 +109,48 @@ class PacketFaults:
         state: PacketState,
         silent: bool = False,
     ) -> tuple[list[Packet], list[int], PacketState, list[FaultOccurrence]]:
-        """What becomes of the packets of consecutive shots.
+        """Apply the faults to the packets of consecutive shots.
 
         Args:
-            shot: (shots,) their numbers.
-            due_ns: (shots,) when they are due.
-            packets: of each, empty ones if `silent`.
-            state: carried from the shots before.
-            silent: whether the device sends none, so that there is nothing for faults of packets to act on. What was
-                held back follows all the same.
+            shot: (shots,) shot numbers.
+            due_ns: (shots,) due times.
+            packets: packets, all empty if `silent`.
+            state: state after the shots before.
+            silent: whether the device sends no packets, so that faults of packets do not act. A packet that was held
+                back is sent nevertheless.
 
         Returns:
-            for each shot what is sent, perhaps nothing; and when, in ascending order; what is carried on; and which
-            faults acted.
+            The packet of each shot, empty if suppressed; the due times, ascending; the state after the shots; and the
+            occurrences of faults.
         """
-        nowhere = [False] * len(shot)
-        acts = [
-            nowhere if silent and isinstance(fault, kinds.PacketFault) else schedule.shots(shot).tolist()
+        never = [False] * len(shot)
+        active = [
+            never if silent and isinstance(fault, kinds.PacketFault) else schedule.active_shots(shot).tolist()
             for _, fault, schedule, _ in self._faults
         ]
         sent: list[Packet] = []
         due: list[int] = []
-        injected: list[FaultOccurrence] = []
+        occurrences: list[FaultOccurrence] = []
         for row, (number, due_at_ns) in enumerate(zip(shot.tolist(), due_ns.tolist(), strict=True)):
-            acting = [act[row] for act in acts]
-            pieces, state = self._one(number, packets[row], acting, state)
+            active_now = [shots[row] for shots in active]
+            pieces, state = self._one(number, packets[row], active_now, state)
             delay_ns = sum(
                 round(fault.delay_s * 1e9)
-                for (_, fault, *_), now in zip(self._faults, acting, strict=True)
+                for (_, fault, *_), now in zip(self._faults, active_now, strict=True)
                 if now and isinstance(fault, kinds.Delayed)
             )
             state = state._replace(last_due_ns=max(state.last_due_ns, due_at_ns + delay_ns))
             sent.append(self._packet(pieces))
             due.append(state.last_due_ns)
-            injected += [
-                FaultOccurrence(number, place, fault.kind, ())
-                for (place, fault, *_), now in zip(self._faults, acting, strict=True)
+            occurrences += [
+                FaultOccurrence(number, index, fault.kind, ())
+                for (index, fault, *_), now in zip(self._faults, active_now, strict=True)
                 if now
             ]
-        return sent, due, state, injected
+        return sent, due, state, occurrences
 
     def longest(self, packet_bytes: int) -> int:
-        """Of a packet, as the port takes it, that was so long before faults."""
+        """Greatest length in bytes of a packet after faults, if it has `packet_bytes` before them."""
         for _, fault, *_ in self._faults:
             if isinstance(fault, _DOUBLING):
                 packet_bytes *= 2
@@ -160,11 +159,11 @@ class PacketFaults:
         return packet_bytes
 
     def _one(
-        self, shot: int, packet: Packet, acting: list[bool], state: PacketState
+        self, shot: int, packet: Packet, active: list[bool], state: PacketState
     ) -> tuple[Pieces, PacketState]:
         pieces: Pieces = (packet,) if isinstance(packet, bytes) else tuple(packet)
         held: list[Pieces] = []
-        for (_, fault, _, stream), now, before in zip(self._faults, acting, state.held, strict=True):
+        for (_, fault, _, stream), now, before in zip(self._faults, active, state.held, strict=True):
             kept: Pieces = ()
             if isinstance(fault, kinds.Reordered):
                 pieces, kept = ((), pieces) if now and not before else (pieces + before, ())
@@ -172,8 +171,8 @@ class PacketFaults:
                 pieces = before if now and before else pieces
                 kept = pieces if any(pieces) else before
             elif now and type(fault) in _EFFECTS:
-                act = _Act(fault, stream, shot, self._interface, self._rewriter, self._can)
-                pieces = _EFFECTS[type(fault)](pieces, act)
+                acting = _ActiveFault(fault, stream, shot, self._interface, self._rewriter, self._can)
+                pieces = _EFFECTS[type(fault)](pieces, acting)
             held.append(kept)
         return pieces, state._replace(held=tuple(held))
 
@@ -183,23 +182,23 @@ class PacketFaults:
         return b"".join(piece for piece in pieces if isinstance(piece, bytes))
 
 
-def _nothing(pieces: Pieces, act: _Act) -> Pieces:  # noqa: ARG001
+def _suppressed(pieces: Pieces, active: _ActiveFault) -> Pieces:  # noqa: ARG001
     return ()
 
 
-def _doubled(pieces: Pieces, act: _Act) -> Pieces:  # noqa: ARG001
+def _doubled(pieces: Pieces, active: _ActiveFault) -> Pieces:  # noqa: ARG001
     return pieces + pieces
 
 
-def _truncated(pieces: Pieces, act: _Act) -> Pieces:
-    if act.can:
-        return pieces[: int(act.fault.keep * len(pieces))]
+def _truncated(pieces: Pieces, active: _ActiveFault) -> Pieces:
+    if active.can:
+        return pieces[: int(active.fault.keep * len(pieces))]
     whole = b"".join(piece for piece in pieces if isinstance(piece, bytes))
-    return (whole[: int(act.fault.keep * len(whole))],)
+    return (whole[: int(active.fault.keep * len(whole))],)
 
 
-def _bit_errors(pieces: Pieces, act: _Act) -> Pieces:
-    errors = _error_places(act)
+def _bit_errors(pieces: Pieces, active: _ActiveFault) -> Pieces:
+    errors = _inverted_bits(active)
     place, first, result = next(errors), 0, list[Piece]()
     for piece in pieces:
         data = bytearray(_data(piece))
@@ -211,12 +210,12 @@ def _bit_errors(pieces: Pieces, act: _Act) -> Pieces:
     return tuple(result)
 
 
-def _error_places(act: _Act) -> Iterator[int]:
-    """Numbers of the bits that are inverted: from one to the next the distance is geometric."""
+def _inverted_bits(active: _ActiveFault) -> Iterator[int]:
+    """Yield the positions of inverted bits: distances between them have a geometric distribution."""
     place, drawn = -1, 0
-    log_good = math.log1p(-act.fault.rate) if act.fault.rate < 1 else -math.inf
+    log_good = math.log1p(-active.fault.rate) if active.fault.rate < 1 else -math.inf
     while True:
-        for u in act.stream.sequence(act.shot, drawn, _NUMBERS_AT_ONCE).tolist():
+        for u in active.stream.sequence(active.shot, drawn, _NUMBERS_AT_ONCE).tolist():
             place += 1 + int(math.log(u) / log_good)
             yield place
         drawn += _NUMBERS_AT_ONCE
@@ -230,12 +229,12 @@ def _with_data(piece: Piece, data: bytes) -> Piece:
     return piece._replace(data=data) if isinstance(piece, CanFrame) else data
 
 
-def _wrong_crc(pieces: Pieces, act: _Act) -> Pieces:
-    return tuple(_with_wrong_crc(piece, act.interface) for piece in pieces if isinstance(piece, bytes))
+def _wrong_crc(pieces: Pieces, active: _ActiveFault) -> Pieces:
+    return tuple(_with_wrong_crc(piece, active.interface) for piece in pieces if isinstance(piece, bytes))
 
 
 def _with_wrong_crc(frame: bytes, interface: Interface) -> bytes:
-    """The last byte of the packet, which belongs to the CRC, inverted; what is no frame any more stays."""
+    """Invert the last byte of the packet, part of the CRC; bytes that are no longer a frame are left unchanged."""
     framing = interface.link.framing
     if not isinstance(framing, Stuffed):
         return _last_inverted(frame)
@@ -250,34 +249,34 @@ def _last_inverted(data: bytes) -> bytes:
     return data[:-1] + bytes(byte ^ 0xFF for byte in data[-1:])
 
 
-def _rewritten(pieces: Pieces, act: _Act) -> Pieces:
+def _rewritten(pieces: Pieces, active: _ActiveFault) -> Pieces:
     return tuple(
-        act.rewriter.frame(piece, act.fault)
+        active.rewriter.frame(piece, active.fault)
         if isinstance(piece, CanFrame)
-        else act.rewriter.packet(piece, act.fault)
+        else active.rewriter.packet(piece, active.fault)
         for piece in pieces
     )
 
 
-def _garbage(pieces: Pieces, act: _Act) -> Pieces:
-    count = act.fault.bytes
-    noise = bytes(int(u * 256) for u in act.stream.sequence(act.shot, 0, count).tolist())
-    if not act.can:
+def _garbage(pieces: Pieces, active: _ActiveFault) -> Pieces:
+    count = active.fault.bytes
+    noise = bytes(int(u * 256) for u in active.stream.sequence(active.shot, 0, count).tolist())
+    if not active.can:
         return (noise, *pieces)
     blocks = [noise[k : k + _CAN_DATA_BYTES] for k in range(0, count, _CAN_DATA_BYTES)]
-    places = act.stream.sequence(act.shot, count, len(blocks)).tolist()
+    places = active.stream.sequence(active.shot, count, len(blocks)).tolist()
     frames = [CanFrame(int(u * _CAN_IDS), data) for u, data in zip(places, blocks, strict=True)]
     return (*frames, *pieces)
 
 
-_EFFECTS: dict[type, Callable[[Pieces, _Act], Pieces]] = {
-    kinds.Lost: _nothing,
+_EFFECTS: dict[type, Callable[[Pieces, _ActiveFault], Pieces]] = {
+    kinds.Lost: _suppressed,
     kinds.Doubled: _doubled,
     kinds.BitErrors: _bit_errors,
     kinds.Truncated: _truncated,
     kinds.WrongCrc: _wrong_crc,
-    kinds.Silence: _nothing,
+    kinds.Silence: _suppressed,
     kinds.Garbage: _garbage,
     **dict.fromkeys(REWRITING, _rewritten),
 }
-"""Of faults that carry nothing from shot to shot."""
+"""Effects of faults without state."""

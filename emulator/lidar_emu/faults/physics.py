@@ -1,4 +1,4 @@
-"""Faults of light and receiver, as a flight's model takes them."""
+"""Faults of light and receiver, applied within the model of a flight."""
 
 from __future__ import annotations
 
@@ -30,72 +30,72 @@ _LEVELS: dict[type, tuple[str, ...]] = {
     kinds.Alias: _RECEIVERS,
     kinds.FalseAlarms: _RECEIVERS,
 }
-"""Levels that have what the fault needs; what is not here acts at any."""
-_MOST_OF_RECEIVERS = 32
+"""Levels that model what the fault acts on; kinds that are not listed act at any level."""
+_MAXIMUM_RECEIVER_FAULTS = 32
 
 
 class PhysicsFaults:
     """All faults of light and receiver of a scenario.
 
     Args:
-        numbered: the faults, with their places in the scenario's list.
-        scenario: that orders them.
-        flight: of the scenario.
-        level: the receiver without faults.
+        faults: faults with their indices in the scenario's list.
+        scenario: scenario with the faults.
+        flight: flight of the scenario.
+        level: receiver without faults.
 
     Raises:
-        InputError: a fault is none of this level, of this ground, or of a beam that there is not.
+        InputError: a fault does not apply to this level or this ground, or there are too many.
     """
 
     def __init__(
         self,
-        numbered: Sequence[tuple[int, kinds.LightFault | kinds.ReceiverFault]],
+        faults: Sequence[tuple[int, kinds.LightFault | kinds.ReceiverFault]],
         scenario: FlightScenario,
         flight: Flight,
         level: Level,
     ) -> None:
         beam_count = flight.scanner.beam_count
-        for number, fault in numbered:
-            _check(scenario, number, fault)
-        self._ordered = [
-            FaultInstance(number, fault, scenario.seed, scenario.timing.period_ns, beam_count)
-            for number, fault in numbered
+        for index, fault in faults:
+            _check(scenario, index, fault)
+        self._faults = [
+            FaultInstance(index, fault, scenario.seed, scenario.timing.period_ns, beam_count)
+            for index, fault in faults
         ]
-        light = [each for each in self._ordered if isinstance(each.fault, kinds.LightFault)]
-        receivers = [each for each in self._ordered if isinstance(each.fault, kinds.ReceiverFault)]
-        if len(receivers) > _MOST_OF_RECEIVERS:
-            found = Finding(f"{len(receivers)} of receivers")
-            raise InputError(scenario.name, "faults", found, f"allowed: {_MOST_OF_RECEIVERS} of receivers")
+        light = [each for each in self._faults if isinstance(each.fault, kinds.LightFault)]
+        receivers = [each for each in self._faults if isinstance(each.fault, kinds.ReceiverFault)]
+        if len(receivers) > _MAXIMUM_RECEIVER_FAULTS:
+            found = Finding(f"{len(receivers)} faults of the receiver")
+            raise InputError(scenario.name, "faults", found, f"allowed: at most {_MAXIMUM_RECEIVER_FAULTS}")
         self._light = LightFaults(light, scenario, flight)
         self._level = FaultyReceivers(receivers, scenario, level) if receivers else level
 
     def tilted(self, pointing: Pointing, shot: NDArray[np.int64]) -> Pointing:
-        """Where the beams go. Published directions stay."""
+        """Pointing with misaligned true directions; published directions are unchanged."""
         return self._light.tilted(pointing, shot)
 
     def returns(self, echoes: Echoes, beamlet_hits: BeamletHits, shot: NDArray[np.int64]) -> Returns:
-        """What is measured of echoes from beams whose light met the ground at `beamlet_hits`."""
-        return self._level(self._light.lit(echoes, beamlet_hits, shot), shot)
+        """Returns of echoes from beams whose light hit the ground at `beamlet_hits`."""
+        return self._level(self._light.modified(echoes, beamlet_hits, shot), shot)
 
-    def injected(self, shot: NDArray[np.int64], fired: BoolArray) -> list[FaultOccurrence]:
-        """Which faults acted on consecutive shots, and on which of their beams, (shots, beams)."""
+    def occurrences(self, shot: NDArray[np.int64], fired: BoolArray) -> list[FaultOccurrence]:
+        """Occurrences of faults in consecutive shots, whose fired beams are `fired`, (shots, beams)."""
         return [
             FaultOccurrence(
-                int(shot[row]), each.number, each.fault.kind, tuple(np.flatnonzero(beams).tolist())
+                int(shot[row]), each.index, each.fault.kind, tuple(np.flatnonzero(beams).tolist())
             )
-            for each in self._ordered
-            for row, beams in enumerate(each.hit(shot, fired))
+            for each in self._faults
+            for row, beams in enumerate(each.affected_beams(shot, fired))
             if beams.any()
         ]
 
 
-def _check(scenario: FlightScenario, number: int, fault: Any) -> None:
+def _check(scenario: FlightScenario, index: int, fault: Any) -> None:
     levels = _LEVELS.get(type(fault), (scenario.level,))
     if scenario.level not in levels:
         found = Finding(f"{fault.kind} at level {scenario.level}")
         allowed = f"allowed: level {' or '.join(levels)}"
-        raise InputError(scenario.name, f"faults.{number}.kind", found, allowed)
+        raise InputError(scenario.name, f"faults.{index}.kind", found, allowed)
     if isinstance(fault, kinds.ReflectancePatch) and scenario.site.surface.reflectance == 0:
         found = Finding("a reflectance_patch on black ground")
         allowed = "allowed: where site.surface.reflectance is more than 0"
-        raise InputError(scenario.name, f"faults.{number}.kind", found, allowed)
+        raise InputError(scenario.name, f"faults.{index}.kind", found, allowed)

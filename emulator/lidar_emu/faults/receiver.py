@@ -1,4 +1,4 @@
-"""Faults of the receiver: beams that they hit are measured by another one."""
+"""Faults of the receiver: a modified receiver measures the affected beams."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ from lidar_emu.scenario.schema import FlightScenario
 
 
 class FaultyReceivers:
-    """A level of the receiver in which things go wrong.
+    """A receiver with faults.
 
-    All receivers share one set of kernels, and chance: a beam that no fault hits is measured as without any.
+    All receivers share the kernels and the random streams: faults do not change the measurement of unaffected beams.
 
     Args:
-        ordered: the faults with their schedules, in the order in which they act.
-        scenario: of level `statistical` or `spectral`.
-        sound: the level without faults.
+        faults: faults in the order in which they act.
+        scenario: scenario with level `statistical` or `spectral`.
+        sound: receiver without faults.
     """
 
-    def __init__(self, ordered: Sequence[FaultInstance], scenario: FlightScenario, sound: Level) -> None:
-        self._ordered = ordered
+    def __init__(self, faults: Sequence[FaultInstance], scenario: FlightScenario, sound: Level) -> None:
+        self._faults = faults
         self._scenario = scenario
         statistical = scenario.level == "statistical"
         self._model = build_receiver(scenario.instrument, scenario.site, scenario.exact, statistical)
         self._receivers: dict[int, Level] = {0: sound}
-        # Built before the run, as far as faults act one by one.
-        for bit in range(len(ordered)):
+        # Built before the run for each single fault; combinations are built when they first occur.
+        for bit in range(len(faults)):
             self._receiver(1 << bit)
 
     def __call__(self, echoes: Echoes, shot: NDArray[np.int64]) -> Returns:
-        """The returns of echoes (shots, beams, beamlets) of shots with these numbers, (shots,)."""
+        """Returns of echoes (shots, beams, beamlets) of the shots with these numbers, (shots,)."""
         acting = np.zeros(echoes.fired.shape, dtype=np.int64)
-        for bit, each in enumerate(self._ordered):
-            acting |= each.hit(shot, echoes.fired).astype(np.int64) << bit
+        for bit, each in enumerate(self._faults):
+            acting |= each.affected_beams(shot, echoes.fired).astype(np.int64) << bit
         returns = self._receivers[0](self._only(echoes, acting == 0), shot)
         for which in np.unique(acting[acting > 0]).tolist():
             here = acting == which
@@ -57,10 +57,10 @@ class FaultyReceivers:
         return echoes if beams.all() else replace(echoes, fired=echoes.fired & beams)
 
     def _receiver(self, acting: int) -> Level:
-        """The receiver with the faults of these bits."""
+        """Receiver with the faults whose bits are set."""
         if acting not in self._receivers:
             model = self._model
-            for bit, each in enumerate(self._ordered):
+            for bit, each in enumerate(self._faults):
                 if acting >> bit & 1:
                     model = _faulty(model, each.fault, self._scenario)
             self._receivers[acting] = FmcwReceiver(model, self._scenario.seed)
@@ -77,11 +77,11 @@ def _faulty(model: ReceiverModel, fault: Any, scenario: FlightScenario) -> Recei
             return decimated(model, fault.decimation)
         case kinds.FalseAlarms():
             return noisier(model, scenario.instrument.detection, fault.noise_db)
-    raise ValueError(f"{fault} is no fault of a receiver")
+    raise ValueError(f"{fault} is not a fault of the receiver")
 
 
 def _merged(returns: Returns, others: Returns, where: BoolArray) -> Returns:
-    """The others' beams where they are theirs."""
+    """Returns with the beams of `others` where `where` is true."""
     columns: dict[str, Any] = {}
     for name in (field.name for field in fields(Returns)):
         own, other = getattr(returns, name), getattr(others, name)

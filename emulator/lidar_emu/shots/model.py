@@ -129,7 +129,7 @@ def measure(
         measurement = measurement.firing_only(fires)
     in_light: list[FaultOccurrence] = []
     if model.physics is not None:
-        in_light = model.physics.injected(measurement.shot, measurement.fired)
+        in_light = model.physics.occurrences(measurement.shot, measurement.fired)
     if model.faults is None:
         return measurement, ModelState(scanner), in_light
     faulty, held, injected = model.faults.apply(measurement, state.faults)

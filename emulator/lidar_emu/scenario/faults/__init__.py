@@ -1,4 +1,4 @@
-"""Faults on order: what goes wrong, when, how often and in which beams."""
+"""Injected faults: what fails, when, how often and in which beams."""
 
 from __future__ import annotations
 
@@ -68,6 +68,6 @@ __all__ = [
 ]  # fmt: skip
 
 ScheduledFault = LightFault | ReceiverFault | BeamFault | ContentFault | PacketFault | DeviceFault
-"""Those that act on shots; the others act on the port."""
+"""Faults scheduled by shots; faults of the link are scheduled by the clock of the port."""
 
 Fault = Annotated[ScheduledFault | LinkFault, Field(discriminator="kind")]

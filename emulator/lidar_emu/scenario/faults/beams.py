@@ -1,4 +1,4 @@
-"""Faults of beams: what goes wrong with what they have measured."""
+"""Faults of beams: they act on measurements."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ Interval = tuple[float, float]
 
 
 class Dropout(PerBeamFault):
-    """The echo is lost: the beam is invalid, with reason `below_threshold`."""
+    """Loss of the echo: the beam is invalid, with reason `below_threshold`."""
 
     kind: Literal["dropout"]
     """Chooses this fault."""
 
 
 class Stuck(PerBeamFault):
-    """A register is not renewed: a valid range, speed or both repeat the last valid value from before the fault. Flags,
-    signal-to-noise ratio and time go on."""
+    """Stuck register: a valid range, speed or both repeat the last valid value before the fault. Flags,
+    signal-to-noise ratio and time are current."""
 
     kind: Literal["stuck"]
     """Chooses this fault."""
     value: Literal["range", "closing_speed", "both"] = "both"
-    """What is stuck."""
+    """Stuck value."""
 
 
 class Frozen(PerBeamFault):
-    """A beam's processing hangs: everything that it reports, flags and reason too, is that of the last shot before the
-    fault, under the time of the present one. Stale but valid."""
+    """Frozen beam: all values of the beam, including flags and reason, repeat the last shot before the fault, with
+    the current time. The data are stale but valid."""
 
     kind: Literal["frozen"]
     """Chooses this fault."""
 
 
 class Bias(RampedFault):
-    """A constant error of calibration, added. A range stops at 0."""
+    """Constant calibration error, added to the measurement. A range is limited to 0 and above."""
 
     kind: Literal["bias"]
     """Chooses this fault."""
@@ -49,70 +49,74 @@ class Bias(RampedFault):
 
 
 class Scale(RampedFault):
-    """A wrong chirp slope (range) or wavelength (speed): values are multiplied."""
+    """Scale error, as from a wrong chirp slope (range) or wavelength (speed)."""
 
     kind: Literal["scale"]
     """Chooses this fault."""
     range_factor: Annotated[float, Field(gt=0)] = 1.0
-    """Of the range."""
+    """Factor on the range."""
     closing_speed_factor: Annotated[float, Field(gt=0)] = 1.0
-    """Of the closing speed."""
+    """Factor on the closing speed."""
 
 
 class Drift(PerBeamFault):
-    """An error that grows steadily from the start of the window, as with temperature. A range stops at 0."""
+    """Error that grows linearly from the start of the window, as with temperature. A range is limited to 0 and
+    above."""
 
     kind: Literal["drift"]
     """Chooses this fault."""
     range_mps: float = 0.0
-    """Added to the range per second."""
+    """Rate of the range error."""
     closing_speed_mps2: float = 0.0
-    """Added to the closing speed per second."""
+    """Rate of the closing speed error."""
 
 
 class Noise(RampedFault):
-    """More noise than the instrument admits to: Gaussian, white from shot to shot. A range stops at 0."""
+    """Noise beyond the reported standard deviations: Gaussian, white from shot to shot. A range is limited to 0 and
+    above."""
 
     kind: Literal["noise"]
     """Chooses this fault."""
     range_m: NonNegative = 0.0
-    """Standard deviation added to the range."""
+    """Standard deviation of the added range noise."""
     closing_speed_mps: NonNegative = 0.0
-    """Standard deviation added to the closing speed."""
+    """Standard deviation of the added closing speed noise."""
 
 
 class Outlier(PerBeamFault):
-    """Plume, dust or a false alarm: the beam is valid, with a range and a speed drawn evenly from intervals."""
+    """Outlier, as from plume, dust or a false alarm: the beam is valid, with range and speed drawn uniformly from
+    intervals."""
 
     kind: Literal["outlier"]
     """Chooses this fault."""
     range_m: tuple[NonNegative, NonNegative]
-    """Least and greatest range."""
+    """Minimum and maximum range."""
     closing_speed_mps: Interval | None = None
-    """Least and greatest closing speed. Left out: as measured, and only beams that have one are hit."""
+    """Minimum and maximum closing speed. Left out: the speed is as measured, and only beams with a valid speed are
+    affected."""
 
     @model_validator(mode="after")
     def _intervals_ascend(self) -> Self:
         for key, interval in (("range_m", self.range_m), ("closing_speed_mps", self.closing_speed_mps)):
             if interval is not None and interval[1] < interval[0]:
-                raise unusable(key, list(interval), "least and greatest, in this order")
+                raise unusable(key, list(interval), "minimum and maximum, in this order")
         return self
 
 
 class WrongSign(PerBeamFault):
-    """The sign of the Doppler shift is taken for the other one: the closing speed is negated, and valid."""
+    """Doppler sign error: the closing speed is negated, and valid."""
 
     kind: Literal["wrong_sign"]
     """Chooses this fault."""
 
 
 class SwappedBeams(TimedFault):
-    """Two receivers are crossed: each of two beams reports what the other one measured."""
+    """Swapped receivers: each of two beams reports the measurement of the other."""
 
     kind: Literal["swapped_beams"]
     """Chooses this fault."""
     beams: tuple[BeamNumber, BeamNumber]
-    """The two."""
+    """Numbers of the two beams."""
 
     @model_validator(mode="after")
     def _beams_differ(self) -> Self:
@@ -122,18 +126,18 @@ class SwappedBeams(TimedFault):
 
 
 class FalseValid(PerBeamFault):
-    """A beam that has found nothing claims a valid measurement."""
+    """Invalid measurement marked valid: a beam without a detection reports fixed values."""
 
     kind: Literal["false_valid"]
     """Chooses this fault."""
     range_m: NonNegative
-    """What it then reports."""
+    """Reported range."""
     closing_speed_mps: float = 0.0
-    """What it then reports."""
+    """Reported closing speed."""
 
 
 class FalseInvalid(PerBeamFault):
-    """A good measurement is marked as none: the values stand there, the valid flags do not."""
+    """Valid measurement marked invalid: the values are reported, with the valid flags cleared."""
 
     kind: Literal["false_invalid"]
     """Chooses this fault."""

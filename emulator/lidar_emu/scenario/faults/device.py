@@ -1,4 +1,5 @@
-"""Faults of what surrounds the device. They happen to it as `device.events` do: its mode, clock and counters follow."""
+"""Faults of the supply and the interlock. They act like `device.events`: mode, clock and counters of the device
+follow."""
 
 from __future__ import annotations
 
@@ -8,15 +9,16 @@ from lidar_emu.scenario.faults.timing import FaultWindow
 
 
 class BrownOut(FaultWindow):
-    """The supply dips: the device is off. After the window it boots, as new, and stands by until it is commanded."""
+    """Supply dip: the device is off during the window. Afterwards it boots, with its initial state, and stays in
+    standby until commanded."""
 
     kind: Literal["brown_out"]
     """Chooses this fault."""
 
 
 class Interlock(FaultWindow):
-    """The safety interlock is open: the laser is off, and the device in mode `fault`. After the window it is closed,
-    and the device can be reset."""
+    """Open safety interlock: the laser is off, and the device is in mode `fault`. After the window the interlock is
+    closed, and the device can be reset."""
 
     kind: Literal["interlock"]
     """Chooses this fault."""

@@ -1,4 +1,4 @@
-"""A fault that is ordered while a scenario is flown."""
+"""Faults injected in flight."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ _WHERE = "fault"
 _Fault = ScheduledFault | LinkFault
 
 
-class _Order(BaseModel):
-    """What is ordered."""
+class _Injection(BaseModel):
+    """An injected fault."""
 
     fault: Fault
-    """The fault, whose times count from when it takes effect."""
+    """The fault; its times count from the first shot that it can affect."""
 
 
 def read_fault(text: str) -> _Fault:
-    """A fault as its author orders it in flight: a mapping in YAML, as in a scenario.
+    """Read a fault injected in flight from a YAML mapping, as in a scenario.
 
-    `lasts_s` without `probability` is how long it lasts.
+    `lasts_s` without `probability` is the duration of the fault.
 
     Raises:
-        InputError: names the key and the value that cannot be used, and what is allowed.
+        InputError: names the key, the value that cannot be used, and what is allowed.
     """
     tree = parse(text, _WHERE)
     if not isinstance(tree, dict):
@@ -42,14 +42,14 @@ def read_fault(text: str) -> _Fault:
             raise InputError(_WHERE, "lasts_s", lasts_s, "allowed: greater than 0")
         tree["to_s"] = from_s + lasts_s if whole else lasts_s
     try:
-        order = _Order.model_validate_json(json.dumps({"fault": tree}))
+        injection = _Injection.model_validate_json(json.dumps({"fault": tree}))
     except ValidationError as error:
-        raise explained(error, _Order, {"fault": tree}, {(): Source(_WHERE, 1)}) from None
-    return order.fault
+        raise explained(error, _Injection, {"fault": tree}, {(): Source(_WHERE, 1)}) from None
+    return injection.fault
 
 
 def shifted(fault: _Fault, by_s: float) -> _Fault:
-    """The fault with all of its instants so much later."""
+    """Fault with all of its times shifted to later ones by `by_s`."""
     times_s = {
         name: getattr(fault, name) for name in ("at_s", "from_s", "to_s") if name in type(fault).model_fields
     }

@@ -1,4 +1,4 @@
-"""Faults of the port itself. They act where it is, on the clock: at the pace of the clock alone."""
+"""Faults of the port. They act in the port process by the clock, and only at pace `wall`."""
 
 from __future__ import annotations
 
@@ -10,48 +10,47 @@ from lidar_emu.scenario.faults.timing import FaultWindow
 
 
 class Disconnect(FaultWindow):
-    """The port is closed, and opened again after the window. The other end sees what it sees when a cable is pulled:
-    of a pty, that everybody has left."""
+    """The port is closed, and opened again after the window. The host sees a pulled cable; on a pseudo-terminal it
+    sees a hang-up."""
 
     kind: Literal["disconnect"]
     """Chooses this fault."""
 
 
 class SlowLine(FaultWindow):
-    """The line takes longer: packets wait in the transmitter's buffer and leave it whole, one after another. A packet
-    that finds no room is dropped."""
+    """Slow line: packets wait in the transmit buffer and leave it whole, one after another. A packet that does not
+    fit into the buffer is dropped."""
 
     kind: Literal["slow_line"]
     """Chooses this fault."""
     bit_rate: Annotated[int, Field(ge=50, le=100_000_000)]
-    """Bits per second: ten to a byte, of CAN frames all bits."""
+    """Bits per second: ten per byte on a serial line, all bits of a frame on CAN."""
     buffer_bytes: Annotated[int, Field(ge=256, le=1_048_576)] = 4096
-    """Of the transmitter."""
+    """Size of the transmit buffer."""
 
 
 class Babble(FaultWindow):
-    """A transmitter that will not be silent: random bytes between packets, at a rate; on CAN frames of eight bytes with
-    random identifiers."""
+    """Babbling transmitter: random bytes between packets; on CAN frames of eight bytes with random identifiers."""
 
     kind: Literal["babble"]
     """Chooses this fault."""
     bytes_per_s: Annotated[int, Field(ge=1, le=100_000)]
-    """On average over the window, evenly."""
+    """Constant rate over the window."""
 
 
 class ErrorFrames(FaultWindow):
-    """Somebody on the CAN bus destroys frames: the controller counts error frames. On CAN alone; ordered ones are
-    counted and not sent."""
+    """Another node destroys frames on the CAN bus: the controller counts error frames. Only on CAN; injected error
+    frames are counted and not sent."""
 
     kind: Literal["error_frames"]
     """Chooses this fault."""
     rate_hz: Annotated[float, Field(gt=0, le=10_000)]
-    """So many in a second."""
+    """Error frames per second."""
 
 
 class BusOff(FaultWindow):
-    """The CAN controller has seen too many errors and is off: nothing is sent or heard until the window ends and it is
-    restarted. On CAN alone."""
+    """Bus off: after too many errors the CAN controller neither sends nor receives, until the window ends and it is
+    restarted. Only on CAN."""
 
     kind: Literal["bus_off"]
     """Chooses this fault."""

@@ -1,4 +1,4 @@
-"""Faults of clock and counter, which stamp packets, of finished packets, and of what the line carries besides."""
+"""Faults of packet contents (clock, counter, units), of encoded packets, and of the line between packets."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from lidar_emu.scenario.part import Fraction, Positive
 
 
 class TimeJump(TimedFault):
-    """The clock is wrong: times of validity in packets are shifted, but never before the epoch. What was measured, and
-    when packets are sent, stays."""
+    """Clock jump: times of validity in packets are shifted, but not before the epoch. The measurement and the time of
+    transmission are not affected."""
 
     kind: Literal["time_jump"]
     """Chooses this fault."""
@@ -21,124 +21,127 @@ class TimeJump(TimedFault):
 
 
 class FrozenCounter(TimedFault):
-    """The counter of shots, and with it the sequence count, repeats its last value from before the fault."""
+    """Frozen shot counter: the counter, and with it the sequence count, repeats its last value before the fault."""
 
     kind: Literal["frozen_counter"]
     """Chooses this fault."""
 
 
 class Lost(TimedFault):
-    """Packets are lost: their sequence counts are missing."""
+    """Lost packets: their sequence counts are missing."""
 
     kind: Literal["lost"]
     """Chooses this fault."""
 
 
 class Doubled(TimedFault):
-    """Packets come twice."""
+    """Duplicated packets."""
 
     kind: Literal["doubled"]
     """Chooses this fault."""
 
 
 class Reordered(TimedFault):
-    """A packet is held back, and follows that of the next shot. At the end of a run it is lost."""
+    """Reordered packets: a packet is sent after the packet of the next shot. At the end of a run it is lost."""
 
     kind: Literal["reordered"]
     """Chooses this fault."""
 
 
 class StalePacket(TimedFault):
-    """In place of a packet the last one from before the fault is sent again, bit for bit."""
+    """Stale packet: the last packet before the fault is sent again instead of the current one, bit for bit."""
 
     kind: Literal["stale_packet"]
     """Chooses this fault."""
 
 
 class BitErrors(TimedFault):
-    """Bits are inverted on the way. On CAN, whose controllers repeat such frames, it is data that a gateway spoilt."""
+    """Bit errors on the link. CAN controllers repeat damaged frames; on CAN this fault stands for data that a gateway
+    corrupted."""
 
     kind: Literal["bit_errors"]
     """Chooses this fault."""
     rate: Fraction
-    """Probability for each bit; of frames on CAN, bits of the data."""
+    """Probability of inversion of each bit; on CAN of each data bit."""
 
 
 class Truncated(TimedFault):
-    """The rest of a packet is missing: bytes, on CAN whole frames."""
+    """Truncated packets: the last bytes are missing, on CAN the last frames."""
 
     kind: Literal["truncated"]
     """Chooses this fault."""
     keep: Annotated[float, Field(ge=0, lt=1)] = 0.5
-    """Part of the packet that is sent, rounded down."""
+    """Fraction of the packet that is sent, rounded down."""
 
 
 class WrongCrc(TimedFault):
-    """A packet is whole, but for its CRC. On byte links alone."""
+    """Wrong CRC in an otherwise correct packet. Only on byte links."""
 
     kind: Literal["wrong_crc"]
     """Chooses this fault."""
 
 
 class Delayed(TimedFault):
-    """Packets are sent later than their contents say; none overtakes another. `late_after_s` counts from then."""
+    """Delayed packets: sent later than the time of transmission in them, in order. `late_after_s` counts from the
+    delayed due time."""
 
     kind: Literal["delayed"]
     """Chooses this fault."""
     delay_s: Annotated[float, Field(gt=0, le=1)]
-    """By how much."""
+    """Delay."""
 
 
 class Silence(TimedFault):
-    """The line carries no measurements: the transmitter is off, or the cable unplugged."""
+    """No measurement packets, as with the transmitter off or the cable unplugged."""
 
     kind: Literal["silence"]
     """Chooses this fault."""
 
 
 class Garbage(TimedFault):
-    """Random bytes precede a packet: a loose plug, or somebody else's transmitter. On CAN, random frames."""
+    """Random bytes before a packet, as from a loose connector or another transmitter. On CAN, random frames."""
 
     kind: Literal["garbage"]
     """Chooses this fault."""
     bytes: Annotated[int, Field(ge=1, le=1024)]
-    """So many; on CAN eight to a frame."""
+    """Number of bytes; on CAN eight per frame."""
 
 
 class WrongUnit(TimedFault):
-    """Lengths and speeds in packets are in another unit of length than the interface says. What was measured stays."""
+    """Lengths and speeds in packets are in another unit of length than the interface defines. The measurement is not
+    affected."""
 
     kind: Literal["wrong_unit"]
     """Chooses this fault."""
     metres: Positive = 0.3048
-    """In one such unit; left out: a foot."""
+    """Metres per unit; left out: one foot."""
 
 
 class OtherUnit(TimedFault):
-    """Another device answers in place of this one: packets carry its number, and a CRC that is right."""
+    """Packets carry the unit number of another device, with a correct CRC."""
 
     kind: Literal["other_unit"]
     """Chooses this fault."""
     unit: Annotated[int, Field(ge=0, le=15)]
-    """Its number; one that the interface has."""
+    """Unit number in the packets; one that the interface has."""
 
 
 class WrongEndian(TimedFault):
-    """A driver for the other sort of processor: numbers of several bytes stand in the packet the other way round, and
-    the CRC is right. Of packet and beams; what the header of the packet itself holds stays readable."""
+    """Wrong byte order: fields of several bytes in the measurement are byte-swapped, with a correct CRC. The packet
+    header is not affected."""
 
     kind: Literal["wrong_endian"]
     """Chooses this fault."""
 
 
 class OtherVersion(TimedFault):
-    """Firmware of another interface version: packets say so, and the CRC is right. Where the interface has a field
-    `version` alone."""
+    """Firmware with another interface version: packets state it, with a correct CRC. Only if the interface has a
+    field `interface_version` of whole bytes."""
 
     kind: Literal["other_version"]
     """Chooses this fault."""
     version: Annotated[int, Field(ge=0, le=255)]
-    """What they say."""
+    """Version in the packets."""
 
 
 ContentFault = TimeJump | FrozenCounter | WrongUnit

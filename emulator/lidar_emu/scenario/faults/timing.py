@@ -1,4 +1,4 @@
-"""When a fault acts, and on which beams: what all kinds have in common."""
+"""Timing and beams of faults: the keys that all kinds share."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ BeamNumber = Annotated[int, Field(ge=0, le=63)]
 
 
 class TimedFault(Part):
-    """When a fault acts: in shots that begin within a window, in all of them or by chance."""
+    """A fault that acts on shots that begin within a fault window: on all of them, or at random."""
 
     at_s: NonNegative | None = None
-    """Only the first shot that begins at this scenario time or later, in place of a window."""
+    """Act only on the first shot that begins at this scenario time or later, instead of in a window."""
     from_s: NonNegative = 0.0
-    """Start of the window, scenario time."""
+    """Start of the fault window, scenario time."""
     to_s: Annotated[float, Field(gt=0)] | None = None
-    """End of the window: shots that begin then are spared. Left out: the end of the run."""
+    """End of the fault window, exclusive, scenario time. Left out: the end of the run."""
     probability: Fraction = 1.0
-    """Of setting in, for each shot (and each beam, where the fault is one of beams) in the window."""
+    """Probability of onset at each shot in the window, and for each beam if the fault has `beams`."""
     lasts_s: Annotated[float, Field(ge=0, le=60)] = 0.0
-    """How long it lasts once it has set in by chance; 0: one shot. It ends with the window."""
+    """Duration after a random onset; 0: one shot. The fault ends with the window."""
 
     @model_validator(mode="after")
     def _when_is_clear(self) -> Self:
@@ -38,26 +38,26 @@ class TimedFault(Part):
 
 
 class PerBeamFault(TimedFault):
-    """A fault of beams, each by its own chance."""
+    """A fault that acts on beams; onsets are random for each beam."""
 
     beams: Annotated[list[BeamNumber], Field(min_length=1)] | None = None
-    """Numbers of the beams, from 0. Left out: all."""
+    """Numbers of the affected beams, from 0. Left out: all."""
 
 
 class RampedFault(PerBeamFault):
-    """A fault of beams that grows."""
+    """A fault of beams whose magnitude can grow."""
 
     ramp_s: NonNegative = 0.0
-    """Time from the start of the window in which it grows, evenly, to its full size."""
+    """Time from the start of the window in which the magnitude grows linearly from zero to full; 0: full at once."""
 
 
 class FaultWindow(Part):
-    """A fault without chance: it acts throughout a window."""
+    """A fault that acts throughout a fault window."""
 
     from_s: NonNegative = 0.0
-    """Start of the window, scenario time."""
+    """Start of the fault window, scenario time."""
     to_s: Annotated[float, Field(gt=0)] | None = None
-    """End of the window. Left out: the end of the run."""
+    """End of the fault window. Left out: the end of the run."""
 
     at_s: ClassVar[None] = None
     probability: ClassVar[float] = 1.0
