@@ -1,0 +1,133 @@
+"""What a run imports: a stage that it leaves out is not loaded either."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from lidar_emu.scenario.load import shipped_scenarios
+
+WATCHED = {
+    *("numba", "scipy", "scipy.stats", "scipy.optimize", "scipy.interpolate", "scipy.integrate"),
+    *("rasterio", "trimesh", "embreex", "matplotlib", "pyarrow", "pandas", "distributed"),
+    *("can", "serial", "rich", "mcap"),
+    *(
+        f"lidar_emu.{name}"
+        for name in (
+            *("trajectory.powered", "trajectory.profile", "echo", "echo.dust"),
+            *("scene", "scene.generated", "scene.mesh", "scene.objects"),
+            *("flight", "flight.recorded", "fmcw.measure", "fmcw.variants", "fmcw.waveform"),
+            *("faults.measured", "faults.physics", "plan.flight", "plan.expected_error", "probability"),
+        )
+    ),
+}
+FLIGHT = {"numba", "scipy", "plan.flight", "flight", "trajectory.profile", "scene", "echo", "fmcw.measure"}
+OBJECTS = {"scene.mesh", "scene.objects"}
+SIMULATED = {
+    "bench": set[str](),
+    "descent": FLIGHT,
+    "dusty_landing": FLIGHT | {"echo.dust"},
+    "hazards": FLIGHT | OBJECTS | {"scene.generated"},
+    "homodyne_sign": FLIGHT | {"faults.physics", "fmcw.variants"},
+    "nasa_three_beam": FLIGHT,
+    "noisy_descent_2025": FLIGHT | {"faults.physics", "fmcw.variants"},
+    "obstacles": FLIGHT | OBJECTS,
+    "paper_fig2": FLIGHT | OBJECTS | {"scene.generated"},
+    "paper_fig3": FLIGHT,
+    "paper_fig4": FLIGHT,
+    "paper_fig5": FLIGHT | OBJECTS | {"scene.generated"},
+    "powered_descent": FLIGHT | {"trajectory.powered"},
+    "terrain_step_2023": FLIGHT,
+}
+RUN = {"bench": set[str](), "descent": FLIGHT | {"plan.expected_error", "probability"}}
+PLANNED = {"bench": {"rich"}, "live": FLIGHT | {"rich"}}
+
+CODE = """
+import json, os, sys
+from lidar_emu.cli import cli
+
+def loads(command):
+    "The modules that a command loads, in a process of its own so that the next one does not have them."
+    read, write = os.pipe()
+    if not os.fork():
+        sys.stdout = open(os.devnull, "w")
+        try:
+            assert not cli(command, standalone_mode=False)
+            os.write(write, json.dumps(sorted(watched & set(sys.modules))).encode())
+        finally:
+            os._exit(0)
+    os.close(write)
+    with open(read) as pipe:
+        return json.loads(pipe.read() or '["nothing: it failed"]')
+
+watched, commands = map(json.loads, sys.argv[1:])
+watched = set(watched)
+print(json.dumps([loads(command) for command in commands]))
+"""
+
+
+def test_a_command_loads_what_its_scenario_needs(tmp_path: Path) -> None:
+    short = ["--duration", "0.05"]
+    commands = [
+        *(["simulate", name, *short, "--out", str(tmp_path / "out.csv")] for name in SIMULATED),
+        *(["run", name, *short, "--pace", "max", "--plain"] for name in RUN),
+        *(["plan", name, *short] for name in PLANNED),
+    ]
+    done = subprocess.run(
+        [sys.executable, "-c", CODE, json.dumps(sorted(WATCHED)), json.dumps(commands)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    loaded = [
+        {name.removeprefix("lidar_emu.") for name in names}
+        for names in json.loads(done.stdout.splitlines()[-1])
+    ]
+    expected = [*SIMULATED.values(), *RUN.values(), *PLANNED.values()]
+    differences = {
+        " ".join(command[:2]): {"more": sorted(found - named), "less": sorted(named - found)}
+        for command, found, named in zip(commands, loaded, expected, strict=True)
+        if found != named
+    }
+    assert differences == {}, done.stderr
+
+
+def test_no_shipped_scenario_is_forgotten() -> None:
+    assert {f"{name}.yaml" for name in (*SIMULATED, *PLANNED)} == set(shipped_scenarios())
+
+
+HEAVY = (
+    "numba",
+    "numpy",
+    "scipy",
+    "trimesh",
+    "matplotlib",
+    "pydantic",
+    "can",
+    "serial",
+    "rich",
+    "mcap",
+    "rasterio",
+    "pyarrow",
+)
+HELP = """
+import sys
+from lidar_emu.cli import cli
+for command in sys.argv[1:]:
+    cli([*command.split(), "--help"], prog_name="lidar-emu", standalone_mode=False)
+    print("loaded by", command, sorted(set(%r) & set(sys.modules)))
+"""
+
+
+def test_help_loads_nothing_heavy() -> None:
+    from lidar_emu.cli import cli
+
+    commands = ["", *sorted(cli.commands)]
+    done = subprocess.run(
+        [sys.executable, "-c", HELP % (HEAVY,), *commands], capture_output=True, text=True, check=True
+    )
+    loaded = [line for line in done.stdout.splitlines() if line.startswith("loaded by")]
+    assert loaded == [f"loaded by {command} []" for command in commands]
+    assert done.stdout.count("Usage: lidar-emu") == len(commands)
