@@ -1,4 +1,4 @@
-"""Error and time of every setting of a scenario, beside the waveform level at its finest.
+"""Error and time of every setting of a scenario, relative to the waveform level at its finest setting.
 
 The reference is the level `waveform` with the most beamlets, which takes seconds for a beam: its spread of errors
 would need hours. So its fast twin, the level `spectral` with the same echoes and the same draws of speckle and phase,
@@ -16,7 +16,7 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.bench.errors_against_truth import Difference, ErrorSpread, difference
+from lidar_emu.bench.errors_against_truth import DistributionDifference, ErrorSpread, difference
 from lidar_emu.bench.settings import (
     BEAMLETS,
     FAST,
@@ -49,46 +49,46 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class SettingResult:
-    """What a setting costs and how far it is from the reference."""
+    """Time of a setting and its error relative to the reference."""
 
     setting: Setting
     front_s: float
-    """Per beam measurement: beams, ground and echoes."""
+    """Time per beam measurement for beams, ground and echoes."""
     receiver_s: float
-    """Per beam measurement: from echoes to range and speed."""
+    """Time per beam measurement from echoes to range and speed."""
     waveform_ratio: float
     """Time of a beam measurement at level waveform with as many beamlets over the time of this one."""
     spread: ErrorSpread | None
-    """Against the truth; None for level waveform, too slow to have one."""
-    error: Difference
-    """Against the reference."""
+    """Errors against the ground truth; None for level waveform, which is too slow."""
+    error: DistributionDifference
+    """Errors relative to the reference."""
 
     @property
     def time_s(self) -> float:
-        """Per beam measurement, all of it."""
+        """Total time per beam measurement."""
         return self.front_s + self.receiver_s
 
 
 @dataclass(frozen=True)
 class AccuracyReport:
-    """The whole comparison."""
+    """The comparison of all settings."""
 
     scenario: str
     shots: int
     pairs: int
     twin: tuple[float, float]
-    """Root mean square difference of range (m) and speed (m/s) between reference and twin, noise out of the way."""
-    floor: Difference
-    """Between two runs of the twin with different seeds: smaller errors cannot be told from chance."""
+    """Root mean square difference of range (m) and speed (m/s) between reference and twin, with negligible noise."""
+    floor: DistributionDifference
+    """Sampling noise: the difference between two runs of the twin with different seeds."""
     results: list[SettingResult]
     spectra: list[SpectrumMethod]
 
-    def told(self, result: SettingResult) -> Difference:
-        """A setting's error as far as it can be told from chance: at least the floor."""
+    def told(self, result: SettingResult) -> DistributionDifference:
+        """A setting's error, at least the sampling noise."""
         if result.setting.shares_draws:
             return result.error
         error, floor = result.error, self.floor
-        return Difference(
+        return DistributionDifference(
             max(error.range_m, floor.range_m),
             max(error.speed_mps, floor.speed_mps),
             max(error.dropout, floor.dropout),
@@ -100,7 +100,7 @@ class AccuracyReport:
         return pareto_front([(result.time_s, self.told(result).range_m) for result in self.results])
 
     def cheapest(self, range_m: float, speed_mps: float) -> SettingResult | None:
-        """The fastest setting whose errors are at most these; None where there is none."""
+        """The fastest setting whose errors are at most these; None if there is none."""
         errors = [(self.told(r).range_m, self.told(r).speed_mps) for r in self.results]
         chosen = cheapest([r.time_s for r in self.results], errors, (range_m, speed_mps))
         return None if chosen is None else self.results[chosen]
@@ -135,19 +135,21 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
         spread = spreads.get(setting)
         error = difference(spread or spreads[Setting("spectral", setting.beamlets)], spreads[TWIN])
         if setting.level != "waveform":
-            error = Difference(hypot(error.range_m, twin[0]), hypot(error.speed_mps, twin[1]), error.dropout)
+            error = DistributionDifference(
+                hypot(error.range_m, twin[0]), hypot(error.speed_mps, twin[1]), error.dropout
+            )
         front_s = fronts[setting.beamlets]
         ratio = (fronts[setting.beamlets] + receivers[alike]) / (front_s + receivers[setting])
         results.append(SettingResult(setting, front_s, receivers[setting], ratio, spread, error))
     return AccuracyReport(scenario.name, len(shot) * runs, len(pairs), twin, floor, results, spectra)
 
 
-def _floor(one: ErrorSpread, other: ErrorSpread) -> Difference:
-    """What chance makes of two spreads of the same; of dropouts, which may be none, by their binomial variance."""
+def _floor(one: ErrorSpread, other: ErrorSpread) -> DistributionDifference:
+    """Sampling noise between two distributions of one setting; for dropouts by their binomial variance."""
     between = difference(one, other)
     share = 0.5 * (one.dropout + other.dropout)
     chance = (2.0 * share * (1.0 - share) / max(one.count, 1)) ** 0.5
-    return Difference(between.range_m, between.speed_mps, max(between.dropout, chance))
+    return DistributionDifference(between.range_m, between.speed_mps, max(between.dropout, chance))
 
 
 def _pairs(shots: int) -> int:
@@ -159,7 +161,7 @@ def _spaced(available: int, count: int) -> NDArray[np.int64]:
 
 
 def _seen(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Those shots whose first beam meets the ground."""
+    """The shots whose first beam hits the ground."""
     echoes = light(scenario, flight, 1, shot)
     seen = echoes.fired[:, 0] & np.isfinite(echoes.range_m[:, 0, 0])
     if not seen.any():
@@ -169,7 +171,7 @@ def _seen(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> 
 
 
 def _apart(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> tuple[float, float]:
-    """What reference and twin make of the same echoes."""
+    """Measurements of the same echoes by reference and twin."""
     echoes = one_beam(light(scenario, flight, REFERENCE.beamlets, shot), slice(None))
     reference, twin = (build_level(setting.of(scenario))(echoes, shot) for setting in (REFERENCE, TWIN))
     return rms_apart(reference, twin)
@@ -178,7 +180,7 @@ def _apart(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) ->
 def _fast_times_s(
     scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]
 ) -> tuple[dict[int, float], dict[Setting, float]]:
-    """Per beam measurement: of the way to the echoes by number of beamlets, and of the receiver by setting."""
+    """Time per beam measurement: up to the echoes by number of beamlets, and of the receiver by setting."""
     shot = shot[_spaced(len(shot), _TIMED_SHOTS)]
     echoes = {count: light(scenario, flight, count, shot) for count in BEAMLETS}
     levels: dict[Setting, Level] = {setting: build_level(setting.of(scenario)) for setting in FAST}
@@ -193,7 +195,7 @@ def _fast_times_s(
 
 
 def _slow_times_s(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> list[float]:
-    """Per beam measurement of the receiver, by setting of SLOW."""
+    """Time per beam measurement of the receiver, by setting of SLOW."""
     middle = len(shot) // 2
     one = slice(middle, middle + 1)
     jobs = []

@@ -1,4 +1,4 @@
-"""How fast campaigns are flown: one core beside the flight itself, all cores beside as many processes on their own."""
+"""Speed of campaigns: one core relative to real time, a pool relative to as many independent processes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _COMPARISONS = 3
 
 @dataclass(frozen=True)
 class CoreSpeed:
-    """One process, with all that it keeps of a run."""
+    """Speed of one process that keeps everything of a run."""
 
     level: str
     flight_s: float
@@ -41,7 +41,7 @@ class CoreSpeed:
 
 @dataclass(frozen=True)
 class Scaling:
-    """The same runs by a pool, and by as many processes that know nothing of each other; both from their start on."""
+    """Times of the same runs in a pool and in as many independent processes, both including their start."""
 
     workers: int
     runs: int
@@ -50,7 +50,7 @@ class Scaling:
 
 
 def measure_cores(show: Callable[[str], None]) -> list[CoreSpeed]:
-    """Every level in turn, round by round, so that whatever else the machine does hits all alike."""
+    """Measure the levels in turn, round by round, so that other load on the machine affects all alike."""
     prepared = {level: prepare(Path(CAMPAIGN), {"level": level}, _ROUNDS * _RUNS_A_ROUND) for level in LEVELS}
     clock, wall_s, core_s = Clock(), np.empty((len(LEVELS), _ROUNDS)), np.empty((len(LEVELS), _ROUNDS))
     with tempfile.TemporaryDirectory() as kept:
@@ -70,7 +70,7 @@ def measure_cores(show: Callable[[str], None]) -> list[CoreSpeed]:
 
 
 def measure_scaling(workers: int, runs: int, show: Callable[[str], None]) -> Scaling:
-    """Fly `runs` at the statistical level, where what a pool costs counts most; medians of several rounds."""
+    """Fly `runs` at the statistical level, where the overhead of a pool matters most; medians of several rounds."""
     prepared = prepare(Path(CAMPAIGN), {"level": LEVELS[0]}, runs)
     model = build_model(prepared.first)
     rows = model.shot_count * model.beam_count

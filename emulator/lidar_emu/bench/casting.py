@@ -1,4 +1,4 @@
-"""The caster of elevation grids beside ray tracers of triangles: times, errors, lost rays, and what building takes.
+"""The ray caster of elevation grids compared with ray tracers of triangles: times, errors, lost rays, build time.
 
 All on one core, where the system lets a process choose, and in one run: the tools take turns, call by call. Ours takes
 and gives float64, with range, normal, reflectance and what is hit; the peers give distance, normal and triangle.
@@ -48,11 +48,11 @@ Ranges = Callable[[FloatArray, FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class Built:
-    """What it took to make a scene ready."""
+    """Time and memory to build a scene."""
 
     time_s: float
     memory_mb: float | None
-    """At its peak, the samples themselves included; None where it cannot be told."""
+    """Peak memory including the samples; None if the system does not report it."""
 
 
 @dataclass(frozen=True)
@@ -60,22 +60,22 @@ class CastingReport:
     """Figures by tool; a tool's error is a root mean square and a maximum, in metres."""
 
     absent: dict[str, str]
-    """Peers that could not be had, and why."""
+    """Peers that are not installed, and the reasons."""
     time_s: dict[str, dict[str, float]]
     """By kind of rays and tool: mean over different shots of the median time of a call."""
     error_m: dict[str, dict[str, tuple[float, float]]]
-    """By place and tool, against fractions."""
+    """By place and tool, relative to exact fractions."""
     lost: dict[str, int]
-    """Of `aimed` rays to vertices and edges, those that met nothing."""
+    """How many of the `aimed` rays to vertices and edges hit nothing."""
     aimed: int
     built: dict[str, Built]
     """Half a million cells, a million triangles."""
     built_large: Built
-    """Ours, four million cells."""
+    """lidar-emu, four million cells."""
 
 
 def measure_casting(progress: Progress) -> CastingReport:
-    """Build, time and check all that is installed."""
+    """Build, time and check all installed tools."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     builds, absent = installed_peers()
@@ -119,7 +119,7 @@ def measure_casting(progress: Progress) -> CastingReport:
 
 
 def _times_s(grounds: dict[str, GridGround], peers: dict[str, Tracer], rays: list[Rays]) -> dict[str, float]:
-    """Of one call, by tool."""
+    """Median time of one call, by tool."""
     jobs: dict[str, list[Callable[[], object]]] = {}
     for name, ground in grounds.items():
         rooms = [Hits.empty(len(each.direction)) for each in rays]
@@ -167,7 +167,7 @@ def _built(cells: int) -> Built:
 
 
 def _resident_mb() -> float | None:
-    """Memory of this process, where the system tells."""
+    """Memory of this process, if the system reports it."""
     try:
         return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
     except OSError:

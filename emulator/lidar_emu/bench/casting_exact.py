@@ -14,7 +14,7 @@ Point = list[Fraction]
 
 
 class SiteFrame(NamedTuple):
-    """Where the site is on the body: x = fixed_from_site x_site + origin_m, in float64 throughout."""
+    """Position of the site on the body: x = fixed_from_site x_site + origin_m, in float64 throughout."""
 
     fixed_from_site: FloatArray
     origin_m: FloatArray
@@ -25,7 +25,7 @@ class SiteFrame(NamedTuple):
         return np.asarray(turned + self.origin_m if is_point else turned)
 
     def to_site(self, fixed: FloatArray, is_point: bool = True) -> FloatArray:
-        """Points or directions (n, 3) in the site's axes: the origin is taken off first, without loss."""
+        """Points or directions (n, 3) in the site's axes: the origin is subtracted first, without loss."""
         moved = fixed - self.origin_m if is_point else fixed
         return np.asarray((self.fixed_from_site.T * moved[:, None, :]).sum(axis=2))
 

@@ -1,4 +1,4 @@
-"""Ray tracers that others have made, as far as they are installed: triangles in, ranges and normals out.
+"""Third-party ray tracers, if installed: triangles in, ranges and normals out.
 
 Both compute in float32. A peer's rays are converted beforehand, which is not timed, and all are traced in one call.
 """
@@ -23,11 +23,11 @@ class Tracer(Protocol):
         """A call that traces n rays, arrays (n, 3): distance, normal and triangle of each."""
 
     def range_m(self, origin: FloatArray, direction: FloatArray) -> FloatArray:
-        """(n,) Distances; NaN where nothing is met."""
+        """(n,) Distances; NaN where nothing is hit."""
 
 
 class Embree:
-    """embreex, robust: Embree one ray after another."""
+    """embreex in robust mode: Embree, one ray after another."""
 
     def __init__(self, vertex_m: FloatArray, face: NDArray[np.int64]) -> None:
         from embreex.mesh_construction import TriangleMesh
@@ -76,7 +76,7 @@ _PEERS: dict[str, Build] = {"embreex": Embree, "open3d": Open3D}
 
 
 def installed_peers() -> tuple[dict[str, Build], dict[str, str]]:
-    """The peers that can be imported, and of the others why not."""
+    """The peers that can be imported, and the reasons why others cannot."""
     found, absent = {}, {}
     for name, build in _PEERS.items():
         try:

@@ -1,4 +1,4 @@
-"""Ground and rays for comparing casters: one surface as a grid and as triangles, and beams as of a lander."""
+"""Ground and rays for comparing casters: one surface as a grid and as triangles, and the beams of a lander."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _WAIST_M, _WAVELENGTH_M = 0.025, 1.55e-6
 
 
 class Rays(NamedTuple):
-    """Rays (n, 3), so many of them together in a bundle."""
+    """Rays (n, 3), in bundles of equal size."""
 
     origin_m: FloatArray
     direction: FloatArray
@@ -29,7 +29,7 @@ class Rays(NamedTuple):
 
 
 def rolling_ground(cells: int, interpolation: Interpolation) -> GridGround:
-    """Hills of 40 m and roughness of 0.15 m, so many cells of 4 m along a side, around the origin."""
+    """Hills of 40 m and roughness of 0.15 m, `cells` cells of 4 m along a side, around the origin."""
     rng = np.random.default_rng(1)
     place_m = _PIXEL_M * np.arange(cells + 1)
     hills_m = 40 * np.sin(place_m / 310) * np.cos(place_m / 230)[:, None]
@@ -39,7 +39,7 @@ def rolling_ground(cells: int, interpolation: Interpolation) -> GridGround:
 
 
 def triangles(samples: Samples) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Vertices (n, 3) and faces (m, 3) of the same surface as that of `triangles`."""
+    """Vertices (n, 3) and faces (m, 3) of the surface of `triangles`."""
     rows, columns = samples.height_m.shape
     east_m, north_m = np.meshgrid(samples.east_m, samples.north_m)
     vertex_m = np.stack([east_m, north_m, samples.height_m], axis=-1).reshape(-1, 3)
@@ -51,7 +51,7 @@ def triangles(samples: Samples) -> tuple[FloatArray, NDArray[np.int64]]:
 
 
 def beams(rng: np.random.Generator, tilt_rad: float, altitude_m: float, beamlets: int, count: int) -> Rays:
-    """So many beams of a shot, evenly around the vertical, from a place within 200 m of the middle."""
+    """Beams of a shot, evenly around the vertical, from a place within 200 m of the middle."""
     azimuth = 2 * pi * (np.arange(count) / count + rng.random())
     axis = np.stack(
         [
@@ -101,7 +101,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Rays]] = {
     "256 unrelated": lambda rng: unrelated(rng, 256),
     "1024 unrelated": lambda rng: unrelated(rng, 1024),
 }
-"""What is timed, by the names of the table."""
+"""The timed rays, by the names of the table."""
 
 
 def shots(kind: str, count: int) -> list[Rays]:

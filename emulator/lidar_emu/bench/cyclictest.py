@@ -1,4 +1,4 @@
-"""cyclictest of rt-tests beside the flight, where it is installed: what the kernel alone is late by."""
+"""cyclictest of rt-tests beside the flight, if installed: the lateness of the kernel alone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _LONGEST_US = 20_000
 
 
 class Cyclictest:
-    """Runs from entry to exit, or not at all.
+    """Runs from entry to exit, if it is installed.
 
     Args:
         period_ns: from wake-up to wake-up.
@@ -49,12 +49,12 @@ class Cyclictest:
         """p50, p99, p99.9 and maximum of its wake-up lateness; None where it is not installed or had no permission."""
         if self._process is None:
             return None
-        self._process.send_signal(signal.SIGINT)  # it then prints what it has
+        self._process.send_signal(signal.SIGINT)  # it then prints its histogram
         return histogram_figures(self._process.communicate()[0])
 
 
 def cyclictest_command(period_ns: int, count: int) -> list[str]:
-    """The call: priority of the port's process, no influence on the cores' idle states, a histogram by us."""
+    """The command line: priority of the port process, idle states unchanged, a histogram in microseconds."""
     options = {"--priority": _PRIORITY, "--interval": max(1, period_ns // 1000), "--loops": count}
     given = [f"{option}={value}" for option, value in options.items()]
     return [
@@ -86,7 +86,9 @@ def histogram_figures(text: str) -> dict[str, int] | None:
             if seen >= fraction * total:
                 figures[name] = microseconds * 1000
                 break
-    told = [line.split(":")[1].split() for line in text.splitlines() if line.startswith("# Max Latencies:")]
-    if told and told[0]:
-        figures["max_ns"] = max(figures["max_ns"], int(told[0][0]) * 1000)
+    longest = [
+        line.split(":")[1].split() for line in text.splitlines() if line.startswith("# Max Latencies:")
+    ]
+    if longest and longest[0]:
+        figures["max_ns"] = max(figures["max_ns"], int(longest[0][0]) * 1000)
     return figures

@@ -1,4 +1,4 @@
-"""How a setting's errors are spread, and how far that is from the reference's spread."""
+"""Distribution of a setting's errors, and its difference from the reference's distribution."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class ErrorSpread:
     speed_mps: FloatArray
     """(99,)"""
     dropout: float
-    """Share without a valid range."""
+    """Fraction without a valid range."""
     count: int
 
 
 @dataclass(frozen=True)
-class Difference:
-    """Between two spreads: root mean square difference of their quantiles, and of the dropout rates."""
+class DistributionDifference:
+    """Root mean square difference of two distributions' quantiles, and difference of their dropout rates."""
 
     range_m: float
     speed_mps: float
@@ -35,7 +35,7 @@ class Difference:
 
 
 def spread(range_error_m: FloatArray, speed_error_mps: FloatArray, expected: BoolArray) -> ErrorSpread:
-    """The spread of errors (shots, beams), NaN where invalid; `expected` where a measurement could be."""
+    """The distribution of errors (shots, beams), NaN where invalid; `expected` where a measurement was possible."""
     count = int(expected.sum())
     valid = np.isfinite(range_error_m[expected])
     return ErrorSpread(
@@ -61,9 +61,9 @@ def rms(quantiles: FloatArray) -> float:
     return float(np.sqrt(np.mean(quantiles**2)))
 
 
-def difference(one: ErrorSpread, other: ErrorSpread) -> Difference:
-    """How far two spreads are apart: for range and speed the 2-Wasserstein distance of the central 98 %."""
-    return Difference(
+def difference(one: ErrorSpread, other: ErrorSpread) -> DistributionDifference:
+    """Difference of two distributions: for range and speed the 2-Wasserstein distance of the central 98 %."""
+    return DistributionDifference(
         rms(one.range_m - other.range_m),
         rms(one.speed_mps - other.speed_mps),
         abs(one.dropout - other.dropout),

@@ -1,4 +1,4 @@
-"""What packets and frames cost, beside a slow exact path: field by field as the definition says, CRCs bit by bit."""
+"""Cost of packets and frames, compared with a slow exact path: field by field, CRCs bit by bit."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _OWN: Final[Mapping[str, Value]] = {
 
 
 class Job(NamedTuple):
-    """Something to do in two ways, with the same result."""
+    """A task with a fast and an exact implementation."""
 
     name: str
     fast: Callable[[], object]
@@ -48,12 +48,12 @@ class Job(NamedTuple):
 
 
 class Cost(NamedTuple):
-    """Of a job."""
+    """Times of a job."""
 
     name: str
     time_s: float
     exact_s: float
-    """Of the slow exact path."""
+    """Time of the slow exact path."""
 
 
 def measure_protocol(rounds: int) -> list[Cost]:

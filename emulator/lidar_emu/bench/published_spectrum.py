@@ -1,4 +1,4 @@
-"""The published way to a spectrum, as the peer of the bins of `fmcw.spectrum`.
+"""The published method to compute a spectrum, for comparison with the bins of `fmcw.spectrum`.
 
 Budge et al. deposit the beamlets' frequencies on an oversampled grid around the spectrum and convolve it with the
 window's transform by a short FFT. Written for speed: the kernel's transform is made once, many segments go through one

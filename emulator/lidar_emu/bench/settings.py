@@ -1,4 +1,4 @@
-"""The settings that the benchmark compares, and a scenario turned to each of them."""
+"""The settings that the benchmark compares, and a scenario with each of them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LevelName = Literal["geometric", "statistical", "spectral", "waveform"]
 
 @dataclass(frozen=True)
 class Setting:
-    """A level and its dials."""
+    """A level with its number of beamlets and skip rules."""
 
     level: LevelName
     beamlets: int
@@ -33,7 +33,7 @@ class Setting:
 
     @property
     def name(self) -> str:
-        """For tables and pictures."""
+        """Name in tables and plots."""
         if self.level == "geometric":
             return self.level
         skips = ", skips" if not self.exact else ""
@@ -41,7 +41,7 @@ class Setting:
 
     @property
     def shares_draws(self) -> bool:
-        """With the reference: its errors beside it are exact, where others' are told from chance down to a floor."""
+        """Whether it shares the reference's draws: its error is then exact, not limited by sampling noise."""
         return self.beamlets == FINEST and self.level in ("spectral", "waveform")
 
     def of(self, scenario: FlightScenario) -> FlightScenario:
@@ -58,7 +58,7 @@ FAST = (
 SLOW = tuple(Setting("waveform", count) for count in BEAMLETS)
 REFERENCE = Setting("waveform", FINEST)
 TWIN = Setting("spectral", FINEST)
-"""The fast setting with the reference's echoes and draws of speckle."""
+"""The fast setting with the reference's echoes and draws of speckle: its twin."""
 
 
 def light(scenario: FlightScenario, flight: Flight, beamlets: int, shot: NDArray[np.int64]) -> Echoes:
@@ -95,7 +95,7 @@ def reseeded(scenario: FlightScenario, by: int) -> FlightScenario:
 
 
 def quiet(scenario: FlightScenario) -> FlightScenario:
-    """The same flight with sixty decibels more light, an ideal digitiser, a line without width and sub-bin peaks.
+    """The same flight with sixty decibels more light, an ideal digitiser, zero linewidth and sub-bin peaks.
 
     What is left of a difference between two levels is then theirs, not the noise's.
     """
@@ -118,7 +118,7 @@ def one_beam(echoes: Echoes, rows: slice) -> Echoes:
 
 
 def rms_apart(one: Returns, other: Returns) -> tuple[float, float]:
-    """Root mean square differences of range and speed where both are valid; NaN where none is."""
+    """Root mean square differences of range and speed where both are valid; NaN if none is."""
     both = one.range_valid & other.range_valid
     if not both.any():
         return np.nan, np.nan

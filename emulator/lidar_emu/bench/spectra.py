@@ -1,4 +1,4 @@
-"""Three ways to the spectrum of one segment: sample by sample, the published one, and bin by bin."""
+"""Three methods for the spectrum of one segment: sample by sample, as published, and bin by bin."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ _ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class SpectrumMethod:
-    """One way to a segment's windowed bins."""
+    """A method for the windowed bins of a segment."""
 
     name: str
     time_s: float
-    """Per segment."""
+    """Time per segment."""
     error: float
-    """Largest complex error near the tones, over the spectrum's peak; of the FFT itself 0: it is the reference."""
+    """Largest complex error near the tones, relative to the spectrum's peak; 0 for the FFT, the reference."""
 
 
 def compare_spectra(scenario: FlightScenario, flight: Flight, rounds: int = 7) -> list[SpectrumMethod]:

@@ -1,4 +1,4 @@
-"""Times of several jobs, interleaved so that whatever else the machine does hits all alike."""
+"""Times of several jobs, interleaved so that other load on the machine affects all alike."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lidar_emu.runtime.clock import Clock
 
 
 def median_times_s(jobs: Sequence[Callable[[], object]], rounds: int) -> list[float]:
-    """Median of `rounds` times of each job, all jobs once in each round; each is called once before."""
+    """Median of `rounds` times of each job, all jobs once in each round; each is called once beforehand."""
     clock = Clock()
     for job in jobs:
         job()

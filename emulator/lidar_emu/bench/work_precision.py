@@ -1,4 +1,4 @@
-"""Which settings are worth their time: the Pareto front of time and error, and the cheapest that is good enough."""
+"""The Pareto front of time and error, and the cheapest sufficient setting."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Point = tuple[float, float]
 
 
 def pareto_front(points: Sequence[Point]) -> list[int]:
-    """Indices of the points that no other beats in one and equals or beats in the other, from fast to slow.
+    """Indices of the points that no other point dominates, from fast to slow.
 
     Points with NaN are beaten by any; of equal points the first is on the front.
     """
@@ -24,7 +24,7 @@ def pareto_front(points: Sequence[Point]) -> list[int]:
 def cheapest(
     times: Sequence[float], errors: Sequence[Sequence[float]], targets: Sequence[float]
 ) -> int | None:
-    """Index of the fastest whose errors are all at most their targets; None where none is."""
+    """Index of the fastest whose errors are all at most their targets; None if there is none."""
     able = [
         i
         for i, found in enumerate(errors)

@@ -81,7 +81,7 @@ def accuracy(
     if plot is not None:
         _plot(report, Path(plot))
     if as_json:
-        from lidar_emu.bench.document import document
+        from lidar_emu.bench.accuracy_document import document
 
         click.echo(json.dumps(document(report) | {"cheapest": chosen and chosen.setting.name}, indent=2))
     else:
@@ -103,7 +103,7 @@ def _conclude(chosen: SettingResult | None, as_json: bool) -> None:
 
 
 def _plot(report: AccuracyReport, path: Path) -> None:
-    from lidar_emu.bench.document import marks
+    from lidar_emu.bench.accuracy_document import marks
     from lidar_emu.report.work_precision_plot import plot_work_precision
 
     range_marks, speed_marks = marks(report)

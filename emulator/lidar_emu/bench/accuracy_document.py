@@ -1,4 +1,4 @@
-"""The accuracy comparison for machines and for pictures."""
+"""The accuracy comparison as a JSON document and as points of a plot."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lidar_emu.report.work_precision_plot import Mark
 
 
 def document(report: AccuracyReport) -> dict[str, Any]:
-    """A JSON document; null where there is no value."""
+    """The report as JSON; None where there is no value."""
     front = set(report.front)
     range_m, speed_mps = report.twin
     return {
@@ -61,7 +61,7 @@ def _known(value: float) -> float | None:
 
 
 def marks(report: AccuracyReport) -> tuple[list[Mark], list[Mark]]:
-    """Points of the picture: range and speed, as far as they can be told from chance."""
+    """Points of the plot, for range and speed; errors below the sampling noise are shown at its level."""
     told = [report.told(result) for result in report.results]
     return _marks(report, [e.range_m for e in told]), _marks(report, [e.speed_mps for e in told])
 
