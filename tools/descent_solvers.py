@@ -1,4 +1,4 @@
-"""Measure again the table of docs/flights.md: what a descent's accuracy costs, beside scipy's solvers.
+"""Measure the table of docs/flights.md again: error of a descent against run time, compared with scipy's solvers.
 
 python tools/descent_solvers.py            rewrites the table between the two markers; about three minutes
 python tools/descent_solvers.py --print    prints it
@@ -35,7 +35,7 @@ BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 FLOWN_S, CONTROL_HZ = 10.0, 100
 VALVE_LAGS_S = (1e-3, 5e-5)
 OWN_FACTORS = (1, 2, 4, 8)
-"""Steps shorter by this than those of the scenario."""
+"""Factors by which steps are shorter than the scenario's."""
 SOLVERS = (
     ("RK45", 1e-6),
     ("RK45", 1e-9),
@@ -51,7 +51,7 @@ THRUST, MASS, TORQUE = SIZE, SIZE + 1, SIZE + 2
 
 
 class Measured(NamedTuple):
-    """One way to fly it."""
+    """One method of integration."""
 
     name: str
     ms_per_s: float
@@ -60,7 +60,7 @@ class Measured(NamedTuple):
 
 
 def measure(lag_s: float) -> list[tuple[str, float, float, float]]:
-    """Name, ms per simulated second, errors of velocity (m/s) and position (m) at the ticks, of every way."""
+    """Name, ms per simulated second, errors of velocity (m/s) and position (m) at the ticks, of every method."""
     flight = flown(lag_s)
     reference = own(flight, 16).states
     ways = [own(flight, factor) for factor in OWN_FACTORS] + [scipys(flight, *solver) for solver in SOLVERS]
@@ -91,7 +91,7 @@ def own(flight: Descent, factor: float) -> Measured:
 def set_slope_with_lags(
     body: VehicleConstants, lags: Lags, acting: Acting, y: FloatArray, state: FloatArray, slope: FloatArray
 ) -> None:
-    """Of the states with thrust, mass and torque; `state` is room for the first 21."""
+    """Derivative of the states with thrust, mass and torque; `state` is a buffer for the first 21."""
     for i in range(SIZE):
         state[i] = y[i]
     set_derivative(body, y[MASS], y[THRUST], vector_at(y, TORQUE), state, slope)
@@ -137,7 +137,7 @@ def begun_anew(flight: Descent, method: str, tolerance: float) -> FloatArray:
 
 
 def timed(job: Callable[[], Any], rounds: int) -> tuple[Any, float]:
-    """What it returns, and the median of its times; what has to be compiled is compiled before."""
+    """Its result, and the median of its times, after a first call that compiles the kernels."""
     times = []
     for _ in range(rounds):
         start_s = perf_counter()

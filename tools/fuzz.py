@@ -1,4 +1,4 @@
-"""Throws bytes at everything that reads bytes from outside, guided by coverage (atheris, which is libFuzzer).
+"""Fuzz every decoder of external bytes, guided by coverage (atheris, which is libFuzzer).
 
     pip install atheris
     python tools/fuzz.py serial -max_total_time=600

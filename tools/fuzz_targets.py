@@ -1,4 +1,4 @@
-"""What everything that reads bytes from outside is held to, whatever the bytes: it must not raise, must not keep more
+"""Requirements on every decoder of external bytes, for any bytes: it must not raise, must not keep more
 than the longest frame, and must read the good frame that follows. Each target is a function of the fuzzer's bytes.
 """
 
@@ -29,7 +29,7 @@ _RAW = len(KINDS)
 
 
 class _Bytes:
-    """What the fuzzer gave, taken from the front; zeros once it is used up."""
+    """Bytes from the fuzzer, taken from the front; zeros once they are used up."""
 
     def __init__(self, data: bytes) -> None:
         self.rest = data
@@ -78,7 +78,7 @@ def serial(data: bytes) -> None:
             receiver.receive(portion)
             assert receiver.buffered_bytes <= longest
         good = Device(interface).serial_bytes(*example.shot(interface))
-        # What looks like the head of a frame may swallow as many bytes as it promises, but no more.
+        # A false frame header may consume as many bytes as it announces, but no more.
         received = [receiver.receive(good) for _ in range(2 + longest // len(good))]
         assert isinstance(received[-1][-1], Message)
 

@@ -1,4 +1,4 @@
-"""What recorded geometry costs and saves: the table of docs/geometry.md, for the machine that it runs on.
+"""Cost and saving of recorded geometry: the table of docs/geometry.md, for this machine.
 
 Direct runs and runs from the record take turns, each from the scenario to the measurement; the shortest of each counts.
 """

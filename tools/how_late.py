@@ -1,4 +1,4 @@
-"""Measure again what docs/how-late.md shows: its table, between the two markers, and its picture.
+"""Measure the table of docs/how-late.md again, between its two markers, and plot its figure.
 
 python tools/how_late.py            on an otherwise idle machine; takes 21 minutes
 python tools/how_late.py --quick    a tenth of the time, to see whether it works
@@ -33,12 +33,12 @@ def measure(case: Case, picture: Path | None) -> dict[str, Any]:
     options += ["--record"] if case.recorded else []
     options += ["--plot", str(picture)] if picture else []
     done = subprocess.run([*LIDAR_EMU, "bench", "realtime", *options], stdout=subprocess.PIPE, check=True)
-    told: dict[str, Any] = json.loads(done.stdout)
-    return told
+    results: dict[str, Any] = json.loads(done.stdout)
+    return results
 
 
-def page_text(told: list[dict[str, Any]]) -> str:
-    first, lines = told[0], []
+def page_text(results: list[dict[str, Any]]) -> str:
+    first, lines = results[0], []
     machine = first["machine"]
     lines.append(
         f"Measured {datetime.now(UTC):%Y-%m-%d} on {machine['cores']} cores, Linux {machine['kernel']}, "
@@ -50,7 +50,7 @@ def page_text(told: list[dict[str, Any]]) -> str:
         "| late where it had none | host steal |"
     )
     lines.append("|---|---|---|---|---|---|---|---|---|")
-    for one in told:
+    for one in results:
         lines += rows(one)
     if first["cyclictest"] is not None:
         lines.append(f"\ncyclictest beside the first: {figures(first['cyclictest'])}.")
@@ -79,15 +79,15 @@ def figures(of: dict[str, int | None]) -> str:
 
 def main() -> None:
     shorter = 0.1 if "--quick" in sys.argv[1:] else 1.0
-    told: list[dict[str, Any]] = []
+    results: list[dict[str, Any]] = []
     for case in CASES:
         shown = case._replace(duration_s=case.duration_s * shorter)
         print(f"{shown.rate_hz} shots/s, {shown.duration_s:g} s", file=sys.stderr)
-        told.append(measure(shown, None if told else PICTURE))
+        results.append(measure(shown, None if results else PICTURE))
     text = PAGE.read_text()
     before, rest = text.split(BEGIN)
     _, after = rest.split(END)
-    PAGE.write_text(f"{before}{BEGIN}\n{page_text(told)}\n{END}{after}")
+    PAGE.write_text(f"{before}{BEGIN}\n{page_text(results)}\n{END}{after}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Makes the elevation grid that comes with the package: two kilometres of a lunar mare.
+"""Generate the shipped elevation grid: two kilometres of a lunar mare.
 
     python tools/make_ground.py emulator/lidar_emu/shipped/ground/mare.npz
 
@@ -63,7 +63,7 @@ def ramp(x: np.ndarray) -> np.ndarray:
 
 
 def craters(rng: np.random.Generator) -> np.ndarray:
-    """Craters as on a surface in equilibrium: 0.079 / D² per square metre are larger than D (Trask 1966)."""
+    """Craters of a surface in equilibrium: 0.079 / D² per square metre are larger than D (Trask 1966)."""
     extent_m = (SAMPLES - 1) * PIXEL_M
     smallest, largest = 1 / SMALLEST_CRATER_M**2, 1 / LARGEST_CRATER_M**2
     count = int(CRATERS_PER_M2 * (smallest - largest) * extent_m**2)
