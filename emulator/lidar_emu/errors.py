@@ -1,4 +1,4 @@
-"""The two ways in which the tool can fail, told apart by whose fault it was."""
+"""The two errors that end a command: one for what the user gave, one for the run itself."""
 
 from __future__ import annotations
 

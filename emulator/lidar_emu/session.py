@@ -16,7 +16,7 @@ from lidar_emu.device.state import DeviceState
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray
 from lidar_emu.scanner.state import ScannerState
-from lidar_emu.scenario.device import Device
+from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.shots.model import Model, ModelState, initial_state, measure
 from lidar_emu.wire import Encoder, Packet
 
@@ -89,7 +89,7 @@ class Session:
         self._model = model
         self._encoder = encoder
         self._faulty = faulty
-        self.rules = rules or device_rules(Device(), 1e9 / model.period_ns, model.beam_count, 1)
+        self.rules = rules or device_rules(DeviceBehaviour(), 1e9 / model.period_ns, model.beam_count, 1)
         """Of the device."""
         self._state = _State(
             initial_state(model),

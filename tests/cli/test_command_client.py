@@ -17,7 +17,7 @@ from lidar_emu.runtime.change_queue import Changes
 from lidar_emu.runtime.device_link.command_handler import CommandHandler
 from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
 from lidar_emu.runtime.device_link.received_command import ReceivedCommand
-from lidar_emu.scenario.device import Device
+from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.transports.can_port import open_can
 from lidar_emu.transports.host import CanHost
 from lidar_emu.transports.spec import Kind, PortSpec
@@ -32,7 +32,7 @@ class Unit:
 
     def __init__(self, spec: PortSpec, unit: int) -> None:
         self._channel = open_can(spec)
-        rules = device_rules(Device(), 20.0, 4, 2, 1.0)
+        rules = device_rules(DeviceBehaviour(), 20.0, 4, 2, 1.0)
         voice = DownlinkEncoder(INTERFACE, unit, True, self._channel.send)
         self.heard: list[ReceivedCommand] = []
         device = DeviceTimeline(rules, initial(rules))

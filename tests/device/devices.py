@@ -8,7 +8,7 @@ from lidar_emu.device.commands import Order, obey
 from lidar_emu.device.modes import advance, initial
 from lidar_emu.device.rules import Rules, device_rules
 from lidar_emu.device.state import DeviceState
-from lidar_emu.scenario.device import Device
+from lidar_emu.scenario.device import DeviceBehaviour
 
 MS = 1_000_000
 TIMES = {
@@ -21,7 +21,7 @@ TIMES = {
 
 def rules(**part: Any) -> Rules:
     """Of a device at 20 shots a second with four beams and two patterns."""
-    return device_rules(Device.model_validate({**TIMES, **part}), 20.0, 4, 2, 1.5)
+    return device_rules(DeviceBehaviour.model_validate({**TIMES, **part}), 20.0, 4, 2, 1.5)
 
 
 class Unit:

@@ -20,7 +20,7 @@ from lidar_emu.device.state import Mode
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.fmcw.reasons import Reason
-from lidar_emu.scenario.device import Device
+from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.session import Block, Session
 from lidar_emu.shots.flight_model import FlightModel
@@ -42,7 +42,7 @@ def flown(faults: str) -> tuple[FlightScenario, Model]:
 
 def begun(faults: str = "[]", **part: Any) -> tuple[Session, Rules]:
     scenario, model = flown(faults)
-    rules = device_rules(Device.model_validate(part), 20.0, 4, 2)
+    rules = device_rules(DeviceBehaviour.model_validate(part), 20.0, 4, 2)
     encoder = Encoder(scenario.wire, False, False, 4)
     faulty = faulty_encoder(scenario, encoder, False)
     return Session(model, encoder, 100, faulty, rules), rules
@@ -152,7 +152,7 @@ def test_the_scanner_s_own_switches_need_settling_too() -> None:
     scenario = lidar_emu.load("descent.yaml", options)
     model = build_model(scenario)
     assert isinstance(model, FlightModel)
-    rules = device_rules(Device(settling_s=0.1), 20.0, 4, 2)
+    rules = device_rules(DeviceBehaviour(settling_s=0.1), 20.0, 4, 2)
     block = Session(model, Encoder(scenario.wire, False, False, 4), 10, None, rules).shoot(12)
     assert block is not None
     assert block.measurement.fired[:, 0].tolist() == [True] * 6 + [False] * 2 + [True] * 4

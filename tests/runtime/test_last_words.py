@@ -24,7 +24,7 @@ from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report, unpack_frames
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.summary import Tally
-from lidar_emu.scenario.device import Device
+from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_protocol import default_interface, shipped_interface
 
@@ -44,7 +44,7 @@ def unstuffed(frame: bytes) -> bytes:
 
 def words_of(tally: Tally, prepare: Callable[[bytes], None], can: bool = False) -> FinalMessage:
     voice = DownlinkEncoder(default_interface(), 3, can, say=prepare)
-    rules = device_rules(Device(), 10.0, 4, 1)
+    rules = device_rules(DeviceBehaviour(), 10.0, 4, 1)
     keeper = HousekeepingSender(voice, DeviceTimeline(rules, initial(rules)), tally, None, lambda *_: None)
     return FinalMessage(voice, keeper, prepare)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from lidar_emu.device.frequency_noise import Wander
 from lidar_emu.device.state import Mode, Settings
 from lidar_emu.device.thermal import Heating
-from lidar_emu.scenario.device import Device, DeviceClock
+from lidar_emu.scenario.device import DeviceBehaviour, DeviceClock
 from lidar_emu.scenario.faults import BrownOut, DeviceFault, Fault, Interlock
 
 _BEGINS_AND_ENDS: dict[type, tuple[str, str]] = {
@@ -55,7 +55,7 @@ class Rules:
 
 
 def device_rules(
-    part: Device,
+    part: DeviceBehaviour,
     rate_hz: float,
     beam_count: int,
     pattern_count: int,
@@ -90,7 +90,7 @@ def device_rules(
     )
 
 
-def all_events(part: Device, faults: Sequence[Fault]) -> tuple[Event, ...]:
+def all_events(part: DeviceBehaviour, faults: Sequence[Fault]) -> tuple[Event, ...]:
     """What is done to a device by its scenario, faults included, in ascending order."""
     events = [Event(_ns(event.at_s), event.what) for event in part.events]
     for fault in faults:

@@ -63,4 +63,4 @@ class BenchPattern(Part):
     duration_s: Annotated[float, Field(gt=0, le=1e7)]
     """Length of the pattern."""
     latency_s: Annotated[float, Field(ge=0, le=3600)] = 2.9e-3
-    """From a shot's start to its packet."""
+    """Time from a shot's start to its packet."""

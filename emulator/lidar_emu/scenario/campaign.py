@@ -1,4 +1,4 @@
-"""A campaign: many runs of one scenario, some of its keys drawn by chance."""
+"""A campaign: many runs of one scenario, some of its keys drawn at random (Monte Carlo dispersions)."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class Campaign(Part):
     runs: Annotated[int, Field(ge=1, le=10_000_000)]
     """How many."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    """Of what is drawn here, and of the runs' own seeds."""
+    """Seed of the dispersed keys and of the runs' own seeds."""
     sampling: Literal["random", "latin_hypercube", "sobol"] = "random"
     """How the dispersions are drawn: each run for itself, or spread evenly over all runs."""
     dispersions: dict[str, Distribution] = {}

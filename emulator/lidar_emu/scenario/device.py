@@ -26,11 +26,11 @@ class DeviceClock(Part):
     ageing_ppm_per_day: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
     """How `drift_ppm` changes."""
     wander_ppm: Annotated[float, Field(ge=0, le=1e4)] = 0.0
-    """Besides, the rate comes and goes by chance, over tens of seconds to hours: root mean square."""
+    """Random wander of the rate over tens of seconds to hours, root mean square; added to the drift."""
     locked_at_start: Switch = True
     """Whether the lock flag is set at power-up; a synchronisation sets it in any case."""
     holdover_s: Positive | None = None
-    """So long after power-up or the last synchronisation the lock is lost. Left out: never."""
+    """Time after power-up or the last synchronisation at which the lock is lost. Left out: never."""
     pulse_line: Literal["cd", "cts", "dsr"] | None = None
     """Modem line of the serial port whose rising edges are the pulses that `time_at_tone` speaks of. Left out: the
     arrival of the command counts."""
@@ -42,9 +42,9 @@ class Thermal(Part):
     ambient_c: Annotated[float, Field(ge=-273.15, le=300)] = 20.0
     """Temperature with the laser off for long, and at power-up."""
     rise_k: NonNegative = 12.0
-    """With the laser on for long."""
+    """Final temperature rise with the laser on."""
     time_constant_s: Positive = 240.0
-    """Of the approach, both ways."""
+    """Time constant of warming up and of cooling down."""
     limit_c: float | None = None
     """Above it the device goes to mode `fault`. Left out: no limit."""
 
@@ -58,7 +58,7 @@ class DeviceEvent(Part):
     """An open interlock puts the device into mode `fault`. After `power_on` it boots, as new."""
 
 
-class Device(Part):
+class DeviceBehaviour(Part):
     """Modes, commands, housekeeping and clock; see docs/device.md."""
 
     start: Literal["track", "standby", "boot"] = "track"
@@ -70,11 +70,11 @@ class Device(Part):
     power_on_s: NonNegative = 0.0
     """Scenario time of power-up; before it there is nothing on the wire."""
     boot_s: Step = 2.0
-    """From power-up, or a cold restart, to the self-test."""
+    """Time from power-up or a cold restart to the self-test."""
     self_test_s: Step = 1.0
-    """From the self-test to `standby`."""
+    """Time from the start of the self-test to `standby`."""
     warm_restart_s: Step = 0.5
-    """From a warm restart to `standby`."""
+    """Time from a warm restart to `standby`."""
     acquisition_s: Step = 0.5
     """How long the device is in mode `acquire` before it is in `track`."""
     settling_s: Step = 0.0

@@ -46,7 +46,7 @@ def source_of(key: Key, sources: Mapping[Key, Source]) -> Source:
 def explained(
     error: ValidationError, model: type[BaseModel], tree: Tree, sources: Mapping[Key, Source]
 ) -> InputError:
-    """What `model` found wrong first with `tree`; `sources` tells who stated what below each key."""
+    """What `model` found wrong first with `tree`; `sources` names the file that stated each key."""
     complaints = error.errors(include_url=False)
     first = _most_telling(complaints)
     key = _place(tree, first)
@@ -132,7 +132,7 @@ def _length(complaint: Any) -> str:
 
 
 def _schema_at(model: type[BaseModel], location: Key) -> Iterator[dict[str, Any]]:
-    """The JSON schemas that apply at a location as pydantic tells it."""
+    """The JSON schemas that apply at a location in pydantic's notation."""
     schema = _schema(model)
     nodes = list(_alternatives(schema, schema["$defs"]))
     for step in location:

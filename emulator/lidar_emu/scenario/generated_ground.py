@@ -35,11 +35,11 @@ class Craters(Part):
     away as fast as they form."""
 
     age_gyr: Annotated[float, Field(ge=1e-6, le=4.4)]
-    """Age of the surface; the production and the chronology are those of Neukum et al. (2001) for the Moon."""
+    """Age of the surface; the production and the chronology follow Neukum et al. (2001) for the Moon."""
     equilibrium_density: Annotated[float, Field(ge=1e-4, le=0.3)] = 0.079
     """C in the equilibrium's C / D² craters larger than D per area, with D in the area's unit (Trask 1966)."""
     depth_to_diameter: Annotated[float, Field(ge=0.02, le=0.3)] = 0.2
-    """Of a fresh crater, from rim crest to floor. The rim of a fresh crater is 0.18 times as high as that."""
+    """Depth of a fresh crater, from rim crest to floor, over its diameter. Its rim is 0.18 times as high."""
     smallest_diameter_m: Positive | None = None
     """Left out: four times `spacing_m`, which is also the least that the grid can show."""
     largest_diameter_m: Positive | None = None
@@ -91,7 +91,7 @@ class Generated(Part):
     size_m: Annotated[float, Field(gt=0, le=1e6)]
     """Side of the square, a whole number of spacings."""
     spacing_m: Annotated[float, Field(ge=1e-3)]
-    """From sample to sample. At least 32 and at most 4096 fit into `size_m`."""
+    """Distance between samples. At least 32 and at most 4096 fit into `size_m`."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Another seed is another ground with the same statistics. The scenario's own seed does not change the ground."""
     relief: Relief | None = None
@@ -105,7 +105,7 @@ class Generated(Part):
     beyond: Literal["none", "plane", "sphere"] = "none"
     """What lies outside the grid: nothing, the level plane through the origin, or the body's sphere through it."""
     at_m: tuple[float, float] | None = None
-    """Of one of several grids: where in the site frame, east and north, its centre lies. Left out: at 0, 0."""
+    """Centre of the grid in the site frame, east and north, where there are several grids. Left out: at 0, 0."""
     detail: Detail | None = None
     """Relief between the samples. Left out: none."""
 

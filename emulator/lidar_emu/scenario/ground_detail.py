@@ -10,8 +10,8 @@ from lidar_emu.scenario.part import Part, Positive
 
 
 class Detail(Part):
-    """Seeded fractal relief between the samples of a grid, which themselves stay as they are. Unless told otherwise it
-    goes on with the roughness that the grid has at its finest scales."""
+    """Seeded fractal relief between the samples of a grid, which themselves stay as they are. By default it
+    continues the roughness that the grid has at its finest scales."""
 
     spacing_m: Positive
     """The grid's pixel is halved until it is no longer than this."""

@@ -105,7 +105,7 @@ class Adc(Part):
     """Effective number of bits: quantisation and all other noise of the digitiser, taken as white: true where a step is
     no more than about twice the analogue noise."""
     full_scale_v: Annotated[float, Field(ge=1e-9, le=1e3)] = 0.05
-    """From the lowest to the highest voltage at the amplifier's output; beyond, the signal is clipped."""
+    """Range from the lowest to the highest voltage at the amplifier's output; beyond, the signal is clipped."""
 
 
 class Receiver(Part):
@@ -120,11 +120,11 @@ class Receiver(Part):
     temperature_k: Annotated[float, Field(gt=0, le=1e5)] = 300.0
     """Noise temperature of the amplifier's feedback resistance."""
     dark_current_a: Annotated[float, Field(ge=0, le=1)] = 1e-8
-    """Of the pair of detectors."""
+    """Dark current of the pair of detectors."""
     relative_intensity_noise_db_per_hz: Annotated[float, Field(ge=-300, le=0)] | None = -150.0
-    """Of the laser; null leaves it out."""
+    """Relative intensity noise of the laser; null leaves it out."""
     common_mode_rejection_db: NonNegative = 30.0
-    """By which the balanced pair suppresses intensity noise."""
+    """Suppression of intensity noise by the balanced pair."""
     bandwidth_hz: Positive | None = 300e6
     """Half-power frequency of the amplifier's single pole. Noise from beyond half the sample rate folds in: a wide
     amplifier is a noisy one. null is flat within the band and lets nothing else in."""

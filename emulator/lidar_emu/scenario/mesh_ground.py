@@ -38,7 +38,7 @@ class MeshOrigin(Part):
 
     @property
     def is_body_fixed(self) -> bool:
-        """Whether the file's axes are those of a body."""
+        """Whether the file's axes are fixed to a body."""
         return self.latitude_deg is not None or self.body_fixed_m is not None
 
 
@@ -50,6 +50,6 @@ class Mesh(Part):
     file: str
     """OBJ, PLY or STL (extra `mesh`). Relative to the file that names it."""
     unit: MeshUnit
-    """Of the file's coordinates."""
+    """Unit of the file's coordinates."""
     origin: MeshOrigin = MeshOrigin()
     """The point that becomes the origin of the site frame."""

@@ -22,7 +22,7 @@ class Scatter(Part):
     count: Annotated[int, Field(ge=1, le=MOST_COPIES)]
     """How many."""
     radius_m: Positive
-    """Of the disc about `east_m`, `north_m` that they are spread over, evenly."""
+    """Radius of the disc about `east_m`, `north_m` over which they are spread evenly."""
     scale: tuple[Positive, Positive] = (1.0, 1.0)
     """Least and greatest size, relative to the object's own; in between all octaves are alike."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
@@ -133,7 +133,7 @@ class Cliff(Placed):
     kind: Literal["cliff"]
     """Chooses this object."""
     length_m: Positive
-    """Of the top, from the edge forward."""
+    """Length of the top, forward of the edge."""
     width_m: Positive
     """Of the face."""
     height_m: Positive
@@ -152,7 +152,7 @@ class RampObject(Placed):
     width_m: Positive
     """To the right."""
     height_m: Positive
-    """Of the far end."""
+    """Height of the far end."""
 
 
 class Tree(Placed):
@@ -161,7 +161,7 @@ class Tree(Placed):
     kind: Literal["tree"]
     """Chooses this object."""
     height_m: Positive
-    """To the top of the crown."""
+    """Height of the top of the crown."""
     crown_diameter_m: Positive
     """Across."""
     crown_base_m: NonNegative | None = None
@@ -195,7 +195,7 @@ class MeshObject(Placed):
     file: str
     """OBJ, PLY or STL (extra `mesh`). Relative to the file that names it."""
     unit: MeshUnit
-    """Of the file's coordinates."""
+    """Unit of the file's coordinates."""
     scale: Positive = 1.0
     """How many times larger it is than the file says."""
 

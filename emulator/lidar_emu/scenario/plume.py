@@ -20,15 +20,16 @@ class Plume(Part):
     full_height_m: Annotated[float, Field(ge=0)] = 12.0
     """Below it there is as much dust as there will be."""
     optical_depth: Depth = 0.5
-    """Of the sheet at full height, once through it straight down: the ground's echo loses exp(-2 · depth)."""
+    """Optical depth of the sheet at full height, once through it straight down: the ground's echo loses
+    exp(-2 · depth)."""
     thickness_m: Positive = 1.0
-    """Of the sheet, above the ground."""
+    """Thickness of the sheet above the ground."""
     lidar_ratio_sr: Annotated[float, Field(ge=1, le=1000)] = 50.0
     """Extinction over backscatter of the dust: with less its own echo is stronger."""
     streak_share: Share = 0.05
-    """At full height, the chance that a beam meets a dense streak in a shot."""
+    """Probability, at full height, that a beam meets a dense streak in a shot."""
     streak_optical_depth: Depth = 3.0
-    """Of a streak, once through it."""
+    """Optical depth of a streak, once through it."""
     speed_mps: Annotated[float, Field(ge=0, le=3000)] = 20.0
     """Outward speed of the dust over the ground, away from below the vehicle."""
     speed_spread: Share = 0.5

@@ -18,7 +18,7 @@ A scenario is one YAML 1.2 file. It states either a flight (instrument, site, tr
 pattern. A campaign, last on this page, is a file of its own that names a scenario and dotted keys of it (below: `KEY`)
 that are set or drawn. Unknown keys, text in place of numbers, infinities and NaN are refused with the file, the key
 and what is allowed. This page is printed by `lidar-emu schema --markdown`; `lidar-emu schema` prints the same as JSON
-Schema (`--campaign`: that of a campaign), which editors use to complete and check what you write:
+Schema (`--campaign`: the schema of a campaign), which editors use to complete and check what you write:
 
 ```yaml
 # yaml-language-server: $schema=lidar-emu.schema.json

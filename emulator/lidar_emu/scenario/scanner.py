@@ -93,7 +93,7 @@ class Scan(Part):
     at once back to its start. They stand still during a shot."""
 
     half_angle_deg: Annotated[float, Field(gt=0, lt=90)]
-    """To each side of where the pattern points."""
+    """Largest deflection to each side of the pattern's direction."""
     steps: Annotated[int, Field(ge=2, le=10_000)]
     """Shots of a line, evenly spaced in angle, both ends included."""
     azimuth_deg: float = 90.0
@@ -117,7 +117,7 @@ class Scanner(Part):
 
     @property
     def patterns(self) -> list[Pattern]:
-        """The pattern at the start, then that of each switch."""
+        """The pattern at the start, then the pattern of each switch."""
         return [self.pattern, *(switch.pattern for switch in self.switches)]
 
 

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.bench_pattern import BenchPattern
-from lidar_emu.scenario.device import Device
+from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.part import Part, Switch, unusable
@@ -38,7 +38,7 @@ class Timing(Part):
     epoch: Epoch = datetime(2030, 1, 1, tzinfo=UTC)
     """Instant of scenario time 0 on the instrument's clock; UTC where it names no zone."""
     processing_latency_s: Annotated[float, Field(ge=0, le=3600)] = 2e-3
-    """From the end of the cycle to the packet."""
+    """Time from the end of the cycle to the packet."""
     late_after_s: Annotated[float, Field(ge=1e-6, le=3600)] | None = None
     """A packet later than this is late: not sent, but counted. Left out: one period."""
     when_late: Literal["skip", "abort"] = "skip"
@@ -79,14 +79,14 @@ class Scenario(Part):
     name: str
     """Shown in plans and summaries."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    """Of everything drawn by chance."""
+    """Seed of every random number."""
     duration_s: Annotated[float, Field(gt=0, le=LONGEST_S)] | None = None
     """Length of the run. Left out: as long as the trajectory or the pattern."""
     timing: Timing = Timing()
     """Rate and latency."""
     wire: Wire = Wire()
     """Identity on the wire."""
-    device: Device = Device()
+    device: DeviceBehaviour = DeviceBehaviour()
     """The device around the lidar: modes, clock, housekeeping."""
     faults: Annotated[list[Fault], Field(min_length=0, max_length=256)] = []
     """What goes wrong, in this order: each acts on what those before it have left."""
@@ -98,7 +98,7 @@ class Scenario(Part):
 
     @property
     def laser_power_w(self) -> float | None:
-        """Of the laser while it is on; None where there is none."""
+        """Power of the laser while it is on; None where there is none."""
         return None
 
 

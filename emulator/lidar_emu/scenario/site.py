@@ -101,7 +101,7 @@ class Grid(Part):
     """Band with the albedo at the laser's wavelength, 0 to 1, in place of `surface.reflectance`, which stays where
     samples are missing."""
     rock_abundance_band: str | Annotated[int, Field(ge=1)] | None = None
-    """Band with the share of the area that rocks cover, 0 to 1; `plan` tells it, nothing else comes of it."""
+    """Band with the share of the area that rocks cover, 0 to 1; shown by `plan`, otherwise unused."""
     interpolation: Interpolation = "bilinear"
     """What spans the cell between four samples: one bilinear patch, or two triangles that share the diagonal from
     south-west to north-east. The surface chosen is the truth that ranges are measured to."""
@@ -109,7 +109,7 @@ class Grid(Part):
     """What lies outside the grid: nothing (beams that leave it find no surface), the level plane through the
     origin, or the body's sphere through the origin. Missing samples count as outside."""
     at_m: tuple[float, float] | None = None
-    """Of one of several grids: where in the site frame, east and north, its own origin lies. Left out: at 0, 0."""
+    """Origin of the grid in the site frame, east and north, where there are several grids. Left out: at 0, 0."""
     detail: Detail | None = None
     """Relief between the samples. Left out: none."""
 
@@ -123,8 +123,9 @@ class Nested(Part):
     grids: Annotated[
         list[Annotated[Grid | Generated, Field(discriminator="kind")]], Field(min_length=2, max_length=16)
     ]
-    """From the finest to the widest. The origin of the first is that of the site frame; another one whose `origin` and
-    `at_m` are left out is placed by the same point of the map. What lies beyond is for the last one to say."""
+    """The grids, from the finest to the widest. The origin of the first is the origin of the site frame; another grid
+    whose `origin` and `at_m` are left out is placed by the same point of the map. The last one states what lies
+    beyond."""
     feather_m: NonNegative | None = None
     """Width of the strips. Left out: four pixels of the wider grid, at most a quarter of the finer one's side."""
 
@@ -134,10 +135,10 @@ class Nested(Part):
         return self.grids[-1].beyond
 
     @model_validator(mode="after")
-    def _beyond_is_said_once(self) -> Self:
+    def _beyond_is_stated_once(self) -> Self:
         for place, grid in enumerate(self.grids[:-1]):
             if grid.beyond != "none":
-                allowed = "none; what lies beyond is said by the last of the grids"
+                allowed = "none; the last of the grids states what lies beyond"
                 raise unusable(f"grids.{place}.beyond", grid.beyond, allowed)
         return self
 

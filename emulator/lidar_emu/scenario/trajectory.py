@@ -44,7 +44,7 @@ class Profile(Part):
     kind: Literal["profile"]
     """Chooses this kind of trajectory."""
     waypoints: Annotated[list[Waypoint], Field(min_length=2)]
-    """From high to low; the deceleration of each leg follows from its ends."""
+    """Waypoints from high to low; the deceleration of each leg follows from its ends."""
     path_angle_deg: Annotated[float, Field(ge=0.1, le=90)] = 90.0
     """Angle of the path below the horizontal: 90 straight down, 45 a slant path."""
     heading_deg: float = 0.0
@@ -252,19 +252,19 @@ class PoweredDescent(Part):
     vehicle: Vehicle
     """What flies."""
     start: Start
-    """From where."""
+    """State at the start."""
     target: Target = Target()
-    """To where."""
+    """Landing target."""
     guidance: Annotated[GravityTurn | Polynomial, Field(discriminator="kind")]
     """How it gets to the gate, the point from which it descends straight down."""
     gate_height_m: NonNegative = 30.0
-    """Of the gate above the ground at the target, counted from the feet."""
+    """Height of the gate above the ground at the target, counted from the feet."""
     descent_speed_mps: Positive = 1.5
-    """From the gate on, downward."""
+    """Downward speed from the gate on."""
     cut_off_height_m: NonNegative = 0.5
-    """Of the lowest foot above the ground when the engine is cut off; 0: when it touches."""
+    """Height of the lowest foot above the ground when the engine is cut off; 0: when it touches."""
     maximum_tilt_deg: Annotated[float, Field(ge=0, le=85)] = 45.0
-    """Of the commanded thrust from the vertical."""
+    """Largest angle of the commanded thrust from the vertical."""
     heading_deg: float = 0.0
     """Direction that body x keeps, clockwise from north."""
     gravity_mps2: Positive = 1.62

@@ -51,11 +51,11 @@ class Gear(Part):
     feet: Annotated[int, Field(ge=3, le=16)] = 4
     """How many."""
     radius_m: Positive = 1.5
-    """Of their circle."""
+    """Radius of the circle of the feet."""
     below_m: NonNegative = 1.2
-    """Of the vehicle's reference point, along body z."""
+    """Distance of the feet below the vehicle's reference point, along body z."""
     stiffness_npm: Positive = 40_000.0
-    """Of one foot."""
+    """Stiffness of one foot."""
     damping_spm: NonNegative = 3.0
     """The spring's force is multiplied by 1 + damping · speed of compression, never below 0 (Hunt and Crossley)."""
     friction: NonNegative = 0.5
@@ -68,7 +68,7 @@ class Slosh(Part):
     mass_kg: Positive
     """Part of the dry mass as far as the engine is concerned: it stays."""
     length_m: Positive
-    """Of the rod; it swings at sqrt(acceleration / length)."""
+    """Length of the rod; it swings at sqrt(acceleration / length)."""
     hinge_body_m: Vector3 = (0.0, 0.0, 0.0)
     """Where it hangs, from the reference point."""
     damping_per_s: Annotated[float, Field(ge=0, le=100)] = 0.02
@@ -79,9 +79,9 @@ class FlexibleMode(Part):
     """One bending mode of an appendage, moved by the vehicle's angular acceleration and moving it."""
 
     frequency_hz: Annotated[float, Field(gt=0, le=50)]
-    """With the vehicle's body held still."""
+    """Frequency with the vehicle's body held still."""
     damping_ratio: Annotated[float, Field(ge=0, lt=1)] = 0.005
-    """Of the critical damping."""
+    """Fraction of the critical damping."""
     inertia_share: tuple[Share, Share, Share]
     """Of the dry vehicle's inertia about body x, y and z that swings with it; their sum below 0.9."""
 

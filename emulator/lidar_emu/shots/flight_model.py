@@ -30,7 +30,7 @@ class FlightModel:
     """A flight over ground, measured by the model of the instrument."""
 
     def __init__(self, scenario: FlightScenario, flight: Flight | None = None) -> None:
-        """Of a scenario and its flight; None: yet to be built."""
+        """Model a scenario; `flight` None: it is built here."""
         self.scenario = scenario
         self.flight = Flight(scenario) if flight is None else flight
         self.plan = plan_flight(scenario, self.flight)
