@@ -42,6 +42,7 @@ kernels: $(VENV)/.ready-dev
 # Everything in docs/ and in the protocol package that is generated from code and definitions.
 docs: $(VENV)/.ready-dev
 	$(BIN)/lidar-emu schema --markdown > docs/scenario-reference.md
+	$(BIN)/python -c 'from lidar_emu.report.columns_page import markdown; print(markdown(), end="")' > docs/columns.md
 	$(BIN)/lidar-emu icd --out protocol/lidar_protocol
 
 # The stamps are written last: an environment without one was left half made and is made again.

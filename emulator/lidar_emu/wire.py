@@ -16,7 +16,8 @@ import numpy as np
 from lidar_emu.device.state import TRACKING, Mode, Status
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.fmcw.reasons import Reason
-from lidar_emu.measurement import Measurement
+from lidar_emu.measurement import COLUMNS, Measurement
+from lidar_emu.numerics.columns import Group, in_groups
 from lidar_emu.scenario.schema import Wire
 from lidar_protocol import (
     SHIPPED,
@@ -36,26 +37,10 @@ from lidar_protocol.layout import FILLED_IN, Layout
 Packet = bytes | list[CanFrame]
 """What one shot is on a link: framed bytes, or CAN frames in the order of sending."""
 
-_SAME_ON_THE_WIRE = (
-    "fired",
-    "range_valid",
-    "speed_valid",
-    "sign_resolved",
-    "segments",
-    "reason",
-    "returns",
-    "snr_db",
-    "range_m",
-    "closing_speed_mps",
-    "second_range_m",
-    "sigma_range_m",
-    "sigma_speed_mps",
-    "residual_mps",
-    "beam_angle_deg",
-)
-_columns = attrgetter(*_SAME_ON_THE_WIRE)
-_REASON = _SAME_ON_THE_WIRE.index("reason")
-_BEAM_FIELDS = (*_SAME_ON_THE_WIRE, "time_offset_s")
+_ON_THE_WIRE = tuple(in_groups(COLUMNS, Group.POINTING, Group.REPORT))
+_columns = attrgetter(*_ON_THE_WIRE)
+_REASON = _ON_THE_WIRE.index("reason")
+_BEAM_FIELDS = (*_ON_THE_WIRE, "time_offset_s")
 _OF_A_BEAM = frozenset(_BEAM_FIELDS)
 _OF_A_SHOT = frozenset({"time_ns", "time_s", "due_ns", "due_s", "mode", "laser_on", "clock_locked", "shot"})
 _REASONS = tuple(reason.name.lower() for reason in Reason)
@@ -250,7 +235,7 @@ def rows(message: Message) -> list[dict[str, Any]]:
     result = []
     for beam, values in enumerate(message.beams):
         row: dict[str, Any] = {**unit, "beam": beam, "time_s": _time_s(message, values)}
-        row.update((name, values[name]) for name in _SAME_ON_THE_WIRE if name in values)
+        row.update((name, values[name]) for name in _ON_THE_WIRE if name in values)
         result.append(row)
     return result
 

@@ -28,10 +28,10 @@ def flight():
         return rng.normal(scale=scale, size=shape)
 
     points_m = np.stack([east_m, north_m, noise(0.1)], axis=-1)
-    return Measurement(
-        shot=shot,
-        time_ns=np.broadcast_to(shot[:, None] * 50_000_000 + 123_456, shape).copy(),
-        due_ns=shot * 50_000_000 + 2_900_000,
+    return Measurement.with_columns(
+        shot,
+        np.broadcast_to(shot[:, None] * 50_000_000 + 123_456, shape).copy(),
+        shot * 50_000_000 + 2_900_000,
         fired=fired,
         beam_angle_deg=np.where(fired, 20.0, np.nan),
         range_m=np.where(range_valid, true_range_m + noise(0.1), np.nan),
@@ -46,11 +46,9 @@ def flight():
         sigma_range_m=np.abs(noise(1e-2)),
         sigma_speed_mps=np.abs(noise(1e-3)),
         returns=fired.astype(np.uint8),
-        second_range_m=np.full(shape, np.nan),
         true_range_m=true_range_m.copy(),
         true_closing_speed_mps=true_speed_mps.copy(),
         true_incidence_deg=np.full(shape, 20.0),
-        true_in_gap=np.zeros(shape, dtype=np.bool_),
         point_site_m=np.where(range_valid[..., None], points_m, np.nan),
         position_site_m=np.concatenate([np.zeros((SHOTS, 2)), altitude_m], axis=1),
         velocity_site_mps=np.stack([np.zeros(SHOTS), np.zeros(SHOTS), -true_speed_mps[:, 0]], axis=1),

@@ -32,7 +32,7 @@ def _measure(range_m: float, speed_mps: float, acceleration_mps2: float) -> Outc
         closing_acceleration_mps2=acceleration_mps2,
     )
     slow = measure_waveform(waveform, _JOINT.detection, footprint)
-    assert slow.valid.all()
+    assert slow.range_valid.all()
     observed = np.stack([target.frequency_bin[:, 0] for target in slow.targets], axis=-1)
     truth = BeatTruth(observed, np.repeat(slow.range_m, 2)[None], np.repeat(slow.closing_speed_mps, 2)[None])
     tones = np.abs(returns.segment_peak_hz.reshape(-1, 3) / waveform.bin_width_hz - observed)

@@ -229,7 +229,7 @@ def test_distributions_with_noise(
     case = _case(snr_db, None, FINE | {"window": window}, receiver, beamlets, speckle=beamlets > 1)
     spectral, exact = case.spectral(60_000, seed=7), case.waveform(10_000)
     assert _least_p(spectral, exact) > 1e-3
-    rates = (spectral.reason == Reason.VALID).mean(), exact.valid.mean()
+    rates = (spectral.reason == Reason.VALID).mean(), exact.range_valid.mean()
     assert abs(rates[0] - rates[1]) < 4 * np.sqrt(rates[1] * (1 - rates[1]) / 10_000 + 1e-8)
 
 

@@ -100,7 +100,7 @@ def test_beyond_the_record_edge_range_is_refused() -> None:
     near = _point(waveform.record_edge_range_m + 300.0, 0.7)
     measured = measure_waveform(waveform, Detection(), near, edges=True)
     assert Reason(int(measured.reason[0])) is Reason.BEYOND_RANGE
-    assert not measured.valid[0]
+    assert not measured.range_valid[0]
     assert np.isnan(measured.range_m[0])
 
 

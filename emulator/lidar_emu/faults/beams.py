@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lidar_emu.faults.held_values import Row, extended, hold
 from lidar_emu.faults.schedule import FaultInstance, FaultOccurrence
 from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.returns import REPORT_COLUMNS
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.scenario import faults as kinds
@@ -19,17 +20,7 @@ from lidar_emu.scenario import faults as kinds
 Held = dict[str, Row]
 """Values that a fault holds from shot to shot: rows (1, beams) by their names in `Measurement`."""
 
-_FLOATS = (
-    "range_m",
-    "closing_speed_mps",
-    "snr_db",
-    "residual_mps",
-    "sigma_range_m",
-    "sigma_speed_mps",
-    "second_range_m",
-)
-_FLAGS = ("range_valid", "speed_valid", "sign_resolved")
-_REPORTED = (*_FLOATS, *_FLAGS, "reason", "segments", "returns")
+_FLAGS = tuple(name for name, column in REPORT_COLUMNS.items() if column.dtype == "?")
 _VALUES = {
     "range": (("range_m", "range_valid"),),
     "closing_speed": (("closing_speed_mps", "speed_valid"),),
@@ -137,7 +128,7 @@ _Result = tuple[Measurement, Held | None]
 
 
 def _dropout(block: Measurement, active: _ActiveFault) -> _Result:
-    nothing: dict[str, Any] = {**dict.fromkeys(_FLOATS, np.nan), **dict.fromkeys(_FLAGS, False)}
+    nothing: dict[str, Any] = {name: column.missing_value for name, column in REPORT_COLUMNS.items()}
     reason = Reason.BELOW_THRESHOLD
     return active.with_columns(block, **nothing, reason=reason, segments=0, returns=0), None
 
@@ -155,7 +146,7 @@ def _stuck(block: Measurement, active: _ActiveFault) -> _Result:
 
 def _frozen(block: Measurement, active: _ActiveFault) -> _Result:
     columns, holding = {}, {}
-    for name in _REPORTED:
+    for name in REPORT_COLUMNS:
         before = active.held[name] if active.held else None
         columns[name], holding[name] = hold(getattr(block, name), block.fired & ~active.affected, before)
     return active.with_columns(block, **columns), holding
@@ -222,7 +213,7 @@ def _wrong_sign(block: Measurement, active: _ActiveFault) -> _Result:
 def _swapped_beams(block: Measurement, active: _ActiveFault) -> _Result:
     columns: dict[str, NDArray[Any]] = {}
     a, b = active.fault.beams
-    for name in _REPORTED:
+    for name in REPORT_COLUMNS:
         columns[name] = getattr(block, name).copy()
         columns[name][:, [a, b]] = columns[name][:, [b, a]]
     return active.with_columns(block, **columns), None

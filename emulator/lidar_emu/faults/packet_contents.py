@@ -11,18 +11,12 @@ from numpy.typing import NDArray
 
 from lidar_emu.faults.held_values import Row, hold
 from lidar_emu.faults.schedule import FaultOccurrence, FaultSchedule
+from lidar_emu.fmcw.returns import REPORT_COLUMNS
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.random_streams import RandomStream, fault_purpose
 from lidar_emu.scenario import faults as kinds
 
-_IN_METRES = (
-    "range_m",
-    "closing_speed_mps",
-    "second_range_m",
-    "sigma_range_m",
-    "sigma_speed_mps",
-    "residual_mps",
-)
+_IN_METRES = tuple(name for name, column in REPORT_COLUMNS.items() if column.unit in ("m", "m/s"))
 
 ContentState = tuple[Row | None, ...]
 """For each fault, the last shot number before it acted."""

@@ -15,6 +15,7 @@ from lidar_emu.fmcw.doppler_sign_ambiguity import with_opposite_sign
 from lidar_emu.fmcw.estimation import DOWN, UP, Estimate, chirp_minus_doppler, least_squares
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.returns import RETURN_COLUMNS
 from lidar_emu.fmcw.segment_spectrum import set_spectrum
 from lidar_emu.fmcw.skip_limits import GROSS_RESIDUAL_BINS
 from lidar_emu.fmcw.speckle import forget
@@ -25,23 +26,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 
 BEAM_RETURN = np.dtype(
-    [
-        ("range_m", "f8"),
-        ("closing_speed_mps", "f8"),
-        ("snr_db", "f8"),
-        ("residual_mps", "f8"),
-        ("sigma_range_m", "f8"),
-        ("sigma_speed_mps", "f8"),
-        ("second_range_m", "f8"),
-        ("segment_peak_hz", "f8", (3,)),
-        ("range_valid", "?"),
-        ("speed_valid", "?"),
-        ("sign_resolved", "?"),
-        ("reason", "i1"),
-        ("segments", "u1"),
-        ("returns", "u1"),
-    ],
-    align=True,
+    [(name, column.dtype, column.components) for name, column in RETURN_COLUMNS.items()], align=True
 )
 """One row of `Returns`."""
 

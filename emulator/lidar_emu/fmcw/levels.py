@@ -51,21 +51,18 @@ def geometric(echoes: Echoes, maximum_range_m: float) -> Returns:
         reason[echoes.inside | (range_m <= 0)] = Reason.INSIDE_GROUND
     reason[~echoes.fired] = Reason.NOT_FIRED
     valid = reason == Reason.VALID
-    unknown = np.full(valid.shape, np.nan)
     exact = np.where(valid, 0.0, np.nan)
-    return Returns(
+    return Returns.with_columns(
+        valid.shape,
         range_m=np.where(valid, range_m, np.nan),
         closing_speed_mps=np.where(valid, speed_mps, np.nan),
         range_valid=valid,
-        speed_valid=valid.copy(),
-        sign_resolved=valid.copy(),
+        speed_valid=valid,
+        sign_resolved=valid,
         reason=reason,
         segments=np.where(valid, 7, 0).astype(np.uint8),
-        snr_db=unknown,
         residual_mps=exact,
-        sigma_range_m=exact.copy(),
-        sigma_speed_mps=exact.copy(),
+        sigma_range_m=exact,
+        sigma_speed_mps=exact,
         returns=valid.astype(np.uint8),
-        second_range_m=unknown.copy(),
-        segment_peak_hz=np.full((*valid.shape, 3), np.nan),
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -10,12 +9,10 @@ from numpy.typing import NDArray
 
 from lidar_emu.fmcw.beam_measurement import BEAM_RETURN, measure_spectra, measure_statistically, prepare
 from lidar_emu.fmcw.receiver_model import ReceiverModel, as_records
-from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Returns
 from lidar_emu.fmcw.workspace import Workspace, build_workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import with_fields
-
-_COLUMNS = tuple(field.name for field in fields(Returns))
 
 
 class FmcwReceiver:
@@ -86,7 +83,7 @@ class FmcwReceiver:
             self._seed,
             with_fields(rows),
         )
-        return Returns(*(rows[name] for name in _COLUMNS))
+        return Returns(*(rows[name] for name in RETURN_COLUMNS))
 
     def _workspace(self, beamlets: int, half: int) -> Workspace:
         """Room for so many beamlets and for filters of `half` taps on each side."""

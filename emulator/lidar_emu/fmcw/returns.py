@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.columns import Column, columns, missing_columns
 
 
 @dataclass(frozen=True)
@@ -39,32 +42,82 @@ class Echoes:
 
 
 @dataclass(frozen=True)
-class Returns:
-    """What the instrument reports: arrays (shots, beams); NaN where it has nothing to report."""
+class BeamReport:
+    """What the instrument reports of each beam, (shots, beams); NaN where it has nothing to report."""
 
-    range_m: FloatArray
-    closing_speed_mps: FloatArray
-    range_valid: BoolArray
-    speed_valid: BoolArray
-    sign_resolved: BoolArray
-    """Direction of motion and folds are beyond doubt, for closing speeds up to λ fs / 4 (232.5 m/s): beyond, every
-    segment looks like an alias. The estimators say by which rule."""
-    reason: NDArray[np.int8]
-    """A `Reason`."""
-    segments: NDArray[np.uint8]
-    """Segments with a detection: bit 0 up-chirp, bit 1 constant, bit 2 down-chirp."""
-    snr_db: FloatArray
+    range_m: Annotated[FloatArray, Column("f8", "m", "Measured range.")]
+    closing_speed_mps: Annotated[
+        FloatArray, Column("f8", "m/s", "Measured closing speed, positive toward the ground.")
+    ]
+    range_valid: Annotated[BoolArray, Column("?", "", "Whether the range is valid.")]
+    speed_valid: Annotated[BoolArray, Column("?", "", "Whether the closing speed is valid.")]
+    sign_resolved: Annotated[
+        BoolArray,
+        Column("?", "", "Whether the sign of the closing speed and the folds of the beats are beyond doubt."),
+    ]
+    """For closing speeds up to λ fs / 4 (232.5 m/s): beyond, every segment looks like an alias. `fmcw.estimate` has
+    the rules."""
+    reason: Annotated[
+        NDArray[np.int8],
+        Column(
+            "i1",
+            "",
+            "Why a beam is invalid, a code of `lidar_emu.fmcw.reasons.Reason`.",
+            missing=Reason.NOT_FIRED,
+        ),
+    ]
+    segments: Annotated[
+        NDArray[np.uint8],
+        Column("u1", "", "Segments with a detection: bit 0 up-chirp, bit 1 constant, bit 2 down-chirp."),
+    ]
+    snr_db: Annotated[
+        FloatArray, Column("f8", "dB", "Signal-to-noise ratio, mean of the segments with a detection.")
+    ]
     """Power of the highest bin over the noise that the poles leave there, referred to a rectangular bin: with a flat
-    receiver the photons detected, for a tone on its bin. Mean of the segments with a detection."""
-    residual_mps: FloatArray
-    """Speed from the two chirps less speed from the constant segment, λ (g₋ - g₊ - 2 g₀) / 4."""
-    sigma_range_m: FloatArray
-    """Standard deviation that the segments' own noise and the laser's line give; what speckle moves within a footprint
-    spread over part of a bin, smear and motion come on top. Of invalid measurements none."""
-    sigma_speed_mps: FloatArray
-    returns: NDArray[np.uint8]
-    """Targets seen in all three segments, at most 4."""
-    second_range_m: FloatArray
-    """Range from the second strongest target of each segment."""
-    segment_peak_hz: FloatArray
-    """(shots, beams, 3) Frequency of the strongest target in up-chirp, constant segment and down-chirp."""
+    receiver the photons detected, for a tone on its bin."""
+    residual_mps: Annotated[
+        FloatArray, Column("f8", "m/s", "Speed from the two chirps less speed from the constant segment.")
+    ]
+    """λ (g₋ - g₊ - 2 g₀) / 4."""
+    sigma_range_m: Annotated[
+        FloatArray, Column("f8", "m", "Standard deviation of the range that the instrument states.")
+    ]
+    """By the segments' own noise and the laser's line; what speckle moves within a footprint spread over part of a
+    bin, smear and motion come on top. NaN for invalid measurements."""
+    sigma_speed_mps: Annotated[
+        FloatArray, Column("f8", "m/s", "Standard deviation of the closing speed that the instrument states.")
+    ]
+    returns: Annotated[NDArray[np.uint8], Column("u1", "", "Targets seen in all three segments, at most 4.")]
+    second_range_m: Annotated[
+        FloatArray, Column("f8", "m", "Range of the second strongest target of each segment.")
+    ]
+
+
+@dataclass(frozen=True)
+class Returns(BeamReport):
+    """A beam's report with the peaks that it comes from."""
+
+    segment_peak_hz: Annotated[
+        FloatArray,
+        Column(
+            "f8",
+            "Hz",
+            "Beat of the strongest target in up-chirp, constant segment, down-chirp.",
+            components=(3,),
+        ),
+    ]
+
+    @classmethod
+    def with_columns(cls, shape: tuple[int, ...], **known: NDArray[Any]) -> Self:
+        """Beams of this shape of which these columns are known; the others have their missing value."""
+        return cls(**missing_columns(RETURN_COLUMNS, known, shape), **known)
+
+    def report(self) -> dict[str, NDArray[Any]]:
+        """The columns of `BeamReport` by name."""
+        arrays = vars(self).copy()
+        del arrays["segment_peak_hz"]
+        return arrays
+
+
+REPORT_COLUMNS = columns(BeamReport)
+RETURN_COLUMNS = columns(Returns)

@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 from typing import Any, NamedTuple
 
+from lidar_emu.measurement import COLUMNS, TABLE
+from lidar_emu.numerics.columns import Column, Group, in_groups
+
 _INTEGER = {"type": "integer"}
 _INTEGER_OR_NONE = {"type": ["integer", "null"]}
 _NUMBER = {"type": ["number", "null"]}
@@ -50,28 +53,26 @@ class Channel(NamedTuple):
 _OPTIONAL = ("age_s", "truth_time_ns")
 _NUMBER_OF_SHOT = "Number of the shot, from 0, whatever number the device gives it."
 _FIRST_SHOT = "First shot that the command affects; null: none."
-_VECTOR = _each(_NUMBER, 3)
+
+
+def _recorded(columns: dict[str, Column]) -> dict[str, _Field]:
+    """Columns as a message of one shot has them: a list entry per beam, null for NaN."""
+    return {name: (_kind(column), column.meaning.replace("NaN", "null")) for name, column in columns.items()}
+
+
+def _kind(column: Column) -> dict[str, Any]:
+    kind = _NUMBER if column.is_float else _FLAG if column.dtype == "?" else _INTEGER
+    for length in reversed(column.components):
+        kind = _each(kind, length)
+    return kind if column.per_shot else _each(kind)
+
 
 TRUTH = Channel(
     "/truth",
     "Ground truth of a shot. Log time: time of validity of its first beam.",
     {
         "shot": (_INTEGER, _NUMBER_OF_SHOT),
-        "position_site_m": (_VECTOR, "Position of the vehicle: east, north, up."),
-        "velocity_site_mps": (_VECTOR, "Velocity of the vehicle: east, north, up."),
-        "true_range_m": (_each(_NUMBER), "Range along each beam to the ground; null: no ground."),
-        "true_closing_speed_mps": (
-            _each(_NUMBER),
-            "Closing speed of the sensor along each beam, positive toward the ground.",
-        ),
-        "true_incidence_deg": (
-            _each(_NUMBER),
-            "Angle between each beam and the ground's normal; null: unknown.",
-        ),
-        "true_in_gap": (
-            _each(_FLAG),
-            "Whether the trajectory's table has a gap there, which is interpolated.",
-        ),
+        **_recorded(in_groups(COLUMNS, Group.VEHICLE, Group.TRUTH)),
         "age_s": (_NUMBER, "Live truth only: age of the newest sample used, relative to the shot."),
         "truth_time_ns": (_INTEGER, "Live truth only: scenario time of the newest sample used."),
     },
@@ -80,29 +81,8 @@ MEASUREMENT = Channel(
     "/measurement",
     "What a shot measured, a list entry per beam: the columns of `simulate --out`. Log time as of /truth.",
     {
-        "shot": (_each(_INTEGER), _NUMBER_OF_SHOT),
-        "beam": (_each(_INTEGER), "Number of the beam, from 0."),
-        "time_s": (_each(_NUMBER), "Time of validity from the epoch; null: the beam did not fire."),
-        "time_ns": (_each(_INTEGER), "The same, also of beams that did not fire."),
-        "due_ns": (_INTEGER, "When the packet is due, from the epoch, before faults that delay it."),
-        "fired": (_each(_FLAG), "Whether the beam fired."),
-        "beam_angle_deg": (_each(_NUMBER), "Published angle off boresight."),
-        "range_m": (_each(_NUMBER), "Measured range."),
-        "closing_speed_mps": (_each(_NUMBER), "Measured closing speed, positive toward the ground."),
-        "range_valid": (_each(_FLAG), "Whether the range counts."),
-        "speed_valid": (_each(_FLAG), "Whether the closing speed counts."),
-        "sign_resolved": (_each(_FLAG), "Whether the closing speed's sign is known."),
-        "reason": (_each(_INTEGER), "Why a beam is invalid: code of `lidar_emu.fmcw.reasons.Reason`."),
-        "segments": (_each(_INTEGER), "Segments with a detection: bit 0 up, bit 1 constant, bit 2 down."),
-        "snr_db": (_each(_NUMBER), "Signal to noise ratio."),
-        "residual_mps": (_each(_NUMBER), "Disagreement of the segments, as a speed."),
-        "sigma_range_m": (_each(_NUMBER), "Standard deviation that the device states."),
-        "sigma_speed_mps": (_each(_NUMBER), "Standard deviation that the device states."),
-        "returns": (_each(_INTEGER), "How many returns there were."),
-        "second_range_m": (_each(_NUMBER), "Of the second return."),
-        "point_east_m": (_each(_NUMBER), "Where the measured range ends along the published beam."),
-        "point_north_m": (_each(_NUMBER), "The same, north."),
-        "point_up_m": (_each(_NUMBER), "The same, up."),
+        **_recorded({name: column for name, column in TABLE.items() if column.group is not Group.TRUTH}),
+        **_recorded({name: COLUMNS[name] for name in ("time_ns", "due_ns")}),
     },
 )
 PACKET = Channel(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.measurement import Measurement
+from lidar_emu.measurement import COLUMNS, POINT_COLUMNS, Measurement
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import Channel
 from lidar_emu.recording.mcap_file import ALLOWED, McapFile
@@ -33,7 +33,6 @@ from lidar_protocol import DefinitionError, Interface, load
 
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _BLOCK_SHOTS = 4096
-_POINT = ("point_east_m", "point_north_m", "point_up_m")
 
 
 class RawMessage(NamedTuple):
@@ -202,15 +201,13 @@ class Recording:
 
 
 def _measured(shots: list[dict[str, Any]]) -> Measurement:
-    """Measurement of consecutive shots: arrays take a tenth of the memory of the messages."""
-    columns: dict[str, list[Any]] = {f.name: [] for f in fields(Measurement)}
+    """Shots as arrays, which take a tenth of the memory."""
+    rows: dict[str, list[Any]] = {name: [] for name in COLUMNS}
     for values in shots:
-        values["point_site_m"] = list(zip(*(values[name] for name in _POINT), strict=True))
-        for name, rows in columns.items():
-            rows.append(values[name])
-    return Measurement(
-        **{name: np.array(rows, dtype=_KINDS.get(name, np.float64)) for name, rows in columns.items()}
-    )
+        values["point_site_m"] = list(zip(*(values[name] for name in POINT_COLUMNS), strict=True))
+        for name, entries in rows.items():
+            entries.append(values[name])
+    return Measurement(**{name: np.array(rows[name], dtype=column.dtype) for name, column in COLUMNS.items()})
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -220,11 +217,3 @@ def read_recording(path: str | Path) -> Recording:
         InputError: see `Recording`.
     """
     return Recording(Path(path))
-
-
-_KINDS: dict[str, Any] = {
-    **dict.fromkeys(("shot", "time_ns", "due_ns"), np.int64),
-    **dict.fromkeys(("fired", "range_valid", "speed_valid", "sign_resolved", "true_in_gap"), np.bool_),
-    **dict.fromkeys(("segments", "returns"), np.uint8),
-    "reason": np.int8,
-}

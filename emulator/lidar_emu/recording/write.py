@@ -19,7 +19,8 @@ from mcap.writer import CompressionType, Writer
 
 from lidar_emu import __version__
 from lidar_emu.errors import InputError
-from lidar_emu.measurement import Measurement
+from lidar_emu.measurement import COLUMNS, Measurement
+from lidar_emu.numerics.columns import Group, in_groups
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import Channel
 from lidar_emu.recording.provenance import provenance
@@ -34,7 +35,6 @@ from lidar_emu.session import Block
 _EARLY = 1000
 """Messages kept until the file is opened: those of a device that waits for the command to fly."""
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_TRUTH = ("true_range_m", "true_closing_speed_mps", "true_incidence_deg", "true_in_gap")
 
 
 class Recorder(Observer):
@@ -218,7 +218,7 @@ def _truth_and_measurement(block: Measurement, row: int) -> tuple[dict[str, Any]
         "shot": int(one.shot[0]),
         "position_site_m": one.position_site_m[0].tolist(),
         "velocity_site_mps": one.velocity_site_mps[0].tolist(),
-        **{name: columns.pop(name) for name in _TRUTH},
+        **{name: columns.pop(name) for name in in_groups(COLUMNS, Group.TRUTH)},
     }
     return truth, columns | {"time_ns": one.time_ns[0].tolist(), "due_ns": int(one.due_ns[0])}
 

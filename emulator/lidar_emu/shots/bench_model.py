@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,8 @@ class BenchModel:
         duration_s = self.pattern.duration_s if scenario.duration_s is None else scenario.duration_s
         self.shot_count = scenario.timing.shots_within(duration_s)
         self.beam_count = len(self.pattern.beams)
+        self._valid = np.array([beam.valid for beam in self.pattern.beams])
+        self._snr_db = np.array([beam.snr_db for beam in self.pattern.beams])
         self.plan: Plan = plan_bench(scenario)
         self.initial_state = ScannerState(())
         self.pattern_count = 0
@@ -57,49 +59,42 @@ class BenchModel:
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         """Shots `first` to `first + count - 1`; there is no state to carry."""
-        shot = np.arange(first, first + count, dtype=np.int64)
-        start_ns = shot * self.period_ns
-        beams = self.pattern.beams
-        valid = np.tile([beam.valid for beam in beams], (count, 1))
-        range_m, closing_mps = (
-            np.stack([_level(getattr(beam, name), start_ns) for beam in beams], axis=1)
-            for name in ("range_m", "closing_speed_mps")
-        )
-        unknown = np.full(valid.shape, np.nan)
-        nowhere = np.full((count, 3), np.nan)
-        measurement = Measurement(
-            shot=shot,
-            time_ns=np.repeat(start_ns[:, None], self.beam_count, axis=1),
-            due_ns=start_ns + round(self.pattern.latency_s * 1e9),
+        valid = np.tile(self._valid, (count, 1))
+        truth = self._truth(first, count)
+        measurement = Measurement.with_columns(
+            **truth,
             fired=np.ones_like(valid),
-            beam_angle_deg=unknown,
-            range_m=np.where(valid, range_m, np.nan),
-            closing_speed_mps=np.where(valid, closing_mps, np.nan),
+            range_m=truth["true_range_m"],
+            closing_speed_mps=np.where(valid, truth["true_closing_speed_mps"], np.nan),
             range_valid=valid,
             speed_valid=valid,
             sign_resolved=valid,
             reason=np.where(valid, Reason.VALID, Reason.NO_SURFACE).astype(np.int8),
             segments=np.where(valid, 7, 0).astype(np.uint8),
-            snr_db=np.where(valid, [beam.snr_db for beam in beams], np.nan),
-            residual_mps=unknown,
-            sigma_range_m=unknown,
-            sigma_speed_mps=unknown,
+            snr_db=np.where(valid, self._snr_db, np.nan),
             returns=valid.astype(np.uint8),
-            second_range_m=unknown,
-            true_range_m=np.where(valid, range_m, np.nan),
-            true_closing_speed_mps=closing_mps,
-            true_incidence_deg=unknown,
-            true_in_gap=np.zeros_like(valid),
-            point_site_m=np.full((*valid.shape, 3), np.nan),
-            position_site_m=nowhere,
-            velocity_site_mps=nowhere,
         )
         return measurement, state
 
     def unlit(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         """The same shots, in none of which a beam fires."""
-        measurement, state = self.measure(first, count, state)
-        return measurement.firing_only(np.zeros((1, self.beam_count), dtype=np.bool_)), state
+        return Measurement.with_columns(**self._truth(first, count)), state
+
+    def _truth(self, first: int, count: int) -> dict[str, NDArray[Any]]:
+        """Number, instants and ground truth of shots."""
+        shot = np.arange(first, first + count, dtype=np.int64)
+        start_ns = shot * self.period_ns
+        range_m, closing_mps = (
+            np.stack([_level(getattr(beam, name), start_ns) for beam in self.pattern.beams], axis=1)
+            for name in ("range_m", "closing_speed_mps")
+        )
+        return {
+            "shot": shot,
+            "time_ns": np.repeat(start_ns[:, None], self.beam_count, axis=1),
+            "due_ns": start_ns + round(self.pattern.latency_s * 1e9),
+            "true_range_m": np.where(self._valid, range_m, np.nan),
+            "true_closing_speed_mps": closing_mps,
+        }
 
     def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:  # noqa: ARG002
         """There is only one."""

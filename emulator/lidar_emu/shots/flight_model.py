@@ -83,8 +83,14 @@ class FlightModel:
         """The same shots without light, and little computed but where the vehicle is."""
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.flight.point(shot, state)
-        vehicle = pointing.position_site_m, pointing.velocity_site_mps
-        return Measurement.of_nothing(shot, pointing.time_ns, self.flight.due_ns(shot), *vehicle), state
+        measurement = Measurement.with_columns(
+            shot,
+            pointing.time_ns,
+            self.flight.due_ns(shot),
+            position_site_m=pointing.position_site_m,
+            velocity_site_mps=pointing.velocity_site_mps,
+        )
+        return measurement, state
 
     def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:
         """(shots,) Which pattern of beams each of these shots uses."""
@@ -116,24 +122,12 @@ class FlightModel:
         )
         locate(pointing.beams, returns.range_m, point_site_m)
         return Measurement(
+            **returns.report(),
             shot=shot,
             time_ns=pointing.time_ns,
             due_ns=self.flight.due_ns(shot),
             fired=pointing.fired,
             beam_angle_deg=pointing.angle_deg,
-            range_m=returns.range_m,
-            closing_speed_mps=returns.closing_speed_mps,
-            range_valid=returns.range_valid,
-            speed_valid=returns.speed_valid,
-            sign_resolved=returns.sign_resolved,
-            reason=returns.reason,
-            segments=returns.segments,
-            snr_db=returns.snr_db,
-            residual_mps=returns.residual_mps,
-            sigma_range_m=returns.sigma_range_m,
-            sigma_speed_mps=returns.sigma_speed_mps,
-            returns=returns.returns,
-            second_range_m=returns.second_range_m,
             true_range_m=axis_hits.range_m,
             true_closing_speed_mps=true_closing_mps,
             true_incidence_deg=true_incidence_deg,

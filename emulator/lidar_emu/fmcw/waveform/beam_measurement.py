@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from lidar_emu.fmcw.returns import Returns
 from lidar_emu.fmcw.waveform.analog_receiver import (
     FLAT,
     AnalogResponse,
@@ -14,11 +15,11 @@ from lidar_emu.fmcw.waveform.analog_receiver import (
     draw_noise,
     receive_record,
 )
-from lidar_emu.fmcw.waveform.beam_result import BeamResult, to_beam_result
+from lidar_emu.fmcw.waveform.beam_result import to_beam_result
 from lidar_emu.fmcw.waveform.detection import Targets, find_targets, transform, window_noise_power
 from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift
 from lidar_emu.fmcw.waveform.record_samples import Beamlets, ComplexArray, Segment, frequency_plan
-from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
 
 _BLOCK_SAMPLES = 2**23
@@ -56,8 +57,8 @@ class ScattererPatches:
 
 
 @dataclass(frozen=True)
-class WaveformMeasurement(BeamResult):
-    """What one beam reports, and what it found on the way."""
+class WaveformMeasurement(Returns):
+    """The report of one beam, (records,), with the targets and spectra that it comes from."""
 
     targets: tuple[Targets, Targets, Targets]
     """Of up-chirp, constant segment and down-chirp."""
@@ -67,11 +68,6 @@ class WaveformMeasurement(BeamResult):
     """In the same shape: the power that a detected bin exceeds."""
     bins: ComplexArray | None
     """(records, 3, N/2 + 1) under the window of detection, if asked for."""
-
-    @property
-    def valid(self) -> BoolArray:
-        """(records,) Range and speed are reported."""
-        return np.isfinite(self.range_m)
 
 
 def measure_waveform(

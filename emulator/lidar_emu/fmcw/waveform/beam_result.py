@@ -2,37 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.returns import Returns
 from lidar_emu.fmcw.waveform.detection import Targets, window_gain, window_noise_power
 from lidar_emu.fmcw.waveform.estimation import Combined, chirp_minus_doppler, least_squares
-from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
-
-
-@dataclass(frozen=True)
-class BeamResult:
-    """(records,) each; NaN where there is nothing to report. The meanings are those of `Returns`."""
-
-    range_m: FloatArray
-    closing_speed_mps: FloatArray
-    reason: NDArray[np.int8]
-    """A `Reason`."""
-    sign_resolved: BoolArray
-    segments: NDArray[np.uint8]
-    snr_db: FloatArray
-    residual_mps: FloatArray
-    sigma_range_m: FloatArray
-    sigma_speed_mps: FloatArray
-    returns: NDArray[np.uint8]
-    second_range_m: FloatArray
-    segment_peak_hz: FloatArray
-    """(records, 3)"""
 
 
 def to_beam_result(
@@ -40,8 +19,8 @@ def to_beam_result(
     detection: Detection,
     targets: tuple[Targets, Targets, Targets],
     windowed_level: FloatArray,
-) -> BeamResult:
-    """Range and closing speed from the strongest target of each segment, or why there are none.
+) -> Returns:
+    """(records,) Range and closing speed from the strongest target of each segment, or why there are none.
 
     Args:
         waveform, detection: of the instrument; slope and frequency are those that it believes in.
@@ -61,9 +40,11 @@ def to_beam_result(
     valid = reason == Reason.VALID
     second_m = _combine(waveform, detection, targets, 1).range_bin * range_per_bin_m
     second_m[~((second_m >= 0.0) & (second_m <= detection.maximum_range_m))] = np.nan
-    return BeamResult(
+    return Returns(
         range_m=np.where(valid, range_m, np.nan),
         closing_speed_mps=np.where(valid, combined.doppler_bin * speed_per_bin_mps, np.nan),
+        range_valid=valid,
+        speed_valid=valid,
         reason=reason,
         sign_resolved=combined.sign_resolved,
         segments=np.packbits(detected, axis=0, bitorder="little")[0],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from lidar_emu.fmcw.echo_field import echo_field
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Returns
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level
 from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, WaveformMeasurement, measure_waveform
-from lidar_emu.fmcw.waveform.beam_result import BeamResult
 from lidar_emu.fmcw.waveform.record_samples import ComplexArray
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import generator
@@ -47,10 +46,8 @@ def measure_echoes(
         _measure_beam(instrument, model, echoes, field[s, b], s, b, _rng(seed, int(shot[s]), b))
         for s, b in np.ndindex(echoes.fired.shape)
     ]
-    columns = {f.name: np.concatenate([getattr(beam, f.name) for beam in beams]) for f in fields(BeamResult)}
-    shaped = {name: np.reshape(a, (*echoes.fired.shape, *a.shape[1:])) for name, a in columns.items()}
-    valid = shaped["reason"] == Reason.VALID
-    return Returns(**shaped, range_valid=valid, speed_valid=valid.copy())
+    columns = {name: np.concatenate([getattr(beam, name) for beam in beams]) for name in RETURN_COLUMNS}
+    return Returns(**{name: a.reshape(*echoes.fired.shape, *a.shape[1:]) for name, a in columns.items()})
 
 
 def measure_one_beam(
@@ -84,7 +81,7 @@ def _measure_beam(
     s: int,
     b: int,
     rng: np.random.Generator,
-) -> BeamResult:
+) -> Returns:
     """One beam of one shot."""
     if not echoes.fired[s, b]:
         return _nothing(Reason.NOT_FIRED)
@@ -150,20 +147,6 @@ def _unseen(range_m: FloatArray, edge_m: float) -> Reason:
     return Reason.BELOW_THRESHOLD if np.nanmin(range_m) <= edge_m else Reason.BEYOND_RANGE
 
 
-def _nothing(reason: Reason) -> BeamResult:
-    """Of a beam that is not measured at all."""
-    unknown = np.full(1, np.nan)
-    return BeamResult(
-        range_m=unknown,
-        closing_speed_mps=unknown,
-        reason=np.array([reason], dtype=np.int8),
-        sign_resolved=np.zeros(1, dtype=bool),
-        segments=np.zeros(1, dtype=np.uint8),
-        snr_db=unknown,
-        residual_mps=unknown,
-        sigma_range_m=unknown,
-        sigma_speed_mps=unknown,
-        returns=np.zeros(1, dtype=np.uint8),
-        second_range_m=unknown,
-        segment_peak_hz=np.full((1, 3), np.nan),
-    )
+def _nothing(reason: Reason) -> Returns:
+    """The report of a beam that is not measured at all."""
+    return Returns.with_columns((1,), reason=np.array([reason], dtype=np.int8))

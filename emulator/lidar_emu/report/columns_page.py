@@ -1,0 +1,53 @@
+"""The page docs/columns.md: every column of a measurement with its type, unit, place and meaning."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from lidar_emu.measurement import COLUMNS, TABLE
+from lidar_emu.numerics.columns import Column, Group
+
+_INTRODUCTION = """\
+# The columns of a measurement
+
+`lidar_emu.simulate` and `recording.measurement()` return a `Measurement`, whose arrays are listed here. The same names
+are the columns of `simulate --out`, of a report's export and of a campaign's `beams`, the keys of `listen --json` and
+the keys of a recording's `/measurement` and `/truth`. The declarations in `lidar_emu/measurement.py` and
+`lidar_emu/fmcw/returns.py` define them all; `make docs` writes this page.
+
+Missing values are NaN in arrays and `.npz`, empty cells in CSV, and null in Parquet, JSON and recordings. Positions are
+in the site frame. A closing speed is positive toward the ground.
+
+| column | type | shape | unit | table | recording | packet | meaning |
+|---|---|---|---|---|---|---|---|
+"""
+
+_TYPES = {"f8": "float64", "i8": "int64", "?": "bool", "i1": "int8", "u1": "uint8"}
+
+
+def markdown() -> str:
+    """The page."""
+    return _INTRODUCTION + "".join(f"| {' | '.join(cells)} |\n" for cells in _rows())
+
+
+def _rows() -> Iterator[tuple[str, ...]]:
+    for name, column in {**TABLE, **COLUMNS}.items():
+        topic = "/truth" if column.group in (Group.TRUTH, Group.VEHICLE) else "/measurement"
+        yield (
+            f"`{name}`",
+            _TYPES[column.dtype],
+            _shape(name, column),
+            column.unit,
+            "yes" if name in TABLE else "",
+            "as `point_*_m`" if column.group is Group.POINT and name not in TABLE else f"`{topic}`",
+            "yes" if column.group in (Group.POINTING, Group.REPORT) else "",
+            column.meaning,
+        )
+
+
+def _shape(name: str, column: Column) -> str:
+    if name not in COLUMNS and name != "time_s":
+        return "(rows,)"
+    axes = ("shots",) if column.per_shot else ("shots", "beams")
+    shape = ", ".join((*axes, *map(str, column.components)))
+    return f"({shape},)" if len(axes) + len(column.components) == 1 else f"({shape})"
