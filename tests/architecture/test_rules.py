@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,10 +24,10 @@ GLOBAL_CHANCE = {
 }
 
 
-def calls(path: Path) -> Iterator[str]:
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Call):
-            yield ast.unparse(node.func)
+@cache
+def calls(path: Path) -> frozenset[str]:
+    tree = ast.walk(ast.parse(path.read_text()))
+    return frozenset(ast.unparse(node.func) for node in tree if isinstance(node, ast.Call))
 
 
 def test_there_are_sources():
@@ -36,10 +36,10 @@ def test_there_are_sources():
 
 
 def test_one_file_reads_the_clock():
-    assert CLOCK_READERS & set(calls(CLOCK_FILE))
-    readers = [str(path) for path in SOURCES if path != CLOCK_FILE and CLOCK_READERS & set(calls(path))]
+    assert CLOCK_READERS & calls(CLOCK_FILE)
+    readers = [str(path) for path in SOURCES if path != CLOCK_FILE and CLOCK_READERS & calls(path)]
     assert readers == []
 
 
 def test_nobody_draws_from_a_global_generator():
-    assert [str(path) for path in SOURCES if GLOBAL_CHANCE & set(calls(path))] == []
+    assert [str(path) for path in SOURCES if GLOBAL_CHANCE & calls(path)] == []

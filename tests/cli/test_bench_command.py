@@ -28,9 +28,12 @@ def report():
 
 
 @pytest.fixture
-def run(monkeypatch, report):
-    def invoke(*arguments: str, told: AccuracyReport = report):
-        monkeypatch.setattr("lidar_emu.bench.accuracy.measure_accuracy", lambda *_: told)
+def run(monkeypatch, request):
+    def invoke(*arguments: str, told: AccuracyReport | None = None):
+        def measured(*_):
+            return told or request.getfixturevalue("report")
+
+        monkeypatch.setattr("lidar_emu.bench.accuracy.measure_accuracy", measured)
         return CliRunner().invoke(cli, ["bench", "accuracy", *arguments], standalone_mode=False)
 
     return invoke
@@ -43,6 +46,7 @@ def told(run):
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_every_level_and_dial_is_there(told):
     found = {(row["level"], row["exact"], row["beamlets"]) for row in told["settings"]}
     expected = {("geometric", True, 1)}
@@ -52,6 +56,7 @@ def test_every_level_and_dial_is_there(told):
     assert len(told["settings"]) == len(expected)
 
 
+@pytest.mark.slow
 def test_figures_are_complete(told):
     for row in told["settings"]:
         assert row["time_s"] == pytest.approx(row["front_s"] + row["receiver_s"])
@@ -69,6 +74,7 @@ def test_figures_are_complete(told):
     ]
 
 
+@pytest.mark.slow
 def test_the_reference_is_exact_and_geometric_is_what_it_leaves_out(told):
     rows = {row["name"]: row for row in told["settings"]}
     reference = rows[told["reference"]]
@@ -84,6 +90,7 @@ def test_the_reference_is_exact_and_geometric_is_what_it_leaves_out(told):
     assert errors["published, nearest, 2048 points"] > 1e-3 > errors["published, cubic, 2048 points"]
 
 
+@pytest.mark.slow
 def test_table_names_every_setting(run):
     done = run()
     assert done.exception is None, done.exception
@@ -96,11 +103,13 @@ def test_table_names_every_setting(run):
     assert max(map(len, done.stdout.splitlines())) <= 80
 
 
+@pytest.mark.slow
 def test_picture(run, tmp_path):
     assert run("--plot", str(tmp_path / "accuracy.png")).exception is None
     assert (tmp_path / "accuracy.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_cheapest_for_a_target(run, report):
     rows = {result.setting.name: result for result in report.results}
     bound = 1.01 * report.told(rows["spectral 127"]).range_m
@@ -111,6 +120,7 @@ def test_cheapest_for_a_target(run, report):
     assert f"--set level={wanted.level} --set instrument.optics.beamlets={wanted.beamlets}" in lines[-1]
 
 
+@pytest.mark.slow
 def test_a_target_that_nothing_meets_fails(run, report):
     without_reference = replace(report, results=report.results[:3])
     error = run("--target-range-error", "1e-9", told=without_reference).exception
@@ -118,6 +128,7 @@ def test_a_target_that_nothing_meets_fails(run, report):
     assert "no setting" in str(error)
 
 
+@pytest.mark.slow
 def test_settings_of_a_common_draw_are_told_below_the_floor(report):
     for result in report.results:
         if result.setting.shares_draws:

@@ -141,6 +141,7 @@ def _walked(linewidth: float, delay: float, half: int, records: int) -> np.ndarr
 
 
 # 3, 30 and 300 kHz at delays up to 80 µs: ranges to 12 km.
+@pytest.mark.slow
 @pytest.mark.parametrize("delay_us", [0.1, 2.0, 14.0, 80.0])
 @pytest.mark.parametrize("linewidth_khz", [3.0, 30.0, 300.0])
 def test_line_is_that_of_a_laser_walking_at_random(linewidth_khz: float, delay_us: float) -> None:

@@ -117,6 +117,7 @@ def test_clipping_makes_harmonics_and_coarse_steps_noise() -> None:
     assert abs(clipped.bins[0, 1, third]) > 1e3 * abs(clean.bins[0, 1, third])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", ["rect", "hann", "hamming"])
 def test_noise_alone_crosses_the_threshold_as_often_as_asked(window: str) -> None:
     records, probability = 10_000, 0.05
