@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
+from datetime import UTC, datetime, timedelta
 from decimal import ROUND_FLOOR, Decimal
 from itertools import groupby, pairwise
 from pathlib import Path
@@ -215,11 +216,15 @@ def receiver(request: pytest.FixtureRequest) -> list[str]:
     return request.getfixturevalue("in_c") if request.param == "c" else IN_PYTHON
 
 
+@pytest.mark.slow
 def test_a_whole_descent_with_commands_and_faults(receiver: list[str], start: Start, tmp_path: Path) -> None:
+    start("scenarios").succeed()
+    # Time for the receiver to open the pty: it has to have the first shot, too.
+    begin = (datetime.now(UTC) + timedelta(seconds=8)).isoformat()
     run = start(
         "run", "descent.yaml", "--port", "pty", "--baud", "921600", "--set", f"trajectory={QUICK_DESCENT}",
         "--set", "timing.rate_hz=60", "--set", "timing.late_after_s=60", "--set", f"faults={FAULTS}",
-        "--set", "device.housekeeping_rate_hz=3", "--record", "r.mcap", "--summary", "s.json",
+        "--set", "device.housekeeping_rate_hz=3", "--record", "r.mcap", "--summary", "s.json", "--start", begin,
     )  # fmt: skip
     path = run.word_after("descent on ")
     following = subprocess.run(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import sysconfig
@@ -20,7 +21,13 @@ PACKAGES = {"lidar_emu": "emulator", "lidar_protocol": "protocol", "lidar_icd": 
 def done(*command: str | Path, folder: Path) -> str:
     """The output of a command that must succeed."""
     result = subprocess.run(
-        list(map(str, command)), cwd=folder, capture_output=True, text=True, check=False, timeout=LIMIT_S
+        list(map(str, command)),
+        env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=LIMIT_S,
     )
     assert result.returncode == 0, result.stderr
     return result.stdout

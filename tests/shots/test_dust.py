@@ -79,6 +79,7 @@ def test_dust_is_seen_in_the_sheet_and_flees_along_the_ground():
     np.testing.assert_allclose(slower, -30 * SIDE, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", ["statistical", "spectral"])
 def test_some_beams_lock_on_streaks_as_often_as_asked(level):
     """A streak of depth 5 hides the ground: a beam that meets one measures the dust."""
