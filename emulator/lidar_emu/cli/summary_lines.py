@@ -246,7 +246,7 @@ def _expected(summary: dict[str, Any], name: str) -> list[str]:
         return []
     rms, mean = factor * statistics["rms"], factor * statistics["mean"]
     mean = mean if abs(mean) > 1e-9 * rms else 0.0  # rounding residue of zero
-    return [f"{'':10} expected {rms:.4g} {unit} rms, {mean:+.3g} {unit} mean, false locks aside"]
+    return [f"{'':10} expected {rms:.4g} {unit} rms, {mean:+.3g} {unit} mean, false locks excluded"]
 
 
 def _error(statistics: dict[str, Any], factor: float, unit: str) -> str:
