@@ -1,4 +1,4 @@
-"""The CAN messages as a DBC file."""
+"""Generate the DBC file of the CAN messages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lidar_protocol import cuc
 from lidar_protocol.can_frames import definition
 from lidar_protocol.definitions import Interface
 from lidar_protocol.fields import Field, Number, Real, Time
-from lidar_protocol.layout import Layout, Placed
+from lidar_protocol.layout import Layout, PlacedField
 
 _DEVICE, _HOST = "LIDAR", "HOST"
 _FRAME_FORMATS = ["StandardCAN", "ExtendedCAN", *["reserved"] * 12, "StandardCAN_FD", "ExtendedCAN_FD"]
@@ -19,7 +19,7 @@ _SECONDS_BITS = cuc.BITS - cuc.FRACTION_BITS
 
 
 class _Entry(NamedTuple):
-    """A message of unit 0."""
+    """A CAN message of unit 0."""
 
     can_id: int
     name: str
@@ -33,7 +33,7 @@ class _Entry(NamedTuple):
 
 
 def dbc(interface: Interface) -> str:
-    """The messages of unit 0 as a DBC file; the identifiers of unit n are n times the stride higher.
+    """Generate the DBC file of unit 0; the identifiers of unit n are n times the stride higher.
 
     Raises:
         EncodeError: the interface has no messages on CAN.
@@ -73,14 +73,14 @@ def dbc(interface: Interface) -> str:
 
 
 def decimal_text(value: float) -> str:
-    """The text of a number to twelve digits, without an exponent or trailing zeros."""
+    """Format a number with twelve digits, without an exponent or trailing zeros."""
     if isinstance(value, int):
         return str(value)
     return f"{Decimal(f'{value:.12g}'):f}"
 
 
 def _entries(interface: Interface) -> Iterator[_Entry]:
-    """Every message of unit 0, one for each slot."""
+    """Messages of unit 0, those of beams once for each slot."""
     can = definition(interface)
     for message in can.messages:
         for slot in range(can.beam_slots if message.each_beam else 1):
@@ -112,7 +112,7 @@ def _message(entry: _Entry, interface: Interface) -> str:
     lines = [f"BO_ {entry.can_id} {entry.name}: {entry.layout.length} {entry.sender}"]
     for placed in entry.layout.placed:
         for name, bit, bits, scaling, limits, unit in _signals(placed, order == "1"):
-            # DBC numbers the bits of a byte from its least significant one.
+            # DBC counts the bits of a byte from the least significant one.
             start = bit if order == "1" else bit // 8 * 8 + 7 - bit % 8
             sign, numbers = scaling[0], scaling[1:]
             lines.append(f' SG_ {name} : {start}|{bits}@{order}{sign} {numbers} {limits} "{unit}" {receiver}')
@@ -120,7 +120,7 @@ def _message(entry: _Entry, interface: Interface) -> str:
 
 
 def _signal_names(field: Field) -> list[str]:
-    """One signal for each field, but two for a time code: its 56 bits are more than a double holds."""
+    """Names of the signals of a field: two for a time code, whose 56 bits exceed the precision of a double."""
     if not isinstance(field.codec, Time):
         return [field.name]
     stem = field.name.removesuffix("_ns")
@@ -131,7 +131,7 @@ _Signal = tuple[str, int, int, str, str, str]
 """Name, first bit, bits, sign and scaling, limits, unit."""
 
 
-def _signals(placed: Placed, little: bool) -> list[_Signal]:
+def _signals(placed: PlacedField, little: bool) -> list[_Signal]:
     (field, bit), names, codec = placed, _signal_names(placed.field), placed.field.codec
     if isinstance(codec, Time):
         step, parts = 2.0**-cuc.FRACTION_BITS, (_SECONDS_BITS, cuc.FRACTION_BITS)
@@ -154,7 +154,7 @@ def _signal_comments(entry: _Entry, field: Field) -> list[str]:
 
 
 def _value_tables(interface: Interface, entry: _Entry, field: Field) -> list[str]:
-    """The names of a field's values and codes, where it has any."""
+    """Value table of a field: names of its values and codes."""
     words = interface.enumerations[field.enumeration] if field.enumeration else {}
     names: dict[int | None, str] = {value: word for word, value in words.items()}
     if isinstance(field.codec, Number):
@@ -164,7 +164,7 @@ def _value_tables(interface: Interface, entry: _Entry, field: Field) -> list[str
 
 
 def _value_type(entry: _Entry, field: Field) -> list[str]:
-    """That a signal is a floating-point number."""
+    """Type entry of a floating-point signal."""
     if not isinstance(field.codec, Real):
         return []
     return [f"SIG_VALTYPE_ {entry.can_id} {field.name} : {1 if field.codec.bits == 32 else 2};"]

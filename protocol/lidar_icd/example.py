@@ -1,4 +1,4 @@
-"""One shot that shows every kind of value, and a command: the examples of the interface document."""
+"""Examples of the interface document: a shot with every kind of value, a command and an acknowledgement."""
 
 from __future__ import annotations
 
@@ -72,11 +72,11 @@ BEAMS: Final[tuple[Mapping[str, Value], ...]] = (
         "time_offset_s": None,
     },
 )
-"""A measurement; one of a receding surface with a second return; an echo below the threshold; not fired."""
+"""A measurement; a receding surface with a second return; an echo below the threshold; a beam that did not fire."""
 
 
 def shot(interface: Interface) -> tuple[Mapping[str, Value], Sequence[Mapping[str, Value]]]:
-    """The example in the fields of any interface: those that are not in it read none, or the least of their values."""
+    """Example shot in the fields of any interface; fields without an example value get an arbitrary valid one."""
     packet = interface.packet
     layouts = [packet.header, *([packet.beam] if packet.beam else [])]
     layouts += [message.layout for message in interface.can.messages] if interface.can else []
@@ -84,7 +84,7 @@ def shot(interface: Interface) -> tuple[Mapping[str, Value], Sequence[Mapping[st
     count = max(len(BEAMS), packet.beams_in_header)
     count = min(count, packet.maximum_beams, interface.can.beam_slots if interface.can else count)
     beams = [made_up | dict(BEAMS[k % len(BEAMS)]) for k in range(max(count, packet.beams_in_header))]
-    # The words of the example, in the numbers of the interface.
+    # The mode of the example, with its number in the interface.
     mode = next((p.field.enumeration for p in packet.header.placed if p.field.name == "mode"), None)
     track = interface.enumerations.get(mode or "", {}).get("track", HEADER["mode"])
     timed = {"mode": track, "time_s": 1.500490773, "due_s": 1.5029}
@@ -92,15 +92,15 @@ def shot(interface: Interface) -> tuple[Mapping[str, Value], Sequence[Mapping[st
 
 
 def values(layout: Layout) -> dict[str, Value]:
-    """Something for each field that the library does not fill in."""
+    """Arbitrary valid values for the fields that the library does not fill in."""
     return {
-        placed.field.name: _something(placed.field.codec)
+        placed.field.name: _arbitrary(placed.field.codec)
         for placed in layout.placed
         if placed.field.name not in FILLED_IN
     }
 
 
-def _something(codec: Codec) -> Value:
+def _arbitrary(codec: Codec) -> Value:
     if isinstance(codec, Flag):
         return True
     if isinstance(codec, Number | Real):
@@ -109,7 +109,7 @@ def _something(codec: Codec) -> Value:
 
 
 def command(interface: Interface) -> tuple[str, dict[str, Argument]]:
-    """A command with arguments, if there is one; with its sequence number."""
+    """Example command: its name, and its sequence number and arguments. A command with arguments is preferred."""
     assert interface.commands is not None
     chosen = max(
         interface.commands.commands, key=lambda each: (each.name == "set_rate_hz", len(each.arguments))
@@ -118,11 +118,11 @@ def command(interface: Interface) -> tuple[str, dict[str, Argument]]:
     given: dict[str, Argument] = {"sequence": 7}
     for name in chosen.arguments:
         words = interface.enumerations.get(fields[name].enumeration or "", {})
-        given[name] = next(iter(words), None) or _something(fields[name].codec)
+        given[name] = next(iter(words), None) or _arbitrary(fields[name].codec)
     return chosen.name, given
 
 
 def acknowledgement(interface: Interface) -> dict[str, Argument]:
-    """That the command is accepted."""
+    """Example acknowledgement, with the verdict `accepted`."""
     assert interface.acknowledge is not None
     return {**values(interface.acknowledge), "sequence": 7, "verdict": "accepted"}

@@ -1,19 +1,19 @@
-"""The lidar's wire protocol: shots to bytes or CAN frames and back, without any input or output of its own.
+"""Wire protocol of the lidar: encode shots to bytes or CAN frames, and decode them, without input or output (sans-IO).
 
-Standard library only. `Device` and `CommandReader` are the instrument's side; `Host`, `SerialReceiver` and
-`CanReceiver` are the flight computer's. An `Interface` is what they agree upon: a TOML file, of which two come with
-the package. INTERFACE.md beside this file says the default one in words.
+Standard library only. `Device` and `CommandReader` are for the instrument; `Host`, `SerialReceiver` and `CanReceiver`
+are for the flight computer. An `Interface` is read from a TOML definition, of which two are part of the package.
+INTERFACE.md in this folder documents the default one.
 """
 
 from lidar_protocol.can_frames import CanFrame
 from lidar_protocol.can_host import CanReceiver
 from lidar_protocol.commands import CanCommandReader, CommandReader
+from lidar_protocol.definition_file import SHIPPED, default_interface, load, load_file, shipped_interface
 from lidar_protocol.definitions import CanSet, Interface
 from lidar_protocol.device import Device
 from lidar_protocol.errors import DecodeError, DefinitionError, EncodeError
 from lidar_protocol.host import Host, SerialReceiver
 from lidar_protocol.message import Acknowledge, BadCommand, Command, Housekeeping, Message, Received
-from lidar_protocol.reading import SHIPPED, default_interface, load, load_file, shipped_interface
 
 __all__ = [
     "SHIPPED",

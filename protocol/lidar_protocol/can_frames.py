@@ -1,4 +1,4 @@
-"""A shot as CAN frames: the messages of one set, those of the whole shot first, then slot by slot."""
+"""Encode a shot as CAN frames: the messages of one set, first those of the whole shot, then slot by slot."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Values = Mapping[str, Value]
 
 
 class CanFrame(NamedTuple):
-    """A frame with a standard (11-bit) identifier."""
+    """A CAN frame with a standard (11-bit) identifier."""
 
     can_id: int
     data: bytes
@@ -32,11 +32,11 @@ class CanFrame(NamedTuple):
 
 
 _frame = cast(Callable[[tuple[object, ...]], CanFrame], partial(tuple.__new__, CanFrame))
-"""A frame of a tuple of its fields: half the time of calling the class."""
+"""Make a frame of a tuple of its fields, in half the time of calling the class."""
 
 
 class Address(NamedTuple):
-    """Whose and which message an identifier stands for."""
+    """Unit, message and slot of an identifier."""
 
     unit: int
     message: CanMessage
@@ -44,10 +44,10 @@ class Address(NamedTuple):
 
 
 def definition(interface: Interface) -> CanDefinition:
-    """What the interface says of CAN.
+    """CAN part of an interface.
 
     Raises:
-        EncodeError: it says nothing.
+        EncodeError: the interface has no messages on CAN.
     """
     if interface.can is None:
         raise EncodeError(f"the interface {interface.name} has no messages on CAN")
@@ -57,13 +57,13 @@ def definition(interface: Interface) -> CanDefinition:
 def encode(
     interface: Interface, unit: int, can_set: CanSet, header: Values, beams: Sequence[Values]
 ) -> list[CanFrame]:
-    """The frames of one shot.
+    """Encode one shot.
 
     Args:
-        unit: from 0.
+        unit: unit number, from 0.
         can_set: `core` and `full` are classic CAN, `fd` is CAN FD.
-        header: as for a packet.
-        beams: as for a packet; beam k takes slot k.
+        header: fields as for `packet.encode`.
+        beams: fields as for `packet.encode`; beam k takes slot k.
 
     Raises:
         EncodeError: a field is missing or cannot be sent, or there are more beams than slots.
@@ -90,7 +90,7 @@ def encode(
 
 
 def _plan(interface: Interface, can: CanDefinition, unit: int, can_set: CanSet, beam_count: int) -> CanPlan:
-    """What is the same in every shot of so many beams, kept for the next one."""
+    """Make and cache what is the same in every shot with this number of beams."""
     check_unit(interface, unit)
     if not 1 <= beam_count <= can.beam_slots:
         raise EncodeError(f"{beam_count} beams: there are {can.beam_slots} slots on CAN")
@@ -117,7 +117,7 @@ def _plan(interface: Interface, can: CanDefinition, unit: int, can_set: CanSet, 
 
 
 def addresses(interface: Interface) -> dict[int, Address]:
-    """Every identifier of every unit's shots."""
+    """Identifiers of the measurement messages of all units."""
     can = definition(interface)
     return {
         can.can_id(unit, message, slot): Address(unit, message, slot)
@@ -128,13 +128,13 @@ def addresses(interface: Interface) -> dict[int, Address]:
 
 
 def block_addresses(interface: Interface) -> dict[int, tuple[int, CanBlock]]:
-    """Every identifier of acknowledgements and housekeeping: unit and message."""
+    """Identifiers of acknowledgements and housekeeping of all units: unit and message."""
     can = definition(interface)
     return {can.can_id(unit, block): (unit, block) for unit in range(interface.units) for block in can.blocks}
 
 
 def command_addresses(interface: Interface, unit: int) -> dict[int, CommandDefinition]:
-    """Every identifier of commands to a unit."""
+    """Identifiers of commands to a unit."""
     can = definition(interface)
     base = can.id_base + unit * can.unit_stride
     commands = interface.commands.commands if interface.commands else ()

@@ -1,6 +1,6 @@
-"""The host's side of a CAN bus: frames in, messages on, whatever arrives.
+"""Host side of a CAN bus: decode received frames to messages.
 
-The receiver raises nothing and holds a bounded amount of memory; what could not be used is counted.
+The receiver accepts any frames: it raises no exception, holds a bounded amount of memory, and counts rejected frames.
 """
 
 from __future__ import annotations
@@ -19,42 +19,43 @@ from lidar_protocol.message import Acknowledge, Housekeeping, Message, Received
 
 @dataclass(slots=True)
 class CanCounters:
-    """What has come in from a CAN bus. Each shot sent is a message, incomplete or lost."""
+    """Counters of received CAN traffic. Each transmitted shot is counted as a message, as incomplete or as lost."""
 
     frames: int = 0
     """Frames, good or bad."""
     messages: int = 0
     """Shots whose set was complete, acknowledgements, and frames of housekeeping."""
     unknown_ids: int = 0
-    """Frames with an identifier of something else, or the wrong kind of frame for it."""
+    """Frames with an unknown identifier, or of the wrong frame format for it."""
     bad_length: int = 0
-    """Frames that are not as long as their message."""
+    """Frames whose length is not that of their message."""
     foreign: int = 0
     """Frames of another interface version."""
     orphans: int = 0
-    """Frames that no open set waits for, as where the header of their shot was lost; they are dropped."""
+    """Frames that no open set expects, e.g. because the header of their shot was lost; they are dropped."""
     incomplete: int = 0
-    """Shots whose header came, but not all that it announced, or no possible number of beams; they are dropped."""
+    """Shots of which a frame is missing after the header, or whose header has an impossible number of beams;
+    dropped."""
     sequence_gaps: int = 0
-    """Times that the header's counter was not the next one."""
+    """Number of gaps in the shot counter of headers."""
     lost_shots: int = 0
-    """Shots whose header did not come, modulo the cycle of the shot counter in each gap.
+    """Shots without a header, modulo the cycle of the shot counter in each gap.
 
-    The counter alone does not tell a restart of the device from a gap: it counts as a gap of less than a cycle.
+    A restart of the device cannot be distinguished from a gap by the counter: it counts as a gap of less than a cycle.
     """
 
 
 class _Set(NamedTuple):
-    """What follows the header of a set, and how a shot is made of it."""
+    """Messages that follow the header of a set, and how they form a shot."""
 
     places: dict[int, int]
-    """Of each identifier: where its frame's data go, those of the whole shot first, then beam after beam."""
+    """Index of each identifier's frame in `_Shot.parts`: messages of the whole shot first, then beam by beam."""
     rest: Layout | None
-    """Of the messages of the whole shot behind the header."""
+    """Joined layout of the messages of the whole shot after the header."""
     beam: Layout | None
-    """Of all messages of a beam, one after another."""
+    """Joined layout of all messages of a beam."""
     flags: tuple[tuple[str, slice, frozenset[bytes]], ...]
-    """Those that a message's content implies: name, places of the message, and the contents that say no."""
+    """Flags implied by the content of a message: name, indices of the message, and contents for which it is false."""
 
 
 _NO_SET = _Set({}, None, None, ())
@@ -62,7 +63,7 @@ _NO_SET = _Set({}, None, None, ())
 
 @dataclass(slots=True)
 class _Shot:
-    """What has come in of a unit's newest shot."""
+    """Frames received of the newest shot of a unit."""
 
     unit: int
     counter: int | None = None
@@ -70,26 +71,26 @@ class _Shot:
     header: dict[str, Value] = field(default_factory=dict)
     can_set: _Set = _NO_SET
     awaited: dict[int, int] = field(default_factory=dict)
-    """Identifiers that have not come yet, and their places; none once it is complete or given up."""
+    """Identifiers not received yet, with their indices; empty once the shot is complete or dropped."""
     parts: list[bytes] = field(default_factory=list)
-    """Data of the frames behind the header."""
+    """Data of the frames after the header."""
 
 
-class _Listened(NamedTuple):
-    """What to do with an identifier."""
+class _Expected(NamedTuple):
+    """How to decode an identifier."""
 
     shot: _Shot
     is_fd: bool
     length: int
     header: CanMessage | None
-    """The message, if it begins a shot."""
+    """The message, if it is the header of a set."""
 
 
 class CanReceiver:
-    """Messages out of the frames of a bus: one shot of each unit at a time, from its header on.
+    """Decoder of the frames of a CAN bus. It assembles one shot of each unit at a time, starting with its header.
 
-    The messages after the header may come in any order. Without times of arrival one gap cannot be seen: one that
-    goes from some frame of a set to the same frame of the set one cycle of the shot counter after it.
+    Messages after the header may arrive in any order. Without times of arrival one gap cannot be detected: the loss of
+    everything from a frame of a set to the same frame of the set one cycle of the shot counter later.
     """
 
     def __init__(self, interface: Interface) -> None:
@@ -98,25 +99,25 @@ class CanReceiver:
         self._can = can_frames.definition(interface)
         self._shift, self._mask = self._can.counter_shift, self._can.counter_mask
         self._shots = [_Shot(unit) for unit in range(interface.units)]
-        self._listened = {
-            can_id: self._listen(address) for can_id, address in can_frames.addresses(interface).items()
+        self._expected = {
+            can_id: self._expect(address) for can_id, address in can_frames.addresses(interface).items()
         }
         self._blocks = can_frames.block_addresses(interface)
         self._sets: dict[tuple[int, str, int], _Set] = {}
 
     @property
     def buffered_frames(self) -> int:
-        """Frames of shots that are not complete yet; never more than a unit has identifiers."""
+        """Number of frames of incomplete shots; bounded by the number of identifiers."""
         return sum(1 + len(shot.parts) - len(shot.awaited) for shot in self._shots if shot.awaited)
 
     def receive(self, can_id: int, data: bytes, is_fd: bool) -> list[Received]:
-        """The message that is complete with this frame, if there is one."""
+        """Decode a frame; returns the message that it completes, if any."""
         counters = self.counters
         counters.frames += 1
-        listened = self._listened.get(can_id)
-        if listened is None or listened[1] != is_fd:
+        expected = self._expected.get(can_id)
+        if expected is None or expected[1] != is_fd:
             return self._block(can_id, data, is_fd)
-        shot, _, length, header = listened
+        shot, _, length, header = expected
         if len(data) != length:
             counters.bad_length += 1
             return []
@@ -138,7 +139,7 @@ class CanReceiver:
         return [_complete(shot)]
 
     def _begin(self, shot: _Shot, message: CanMessage, counter: int, data: bytes) -> bool:
-        """Wait for what this header announces; false if it states no possible number of beams."""
+        """Start a shot with its header; returns False if the header has an impossible number of beams."""
         if shot.awaited:
             self._give_up(shot)
         if shot.counter is not None and (lost := (counter - shot.counter - 1) & self._mask):
@@ -160,12 +161,12 @@ class CanReceiver:
         return True
 
     def _give_up(self, shot: _Shot) -> None:
-        """No more frames for the unit's shot."""
+        """Drop the incomplete shot of a unit."""
         shot.awaited = {}
         self.counters.incomplete += 1
 
     def _block(self, can_id: int, data: bytes, is_fd: bool) -> list[Received]:
-        """An acknowledgement, or a part of the housekeeping."""
+        """Decode an acknowledgement or a part of the housekeeping."""
         if is_fd or can_id not in self._blocks:
             self.counters.unknown_ids += 1
             return []
@@ -185,10 +186,10 @@ class CanReceiver:
             return acknowledge(self._interface, unit, values)
         return Housekeeping(unit, values)
 
-    def _listen(self, address: Address) -> _Listened:
+    def _expect(self, address: Address) -> _Expected:
         message = address.message
         header = message if message.opens_set else None
-        return _Listened(self._shots[address.unit], message.is_fd, message.layout.length, header)
+        return _Expected(self._shots[address.unit], message.is_fd, message.layout.length, header)
 
     def _set(self, unit: int, can_set: str, beam_count: int) -> _Set:
         _, *messages = self._can.sets.get(can_set, (None,))

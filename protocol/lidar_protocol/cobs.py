@@ -15,7 +15,7 @@ _LONGEST_RUN = 254
 
 
 def encode(data: bytes) -> bytes:
-    """`data` stuffed, without the delimiter."""
+    """Stuff `data`; the delimiter is not included."""
     runs = data.split(DELIMITER)
     if len(data) >= _LONGEST_RUN and max(map(len, runs)) >= _LONGEST_RUN:
         return b"".join([bytes((len(run) + 1,)) + run for run in _cut(runs)])
@@ -28,7 +28,7 @@ def encode(data: bytes) -> bytes:
 
 
 def _cut(runs: list[bytes]) -> Iterator[bytes]:
-    """Runs of at most 254 bytes. A full one implies no zero: a zero after it needs a code of its own."""
+    """Split runs to at most 254 bytes. A full run implies no zero: a zero after it needs a code of its own."""
     *inner, last = runs
     for run in inner:
         full = len(run) // _LONGEST_RUN * _LONGEST_RUN
@@ -38,10 +38,10 @@ def _cut(runs: list[bytes]) -> Iterator[bytes]:
 
 
 def decode(stuffed: bytes) -> bytes:
-    """The data of one frame, given without its delimiter.
+    """Decode one frame without its delimiter.
 
     Raises:
-        DecodeError: the frame is empty, holds a zero, or ends inside a run.
+        DecodeError: the frame is empty, contains a zero, or ends inside a run.
     """
     if not stuffed or DELIMITER in stuffed:
         raise DecodeError(Fault.BAD_STUFFING, "a frame is at least one byte, none of them zero")
@@ -58,7 +58,7 @@ def decode(stuffed: bytes) -> bytes:
 
 
 def _decode_long(stuffed: bytes) -> bytes:
-    """The same where a run may be a full one, after which there is no zero."""
+    """Decode a frame that may contain full runs, after which there is no zero."""
     data = bytearray(stuffed)
     position, end = 0, len(stuffed)
     not_in_data: list[int] = []
@@ -80,5 +80,5 @@ def _check_end(position: int, end: int) -> None:
 
 
 def stuffed_length(length: int) -> int:
-    """The greatest number of bytes that `length` bytes become, without the delimiter."""
+    """Maximum stuffed length of `length` bytes, without the delimiter."""
     return length + 1 + max(0, length - 1) // _LONGEST_RUN

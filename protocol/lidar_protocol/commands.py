@@ -1,6 +1,6 @@
-"""Commands: encoded by a host, read by a device out of whatever arrives.
+"""Commands: encoded by a host, decoded by a device.
 
-A command is its code, a sequence number and its arguments. On CAN the identifier stands for the code.
+A command consists of its code, a sequence number and its arguments. On CAN the identifier replaces the code.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from lidar_protocol.layout import Layout
 from lidar_protocol.message import BadCommand, Command
 
 Argument = Value | str
-"""A value, or a word of the field's enumeration."""
+"""A value, or a name of the field's enumeration."""
 
 
 def encode(interface: Interface, unit: int, name: str, values: Mapping[str, Argument]) -> bytes:
-    """A command as framed bytes. `values` are `sequence` and the command's arguments.
+    """Encode a command as framed bytes. `values` holds `sequence` and the command's arguments.
 
     Raises:
         EncodeError: the interface has no such command, or an argument is missing, unknown or cannot be sent.
@@ -38,7 +38,7 @@ def encode(interface: Interface, unit: int, name: str, values: Mapping[str, Argu
 
 
 def encode_frame(interface: Interface, unit: int, name: str, values: Mapping[str, Argument]) -> CanFrame:
-    """A command as a CAN frame.
+    """Encode a command as a CAN frame.
 
     Raises:
         EncodeError: as `encode`, or the interface has no commands on CAN.
@@ -68,7 +68,7 @@ def _command(interface: Interface, name: str) -> CommandDefinition:
 def _checked(
     interface: Interface, command: CommandDefinition, layout: Layout, values: Mapping[str, Argument]
 ) -> dict[str, Value]:
-    """The arguments as numbers, each of which arrives as a value."""
+    """Convert the arguments to numbers, and check that each can be decoded again."""
     known = ("sequence", *command.arguments)
     if strange := values.keys() - set(known):
         raise EncodeError(f"{command.name} has no {', '.join(sorted(strange))}; it has {', '.join(known)}")
@@ -82,10 +82,10 @@ def _checked(
 
 
 def as_numbers(interface: Interface, layout: Layout, values: Mapping[str, Argument]) -> dict[str, Value]:
-    """Values with the words of enumerations replaced by what they stand for.
+    """Replace names of enumerations by their numbers.
 
     Raises:
-        EncodeError: a word that the enumeration does not have.
+        EncodeError: the enumeration does not have the name.
     """
     words = {placed.field.name: placed.field.enumeration for placed in layout.placed}
     numbers: dict[str, Value] = {}
@@ -101,7 +101,7 @@ def as_numbers(interface: Interface, layout: Layout, values: Mapping[str, Argume
 
 
 def _out_of_range(interface: Interface, layout: Layout, values: Mapping[str, Value], name: str) -> str | None:
-    """What is wrong with a value that arrived, if anything."""
+    """Why a decoded value is not allowed; None if it is."""
     (field,) = (placed.field for placed in layout.placed if placed.field.name == name)
     value = values[field.key]
     if value is None:
@@ -112,7 +112,7 @@ def _out_of_range(interface: Interface, layout: Layout, values: Mapping[str, Val
 
 
 def _broken(layout: Layout, back: Mapping[str, Value], sent: Value, name: str) -> str | None:
-    """A number of things, or of one thing, that is between two: rounding it would command something else."""
+    """Why a value must not be rounded; None if it need not be: rounding a whole number would change the command."""
     (field,) = (placed.field for placed in layout.placed if placed.field.name == name)
     between = isinstance(sent, float) and not sent.is_integer()
     return (
@@ -122,14 +122,15 @@ def _broken(layout: Layout, back: Mapping[str, Value], sent: Value, name: str) -
 
 @dataclass(slots=True)
 class CommandCounters(LinkCounters):
-    """What has come in: `messages` are commands, good ones and bad ones; of CAN frames, none is skipped bytes."""
+    """Counters of received commands: `messages` counts accepted and rejected ones; CAN frames add no skipped
+    bytes."""
 
     rejected: int = 0
-    """Undamaged packets for this unit that are no command of the interface."""
+    """Undamaged packets to this unit that are not a valid command."""
 
 
 class CommandReader:
-    """A device's ears on a byte link: commands out of a stream in any portions. It raises nothing."""
+    """Decoder of commands on a byte link, from a stream in portions of any size. It raises no exception."""
 
     def __init__(self, interface: Interface, unit: int = 0) -> None:
         self.counters = CommandCounters()
@@ -139,17 +140,17 @@ class CommandReader:
 
     @property
     def buffered_bytes(self) -> int:
-        """Bytes that may belong to a command whose end has not come yet."""
+        """Number of bytes that may belong to an incomplete command."""
         return self._frames.buffered_bytes
 
     def feed(self, data: bytes) -> list[Command | BadCommand]:
-        """The commands that are complete with `data`."""
+        """Decode received bytes; returns the commands that they complete."""
         return self._frames.receive(data)
 
     def _read(self, frame: bytes) -> Command | BadCommand:
         (kind, unit, sequence), body = packet.unseal(self._interface.link, frame)
         if kind != "command" or unit != self._unit:
-            raise DecodeError(Fault.FOREIGN, "no command to this unit")
+            raise DecodeError(Fault.FOREIGN, "not a command to this unit")
         command = self._command(sequence, body)
         self.counters.rejected += isinstance(command, BadCommand)
         return command
@@ -171,7 +172,7 @@ class CommandReader:
 
 
 class CanCommandReader:
-    """A device's ears on CAN."""
+    """Decoder of commands on CAN."""
 
     def __init__(self, interface: Interface, unit: int = 0) -> None:
         self.counters = CommandCounters()
@@ -179,7 +180,7 @@ class CanCommandReader:
         self._commands = can_frames.command_addresses(interface, unit)
 
     def feed(self, can_id: int, data: bytes, is_fd: bool = False) -> list[Command | BadCommand]:
-        """The command in a frame; frames with other identifiers are none."""
+        """Decode the command in a frame; frames with other identifiers are counted as foreign."""
         command = None if is_fd else self._commands.get(can_id)
         self.counters.frames += 1
         if command is None or command.can is None:

@@ -1,8 +1,8 @@
-"""A block of fields as functions, written out and compiled once when an interface is loaded.
+"""Compile a block of fields to functions, once, when an interface is loaded.
 
-A loop over the fields costs a microsecond for three of them. So each block becomes one `struct` of runs of bytes, a
-field each where a field is a whole number of bytes that `struct` knows, and one expression per field around it. For
-a flag, a 7-bit number and a u16 with a code for none:
+A loop over the fields would cost a microsecond for three fields. Instead, each block becomes one `struct` of runs of
+bytes, and one expression per field; a field of 1, 2, 4 or 8 whole bytes is a run of its own. For a flag, a 7-bit number
+and a u16 with a code for none:
 
     def pack(values, own):
         return struct_pack(
@@ -22,7 +22,7 @@ a flag, a 7-bit number and a u16 with a code for none:
             found.append(values)
         return found
 
-What goes into the source are numbers, operators and names that the definition's reader has checked.
+The source consists only of numbers, operators and names that were checked when the definition was read.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ ByteOrder = Literal["big", "little"]
 Pack = Callable[[Mapping[str, Value], Mapping[str, Value]], bytes]
 """(values, own) -> block. KeyError names a value that is missing."""
 Unpack = Callable[[bytes, int], dict[str, Value]]
-"""(bytes, place of the block in them) -> values."""
+"""(bytes, offset of the block) -> values."""
 UnpackEach = Callable[[bytes], list[dict[str, Value]]]
-"""A whole number of blocks, one after another -> the values of each."""
+"""Consecutive blocks -> the values of each."""
 
 
 class Functions(NamedTuple):
-    """What is compiled of a block."""
+    """Compiled functions of a block."""
 
     pack: Pack
     unpack: Unpack
@@ -56,9 +56,9 @@ class Functions(NamedTuple):
 _LETTERS = {8: "Q", 4: "I", 2: "H", 1: "B"}
 
 
-class Placed(NamedTuple):
-    """A field and its place: `first_bit` counts from the first bit of byte 0, which is the most significant one of
-    a big-endian block and the least significant one of a little-endian block."""
+class PlacedField(NamedTuple):
+    """A field and its position: `first_bit` counts from the first bit of byte 0, the most significant bit in a
+    big-endian block and the least significant bit in a little-endian block."""
 
     field: Field
     first_bit: int
@@ -74,10 +74,10 @@ class Placed(NamedTuple):
 
 @dataclass(frozen=True)
 class _Run:
-    """Bytes that share no field with others."""
+    """Consecutive bytes whose fields share no byte with other runs."""
 
     number: int
-    fields: list[Placed]
+    fields: list[PlacedField]
     order: ByteOrder
 
     @property
@@ -90,20 +90,20 @@ class _Run:
 
     @property
     def is_own_number(self) -> bool:
-        """Whether `struct` reads its one field as it is."""
+        """Whether the run is one field that `struct` reads directly."""
         return (
             len(self.fields) == 1 and self.fields[0].field.codec.bits == 8 * self.length == 8 * self.parts[0]
         )
 
     @property
     def is_signed(self) -> bool:
-        """Whether it is one signed number."""
+        """Whether the run is one signed number."""
         codec = self.fields[0].field.codec
         return len(self.fields) == 1 and codec.signed and codec.bits == 8 * self.length
 
     @property
     def parts(self) -> list[int]:
-        """Lengths that `struct` knows and that make up the run, from its first byte on."""
+        """Lengths of the `struct` items that make up the run."""
         parts, left = [], self.length
         while left:
             parts.append(next(length for length in _LETTERS if length <= left))
@@ -112,12 +112,12 @@ class _Run:
 
     @property
     def names(self) -> list[str]:
-        """The variables that hold the parts."""
+        """Variables of the parts."""
         return [f"c{self.number}_{k}" for k in range(len(self.parts))]
 
     @property
     def shifts(self) -> list[int]:
-        """How far above the lowest bit of the run the lowest one of each part lies."""
+        """Shift of each part, from the lowest bit of the run."""
         before = [8 * sum(self.parts[:k]) for k in range(len(self.parts))]
         if self.order == "little":
             return before
@@ -134,20 +134,23 @@ class _Run:
             letters[top] = letters[top].lower()
         return "".join(letters)
 
-    def shift(self, placed: Placed) -> int:
-        """How far above the lowest bit of the run the lowest one of the field lies."""
+    def shift(self, placed: PlacedField) -> int:
+        """Shift of the field, from the lowest bit of the run."""
         before = placed.first_bit - 8 * self.first_byte
         return before if self.order == "little" else 8 * self.length - before - placed.field.codec.bits
 
 
 def compiled(
-    length: int, placed: Sequence[Placed], order: ByteOrder, own: frozenset[str], silent: frozenset[str]
+    length: int, placed: Sequence[PlacedField], order: ByteOrder, own: frozenset[str], silent: frozenset[str]
 ) -> Functions:
-    """The functions of a block of `length` bytes.
+    """Compile the functions of a block of `length` bytes.
 
     Args:
-        own: the fields that are not the caller's to give.
-        silent: those that are not handed on either.
+        length: length in bytes.
+        placed: fields in ascending order of position.
+        order: byte order.
+        own: names of fields that the library fills in.
+        silent: names of fields that are not decoded.
     """
     runs = _runs(placed, order)
     block = struct.Struct(_format(length, runs, order))
@@ -181,12 +184,12 @@ def compiled(
 
 
 def _collected(entries: Sequence[tuple[str, str]]) -> list[str]:
-    """The lines that make a dictionary of keys and values. Python gives a display of up to fifteen its size at once."""
+    """Lines that build a dictionary. Python presizes a display of up to fifteen entries."""
     first = ", ".join(f"{key!r}: {value}" for key, value in entries[:15])
     return [f"values = {{{first}}}", *(f"values[{key!r}] = {value}" for key, value in entries[15:])]
 
 
-def _runs(placed: Sequence[Placed], order: ByteOrder) -> list[_Run]:
+def _runs(placed: Sequence[PlacedField], order: ByteOrder) -> list[_Run]:
     runs: list[_Run] = []
     for each in placed:
         if runs and each.first_byte < runs[-1].fields[-1].end_byte:
@@ -205,7 +208,7 @@ def _format(length: int, runs: Sequence[_Run], order: ByteOrder) -> str:
 
 
 def _packed(run: _Run, own: frozenset[str], names: dict[str, Any]) -> list[str]:
-    """The expressions for what `struct` packs of a run."""
+    """Expressions of the values that `struct` packs for a run."""
     if run.is_own_number:
         return [_raw(run.fields[0], own, names)]
     if run.is_signed:
@@ -222,12 +225,12 @@ def _packed(run: _Run, own: frozenset[str], names: dict[str, Any]) -> list[str]:
 
 
 def _part(number: str, shift: int, length: int, is_top: bool) -> str:
-    """The expression for a part of a number; above the top one there is nothing but the sign."""
+    """Expression of a part of a number; the top part is not masked, as only the sign is above it."""
     shifted = f"{number} >> {shift}" if shift else number
     return shifted if is_top else f"{shifted} & {(1 << 8 * length) - 1}"
 
 
-def _shifted(placed: Placed, shift: int, own: frozenset[str], names: dict[str, Any]) -> str:
+def _shifted(placed: PlacedField, shift: int, own: frozenset[str], names: dict[str, Any]) -> str:
     codec, raw = placed.field.codec, _raw(placed, own, names)
     if isinstance(codec, Flag):
         return f"({1 << shift} if {_source(placed, own)} else 0)"
@@ -235,12 +238,12 @@ def _shifted(placed: Placed, shift: int, own: frozenset[str], names: dict[str, A
     return f"{sure} << {shift}" if shift else sure
 
 
-def _source(placed: Placed, own: frozenset[str]) -> str:
-    """The expression for the value of a field."""
+def _source(placed: PlacedField, own: frozenset[str]) -> str:
+    """Expression of the value of a field."""
     return f"{'own' if placed.field.name in own else 'values'}[{placed.field.key!r}]"
 
 
-def _raw(placed: Placed, own: frozenset[str], names: dict[str, Any]) -> str:
+def _raw(placed: PlacedField, own: frozenset[str], names: dict[str, Any]) -> str:
     field, source = placed.field, _source(placed, own)
     if isinstance(field.codec, Counter) and field.name in own:  # the library's own are whole numbers
         return f"{source} & {(1 << field.codec.bits) - 1}"
@@ -254,7 +257,7 @@ def _raw(placed: Placed, own: frozenset[str], names: dict[str, Any]) -> str:
 
 
 def _named(function: Callable[[Value], int | float], name: str) -> Callable[[Value], int | float]:
-    """The function, with the field's name before its complaints."""
+    """Wrap the function to put the field's name before its error messages."""
 
     def named(value: Value) -> int | float:
         try:
@@ -271,7 +274,7 @@ def _joined(run: _Run) -> str:
 
 
 def _unpacked(run: _Run, silent: frozenset[str]) -> list[tuple[str, str]]:
-    """Key and expression of each value."""
+    """Key and expression of each decoded value."""
     name = run.names[0]
     if run.is_own_number:
         field = run.fields[0].field

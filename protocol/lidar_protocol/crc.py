@@ -1,7 +1,7 @@
 """Cyclic redundancy checks, by the names of the catalogue of parametrised CRC algorithms.
 
-Those with the polynomials of the standard library's own are computed by it, in C: a fraction of a microsecond for a
-packet. The others go through a table in Python, at some 0.1 us a byte.
+The standard library computes the polynomials that it has in C: a fraction of a microsecond for a packet. The others
+use a table in Python, about 0.1 us per byte.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from typing import Final
 
 @dataclass(frozen=True)
 class Crc:
-    """One algorithm, with what a document has to say of it."""
+    """Parameters of a CRC algorithm."""
 
     name: str
     bits: int
     polynomial: int
     start: int
     reflected: bool
-    """Both ways: bytes are taken from their lowest bit on, and the result is turned round."""
+    """Input and output are reflected: bytes are processed from their least significant bit."""
     final_xor: int
     check: int
-    """Of the ASCII text 123456789."""
+    """CRC of the ASCII text 123456789."""
 
     @property
     def length(self) -> int:
-        """Bytes of the result."""
+        """Length of the CRC in bytes."""
         return self.bits // 8
 
     @property
     def function(self) -> Callable[[bytes], int]:
-        """From data to CRC."""
+        """Function from data to CRC."""
         match self.name:
             case "crc16_ccitt_false":
                 return lambda data: binascii.crc_hqx(data, 0xFFFF)
@@ -47,7 +47,7 @@ class Crc:
         return self.by_table
 
     def by_table(self, data: bytes) -> int:
-        """The CRC of `data`, byte by byte."""
+        """Compute the CRC of `data` byte by byte."""
         table, crc, down = table_of(self), self.start, self.bits - 8
         if self.reflected:
             for byte in data:
@@ -59,19 +59,19 @@ class Crc:
         return crc ^ self.final_xor
 
 
-_TURNED: Final = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
-"""Bytes with their bits the other way round."""
+_REFLECTED: Final = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
+"""Bytes with reversed order of bits."""
 
 
 def _x25(data: bytes) -> int:
-    """The reflected sister of CRC-16/CCITT-FALSE: the same over turned bytes, turned."""
-    crc = binascii.crc_hqx(data.translate(_TURNED), 0xFFFF)
-    return (_TURNED[crc & 0xFF] << 8 | _TURNED[crc >> 8]) ^ 0xFFFF
+    """CRC-16/X-25: CRC-16/CCITT-FALSE over reflected bytes, reflected and inverted."""
+    crc = binascii.crc_hqx(data.translate(_REFLECTED), 0xFFFF)
+    return (_REFLECTED[crc & 0xFF] << 8 | _REFLECTED[crc >> 8]) ^ 0xFFFF
 
 
 @cache
 def table_of(crc: Crc) -> tuple[int, ...]:
-    """What each byte does to the register."""
+    """Table of the register after each byte."""
     return tuple(_reflected_entry(crc, byte) if crc.reflected else _entry(crc, byte) for byte in range(256))
 
 
@@ -101,4 +101,4 @@ CRCS: Final = {
         Crc("crc32c", 32, 0x1EDC6F41, 0xFFFFFFFF, True, 0xFFFFFFFF, 0xE3069283),
     )
 }
-"""Those that an interface can name."""
+"""Algorithms that an interface definition can name."""

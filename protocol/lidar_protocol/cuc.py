@@ -14,17 +14,17 @@ HALF_TICK = 1 << FRACTION_BITS - 1
 
 
 def ticks_from_ns(time_ns: int) -> int:
-    """The tick nearest to `time_ns` after the epoch.
+    """Convert nanoseconds from the epoch to the nearest tick.
 
     Raises:
-        EncodeError: before the epoch, or 2**32 s and more after it.
+        EncodeError: the time is before the epoch, or 2**32 s or more after it.
     """
     ticks = ((time_ns << FRACTION_BITS) + NS_PER_S // 2) // NS_PER_S
     if 0 <= ticks < 1 << BITS:
         return ticks
-    raise EncodeError(f"time {time_ns} ns lies outside the 2**32 s from the epoch that a time code counts")
+    raise EncodeError(f"time {time_ns} ns is outside the range of the time code, 2**32 s from the epoch")
 
 
 def ns_from_ticks(ticks: int) -> int:
-    """The nanosecond nearest to a tick; `ticks_from_ns` gives the tick back."""
+    """Convert a tick to the nearest nanosecond; `ticks_from_ns` is the inverse."""
     return (ticks * NS_PER_S + HALF_TICK) >> FRACTION_BITS

@@ -1,4 +1,4 @@
-"""Interface definitions as frozen data: everything that sender and receiver must agree upon."""
+"""Interface definitions as frozen data classes."""
 
 from __future__ import annotations
 
@@ -9,50 +9,50 @@ from typing import Literal, NamedTuple
 
 from lidar_protocol.compiled import Pack
 from lidar_protocol.crc import Crc
-from lidar_protocol.field_table import Enumerations
+from lidar_protocol.definition_fields import Enumerations
 from lidar_protocol.fields import Value
 from lidar_protocol.framing import Framing
 from lidar_protocol.headers import PacketHeader
 from lidar_protocol.layout import ByteOrder, Layout
 
 CanSet = Literal["core", "full", "fd"]
-"""The messages of one shot: what a classic bus can carry at speed, everything on a classic bus, or CAN FD."""
+"""Set of messages for one shot: the essential values on classic CAN, all values on classic CAN, or CAN FD."""
 
 Covered = Literal["packet", "body", "frame"]
-"""What a CRC is computed over: all of the packet before it, that without its header, or all of the frame."""
+"""Bytes that a CRC covers: the packet before it, the packet without its header, or the whole frame before it."""
 
 
 @dataclass(frozen=True)
 class ByteLink:
-    """How packets travel on a serial line."""
+    """Framing, header and CRC of packets on a byte link."""
 
     framing: Framing
     header: PacketHeader
     crc: Crc | None
     covered: Covered
     byte_order: ByteOrder
-    """Of the CRC."""
+    """Byte order of the CRC."""
 
     @cached_property
     def crc_length(self) -> int:
-        """Bytes of the CRC."""
+        """Length of the CRC in bytes; 0 without a CRC."""
         return 0 if self.crc is None else self.crc.length
 
     @cached_property
     def checksum(self) -> Callable[[bytes], int]:
-        """From what is covered to the CRC."""
+        """Function from the covered bytes to the CRC."""
         assert self.crc is not None
         return self.crc.function
 
     @cached_property
     def overhead(self) -> int:
-        """Bytes of a packet beside its body."""
+        """Length in bytes of header and CRC."""
         return self.header.length + self.crc_length
 
 
 @dataclass(frozen=True)
 class PacketDefinition:
-    """The body of a measurement: `header`, then `beam`, if there is one, for each beam."""
+    """Body of a measurement: the block `header`, then for each beam the block `beam`, if there is one."""
 
     header: Layout
     beam: Layout | None
@@ -60,13 +60,13 @@ class PacketDefinition:
 
     @cached_property
     def of_beams(self) -> tuple[tuple[str, str, int], ...]:
-        """The fields of the header that belong to a beam: key, name and beam."""
+        """Fields of the header that belong to a beam: key, name and beam number."""
         fields = (placed.field for placed in self.header.placed)
         return tuple((field.key, field.name, field.beam) for field in fields if field.beam is not None)
 
     @cached_property
     def beams_in_header(self) -> int:
-        """How many beams the fields of the header belong to."""
+        """Number of beams that have fields in the header."""
         return max((beam + 1 for _, _, beam in self.of_beams), default=0)
 
     @cached_property
@@ -76,13 +76,13 @@ class PacketDefinition:
 
     @property
     def longest(self) -> int:
-        """Bytes of the longest body."""
+        """Length in bytes of the longest body."""
         return self.header.length + (self.maximum_beams * self.beam.length if self.beam else 0)
 
 
 @dataclass(frozen=True)
 class CommandDefinition:
-    """A command: on a byte link code, sequence number and arguments; on CAN its identifier stands for the code."""
+    """A command: code, sequence number and arguments on a byte link; on CAN the identifier replaces the code."""
 
     name: str
     code: int
@@ -91,15 +91,15 @@ class CommandDefinition:
     arguments: tuple[str, ...]
     can: Layout | None
     can_id: int | None
-    """Relative to the unit's first identifier."""
+    """Identifier on CAN, relative to the first identifier of the unit."""
 
 
 @dataclass(frozen=True)
 class Commands:
-    """What a host can ask for."""
+    """Commands of an interface."""
 
     header: Layout
-    """The fields with which every command starts, `command` and `sequence` among them."""
+    """Fields at the start of every command, including `command` and `sequence`."""
     commands: tuple[CommandDefinition, ...]
 
     @cached_property
@@ -112,21 +112,21 @@ class Commands:
 
     @cached_property
     def sequence_steps(self) -> int:
-        """How many sequence numbers there are; after the last one comes 0."""
+        """Number of sequence numbers, after which they wrap to 0."""
         return next(1 << p.field.codec.bits for p in self.header.placed if p.field.name == "sequence")
 
 
 @dataclass(frozen=True)
 class CanMessage:
-    """A message, or one for each beam slot."""
+    """A CAN message of a measurement, sent once or for each beam slot."""
 
     name: str
     id: int
-    """Relative to the unit's first identifier; of slot 0."""
+    """Identifier of slot 0, relative to the first identifier of the unit."""
     each_beam: bool
     sets: frozenset[str]
     absent_unless: str | None
-    """Flag without which a beam's message is sent as absent, and which its reception implies."""
+    """Flag of the beam: if it is false, the message is sent as absent; any other content implies that it is true."""
     layout: Layout
 
     @property
@@ -135,25 +135,25 @@ class CanMessage:
 
     @cached_property
     def opens_set(self) -> bool:
-        """It is the header, which states how many beams follow."""
+        """Whether the message is the header of a set, which holds the number of beams."""
         return "beam_count" in self.layout.names
 
     @cached_property
     def absent_blocks(self) -> tuple[bytes, ...]:
-        """An absent beam's message, for each value of the shot counter."""
+        """Message of an absent beam for each value of the shot counter."""
         bits, absent = self.layout.placed[0].field.codec.bits, self.layout.absent
         shift = 8 - bits if self.layout.byte_order == "big" else 0
         return tuple(bytes((absent[0] | n << shift,)) + absent[1:] for n in range(1 << bits))
 
     @cached_property
     def absent_set(self) -> frozenset[bytes]:
-        """The same, to look up."""
+        """The values of `absent_blocks`, for look-up."""
         return frozenset(self.absent_blocks)
 
 
 @dataclass(frozen=True)
 class CanBlock:
-    """A message that stands alone: an acknowledgement, or a part of the housekeeping."""
+    """A single CAN message: an acknowledgement, or a part of the housekeeping."""
 
     name: str
     id: int
@@ -161,46 +161,46 @@ class CanBlock:
 
 
 class CanPlan(NamedTuple):
-    """What is the same in every shot of a unit, a set and a number of beams."""
+    """Cached values that are the same in all shots with one unit, set and number of beams."""
 
     identifiers: tuple[int, ...]
     are_fd: tuple[bool, ...]
     messages: tuple[tuple[Pack, bool, str | None, tuple[bytes, ...]], ...]
-    """How a message is packed, whether it is one for each beam, the flag without which a beam is absent, and what is
-    sent of it then, for each shot counter."""
+    """For each message: its packing function, whether it is sent for each beam, the flag of absent beams, and the
+    message of an absent beam for each shot counter."""
     own: dict[str, Value]
-    """What the library fills in, but for the shot counter."""
+    """Fields that the library fills in, except the shot counter."""
 
 
 @dataclass(frozen=True)
 class CanDefinition:
-    """Identifiers and messages on CAN."""
+    """CAN part of an interface: identifiers and messages."""
 
     id_base: int
     unit_stride: int
     beam_slots: int
     counter_bits: int
-    """Of the shot counter, with which every message of a shot starts."""
+    """Length in bits of the shot counter at the start of every message of a shot."""
     messages: tuple[CanMessage, ...]
     acknowledge: CanBlock | None
     housekeeping: tuple[CanBlock, ...]
 
     def shot_counter(self, data: bytes) -> int:
-        """The counter with which every message of a shot starts."""
+        """Shot counter at the start of a message of a shot."""
         return data[0] >> self.counter_shift & self.counter_mask
 
     def can_id(self, unit: int, message: CanMessage | CanBlock, slot: int = 0) -> int:
-        """The identifier of a unit's message."""
+        """Identifier of a message of a unit."""
         return self.id_base + unit * self.unit_stride + message.id + slot
 
     @cached_property
     def blocks(self) -> tuple[CanBlock, ...]:
-        """The messages that stand alone."""
+        """Acknowledgement and housekeeping messages."""
         return (*([self.acknowledge] if self.acknowledge else []), *self.housekeeping)
 
     @cached_property
     def plans(self) -> dict[tuple[int, CanSet, int], CanPlan]:
-        """Those that were needed so far: by unit, set and number of beams."""
+        """Cache of plans, by unit, set and number of beams."""
         return {}
 
     @cached_property
@@ -213,14 +213,14 @@ class CanDefinition:
 
     @cached_property
     def sets(self) -> Mapping[str, tuple[CanMessage, ...]]:
-        """The messages of each set, in the order of sending."""
+        """Messages of each set, in the order of transmission."""
         names = {name: None for message in self.messages for name in sorted(message.sets)}
         return {name: tuple(each for each in self.messages if name in each.sets) for name in names}
 
 
 @dataclass(frozen=True)
 class Interface:
-    """Everything that sender and receiver must agree upon."""
+    """An interface definition: everything that device and host must agree on."""
 
     name: str
     version: int
@@ -237,7 +237,7 @@ class Interface:
 
     @cached_property
     def maximum_packet_bytes(self) -> int:
-        """Length of the longest packet from the device, header and CRC included."""
+        """Length of the longest packet from the device, including header and CRC."""
         others = [layout.length for layout in (self.acknowledge, self.housekeeping) if layout is not None]
         return self.link.overhead + max(self.packet.longest, *others, 0)
 
@@ -249,10 +249,11 @@ class Interface:
 
     @cached_property
     def maximum_command_bytes(self) -> int:
-        """Up to where packets to the device are read: so that a command that is too long is told from noise."""
+        """Maximum length of packets that a device reads. It exceeds the longest command, so that a command that is
+        too long is rejected as malformed instead of being counted as noise."""
         return self.longest_command + 64
 
     def word(self, enumeration: str | None, value: int) -> str | None:
-        """The name of a value of an enumeration; None where it has none."""
+        """Name of a value of an enumeration; None if it has no name."""
         words = self.enumerations.get(enumeration or "", {})
         return next((word for word, own in words.items() if own == value), None)

@@ -1,7 +1,7 @@
-"""The device's side of the link: shots, acknowledgements and housekeeping in, bytes or frames out.
+"""Device side of the link: encode shots, acknowledgements and housekeeping.
 
-It keeps no state. The sequence counts follow from the number of the shot, so that a shot that was skipped leaves a gap
-that the receiver sees, and any shot can be encoded alone. Commands are read by `CommandReader`, which does.
+The encoder is stateless. Sequence counts follow from the shot number, so that a skipped shot leaves a gap that the
+receiver detects, and any shot can be encoded alone. `CommandReader`, which decodes commands, has state.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from lidar_protocol.layout import Layout
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """One unit. Values are given by the names and in the units of the definition, as to `packet.encode`."""
+    """Encoder of one unit. Values have the names and units of the definition, as in `packet.encode`."""
 
     interface: Interface
     unit: int = 0
 
     def serial_bytes(self, header: Mapping[str, Value], beams: Sequence[Mapping[str, Value]]) -> bytes:
-        """The shot's packet, framed.
+        """Encode a shot as a framed packet.
 
         Raises:
             EncodeError: as `packet.encode`.
@@ -37,7 +37,7 @@ class Device:
     def can_frames(
         self, can_set: CanSet, header: Mapping[str, Value], beams: Sequence[Mapping[str, Value]]
     ) -> list[CanFrame]:
-        """The shot's frames in the order of sending.
+        """Encode a shot as CAN frames, in the order of transmission.
 
         Raises:
             EncodeError: as `can_frames.encode`.
@@ -45,12 +45,12 @@ class Device:
         return can_frames.encode(self.interface, self.unit, can_set, header, beams)
 
     def acknowledge(self, number: int, command: int | str, **values: Argument) -> bytes:
-        """The answer to a command, framed.
+        """Encode an acknowledgement as a framed packet.
 
         Args:
-            number: how many acknowledgements went before.
+            number: number of acknowledgements sent before.
             command: name or code of the command.
-            values: `sequence`, `verdict` and the other fields; a word, or what it stands for.
+            values: `sequence`, `verdict` and the other fields; numbers, or names of enumerations.
 
         Raises:
             EncodeError: a field is missing or cannot be sent, or the interface has no acknowledgements.
@@ -65,7 +65,7 @@ class Device:
         )
 
     def acknowledge_frame(self, command: int | str, **values: Argument) -> CanFrame:
-        """The answer to a command as a CAN frame; arguments and errors as of `acknowledge`."""
+        """Encode an acknowledgement as a CAN frame; arguments and errors as in `acknowledge`."""
         can = can_frames.definition(self.interface)
         layout = self._layout("acknowledge", can.acknowledge.layout if can.acknowledge else None)
         assert can.acknowledge is not None
@@ -77,11 +77,11 @@ class Device:
         return CanFrame(can.can_id(self.unit, can.acknowledge), data)
 
     def housekeeping(self, number: int, values: Mapping[str, Argument]) -> bytes:
-        """How the device is, framed.
+        """Encode housekeeping as a framed packet.
 
         Args:
-            number: how many of them went before.
-            values: the fields; a word, or what it stands for.
+            number: number of housekeeping packets sent before.
+            values: all fields; numbers, or names of enumerations.
 
         Raises:
             EncodeError: a field is missing or cannot be sent, or the interface has no housekeeping.
@@ -93,7 +93,7 @@ class Device:
         )
 
     def housekeeping_frames(self, values: Mapping[str, Argument]) -> list[CanFrame]:
-        """The same as CAN frames, each of which stands alone; arguments and errors as of `housekeeping`."""
+        """Encode housekeeping as independent CAN frames; arguments and errors as in `housekeeping`."""
         can = can_frames.definition(self.interface)
         own: Mapping[str, Value] = {"interface_version": self.interface.version}
         return [

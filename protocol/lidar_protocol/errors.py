@@ -1,4 +1,4 @@
-"""What can go wrong, told apart by whose fault it is."""
+"""Errors, one class for each party at fault: author of the definition, caller, other end of the link."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class DefinitionError(ValueError):
-    """An interface definition cannot be used: one line with the place, the value and what is allowed."""
+    """An interface definition cannot be used. The message is one line: place, value and what is allowed."""
 
     def __init__(self, where: str, value: object, allowed: str) -> None:
         self.where, self.value, self.allowed = where, value, allowed
@@ -15,11 +15,11 @@ class DefinitionError(ValueError):
 
 
 class EncodeError(ValueError):
-    """The caller gave something that cannot be sent."""
+    """A value of the caller cannot be encoded."""
 
 
 class Fault(StrEnum):
-    """What is wrong with received bytes. The values are the names of the receivers' counters."""
+    """Fault of received bytes. The values are the names of the receivers' counters."""
 
     BAD_STUFFING = "bad_stuffing"
     BAD_LENGTH = "bad_length"
@@ -28,7 +28,7 @@ class Fault(StrEnum):
 
 
 class DecodeError(ValueError):
-    """The other side sent something that is not a message of this interface."""
+    """Received bytes are not a message of this interface."""
 
     def __init__(self, fault: Fault, text: str) -> None:
         super().__init__(text)

@@ -1,10 +1,10 @@
-"""Fields: physical values to bit patterns and back, as expressions in Python.
+"""Fields: codecs between physical values and bit patterns, as Python expressions.
 
-A value outside its range never wraps: it is sent as the field's code for "none", or as the nearest value that
-can be sent. A missing value (None, NaN) is the code for "none"; what is not in range on reception is None.
+A value outside its range never wraps: it is encoded as the field's code for "none", or as the nearest end of the range.
+A missing value (None, NaN) is encoded as "none"; a received pattern outside the range is decoded as None.
 
-A packet takes a hundred of these conversions, so none of them is a call: each codec writes down the expression
-for its field, and `compiled` puts those of a block into one function.
+A packet needs a hundred of these conversions, so none of them is a call: each codec returns the source of its
+expression, and `compiled` joins the expressions of a block to one function.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from lidar_protocol import cuc
 from lidar_protocol.errors import EncodeError
 
 Value = int | float | None
-"""What a field holds: a bool, an int, a float in the field's unit, or None where there is no value."""
+"""Value of a field: a bool, an int, a float in the field's unit, or None for no value."""
 
 Bind = Callable[[Callable[[Value], int | float]], str]
-"""Gives a function that an expression needs a name in it."""
+"""Binds a function to a name that the expression can use, and returns the name."""
 
 
 class Codec(Protocol):
-    """How values become `bits` bits."""
+    """Conversion between values and `bits` bits."""
 
     @property
     def bits(self) -> int: ...
@@ -37,22 +37,22 @@ class Codec(Protocol):
 
     @property
     def absent_raw(self) -> int:
-        """The bits of "absent", without sign."""
+        """Bit pattern of "absent", without sign."""
 
     @property
     def is_optional(self) -> bool:
         """Whether None can be sent."""
 
     def raw(self, value: str, bind: Bind) -> str:
-        """The expression for what is sent of the value that the expression `value` gives. It may use v and s."""
+        """Expression of the raw number for the expression `value`. It may use the variables v and s."""
 
     def value(self, raw: str) -> str:
-        """The expression for the value; `raw` is evaluated at most once. It may use r."""
+        """Expression of the value for the expression `raw`, evaluated at most once. It may use the variable r."""
 
 
 @dataclass(frozen=True)
 class Flag:
-    """One bit; None is sent as 0."""
+    """One bit; None is encoded as 0."""
 
     bits: ClassVar[int] = 1
     signed: ClassVar[bool] = False
@@ -68,7 +68,7 @@ class Flag:
 
 @dataclass(frozen=True)
 class Constant:
-    """The same bits in every message, whatever value is given."""
+    """Constant bits, whatever value is given."""
 
     bits: int
     code: int
@@ -88,7 +88,7 @@ class Constant:
 
 @dataclass(frozen=True)
 class Counter:
-    """A whole number that wraps: its lowest bits."""
+    """A whole number that wraps: its least significant bits are sent."""
 
     bits: int
     signed: ClassVar[bool] = False
@@ -104,7 +104,7 @@ class Counter:
 
 @dataclass(frozen=True)
 class Time:
-    """Nanoseconds from the epoch as a CUC time code."""
+    """Nanoseconds from the epoch, encoded as a CUC time code."""
 
     bits: ClassVar[int] = cuc.BITS
     signed: ClassVar[bool] = False
@@ -142,7 +142,7 @@ class Number:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The least and the greatest value."""
+        """Minimum and maximum value."""
         if self.whole:
             return self.lowest + self.offset, self.highest + self.offset
         return self.lowest / self.steps_per_unit, self.highest / self.steps_per_unit
@@ -168,23 +168,23 @@ class Number:
         return f"{missing} if (v := {value}) is None else {in_range}"
 
     def rounded(self, value: Value) -> int:
-        """What is sent of a value that is not a whole number, or not in range."""
+        """Raw number of a value that is not an int, or not in range."""
         if value is not None and self.lowest <= (steps := value + (0.5 - self.offset)) < self.highest + 1:
             return floor(steps)
         return self.outside(value)
 
     def outside(self, value: Value) -> int:
-        """What is sent of a value that is not in range."""
+        """Raw number of a value that is not in range."""
         if self.nearest and value is not None and value == value:
             return self.lowest if (value - self.offset) * self.steps_per_unit < self.lowest else self.highest
         if self.none is None:
-            raise EncodeError(f"{value!r} cannot be sent, and there is no code for none")
+            raise EncodeError(f"{value!r} cannot be sent, and the field has no code for none")
         return self.none
 
     def value(self, raw: str) -> str:
         if self.is_full:
             return self._scaled(f"({raw})")
-        # Most codes lie at one end, so that one comparison finds them.
+        # Codes are usually at one end of the range, so that one comparison is enough.
         least, most = self._pattern_limits
         below = "" if self.lowest == least else f"{self.lowest} <= "
         above = "" if self.highest == most else f" <= {self.highest}"
@@ -192,12 +192,12 @@ class Number:
 
     @property
     def _pattern_limits(self) -> tuple[int, int]:
-        """The least and the greatest number that the bits can be."""
+        """Minimum and maximum number of the bit pattern."""
         return (-(1 << self.bits - 1), (1 << self.bits - 1) - 1) if self.signed else (0, (1 << self.bits) - 1)
 
     @property
     def is_full(self) -> bool:
-        """Whether every pattern of bits is a value."""
+        """Whether every bit pattern is a value."""
         return (self.lowest, self.highest) == self._pattern_limits
 
     def _scaled(self, raw: str) -> str:
@@ -208,7 +208,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Real:
-    """A floating-point number (IEEE 754) in the field's unit; none is NaN."""
+    """A floating-point number (IEEE 754) in the field's unit; "none" is NaN."""
 
     bits: int
     lowest: float
@@ -219,7 +219,7 @@ class Real:
 
     @property
     def code(self) -> str:
-        """The letter of `struct`."""
+        """Format character of `struct`."""
         return "f" if self.bits == 32 else "d"
 
     @property
@@ -228,7 +228,7 @@ class Real:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The least and the greatest value, as far as the type can tell them."""
+        """Minimum and maximum value, rounded to the type."""
         return self._sendable
 
     @cached_property
@@ -241,7 +241,7 @@ class Real:
         return f"v if (v := {value}) is not None and {low!r} <= v <= {high!r} else {bind(self.outside)}(v)"
 
     def outside(self, value: Value) -> float:
-        """What is sent of a value that is not in range."""
+        """Encoded value of a value that is not in range."""
         if self.nearest and value is not None and value == value:
             return self.lowest if value < self.lowest else self.highest
         return float("nan")
@@ -260,18 +260,18 @@ class Field:
     unit: str = ""
     meaning: str = ""
     enumeration: str | None = None
-    """Name of the interface's enumeration that the value comes from."""
+    """Name of the enumeration of the values."""
     beam: int | None = None
-    """The beam whose value it is, of a field in the header of a packet that belongs to one beam."""
+    """Number of the beam, for a field of the packet header that belongs to one beam."""
 
     @property
     def key(self) -> str:
-        """What tells it from the other fields of its block."""
+        """Unique key of the field in its block."""
         return self.name if self.beam is None else f"{self.name}_{self.beam}"
 
 
 def _as_float(number: int) -> str:
-    """A limit of floats as they are compared fastest; a comparison with NaN is false."""
+    """Limit as a float where exact, because floats are compared fastest; comparisons with NaN are false."""
     return repr(float(number)) if float(number) == number else str(number)
 
 

@@ -1,4 +1,4 @@
-"""How packets lie in a stream of bytes, and how they are found in it again."""
+"""Framing of packets in a byte stream, and readers that find the frames."""
 
 from __future__ import annotations
 
@@ -12,35 +12,36 @@ from lidar_protocol.errors import DecodeError, Fault
 T = TypeVar("T")
 
 Read = Callable[[bytes], T]
-"""From a packet to what is in it; raises DecodeError."""
+"""Decodes a packet; raises DecodeError."""
 
 
 @dataclass(slots=True)
 class LinkCounters:
-    """What has come in on a byte link."""
+    """Counters of received traffic on a byte link."""
 
     frames: int = 0
-    """Frames, good or bad; empty ones do not count. With a sync word: each place where it stood."""
+    """Frames, valid or not; empty ones are not counted. With a sync word, its occurrences."""
     messages: int = 0
-    """Frames that held a good packet."""
+    """Frames with a valid packet."""
     bad_stuffing: int = 0
-    """Frames that cannot be unstuffed."""
+    """Frames with invalid stuffing."""
     bad_length: int = 0
-    """Frames that are too long, or not as long as they state."""
+    """Frames that are too long, or whose length is not the stated one."""
     bad_crc: int = 0
     """Packets with a wrong CRC."""
     foreign: int = 0
-    """Good packets of another kind, address or interface version."""
+    """Valid packets of another kind, address or interface version."""
     skipped_bytes: int = 0
-    """Bytes that belong to no message, delimiters left out."""
+    """Bytes that belong to no message, without delimiters."""
 
     def count(self, fault: Fault) -> None:
-        """One more of a kind."""
+        """Count a fault."""
         setattr(self, fault, getattr(self, fault) + 1)
 
 
 class FrameReader(Protocol[T]):
-    """Finds packets in a stream that comes in any portions; raises nothing and holds a bounded number of bytes."""
+    """Finds packets in a stream received in portions of any size; raises no exception and buffers a bounded number of
+    bytes."""
 
     @property
     def buffered_bytes(self) -> int: ...
@@ -49,7 +50,7 @@ class FrameReader(Protocol[T]):
 
 @dataclass(frozen=True)
 class Stuffed:
-    """Frames that end with a delimiter, which stuffing has taken out of them."""
+    """Frames that end with a delimiter, which stuffing removes from their content."""
 
     kind: Literal["cobs", "slip"]
 
@@ -59,28 +60,28 @@ class Stuffed:
 
     @property
     def decode(self) -> Callable[[bytes], bytes]:
-        """The data of a frame, given without delimiter; raises DecodeError."""
+        """Function that decodes a frame without its delimiter; raises DecodeError."""
         return cobs.decode if self.kind == "cobs" else slip.decode
 
     def head(self, packet_length: int) -> bytes:  # noqa: ARG002
-        """What stands before a packet."""
+        """Bytes before a packet: none."""
         return b""
 
     def encode(self, packet: bytes) -> bytes:
-        """The packet as it follows a frame."""
+        """Frame a packet that follows another frame."""
         return cobs.encode(packet) + b"\0" if self.kind == "cobs" else slip.encode(packet) + slip.DELIMITER
 
     def encode_alone(self, packet: bytes) -> bytes:
-        """The packet as it follows anything: a delimiter ends what came before."""
+        """Frame a packet that may follow any bytes: a delimiter before it ends them."""
         return self.delimiter + self.encode(packet)
 
     def longest_frame(self, packet_length: int) -> int:
-        """Bytes of the longest frame of packets up to a length, without its delimiter."""
+        """Maximum length in bytes of the frame of a packet of this length, without its delimiter."""
         stuffed = cobs.stuffed_length if self.kind == "cobs" else slip.stuffed_length
         return stuffed(packet_length)
 
     def reader(self, longest_packet: int, read: Read[T], counters: LinkCounters) -> FrameReader[T]:
-        """What finds packets again."""
+        """Reader of frames."""
         return _DelimiterReader(self, self.longest_frame(longest_packet), read, counters)
 
 
@@ -92,34 +93,34 @@ class Synced:
     length_bytes: int
     byte_order: Literal["big", "little"]
     counts: Literal["packet", "frame"] = "packet"
-    """What the length counts: the bytes after it, or all bytes of the frame."""
+    """Bytes that the length counts: those after it, or the whole frame."""
 
     @property
     def head_length(self) -> int:
-        """Bytes of sync word and length."""
+        """Length in bytes of sync word and length field."""
         return len(self.sync) + self.length_bytes
 
     @property
     def uncounted(self) -> int:
-        """Stated length less that of the packet."""
+        """Difference between the stated length and the length of the packet."""
         return self.head_length if self.counts == "frame" else 0
 
     def head(self, packet_length: int) -> bytes:
-        """What stands before a packet."""
+        """Bytes before a packet: sync word and length."""
         return self.sync + (packet_length + self.uncounted).to_bytes(self.length_bytes, self.byte_order)
 
     def encode(self, packet: bytes) -> bytes:
-        """The packet as it follows anything."""
+        """Frame a packet."""
         return self.head(len(packet)) + packet
 
     encode_alone = encode
 
     def longest_frame(self, packet_length: int) -> int:
-        """Bytes of the longest frame of packets up to a length."""
+        """Length in bytes of the frame of a packet of this length."""
         return self.head_length + packet_length
 
     def reader(self, longest_packet: int, read: Read[T], counters: LinkCounters) -> FrameReader[T]:
-        """What finds packets again."""
+        """Reader of frames."""
         return _SyncReader(self, longest_packet, read, counters)
 
 
@@ -135,11 +136,11 @@ class _DelimiterReader(Generic[T]):
 
     @property
     def buffered_bytes(self) -> int:
-        """Bytes of a frame whose end has not come yet; never more than the longest frame."""
+        """Number of bytes of an incomplete frame; at most the longest frame."""
         return len(self._frame)
 
     def receive(self, data: bytes) -> list[T]:
-        """What is complete with `data`."""
+        """Decode received bytes; returns the packets that they complete."""
         *endings, rest = data.split(self._delimiter)
         found: list[T] = []
         for ending in endings:
@@ -177,7 +178,8 @@ class _DelimiterReader(Generic[T]):
 
 
 class _SyncReader(Generic[T]):
-    """After a packet that is not one, it looks on right behind that sync word: what follows may hold a real one."""
+    """Reader of frames with a sync word. After an invalid packet it resumes right after that sync word, which may
+    have been a coincidence in the data."""
 
     def __init__(self, framing: Synced, longest: int, read: Read[T], counters: LinkCounters) -> None:
         self._framing, self._longest, self._read, self._counters = framing, longest, read, counters
@@ -185,11 +187,11 @@ class _SyncReader(Generic[T]):
 
     @property
     def buffered_bytes(self) -> int:
-        """Bytes that may belong to a frame; never more than the longest frame."""
+        """Number of bytes that may belong to a frame; at most the longest frame."""
         return len(self._buffer)
 
     def receive(self, data: bytes) -> list[T]:
-        """What is complete with `data`."""
+        """Decode received bytes; returns the packets that they complete."""
         found: list[T] = []
         step = self._framing.longest_frame(self._longest)
         for start in range(0, len(data), step):
@@ -199,7 +201,7 @@ class _SyncReader(Generic[T]):
         return found
 
     def _at_sync(self) -> bool:
-        """Skip to the next sync word, or to what may become one."""
+        """Skip to the next sync word, complete or partial."""
         sync, buffer = self._framing.sync, self._buffer
         start = buffer.find(sync)
         if start < 0:
@@ -210,7 +212,7 @@ class _SyncReader(Generic[T]):
         return len(buffer) >= self._framing.head_length
 
     def _take(self, found: list[T]) -> bool:
-        """Read the frame at the start of the buffer; False if it is not complete."""
+        """Read the frame at the start of the buffer; False if it is incomplete."""
         framing, buffer = self._framing, self._buffer
         head = framing.head_length
         length = int.from_bytes(buffer[len(framing.sync) : head], framing.byte_order) - framing.uncounted

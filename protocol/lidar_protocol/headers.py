@@ -1,4 +1,4 @@
-"""What a packet starts with: whose it is, which kind, and its number."""
+"""Packet headers: kind, unit and sequence count."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ _SEQUENCE_CYCLE = 1 << 14
 
 
 Origin = tuple[Kind, int, int | None]
-"""What a header tells: kind, unit and sequence count."""
+"""Kind, unit and sequence count of a packet."""
 
 
 @dataclass(frozen=True)
 class SpacePacketHeader:
-    """The primary header of a CCSDS space packet (133.0-B), big-endian whatever the body is."""
+    """Primary header of a CCSDS space packet (133.0-B), always big-endian."""
 
     apids: Mapping[Kind, int]
-    """Of unit 0; the other units follow."""
+    """APIDs of unit 0; those of the other units follow consecutively."""
     units: int
     timed: frozenset[Kind]
-    """Kinds whose body starts with a time code: the secondary header."""
+    """Kinds whose body starts with a time code, the secondary header."""
 
     length: ClassVar[int] = _CCSDS.size
     sequence_cycle: ClassVar[int] = _SEQUENCE_CYCLE
 
     def identification(self, kind: Kind, unit: int) -> int:
-        """The first sixteen bits."""
+        """First 16 bits: version, type, secondary header flag and APID."""
         flags = (_TELECOMMAND if kind == "command" else 0) | (_SECONDARY_HEADER if kind in self.timed else 0)
         return flags | self.apids[kind] + unit
 
     def pack(self, kind: Kind, unit: int, sequence: int, packet_length: int) -> bytes:
-        """The header of a packet of `packet_length` bytes, CRC included."""
+        """Encode the header of a packet of `packet_length` bytes, including the CRC."""
         return _CCSDS.pack(
             self._identifications[kind] + unit,
             _UNSEGMENTED | sequence % _SEQUENCE_CYCLE,
@@ -55,25 +55,27 @@ class SpacePacketHeader:
         )
 
     def check_length(self, packet: bytes) -> None:
-        """Compare the length of a packet with what its header states.
+        """Check the length of a packet against its header.
 
         Raises:
-            DecodeError: they differ.
+            DecodeError: the lengths differ.
         """
         stated = (packet[4] << 8 | packet[5]) + _CCSDS.size + 1
         if len(packet) != stated:
             raise DecodeError(Fault.BAD_LENGTH, f"the header states {stated} bytes, there are {len(packet)}")
 
     def unpack(self, packet: bytes) -> Origin:
-        """What the header of an undamaged packet tells.
+        """Decode the header of an undamaged packet.
 
         Raises:
-            DecodeError: the packet is none of this interface.
+            DecodeError: the packet does not belong to this interface.
         """
         origin = self._known.get(packet[0] << 8 | packet[1])
         sequence = packet[2] << 8 | packet[3]
         if origin is None or sequence < _UNSEGMENTED:
-            raise DecodeError(Fault.FOREIGN, f"{packet[:4].hex()} starts no packet of this interface")
+            raise DecodeError(
+                Fault.FOREIGN, f"{packet[:4].hex()} is not the start of a packet of this interface"
+            )
         kind, unit = origin
         return kind, unit, sequence % _SEQUENCE_CYCLE
 
@@ -90,44 +92,44 @@ class SpacePacketHeader:
 
 @dataclass(frozen=True)
 class PlainHeader:
-    """A header of stated fields: some of message, unit, sequence and length, and constants."""
+    """A header of fields from the definition: some of message, unit, sequence and length, and constants."""
 
     layout: Layout
     messages: Mapping[Kind, int]
-    """What the field `message` holds for each kind; without that field there is one kind alone."""
+    """Value of the field `message` for each kind; without that field there is only one kind."""
     units: int
 
     @property
     def length(self) -> int:
-        """Bytes of the header."""
+        """Length of the header in bytes."""
         return self.layout.length
 
     @cached_property
     def sequence_cycle(self) -> int:
-        """After how many packets the sequence count is the same again; 0 where there is none."""
+        """Number of packets after which the sequence count wraps; 0 without a sequence count."""
         bits = [each.field.codec.bits for each in self.layout.placed if each.field.name == "sequence"]
         return 1 << bits[0] if bits else 0
 
     def pack(self, kind: Kind, unit: int, sequence: int, packet_length: int) -> bytes:
-        """The header of a packet of `packet_length` bytes, CRC included."""
+        """Encode the header of a packet of `packet_length` bytes, including the CRC."""
         values = {"unit": unit, "sequence": sequence, "length": packet_length, "message": self.messages[kind]}
         return self.layout.pack({**values, **self._constants})
 
     def check_length(self, packet: bytes) -> None:
-        """Compare the length of a packet with what its header states, if it does.
+        """Check the length of a packet against its header, if the header states it.
 
         Raises:
-            DecodeError: they differ.
+            DecodeError: the lengths differ.
         """
         stated = self.layout.unpack(packet).get("length")
         if stated is not None and stated != len(packet):
             raise DecodeError(Fault.BAD_LENGTH, f"the header states {stated} bytes, there are {len(packet)}")
 
     def unpack(self, packet: bytes) -> Origin:
-        """What the header of an undamaged packet tells.
+        """Decode the header of an undamaged packet.
 
         Raises:
-            DecodeError: the packet is none of this interface.
+            DecodeError: the packet does not belong to this interface.
         """
         values = self.layout.unpack(packet)
         kind = self._kinds.get(values.get("message"))
@@ -138,7 +140,7 @@ class PlainHeader:
             or any(values[name] != code for name, code in self._constants.items())
         ):
             raise DecodeError(
-                Fault.FOREIGN, f"{packet[: self.length].hex()} starts no packet of this interface"
+                Fault.FOREIGN, f"{packet[: self.length].hex()} is not the start of a packet of this interface"
             )
         sequence = values.get("sequence")
         return kind, unit, None if sequence is None else int(sequence)

@@ -1,6 +1,6 @@
-"""The host's side of a byte link: commands out, bytes in, messages on, whatever arrives.
+"""Host side of a byte link: encode commands, and decode received bytes to messages.
 
-The receiver raises nothing and holds a bounded amount of memory; what could not be used is counted.
+The receiver accepts any bytes: it raises no exception, holds a bounded amount of memory, and counts rejected bytes.
 """
 
 from __future__ import annotations
@@ -20,13 +20,17 @@ from lidar_protocol.message import Acknowledge, Housekeeping, Received
 
 @dataclass(frozen=True, slots=True)
 class Host:
-    """Who commands a unit. It keeps no state: the caller counts the sequence numbers."""
+    """Encoder of commands to a unit. It is stateless: the caller counts the sequence numbers."""
 
     interface: Interface
     unit: int = 0
 
     def encode_command(self, name: str, **values: Argument) -> bytes:
-        """A command, framed: `sequence` and its arguments by name, a word of an enumeration or a number.
+        """Encode a command as a framed packet.
+
+        Args:
+            name: name of the command.
+            values: `sequence` and the arguments; numbers, or names of enumerations.
 
         Raises:
             EncodeError: the interface has no such command, or an argument is missing, unknown or cannot be sent.
@@ -34,24 +38,24 @@ class Host:
         return commands.encode(self.interface, self.unit, name, values)
 
     def encode_command_frame(self, name: str, **values: Argument) -> CanFrame:
-        """The same as a CAN frame."""
+        """Encode a command as a CAN frame; arguments and errors as in `encode_command`."""
         return commands.encode_frame(self.interface, self.unit, name, values)
 
 
 @dataclass(slots=True)
 class SerialCounters(LinkCounters):
-    """What has come in on a byte link."""
+    """Counters of a receiver on a byte link."""
 
     sequence_gaps: int = 0
-    """Times that shots were missing between two messages of a unit."""
+    """Number of gaps between the messages of a unit."""
     lost_packets: int = 0
-    """Shots that were missing."""
+    """Number of missing shots."""
     restarts: int = 0
-    """Times that a unit's shot number did not go up."""
+    """Number of times that the shot number of a unit did not increase."""
 
 
 class SerialReceiver:
-    """Messages out of a stream of bytes, in any portions."""
+    """Decoder of messages from a stream of bytes in portions of any size."""
 
     def __init__(self, interface: Interface) -> None:
         self.counters = SerialCounters()
@@ -64,11 +68,11 @@ class SerialReceiver:
 
     @property
     def buffered_bytes(self) -> int:
-        """Bytes that may belong to a frame whose end has not come yet; never more than the longest frame."""
+        """Number of bytes that may belong to an incomplete frame; at most the longest frame."""
         return self._frames.buffered_bytes
 
     def receive(self, data: bytes) -> list[Received]:
-        """The messages that are complete with `data`."""
+        """Decode received bytes; returns the messages that they complete."""
         return self._frames.receive(data)
 
     def _read(self, frame: bytes) -> Received:
@@ -93,10 +97,10 @@ class SerialReceiver:
 
 
 def read_block(interface: Interface, kind: Kind, unit: int, body: bytes) -> Acknowledge | Housekeeping:
-    """An acknowledgement or housekeeping.
+    """Decode the body of an acknowledgement or of housekeeping.
 
     Raises:
-        DecodeError: it is neither, as long as it should not be, or of another version.
+        DecodeError: the kind, the length or the interface version is another one.
     """
     layouts = {"acknowledge": interface.acknowledge, "housekeeping": interface.housekeeping}
     layout = layouts.get(kind)
@@ -110,7 +114,7 @@ def read_block(interface: Interface, kind: Kind, unit: int, body: bytes) -> Ackn
 
 
 def acknowledge(interface: Interface, unit: int, values: dict[str, Value]) -> Acknowledge:
-    """The fields of an acknowledgement, with names for its numbers."""
+    """Make an acknowledgement of its fields, with names of the command and the verdict."""
     sequence, verdict, code = values.get("sequence"), values.get("verdict"), values.get("command")
     known = interface.commands.by_code if interface.commands else {}
     command = known.get(-1 if code is None else int(code))
@@ -124,7 +128,7 @@ def acknowledge(interface: Interface, unit: int, values: dict[str, Value]) -> Ac
 
 
 def _shot_cycle(interface: Interface) -> int:
-    """After how many shots the number in a packet is the same again; 0 where packets do not carry it."""
+    """Number of shots after which the shot number in a packet wraps; 0 if packets do not carry it."""
     codecs = {placed.field.name: placed.field.codec for placed in interface.packet.header.placed}
     codec = codecs.get("shot")
     return 1 << codec.bits if isinstance(codec, Counter) else 0

@@ -1,4 +1,4 @@
-"""Fields one after another in a run of bytes."""
+"""Layout of fields in a block of bytes."""
 
 from __future__ import annotations
 
@@ -7,31 +7,31 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
-from lidar_protocol.compiled import ByteOrder, Functions, Pack, Placed, Unpack, UnpackEach, compiled
+from lidar_protocol.compiled import ByteOrder, Functions, Pack, PlacedField, Unpack, UnpackEach, compiled
 from lidar_protocol.errors import EncodeError
 from lidar_protocol.fields import Value
 
-__all__ = ["FILLED_IN", "ByteOrder", "Layout", "Placed", "joined"]
+__all__ = ["FILLED_IN", "ByteOrder", "Layout", "PlacedField", "joined"]
 
 FILLED_IN: Final = frozenset({"shot_counter", "details", "interface_version", "beam_count", "command"})
-"""Fields that the library fills in; the caller's values need not hold them, and do not count."""
+"""Fields that the library fills in; values of the caller are ignored."""
 
 _SILENT: Final = frozenset({"shot_counter"})
-"""It is read before a message is unpacked."""
+"""Fields that are decoded before a message is unpacked."""
 
 _NOTHING: Final[Mapping[str, Value]] = {}
 
 
 @dataclass(frozen=True)
 class Layout:
-    """A block of `length` bytes. Bits that no field takes are sent as zero and ignored on reception."""
+    """Layout of a block of `length` bytes. Unused bits are sent as zero and ignored on reception."""
 
     length: int
-    placed: tuple[Placed, ...]
+    placed: tuple[PlacedField, ...]
     byte_order: ByteOrder = "big"
 
     def pack(self, values: Mapping[str, Value], own: Mapping[str, Value] = _NOTHING) -> bytes:
-        """The block; keys of `values` that are not in it are passed over. `own` holds fields of `FILLED_IN`.
+        """Encode a block. Other keys of `values` are ignored; `own` holds fields of `FILLED_IN`.
 
         Raises:
             EncodeError: a value is missing or cannot be sent.
@@ -42,22 +42,22 @@ class Layout:
             raise EncodeError(f"{missing.args[0]} is missing") from None
 
     def unpack(self, data: bytes, offset: int = 0) -> dict[str, Value]:
-        """The values of the block that starts at `offset`, in the order of the fields."""
+        """Decode the block that starts at `offset`; values are in the order of the fields."""
         return self.unpacking(data, offset)
 
     @cached_property
     def packing(self) -> Pack:
-        """`pack` for those who answer a KeyError themselves."""
+        """Compiled `pack`, which raises KeyError for a missing value."""
         return self._functions.pack
 
     @cached_property
     def unpacking(self) -> Unpack:
-        """`unpack`, without a default."""
+        """Compiled `unpack`, without a default offset."""
         return self._functions.unpack
 
     @cached_property
     def unpacking_each(self) -> UnpackEach:
-        """The values of blocks that follow one another and are all of the bytes."""
+        """Compiled function that decodes consecutive blocks."""
         return self._functions.unpack_each
 
     @cached_property
@@ -67,7 +67,7 @@ class Layout:
 
     @cached_property
     def absent(self) -> bytes:
-        """The block with each field's code for "absent"."""
+        """Block with the code for "absent" in each field."""
         word = 0
         for placed in self.placed:
             word |= placed.field.codec.absent_raw << self._shift(placed)
@@ -77,14 +77,14 @@ class Layout:
     def _functions(self) -> Functions:
         return compiled(self.length, self.placed, self.byte_order, FILLED_IN, _SILENT)
 
-    def _shift(self, placed: Placed) -> int:
+    def _shift(self, placed: PlacedField) -> int:
         if self.byte_order == "little":
             return placed.first_bit
         return 8 * self.length - placed.first_bit - placed.field.codec.bits
 
 
 def joined(layouts: Sequence[Layout]) -> Layout:
-    """Blocks that follow one another as one. Of a name that comes twice, the last value counts."""
+    """Join consecutive blocks to one. If a name occurs twice, the last value counts."""
     placed, length = [], 0
     for layout in layouts:
         placed += [each._replace(first_bit=8 * length + each.first_bit) for each in layout.placed]

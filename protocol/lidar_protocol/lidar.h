@@ -1,19 +1,19 @@
 /* The interface "lidar-emu", version 1, for its host. Generated from its definition; do not edit.
  *
- * C99, no allocation, nothing beside the standard headers. On a byte link:
+ * C99, no allocation, standard headers only. On a byte link:
  *
  *     static lidar_receiver receiver;
- *     lidar_feed(&receiver, byte);                        (every byte that arrives)
+ *     lidar_feed(&receiver, byte);                        (each received byte)
  *     while (lidar_next(&receiver)) {
  *         unsigned unit;
  *         lidar_measurement shot;
  *         if (lidar_read_measurement(receiver.packet, receiver.packet_length, &unit, &shot)) ...
  *     }
  *
- * receiver.bad_frames counts what came between good packets and was none.
+ * receiver.bad_frames counts frames without a valid packet.
  *
- * lidar_encode_...(frame, unit, sequence, ...) writes a command's bytes into `frame`, which has room for
- * LIDAR_LONGEST_COMMAND, and returns their number: 0 if an argument is out of its range.
+ * lidar_encode_...(frame, unit, sequence, ...) writes a framed command to `frame`, a buffer of
+ * LIDAR_LONGEST_COMMAND bytes, and returns the number of bytes: 0 if an argument is out of range.
  *
  * On CAN the identifiers of unit 0 are LIDAR_CAN_ID_...; compare the length of a frame with LIDAR_CAN_..._BYTES and call
  * lidar_unpack_can_...(). A member x has a value if the member has_x, where there is one, is true.
@@ -41,7 +41,7 @@ static inline int64_t lidar_signed(uint64_t word, unsigned bits) {
     return (word & sign) != 0u ? -(int64_t)((sign - 1u) - (word & (sign - 1u))) - 1 : (int64_t)word;
 }
 
-/* From a time code of 4 + 3 bytes. */
+/* Convert a time code of 4 + 3 bytes to nanoseconds. */
 static inline int64_t lidar_nanoseconds(uint64_t ticks) {
     const uint64_t fraction = ticks & 0xFFFFFFu;
     return (int64_t)((ticks >> 24) * 1000000000u + ((fraction * 1000000000u + 0x800000u) >> 24));
@@ -653,7 +653,7 @@ static inline void lidar_unpack_can_versions(const uint8_t *block, lidar_can_ver
       to->software_patch = raw; }
 }
 
-/* crc16_ccitt_false; 0x29B1 for "123456789". From LIDAR_CRC_START on, piece by piece. */
+/* crc16_ccitt_false; 0x29B1 for "123456789". Start with LIDAR_CRC_START. */
 #define LIDAR_CRC_START 0xFFFFu
 static inline uint16_t lidar_crc(uint16_t crc, const uint8_t *data, size_t length) {
     static const uint16_t table[256] = {
@@ -696,7 +696,7 @@ static inline uint16_t lidar_crc(uint16_t crc, const uint8_t *data, size_t lengt
     return crc ^ 0x0u;
 }
 
-/* The kind of a good packet of this interface, and its unit; LIDAR_NOTHING otherwise. */
+/* The kind of a valid packet of this interface, whose unit is set; otherwise LIDAR_NOTHING. */
 static inline lidar_kind lidar_check(const uint8_t *packet, size_t length, unsigned *unit) {
     if (length <= LIDAR_HEADER_BYTES + LIDAR_CRC_BYTES)
         return LIDAR_NOTHING;
@@ -765,7 +765,7 @@ static inline bool lidar_read_housekeeping(
 
 #define LIDAR_DELIMITER 0x00u
 
-/* The length of what a frame holds, which takes its place; 0 if it ends inside a run. */
+/* Decode a frame in place; returns the length of its content, 0 if it ends inside a run. */
 static inline size_t lidar_unstuff(uint8_t *data, size_t length) {
     size_t position = 0u, written = 0u;
     while (position < length) {
@@ -781,9 +781,9 @@ static inline size_t lidar_unstuff(uint8_t *data, size_t length) {
     return written;
 }
 
-/* The packet in a frame, with a delimiter before it too; returns the number of bytes. */
+/* Frame a packet, with a delimiter before it too; returns the number of bytes. */
 static inline size_t lidar_frame(uint8_t *to, const uint8_t *packet, size_t length) {
-    size_t code = 1u, end = 2u; /* places: of the code byte of this run, and of the next byte */
+    size_t code = 1u, end = 2u; /* positions of the code byte of this run and of the next byte */
     to[0] = 0u;
     for (size_t k = 0u; k < length; k++) {
         if (packet[k] != 0u)
@@ -804,10 +804,10 @@ typedef struct {
     bool is_complete, is_too_long;
     const uint8_t *packet;
     size_t packet_length;
-    uint32_t bad_frames; /* frames that held no good packet */
+    uint32_t bad_frames; /* frames without a valid packet */
 } lidar_receiver;
 
-/* Takes a byte. What lidar_next() found before is no longer valid. */
+/* Add a received byte. The packet that lidar_next() found before is no longer valid. */
 static inline void lidar_feed(lidar_receiver *receiver, uint8_t byte) {
     if (receiver->is_complete) {
         receiver->is_complete = receiver->is_too_long = false;
@@ -821,7 +821,7 @@ static inline void lidar_feed(lidar_receiver *receiver, uint8_t byte) {
         receiver->is_too_long = true;
 }
 
-/* Whether there is a good packet: `packet`, `packet_length`. */
+/* Find a valid packet: sets `packet` and `packet_length`, or returns false. */
 static inline bool lidar_next(lidar_receiver *receiver) {
     const size_t length = receiver->length;
     unsigned unit;
@@ -861,7 +861,7 @@ static inline bool lidar_put_signed(
     return value >= lowest && value <= highest;
 }
 
-/* A number of steps, rounded to the nearest whole one; NaN is in no range. */
+/* Put a number of steps, rounded to the nearest integer; NaN is out of any range. */
 static inline bool lidar_put_steps(
     uint8_t *block, size_t first_bit, unsigned bits, double steps, double lowest, double end) {
     const double raised = steps + 0.5;
@@ -875,7 +875,7 @@ static inline bool lidar_put_steps(
     return true;
 }
 
-/* Nanoseconds as a time code of 4 + 3 bytes. */
+/* Put nanoseconds as a time code of 4 + 3 bytes. */
 static inline bool lidar_put_time(uint8_t *block, size_t first_bit, int64_t time_ns) {
     const uint64_t seconds = (uint64_t)time_ns / 1000000000u, rest = (uint64_t)time_ns % 1000000000u;
     const uint64_t ticks = (seconds << 24) + ((rest << 24) + 500000000u) / 1000000000u;
@@ -901,7 +901,7 @@ static inline bool lidar_put_double(
     return value >= lowest && value <= highest;
 }
 
-/* The packet of a command, whose body is there already, framed; returns the number of bytes. */
+/* Complete the packet of a command around its body, and frame it; returns the number of bytes. */
 static inline size_t lidar_seal(
     uint8_t *to, unsigned to_unit, uint64_t sequence, uint8_t *packet, size_t length) {
     const uint64_t words[3] = {0x12A0u + to_unit, 0xC000u | (sequence & 0x3FFFu), length - 7u};

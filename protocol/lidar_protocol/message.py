@@ -1,4 +1,4 @@
-"""What a receiver hands on, whatever it travelled by."""
+"""Decoded messages, the same for all links."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from lidar_protocol.fields import Value
 class Message(NamedTuple):
     """One shot of one unit.
 
-    `header` and each of `beams` hold what was sent under the names of the interface definition, in the units
-    of the names; None where the code for "none" was sent. A core set on CAN carries less than a packet.
+    `header` and each of `beams` hold values by the names of the interface definition, in the units of the names; None
+    stands for the code "none". The set `core` on CAN carries fewer values than a packet.
     """
 
     unit: int
     header: Mapping[str, Value]
     beams: tuple[Mapping[str, Value], ...]
     sequence: int | None = None
-    """The packet's sequence count, where its header has one."""
+    """Sequence count of the packet, if its header has one."""
 
     @property
     def time_ns(self) -> int | None:
-        """Time of validity from the epoch, as finely as the interface sends it."""
+        """Time of validity from the epoch, with the resolution of the interface."""
         return self._time("time")
 
     @property
     def due_ns(self) -> int | None:
-        """Time from the epoch at which the transmission was due."""
+        """Scheduled time of transmission from the epoch."""
         return self._time("due")
 
     @property
     def shot(self) -> int | None:
-        """Number of the shot."""
+        """Shot number."""
         shot = self.header.get("shot")
         return None if shot is None else int(shot)
 
     def _time(self, name: str) -> int | None:
-        """From the field in nanoseconds, or that in seconds."""
+        """Time from the field in nanoseconds, or else from the one in seconds."""
         time_ns = self.header.get(f"{name}_ns")
         if time_ns is not None:
             return int(time_ns)
@@ -49,22 +49,22 @@ class Message(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Acknowledge:
-    """What a device says to a command."""
+    """Acknowledgement of a command."""
 
     unit: int
     command: str | None
-    """Name of the command; None if its code is none of the interface's."""
+    """Name of the command; None if the interface does not have its code."""
     sequence: int | None
-    """That of the command."""
+    """Sequence number of the command."""
     verdict: str
-    """`accepted`, or why it was rejected, in the words of the interface."""
+    """`accepted`, or the reason for rejection, by the names of the interface."""
     values: Mapping[str, Value]
-    """Every field."""
+    """All fields by name."""
 
 
 @dataclass(frozen=True, slots=True)
 class Housekeeping:
-    """How a device is; on CAN, the part of it that one frame carries."""
+    """Housekeeping of a device; on CAN the part in one frame."""
 
     unit: int
     values: Mapping[str, Value]
@@ -75,24 +75,24 @@ Received = Message | Acknowledge | Housekeeping
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command that a device can follow."""
+    """A valid command."""
 
     unit: int
     name: str
     sequence: int
     values: Mapping[str, Value]
-    """Its arguments."""
+    """Arguments by name."""
 
 
 @dataclass(frozen=True, slots=True)
 class BadCommand:
-    """An undamaged packet for this unit that is no command of the interface: to be rejected."""
+    """An undamaged packet to this unit that is not a valid command of the interface: to be rejected."""
 
     unit: int
     code: int | None
-    """Of the command that was meant, if it can be told."""
+    """Code of the command, if it can be decoded."""
     sequence: int | None
     verdict: str
     """`unknown`, `malformed` or `out_of_range`."""
     text: str
-    """What is wrong, in words."""
+    """Description of the error."""

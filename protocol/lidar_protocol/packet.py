@@ -1,4 +1,4 @@
-"""Packets of every kind, without framing; and a shot as a packet."""
+"""Packets without framing: header, body and CRC of any kind, and the body of a measurement."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ Values = Mapping[str, Value]
 
 
 def seal(link: ByteLink, kind: Kind, unit: int, sequence: int, body: bytes) -> bytes:
-    """A whole packet: header, body and CRC."""
+    """Encode a packet: header, body and CRC."""
     packet = link.header.pack(kind, unit, sequence, link.overhead + len(body)) + body
     return packet if link.crc is None else packet + _checksum(link, packet)
 
 
 def unseal(link: ByteLink, packet: bytes) -> tuple[Origin, bytes]:
-    """What the header of a packet tells, and its body.
+    """Check a packet, and return its origin and its body.
 
     Raises:
-        DecodeError: the length or the CRC is wrong, or the packet is none of the interface.
+        DecodeError: the length or the CRC is wrong, or the packet does not belong to the interface.
     """
     if len(packet) <= link.overhead:
         raise DecodeError(Fault.BAD_LENGTH, f"{len(packet)} bytes are less than a packet")
@@ -35,7 +35,7 @@ def unseal(link: ByteLink, packet: bytes) -> tuple[Origin, bytes]:
 
 
 def _checksum(link: ByteLink, packet: bytes) -> bytes:
-    """The CRC that ends a packet."""
+    """CRC at the end of a packet."""
     match link.covered:
         case "packet":
             covered = packet
@@ -50,19 +50,19 @@ def check_unit(interface: Interface, unit: int) -> None:
     """Refuse a unit that the interface does not have.
 
     Raises:
-        EncodeError: it is refused.
+        EncodeError: the interface does not have the unit.
     """
     if not 0 <= unit < interface.units:
         raise EncodeError(f"unit {unit}: allowed are 0 to {interface.units - 1}")
 
 
 def encode(interface: Interface, unit: int, header: Values, beams: Sequence[Values]) -> bytes:
-    """The packet of one shot, without framing.
+    """Encode a shot as a packet without framing.
 
     Args:
-        unit: from 0.
-        header: the fields of the header, less `interface_version` and `beam_count`, which are filled in; and `shot`.
-        beams: for each beam the fields of a beam block. None and NaN mean that there is no value.
+        unit: unit number, from 0.
+        header: fields of the header, without `interface_version` and `beam_count`, which are filled in; and `shot`.
+        beams: for each beam the fields of a beam block. None and NaN stand for no value.
 
     Raises:
         EncodeError: a field is missing or cannot be sent, or there are too many beams or none.
@@ -87,14 +87,14 @@ def encode(interface: Interface, unit: int, header: Values, beams: Sequence[Valu
 
 
 def _of_beams(interface: Interface, beams: Sequence[Values]) -> Values:
-    """The fields of the header that belong to a beam."""
+    """Values of the header fields that belong to beams."""
     if len(beams) < interface.packet.beams_in_header:
         raise EncodeError(f"{len(beams)} beams: the packet holds {interface.packet.beams_in_header}")
     return {key: beams[beam].get(name) for key, name, beam in interface.packet.of_beams}
 
 
 def decode(interface: Interface, packet: bytes) -> Message:
-    """The shot in a packet.
+    """Decode the shot in a packet.
 
     Raises:
         DecodeError: the packet is damaged, or not a shot of this interface.
@@ -106,10 +106,10 @@ def decode(interface: Interface, packet: bytes) -> Message:
 
 
 def measurement(interface: Interface, unit: int, sequence: int | None, body: bytes) -> Message:
-    """The shot in the body of a packet.
+    """Decode the shot in the body of a packet.
 
     Raises:
-        DecodeError: the length is wrong, or the version is another one.
+        DecodeError: the length is wrong, or the interface version is another one.
     """
     definition = interface.packet
     first = definition.header.length
@@ -135,10 +135,10 @@ def measurement(interface: Interface, unit: int, sequence: int | None, body: byt
 
 
 def check_version(interface: Interface, values: Values) -> None:
-    """Refuse what states another version.
+    """Refuse values with another interface version.
 
     Raises:
-        DecodeError: it is refused.
+        DecodeError: the interface version is another one.
     """
     if values.get("interface_version", interface.version) != interface.version:
         raise DecodeError(
@@ -147,7 +147,7 @@ def check_version(interface: Interface, values: Values) -> None:
 
 
 def _take_beams(interface: Interface, header: dict[str, Value]) -> tuple[dict[str, Value], ...]:
-    """The fields that belong to beams, out of the header."""
+    """Move the fields that belong to beams out of the header."""
     beams: tuple[dict[str, Value], ...] = tuple({} for _ in range(interface.packet.beams_in_header))
     for key, name, beam in interface.packet.of_beams:
         beams[beam][name] = header.pop(key)

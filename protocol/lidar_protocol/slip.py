@@ -9,15 +9,15 @@ _ESCAPE, _ESCAPED_END, _ESCAPED_ESCAPE = b"\xdb", b"\xdb\xdc", b"\xdb\xdd"
 
 
 def encode(data: bytes) -> bytes:
-    """`data` stuffed, without the delimiter."""
+    """Stuff `data`; the delimiter is not included."""
     return data.replace(_ESCAPE, _ESCAPED_ESCAPE).replace(DELIMITER, _ESCAPED_END)
 
 
 def decode(stuffed: bytes) -> bytes:
-    """The data of one frame, given without its delimiter.
+    """Decode one frame without its delimiter.
 
     Raises:
-        DecodeError: the frame is empty, holds an END, or an escape that stands for nothing.
+        DecodeError: the frame is empty, contains an END, or an invalid escape sequence.
     """
     escapes = stuffed.count(_ESCAPE)
     known = stuffed.count(_ESCAPED_END) + stuffed.count(_ESCAPED_ESCAPE)
@@ -29,5 +29,5 @@ def decode(stuffed: bytes) -> bytes:
 
 
 def stuffed_length(length: int) -> int:
-    """The greatest number of bytes that `length` bytes become, without the delimiter."""
+    """Maximum stuffed length of `length` bytes, without the delimiter."""
     return 2 * length

@@ -1,4 +1,4 @@
-"""Reading a TOML table key by key, with complaints that name the place."""
+"""Read a TOML table key by key, with error messages that name the place."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 
 class TomlTable:
-    """A table whose keys are taken out one by one; `finish` refuses those that are left."""
+    """A table whose keys are taken one by one; `finish` refuses the remaining ones."""
 
     def __init__(self, where: str, value: object) -> None:
         if not isinstance(value, dict):
@@ -24,14 +24,14 @@ class TomlTable:
         return key in self._left
 
     def text(self, key: str, default: str | None = None) -> str:
-        """A text; required where there is no default."""
+        """A text; required without a default."""
         value = self._take(key, default, "a text")
         if not isinstance(value, str):
             raise self.refusal(key, value, "a text")
         return value
 
     def name(self, key: str) -> str:
-        """A name that languages and file formats take as it is; required."""
+        """A name that is valid in all generated languages and formats; required."""
         value = self.text(key)
         if not _NAME.fullmatch(value):
             raise self.refusal(
@@ -40,7 +40,7 @@ class TomlTable:
         return value
 
     def choice(self, key: str, allowed: Collection[str], default: str | None = None) -> str:
-        """One of these texts; required where there is no default."""
+        """One of the allowed texts; required without a default."""
         value = self._take(key, default, " or ".join(allowed))
         if value not in allowed:
             raise self.refusal(key, value, " or ".join(allowed))
@@ -54,7 +54,7 @@ class TomlTable:
         return value
 
     def integer(self, key: str, lowest: int, highest: int, default: int | None = None) -> int:
-        """A whole number from `lowest` to `highest`; required where there is no default."""
+        """A whole number from `lowest` to `highest`; required without a default."""
         allowed = f"a whole number from {lowest} to {highest}"
         value = self._take(key, default, allowed)
         if isinstance(value, bool) or not isinstance(value, int) or not lowest <= value <= highest:
@@ -66,11 +66,11 @@ class TomlTable:
         return self.integer(key, -(2**63), 2**64) if key in self else None
 
     def decimal(self, key: str) -> Decimal:
-        """A number, exactly as it is written."""
+        """A number, exactly as written."""
         return self._as_decimal(key, self._take(key, None, "a number"))
 
     def decimal_pair(self, key: str) -> tuple[Decimal, Decimal]:
-        """Two numbers in ascending order, exactly as they are written."""
+        """Two numbers in ascending order, exactly as written."""
         value = self._take(key, None, "two numbers")
         if not isinstance(value, list) or len(value) != 2:
             raise self.refusal(key, value, "two numbers")
@@ -80,7 +80,7 @@ class TomlTable:
         return low, high
 
     def items(self, key: str) -> list[object]:
-        """A list that is not empty."""
+        """A non-empty list."""
         value = self._take(key, None, "a list")
         if not isinstance(value, list) or not value:
             raise self.refusal(key, value, "a list that is not empty")
@@ -91,7 +91,7 @@ class TomlTable:
         return TomlTable(self._at(key), self._take(key, None, "a table"))
 
     def peek(self, key: str) -> TomlTable:
-        """A table within this one, which stays to be taken."""
+        """A table within this one, without taking it."""
         return TomlTable(self._at(key), self._left[key])
 
     def optional_table(self, key: str) -> TomlTable | None:
@@ -107,23 +107,23 @@ class TomlTable:
         return [TomlTable(f"{self._at(key)}[{place}]", item) for place, item in enumerate(self.items(key))]
 
     def names(self) -> list[str]:
-        """The keys that are left."""
+        """Remaining keys."""
         return list(self._left)
 
     def rest(self) -> dict[str, object]:
-        """What is left, as it was read; nothing is left afterwards."""
+        """Take all remaining keys."""
         rest, self._left = self._left, {}
         return rest
 
     def finish(self) -> None:
-        """Refuse keys that nobody has taken."""
+        """Refuse the remaining keys."""
         if self._left:
             raise DefinitionError(
                 self.where, ", ".join(self._left), "only the keys that the definition knows"
             )
 
     def refusal(self, key: str, value: object, allowed: str) -> DefinitionError:
-        """The error for the value of a key."""
+        """Error for the value of a key."""
         return DefinitionError(self._at(key), value, allowed)
 
     def _at(self, key: str) -> str:

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 import lidar_icd
 from lidar_protocol import EncodeError, Host, default_interface, load
+from lidar_protocol.definition_file import files
 from lidar_protocol.fields import Constant, Counter, Number
-from lidar_protocol.reading import files
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 FLAGS = [

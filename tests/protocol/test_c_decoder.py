@@ -10,7 +10,7 @@ import pytest
 
 import lidar_icd
 from lidar_protocol import Device, default_interface, load, shipped_interface
-from lidar_protocol.reading import files
+from lidar_protocol.definition_file import files
 
 HERE = Path(__file__).parent
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")

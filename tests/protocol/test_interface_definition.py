@@ -7,7 +7,7 @@ import pytest
 from lidar_icd import example
 from lidar_protocol import DefinitionError, default_interface
 from lidar_protocol.can_frames import addresses
-from lidar_protocol.reading import load
+from lidar_protocol.definition_file import load
 
 DEFAULT = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from lidar_protocol import EncodeError, cuc, default_interface
 from lidar_protocol.fields import Field, Number
-from lidar_protocol.layout import Layout, Placed
+from lidar_protocol.layout import Layout, PlacedField
 
 PACKET = default_interface().packet
 FIELDS = {placed.field.name: placed.field.codec for placed in (*PACKET.header.placed, *PACKET.beam.placed)}
@@ -17,14 +17,14 @@ FIELDS = {placed.field.name: placed.field.codec for placed in (*PACKET.header.pl
 def encode(name, value):
     """The bits of a field alone at the start of a block."""
     codec = FIELDS[name]
-    layout = Layout((codec.bits + 7) // 8, (Placed(Field("x", codec), 0),))
+    layout = Layout((codec.bits + 7) // 8, (PlacedField(Field("x", codec), 0),))
     return int.from_bytes(layout.pack({"x": value}), "big") >> -codec.bits % 8
 
 
 def decode(name, raw):
     """The value of a field alone at the start of a block."""
     codec = FIELDS[name]
-    layout = Layout((codec.bits + 7) // 8, (Placed(Field("x", codec), 0),))
+    layout = Layout((codec.bits + 7) // 8, (PlacedField(Field("x", codec), 0),))
     return layout.unpack((raw << -codec.bits % 8).to_bytes(layout.length, "big"))["x"]
 
 

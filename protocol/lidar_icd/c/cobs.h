@@ -1,6 +1,6 @@
 #define LIDAR_DELIMITER 0x00u
 
-/* The length of what a frame holds, which takes its place; 0 if it ends inside a run. */
+/* Decode a frame in place; returns the length of its content, 0 if it ends inside a run. */
 static inline size_t lidar_unstuff(uint8_t *data, size_t length) {
     size_t position = 0u, written = 0u;
     while (position < length) {
@@ -16,9 +16,9 @@ static inline size_t lidar_unstuff(uint8_t *data, size_t length) {
     return written;
 }
 
-/* The packet in a frame, with a delimiter before it too; returns the number of bytes. */
+/* Frame a packet, with a delimiter before it too; returns the number of bytes. */
 static inline size_t lidar_frame(uint8_t *to, const uint8_t *packet, size_t length) {
-    size_t code = 1u, end = 2u; /* places: of the code byte of this run, and of the next byte */
+    size_t code = 1u, end = 2u; /* positions of the code byte of this run and of the next byte */
     to[0] = 0u;
     for (size_t k = 0u; k < length; k++) {
         if (packet[k] != 0u)

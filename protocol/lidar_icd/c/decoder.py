@@ -1,4 +1,4 @@
-"""Functions in C that check a packet and read each kind of packet that a device sends."""
+"""Generate the decoder in C: functions that check a packet and read each kind of packet of a device."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from lidar_protocol.headers import Kind, PlainHeader, SpacePacketHeader
 from lidar_protocol.layout import Layout
 
 
-def reading_text(interface: Interface) -> str:
-    """The functions that read a packet: the checks, then each kind."""
+def decoder_text(interface: Interface) -> str:
+    """Functions that check a packet and read each kind."""
     return "\n\n".join([_check(interface), *(_kind(interface, kind) for kind in _kinds(interface))])
 
 
@@ -35,7 +35,7 @@ def _check(interface: Interface) -> str:
         else _plain_lines(header, interface)
     )
     body = "\n".join(f"    {line}" for line in lines)
-    return f"""/* The kind of a good packet of this interface, and its unit; LIDAR_NOTHING otherwise. */
+    return f"""/* The kind of a valid packet of this interface, whose unit is set; otherwise LIDAR_NOTHING. */
 static inline lidar_kind lidar_check(const uint8_t *packet, size_t length, unsigned *unit) {{
     if (length <= LIDAR_HEADER_BYTES + LIDAR_CRC_BYTES)
         return LIDAR_NOTHING;
@@ -101,7 +101,7 @@ def _plain_lines(header: PlainHeader, interface: Interface) -> list[str]:
 
 
 def _kind(interface: Interface, kind: Kind) -> str:
-    """A function that reads one kind of packet."""
+    """Function that reads one kind of packet."""
     if kind == "measurement":
         return _measurement(interface)
     layout = interface.acknowledge if kind == "acknowledge" else interface.housekeeping

@@ -1,4 +1,4 @@
-"""Functions in C that encode commands: for each of them one for a byte link, and one for CAN where it is sent there."""
+"""Generate the encoder of commands in C: a function for byte links and, if it has an identifier, one for CAN."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from lidar_protocol.definitions import CanDefinition, CommandDefinition, Interfa
 from lidar_protocol.fields import Constant, Counter, Flag, Number, Real, Time
 from lidar_protocol.framing import Stuffed
 from lidar_protocol.headers import PlainHeader, SpacePacketHeader
-from lidar_protocol.layout import Layout, Placed
+from lidar_protocol.layout import Layout, PlacedField
 
 _PUT_BIG = """static inline void lidar_put(uint8_t *block, size_t first_bit, unsigned bits, uint64_t word) {
     for (size_t k = first_bit + bits; k-- > first_bit; word >>= 1)
@@ -20,7 +20,7 @@ _PUT_LITTLE = """static inline void lidar_put(uint8_t *block, size_t first_bit, 
 
 
 def commands_text(interface: Interface) -> str:
-    """The functions that encode the interface's commands; nothing if it has none."""
+    """Functions that encode the commands of an interface; empty if it has none."""
     if interface.commands is None:
         return ""
     commands = interface.commands.commands
@@ -34,19 +34,19 @@ def commands_text(interface: Interface) -> str:
 
 
 def _room(interface: Interface) -> str:
-    """The bytes that the longest command takes, delimiters before and after it included."""
+    """Constant: length in bytes of the longest framed command, including delimiters before and after it."""
     framing = interface.link.framing
     delimiters = 2 if isinstance(framing, Stuffed) else 0
     return f"#define LIDAR_LONGEST_COMMAND {framing.longest_frame(interface.longest_command) + delimiters}u"
 
 
 def _seal(interface: Interface) -> str:
-    """A function that completes a packet around its body, and frames it."""
+    """Function that adds header and CRC to the body of a packet, and frames it."""
     link = interface.link
     header = link.header
     lines = _space_packet(header) if isinstance(header, SpacePacketHeader) else _plain(header)
     body = "\n".join(f"    {line}" for line in [*lines, *_crc(interface)])
-    return f"""/* The packet of a command, whose body is there already, framed; returns the number of bytes. */
+    return f"""/* Complete the packet of a command around its body, and frame it; returns the number of bytes. */
 static inline size_t lidar_seal(
     uint8_t *to, unsigned to_unit, uint64_t sequence, uint8_t *packet, size_t length) {{
 {body}
@@ -121,7 +121,7 @@ def _on_can(command: CommandDefinition, layout: Layout, can: CanDefinition) -> s
 
 
 def _pack(prefix: str, command: CommandDefinition, layout: Layout) -> str:
-    """A function that packs a command's fields; false where one is out of its range."""
+    """Function that packs the fields of a command; it returns false if one is out of range."""
     length = f"LIDAR_{prefix.upper()}COMMAND_{command.name.upper()}_BYTES"
     fixed = "".join(
         f"    lidar_put(block, {placed.first_bit}u, {placed.field.codec.bits}u, {code}u);\n"
@@ -137,16 +137,16 @@ static inline bool lidar_pack_{prefix}{command.name}(uint8_t *block{_parameters(
 }}"""
 
 
-def _code(placed: Placed, command: CommandDefinition) -> int | None:
-    """What a field always holds; None where that is the caller's to say."""
+def _code(placed: PlacedField, command: CommandDefinition) -> int | None:
+    """Code of a constant field; None for an argument."""
     if placed.field.name == "command":
         return command.code
     codec = placed.field.codec
     return codec.code if isinstance(codec, Constant) else None
 
 
-def _arguments(layout: Layout) -> list[Placed]:
-    """The fields that are the caller's to say."""
+def _arguments(layout: Layout) -> list[PlacedField]:
+    """Fields that are arguments of the function."""
     own = [placed for placed in layout.placed if placed.field.name != "command"]
     return [placed for placed in own if not isinstance(placed.field.codec, Constant)]
 
@@ -155,7 +155,7 @@ def _parameters(layout: Layout) -> str:
     return "".join(f", {c_type(placed.field)} {placed.field.key}" for placed in _arguments(layout))
 
 
-def _put(placed: Placed) -> str:
+def _put(placed: PlacedField) -> str:
     codec, value = placed.field.codec, placed.field.key
     place = f"block, {placed.first_bit}u, {codec.bits}u"
     match codec:

@@ -1,10 +1,10 @@
-"""A host in C: one header that decodes what a device sends and encodes commands (C99, without allocation)."""
+"""Generate a host in C: one header that decodes packets of a device and encodes commands (C99, no allocation)."""
 
 from __future__ import annotations
 
 from string import Template
 
-from lidar_icd.c.decoder import reading_text
+from lidar_icd.c.decoder import decoder_text
 from lidar_icd.c.encoder import commands_text
 from lidar_icd.c.structs import block_text, comment_text, shipped_text
 from lidar_protocol.crc import Crc, table_of
@@ -13,30 +13,30 @@ from lidar_protocol.framing import Synced
 
 
 def c_header(interface: Interface, prefix: str = "lidar") -> str:
-    """The header. Everything in it is called after `prefix`."""
+    """Generate the header. All names start with `prefix`."""
     parts = [_constants(interface), _enumerations(interface), *_blocks(interface)]
     text = Template(shipped_text("header_template.h")).substitute(
         name=comment_text(interface.name),
         version=interface.version,
         epoch=comment_text(interface.epoch),
-        command=_told_of_commands(interface),
+        command=_usage_of_commands(interface),
         definitions="\n\n".join(parts),
         bits=_BITS_BIG if interface.byte_order == "big" else _BITS_LITTLE,
         crc="\n\n".join(filter(None, (_sync(interface), _crc(interface.link.crc)))),
-        reading=reading_text(interface),
+        reading=decoder_text(interface),
         framing="\n\n".join(filter(None, (_framing(interface), commands_text(interface)))),
     )
     return text.replace("lidar_", f"{prefix}_").replace("LIDAR_", f"{prefix.upper()}_")
 
 
-def _told_of_commands(interface: Interface) -> str:
-    """A paragraph of the comment at the top."""
+def _usage_of_commands(interface: Interface) -> str:
+    """Paragraph on commands in the comment at the top."""
     if interface.commands is None:
         return ""
     return """
  *
- * lidar_encode_...(frame, unit, sequence, ...) writes a command's bytes into `frame`, which has room for
- * LIDAR_LONGEST_COMMAND, and returns their number: 0 if an argument is out of its range.
+ * lidar_encode_...(frame, unit, sequence, ...) writes a framed command to `frame`, a buffer of
+ * LIDAR_LONGEST_COMMAND bytes, and returns the number of bytes: 0 if an argument is out of range.
  *"""
 
 
@@ -80,7 +80,7 @@ def _enumerations(interface: Interface) -> str:
 
 
 def _blocks(interface: Interface) -> list[str]:
-    """A struct and the function that fills it, for each block of fields."""
+    """Structs of all blocks of fields, and the functions that fill them."""
     packet, can = interface.packet, interface.can
     blocks = [("shot", packet.header), ("beam", packet.beam)]
     blocks += [("acknowledge", interface.acknowledge), ("housekeeping", interface.housekeeping)]
@@ -119,7 +119,7 @@ def _crc(crc: Crc | None) -> str:
         step = f"({kind})(crc >> 8) ^ table[(crc ^ data[k]) & 0xFFu]"
     else:
         step = f"({kind})(crc << 8) ^ table[(crc >> {crc.bits - 8} ^ data[k]) & 0xFFu]"
-    return f"""/* {crc.name}; 0x{crc.check:0{digits}X} for "123456789". From LIDAR_CRC_START on, piece by piece. */
+    return f"""/* {crc.name}; 0x{crc.check:0{digits}X} for "123456789". Start with LIDAR_CRC_START. */
 #define LIDAR_CRC_START 0x{crc.start ^ crc.final_xor:X}u
 static inline {kind} lidar_crc({kind} crc, const uint8_t *data, size_t length) {{
     static const {kind} table[256] = {{
@@ -133,7 +133,7 @@ static inline {kind} lidar_crc({kind} crc, const uint8_t *data, size_t length) {
 
 
 def _framing(interface: Interface) -> str:
-    """What finds packets in a stream, and what puts them into one."""
+    """Functions that find packets in a byte stream, and that frame packets."""
     framing = interface.link.framing
     names = (
         ["sync_receiver.h"] if isinstance(framing, Synced) else [f"{framing.kind}.h", "stuffed_receiver.h"]
@@ -142,7 +142,7 @@ def _framing(interface: Interface) -> str:
 
 
 def _sync(interface: Interface) -> str:
-    """What stands before a packet."""
+    """Constants and functions of the sync word and the length before a packet."""
     framing = interface.link.framing
     if not isinstance(framing, Synced):
         return ""
@@ -164,7 +164,7 @@ static inline bool lidar_may_be_sync(const uint8_t *data, size_t length) {{
     return memcmp(data, lidar_sync, length < LIDAR_SYNC_BYTES ? length : LIDAR_SYNC_BYTES) == 0;
 }}
 
-/* Of the packet; 0 where it cannot be. */
+/* Stated length of the packet; 0 if impossible. */
 static inline size_t lidar_stated_length(const uint8_t *head) {{
     const size_t stated = {stated};
     return stated > {framing.uncounted}u ? stated - {framing.uncounted}u : 0u;

@@ -1,16 +1,16 @@
 /* The interface "$name", version $version, for its host. Generated from its definition; do not edit.
  *
- * C99, no allocation, nothing beside the standard headers. On a byte link:
+ * C99, no allocation, standard headers only. On a byte link:
  *
  *     static lidar_receiver receiver;
- *     lidar_feed(&receiver, byte);                        (every byte that arrives)
+ *     lidar_feed(&receiver, byte);                        (each received byte)
  *     while (lidar_next(&receiver)) {
  *         unsigned unit;
  *         lidar_measurement shot;
  *         if (lidar_read_measurement(receiver.packet, receiver.packet_length, &unit, &shot)) ...
  *     }
  *
- * receiver.bad_frames counts what came between good packets and was none.$command
+ * receiver.bad_frames counts frames without a valid packet.$command
  * On CAN the identifiers of unit 0 are LIDAR_CAN_ID_...; compare the length of a frame with LIDAR_CAN_..._BYTES and call
  * lidar_unpack_can_...(). A member x has a value if the member has_x, where there is one, is true.
  * Epoch of times: $epoch.
@@ -32,7 +32,7 @@ static inline int64_t lidar_signed(uint64_t word, unsigned bits) {
     return (word & sign) != 0u ? -(int64_t)((sign - 1u) - (word & (sign - 1u))) - 1 : (int64_t)word;
 }
 
-/* From a time code of 4 + 3 bytes. */
+/* Convert a time code of 4 + 3 bytes to nanoseconds. */
 static inline int64_t lidar_nanoseconds(uint64_t ticks) {
     const uint64_t fraction = ticks & 0xFFFFFFu;
     return (int64_t)((ticks >> 24) * 1000000000u + ((fraction * 1000000000u + 0x800000u) >> 24));

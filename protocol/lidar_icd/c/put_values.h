@@ -15,7 +15,7 @@ static inline bool lidar_put_signed(
     return value >= lowest && value <= highest;
 }
 
-/* A number of steps, rounded to the nearest whole one; NaN is in no range. */
+/* Put a number of steps, rounded to the nearest integer; NaN is out of any range. */
 static inline bool lidar_put_steps(
     uint8_t *block, size_t first_bit, unsigned bits, double steps, double lowest, double end) {
     const double raised = steps + 0.5;
@@ -29,7 +29,7 @@ static inline bool lidar_put_steps(
     return true;
 }
 
-/* Nanoseconds as a time code of 4 + 3 bytes. */
+/* Put nanoseconds as a time code of 4 + 3 bytes. */
 static inline bool lidar_put_time(uint8_t *block, size_t first_bit, int64_t time_ns) {
     const uint64_t seconds = (uint64_t)time_ns / 1000000000u, rest = (uint64_t)time_ns % 1000000000u;
     const uint64_t ticks = (seconds << 24) + ((rest << 24) + 500000000u) / 1000000000u;

@@ -1,6 +1,6 @@
 #define LIDAR_DELIMITER 0xC0u
 
-/* The length of what a frame holds, which takes its place; 0 if an escape stands for nothing. */
+/* Decode a frame in place; returns the length of its content, 0 if an escape is invalid. */
 static inline size_t lidar_unstuff(uint8_t *data, size_t length) {
     size_t written = 0u;
     for (size_t position = 0u; position < length; position++) {
@@ -16,7 +16,7 @@ static inline size_t lidar_unstuff(uint8_t *data, size_t length) {
     return written;
 }
 
-/* The packet in a frame, with a delimiter before it too; returns the number of bytes. */
+/* Frame a packet, with a delimiter before it too; returns the number of bytes. */
 static inline size_t lidar_frame(uint8_t *to, const uint8_t *packet, size_t length) {
     size_t end = 0u;
     to[end++] = 0xC0u;

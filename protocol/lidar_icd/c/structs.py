@@ -1,25 +1,25 @@
-"""Blocks of fields in C: a struct, and a function that fills it."""
+"""Generate structs of blocks of fields in C, and functions that fill them."""
 
 from __future__ import annotations
 
 from importlib.resources import files
 
 from lidar_protocol.fields import Constant, Counter, Field, Flag, Number, Real, Time
-from lidar_protocol.layout import Layout, Placed
+from lidar_protocol.layout import Layout, PlacedField
 
 
 def shipped_text(name: str) -> str:
-    """A piece of C that comes with the package."""
+    """Text of a C file of this package."""
     return (files("lidar_icd.c") / name).read_text(encoding="utf-8").rstrip()
 
 
 def comment_text(text: str) -> str:
-    """A text as it can stand in a comment."""
+    """Escape a text for a comment."""
     return text.replace("*/", "* /")
 
 
 def block_text(name: str, layout: Layout) -> str:
-    """A struct for the values of a block, and the function that fills it."""
+    """Struct of the values of a block, and the function that fills it."""
     members = "\n".join(f"    {line}" for placed in layout.placed for line in _members(placed.field))
     sets = "\n".join(f"    {line}" for placed in layout.placed for line in _assignments(placed))
     return f"""#define LIDAR_{name.upper()}_BYTES {layout.length}u
@@ -34,15 +34,15 @@ static inline void lidar_unpack_{name}(const uint8_t *block, lidar_{name} *to) {
 
 
 def _members(field: Field) -> list[str]:
-    told = f" /* {comment_text(field.unit)} */" if field.unit else ""
-    lines = [f"{c_type(field)} {field.key};{told}"]
+    comment = f" /* {comment_text(field.unit)} */" if field.unit else ""
+    lines = [f"{c_type(field)} {field.key};{comment}"]
     if _may_be_missing(field):
         lines.append(f"bool has_{field.key};")
     return lines
 
 
 def c_type(field: Field) -> str:
-    """The type of a field's value."""
+    """C type of a field's value."""
     match field.codec:
         case Flag():
             return "bool"
@@ -60,7 +60,7 @@ def _may_be_missing(field: Field) -> bool:
     return isinstance(codec, Real) or (isinstance(codec, Number) and not codec.is_full)
 
 
-def _assignments(placed: Placed) -> list[str]:
+def _assignments(placed: PlacedField) -> list[str]:
     field, bit = placed
     codec, to = field.codec, f"to->{field.key}"
     bits = f"lidar_bits(block, {bit}u, {codec.bits}u)"

@@ -4,10 +4,10 @@ typedef struct {
     bool is_complete, is_too_long;
     const uint8_t *packet;
     size_t packet_length;
-    uint32_t bad_frames; /* frames that held no good packet */
+    uint32_t bad_frames; /* frames without a valid packet */
 } lidar_receiver;
 
-/* Takes a byte. What lidar_next() found before is no longer valid. */
+/* Add a received byte. The packet that lidar_next() found before is no longer valid. */
 static inline void lidar_feed(lidar_receiver *receiver, uint8_t byte) {
     if (receiver->is_complete) {
         receiver->is_complete = receiver->is_too_long = false;
@@ -21,7 +21,7 @@ static inline void lidar_feed(lidar_receiver *receiver, uint8_t byte) {
         receiver->is_too_long = true;
 }
 
-/* Whether there is a good packet: `packet`, `packet_length`. */
+/* Find a valid packet: sets `packet` and `packet_length`, or returns false. */
 static inline bool lidar_next(lidar_receiver *receiver) {
     const size_t length = receiver->length;
     unsigned unit;

@@ -3,7 +3,7 @@ typedef struct {
     size_t length, used;
     const uint8_t *packet;
     size_t packet_length;
-    uint32_t bad_frames; /* sync words without a good packet behind them: damage, or chance */
+    uint32_t bad_frames; /* sync words without a valid packet after them */
 } lidar_receiver;
 
 static inline void lidar_drop(lidar_receiver *receiver, size_t count) {
@@ -11,14 +11,14 @@ static inline void lidar_drop(lidar_receiver *receiver, size_t count) {
     memmove(receiver->data, receiver->data + count, receiver->length);
 }
 
-/* Takes a byte. Call lidar_next() until it is false before the next one; what it found is no longer valid. */
+/* Add a received byte, after lidar_next() has returned false; the packet that it found before is no longer valid. */
 static inline void lidar_feed(lidar_receiver *receiver, uint8_t byte) {
     if (receiver->length == sizeof receiver->data)
         lidar_drop(receiver, 1u);
     receiver->data[receiver->length++] = byte;
 }
 
-/* Whether there is a good packet: `packet`, `packet_length`. */
+/* Find a valid packet: sets `packet` and `packet_length`, or returns false. */
 static inline bool lidar_next(lidar_receiver *receiver) {
     const size_t head = LIDAR_SYNC_BYTES + LIDAR_LENGTH_BYTES;
     lidar_drop(receiver, receiver->used);
@@ -43,11 +43,11 @@ static inline bool lidar_next(lidar_receiver *receiver) {
             }
         }
         receiver->bad_frames++;
-        lidar_drop(receiver, LIDAR_SYNC_BYTES); /* a real frame may follow */
+        lidar_drop(receiver, LIDAR_SYNC_BYTES); /* a valid frame may follow */
     }
 }
 
-/* The packet in a frame; returns the number of bytes. */
+/* Frame a packet; returns the number of bytes. */
 static inline size_t lidar_frame(uint8_t *to, const uint8_t *packet, size_t length) {
     lidar_head(to, length);
     memcpy(to + LIDAR_SYNC_BYTES + LIDAR_LENGTH_BYTES, packet, length);

@@ -1,4 +1,4 @@
-"""What the interface document says of byte links: headers, CRC and framing of any kind."""
+"""Sections of the interface document on byte links: header, CRC and framing."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _COVERED = {
 
 
 def header_text(interface: Interface) -> str:
-    """The header of a packet."""
+    """Section on the packet header."""
     header = interface.link.header
     return _space_packet(header) if isinstance(header, SpacePacketHeader) else _plain(header)
 
@@ -36,38 +36,40 @@ def _space_packet(header: SpacePacketHeader) -> str:
 
 | byte | content |
 |---|---|
-| 0-1 | version 0, type, flag of a secondary header, APID: see below |
+| 0-1 | version 0, packet type, secondary header flag, APID: see below |
 | 2-3 | `0xC000` + sequence count, 14 bits |
-| 4-5 | length of the packet - 7 |
+| 4-5 | packet length - 7 |
 
 | kind | bytes 0-1 | APID of units 0 to {last} |
 |---|---|---|
 {rows}
 
-Where the body starts with a time code, those 7 bytes are the secondary header. The sequence count of a measurement is
-the lowest 14 bits of the shot's number; the other kinds count their packets, commands by their sequence number."""
+If the body starts with a time code, those 7 bytes are the secondary header. The sequence count of a measurement is the
+least significant 14 bits of the shot number. Acknowledgements and housekeeping packets are counted separately; for a
+command it is the sequence number."""
 
 
 def _plain(header: PlainHeader) -> str:
     codes = ", ".join(f"{code} {kind}" for kind, code in header.messages.items())
-    told = []
+    notes = []
     if "message" in header.layout.names:
-        told.append(f"`message` tells the kinds of packets apart: {codes}.")
+        notes.append(f"`message` is the kind of packet: {codes}.")
     if "unit" in header.layout.names:
-        told.append(f"`unit` is 0 to {header.units - 1}.")
+        notes.append(f"`unit` is 0 to {header.units - 1}.")
     if "sequence" in header.layout.names:
-        told.append(
-            "`sequence` is the lowest bits of the number of the shot, of packets of the kind, or of the command."
+        notes.append(
+            "`sequence` holds the least significant bits of the shot number, of the count of packets of the "
+            "kind, or of the sequence number of a command."
         )
     if "length" in header.layout.names:
-        told.append("`length` is that of the packet in bytes, header and CRC included.")
-    return f"A packet starts with this header:\n\n{field_table(header.layout)}\n\n" + "\n".join(told)
+        notes.append("`length` is the length of the packet in bytes, including header and CRC.")
+    return f"A packet starts with this header:\n\n{field_table(header.layout)}\n\n" + "\n".join(notes)
 
 
 def crc_text(link: ByteLink) -> str:
-    """The check at the end of a packet."""
+    """Section on the CRC at the end of a packet."""
     if link.crc is None:
-        return "There is none: nothing tells a damaged packet of the right length from a good one."
+        return "There is no CRC: a damaged packet of the correct length cannot be detected."
     crc = link.crc
     name = crc.name.upper().replace("_", "-").replace("CRC16-", "CRC-16/").replace("CCITT-", "CCITT-")
     length = "The last byte" if crc.length == 1 else f"The last {crc.length} bytes, {link.byte_order}-endian"
@@ -89,7 +91,7 @@ def _parameters(crc: Crc) -> str:
 
 
 def framing_text(interface: Interface) -> str:
-    """How packets lie in a stream of bytes."""
+    """Section on the framing of packets in a byte stream."""
     framing = interface.link.framing
     longest = framing.longest_frame(interface.maximum_packet_bytes)
     if isinstance(framing, Synced):
@@ -107,28 +109,29 @@ def _synced(framing: Synced, longest: int) -> str:
     return f"""Each packet follows the sync word `{framing.sync.hex(" ")}` and a {size}{order}:
 {counted}.
 
-To decode, look for the sync word, read the length and that many bytes. If the length is impossible or the packet is
-not good, the sync word was chance or the frame is damaged: look on right behind that sync word, not behind the frame.
+To decode, find the sync word, then read the length and that number of bytes. If the length is impossible or the packet
+is invalid, the sync word was a coincidence in the data or the frame is damaged: resume right after that sync word, not
+after the frame.
 No frame from the device is longer than {longest} bytes."""
 
 
-_COBS = """Each packet is stuffed by COBS (consistent overhead byte stuffing), which takes all zeros out of it, and
-followed by one zero byte, the delimiter. Stuffing adds one byte, and one more for each further 254 bytes.
+_COBS = """Each packet is encoded with COBS (consistent overhead byte stuffing), which removes all zeros, and
+followed by one zero byte, the delimiter. COBS adds one byte, and one more for each further 254 bytes.
 
-To decode, collect bytes up to a zero. Then read a code byte c and copy the c - 1 bytes after it; if c is less than
-255 and the frame is not used up, append a zero; repeat until it is used up. Drop a frame that ends inside a run,
-or whose packet is not good; the next one starts after the next zero.
+To decode, collect bytes up to a zero. Read a code byte c and copy the c - 1 bytes after it; if c is less than 255 and
+the frame has more bytes, append a zero; repeat to the end of the frame. Drop a frame that ends inside a run, or whose
+packet is invalid; the next frame starts after the next zero.
 """
-_SLIP = """Each packet is stuffed as in SLIP (RFC 1055): within it `c0` becomes `db dc` and `db` becomes `db dd`. It is
+_SLIP = """Each packet is encoded with SLIP (RFC 1055): `c0` becomes `db dc`, and `db` becomes `db dd`. It is
 followed by `c0`, the delimiter.
 
-To decode, collect bytes up to a `c0`, and put the two back. Drop a frame with another byte after a `db`, or whose
-packet is not good; the next one starts after the next `c0`.
+To decode, collect bytes up to a `c0`, and reverse the two substitutions. Drop a frame with another byte after a `db`,
+or whose packet is invalid; the next frame starts after the next `c0`.
 """
 
 
 def _delimited(framing: Stuffed, longest: int) -> str:
     delimiter = framing.delimiter.hex()
-    return f"""An empty frame means nothing: commands, acknowledgements and housekeeping have a delimiter
-(`{delimiter}`) before them too, so that what came before cannot spoil them. No frame from the device is longer than
+    return f"""Ignore empty frames: commands, acknowledgements and housekeeping also have a delimiter
+(`{delimiter}`) before them, so that bytes before them cannot corrupt them. No frame from the device is longer than
 {longest} bytes without its delimiter."""

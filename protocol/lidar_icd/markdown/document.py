@@ -14,7 +14,7 @@ from lidar_protocol.host import Host
 
 
 def interface_markdown(interface: Interface) -> str:
-    """All that is needed to write a decoder for the interface without this package."""
+    """Generate the interface document, sufficient to write a decoder without this package."""
     sections = [
         f"# Interface `{interface.name}`, version {interface.version}",
         "Generated from the interface definition; do not edit. Section 7 is an example to check a decoder against.",
@@ -39,15 +39,16 @@ def _conventions(interface: Interface) -> str:
   significant bit of a byte, to 7: from that bit of the first byte (the lowest of the number) to that of the last."""
     )
     return f"""{order} `uN` and `iN` are N-bit numbers without and with
-  sign (two's complement), `f32` and `f64` IEEE 754. Bits that no table names are sent as 0; ignore them.
-* Value = raw * step + offset; the offset is 0 where none is stated. Values are rounded to the nearest step.
-* **No value.** The raw code under `none` means that there is no such value. A value outside its range never
-  wraps: it is sent as that code or, where the range is marked `held`, as the nearest end of the range. Take a
-  raw value outside the range for no value.
+  sign (two's complement), `f32` and `f64` IEEE 754. Bits that are in no table are sent as 0; ignore them.
+* Value = raw * step + offset; the offset is 0 if none is stated. Values are rounded to the nearest step.
+* **No value.** The raw code under `none` stands for no value. A value outside its range never wraps: it is sent as
+  that code or, if the range is marked `held`, as the nearest end of the range. Treat a raw value outside the range as
+  no value.
 * **Time** (`cuc`): CCSDS 301.0-B unsegmented time code with agency-defined epoch, 4 + 3 bytes, no P-field: as one
   56-bit number t, nanoseconds = t * 10^9 / 2^24, to the nearest nanosecond (halves up). A step is 59.6 ns.
 * **Epoch**: {interface.epoch}.
-* Nothing in a measurement depends on how late it is sent. A shot that the link skips leaves a gap in the counters."""
+* The contents of a measurement do not depend on the actual time of transmission. A shot that is not sent leaves a gap
+  in the counters."""
 
 
 def _measurement(interface: Interface) -> str:
@@ -97,20 +98,20 @@ def _can(interface: Interface, can: CanDefinition) -> str:
     return "\n\n".join([text, *tables])
 
 
-_CAN = """Standard identifiers. Those of unit n are n * $stride higher than those of unit 0 (n = 0 to $last_unit).
-Beam k takes slot k of $slots. A shot is sent as one set ($sets), in classic frames, or as `fd` in CAN FD frames
-with bit rate switch. Frames are sent in the order of the table, slot by slot. The DBC file holds the same for unit 0.
+_CAN = """Standard (11-bit) identifiers. Those of unit n are n * $stride higher than those of unit 0
+(n = 0 to $last_unit). Beam k uses slot k of $slots. A shot is sent as one set ($sets): in classic frames, or
+with `fd` in CAN FD frames with bit rate switch. Frames are sent in the order of the table, slot by slot. The DBC file
+describes unit 0.
 
-Every message of a shot starts with the shot counter, the lowest $bits bits of the shot's number: frames with the same
-counter belong together. A set begins with its header message, one of $headers, which is sent
-first, and is complete when each of its other messages has come, for each of the `beam_count` slots in use. Drop an
-incomplete set as soon as the unit sends a frame of a shot that is not one of those: another header, another counter,
-or a message that is there already. Drop, too, a frame that no set waits for: its own header was lost, and an older
-set may have the same counter.
+Every message of a shot starts with the shot counter, the least significant $bits bits of the shot number: frames with
+the same counter belong together. A set starts with its header message, one of $headers,
+and is complete when all of its other messages have been received for each of the `beam_count` slots in use. Drop an
+incomplete set as soon as the unit sends a frame of a shot that the set does not expect: another header, another
+counter, or a message already received. Drop a frame that no set expects: its own header was lost, and an older set may
+have the same counter.
 
-After $cycle shots the counter is the same again. Where exactly the frames between some frame of a set and the same
-frame of the set $cycle shots later are lost, only times of arrival tell: drop a set that is incomplete when the next
-one is due.
+The counter wraps after $cycle shots. If all frames from a frame of a set to the same frame of the set $cycle shots
+later are lost, only times of arrival show the gap: drop a set that is incomplete when the next one is due.
 
 | message | identifiers, unit 0 | bytes | sets |
 |---|---|---|---|
@@ -153,15 +154,15 @@ def _control(interface: Interface) -> str:
         if layout is not None:
             text.append(f"### {kind}\n\n{field_table(layout)}")
     text += [_block(interface.can, block) for block in interface.can.blocks] if interface.can else []
-    return "\n\n".join(text) or "There are none."
+    return "\n\n".join(text) or "None."
 
 
-_COMMANDS = """Bytes are counted from the start of the body, after the packet's header. A command is answered by one
-acknowledgement with its sequence number: accepted; or unknown (no such code), malformed (not its length), bad_sequence
-(not the number after that of the last command), out_of_state (not in this mode), out_of_range (an argument is none of
-its values). The number counts whatever the verdict, bad_sequence aside; the first command after a restart may have any,
-and so may `no_op` at any time, but that of the last command: so a host that does not know the number begins anew.
-A damaged packet is not answered. On CAN the identifier stands for the code."""
+_COMMANDS = """Bytes are counted from the start of the body, after the packet header. The device answers each command
+with one acknowledgement with the same sequence number and a verdict: accepted, unknown (no such code), malformed
+(wrong length), bad_sequence (not the number after that of the last command), out_of_state (not allowed in this mode) or
+out_of_range (an argument is not one of its values). Every verdict except bad_sequence advances the number. The first command
+after a restart may have any number, and `no_op` at any time any number but that of the last command: a host that does
+not know the number starts with it. A damaged packet is not acknowledged. On CAN the identifier replaces the code."""
 
 
 def _command_rows(interface: Interface) -> str:

@@ -1,16 +1,16 @@
-"""Tables of fields for the interface document."""
+"""Tables of fields, values and bytes for the interface document."""
 
 from __future__ import annotations
 
 from lidar_icd.can_database import decimal_text
 from lidar_protocol.fields import Codec, Constant, Flag, Number, Real, Time, Value
-from lidar_protocol.layout import Layout, Placed
+from lidar_protocol.layout import Layout, PlacedField
 
 _HEX_BYTES_PER_LINE = 28
 
 
 def field_table(layout: Layout, first_byte: int = 0) -> str:
-    """A block field by field; its bytes are counted from `first_byte`."""
+    """Table of the fields of a block, whose bytes are counted from `first_byte`."""
     heading = [
         "| byte | bits | type | name | step | range | none | meaning |",
         "|---|---|---|---|---|---|---|---|",
@@ -18,7 +18,7 @@ def field_table(layout: Layout, first_byte: int = 0) -> str:
     return "\n".join(heading + [_row(placed, layout, first_byte) for placed in layout.placed])
 
 
-def _row(placed: Placed, layout: Layout, first_byte: int) -> str:
+def _row(placed: PlacedField, layout: Layout, first_byte: int) -> str:
     field, codec = placed.field, placed.field.codec
     first, last = placed.first_bit, placed.first_bit + codec.bits - 1
     down = 7 if layout.byte_order == "big" else 0
@@ -35,7 +35,7 @@ def _row(placed: Placed, layout: Layout, first_byte: int) -> str:
 
 
 def type_name(codec: Codec) -> str:
-    """The type of a field as the definition writes it."""
+    """Type of a field, as in the definition."""
     if isinstance(codec, Flag):
         return "bool"
     if isinstance(codec, Time):
@@ -46,7 +46,7 @@ def type_name(codec: Codec) -> str:
 
 
 def _number_cells(codec: Codec, unit: str) -> tuple[str, str, str]:
-    """Step, range and codes."""
+    """Cells for step, range and codes."""
     if isinstance(codec, Constant):
         return "", f"always 0x{codec.code:X}", ""
     if isinstance(codec, Real):
@@ -71,18 +71,18 @@ def _hex_code(codec: Number, code: int) -> str:
 
 
 def shown(value: Value) -> str:
-    """A value in a table of the example."""
+    """Format a value of the example."""
     if value is None:
         return "none"
     return str(int(value)) if isinstance(value, bool) else str(value)
 
 
 def hex_block(data: bytes) -> str:
-    """Bytes as a block of text."""
+    """Code block of bytes in hexadecimal."""
     step = _HEX_BYTES_PER_LINE
     return code_block([data[start : start + step].hex(" ") for start in range(0, len(data), step)])
 
 
 def code_block(lines: list[str]) -> str:
-    """Lines as they are."""
+    """Code block of lines."""
     return "\n".join(["```text", *lines, "```"])

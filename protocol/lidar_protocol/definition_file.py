@@ -1,4 +1,4 @@
-"""Interface definitions from TOML: read and checked once."""
+"""Read and check interface definitions in TOML."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Final, cast
 
+from lidar_protocol.definition_can import read_can
+from lidar_protocol.definition_context import Context, require_capacity
+from lidar_protocol.definition_link import read_link
 from lidar_protocol.definitions import CommandDefinition, Commands, Interface, PacketDefinition
 from lidar_protocol.errors import DefinitionError
 from lidar_protocol.fields import Time
 from lidar_protocol.headers import Kind
 from lidar_protocol.layout import ByteOrder, Layout
-from lidar_protocol.reading_can import read_can
-from lidar_protocol.reading_context import Context, holds
-from lidar_protocol.reading_link import read_link
 from lidar_protocol.toml_table import TomlTable
 
 SHIPPED: Final = ("default", "altimeter")
-"""Names of the interfaces that come with the package."""
+"""Names of the interfaces in the package."""
 
 VERDICTS: Final = ("accepted", "unknown", "malformed", "bad_sequence", "out_of_state", "out_of_range")
-"""What an acknowledgement must be able to say."""
+"""Verdicts that the enumeration of an acknowledgement must have."""
 
 _MOST_BEAMS = 64
 _MOST_CODE = 2**16 - 1
@@ -32,12 +32,12 @@ _MOST_CODE = 2**16 - 1
 
 @cache
 def shipped_interface(name: str) -> Interface:
-    """One of the interfaces that come with the package."""
+    """Load one of the interfaces in the package."""
     return load((files("lidar_protocol") / f"{name}.toml").read_text(encoding="utf-8"), f"{name}.toml")
 
 
 def default_interface() -> Interface:
-    """The interface that is meant where none is named."""
+    """Load the default interface."""
     return shipped_interface("default")
 
 
@@ -57,10 +57,10 @@ def load_file(path: str | Path) -> Interface:
 
 
 def load(text: str, where: str) -> Interface:
-    """Read a definition; `where` names it in errors.
+    """Read a definition; `where` names it in error messages.
 
     Raises:
-        DefinitionError: one line that names the place, the value and what is allowed.
+        DefinitionError: the definition cannot be used.
     """
     try:
         tree = tomllib.loads(text, parse_float=Decimal)
@@ -136,7 +136,7 @@ def _packet(table: TomlTable, context: Context) -> PacketDefinition:
         beam = context.layout(f"{table.where}.beam", context.blocks["beam"], frozenset())
         most = table.integer("maximum_beams", 1, 255)
     table.finish()
-    holds(header, f"{table.where}.header", "beam_count", most)
+    require_capacity(header, f"{table.where}.header", "beam_count", most)
     return PacketDefinition(header, beam, most)
 
 
@@ -161,13 +161,13 @@ def _check_acknowledge(layout: Layout, where: str, context: Context) -> None:
 
 
 def _codes(table: TomlTable | None) -> dict[str, int]:
-    """The codes of the commands, before the fields that name them are read."""
+    """Read the codes of the commands, which fields may refer to."""
     codes: dict[str, int] = {}
     for name in table.names() if table else []:
         assert table is not None
         code = table.peek(name).integer("code", 0, _MOST_CODE)
         if code in codes.values():
-            raise DefinitionError(f"{table.where}.{name}.code", code, "a code of its own")
+            raise DefinitionError(f"{table.where}.{name}.code", code, "a unique code")
         codes[name] = code
     return codes
 
@@ -182,7 +182,7 @@ def _commands(root: TomlTable, table: TomlTable | None, context: Context) -> Com
         if name not in header.names:
             raise DefinitionError(where, ", ".join(header.names), f"a field {name} among them")
     codes = context.enumerations["command"]
-    holds(header, where, "command", max(codes.values(), default=0))
+    require_capacity(header, where, "command", max(codes.values(), default=0))
     commands = [_command(table, name, code, context) for name, code in codes.items()]
     if not commands:
         raise DefinitionError(table.where, "no command", "at least one")

@@ -1,4 +1,4 @@
-"""What the parts of an interface definition have in common while they are read."""
+"""Context for reading the parts of an interface definition."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
+from lidar_protocol.definition_fields import Entry, Enumerations, read_layout
 from lidar_protocol.errors import DefinitionError
-from lidar_protocol.field_table import Entry, Enumerations, read_layout
 from lidar_protocol.fields import Codec, Constant, Counter, Number
 from lidar_protocol.layout import FILLED_IN, ByteOrder, Layout
 from lidar_protocol.toml_table import TomlTable
@@ -17,14 +17,14 @@ BODY_LENGTHS: Final = range(1, 4097)
 
 @dataclass
 class Context:
-    """Byte order, units and enumerations; and the tables of fields by name, which later parts refer to."""
+    """Byte order, units, enumerations, and tables of fields that later parts refer to."""
 
     byte_order: ByteOrder
     units: int
     version: int
     enumerations: Enumerations
     blocks: dict[str, Sequence[Entry]] = field(default_factory=dict)
-    """Lists of fields that a message on CAN can take as a whole."""
+    """Lists of fields, by block, that a CAN message can include."""
 
     def layout(
         self,
@@ -34,18 +34,19 @@ class Context:
         lengths: Sequence[int] = BODY_LENGTHS,
         of_beams: bool = False,
     ) -> Layout:
-        """The layout of a list of fields; of those that the library fills in it may hold `own`."""
+        """Read the layout of a list of fields; `own` are the fields filled in by the library that are allowed in
+        it."""
         layout = read_layout(where, entries, self.enumerations, lengths, self.byte_order, of_beams)
         if strange := (layout.names & FILLED_IN) - own:
             raise DefinitionError(where, ", ".join(sorted(strange)), "names that mean something else here")
-        holds(layout, where, "interface_version", self.version)
+        require_capacity(layout, where, "interface_version", self.version)
         for placed in layout.placed:
             if placed.field.name == "shot" and not isinstance(placed.field.codec, Counter):
                 raise DefinitionError(f"{where}: shot.wraps", False, "true: shots go on for ever")
         return layout
 
     def resolved(self, table: TomlTable, known: Mapping[object, Entry]) -> Sequence[Entry]:
-        """A field with what it takes from the one of the same name; or all fields of a block."""
+        """Table of a field, completed from the field of the same name; or all fields of a block."""
         if "all_of" in table:
             block = table.choice("all_of", self.blocks)
             table.finish()
@@ -68,15 +69,15 @@ def by_name(entries: Sequence[Entry]) -> dict[object, Entry]:
 
 
 def codec_of(layout: Layout, name: str) -> Codec | None:
-    """How a field is sent; None where the layout does not have it."""
+    """Codec of a field; None if the layout does not have it."""
     return next((placed.field.codec for placed in layout.placed if placed.field.name == name), None)
 
 
-def holds(layout: Layout, where: str, name: str, most: int) -> None:
-    """Refuse a field that the library fills in and that cannot hold what it will fill in.
+def require_capacity(layout: Layout, where: str, name: str, most: int) -> None:
+    """Refuse a field whose type cannot hold the values up to `most` that the library fills in.
 
     Raises:
-        DefinitionError: it is refused.
+        DefinitionError: the type cannot hold them.
     """
     codec = codec_of(layout, name)
     if codec is None or isinstance(codec, Counter | Constant):

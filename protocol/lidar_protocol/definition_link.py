@@ -1,4 +1,4 @@
-"""Byte links from an interface definition: framing, CRC and packet header."""
+"""Read the byte link from an interface definition: framing, CRC and packet header."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Iterable, Mapping
 from typing import cast
 
 from lidar_protocol.crc import CRCS
+from lidar_protocol.definition_context import Context, require_capacity
 from lidar_protocol.definitions import ByteLink, Covered
 from lidar_protocol.errors import DefinitionError
 from lidar_protocol.framing import Framing, Stuffed, Synced
 from lidar_protocol.headers import APID_LIMIT, Kind, PacketHeader, PlainHeader, SpacePacketHeader
 from lidar_protocol.layout import ByteOrder, Layout
-from lidar_protocol.reading_context import Context, holds
 from lidar_protocol.toml_table import TomlTable
 
 _LENGTH_BYTES = {"u8": 1, "u16": 2, "u32": 4}
@@ -19,11 +19,13 @@ _HEADER_FIELDS = ("message", "unit", "sequence", "length")
 
 
 def read_link(root: TomlTable, context: Context, timed: Mapping[Kind, bool], longest_body: int) -> ByteLink:
-    """The byte link.
+    """Read the byte link.
 
     Args:
-        timed: the kinds of packets that there are, and whether their bodies start with a time code.
-        longest_body: in bytes.
+        root: the whole definition.
+        context: context of the definition.
+        timed: for each kind of packet, whether its body starts with a time code.
+        longest_body: length in bytes of the longest body.
     """
     framing = _framing(root.table("framing"), context.byte_order)
     crc_table = root.table("crc")
@@ -37,7 +39,7 @@ def read_link(root: TomlTable, context: Context, timed: Mapping[Kind, bool], lon
     link = ByteLink(framing, header, crc, covered, order)
     longest = link.overhead + longest_body
     if isinstance(header, PlainHeader):
-        holds(header.layout, "header.fields", "length", longest)
+        require_capacity(header.layout, "header.fields", "length", longest)
     elif longest > header.length + 65536:
         raise DefinitionError("packet", f"{longest} bytes", "at most 65542 in a space packet")
     if isinstance(framing, Synced) and longest + framing.uncounted >= 1 << 8 * framing.length_bytes:
@@ -102,7 +104,7 @@ def _plain(table: TomlTable, context: Context, kinds: Iterable[Kind]) -> PlainHe
     layout = context.layout(f"{table.where}.fields", entries, frozenset())
     _check_plain(layout, table, context)
     messages = _messages(table, layout, list(kinds))
-    holds(layout, table.where, "message", max(messages.values()))
+    require_capacity(layout, table.where, "message", max(messages.values()))
     return PlainHeader(layout, messages, context.units)
 
 
@@ -113,11 +115,11 @@ def _check_plain(layout: Layout, table: TomlTable, context: Context) -> None:
         raise DefinitionError(f"{table.where}.fields", ", ".join(sorted(strange)), allowed)
     if "unit" not in layout.names and context.units > 1:
         raise DefinitionError("interface.units", context.units, "1 where the header has no field unit")
-    holds(layout, table.where, "unit", context.units - 1)
+    require_capacity(layout, table.where, "unit", context.units - 1)
 
 
 def _messages(table: TomlTable, layout: Layout, kinds: list[Kind]) -> dict[Kind, int]:
-    """What the field `message` holds for each kind."""
+    """Read the value of the field `message` for each kind."""
     if "message" not in layout.names:
         if len(kinds) > 1:
             raise DefinitionError(f"{table.where}.fields", ", ".join(kinds), "one kind, or a field message")
@@ -127,5 +129,5 @@ def _messages(table: TomlTable, layout: Layout, kinds: list[Kind]) -> dict[Kind,
     own.finish()
     for kind, code in messages.items():
         if list(messages.values()).count(code) > 1:
-            raise own.refusal(kind, code, "a number of its own")
+            raise own.refusal(kind, code, "a unique number")
     return messages

@@ -1,16 +1,16 @@
-"""Identifiers and messages on CAN from an interface definition."""
+"""Read the identifiers and messages on CAN from an interface definition."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from lidar_protocol.definition_context import Context, by_name, codec_of, require_capacity
+from lidar_protocol.definition_fields import Entry
 from lidar_protocol.definitions import CanBlock, CanDefinition, CanMessage, Commands
 from lidar_protocol.errors import DefinitionError
-from lidar_protocol.field_table import Entry
 from lidar_protocol.fields import Counter
 from lidar_protocol.layout import Layout
-from lidar_protocol.reading_context import Context, by_name, codec_of, holds
 from lidar_protocol.toml_table import TomlTable
 
 _STANDARD_ID_LIMIT = 1 << 11
@@ -23,7 +23,7 @@ _OF_A_SHOT = frozenset({"shot_counter", "details", "interface_version", "beam_co
 def read_can(
     table: TomlTable, context: Context, commands: Commands | None
 ) -> tuple[CanDefinition, Commands | None]:
-    """The messages on CAN; and the commands, with their identifiers if they have any."""
+    """Read the CAN part; returns it, and the commands with their identifiers if they have any."""
     known = by_name([*context.blocks["header"], *context.blocks.get("beam", [])])
     shared = table.optional_table("fields")
     for name in shared.names() if shared else []:
@@ -83,7 +83,7 @@ def _message(table: TomlTable, context: Context, known: Mapping[object, Entry]) 
 
 
 def _block(table: TomlTable, context: Context, of: str, own: set[str]) -> CanBlock:
-    """A message that stands alone: an acknowledgement, or a part of the housekeeping."""
+    """Read a single message: an acknowledgement, or a part of the housekeeping."""
     if of not in context.blocks:
         raise DefinitionError(table.where, "a message", f"none without [[{of}]]")
     known = by_name(context.blocks[of])
@@ -95,7 +95,7 @@ def _block(table: TomlTable, context: Context, of: str, own: set[str]) -> CanBlo
 
 
 def _with_ids(table: TomlTable, commands: Commands | None, context: Context) -> Commands:
-    """The commands with identifiers: that of code 0, plus the code."""
+    """Commands with identifiers: the identifier of code 0 plus the code."""
     first = table.integer("id", 0, _STANDARD_ID_LIMIT - 1)
     table.finish()
     if commands is None:
@@ -130,7 +130,7 @@ def _check_sets(can: CanDefinition, where: str) -> None:
 def _check_header(layout: Layout, sets: frozenset[str], where: str, slots: int) -> None:
     if len(sets) > 1 and codec_of(layout, "details") is None:
         raise DefinitionError(f"{where}.fields", "core, full", "the flag details, which tells the sets apart")
-    holds(layout, where, "beam_count", slots)
+    require_capacity(layout, where, "beam_count", slots)
 
 
 def _check_ids(can: CanDefinition, commands: Commands | None, units: int, where: str) -> None:

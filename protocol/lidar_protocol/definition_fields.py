@@ -1,4 +1,4 @@
-"""Fields and layouts from their tables in an interface definition."""
+"""Read fields and layouts from their tables in an interface definition."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from math import ceil, floor
 
 from lidar_protocol.errors import DefinitionError
 from lidar_protocol.fields import Codec, Constant, Counter, Field, Flag, Number, Real, Time
-from lidar_protocol.layout import ByteOrder, Layout, Placed
+from lidar_protocol.layout import ByteOrder, Layout, PlacedField
 from lidar_protocol.toml_table import TomlTable
 
 Enumerations = Mapping[str, Mapping[str, int]]
@@ -29,15 +29,20 @@ def read_layout(
     byte_order: ByteOrder,
     of_beams: bool = False,
 ) -> Layout:
-    """The layout of a list of fields and spare bits; its length is the first of `lengths` that holds it.
+    """Read the layout of a list of fields and spare bits.
 
     Args:
+        where: place in the definition, for error messages.
+        entries: tables of the fields.
+        enumerations: enumerations that fields may refer to.
+        lengths: allowed lengths in bytes, ascending; the first sufficient one is taken.
+        byte_order: byte order of the block.
         of_beams: whether a field may belong to one beam.
 
     Raises:
-        DefinitionError: a field cannot be used, a name comes twice, or the fields fit into none of `lengths`.
+        DefinitionError: a field cannot be used, a name occurs twice, or the fields do not fit into any of `lengths`.
     """
-    placed: list[Placed] = []
+    placed: list[PlacedField] = []
     bit = 0
     for place, entry in enumerate(entries):
         table = TomlTable(f"{where}[{place}]", entry)
@@ -47,12 +52,12 @@ def read_layout(
             continue
         field = read_field(table, enumerations, of_beams)
         if any(field.key == other.field.key for other in placed):
-            raise table.refusal("name", field.name, "a name that the message does not have yet")
+            raise table.refusal("name", field.name, "a name that is unique in the message")
         if isinstance(field.codec, Real) and bit % 8:
             raise table.refusal(
                 "type", f"f{field.codec.bits}", "a floating-point number at the start of a byte"
             )
-        placed.append(Placed(field, bit))
+        placed.append(PlacedField(field, bit))
         bit += field.codec.bits
     if not placed:
         raise DefinitionError(where, "spare bits alone", "at least one field")
@@ -63,7 +68,7 @@ def read_layout(
 
 
 def read_field(table: TomlTable, enumerations: Enumerations, of_beams: bool = False) -> Field:
-    """The field that a table describes.
+    """Read a field from its table.
 
     Raises:
         DefinitionError: a key is missing, unknown or cannot be used.
@@ -144,7 +149,7 @@ def _read_number(table: TomlTable, bits: int, signed: bool) -> Number:
 
 
 def _limits(table: TomlTable, bits: int, signed: bool, codes: Sequence[int]) -> tuple[int, int]:
-    """Raw limits of a type, less the codes that lie at its ends."""
+    """Raw limits of a type, without codes at its ends."""
     lowest, highest = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
     for code in codes:
         if not lowest <= code <= highest:
