@@ -158,11 +158,12 @@ def _control(interface: Interface) -> str:
 
 
 _COMMANDS = """Bytes are counted from the start of the body, after the packet header. The device answers each command
-with one acknowledgement with the same sequence number and a verdict: accepted, unknown (no such code), malformed
-(wrong length), bad_sequence (not the number after that of the last command), out_of_state (not allowed in this mode) or
-out_of_range (an argument is not one of its values). Every verdict except bad_sequence advances the number. The first command
-after a restart may have any number, and `no_op` at any time any number but that of the last command: a host that does
-not know the number starts with it. A damaged packet is not acknowledged. On CAN the identifier replaces the code."""
+with one acknowledgement with the same sequence number and a verdict: accepted, unknown (no such code),
+malformed (wrong length), bad_sequence (not the number after that of the last command), out_of_state
+(not allowed in this mode) or out_of_range (an argument is not one of its values). Every verdict except
+bad_sequence advances the number. The first command after a restart may have any number, and `no_op` at
+any time any number but that of the last command: a host that does not know the number starts with it. A
+damaged packet is not acknowledged. On CAN the identifier replaces the code."""
 
 
 def _command_rows(interface: Interface) -> str:
