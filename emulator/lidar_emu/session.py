@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from lidar_emu.device.modes import advance, initial, timed
-from lidar_emu.device.rules import Event, Rules, device_rules
+from lidar_emu.device.rules import DeviceEvent, Rules, device_rules
 from lidar_emu.device.settling import Settling
 from lidar_emu.device.shot_policy import ShotPolicy, shot_policy
 from lidar_emu.device.state import DeviceState
@@ -30,20 +30,20 @@ _NOT_SETTLING = Settling()
 
 @dataclass(frozen=True)
 class Block:
-    """Consecutive shots, measured and encoded, through which the device was in one state."""
+    """Consecutive shots, measured and encoded, in one state of the device."""
 
     measurement: Measurement
     packets: list[Packet]
-    """Empty ones were taken away by faults, or the device sends none."""
+    """Empty packets were removed by faults, or the device sends none."""
     due_ns: list[int]
-    """When packets are due: as the measurement says, but for faults."""
+    """Due times of the packets: those of the measurement, unless faults delay them."""
     faults: tuple[FaultOccurrence, ...] = ()
-    """Which faults acted."""
+    """Faults that acted."""
     silent: bool = False
     """Whether the device fires no beams and sends no measurements."""
 
     def part(self, first: int, end: int) -> Block:
-        """Some of the shots: rows from `first`, and before `end`."""
+        """Rows `first` to `end - 1`."""
         if (first, end) == (0, len(self.packets)):
             return self
         start = int(self.measurement.shot[0])
@@ -57,25 +57,25 @@ class Block:
 
 
 class _State(NamedTuple):
-    """What is carried from shot to shot."""
+    """State carried from shot to shot."""
 
     model: ModelState
     shot_policy: ShotPolicy
     unnumbered: int
-    """Shots of the scenario that the device has not counted: before its last restart, and silent ones."""
+    """Shots of the scenario that the device has not numbered: before its last restart, and silent ones."""
     settling: Settling
     wire: WireState | None
 
 
 class Session:
-    """Works through the shots of a model, in order.
+    """Measures and encodes the shots of a model, in order.
 
     Args:
-        model: what is measured.
-        encoder: how it goes onto the link.
-        kept_blocks: how many blocks back `rewind` can go.
-        faulty: what becomes of packets; None: nothing.
-        rules: of the device; None: it is in mode track from the first shot on.
+        model: measures the shots.
+        encoder: encodes the packets.
+        kept_blocks: number of blocks by which `rewind` can go back.
+        faulty: encoder with packet faults; None: there are none.
+        rules: rules of the device; None: it is in mode track from the first shot on.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Session:
         self._encoder = encoder
         self._faulty = faulty
         self.rules = rules or device_rules(DeviceBehaviour(), 1e9 / model.period_ns, model.beam_count, 1)
-        """Of the device."""
+        """Rules of the device."""
         self._state = _State(
             initial_state(model),
             shot_policy(initial(self.rules), model.beam_count),
@@ -104,8 +104,13 @@ class Session:
 
     @property
     def device(self) -> DeviceState:
-        """As the last shot has left it, or the last command after that."""
+        """State of the device after the last shot, or after the last command that followed it."""
         return self._state.shot_policy.device
+
+    @property
+    def period_ns(self) -> int:
+        """Time from shot to shot."""
+        return self._model.period_ns
 
     @property
     def is_over(self) -> bool:
@@ -117,8 +122,8 @@ class Session:
         return self._advance(1)[1]
 
     def use_device(self, device: DeviceState) -> None:
-        """From the next shot on, let the device be as it is after a command."""
-        device = timed(self.rules, device)  # it may have been commanded before a fault was ordered
+        """Use the state of the device after a command, from the next shot on."""
+        device = timed(self.rules, device)  # the command may be older than an injected fault
         state, settings = self._state, device.settings
         scanner, unnumbered = state.model.scanner, state.unnumbered
         if scanner.commanded != settings.pattern:
@@ -132,16 +137,16 @@ class Session:
         )
 
     def use_faults(
-        self, model: Model, faulty: FaultyEncoder | None, events: tuple[Event, ...] | None = None
+        self, model: Model, faulty: FaultyEncoder | None, events: tuple[DeviceEvent, ...] | None = None
     ) -> None:
-        """From the next shot on, have the faults of these: those that there were, and more after them.
+        """Use these faults from the next shot on: the previous ones, and more after them.
 
-        What repeats something from before it, such as a value that is stuck, knows of no shot before this one.
+        A new fault that repeats earlier values, such as stuck ones, starts without knowledge of earlier shots.
 
         Args:
-            model: with faults.
-            faulty: with faults.
-            events: that are done to the device, by faults too; None: as before.
+            model: model with the faults.
+            faulty: encoder with the faults.
+            events: events of the device, including those of faults; None: as before.
         """
         if events is not None:
             self.rules = replace(self.rules, events=events)
@@ -152,10 +157,10 @@ class Session:
         self._state = self._state._replace(model=self._state.model._replace(faults=held), wire=wire)
 
     def shoot(self, most: int, fired: bool = True) -> Block | None:
-        """The next shots, at most so many; None after the last. Packets do not depend on how they are grouped.
+        """Compute the next shots; None after the last. Packets do not depend on the grouping.
 
         Args:
-            most: shots.
+            most: maximum number of shots.
             fired: whether the beams fire at all.
         """
         shot, count = self.next_shot, min(most, self._model.shot_count - self.next_shot)
@@ -173,24 +178,24 @@ class Session:
             fires = settled[:, None] if fires is None else fires & settled[:, None]
         return self._fire(count, fires, settling, silent)
 
-    def rehearse(self) -> None:
-        """Compute the next shot and forget it: what that takes is then at hand in the processor's caches."""
+    def warm_up(self) -> None:
+        """Compute the next shot and discard it, to fill the processor's caches."""
         kept = self.next_shot, self._state, self._before
         self._before = deque()
         self.shoot(1)
         self.next_shot, self._state, self._before = kept
 
     def pass_over(self, shot: int) -> None:
-        """Go on with this shot; those before it are never computed."""
+        """Continue with this shot; the shots before it are never computed."""
         while self.next_shot < shot:
             count, silent = self._advance(shot - self.next_shot)
             self._skip(count, silent, self._state.model.scanner)
 
     def rewind(self, shot: int) -> None:
-        """Go back to a shot that is kept, and compute it and those after it again.
+        """Go back to a shot, to compute it and the following ones again.
 
         Raises:
-            ValueError: the block that it was computed in is not kept any more.
+            ValueError: its block is not kept any more.
         """
         while self._before and self._before[-1][0] > shot:
             self._before.pop()
@@ -201,7 +206,7 @@ class Session:
             self._catch_up(shot)
 
     def _advance(self, most: int) -> tuple[int, bool]:
-        """Take the device to the next shot; through how many shots it is then as it is, and whether it is silent."""
+        """Advance the device to the next shot; return the number of shots in one state, and whether they are silent."""
         shot, period_ns = self.next_shot, self._model.period_ns
         device = advance(self.rules, self.device, shot * period_ns)
         if device is not self.device:
@@ -209,7 +214,7 @@ class Session:
         return self._state.shot_policy.steady(shot, most, period_ns)
 
     def _settled(self, count: int) -> tuple[BoolArray | None, Settling]:
-        """(shots,) In which of the next shots the beams have settled, None: in all; and what is carried on."""
+        """(shots,) Whether the beams have settled in each of the next shots, None: in all; and the state after them."""
         settling_ns = self.device.settings.settling_ns
         if settling_ns == 0:
             return None, _NOT_SETTLING
@@ -217,7 +222,7 @@ class Session:
         return self._state.settling.settled(patterns, self.next_shot, self._model.period_ns, settling_ns)
 
     def _fire(self, count: int, fires: BoolArray | None, settling: Settling, silent: bool = False) -> Block:
-        """Measure and encode the next shots, through which the device is as it is."""
+        """Measure and encode the next shots, in one state of the device."""
         state = self._state
         measurement, model, injected = measure(self._model, self.next_shot, count, state.model, fires, silent)
         stamped, status = _stamped(measurement, state), state.shot_policy.status
@@ -234,9 +239,9 @@ class Session:
         return Block(measurement, packets, due_ns, tuple(injected), silent)
 
     def _catch_up(self, shot: int) -> None:
-        """From the beginning of the block, which stays kept, to a shot in it."""
+        """Advance from the beginning of a block, which stays kept, to a shot in it."""
         if self._model.faults or self._faulty or self.device.settings.settling_ns:
-            # What they carry from shot to shot follows from what is measured.
+            # The state that they carry from shot to shot depends on the measurements.
             self._before.pop()
             self.shoot(shot - self.next_shot)
             return
@@ -244,7 +249,7 @@ class Session:
         self._skip(count, silent, self._model.state_after(self.next_shot, count, self._state.model.scanner))
 
     def _skip(self, count: int, silent: bool, scanner: ScannerState) -> None:
-        """So many shots without measuring them, after which the scanner is in this state."""
+        """Skip `count` shots without measuring them; `scanner` is the scanner's state after them."""
         state = self._state
         model, unnumbered = state.model._replace(scanner=scanner), state.unnumbered + silent * count
         self._state = state._replace(model=model, unnumbered=unnumbered)
@@ -252,9 +257,9 @@ class Session:
 
 
 def _stamped(measurement: Measurement, state: _State) -> Measurement:
-    """The shots with the numbers and the times that the device gives them."""
+    """The shots with the numbers and times of the device."""
     clock = state.shot_policy.device.clock
-    if state.unnumbered == 0 and (state.shot_policy.is_plain or clock.is_right):
+    if state.unnumbered == 0 and (state.shot_policy.is_plain or clock.is_exact):
         return measurement
     return replace(
         measurement,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidar_emu.plan.expected_error import expected_error
-from lidar_emu.runtime.summary import of_scenario
+from lidar_emu.runtime.summary import planned_summary
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model, measure_whole
 
@@ -54,5 +54,5 @@ def test_the_dark_expects_nothing_but_dropouts():
 
 def test_a_bench_pattern_has_no_expectation():
     scenario = load("bench.yaml", {})
-    told = of_scenario(scenario, build_model(scenario))
+    told = planned_summary(scenario, build_model(scenario))
     assert {value for name, value in told.items() if name.startswith("expected_")} == {None}

@@ -13,10 +13,10 @@ from lidar_emu.cli.command_client import NO_ACKNOWLEDGEMENT, SENT, CommandClient
 from lidar_emu.device.modes import initial
 from lidar_emu.device.rules import device_rules
 from lidar_emu.device.timeline import DeviceTimeline
-from lidar_emu.runtime.change_queue import Changes
 from lidar_emu.runtime.device_link.command_handler import CommandHandler
 from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
 from lidar_emu.runtime.device_link.received_command import ReceivedCommand
+from lidar_emu.runtime.observer import Observer
 from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.transports.can_port import open_can
 from lidar_emu.transports.host import CanHost
@@ -27,31 +27,31 @@ INTERFACE = default_interface()
 _buses = count()
 
 
-class Unit:
+class Unit(Observer):
     """A device on a bus, that hears and answers; and what it has heard."""
 
     def __init__(self, spec: PortSpec, unit: int) -> None:
         self._channel = open_can(spec)
         rules = device_rules(DeviceBehaviour(), 20.0, 4, 2, 1.0)
-        voice = DownlinkEncoder(INTERFACE, unit, True, self._channel.send)
-        self.heard: list[ReceivedCommand] = []
+        encoder = DownlinkEncoder(INTERFACE, unit, True)
+        self.received: list[ReceivedCommand] = []
         device = DeviceTimeline(rules, initial(rules))
-        self._changes = Changes()
-        self._post = CommandHandler(voice, device, lambda _: True, self._changes, self._tell, lambda *_: None)
+        self._handler = CommandHandler(encoder, device, lambda _: True, self._channel.send, [self])
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._listen)
         self._thread.start()
 
-    def _tell(self, heard: ReceivedCommand, _shot: int | None) -> None:
-        self.heard.append(heard)
+    def on_command(self, command: ReceivedCommand, shot: int | None) -> None:  # noqa: ARG002
+        self.received.append(command)
 
     def _listen(self) -> None:
         for now_ns in count(0, 1_000_000):
             if self._over.wait(0.0005):
                 return
             if data := self._channel.receive():
-                self._post.hear(data, now_ns, now_ns)
-            self._changes.close()
+                for change in self._handler.receive(data, now_ns, now_ns):
+                    assert change.applied is not None
+                    change.applied(None, None)
 
     def close(self) -> None:
         self._over.set()
@@ -104,7 +104,7 @@ def test_units_on_one_bus_each_hear_their_own(
     assert hosts[0].send("enable_beams", {"beams": 5}).verdict == "accepted"
     assert hosts[3].send("set_pattern", {"pattern": 7}).verdict == "out_of_range"
     told = {
-        number: [(heard.command, heard.sequence) for heard in each.heard] for number, each in units.items()
+        number: [(heard.command, heard.sequence) for heard in each.received] for number, each in units.items()
     }
     assert told == {
         0: [("no_op", 0), ("enable_beams", 1)],

@@ -25,7 +25,7 @@ from lidar_emu.cli.dashboard import Dashboard
 from lidar_emu.cli.dashboard_process import render
 from lidar_emu.cli.displays import LatestMessages, RunDisplay
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import simulate
@@ -77,9 +77,9 @@ def test_a_run_shows_what_is_on_the_wire() -> None:
     slate, tally = Slate(), Tally(Pace.WALL)
     display = RunDisplay(slate, default_interface(), False, "bench", tally, 20.0)  # type: ignore[arg-type]
     for shot, late_ns in enumerate((5000, 9000, 2000)):
-        report = Report(shot, shot * 10**8, shot * 10**8 + late_ns, DeliveryStatus.SENT)
+        report = DeliveryReport(shot, shot * 10**8, shot * 10**8 + late_ns, DeliveryStatus.SENT)
         tally.report(report)
-        display.on_report(Outgoing(shot, report.due_ns, bytes(packets[shot])), report)
+        display.on_report(OutgoingPacket(shot, report.due_ns, bytes(packets[shot])), report)
     lines = dict(slate.told["lines"])
     assert lines["shots"] == "3 sent, 0 late, 0 dropped"
     assert lines["lateness"] == "2 us, at most 9 us so far"

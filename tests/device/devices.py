@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from lidar_emu.device.commands import Order, obey
+from lidar_emu.device.commands import DeviceCommand, execute
 from lidar_emu.device.modes import advance, initial
 from lidar_emu.device.rules import Rules, device_rules
 from lidar_emu.device.state import DeviceState
@@ -40,7 +40,7 @@ class Unit:
         """Give a command; returns the verdict."""
         time_ns = round(time_ms * MS)
         self.at(time_ms)
-        self.state, verdict = obey(self.rules, self.state, Order(name, values, time_ns, time_ns))
+        self.state, verdict = execute(self.rules, self.state, DeviceCommand(name, values, time_ns, time_ns))
         return verdict
 
     @property

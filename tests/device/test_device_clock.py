@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lidar_emu.device.clock import powered_up
-from lidar_emu.device.frequency_noise import Wander
+from lidar_emu.device.frequency_noise import FrequencyNoise
 from lidar_emu.scenario.device import DeviceClock
 
 S = 1000 * MS
@@ -18,7 +18,7 @@ DAY_S = 86_400.0
 
 def test_a_clock_without_error_shows_scenario_time() -> None:
     clock = powered_up(DeviceClock(), 0)
-    assert clock.is_right
+    assert clock.is_exact
     assert clock.reads_ns(10**16 + 1) == 10**16 + 1
 
 
@@ -69,11 +69,11 @@ def test_time_at_the_tone_sets_the_clock_and_its_error_grows_anew() -> None:
 
 
 def test_the_tone_may_lie_before_the_command() -> None:
-    from lidar_emu.device.commands import Order, obey
+    from lidar_emu.device.commands import DeviceCommand, execute
 
     unit = Unit()
-    pulse = Order("time_at_tone", {"tone_ns": 100 * S}, 1_020 * MS, 1_000 * MS)
-    state, verdict = obey(unit.rules, unit.state, pulse)
+    pulse = DeviceCommand("time_at_tone", {"tone_ns": 100 * S}, 1_020 * MS, 1_000 * MS)
+    state, verdict = execute(unit.rules, unit.state, pulse)
     assert verdict == "accepted"
     assert state.clock.reads_ns(1_020 * MS) == 100 * S + 20 * MS
 
@@ -81,8 +81,8 @@ def test_the_tone_may_lie_before_the_command() -> None:
 SEEDS = range(20)
 
 
-def wandering(seed: int, rms: float = 1e-6) -> Wander:
-    wander = Wander.drawn(rms, seed)
+def wandering(seed: int, rms: float = 1e-6) -> FrequencyNoise:
+    wander = FrequencyNoise.drawn(rms, seed)
     assert wander is not None
     return wander
 
@@ -102,15 +102,15 @@ def test_a_rate_wanders_as_far_as_it_is_told_to_and_its_allan_deviation_is_nearl
 
 def test_another_seed_wanders_otherwise_and_the_same_one_alike() -> None:
     assert wandering(1) == wandering(1) != wandering(2)
-    assert Wander.drawn(0.0, 1) is None
+    assert FrequencyNoise.drawn(0.0, 1) is None
 
 
 @given(st.integers(0, 10**13), st.integers(0, 10**13), st.lists(st.integers(0, 10**13), min_size=1))
 def test_a_wandering_clock_gains_from_when_it_was_set(
     powered_ns: int, set_ns: int, times_ns: list[int]
 ) -> None:
-    clock = powered_up(DeviceClock(), powered_ns, wander=wandering(3)).set_to(5 * S, powered_ns + set_ns)
-    assert not clock.is_right
+    clock = powered_up(DeviceClock(), powered_ns, noise=wandering(3)).set_to(5 * S, powered_ns + set_ns)
+    assert not clock.is_exact
     assert clock.reads_ns(powered_ns + set_ns) == 5 * S
     later_ns = [powered_ns + set_ns + time_ns for time_ns in times_ns]
     read = clock.reads_ns(np.array(later_ns, dtype=np.int64))

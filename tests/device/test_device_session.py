@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lidar_emu
-from lidar_emu.device.commands import Order
+from lidar_emu.device.commands import DeviceCommand
 from lidar_emu.device.modes import initial
 from lidar_emu.device.rules import Rules, device_rules
 from lidar_emu.device.state import Mode
@@ -76,7 +76,9 @@ def after(rules: Rules, *orders: tuple[float, str, dict[str, Any]]) -> Any:
     """The state after commands, each at a time in milliseconds."""
     device, state = DeviceTimeline(rules, initial(rules)), None
     for time_ms, name, values in orders:
-        changed, verdict = device.obey(Order(name, values, round(time_ms * MS), round(time_ms * MS)))
+        changed, verdict = device.execute(
+            DeviceCommand(name, values, round(time_ms * MS), round(time_ms * MS))
+        )
         assert verdict == "accepted"
         state = changed or state
     return state
@@ -295,7 +297,7 @@ def test_what_repeats_the_last_packet_repeats_one_that_was_sent() -> None:
         session.shoot(20)
         session.use_device(after(rules, (1000, "set_mode", {"mode": "track"})))
         session.shoot(1)
-        silent = session.device._replace(mode=Mode.STANDBY, agenda=())
+        silent = session.device._replace(mode=Mode.STANDBY, pending=())
         tracking = session.device
         session.use_device(silent)
         session.shoot(1)

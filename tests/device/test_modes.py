@@ -9,7 +9,7 @@ from devices import MS, Unit, rules
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.device.commands import Order, obey
+from lidar_emu.device.commands import DeviceCommand, execute
 from lidar_emu.device.modes import advance, initial, timed
 from lidar_emu.device.state import Mode
 
@@ -184,9 +184,9 @@ def test_what_is_too_hot_is_switched_off() -> None:
     unit = Unit(thermal={"ambient_c": 20.0, "rise_k": 10.0, "time_constant_s": 100.0, "limit_c": 25.0})
     assert unit.at(69_314).mode is Mode.TRACK
     assert unit.at(69_315).mode is Mode.FAULT
-    heating = unit.rules.heating
-    assert unit.state.heat.temperature_c(heating, 69_315 * MS) == pytest.approx(25.0, abs=1e-4)
-    assert unit.state.heat.temperature_c(heating, 169_315 * MS) == pytest.approx(
+    model = unit.rules.thermal
+    assert unit.state.thermal.temperature_c(model, 69_315 * MS) == pytest.approx(25.0, abs=1e-4)
+    assert unit.state.thermal.temperature_c(model, 169_315 * MS) == pytest.approx(
         20 + 5 / 2.718281828, abs=1e-4
     )
 
@@ -244,7 +244,7 @@ def test_modes_change_along_the_arrows_alone(commands: Any, events: Any, start: 
             assert after.mode is state.mode or after.mode in reachable(state.mode), (state.mode, after.mode)
             assert after.until_ns is None or after.until_ns > state.until_ns
             state = after
-        after, verdict = obey(behaviour, state, Order(name, values, time_ms * MS, time_ms * MS))
+        after, verdict = execute(behaviour, state, DeviceCommand(name, values, time_ms * MS, time_ms * MS))
         assert verdict in ("accepted", "out_of_state", "out_of_range")
         assert after.mode is state.mode or after.mode in ARROWS[state.mode]
         assert timed(behaviour, after) == after

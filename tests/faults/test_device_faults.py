@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import lidar_emu
-from lidar_emu.device.commands import Order
+from lidar_emu.device.commands import DeviceCommand
 from lidar_emu.device.modes import initial
 from lidar_emu.device.rules import Rules, all_events
 from lidar_emu.device.timeline import DeviceTimeline
@@ -44,7 +44,7 @@ def ordered(session: Session, device: DeviceTimeline, scenario: Any, text: str) 
 
 
 def command(session: Session, device: DeviceTimeline, at_ms: int, name: str, **values: Any) -> str:
-    state, verdict = device.obey(Order(name, values, at_ms * MS, at_ms * MS))
+    state, verdict = device.execute(DeviceCommand(name, values, at_ms * MS, at_ms * MS))
     if state is not None:
         session.use_device(state)
     return verdict
@@ -109,7 +109,7 @@ def test_ordered_in_flight_it_is_as_if_the_scenario_had_it(
     session, device = begun(bench, rules_of)
     blocks = up_to(session, FIRST)
     up_to(session, FIRST + ahead)
-    state, _ = device.obey(Order("enable_beams", {"beams": 7}, 390 * MS, 390 * MS))
+    state, _ = device.execute(DeviceCommand("enable_beams", {"beams": 7}, 390 * MS, 390 * MS))
     assert state is not None
     if ahead:
         session.rewind(FIRST)

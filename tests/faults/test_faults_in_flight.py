@@ -23,7 +23,7 @@ from lidar_emu.device.rules import all_events
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
 from lidar_emu.faults.encoder import faulty_encoder
-from lidar_emu.runtime.change_queue import Changes
+from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.fault_injector import FaultInjector
 from lidar_emu.runtime.observer import Observer
@@ -190,7 +190,7 @@ class Told(Observer):
 
 
 class Controlled:
-    """A session, an injector, and somebody who orders."""
+    """A session, a fault injector, and a client."""
 
     def __init__(self, scenario: Any, path: Path, pace: Pace = Pace.WALL, room_bytes: int = 8000) -> None:
         encoder = Encoder(scenario.wire, False, False, 4)
@@ -198,8 +198,7 @@ class Controlled:
         model = build_model(scenario)
         self.session = Session(model, encoder, 10, faulty_encoder(scenario, encoder, False))
         self.device = DeviceTimeline(self.session.rules, initial(self.session.rules))
-        self.changes = Changes()
-        self.port_orders: list[dict[str, Any]] = []
+        self.port_faults: list[dict[str, Any]] = []
         self.injector = FaultInjector(
             str(path / "control"),
             scenario,
@@ -207,40 +206,41 @@ class Controlled:
             encoder,
             RunOptions(PortSpec(), pace),
             (200, room_bytes),
-            self.port_orders.append,
-            self.device.expect,
-            self.changes,
+            self.port_faults.append,
+            self.device.use_events,
             [self.told],
         )
+        port: Any = None
+        self.changes = ChangeQueue(port, None, self.injector)
 
-    def order(self, text: str) -> dict[str, Any]:
+    def inject(self, text: str) -> dict[str, Any]:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
             asking.bind(str(self.path / "answer"))
             asking.sendto(text.encode(), str(self.path / "control"))
-            self.injector.hear()
+            self.changes.receive(0)
             answer: dict[str, Any] = json.loads(asking.recv(65536))
         (self.path / "answer").unlink()
         return answer
 
-    def follow(self) -> None:
+    def apply(self) -> None:
         while self.changes.first is not None:
-            self.changes.follow(self.session, None)
+            self.changes.apply_first(self.session, None)
 
 
-def test_an_order_is_answered_followed_and_told(bench: Any, shoot: Any, tmp_path: Path) -> None:
+def test_an_injected_fault_is_answered_applied_and_observed(bench: Any, shoot: Any, tmp_path: Path) -> None:
     scenario = bench({"kind": "lost", "at_s": 0.1})
     with (controlled := Controlled(scenario, tmp_path)).injector:
         blocks = [controlled.session.shoot(20)]
-        assert controlled.order(EACH[0]) == {"accepted": True, "fault": 1, "kind": "dropout"}
-        assert controlled.order("{kind: dropout, beams: [4]}")["reason"].endswith(
+        assert controlled.inject(EACH[0]) == {"accepted": True, "fault": 1, "kind": "dropout"}
+        assert controlled.inject("{kind: dropout, beams: [4]}")["reason"].endswith(
             "allowed: 0 to 3, the scenario's beams"
         )
-        assert controlled.order("{kind: babble, bytes_per_s: 10, lasts_s: 1}")["fault"] == 2
-        assert controlled.port_orders == []
+        assert controlled.inject("{kind: babble, bytes_per_s: 10, lasts_s: 1}")["fault"] == 2
+        assert controlled.port_faults == []
         blocks.append(controlled.session.shoot(5))
-        controlled.follow()
+        controlled.apply()
         blocks += [controlled.session.shoot(SHOTS)]
-    (order,) = controlled.port_orders
+    (order,) = controlled.port_faults
     assert (order["number"], order["kind"], order["from_ns"], order["to_ns"]) == (
         2,
         "babble",
@@ -252,7 +252,7 @@ def test_an_order_is_answered_followed_and_told(bench: Any, shoot: Any, tmp_path
     ]  # fmt: skip
     told = controlled.injector.to_json()
     assert told["refused"] == 1
-    again = bench(*json.loads(json.dumps([{"kind": "lost", "at_s": 0.1}, *told["ordered"]])))
+    again = bench(*json.loads(json.dumps([{"kind": "lost", "at_s": 0.1}, *told["injected"]])))
     assert sent([block for block in blocks if block]) == sent(shoot(again))
 
 
@@ -269,7 +269,7 @@ def test_what_this_run_cannot_do_is_refused(
     bench: Any, tmp_path: Path, text: str, pace: Pace, room_bytes: int, said: str
 ) -> None:
     with (controlled := Controlled(bench(), tmp_path, pace, room_bytes)).injector:
-        answer = controlled.order(text)
+        answer = controlled.inject(text)
         assert not answer["accepted"]
         assert said in answer["reason"]
         assert controlled.changes.first is None
@@ -277,7 +277,7 @@ def test_what_this_run_cannot_do_is_refused(
 
 def test_it_is_not_expected_of_a_shot_before_it_can_be_built(bench: Any, tmp_path: Path) -> None:
     with (controlled := Controlled(bench(), tmp_path)).injector:
-        controlled.order(EACH[0])
+        controlled.inject(EACH[0])
         change = controlled.changes.first
         assert change is not None
         assert change.arrived_ns <= Clock().now_ns() + 1_000_000_000
@@ -289,7 +289,7 @@ def test_the_path_is_the_owners_and_is_given_back(bench: Any, tmp_path: Path) ->
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
         with pytest.raises(InputError, match=r"--control: .* allowed: a path where nothing is"):
             Controlled(bench(), tmp_path)
-        assert controlled.order(EACH[0])["accepted"]
+        assert controlled.inject(EACH[0])["accepted"]
     assert not path.exists()
     path.write_text("somebody's")
     with pytest.raises(InputError, match="--control"):
@@ -302,7 +302,7 @@ def test_the_path_is_the_owners_and_is_given_back(bench: Any, tmp_path: Path) ->
         assert path.is_socket()
 
 
-def test_a_run_is_ordered_about_by_command(tmp_path: Path) -> None:
+def test_faults_are_injected_by_command(tmp_path: Path) -> None:
     run = ["run", "bench.yaml", "--duration", "3", "--control", "c", "--record", "r.mcap", "--json"]
     running = subprocess.Popen([*COMMAND, *run], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
     eventually(lambda: (tmp_path / "c").exists() or running.poll() is not None)
@@ -320,14 +320,14 @@ def test_a_run_is_ordered_about_by_command(tmp_path: Path) -> None:
     out, _ = running.communicate(timeout=LIMIT_S)
     summary = json.loads(out)
     assert running.returncode == 0
-    dropout, disconnect = summary["faults_in_flight"]["ordered"]
+    dropout, disconnect = summary["faults_in_flight"]["injected"]
     first_s = dropout.get("from_s", 0.0)
     assert dropout["to_s"] - first_s == pytest.approx(0.5)
     assert disconnect["from_s"] >= first_s
     assert summary["faults_in_flight"]["refused"] == 1
     assert summary["faults"]["shots"] == {"disconnect": 2, "dropout": 5}
     assert [event["what"] for event in summary["link_events"]] == [
-        "link broken: disconnected, as ordered",
+        "link broken: disconnected by an injected fault",
         "reopened",
     ]
     assert not (tmp_path / "c").exists()

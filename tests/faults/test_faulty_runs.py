@@ -20,8 +20,8 @@ from ruamel.yaml import YAML
 import lidar_emu
 from lidar_emu.cli import cli
 from lidar_emu.faults.encoder import faulty_encoder
-from lidar_emu.runtime.link_faults import link_orders
 from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port_faults import port_faults
 from lidar_emu.scenario.faults import (
     BeamFault,
     ContentFault,
@@ -269,4 +269,4 @@ def test_each_example_can_be_flown(bench: Any, shoot: Any, example: list[dict[st
     else:
         scenario = bench(*example)
     assert sum(len(block.faults) for block in shoot(scenario, 64, can))
-    assert len(link_orders(scenario, None, Pace.WALL, can)) == (example[0]["kind"] in kinds_of(LinkFault))
+    assert len(port_faults(scenario, None, Pace.WALL, can)) == (example[0]["kind"] in kinds_of(LinkFault))

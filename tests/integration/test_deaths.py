@@ -171,7 +171,7 @@ def test_a_process_that_stood_still_is_told_and_followed_by_no_burst(
     run.succeed()
     told = read_summary(tmp_path / "s.json")
     what = [event["what"] for event in told["process_events"]]
-    texts = {"port": ["does not answer", "answers again"], "model": ["stood still"]}[who]
+    texts = {"port": ["does not respond", "responds again"], "model": ["stalled"]}[who]
     assert all(any(f"the {who}'s process {text}" in line for line in what) for text in texts), what
     assert all(f": {line}" in run.out for line in what)
     shots, _ = received(far_end)

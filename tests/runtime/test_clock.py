@@ -61,7 +61,7 @@ def test_awake_it_asks_again_without_sleeping(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(clock_module.select, "select", select)
     clock = SteppedClock(0, 3_000, 6_000, 10_000)
-    assert clock.wait(10_000, awake=True) == ([], [])
+    assert clock.wait(10_000, busy_wait=True) == ([], [])
     assert timeouts == [0.0, 0.0, 0.0]
 
 

@@ -16,7 +16,7 @@ RUN_FOR_EVER = """
 import sys
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import Outgoing
+from lidar_emu.runtime.port.packets import OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.spec import Kind, PortSpec
 
@@ -26,7 +26,7 @@ with PortRunner(slots=16) as runner:
     shot = reported = 0
     try:
         while True:
-            if runner.push(Outgoing(shot, shot * 10**7, b"packet")):
+            if runner.push(OutgoingPacket(shot, shot * 10**7, b"packet")):
                 shot += 1
             else:
                 runner.wait(Clock().now_ns() + 10**7)
@@ -35,7 +35,7 @@ with PortRunner(slots=16) as runner:
                 print(runner.pid, flush=True)
     except KeyboardInterrupt:
         runner.close()
-        print("interrupted", runner.told.sent_bytes is not None, flush=True)
+        print("interrupted", runner.status.sent_bytes is not None, flush=True)
 """
 
 RUN_ONCE = """
@@ -43,16 +43,16 @@ import sys
 from pathlib import Path
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import Outgoing
+from lidar_emu.runtime.port.packets import OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.spec import PortSpec
 
 with PortRunner(slots=16) as runner:
     runner.start(PortSpec())
     runner.begin(Clock().now_ns(), 0, Pace.MAX)
-    runner.push(Outgoing(0, 0, b"packet"))
+    runner.push(OutgoingPacket(0, 0, b"packet"))
     runner.finish()
-    Path(sys.argv[1]).write_text(f"{runner.far_end().decode()} sent_bytes {runner.told.sent_bytes}")
+    Path(sys.argv[1]).write_text(f"{runner.far_end().decode()} sent_bytes {runner.status.sent_bytes}")
 """
 
 Start = Callable[[str], tuple["subprocess.Popen[str]", int]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lidar_emu.runtime.port.events import EventLog
+from lidar_emu.runtime.port.status import EventLog
 
 
 @pytest.mark.parametrize("count", [0, 1, 9, 10, 11, 19, 20, 21, 30, 5000])

@@ -8,22 +8,22 @@ import pytest
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.faulty_link import PortFault
 from lidar_emu.transports.spec import PortSpec
 
 MS = 1_000_000
-PACKETS = [Outgoing(k, 10 * k * MS, bytes([k]) * 20) for k in range(60)]
+PACKETS = [OutgoingPacket(k, 10 * k * MS, bytes([k]) * 20) for k in range(60)]
 
 
-def flown(*orders: dict[str, Any], later: bool = False) -> tuple[list[Report], bytes, PortRunner]:
+def flown(*orders: dict[str, Any], later: bool = False) -> tuple[list[DeliveryReport], bytes, PortRunner]:
     """Sixty packets in 0.6 s through the loopback; what became of them, and what came out."""
     with PortRunner(slots=64) as runner:
         runner.start(PortSpec(), [] if later else list(orders))
         runner.begin(Clock().now_ns() + 20 * MS, 1000 * MS, Pace.WALL)
         for order in orders if later else ():
-            runner.order_fault(order)
+            runner.inject_fault(order)
         for packet in PACKETS:
             assert runner.push(packet)
         runner.finish()
@@ -34,7 +34,7 @@ def order(kind: str, **more: Any) -> dict[str, Any]:
     return {"number": 0, "kind": kind, "from_ns": 205 * MS, "to_ns": 405 * MS, **more}
 
 
-def joined(reports: list[Report]) -> bytes:
+def joined(reports: list[DeliveryReport]) -> bytes:
     return b"".join(
         PACKETS[report.shot].payload for report in reports if report.status is DeliveryStatus.SENT
     )
@@ -48,7 +48,9 @@ def test_disconnect(later: bool) -> None:
     assert set(statuses[:20]) == {DeliveryStatus.SENT}
     assert set(statuses[22:40]) == {DeliveryStatus.DROPPED_BROKEN}
     assert out == joined(reports)
-    assert next(event.text for event in runner.told.events) == "link broken: disconnected, as ordered"
+    assert (
+        next(event.text for event in runner.status.events) == "link broken: disconnected by an injected fault"
+    )
 
 
 def test_slow_line_delivers_all_that_it_took() -> None:

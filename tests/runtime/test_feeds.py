@@ -9,13 +9,12 @@ from typing import Any
 
 import pytest
 
-from lidar_emu.runtime.change_queue import Change, Changes
+from lidar_emu.runtime.change_queue import Change, ChangeQueue
 from lidar_emu.runtime.feed.ahead import AheadFeed
-from lidar_emu.runtime.feed.base import Desk
 from lidar_emu.runtime.feed.live import LiveFeed
 from lidar_emu.runtime.feed.truth_source import TruthSource
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import Outgoing
+from lidar_emu.runtime.port.packets import OutgoingPacket
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.trajectory.live_datagram import Truth
@@ -27,7 +26,7 @@ STILL = (0.0, 0.0, 0.0)
 
 
 class World:
-    """Clock, port, session and flight: what was computed, when, and by which pattern."""
+    """Clock, port, session, flight, queue and control: what was computed, when, and by which pattern."""
 
     def __init__(self, shots: int) -> None:
         self.now = START_NS - 1_000 * MS
@@ -39,16 +38,30 @@ class World:
         self.news: deque[int] = deque()
         self.room = 40
         self.shot_takes_ns = 0
-        self.rehearsed: list[tuple[int, int]] = []
-        self.alerts: list[int] = []
-        self.awake: list[tuple[int, int]] = []
+        self.warmed_up: list[tuple[int, int]] = []
+        self.wake_ups: list[int] = []
+        self.busy: list[tuple[int, int]] = []
         self._pattern = 0
         self._patterns: dict[int, int] = {}
         self._ring: deque[tuple[int, int]] = deque()
         self.next_shot = 0
         self.shot_count = shots
         self.period_ns = PERIOD_NS
-        self.through = True
+        self.finished = True
+        self.begun: list[tuple[int, int]] = []
+        self.error: str | None = None
+        self.clock = self
+
+    # the control
+    @property
+    def stopped(self) -> bool:
+        return self.error is not None
+
+    def begin(self, start_ns: int) -> None:
+        self.begun.append((start_ns, len(self.computed)))
+
+    def fail(self, error: str) -> None:
+        self.error = error
 
     # the clock
     def now_ns(self) -> int:
@@ -75,8 +88,8 @@ class World:
     def next_is_silent(self) -> bool:
         return self.next_shot in self.silent
 
-    def rehearse(self) -> None:
-        self.rehearsed.append((self.next_shot, self.now))
+    def warm_up(self) -> None:
+        self.warmed_up.append((self.next_shot, self.now))
         self.now += self.shot_takes_ns
 
     def pass_over(self, shot: int) -> None:
@@ -92,12 +105,12 @@ class World:
     def use_pattern(self, pattern: int) -> None:
         self._pattern = pattern
 
-    # the outbox
-    def announce(self, block: Any) -> list[Outgoing]:
+    # the port and its queue
+    def announce(self, block: Any) -> list[OutgoingPacket]:
         self._patterns.update(block)
-        return [Outgoing(shot, self.due_ns(shot), b"") for shot, _ in block]
+        return [OutgoingPacket(shot, self.due_ns(shot), b"") for shot, _ in block]
 
-    def push(self, packet: Outgoing) -> bool:
+    def push(self, packet: OutgoingPacket) -> bool:
         if len(self._ring) >= self.room:
             return False
         self._ring.append((packet.shot, self._patterns[packet.shot]))
@@ -107,7 +120,7 @@ class World:
         assert all(START_NS + self.due_ns(shot) > self.now for shot, _ in self._ring if shot >= from_shot)
         self._ring = deque(entry for entry in self._ring if entry[0] < from_shot)
 
-    def settle(self) -> list[Any]:
+    def collect_reports(self) -> list[Any]:
         while self._ring and START_NS + self.due_ns(self._ring[0][0]) <= self.now:
             self.sent.append(self._ring.popleft())
         return []
@@ -116,21 +129,18 @@ class World:
         assert now_ns > due_ns
         self.never.append(shot)
 
-    def alert(self) -> None:
-        self.alerts.append(self.now)
+    def wake_up(self) -> None:
+        self.wake_ups.append(self.now)
 
-    def wait(self, until_ns: int, readable: Sequence[int] = (), awake: bool = False) -> None:
+    def wait(self, until_ns: int, readable: Sequence[int] = (), busy_wait: bool = False) -> None:
         began_ns = self.now
         self.now = max(self.now, min(until_ns, self.news[0]) if readable and self.news else until_ns)
-        if awake:
-            self.awake.append((began_ns, self.now))
+        if busy_wait:
+            self.busy.append((began_ns, self.now))
 
-    def arrivals(self) -> list[Any]:
-        return []
-
-    def last_packet_pushed(self) -> None:
+    def end_packets(self) -> None:
         self.now = max(self.now, START_NS + self.due_ns(self.shot_count))
-        self.settle()
+        self.collect_reports()
 
     @property
     def empty(self) -> bool:
@@ -163,35 +173,32 @@ def truth(k: int, period_ns: int, last: bool = False) -> Truth:
 
 
 def to_pattern(number: int, arrived_ns: int, followed: list[Any] | None = None) -> Change:
-    def settled(shot: int | None, begins_ns: int | None) -> None:
+    def applied(shot: int | None, begins_ns: int | None) -> None:
         if followed is not None:
             followed.append((number, shot, begins_ns))
 
     any_session: Any = lambda session: session.use_pattern(number)  # noqa: E731
-    return Change(any_session, arrived_ns, settled)
+    return Change(any_session, arrived_ns, applied)
 
 
-def desk(world: World, changes: list[tuple[int, Change]] | None = None) -> Any:
-    """With commands that can be heard from given instants on."""
-    waiting, heard = list(changes or ()), Changes()
+class Arriving(ChangeQueue):
+    """Changes that arrive at given instants."""
 
-    class Hearing(Desk):
-        def hear(self, time_ns: int, start_ns: int | None = None) -> None:  # noqa: ARG002
-            while waiting and waiting[0][0] <= world.now:
-                heard.add(waiting.pop(0)[1])
+    def __init__(self, world: World, changes: list[tuple[int, Change]]) -> None:
+        port: Any = world
+        super().__init__(port, None, None)
+        self._world, self._arriving = world, changes
 
-    failed: list[str] = []
-    any_world: Any = world
-    return Hearing(
-        any_world,
-        any_world,
-        any_world,
-        lambda: bool(failed),
-        failed.append,
-        lambda _start_ns: None,
-        heard,
-        None,
-    )
+    def receive(self, time_ns: int, start_ns: int | None = None) -> None:  # noqa: ARG002
+        while self._arriving and self._arriving[0][0] <= self._world.now:
+            self._pending.append(self._arriving.pop(0)[1])
+
+
+def shared(
+    world: World, changes: list[tuple[int, Change]] | None = None
+) -> tuple[Any, Any, Any, Any, Arriving]:
+    """The first arguments of a feed, with changes that arrive at given instants."""
+    return world, world, world, world, Arriving(world, list(changes or ()))
 
 
 def fly_live(
@@ -201,7 +208,7 @@ def fly_live(
     source = TruthSource(socket, LiveTrajectory(10.0), 100 * MS, [])
     flight: Any = world
     live = Live(kind="live", **part)
-    LiveFeed(desk(world), source, flight, live, START_NS, PERIOD_NS, busy_wait_share).fly()
+    LiveFeed(*shared(world), source, flight, live, START_NS, PERIOD_NS, busy_wait_share).run()
     return source
 
 
@@ -242,7 +249,7 @@ def test_after_a_stall_no_burst_follows() -> None:
     assert all(at_ns - START_NS <= world.due_ns(shot) + PERIOD_NS for shot, at_ns in after)
 
 
-def test_truth_is_expected_awake_and_after_a_rehearsal() -> None:
+def test_truth_is_expected_in_a_busy_wait_and_after_a_warm_up() -> None:
     """It comes 1.5 ms before each packet is due, once 0.2 ms sooner and once not at all."""
     world = World(60)
     world.shot_takes_ns = MS // 4
@@ -252,39 +259,39 @@ def test_truth_is_expected_awake_and_after_a_rehearsal() -> None:
     truths = [(at_ns, truth(k, 1)._replace(time_ns=world.seen_ns(k))) for k, at_ns in arrives_ns.items()]
     fly_live(world, [(START_NS - MS, truth(0, MS)), *truths], lead_s=0)
     assert [at_ns for shot, at_ns, _ in world.computed if shot != 50] == list(arrives_ns.values())
-    # From the second shot on: twice what a shot takes before truth, and a rehearsal first.
-    opened_ns = dict(world.rehearsed)
+    # From the second shot on: twice what a shot takes before truth, and a warm-up first.
+    opened_ns = dict(world.warmed_up)
     assert list(opened_ns) == list(range(1, 60))
     assert all(at_ns == usual_ns[shot] - MS // 2 for shot, at_ns in opened_ns.items() if shot <= 40)
     assert all(abs(at_ns - usual_ns[shot] + MS // 2) <= MS // 20 for shot, at_ns in opened_ns.items())
     # As long after it, where truth does not come: the rest is slept through.
-    ended_ns = [end_ns for _, end_ns in world.awake]
+    ended_ns = [end_ns for _, end_ns in world.busy]
     assert set(arrives_ns.values()) - {arrives_ns[0]} <= set(ended_ns)
     (given_up_ns,) = set(ended_ns) - set(arrives_ns.values())
     assert abs(given_up_ns - usual_ns[50] - MS // 2) <= MS // 20
 
 
-def test_on_a_slow_machine_no_more_than_the_share_is_spent_awake() -> None:
-    """And what a rehearsal would take is not there."""
+def test_on_a_slow_machine_busy_waits_take_no_more_than_their_share() -> None:
+    """Nor is there time for a warm-up."""
     world = World(50)
     world.shot_takes_ns = 20 * MS
     truths = [(START_NS + world.due_ns(k), truth(k, 1)._replace(time_ns=world.seen_ns(k))) for k in range(50)]
     fly_live(world, [(START_NS - MS, truth(0, MS)), *truths], lead_s=0)
     assert len(world.computed) == 50
-    assert world.rehearsed == []
-    assert max(end_ns - began_ns for began_ns, end_ns in world.awake) == PERIOD_NS // 10
+    assert world.warmed_up == []
+    assert max(end_ns - began_ns for began_ns, end_ns in world.busy) == PERIOD_NS // 10
 
 
-def test_where_cores_are_few_nobody_stays_awake() -> None:
+def test_where_cores_are_few_there_is_no_busy_wait() -> None:
     world = World(10)
     truths = [(START_NS + world.due_ns(k), truth(k, 1)._replace(time_ns=world.seen_ns(k))) for k in range(10)]
     fly_live(world, [(START_NS - MS, truth(0, MS)), *truths], busy_wait_share=0, lead_s=0)
     assert len(world.computed) == 10
-    assert (world.awake, world.rehearsed, world.alerts) == ([], [], [])
+    assert (world.busy, world.warmed_up, world.wake_ups) == ([], [], [])
 
 
-def test_the_port_is_alerted_where_the_packet_is_due_as_soon_as_it_is_made() -> None:
-    for after_seen_ns, alerted in ((MS // 2, False), (2 * MS, True)):
+def test_the_port_process_is_woken_for_a_packet_that_is_due_as_soon_as_it_is_made() -> None:
+    for after_seen_ns, woken in ((MS // 2, False), (2 * MS, True)):
         world = World(10)
         truths = [
             (START_NS + world.seen_ns(k) + after_seen_ns, truth(k, 1)._replace(time_ns=world.seen_ns(k)))
@@ -292,7 +299,7 @@ def test_the_port_is_alerted_where_the_packet_is_due_as_soon_as_it_is_made() -> 
         ]
         fly_live(world, [(START_NS - MS, truth(0, MS)), *truths], lead_s=0)
         assert [at_ns for _, at_ns, _ in world.computed] == [at_ns for at_ns, _ in truths]
-        assert world.alerts == ([at_ns for at_ns, _ in truths] if alerted else [])
+        assert world.wake_ups == ([at_ns for at_ns, _ in truths] if woken else [])
 
 
 def test_the_flight_ends_with_the_last_truth() -> None:
@@ -314,10 +321,8 @@ def test_a_command_is_followed_from_the_next_shot_that_can_be_made(commanded_ms:
     world = World(900)
     arrived_ns = START_NS + commanded_ms * MS
     first = block_of(world, 30)
-    feed = AheadFeed(
-        desk(world, [(arrived_ns, to_pattern(1, arrived_ns))]), first, 30, START_NS, PERIOD_NS, Pace.WALL
-    )
-    feed.fly()
+    changes = [(arrived_ns, to_pattern(1, arrived_ns))]
+    AheadFeed(*shared(world, changes), first, 30, START_NS, Pace.WALL).run()
     assert [shot for shot, _ in world.sent] == list(range(900)), "every shot once, in order"
     patterns = [pattern for _, pattern in world.sent]
     follows = patterns.index(1)
@@ -333,12 +338,10 @@ def test_without_a_given_start_the_run_begins_once_shots_are_there(room: int, co
     world = World(200)
     world.room = room
     world.stalls = dict.fromkeys(range(1, 200), 10 * MS)
-    begun: list[tuple[int, int]] = []
-    at_work = desk(world)._replace(begin=lambda start_ns: begun.append((start_ns, len(world.computed))))
     first = block_of(world, 1)
     asked_ns = world.now
-    AheadFeed(at_work, first, 30, None, PERIOD_NS, Pace.WALL).fly()
-    assert begun == [(asked_ns + 10 * MS * (computed - 1) + 100 * MS, computed)]
+    AheadFeed(*shared(world), first, 30, None, Pace.WALL).run()
+    assert world.begun == [(asked_ns + 10 * MS * (computed - 1) + 100 * MS, computed)]
     assert [shot for shot, _ in world.sent] == list(range(200))
 
 
@@ -347,7 +350,7 @@ def test_two_commands_at_once_and_one_at_the_end() -> None:
     instants = [START_NS + t * MS for t in (1000, 1001, 9990)]
     changes = [(at_ns, to_pattern(k + 1, at_ns)) for k, at_ns in enumerate(instants)]
     first = block_of(world, 30)
-    AheadFeed(desk(world, changes), first, 30, START_NS, PERIOD_NS, Pace.WALL).fly()
+    AheadFeed(*shared(world, changes), first, 30, START_NS, Pace.WALL).run()
     assert [shot for shot, _ in world.sent] == list(range(200))
     patterns = [pattern for _, pattern in world.sent]
     assert sorted(patterns) == patterns
@@ -363,7 +366,7 @@ def test_no_change_takes_effect_before_one_that_was_heard_earlier(slow: bool) ->
     ready_ns, at_ns = START_NS + 1300 * MS, START_NS + 1000 * MS
     changes = [(at_ns, to_pattern(1, ready_ns, followed)), (at_ns, to_pattern(2, at_ns, followed))]
     first = block_of(world, 5)
-    AheadFeed(desk(world, changes), first, 5, START_NS, PERIOD_NS, Pace.WALL).fly()
+    AheadFeed(*shared(world, changes), first, 5, START_NS, Pace.WALL).run()
     assert followed == [(1, 26, ready_ns), (2, 26, ready_ns)]
     assert [pattern for _, pattern in world.sent] == [0] * 26 + [2] * 174
 
@@ -373,10 +376,10 @@ def test_what_no_shot_follows_any_more_is_told_of_at_the_end() -> None:
     world, followed = World(200), list[Any]()
     times_ns = [START_NS + t * MS for t in (9951, 9952)]
     changes = [(at_ns, to_pattern(k, at_ns, followed)) for k, at_ns in enumerate(times_ns)]
-    at_work = desk(world, [(at_ns - 3 * MS, change) for at_ns, change in changes])
-    AheadFeed(at_work, block_of(world, 30), 30, START_NS, PERIOD_NS, Pace.WALL).fly()
+    at_work = shared(world, [(at_ns - 3 * MS, change) for at_ns, change in changes])
+    AheadFeed(*at_work, block_of(world, 30), 30, START_NS, Pace.WALL).run()
     assert followed == []
-    at_work.changes.close()
+    at_work[-1].close()
     assert followed == [(0, None, None), (1, None, None)]
 
 
@@ -388,10 +391,10 @@ def test_live_shots_follow_what_came_before_they_began() -> None:
     times_ns = [START_NS + t * MS for t in (240, 251, 270, 2500)]
     changes = [(START_NS + 200 * MS, to_pattern(k, at_ns, followed)) for k, at_ns in enumerate(times_ns)]
     flight: Any = world
-    at_work = desk(world, changes)
-    LiveFeed(at_work, source, flight, Live(kind="live"), START_NS, PERIOD_NS, 0.1).fly()
+    at_work = shared(world, changes)
+    LiveFeed(*at_work, source, flight, Live(kind="live"), START_NS, PERIOD_NS, 0.1).run()
     assert [(number, shot) for number, shot, _ in followed] == [(0, 5), (1, 6), (2, 6)]
-    at_work.changes.close()
+    at_work[-1].close()
     assert followed[-1] == (3, None, None)
 
 

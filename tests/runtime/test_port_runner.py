@@ -17,7 +17,7 @@ import pytest
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.spec import Kind, PortSpec
 
@@ -25,16 +25,20 @@ SECOND_NS = 1_000_000_000
 LOOPBACK, PTY = PortSpec(), PortSpec(Kind.PTY)
 
 
-def packets(count: int, period_ns: int = 0) -> list[Outgoing]:
+def packets(count: int, period_ns: int = 0) -> list[OutgoingPacket]:
     """Packets of various lengths, with every byte value."""
-    return [Outgoing(k, k * period_ns, k.to_bytes(3, "big") + bytes(range(k % 256))) for k in range(count)]
+    return [
+        OutgoingPacket(k, k * period_ns, k.to_bytes(3, "big") + bytes(range(k % 256))) for k in range(count)
+    ]
 
 
-def joined(sent: list[Outgoing]) -> bytes:
+def joined(sent: list[OutgoingPacket]) -> bytes:
     return b"".join(packet.payload for packet in sent)
 
 
-def fly(runner: PortRunner, sent: list[Outgoing], pace: Pace, late_after_ns: int = 0) -> list[Report]:
+def fly(
+    runner: PortRunner, sent: list[OutgoingPacket], pace: Pace, late_after_ns: int = 0
+) -> list[DeliveryReport]:
     """Push everything and wait for the end."""
     runner.begin(Clock().now_ns(), late_after_ns, pace)
     for packet in sent:
@@ -57,8 +61,8 @@ def test_the_loopback_delivers_every_byte_in_order_at_full_speed(runner: PortRun
     assert runner.far_end() == joined(sent)
     assert [(report.shot, report.due_ns) for report in reports] == [(p.shot, p.due_ns) for p in sent]
     assert {report.status for report in reports} == {DeliveryStatus.SENT}
-    assert runner.told.sent_bytes == len(joined(sent))
-    assert runner.told.events == []
+    assert runner.status.sent_bytes == len(joined(sent))
+    assert runner.status.events == []
 
 
 def test_nothing_goes_out_before_it_is_due(runner: PortRunner) -> None:
@@ -80,7 +84,7 @@ def test_what_comes_too_late_is_skipped_and_said(runner: PortRunner) -> None:
     assert [(r.shot, r.status, r.sent_ns) for r in runner.reports()] == [
         (k, DeliveryStatus.LATE, -1) for k in range(10)
     ]
-    assert (runner.far_end(), runner.told.sent_bytes) == (b"", 0)
+    assert (runner.far_end(), runner.status.sent_bytes) == (b"", 0)
 
 
 def test_after_an_alert_packets_go_their_usual_way(runner: PortRunner) -> None:
@@ -89,9 +93,9 @@ def test_after_an_alert_packets_go_their_usual_way(runner: PortRunner) -> None:
     runner.begin(Clock().now_ns(), 60 * SECOND_NS, Pace.WALL)
     sent = packets(30, SECOND_NS // 200)
     for packet in sent:
-        runner.alert()
+        runner.wake_up()
         assert runner.push(packet)
-    runner.alert()
+    runner.wake_up()
     runner.finish()
     reports = runner.reports()
     assert [(report.shot, report.status) for report in reports] == [
@@ -133,7 +137,7 @@ def test_at_full_speed_a_pty_waits_for_its_first_reader(
 
     def nobody_is_known_to_be_there() -> bool:
         assert runner.reports() == []
-        return bool(runner.told.events)
+        return bool(runner.status.events)
 
     eventually(nobody_is_known_to_be_there)
     reader = pty_reader(path)
@@ -142,7 +146,7 @@ def test_at_full_speed_a_pty_waits_for_its_first_reader(
     reader.stop()
     assert {report.status for report in runner.reports()} == {DeliveryStatus.SENT}
     assert reader.data == joined(sent)
-    assert [event.text for event in runner.told.events] == ["nobody connected", "connected"]
+    assert [event.text for event in runner.status.events] == ["nobody connected", "connected"]
 
 
 def test_what_counts_as_sent_is_read_even_where_the_run_is_cut_off(
@@ -152,7 +156,7 @@ def test_what_counts_as_sent_is_read_even_where_the_run_is_cut_off(
     runner.begin(Clock().now_ns(), 0, Pace.MAX)
     sent = packets(20)
     assert all(runner.push(packet) for packet in sent)
-    reports: list[Report] = []
+    reports: list[DeliveryReport] = []
     eventually(lambda: reports.extend(runner.reports()) or len(reports) == 20)
     closing = threading.Thread(target=runner.close)
     closing.start()
@@ -166,7 +170,7 @@ def test_what_counts_as_sent_is_read_even_where_the_run_is_cut_off(
     closing.join()
     os.close(reader)
     assert data == joined(sent)
-    assert runner.told.sent_bytes == len(data)
+    assert runner.status.sent_bytes == len(data)
 
 
 def test_what_the_host_sends_is_counted(runner: PortRunner, pty_reader: Any, eventually: Any) -> None:
@@ -178,7 +182,7 @@ def test_what_the_host_sends_is_counted(runner: PortRunner, pty_reader: Any, eve
     os.write(reader.descriptor, bytes(1000))
     runner.finish()
     runner.close()
-    assert runner.told.received_bytes == 1000
+    assert runner.status.received_bytes == 1000
     reader.stop()
 
 
@@ -199,9 +203,9 @@ def test_a_port_that_cannot_be_opened_is_the_users_error(runner: PortRunner, spe
 def test_a_packet_longer_than_agreed_is_an_error() -> None:
     with PortRunner(slots=4, packet_bytes=100) as runner:
         runner.start(LOOPBACK)
-        assert runner.push(Outgoing(0, 0, bytes(100)))
+        assert runner.push(OutgoingPacket(0, 0, bytes(100)))
         with pytest.raises(ValueError, match="do not fit"):
-            runner.push(Outgoing(1, 0, bytes(200)))
+            runner.push(OutgoingPacket(1, 0, bytes(200)))
 
 
 def test_a_killed_port_process_is_a_failed_run(runner: PortRunner) -> None:
@@ -212,41 +216,41 @@ def test_a_killed_port_process_is_a_failed_run(runner: PortRunner) -> None:
     with pytest.raises(RunError, match="signal 9"):
         runner.finish()
     runner.close()
-    assert runner.told.sent_bytes is None
+    assert runner.status.sent_bytes is None
 
 
 def test_an_error_in_the_port_process_is_told_in_its_own_words(runner: PortRunner) -> None:
     master, slave = os.openpty()
     runner.start(PortSpec(Kind.CAN, interface="slcan", channel=os.ttyname(slave)))
     with pytest.raises(RunError, match="records end inside"):
-        fly(runner, [Outgoing(0, 0, b"no frame records")], Pace.MAX)
+        fly(runner, [OutgoingPacket(0, 0, b"no frame records")], Pace.MAX)
     os.close(slave)
     os.close(master)
 
 
 def test_order_matters(runner: PortRunner) -> None:
     with pytest.raises(RunError, match="not open"):
-        runner.push(Outgoing(0, 0, b""))
+        runner.push(OutgoingPacket(0, 0, b""))
     runner.start(LOOPBACK)
     with pytest.raises(RunError, match="not begun"):
         runner.finish()
     runner.close()
     runner.close()
     with pytest.raises(RunError, match="not open"):
-        runner.push(Outgoing(0, 0, b""))
+        runner.push(OutgoingPacket(0, 0, b""))
     assert (runner.reports(), runner.far_end()) == ([], b"")
 
 
 def test_closing_in_mid_run_keeps_what_is_known(runner: PortRunner, eventually: Any) -> None:
     runner.start(LOOPBACK)
     runner.begin(Clock().now_ns(), SECOND_NS * 3600, Pace.WALL)
-    runner.push(Outgoing(0, 0, b"now"))
-    runner.push(Outgoing(1, 3600 * SECOND_NS, b"in an hour"))
+    runner.push(OutgoingPacket(0, 0, b"now"))
+    runner.push(OutgoingPacket(1, 3600 * SECOND_NS, b"in an hour"))
     got = bytearray()
     eventually(lambda: got.extend(runner.far_end()) or got == b"now")
     runner.close()
     assert [report.shot for report in runner.reports()] == [0]
-    assert runner.told.sent_bytes == 3
+    assert runner.status.sent_bytes == 3
 
 
 def test_the_port_process_imports_little() -> None:

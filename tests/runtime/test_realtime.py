@@ -101,10 +101,10 @@ def test_a_system_that_does_not_tell_has_none(tmp_path: Path) -> None:
 def test_a_prompt_process_is_an_ordinary_one_again_afterwards() -> None:
     code = """
 import json, os
-from lidar_emu.runtime.realtime import request_realtime, prompt
+from lidar_emu.runtime.realtime import request_realtime, realtime_priority
 scheduler = [os.sched_getscheduler(0)]
 try:
-    with prompt():
+    with realtime_priority():
         scheduler.append(os.sched_getscheduler(0))
         raise KeyError
 except KeyError:

@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lidar_emu.runtime.port.ring import Ring
+from lidar_emu.runtime.port.ring import SharedRing
 
 SLOTS, ENTRY_BYTES = 3, 20
 
 
 @pytest.fixture
 def descriptor() -> Iterator[int]:
-    descriptor = Ring.create(SLOTS, ENTRY_BYTES)
+    descriptor = SharedRing.create(SLOTS, ENTRY_BYTES)
     yield descriptor
     os.close(descriptor)
 
@@ -25,10 +25,10 @@ def descriptor() -> Iterator[int]:
 @given(st.lists(st.one_of(st.none(), st.binary(max_size=ENTRY_BYTES)), max_size=60))
 def test_behaves_as_a_bounded_queue(operations: list[bytes | None]) -> None:
     """None takes, bytes put; lists are long enough to go round several times."""
-    descriptor = Ring.create(SLOTS, ENTRY_BYTES)
+    descriptor = SharedRing.create(SLOTS, ENTRY_BYTES)
     expected: deque[bytes] = deque()
     try:
-        with Ring(descriptor) as producer, Ring(descriptor) as consumer:
+        with SharedRing(descriptor) as producer, SharedRing(descriptor) as consumer:
             for entry in operations:
                 if entry is None:
                     assert consumer.pop() == (expected.popleft() if expected else None)
@@ -42,13 +42,13 @@ def test_behaves_as_a_bounded_queue(operations: list[bytes | None]) -> None:
 
 
 def test_a_full_ring_refuses_and_keeps_what_it_has(descriptor: int) -> None:
-    with Ring(descriptor) as ring:
+    with SharedRing(descriptor) as ring:
         assert [ring.push(bytes([k])) for k in range(5)] == [True, True, True, False, False]
         assert [ring.pop() for _ in range(4)] == [b"\0", b"\1", b"\2", None]
 
 
 def test_an_entry_longer_than_a_slot_is_an_error(descriptor: int) -> None:
-    with Ring(descriptor) as ring:
+    with SharedRing(descriptor) as ring:
         with pytest.raises(ValueError, match="do not fit"):
             ring.push(bytes(ENTRY_BYTES + 5))
         assert ring.pop() is None
@@ -56,7 +56,7 @@ def test_an_entry_longer_than_a_slot_is_an_error(descriptor: int) -> None:
 
 def test_an_entry_that_is_not_yet_visible_is_not_delivered(descriptor: int) -> None:
     """As on a processor that makes the head visible first: the slot still holds what was there before."""
-    with Ring(descriptor) as ring:
+    with SharedRing(descriptor) as ring:
         for _ in range(SLOTS):  # the very same bytes, one lap earlier
             ring.push(b"same")
         for _ in range(SLOTS):

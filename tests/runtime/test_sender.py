@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.pacing import Action, Pace, Pacing, WhenLate
-from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
-from lidar_emu.runtime.port.ring import Ring
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.ring import SharedRing
 from lidar_emu.runtime.port.sender import Sender, Wait
 
 START_NS = 5_000_000_000_000
@@ -50,7 +50,7 @@ class Line:
         self.notes: list[tuple[int, str]] = []
         self.busy: tuple[VirtualClock, int] | None = None
 
-    def note(self, text: str, now_ns: int) -> None:
+    def add_event(self, text: str, now_ns: int) -> None:
         self.notes.append((now_ns, text))
 
     def send_takes(self, clock: VirtualClock, duration_ns: int) -> None:
@@ -71,8 +71,8 @@ class Rig:
     def __init__(
         self, pace: Pace, late_after_ns: int, slots: int = 4096, when_late: WhenLate = WhenLate.SKIP
     ) -> None:
-        self.descriptors = [Ring.create(slots, 32), Ring.create(slots, Report.SIZE_BYTES)]
-        self.packets, self.reports = (Ring(descriptor) for descriptor in self.descriptors)
+        self.descriptors = [SharedRing.create(slots, 32), SharedRing.create(slots, DeliveryReport.SIZE_BYTES)]
+        self.packets, self.reports = (SharedRing(descriptor) for descriptor in self.descriptors)
         self.line, self.clock = Line(), VirtualClock()
         self.sender = Sender(
             self.packets,
@@ -82,19 +82,19 @@ class Rig:
             START_NS,
             Pacing(pace, late_after_ns, when_late),
         )
-        self.seen: list[Report] = []
+        self.seen: list[DeliveryReport] = []
 
     def push(self, shot: int, due_ns: int) -> None:
-        assert self.packets.push(Outgoing(shot, due_ns, shot.to_bytes(4, "big")).to_bytes())
+        assert self.packets.push(OutgoingPacket(shot, due_ns, shot.to_bytes(4, "big")).to_bytes())
 
     def run_until_empty(self) -> None:
         while not (wait := self.sender.step()).for_packets:
             self.clock.wait(wait.until_ns)
         self.seen += self.fetch()
 
-    def fetch(self) -> list[Report]:
+    def fetch(self) -> list[DeliveryReport]:
         entries = iter(self.reports.pop, None)
-        return [Report.from_bytes(entry) for entry in entries]
+        return [DeliveryReport.from_bytes(entry) for entry in entries]
 
     def run_until(self, time_ns: int) -> None:
         while (until_ns := self.sender.step().until_ns) is not None and until_ns <= time_ns:
@@ -137,7 +137,7 @@ def test_an_hour_goes_out_in_order_and_exactly_on_time(wall: Rig) -> None:
 
 def test_an_empty_packet_meets_its_fate_at_its_time_and_the_line_sees_nothing(wall: Rig) -> None:
     wall.push(0, 0)
-    assert wall.packets.push(Outgoing(1, 1000, b"").to_bytes())
+    assert wall.packets.push(OutgoingPacket(1, 1000, b"").to_bytes())
     wall.push(2, 2000)
     wall.run_until_empty()
     assert [report.status for report in wall.seen] == [
@@ -152,7 +152,7 @@ def test_an_empty_packet_meets_its_fate_at_its_time_and_the_line_sees_nothing(wa
 def test_an_empty_packet_is_never_late() -> None:
     """Nor does it end a run that may have no late packet."""
     rig = Rig(Pace.WALL, late_after_ns=1000, when_late=WhenLate.ABORT)
-    assert rig.packets.push(Outgoing(0, 0, b"").to_bytes())
+    assert rig.packets.push(OutgoingPacket(0, 0, b"").to_bytes())
     rig.push(1, SECOND_NS)
     rig.clock.time_ns = START_NS + SECOND_NS // 2
     rig.run_until_empty()
@@ -187,7 +187,7 @@ def test_where_a_late_packet_ends_the_run_it_was_the_last_one() -> None:
     assert [report.status for report in rig.fetch()] == [DeliveryStatus.SENT]
     rig.clock.time_ns = START_NS + SECOND_NS + 1001
     rig.run_until_empty()
-    assert rig.seen == [Report(1, SECOND_NS, -1, DeliveryStatus.LATE, SECOND_NS + 1001)]
+    assert rig.seen == [DeliveryReport(1, SECOND_NS, -1, DeliveryStatus.LATE, SECOND_NS + 1001)]
     assert [payload for _, payload in rig.line.taken] == [b"\0\0\0\0"]
     rig.close()
 
@@ -197,7 +197,7 @@ def test_reports_tell_when_the_process_had_woken_up(wall: Rig) -> None:
     wall.clock.time_ns = START_NS + SECOND_NS + 700
     wall.line.send_takes(wall.clock, 30)
     wall.run_until_empty()
-    assert wall.seen == [Report(0, SECOND_NS, SECOND_NS + 730, DeliveryStatus.SENT, SECOND_NS + 700)]
+    assert wall.seen == [DeliveryReport(0, SECOND_NS, SECOND_NS + 730, DeliveryStatus.SENT, SECOND_NS + 700)]
 
 
 def test_a_full_line_drops_the_new_packet_at_its_time(wall: Rig) -> None:
@@ -325,8 +325,11 @@ def test_the_rule_of_pace(now_ns: int, due_ns: int, late_after_ns: int) -> None:
 def test_packets_and_reports_survive_the_ring(
     shot: int, due_ns: int, sent_ns: int, status: DeliveryStatus, payload: bytes, woke_ns: int
 ) -> None:
-    packet, report = Outgoing(shot, due_ns, payload), Report(shot, due_ns, sent_ns, status, woke_ns)
-    assert Outgoing.from_bytes(packet.to_bytes()) == packet
-    assert Report.from_bytes(report.to_bytes()) == report
-    assert len(report.to_bytes()) == Report.SIZE_BYTES
-    assert len(packet.to_bytes()) == Outgoing.HEAD_BYTES + len(payload)
+    packet, report = (
+        OutgoingPacket(shot, due_ns, payload),
+        DeliveryReport(shot, due_ns, sent_ns, status, woke_ns),
+    )
+    assert OutgoingPacket.from_bytes(packet.to_bytes()) == packet
+    assert DeliveryReport.from_bytes(report.to_bytes()) == report
+    assert len(report.to_bytes()) == DeliveryReport.SIZE_BYTES
+    assert len(packet.to_bytes()) == OutgoingPacket.HEAD_BYTES + len(payload)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryStatus, Report
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model, measure_in_blocks, simulate
@@ -25,7 +25,7 @@ def test_counts_of_shots_and_of_their_errors():
     statuses = [DeliveryStatus.LATE if shot % 10 == 0 else DeliveryStatus.SENT for shot in range(70)]
     for shot, status in enumerate(statuses):
         tally.report(
-            Report(
+            DeliveryReport(
                 shot,
                 shot * 50_000_000,
                 shot * 50_000_000 + 1000 * shot if status is DeliveryStatus.SENT else -1,
@@ -64,5 +64,5 @@ def test_counts_of_shots_and_of_their_errors():
 
 def test_pace_max_knows_no_lateness():
     tally = Tally(Pace.MAX)
-    tally.report(Report(0, 10_000_000, 5, DeliveryStatus.SENT))
+    tally.report(DeliveryReport(0, 10_000_000, 5, DeliveryStatus.SENT))
     assert tally.to_json()["lateness"]["count"] == 0

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.pacing import Pace, Pacing
-from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
-from lidar_emu.runtime.port.ring import Ring
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.ring import SharedRing
 from lidar_emu.runtime.port.sender import Sender
 
 
@@ -24,21 +24,24 @@ class Line:
         self.sent.append(payload)
         return DeliveryStatus.SENT
 
-    def note(self, text: str, now_ns: int) -> None:  # noqa: ARG002
+    def add_event(self, text: str, now_ns: int) -> None:  # noqa: ARG002
         raise AssertionError(text)
 
 
 @given(st.lists(st.tuples(st.integers(0, 6), st.integers(0, 6)), max_size=4))
 def test_of_each_shot_the_last_announcement_is_sent(commands: list[tuple[int, int]]) -> None:
     """Commands, each after so many more shots were announced, each from so many shots back on."""
-    packets, reports = Ring(Ring.create(256, 64)), Ring(Ring.create(512, Report.SIZE_BYTES))
+    packets, reports = (
+        SharedRing(SharedRing.create(256, 64)),
+        SharedRing(SharedRing.create(512, DeliveryReport.SIZE_BYTES)),
+    )
     line = Line()
     sender = Sender(packets, reports, line, Clock(), 0, Pacing(Pace.MAX, 0))
     wanted: dict[int, int] = {}
     next_shot = 0
     for generation, (more, back) in enumerate([*commands, (6, 0)]):
         for _ in range(more):
-            packets.push(Outgoing(next_shot, 0, bytes((next_shot, generation)), generation).to_bytes())
+            packets.push(OutgoingPacket(next_shot, 0, bytes((next_shot, generation)), generation).to_bytes())
             wanted[next_shot] = generation
             next_shot += 1
         next_shot = max(0, next_shot - back)
@@ -47,7 +50,7 @@ def test_of_each_shot_the_last_announcement_is_sent(commands: list[tuple[int, in
     while not sender.step().for_packets:
         pass
     assert line.sent == [bytes(entry) for entry in sorted(wanted.items())]
-    told = [Report.from_bytes(entry) for entry in iter(reports.pop, None)]
+    told = [DeliveryReport.from_bytes(entry) for entry in iter(reports.pop, None)]
     assert (
         sum(report.sent_ns if report.status is DeliveryStatus.SUPERSEDED else 1 for report in told)
         == packets.written

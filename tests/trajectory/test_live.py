@@ -152,16 +152,16 @@ def test_before_the_first_truth_there_is_no_state() -> None:
 
 def test_a_rehearsal_has_no_consequence() -> None:
     truths = [falling(t) for t in np.arange(0.0, 7.0, 0.1)]  # more than are kept
-    rehearsed, plain = flown(truths[0]), flown(truths[0])
+    warmed, plain = flown(truths[0]), flown(truths[0])
     instants_s = np.linspace(0.0, 8.0, 50)
     for one in truths[1:]:
-        rehearsed.rehearse(one)
-        assert rehearsed.newest == plain.newest
-        for trajectory in (rehearsed, plain):
+        warmed.warm_up(one)
+        assert warmed.newest == plain.newest
+        for trajectory in (warmed, plain):
             trajectory.accept(one, None)
-        for mine, other in zip(rehearsed.state(instants_s), plain.state(instants_s), strict=True):
+        for mine, other in zip(warmed.state(instants_s), plain.state(instants_s), strict=True):
             assert np.array_equal(mine, other)
-    assert (rehearsed.lost, rehearsed.jumped, rehearsed.verdicts) == (
+    assert (warmed.lost, warmed.jumped, warmed.verdicts) == (
         plain.lost,
         plain.jumped,
         plain.verdicts,

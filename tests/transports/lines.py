@@ -13,7 +13,7 @@ from waiting import LIMIT_S
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import Outgoing
+from lidar_emu.runtime.port.packets import OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.link import DeliveryStatus, Link
 from lidar_emu.transports.opening import opener
@@ -84,7 +84,7 @@ class InAnother:
         self.received = b""
 
     def send(self, payload: bytes) -> DeliveryStatus:
-        assert self._runner.push(Outgoing(self._count, 0, payload))
+        assert self._runner.push(OutgoingPacket(self._count, 0, payload))
         self._count += 1
         while not (reports := self._runner.reports()):
             self._runner.wait(Clock().now_ns() + _MOMENT_NS)
@@ -93,10 +93,10 @@ class InAnother:
 
     def pump(self) -> None:
         self._runner.wait(Clock().now_ns() + _TICK_NS)
-        self.received += b"".join(arrival.data for arrival in self._runner.arrivals())
+        self.received += b"".join(arrival.data for arrival in self._runner.take_received())
 
     def events(self) -> list[str]:
-        return [event.text for event in self._runner.told.events]
+        return [event.text for event in self._runner.status.events]
 
     def close(self) -> None:
         self._runner.close()

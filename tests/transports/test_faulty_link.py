@@ -104,7 +104,7 @@ def test_a_disconnected_port_is_closed_and_opened_again() -> None:
     assert bench.send(b"d") is DeliveryStatus.SENT
     assert (bench.line.sent, bench.line.opened) == ([b"a", b"d"], 2)
     (broke, why), (again, reopened) = bench.told()
-    assert (broke, why, reopened) == (100, "link broken: disconnected, as ordered", "reopened")
+    assert (broke, why, reopened) == (100, "link broken: disconnected by an injected fault", "reopened")
     assert 300 <= again <= 2300
 
 
@@ -132,7 +132,7 @@ def test_bus_off_is_told_as_a_real_one_is_and_the_bus_stays_open() -> None:
     bench = Bench(CAN, {"kind": "bus_off"})
     frames = pack_frames([Frame(0x100, b"12345678")])
     assert bench.at(150).send(frames) is DeliveryStatus.DROPPED_BROKEN
-    assert bench.told() == [(150, "link broken: bus off, as ordered")]
+    assert bench.told() == [(150, "link broken: bus off by an injected fault")]
     for time_ms in range(300, 2400):
         bench.at(time_ms).service()
     assert bench.send(frames) is DeliveryStatus.SENT
@@ -239,7 +239,7 @@ def test_what_comes_at_a_rate_comes_once_though_the_port_is_lost_meanwhile() -> 
     )
     for time_ms in range(3000):
         bench.at(time_ms).service()
-    assert [text for _, text in bench.told()] == ["link broken: bus off, as ordered", "reopened"]
+    assert [text for _, text in bench.told()] == ["link broken: bus off by an injected fault", "reopened"]
     assert bench.link.counts["error_frames"] == 10
     frames = [frame for payload in bench.line.sent for frame in unpack_frames(payload)]
     noise = PortFault(1, "babble", 100 * MS, 300 * MS, 0, 800.0).noise(0, 160)

@@ -22,7 +22,7 @@ from lidar_emu.runtime.feed.packet_queue import payload_of
 from lidar_emu.runtime.lateness import steal_ticks
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.run import Run
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario
@@ -159,7 +159,7 @@ class _Witness(Observer):
         for other in self.others:
             other.on_block_sent(block)
 
-    def on_report(self, packet: Outgoing, report: Report) -> None:
+    def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
         """Note it, and the steal ticks once a second."""
         self._due.append(report.due_ns)
         self._woke.append(report.woke_ns)

@@ -18,7 +18,7 @@ from lidar_emu.numerics.arrays import IntArray
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port.packets import Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.runtime.run import Run
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario
@@ -152,7 +152,7 @@ class _Beside(Observer):
         """Say so."""
         self._progress(f"flying on {port} from {start:%H:%M:%S}")
 
-    def on_report(self, packet: Outgoing, report: Report) -> None:
+    def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
         """Note when it was written."""
         if report.sent_ns >= 0:
             self.shots.append(packet.shot)

@@ -11,7 +11,7 @@ from lidar_emu.cli.decoder import Decoder
 from lidar_emu.cli.message_lines import counter_line, reason
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block
 from lidar_emu.transports.frames import unpack_frames
@@ -170,7 +170,7 @@ class RunDisplay(Observer):
         """Show the last event."""
         self.on_process_event(time_ns, what)
 
-    def on_report(self, packet: Outgoing, report: Report) -> None:
+    def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
         """Update the display when it is due."""
         if report.status is DeliveryStatus.SENT:
             self._sent_bytes += len(packet.payload)

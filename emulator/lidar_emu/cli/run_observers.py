@@ -12,7 +12,7 @@ from lidar_emu.cli.message_lines import ShotPrinter
 from lidar_emu.cli.output import say
 from lidar_emu.cli.summary_lines import at_time
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.packets import Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.runtime.summary import Tally
 from lidar_protocol import Interface
 
@@ -48,7 +48,7 @@ class ProgressLine(Observer):
         self._tally = tally
         self._next_ns = 0
 
-    def on_report(self, packet: Outgoing, report: Report) -> None:  # noqa: ARG002
+    def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
         """Show the counts twice a second."""
         if report.due_ns >= self._next_ns:
             self._next_ns = report.due_ns + round(_SHOW_EVERY_S * 1e9)

@@ -1,4 +1,4 @@
-"""The part of a clock's rate that comes and goes: a few slow sines of random phases."""
+"""Frequency noise of an oscillator: a sum of slow sines with random phases, close to flicker noise."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 _PERIODS_NS = tuple(1e9 * period_s for period_s in np.geomspace(20.0, 20_000.0, 10).tolist())
-"""Equal parts on a logarithmic scale: as flicker noise of frequency, whose Allan deviation is the same at all times."""
+"""Equal amplitudes on a logarithmic scale, as in flicker frequency noise, whose Allan deviation is constant."""
 
 _Time = TypeVar("_Time", float, NDArray[np.floating[Any]])
 
 
 @dataclass(frozen=True)
-class Wander:
-    """A rate that is off by `amplitude` times the sum of the sines."""
+class FrequencyNoise:
+    """A fractional frequency error of `amplitude` times the sum of the sines."""
 
     amplitude: float
-    """Of each sine, as a fraction."""
+    """Amplitude of each sine, as a fraction of the frequency."""
     phases: tuple[float, ...]
-    """At power-up, in radians."""
+    """Phases at power-up, in radians."""
 
     @classmethod
     def drawn(cls, rms: float, seed: int) -> Self | None:
-        """The one of this seed, whose rate is off by `rms` in the long run; None for 0."""
+        """The noise of this seed, with a long-term RMS of `rms`; None for 0."""
         if rms == 0.0:
             return None
         from lidar_emu.numerics.random_streams import CLOCK_WANDER, RandomStream
@@ -35,7 +35,7 @@ class Wander:
         return cls(rms * math.sqrt(2 / len(_PERIODS_NS)), tuple(phases.tolist()))
 
     def gained_ns(self, from_ns: float, to_ns: _Time) -> _Time:
-        """The rate's error, integrated between two times from power-up."""
+        """Frequency error, integrated between two times from power-up."""
         gained_ns = 0.0 * to_ns
         for period_ns, phase in zip(_PERIODS_NS, self.phases, strict=True):
             turn = math.tau / period_ns

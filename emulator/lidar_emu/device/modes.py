@@ -1,4 +1,4 @@
-"""The device's modes: what it does by itself, and what power, interlock and restarts do to it.
+"""The device's modes: transitions by itself, and by power, interlock and restarts.
 
     off --power--> boot --> self_test --> standby <--> acquire --> track
                     ^                        ^            |          |
@@ -6,27 +6,29 @@
                                      or, after a start, by itself
     open interlock, too hot: --> fault, left by reset         command: --> safe, left by command or reset
 
-Everything here is a function of the state before and of scenario time.
+All functions here depend on the previous state and scenario time alone.
 """
 
 from __future__ import annotations
 
 from lidar_emu.device.clock import powered_up
 from lidar_emu.device.rules import Rules
-from lidar_emu.device.state import GUARDED, MEASURING, DeviceState, Due, Mode
-from lidar_emu.device.thermal import Heat
+from lidar_emu.device.state import INTERLOCKED, MEASURING, DeviceState, Mode, PendingTransition
+from lidar_emu.device.thermal import ThermalState
 
 
 def initial(rules: Rules) -> DeviceState:
-    """At the beginning of the scenario: off, or what the device starts with."""
+    """The state at the beginning of the scenario: off, or the mode that the device starts in."""
     power_on_ns = rules.power_on_ns
-    chain = _cold_start(rules, power_on_ns) if rules.start is Mode.BOOT else (Due(power_on_ns, rules.start),)
+    transitions: tuple[PendingTransition, ...] = (PendingTransition(power_on_ns, rules.start),)
+    if rules.start is Mode.BOOT:
+        transitions = _cold_start(rules, power_on_ns)
     off = DeviceState(
         mode=Mode.OFF,
-        agenda=chain,
+        pending=transitions,
         settings=rules.defaults,
-        clock=powered_up(rules.clock, power_on_ns, wander=rules.wander),
-        heat=Heat(power_on_ns, 0.0, laser_on=False),
+        clock=powered_up(rules.clock, power_on_ns, noise=rules.frequency_noise),
+        thermal=ThermalState(power_on_ns, 0.0, laser_on=False),
         interlock_closed=True,
         restarted_ns=power_on_ns,
         restarts=0,
@@ -37,81 +39,81 @@ def initial(rules: Rules) -> DeviceState:
 
 
 def advance(rules: Rules, state: DeviceState, time_ns: int) -> DeviceState:
-    """The state at a time, if nothing is commanded until then; a time that is past changes nothing."""
+    """The state at a time, if no command arrives until then; an earlier time changes nothing."""
     while state.until_ns is not None and state.until_ns <= time_ns:
         state = timed(rules, _next(rules, state, state.until_ns))
     return state
 
 
 def timed(rules: Rules, state: DeviceState) -> DeviceState:
-    """The state with the instant of its next change; to be called after whatever could have moved that."""
+    """The state with the instant of its next change; call it after any change that could have moved that instant."""
     instants = (
-        state.agenda[0].at_ns if state.agenda else None,
+        state.pending[0].at_ns if state.pending else None,
         _event_ns(rules, state),
         _unlocks_ns(rules, state),
-        state.heat.reaches_limit_ns(rules.heating),
+        state.thermal.reaches_limit_ns(rules.thermal),
     )
     until_ns = min((instant for instant in instants if instant is not None), default=None)
     return state._replace(until_ns=until_ns)
 
 
 def enter(
-    rules: Rules, state: DeviceState, mode: Mode, time_ns: int, agenda: tuple[Due, ...] = ()
+    rules: Rules, state: DeviceState, mode: Mode, time_ns: int, pending: tuple[PendingTransition, ...] = ()
 ) -> DeviceState:
-    """The state in another mode, from which others follow; with an open interlock that is mode fault."""
-    if mode in GUARDED and not state.interlock_closed:
-        mode, agenda = Mode.FAULT, ()
-    heat = state.heat.switched(rules.heating, mode in MEASURING, time_ns)
-    return state._replace(mode=mode, agenda=agenda, heat=heat)
+    """The state in another mode, with the transitions that follow; mode fault if the interlock is open."""
+    if mode in INTERLOCKED and not state.interlock_closed:
+        mode, pending = Mode.FAULT, ()
+    thermal = state.thermal.switched(rules.thermal, mode in MEASURING, time_ns)
+    return state._replace(mode=mode, pending=pending, thermal=thermal)
 
 
 def acquire(rules: Rules, state: DeviceState, time_ns: int) -> DeviceState:
     """The state in mode acquire, which mode track follows."""
-    track = Due(time_ns + state.settings.acquisition_ns, Mode.TRACK)
+    track = PendingTransition(time_ns + state.settings.acquisition_ns, Mode.TRACK)
     return enter(rules, state, Mode.ACQUIRE, time_ns, (track,))
 
 
 def restart(rules: Rules, state: DeviceState, time_ns: int, cold: bool) -> DeviceState:
-    """The state that a reset leads to: boot, then standby; if cold, with a self-test and all as at power-up."""
+    """The state after a reset: boot, then standby; a cold one has a self-test, and settings and clock of power-up."""
     state = state._replace(restarts=state.restarts + 1, restarted_ns=time_ns)
     if not cold:
         started = _started(rules, time_ns + rules.warm_restart_ns, state.settings.acquisition_ns)
         return enter(rules, state, Mode.BOOT, time_ns, started)
-    clock = powered_up(rules.clock, time_ns, state.clock.epoch_ns, rules.wander)
+    clock = powered_up(rules.clock, time_ns, state.clock.epoch_ns, rules.frequency_noise)
     boot, *rest = _cold_start(rules, time_ns)
     return enter(rules, state._replace(settings=rules.defaults, clock=clock), boot.mode, time_ns, tuple(rest))
 
 
 def counted_from(rules: Rules, state: DeviceState, zero_ns: int) -> DeviceState:
-    """The same state with times counted from another instant, and under rules whose events count from there."""
+    """The same state with times counted from another instant, under rules whose events count from there."""
     moved = state._replace(
-        agenda=tuple(Due(due.at_ns - zero_ns, due.mode) for due in state.agenda),
+        pending=tuple(PendingTransition(due.at_ns - zero_ns, due.mode) for due in state.pending),
         clock=state.clock.counted_from(zero_ns),
-        heat=state.heat._replace(since_ns=state.heat.since_ns - zero_ns),
+        thermal=state.thermal._replace(since_ns=state.thermal.since_ns - zero_ns),
         restarted_ns=state.restarted_ns - zero_ns,
     )
     return timed(rules, moved)
 
 
-def _cold_start(rules: Rules, time_ns: int) -> tuple[Due, ...]:
+def _cold_start(rules: Rules, time_ns: int) -> tuple[PendingTransition, ...]:
     self_test_ns = time_ns + rules.boot_ns
     started = _started(rules, self_test_ns + rules.self_test_ns, rules.defaults.acquisition_ns)
-    return (Due(time_ns, Mode.BOOT), Due(self_test_ns, Mode.SELF_TEST), *started)
+    return (PendingTransition(time_ns, Mode.BOOT), PendingTransition(self_test_ns, Mode.SELF_TEST), *started)
 
 
-def _started(rules: Rules, time_ns: int, acquisition_ns: int) -> tuple[Due, ...]:
+def _started(rules: Rules, time_ns: int, acquisition_ns: int) -> tuple[PendingTransition, ...]:
     if rules.waits_for_commands:
-        return (Due(time_ns, Mode.STANDBY),)
-    return Due(time_ns, Mode.ACQUIRE), Due(time_ns + acquisition_ns, Mode.TRACK)
+        return (PendingTransition(time_ns, Mode.STANDBY),)
+    return PendingTransition(time_ns, Mode.ACQUIRE), PendingTransition(time_ns + acquisition_ns, Mode.TRACK)
 
 
 def _next(rules: Rules, state: DeviceState, time_ns: int) -> DeviceState:
-    """The state after the change that is due at this instant; of several, the first of these."""
+    """The state after the change that is due at this instant; the order here decides between several."""
     if _event_ns(rules, state) == time_ns:
         what = rules.events[state.events_passed].what
         return _happened(rules, state._replace(events_passed=state.events_passed + 1), what, time_ns)
-    if state.agenda and state.agenda[0].at_ns == time_ns:
-        due, *rest = state.agenda
+    if state.pending and state.pending[0].at_ns == time_ns:
+        due, *rest = state.pending
         return enter(rules, state, due.mode, time_ns, tuple(rest))
     if _unlocks_ns(rules, state) == time_ns:
         return state._replace(clock=state.clock._replace(synced_ns=None))
@@ -122,7 +124,7 @@ def _happened(rules: Rules, state: DeviceState, what: str, time_ns: int) -> Devi
     match what:
         case "interlock_opens" | "interlock_closes":
             state = state._replace(interlock_closed=what == "interlock_closes")
-            return enter(rules, state, state.mode, time_ns, state.agenda)
+            return enter(rules, state, state.mode, time_ns, state.pending)
         case "power_off":
             return enter(rules, state, Mode.OFF, time_ns)
         case "power_on" if state.mode is Mode.OFF:

@@ -1,13 +1,13 @@
-"""How this device behaves: the scenario's part in whole nanoseconds, with what of the rest concerns it."""
+"""Rules of a device: its part of the scenario in whole nanoseconds, and what it needs of the other parts."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lidar_emu.device.frequency_noise import Wander
+from lidar_emu.device.frequency_noise import FrequencyNoise
 from lidar_emu.device.state import Mode, Settings
-from lidar_emu.device.thermal import Heating
+from lidar_emu.device.thermal import ThermalModel
 from lidar_emu.scenario.device import DeviceBehaviour, DeviceClock
 from lidar_emu.scenario.faults import BrownOut, DeviceFault, Fault, Interlock
 
@@ -18,17 +18,17 @@ _BEGINS_AND_ENDS: dict[type, tuple[str, str]] = {
 
 
 @dataclass(frozen=True)
-class Event:
-    """Something that is done to the device."""
+class DeviceEvent:
+    """An event of power supply or interlock."""
 
     at_ns: int
     what: str
-    """As in the scenario."""
+    """Its name in the scenario."""
 
 
 @dataclass(frozen=True)
 class Rules:
-    """What changes of state follow from."""
+    """Constants that determine all changes of state."""
 
     start: Mode
     power_on_ns: int
@@ -36,22 +36,22 @@ class Rules:
     self_test_ns: int
     warm_restart_ns: int
     waits_for_commands: bool
-    """Whether it stands by after a start, or goes on to measure by itself."""
+    """Whether it stays in standby after a start; otherwise it begins to measure."""
     defaults: Settings
-    """After power-up and a cold restart."""
+    """Settings after power-up and a cold restart."""
     clock: DeviceClock
-    wander: Wander | None
-    """Of the clock."""
+    frequency_noise: FrequencyNoise | None
+    """Frequency noise of the clock."""
     holdover_ns: int | None
-    heating: Heating
-    events: tuple[Event, ...]
+    thermal: ThermalModel
+    events: tuple[DeviceEvent, ...]
     rate_hz: float
-    """Of the scenario's shots."""
+    """Rate of the scenario's shots."""
     beam_count: int
     pattern_count: int
-    """How many patterns a command can choose from."""
+    """Number of beam patterns that a command can select."""
     laser_power_w: float | None
-    """Of the laser while it is on; None: unknown."""
+    """Optical power while the laser is on; None: unknown."""
 
 
 def device_rules(
@@ -63,7 +63,7 @@ def device_rules(
     faults: Sequence[Fault] = (),
     seed: int = 0,
 ) -> Rules:
-    """The rules of a scenario's device; `seed` is that of its clock's wander."""
+    """The rules of a scenario's device; `seed` seeds the frequency noise of its clock."""
     thermal, clock = part.thermal, part.clock
     return Rules(
         start=Mode(part.start),
@@ -79,9 +79,9 @@ def device_rules(
             acquisition_ns=_ns(part.acquisition_s),
         ),
         clock=clock,
-        wander=Wander.drawn(clock.wander_ppm * 1e-6, seed),
+        frequency_noise=FrequencyNoise.drawn(clock.wander_ppm * 1e-6, seed),
         holdover_ns=None if clock.holdover_s is None else _ns(clock.holdover_s),
-        heating=Heating(thermal.ambient_c, thermal.rise_k, thermal.time_constant_s, thermal.limit_c),
+        thermal=ThermalModel(thermal.ambient_c, thermal.rise_k, thermal.time_constant_s, thermal.limit_c),
         events=all_events(part, faults),
         rate_hz=rate_hz,
         beam_count=beam_count,
@@ -90,15 +90,15 @@ def device_rules(
     )
 
 
-def all_events(part: DeviceBehaviour, faults: Sequence[Fault]) -> tuple[Event, ...]:
-    """What is done to a device by its scenario, faults included, in ascending order."""
-    events = [Event(_ns(event.at_s), event.what) for event in part.events]
+def all_events(part: DeviceBehaviour, faults: Sequence[Fault]) -> tuple[DeviceEvent, ...]:
+    """All events of a scenario's device, including those of faults, in ascending order."""
+    events = [DeviceEvent(_ns(event.at_s), event.what) for event in part.events]
     for fault in faults:
         if isinstance(fault, DeviceFault):
             begins, ends = _BEGINS_AND_ENDS[type(fault)]
-            events.append(Event(_ns(fault.from_s), begins))
+            events.append(DeviceEvent(_ns(fault.from_s), begins))
             if fault.to_s is not None:
-                events.append(Event(_ns(fault.to_s), ends))
+                events.append(DeviceEvent(_ns(fault.to_s), ends))
     return tuple(sorted(events, key=lambda event: event.at_ns))
 
 

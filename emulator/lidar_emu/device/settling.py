@@ -1,4 +1,4 @@
-"""Beams that have just been pointed elsewhere: they do not fire until they have settled."""
+"""Settling of the beams: after a change of pattern they do not fire for a while."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from lidar_emu.numerics.arrays import BoolArray, IntArray
 
 
 class Settling(NamedTuple):
-    """What is carried from shot to shot."""
+    """State carried from shot to shot."""
 
     pattern: int | None = None
-    """Of the last shot; None: not known."""
+    """Pattern of the last shot; None: not known."""
     changed_ns: int | None = None
-    """When the first shot with that pattern began; None: nobody knows, long ago."""
+    """When the first shot with that pattern began; None: long ago."""
 
     def settled(
         self, patterns: IntArray, first: int, period_ns: int, settling_ns: int
     ) -> tuple[BoolArray, Settling]:
-        """(shots,) In which of consecutive shots the beams have settled; and what is carried on.
+        """(shots,) Whether the beams have settled in each of consecutive shots; and the state after them.
 
         Args:
             patterns: (shots,) number of each shot's pattern.
             first: number of the first shot.
             period_ns: from shot to shot.
-            settling_ns: how long it takes, from the beginning of the first shot.
+            settling_ns: settling time, from the beginning of the first shot with a pattern.
         """
         pattern, changed_ns = self
         settled = np.ones(len(patterns), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""What a state of the device means for the shots in it, worked out once."""
+"""Shot policy: which shots the device fires in a state, with which beams and which status."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from lidar_emu.numerics.arrays import BoolArray
 
 
 class ShotPolicy(NamedTuple):
-    """A state of the device, and what follows from it."""
+    """A state of the device, and what it implies for the shots."""
 
     device: DeviceState
     status: Status
-    """What packets say of it."""
+    """Device status in the packets."""
     fires: BoolArray | None
-    """(1, beams) Which beams fire; None: all."""
+    """(1, beams) Whether a beam fires; None: all do."""
     is_plain: bool
-    """Whether it fires every shot, all beams, and dates it by a clock that is right, and will do so for ever."""
+    """Whether it fires every shot with all beams and an exact clock, without any pending change."""
 
     def steady(self, shot: int, most: int, period_ns: int) -> tuple[int, bool]:
-        """Through how many shots from this one on it is so, at most so many; and whether it is silent in them."""
+        """Number of shots from this one on, at most `most`, with the same policy, and whether they are silent."""
         device, divisor = self.device, self.device.settings.divisor
         if device.until_ns is not None:
             most = min(most, -((shot * period_ns - device.until_ns) // period_ns))
@@ -33,13 +33,13 @@ class ShotPolicy(NamedTuple):
 
 
 def shot_policy(device: DeviceState, beam_count: int) -> ShotPolicy:
-    """Of a device with so many beams."""
+    """The shot policy of a device with this number of beams."""
     beams, settings = device.settings.beams, device.settings
     fires = np.array([[beams >> beam & 1 for beam in range(beam_count)]], dtype=np.bool_)
     is_plain = (
         device.mode is Mode.TRACK
         and device.until_ns is None
-        and device.clock.is_right
+        and device.clock.is_exact
         and bool(fires.all())
         and (settings.divisor, settings.settling_ns) == (1, 0)
     )

@@ -1,16 +1,16 @@
-"""What the device is doing, as one value."""
+"""The state of the device, as one value."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 from typing import NamedTuple
 
-from lidar_emu.device.clock import Clock
-from lidar_emu.device.thermal import Heat
+from lidar_emu.device.clock import OnboardClock
+from lidar_emu.device.thermal import ThermalState
 
 
 class Mode(StrEnum):
-    """Modes, in the words of the interface; `boot` has none there, for nothing is sent in it."""
+    """Modes, in the words of the interface; it has none for `off` and `boot`, in which nothing is sent."""
 
     OFF = "off"
     BOOT = "boot"
@@ -23,64 +23,64 @@ class Mode(StrEnum):
 
 
 MEASURING = frozenset({Mode.ACQUIRE, Mode.TRACK})
-"""Where the laser is on, and measurements are sent."""
-DUMB = frozenset({Mode.OFF, Mode.BOOT})
-"""Where nothing is sent and nothing is heard."""
-GUARDED = frozenset({Mode.SELF_TEST, Mode.STANDBY, *MEASURING})
-"""Which an open interlock turns into a fault."""
+"""Modes with laser on and measurements sent."""
+SILENT = frozenset({Mode.OFF, Mode.BOOT})
+"""Modes in which nothing is sent and commands are ignored."""
+INTERLOCKED = frozenset({Mode.SELF_TEST, Mode.STANDBY, *MEASURING})
+"""Modes that an open interlock turns into mode fault."""
 
 
 class Settings(NamedTuple):
-    """What commands have set; a warm restart keeps it."""
+    """Settings by command; a warm restart keeps them."""
 
     beams: int
     """Bit k: beam k fires."""
     housekeeping_rate_hz: float
     settling_ns: int
-    """For so long after a change of pattern the beams do not fire."""
+    """After a change of pattern the beams do not fire for this time."""
     acquisition_ns: int
     """From mode acquire to mode track."""
     pattern: int | None = None
-    """The set of beams; None: as the scanner's own switches say."""
+    """Beam pattern; None: by the scanner's own switches."""
     divisor: int = 1
-    """Every so manieth of the scenario's shots is fired."""
+    """Every `divisor`-th of the scenario's shots is fired."""
 
 
 class Status(NamedTuple):
-    """What packets say of the device besides the measurement."""
+    """Device status in the measurement packets."""
 
     mode: Mode
     laser_on: bool
     clock_locked: bool
     silent: bool = False
-    """It sends no measurements, but shots are due all the same."""
+    """The device sends no measurements, though shots are due."""
 
 
 TRACKING = Status(Mode.TRACK, laser_on=True, clock_locked=True)
 
 
-class Due(NamedTuple):
-    """A mode to come by itself."""
+class PendingTransition(NamedTuple):
+    """A transition that the device makes by itself."""
 
     at_ns: int
     mode: Mode
 
 
 class DeviceState(NamedTuple):
-    """Everything about the device but what it measures. Times are scenario times."""
+    """The complete state of the device, without its measurements. Times are scenario times."""
 
     mode: Mode
-    agenda: tuple[Due, ...]
-    """The modes that follow by themselves."""
+    pending: tuple[PendingTransition, ...]
+    """The transitions that follow by themselves."""
     settings: Settings
-    clock: Clock
-    heat: Heat
+    clock: OnboardClock
+    thermal: ThermalState
     interlock_closed: bool
     restarted_ns: int
-    """When it was powered up or restarted last."""
+    """Last power-up or restart."""
     restarts: int
     events_passed: int
-    """How many of the scenario's events have happened."""
+    """Number of the scenario's events that have happened."""
     until_ns: int | None
     """The next instant at which it changes by itself; None: never."""
 
@@ -91,10 +91,10 @@ class DeviceState(NamedTuple):
 
     @property
     def answers(self) -> bool:
-        """Whether commands are heard and housekeeping is sent."""
-        return self.mode not in DUMB
+        """Whether the device executes commands and sends housekeeping."""
+        return self.mode not in SILENT
 
     @property
     def clock_locked(self) -> bool:
-        """Whether the clock was set right not too long ago."""
+        """Whether the clock was synchronised within the holdover time."""
         return self.clock.synced_ns is not None

@@ -1,4 +1,4 @@
-"""The device's temperature: an exponential approach to one of two values, by whether the laser is on."""
+"""Temperature of the device: exponential approach to the equilibrium with the laser on or off."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 
-class Heating(NamedTuple):
-    """How a device warms up."""
+class ThermalModel(NamedTuple):
+    """First-order thermal model."""
 
     ambient_c: float
     rise_k: float
@@ -15,38 +15,36 @@ class Heating(NamedTuple):
     limit_c: float | None
 
 
-class Heat(NamedTuple):
+class ThermalState(NamedTuple):
     """The excess over the ambient temperature when the laser was switched last, and whether it was switched on."""
 
     since_ns: int
     excess_k: float
     laser_on: bool
 
-    def temperature_c(self, heating: Heating, time_ns: int) -> float:
-        """Of the device, at a time from `since_ns` on; before it, as then."""
-        return heating.ambient_c + self._excess_k(heating, time_ns)
+    def temperature_c(self, model: ThermalModel, time_ns: int) -> float:
+        """Temperature at a time from `since_ns` on; before, the temperature at `since_ns`."""
+        return model.ambient_c + self._excess_k(model, time_ns)
 
-    def switched(self, heating: Heating, laser_on: bool, time_ns: int) -> Heat:
-        """After the laser was switched on or off."""
+    def switched(self, model: ThermalModel, laser_on: bool, time_ns: int) -> ThermalState:
+        """The state after the laser was switched on or off."""
         if laser_on == self.laser_on:
             return self
-        return Heat(time_ns, self._excess_k(heating, time_ns), laser_on)
+        return ThermalState(time_ns, self._excess_k(model, time_ns), laser_on)
 
-    def reaches_limit_ns(self, heating: Heating) -> int | None:
-        """When it becomes too hot, if the laser stays on; None: never."""
-        if heating.limit_c is None or not self.laser_on:
+    def reaches_limit_ns(self, model: ThermalModel) -> int | None:
+        """Time at which the limit is reached if the laser stays on; None: never."""
+        if model.limit_c is None or not self.laser_on:
             return None
-        allowed_k = heating.limit_c - heating.ambient_c
+        allowed_k = model.limit_c - model.ambient_c
         if self.excess_k >= allowed_k:
             return self.since_ns
-        if heating.rise_k <= allowed_k:
+        if model.rise_k <= allowed_k:
             return None
-        wait_s = heating.time_constant_s * math.log(
-            (heating.rise_k - self.excess_k) / (heating.rise_k - allowed_k)
-        )
+        wait_s = model.time_constant_s * math.log((model.rise_k - self.excess_k) / (model.rise_k - allowed_k))
         return self.since_ns + math.ceil(wait_s * 1e9)
 
-    def _excess_k(self, heating: Heating, time_ns: int) -> float:
-        final_k = heating.rise_k if self.laser_on else 0.0
+    def _excess_k(self, model: ThermalModel, time_ns: int) -> float:
+        final_k = model.rise_k if self.laser_on else 0.0
         elapsed_s = max(0, time_ns - self.since_ns) * 1e-9
-        return final_k + (self.excess_k - final_k) * math.exp(-elapsed_s / heating.time_constant_s)
+        return final_k + (self.excess_k - final_k) * math.exp(-elapsed_s / model.time_constant_s)

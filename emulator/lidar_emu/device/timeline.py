@@ -1,4 +1,4 @@
-"""The device as those see it who talk to it while it works: its state at each time, by the commands so far."""
+"""The state of the device over time, by the commands so far: what the link needs to know between the shots."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections import deque
 from dataclasses import replace
 from typing import NamedTuple
 
-from lidar_emu.device.commands import Order, obey
+from lidar_emu.device.commands import DeviceCommand, execute
 from lidar_emu.device.modes import advance, counted_from, timed
-from lidar_emu.device.rules import Event, Rules
+from lidar_emu.device.rules import DeviceEvent, Rules
 from lidar_emu.device.state import DeviceState
 
-_REMEMBERED = 256
+_STORED = 256
 
 
 class _Since(NamedTuple):
@@ -25,33 +25,37 @@ class DeviceTimeline:
     def __init__(self, rules: Rules, state: DeviceState) -> None:
         self.rules = rules
         self._first = state
-        self._since: deque[_Since] = deque(maxlen=_REMEMBERED)
+        self._since: deque[_Since] = deque(maxlen=_STORED)
 
     def at(self, time_ns: int) -> DeviceState:
-        """The state at a scenario time, later commands aside."""
+        """The state at a scenario time, without later commands."""
         for from_ns, state in reversed(self._since):
             if from_ns <= time_ns:
                 return advance(self.rules, state, time_ns)
         return advance(self.rules, self._first, time_ns)
 
-    def obey(self, order: Order) -> tuple[DeviceState | None, str]:
-        """What a command makes of the device, None if nothing; and its verdict. Commands come in the order of time."""
-        before = self.at(order.time_ns)
-        after, verdict = obey(self.rules, before, order)
+    def execute(self, command: DeviceCommand) -> tuple[DeviceState | None, str]:
+        """Execute a command; commands come in the order of time.
+
+        Returns:
+            The state after it, None if nothing changes; and its verdict.
+        """
+        before = self.at(command.time_ns)
+        after, verdict = execute(self.rules, before, command)
         if after is before:
             return None, verdict
-        self._since.append(_Since(order.time_ns, after))
+        self._since.append(_Since(command.time_ns, after))
         return after, verdict
 
-    def expect(self, events: tuple[Event, ...]) -> None:
-        """From now on these will be done to it, instead of what was to be: the same until now, and others later."""
+    def use_events(self, events: tuple[DeviceEvent, ...]) -> None:
+        """Replace the events of the device; those up to now are the same as before."""
         self.rules = replace(self.rules, events=events)
         self._first = timed(self.rules, self._first)
         since = [each._replace(state=timed(self.rules, each.state)) for each in self._since]
-        self._since = deque(since, maxlen=_REMEMBERED)
+        self._since = deque(since, maxlen=_STORED)
 
     def start_flight(self, rules: Rules, zero_ns: int) -> DeviceState:
-        """From now on times count from what was `zero_ns`, and these rules hold; returns the state then."""
+        """Count times from what was `zero_ns`, and use these rules from now on; return the state then."""
         self.rules, self._first = rules, counted_from(rules, self.at(zero_ns), zero_ns)
         self._since.clear()
         return self._first

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from lidar_emu.device.commands import Order
+from lidar_emu.device.commands import DeviceCommand
 from lidar_emu.device.modes import initial
 from lidar_emu.device.rules import all_events
 from lidar_emu.device.timeline import DeviceTimeline
@@ -84,7 +84,9 @@ class RecordedInputs:
         command, tone_ns = message.values, message.values["tone_ns"]
         time_ns = message.time_ns + zero_ns
         tone_ns = time_ns if tone_ns is None else tone_ns
-        state, _ = self._device.obey(Order(command["command"], command["values"], time_ns, tone_ns))
+        state, _ = self._device.execute(
+            DeviceCommand(command["command"], command["values"], time_ns, tone_ns)
+        )
         if state is not None:
             self._session.use_device(state)
 
@@ -96,7 +98,7 @@ class RecordedInputs:
         events = all_events(self._scenario.device, faults)
         self._session.use_faults(self._model.with_faults(faults), faulty, events)
         if is_flying:
-            self._device.expect(events)
+            self._device.use_events(events)
 
 
 class RecordedTruth:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from lidar_emu.runtime.port.packets import Outgoing
+from lidar_emu.runtime.port.packets import OutgoingPacket
 from lidar_emu.transports.frames import unpack_frames
 from lidar_protocol import CanReceiver, Interface, Message, SerialReceiver
 
@@ -22,7 +22,7 @@ class PacketDifference(NamedTuple):
 
 
 def first_difference(
-    recorded: Outgoing, recomputed: Outgoing, interface: Interface, can: bool
+    recorded: OutgoingPacket, recomputed: OutgoingPacket, interface: Interface, can: bool
 ) -> PacketDifference:
     """First field in which two packets of a shot differ, or the first byte if they cannot be decoded.
 

@@ -16,11 +16,9 @@ from lidar_emu.recording.mcap_file import ALLOWED
 from lidar_emu.recording.packet_difference import PacketDifference, first_difference
 from lidar_emu.recording.provenance import build, hashed_files, interface_text
 from lidar_emu.recording.read import Packets, Recording
-from lidar_emu.runtime.feed.packet_queue import outgoing
-from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing
-from lidar_emu.runtime.port_faults import packets_on_order
-from lidar_emu.runtime.prepare import rules_of
+from lidar_emu.runtime.feed.packet_queue import outgoing_packets
+from lidar_emu.runtime.port.packets import DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.prepare import faulty_encoder_of, rules_of
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Session
 from lidar_emu.shots.model import BLOCK_SHOTS, Model, build_model
@@ -65,7 +63,7 @@ def recompute(recording: Recording) -> RecomputeResult:
         row = rows.get(computed.shot)
         if row is None or recorded.overtaken[row] or _is_missed(recorded, row):
             continue
-        was = Outgoing(computed.shot, int(recorded.due_ns[row]), recorded.payload[row])
+        was = OutgoingPacket(computed.shot, int(recorded.due_ns[row]), recorded.payload[row])
         if (was.due_ns, was.payload) == (computed.due_ns, computed.payload):
             result.equal += 1
             continue
@@ -89,7 +87,7 @@ class _Parts(NamedTuple):
     inputs: RecordedInputs
 
 
-def _computed(recording: Recording, recorded: Packets) -> Iterator[Outgoing]:
+def _computed(recording: Recording, recorded: Packets) -> Iterator[OutgoingPacket]:
     with _with_recorded_interface(recording) as scenario:
         parts = _parts(recording, scenario)
         if scenario.live is not None:
@@ -102,12 +100,12 @@ def _computed(recording: Recording, recorded: Packets) -> Iterator[Outgoing]:
             block = session.shoot(min(BLOCK_SHOTS, until - session.next_shot))
             if block is None:
                 return
-            yield from outgoing(block)
+            yield from outgoing_packets(block)
 
 
 def _live(
     recording: Recording, recorded: Packets, scenario: FlightScenario | BenchScenario, parts: _Parts
-) -> Iterator[Outgoing]:
+) -> Iterator[OutgoingPacket]:
     """Compute shot by shot, and skip the shots that were too late to be computed in flight."""
     model, session, live = parts.model, parts.session, scenario.live
     from lidar_emu.trajectory.live import LiveTrajectory
@@ -130,14 +128,14 @@ def _live(
         block = session.shoot(1, fired=fresh or live.when_stale == "coast")
         if block is None:
             return
-        yield from outgoing(block)
+        yield from outgoing_packets(block)
 
 
 def _parts(recording: Recording, scenario: FlightScenario | BenchScenario) -> _Parts:
     model, port = build_model(scenario), recording.port
     is_can = port.kind is Kind.CAN
     encoder = Encoder(scenario.wire, is_can, port.fd, model.beam_count)
-    faulty = packets_on_order(scenario, encoder, RunOptions(port))
+    faulty = faulty_encoder_of(scenario, encoder, is_can)
     session = Session(model, encoder, faulty=faulty, rules=rules_of(scenario, model))
     return _Parts(model, session, RecordedInputs(recording, scenario, model, encoder, is_can, session))
 

@@ -15,7 +15,7 @@ from lidar_emu.recording.mcap_file import MAGIC as MCAP_MAGIC
 from lidar_emu.recording.mcap_file import first_bytes
 from lidar_emu.recording.pcap import MAGICS, NEXT_GENERATION_MAGIC, read_capture
 from lidar_emu.recording.read import Recording, read_recording
-from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing
+from lidar_emu.runtime.port.packets import DeliveryStatus, OutgoingPacket
 from lidar_emu.transports.spec import Kind
 
 _ALLOWED = (
@@ -59,7 +59,7 @@ class Traffic:
             raise InputError("--from" if from_s is not None else "--until", None, found, allowed)
         return replace(self, packets=kept)
 
-    def scheduled(self, speed: float = 1.0, laps: int | None = 1) -> Iterator[Outgoing]:
+    def scheduled(self, speed: float = 1.0, laps: int | None = 1) -> Iterator[OutgoingPacket]:
         """Packets with their due times, counted from the first packet.
 
         Args:
@@ -71,7 +71,7 @@ class Traffic:
         lap = number = 0
         while laps is None or lap < laps:
             for time_ns, payload in self.packets:
-                yield Outgoing(number, round((lap * lap_ns + time_ns - first_ns) / speed), payload)
+                yield OutgoingPacket(number, round((lap * lap_ns + time_ns - first_ns) / speed), payload)
                 number += 1
             lap += 1
 

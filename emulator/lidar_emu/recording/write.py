@@ -27,7 +27,7 @@ from lidar_emu.recording.provenance import provenance
 from lidar_emu.runtime.device_link.received_command import ReceivedCommand
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port.packets import Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block
@@ -163,7 +163,7 @@ class Recorder(Observer):
             self._write(channels.FAULT, begins_ns[fault.shot - first], _json(occurrence), fault.shot)
         self._flush()
 
-    def on_report(self, packet: Outgoing, report: Report) -> None:
+    def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
         """Record the packet and its delivery status."""
         # Generations only grow: a command that this packet follows is followed by all later packets.
         self._superseded = [mark for mark in self._superseded if mark[0] > packet.generation]

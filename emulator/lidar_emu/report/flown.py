@@ -14,7 +14,7 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.recording import channels
 from lidar_emu.recording.read import JsonMessage, Packets, Recording
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryStatus, Report
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus
 from lidar_emu.runtime.summary import Tally
 
 
@@ -64,7 +64,7 @@ class Flown:
         packets, silent = self.packets, self._silent()
         columns = (packets.shot, packets.due_ns, packets.sent_ns, packets.status, silent)
         for shot, due_ns, sent_ns, status, is_silent in zip(*(c.tolist() for c in columns), strict=True):
-            tally.report(Report(shot, due_ns, sent_ns, DeliveryStatus(status)), is_silent)
+            tally.report(DeliveryReport(shot, due_ns, sent_ns, DeliveryStatus(status)), is_silent)
         tally.faults = Counter(fault.values["kind"] for fault in self.faults)
         return tally
 

@@ -1,1 +1,1 @@
-"""Clock, processes, ring and pace: from finished packets with due times to bytes on a port."""
+"""A run in real time: the port process, the feeds of shots, and the device's side of the link."""

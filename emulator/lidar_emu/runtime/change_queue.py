@@ -1,50 +1,100 @@
-"""What shots are to follow, commanded or ordered, in the order in which it was heard."""
+"""Changes of the shots to come, by commands and injected faults, in the order in which they arrived."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
+from lidar_emu.runtime.port.packets import ReceivedBytes
 from lidar_emu.session import Session
 
 
 class Change(NamedTuple):
-    """Something that shots are to follow."""
+    """A change of the shots to come."""
 
     apply: Callable[[Session], None]
-    """Lets the session's next shot be the first to follow it."""
+    """Applies it to the session, from its next shot on."""
     arrived_ns: int
-    """When it came, or from when on it can be followed, on the monotonic clock."""
-    settled: Callable[[int | None, int | None], None] | None = None
-    """Told which shot is the first to follow it, None if none does; and when that begins on the monotonic clock, None
-    where that does not set the pace."""
+    """When it arrived, or from when on it can be applied, on the monotonic clock."""
+    applied: Callable[[int | None, int | None], None] | None = None
+    """Called with the first shot that the change affects, None if there is none, and the instant of the monotonic clock
+    at which that shot begins, None if that clock does not set the pace."""
 
 
-class Changes:
-    """They are followed one after another: no change takes effect before one that was heard earlier."""
+class ReceivingPort(Protocol):
+    """A `PortRunner`."""
 
-    def __init__(self) -> None:
-        self._waiting: deque[Change] = deque()
+    def take_received(self) -> list[ReceivedBytes]:
+        """Bytes that arrived since the last call."""
 
-    def add(self, change: Change) -> None:
-        """One more was heard."""
-        self._waiting.append(change)
+
+class CommandReceiver(Protocol):
+    """A `CommandHandler`."""
+
+    def receive(self, data: bytes, arrived_ns: int, time_ns: int, pulse_ns: int | None) -> list[Change]:
+        """Execute and acknowledge the commands in these bytes."""
+
+
+class FaultReceiver(Protocol):
+    """A `FaultInjector`."""
+
+    def receive(self) -> list[Change]:
+        """Check and answer the faults that have arrived."""
+
+
+class ChangeQueue:
+    """Changes are applied one after another: none takes effect before one that arrived earlier.
+
+    Args:
+        port: port on which commands arrive.
+        commands: handles them; None: the interface has no commands.
+        injector: receives faults in flight; None: there are none.
+    """
+
+    def __init__(
+        self, port: ReceivingPort, commands: CommandReceiver | None, injector: FaultReceiver | None
+    ) -> None:
+        self._port, self._commands, self._injector = port, commands, injector
+        self._pending: deque[Change] = deque()
+
+    def receive(self, time_ns: int, start_ns: int | None = None) -> None:
+        """Take what has arrived.
+
+        Args:
+            time_ns: scenario time.
+            start_ns: instant of the monotonic clock at scenario time 0, if that clock sets the pace: commands are then
+                dated by their arrival, and the time at the tone by the last pulse.
+        """
+        if self._commands is not None:
+            for at_ns, data, pulse_ns in self._port.take_received():
+                if start_ns is None:
+                    self._pending += self._commands.receive(data, at_ns, time_ns, None)
+                else:
+                    tone_ns = None if pulse_ns is None else pulse_ns - start_ns
+                    self._pending += self._commands.receive(data, at_ns, at_ns - start_ns, tone_ns)
+        if self._injector is not None:
+            self._pending += self._injector.receive()
 
     @property
     def first(self) -> Change | None:
-        """The oldest that no shot follows yet."""
-        return self._waiting[0] if self._waiting else None
+        """The oldest pending change."""
+        return self._pending[0] if self._pending else None
 
-    def follow(self, session: Session, begins_ns: int | None) -> None:
-        """Let the session's next shot, which begins then, be the first to follow the oldest change."""
-        change = self._waiting.popleft()
+    def apply_first(self, session: Session, begins_ns: int | None) -> None:
+        """Apply the oldest change from the session's next shot on.
+
+        Args:
+            begins_ns: instant of the monotonic clock at which that shot begins; None if that clock does not set the
+                pace.
+        """
+        change = self._pending.popleft()
         change.apply(session)
-        if change.settled is not None:
-            change.settled(session.next_shot, begins_ns)
+        if change.applied is not None:
+            change.applied(session.next_shot, begins_ns)
 
     def close(self) -> None:
-        """No shot follows what is left."""
-        while self._waiting:
-            if (settled := self._waiting.popleft().settled) is not None:
-                settled(None, None)
+        """No shot is left that pending changes could affect."""
+        while self._pending:
+            if (applied := self._pending.popleft().applied) is not None:
+                applied(None, None)

@@ -14,14 +14,14 @@ _LONGEST_WAIT_NS = 3600 * _NS_PER_S
 
 
 class Clock:
-    """The machine's clocks. Times are integer nanoseconds of the monotonic clock, which processes share."""
+    """The clocks of the machine. Times are integer nanoseconds of the monotonic clock, which all processes share."""
 
     def now_ns(self) -> int:
         """The monotonic clock."""
         return time.monotonic_ns()
 
     def computed_ns(self) -> int:
-        """How long this process has had a processor, all its threads together."""
+        """Processor time of this process, all its threads together."""
         return time.process_time_ns()
 
     def utc_now(self) -> datetime:
@@ -33,18 +33,18 @@ class Clock:
         until_ns: int | None,
         readable: Sequence[int] = (),
         writable: Sequence[int] = (),
-        awake: bool = False,
+        busy_wait: bool = False,
     ) -> tuple[list[int], list[int]]:
-        """Sleep until an instant, or until one of the descriptors is ready; returns those that are.
+        """Sleep until an instant, or until one of the descriptors is ready; return the ready ones.
 
-        Never returns early without a ready descriptor. None as instant waits for descriptors alone.
+        Never returns early without a ready descriptor. Without an instant it waits for descriptors alone.
 
         Args:
-            awake: ask again and again instead of sleeping, for what must not wait until the process has woken up.
+            busy_wait: poll instead of sleeping, for what must not wait until the process has woken up.
         """
         left_ns = None if until_ns is None else max(0, until_ns - self.now_ns())
         while True:
-            ready, roomy, _ = select.select(readable, writable, (), 0.0 if awake else _timeout_s(left_ns))
+            ready, roomy, _ = select.select(readable, writable, (), 0.0 if busy_wait else _timeout_s(left_ns))
             if ready or roomy:
                 return ready, roomy
             if until_ns is not None and (left_ns := until_ns - self.now_ns()) <= 0:

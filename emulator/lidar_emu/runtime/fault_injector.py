@@ -1,4 +1,4 @@
-"""Faults ordered in flight: read from a socket, checked, answered, and passed on to the shots."""
+"""Faults injected in flight: received on a socket, checked, answered, and returned as changes of the shots."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, Self
 
-from lidar_emu.device.rules import Event, all_events
+from lidar_emu.device.rules import DeviceEvent, all_events
 from lidar_emu.errors import Finding, InputError, one_line, reason_of
 from lidar_emu.faults.encoder import FaultyEncoder, faulty_encoder
-from lidar_emu.runtime.change_queue import Change, Changes
+from lidar_emu.runtime.change_queue import Change
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
-from lidar_emu.runtime.link_faults import link_order
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
+from lidar_emu.runtime.port_faults import port_fault
 from lidar_emu.scenario.faults import Dropout, FalseAlarms, LinkFault, Lost, ScheduledFault
 from lidar_emu.scenario.faults.injected import read_fault, shifted
 from lidar_emu.scenario.schema import Scenario
@@ -31,29 +31,28 @@ _OWNER_ONLY = 0o177
 _MARGIN = 2
 _ONE_OF_EACH = (Dropout(kind="dropout"), Lost(kind="lost"), FalseAlarms(kind="false_alarms", noise_db=1.0))
 
-Order = ScheduledFault | LinkFault
+InjectableFault = ScheduledFault | LinkFault
 
 
 class FaultInjector:
-    """Takes orders on a Unix datagram socket that only its owner can write to; its path is given back at the end.
+    """Receives faults on a Unix datagram socket that only its owner can write to; the path is removed at the end.
 
-    An order is a fault in YAML; the answer, for whoever has a name to be answered by, is a JSON object:
+    A datagram holds a fault in YAML; the answer, if the sender has an address, is a JSON object:
     {"accepted": true, "fault": 3, "kind": "dropout"}, or {"accepted": false, "reason": text}.
 
     Args:
-        path: of the socket; that of a dead process is taken over.
-        scenario: what is flown.
-        model: of the scenario.
-        encoder: how it goes onto the link.
-        options: how it is run.
+        path: path of the socket; that of a dead process is taken over.
+        scenario: scenario of the run.
+        model: model of the scenario.
+        encoder: encoder of the packets.
+        options: options of the run.
         packet_bytes: the longest packet without faults, as the port takes it, and the longest that it can take.
-        order_of_port: takes the port's own faults.
-        order_of_device: takes what is done to the device, all of it, whenever that changes.
-        changes: where shots find what they are to follow.
-        observers: told of every fault, once shots have it.
+        inject_into_port: takes a fault of the port.
+        inject_into_device: takes all events of the device, whenever they change.
+        observers: receive every fault, with the first shot that has it.
 
     Raises:
-        InputError: the socket cannot be made, or somebody listens there.
+        InputError: the socket cannot be made, or another process owns the path.
     """
 
     def __init__(
@@ -64,18 +63,17 @@ class FaultInjector:
         encoder: Encoder,
         options: RunOptions,
         packet_bytes: tuple[int, int],
-        order_of_port: Callable[[dict[str, Any]], None],
-        order_of_device: Callable[[tuple[Event, ...]], None],
-        changes: Changes,
+        inject_into_port: Callable[[dict[str, Any]], None],
+        inject_into_device: Callable[[tuple[DeviceEvent, ...]], None],
         observers: Sequence[Observer],
     ) -> None:
-        self._scenario = self._asked = scenario
+        self._scenario = self._accepted = scenario
         self._model, self._encoder = model, encoder
         self._pace, self._can = options.pace, options.port.kind is Kind.CAN
         self._packet_bytes, self._room_bytes = packet_bytes
-        self._order_of_port, self._order_of_device = order_of_port, order_of_device
-        self._changes, self._observers = changes, observers
-        self._ordered: list[dict[str, Any]] = []
+        self._inject_into_port, self._inject_into_device = inject_into_port, inject_into_device
+        self._observers = observers
+        self._injected: list[dict[str, Any]] = []
         self._refused = 0
         self._clock = Clock()
         self._warm_up()
@@ -87,51 +85,56 @@ class FaultInjector:
     def __exit__(self, *_: object) -> None:
         self._socket.close()
 
-    def hear(self) -> None:
-        """Check and answer what has arrived."""
+    def receive(self) -> list[Change]:
+        """Check and answer the faults that have arrived; return the accepted ones."""
+        changes: list[Change] = []
         for data, arrived_ns, sender in self._socket.receive():
-            answer = self._answer(data, arrived_ns)
-            self._refused += not answer["accepted"]
+            try:
+                change, answer = self._accept(data, arrived_ns)
+                changes.append(change)
+            except InputError as error:
+                self._refused += 1
+                answer = {"accepted": False, "reason": one_line(str(error))}
             self._socket.answer(json.dumps(answer).encode(), sender)
+        return changes
 
     def to_json(self) -> dict[str, Any]:
-        """Under the names of the summary file; faults as a scenario would state them, to fly them again."""
-        return {"ordered": self._ordered, "refused": self._refused}
+        """The faults, by the keys of the summary file, as a scenario would state them."""
+        return {"injected": self._injected, "refused": self._refused}
 
-    def _answer(self, data: bytes, arrived_ns: int) -> dict[str, Any]:
-        number, begun_ns = len(self._asked.faults), self._clock.now_ns()
-        try:
-            fault = read_fault(data.decode(errors="replace"))
-            if number >= _MOST_FAULTS:
-                raise InputError("faults", None, Finding(f"{number} of them"), f"allowed: {_MOST_FAULTS}")
-            trial = _with_fault(self._asked, fault)
-            self._prepared(trial)
-            self._link_order(trial, number, fault)
-        except InputError as error:
-            return {"accepted": False, "reason": one_line(str(error))}
-        self._asked = trial
-        # What has been built here once will be built again before the first shot that has it.
+    def _accept(self, data: bytes, arrived_ns: int) -> tuple[Change, dict[str, Any]]:
+        number, begun_ns = len(self._accepted.faults), self._clock.now_ns()
+        fault = read_fault(data.decode(errors="replace"))
+        if number >= _MOST_FAULTS:
+            raise InputError("faults", None, Finding(f"{number} of them"), f"allowed: {_MOST_FAULTS}")
+        trial = _with_fault(self._accepted, fault)
+        self._build(trial)
+        self._port_fault(trial, number, fault)
+        self._accepted = trial
+        # What was built here once will be built again before the first shot that has the fault.
         now_ns = self._clock.now_ns()
         ready_ns = now_ns + _MARGIN * (now_ns - begun_ns)
-        self._changes.add(Change(partial(self._apply, number, fault), max(arrived_ns, ready_ns)))
-        return {"accepted": True, "fault": number, "kind": fault.kind}
+        change = Change(partial(self._apply, number, fault), max(arrived_ns, ready_ns))
+        return change, {"accepted": True, "fault": number, "kind": fault.kind}
 
-    def _apply(self, number: int, fault: Order, session: Session) -> None:
+    def _apply(self, number: int, fault: InjectableFault, session: Session) -> None:
         shot = session.next_shot
-        ordered = shifted(fault, shot * self._scenario.timing.period_ns * 1e-9)
-        self._scenario = _with_fault(self._scenario, ordered)
+        injected = shifted(fault, shot * self._scenario.timing.period_ns * 1e-9)
+        self._scenario = _with_fault(self._scenario, injected)
         events = all_events(self._scenario.device, self._scenario.faults)
-        session.use_faults(*self._prepared(self._scenario), events)
-        self._order_of_device(events)
-        order = self._link_order(self._scenario, number, ordered)
-        if order is not None:
-            self._order_of_port(order)
-        self._ordered.append(ordered.model_dump(mode="json", exclude_defaults=True) | {"kind": ordered.kind})
+        session.use_faults(*self._build(self._scenario), events)
+        self._inject_into_device(events)
+        of_port = self._port_fault(self._scenario, number, injected)
+        if of_port is not None:
+            self._inject_into_port(of_port)
+        self._injected.append(
+            injected.model_dump(mode="json", exclude_defaults=True) | {"kind": injected.kind}
+        )
         for observer in self._observers:
-            observer.on_fault_injected(number, ordered, shot)
+            observer.on_fault_injected(number, injected, shot)
 
-    def _prepared(self, scenario: Scenario) -> tuple[Model, FaultyEncoder | None]:
-        """What a session needs for a scenario that differs in its faults."""
+    def _build(self, scenario: Scenario) -> tuple[Model, FaultyEncoder | None]:
+        """The model and the encoder for a scenario with other faults."""
         model = self._model.with_faults(scenario.faults)
         faulty = faulty_encoder(scenario, self._encoder, self._can)
         if faulty is not None and faulty.longest(self._packet_bytes) > self._room_bytes:
@@ -140,18 +143,18 @@ class FaultInjector:
         return model, faulty
 
     def _warm_up(self) -> None:
-        """Import and compile before the run what orders may need."""
+        """Import and compile before the run what faults may need."""
         for fault in _ONE_OF_EACH:
             with suppress(InputError):
-                self._prepared(_with_fault(self._scenario, fault))
+                self._build(_with_fault(self._scenario, fault))
 
-    def _link_order(self, scenario: Scenario, number: int, fault: Order) -> dict[str, Any] | None:
+    def _port_fault(self, scenario: Scenario, number: int, fault: InjectableFault) -> dict[str, Any] | None:
         if not isinstance(fault, LinkFault):
             return None
-        return link_order(scenario, number, fault, None, self._pace, self._can)
+        return port_fault(scenario, number, fault, None, self._pace, self._can)
 
 
-def _with_fault(scenario: Scenario, fault: Order) -> Scenario:
+def _with_fault(scenario: Scenario, fault: InjectableFault) -> Scenario:
     return scenario.model_copy(update={"faults": [*scenario.faults, fault]})
 
 

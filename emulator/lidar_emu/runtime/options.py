@@ -1,4 +1,4 @@
-"""How a scenario is run, and whether it can be run so."""
+"""Options of a run, and checks against the scenario."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from lidar_emu.transports.spec import Kind, PortSpec
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How a scenario is run."""
+    """Options of a run."""
 
     port: PortSpec
     pace: Pace = Pace.WALL
     start: datetime | None = None
-    """UTC instant of scenario time 0; None as soon as the first shots are computed, or, where truth is live, as its
-    first datagram says."""
+    """UTC instant of scenario time 0; None: as soon as the first shots are computed or, with live truth, as the first
+    datagram defines it."""
     on_command: bool = False
     """Scenario time 0 follows the command that makes the device acquire."""
     control: str | None = None
-    """Path of the socket on which faults are ordered in flight; None: none are."""
+    """Path of the socket on which faults are injected in flight; None: there is none."""
 
 
 def live_part(scenario: Scenario, options: RunOptions) -> Live | None:
-    """The live trajectory of a scenario; None if it has another.
+    """The live trajectory of a scenario; None if it has another one.
 
     Raises:
-        InputError: the pace does not fit it.
+        InputError: the pace or the start does not suit it.
     """
     live = scenario.live
     if live is None and options.pace is Pace.LOCKSTEP:
@@ -54,19 +54,19 @@ def live_part(scenario: Scenario, options: RunOptions) -> Live | None:
         raise InputError(
             "--start",
             None,
-            Finding("on-command, and nobody to command"),
+            Finding("on-command on the in-memory loopback"),
             "allowed with --port or --interface",
         )
     return live
 
 
 def port_of(scenario: Scenario, options: RunOptions) -> PortSpec:
-    """The port, with the pulse line that the scenario names."""
+    """The port, with the pulse line of the scenario."""
     return replace(options.port, pulse_line=scenario.device.clock.pulse_line or "")
 
 
 def start_instant_ns(options: RunOptions, clock: Clock) -> int | None:
-    """Scenario time 0 on the monotonic clock; None if that is for the feed to say.
+    """Scenario time 0 on the monotonic clock; None if the feed defines it.
 
     Raises:
         InputError: it lies in the past.

@@ -1,42 +1,71 @@
-"""What a run has where things are to go wrong; what that needs is imported only there."""
+"""Faults of the port, from the scenario to the port process."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict
+from typing import Any
 
-from lidar_emu.runtime.options import RunOptions
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.scenario import faults as kinds
 from lidar_emu.scenario.schema import Scenario
-from lidar_emu.shots.model import Model
-from lidar_emu.transports.spec import Kind
-from lidar_emu.wire import Encoder
 
-if TYPE_CHECKING:
-    from lidar_emu.faults.encoder import FaultyEncoder
+_CAN_ONLY = (kinds.ErrorFrames, kinds.BusOff)
 
 
-def packets_on_order(scenario: Scenario, encoder: Encoder, options: RunOptions) -> FaultyEncoder | None:
-    """None where no packets go wrong.
+def port_faults(scenario: Scenario, end_ns: int | None, pace: Pace, can: bool) -> list[dict[str, Any]]:
+    """The faults of the port, each a `PortFault` as a mapping for JSON; empty if the scenario has none.
 
-    Raises:
-        InputError: a fault is none of this link.
-    """
-    if not scenario.faults:
-        return None
-    from lidar_emu.faults.encoder import faulty_encoder
-
-    return faulty_encoder(scenario, encoder, options.port.kind is Kind.CAN)
-
-
-def port_on_order(scenario: Scenario, model: Model, options: RunOptions) -> list[dict[str, Any]] | None:
-    """The faults of the port; None where there are none and none can be ordered.
+    Args:
+        scenario: scenario of the run.
+        end_ns: end of the run, in scenario time; None: unknown.
+        pace: pace of the run.
+        can: whether the link is a CAN bus.
 
     Raises:
-        InputError: a fault is none of this link, or its time is not that of the clock.
+        InputError: a fault cannot happen on this link, or the pace is not that of the clock.
     """
-    if not (scenario.faults or options.control):
-        return None
-    from lidar_emu.runtime.link_faults import link_orders
+    return [
+        port_fault(scenario, number, fault, end_ns, pace, can)
+        for number, fault in enumerate(scenario.faults)
+        if isinstance(fault, kinds.LinkFault)
+    ]
 
-    end_ns = None if scenario.live else model.shot_count * scenario.timing.period_ns
-    orders = link_orders(scenario, end_ns, options.pace, options.port.kind is Kind.CAN)
-    return orders if orders or options.control else None
+
+def port_fault(
+    scenario: Scenario, number: int, fault: kinds.LinkFault, end_ns: int | None, pace: Pace, can: bool
+) -> dict[str, Any]:
+    """Fault `number` of the scenario; arguments and errors as for `port_faults`."""
+    from lidar_emu.transports.faulty_link import PortFault
+
+    where = f"faults.{number}.kind"
+    if pace is not Pace.WALL:
+        found = Finding(f"{fault.kind} at pace {pace}")
+        raise InputError(
+            scenario.name, where, found, "allowed: --pace wall, for faults of the port follow its clock"
+        )
+    if isinstance(fault, _CAN_ONLY) and not can:
+        found = Finding(f"{fault.kind} on a byte link")
+        raise InputError(scenario.name, where, found, "allowed: on a CAN bus")
+    return asdict(
+        PortFault(
+            number,
+            fault.kind,
+            round(fault.from_s * 1e9),
+            end_ns if fault.to_s is None else round(fault.to_s * 1e9),
+            scenario.seed,
+            _rate(fault),
+            fault.buffer_bytes if isinstance(fault, kinds.SlowLine) else 0,
+        )
+    )
+
+
+def _rate(fault: kinds.LinkFault) -> float:
+    match fault:
+        case kinds.SlowLine():
+            return float(fault.bit_rate)
+        case kinds.Babble():
+            return float(fault.bytes_per_s)
+        case kinds.ErrorFrames():
+            return fault.rate_hz
+    return 0.0

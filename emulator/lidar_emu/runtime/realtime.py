@@ -1,4 +1,4 @@
-"""What the system grants a process that wants to wake up in time, and how to have what it refused."""
+"""Real-time privileges of a process, and how to obtain those that the system refuses."""
 
 from __future__ import annotations
 
@@ -15,57 +15,57 @@ from typing import NamedTuple
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _FIFO_PRIORITY = 10
-_AWAKE_SHARE, _CORES_TO_STAY_AWAKE = 0.2, 3
+_BUSY_WAIT_SHARE, _CORES_FOR_BUSY_WAIT = 0.2, 3
 _ISOLATED = Path("/sys/devices/system/cpu/isolated")
 
 
 @dataclass(frozen=True)
 class RealtimePrivileges:
-    """What was asked for."""
+    """What a process asked for."""
 
     granted: list[str]
-    """Names of what the system gave."""
+    """Names of the privileges that the system granted."""
     missing: dict[str, str]
-    """What it refused, each with the command that would give it; docs/bench-machine.md has more."""
+    """Privileges that it refused, each with the command that grants it; see docs/bench-machine.md."""
 
 
-class _Wish(NamedTuple):
+class _Request(NamedTuple):
     name: str
-    ask: Callable[[], bool]
+    obtain: Callable[[], bool]
     remedy: str
 
 
 def request_realtime(place: int = 0) -> RealtimePrivileges:
-    """Ask for everything that helps this process to wake up in time.
+    """Request everything that helps this process to wake up in time.
 
-    Not for a process that never sleeps: it would keep a core from everybody else.
+    Not for a process that never sleeps: it would block a core for all others.
 
     Args:
-        place: of the isolated cores, which one; two processes that must not disturb each other differ in it.
+        place: index among the isolated cores; two processes that must not disturb each other differ in it.
     """
     gc.collect()
     gc.freeze()
     # Limits of the shell that starts the emulator are enough. A capability would have to be given to the Python
     # interpreter, which in a virtual environment is a link to the whole system's.
-    wishes = (
-        _Wish("timer_slack", _reduce_timer_slack, "a Linux kernel"),
-        _Wish("fifo", _enter_fifo, f"sudo prlimit --pid $$ --rtprio={_FIFO_PRIORITY}"),
-        _Wish("locked_memory", _lock_memory, "sudo prlimit --pid $$ --memlock=unlimited"),
-        _Wish("isolated_core", lambda: _pin(place), f"kernel command line: {_isolation(place)}"),
+    requests = (
+        _Request("timer_slack", _reduce_timer_slack, "a Linux kernel"),
+        _Request("fifo", _enter_fifo, f"sudo prlimit --pid $$ --rtprio={_FIFO_PRIORITY}"),
+        _Request("locked_memory", _lock_memory, "sudo prlimit --pid $$ --memlock=unlimited"),
+        _Request("isolated_core", lambda: _pin(place), f"kernel command line: {_isolation(place)}"),
     )
-    asked = [(wish, wish.ask()) for wish in wishes]
+    results = [(request, request.obtain()) for request in requests]
     return RealtimePrivileges(
-        [wish.name for wish, given in asked if given],
-        {wish.name: wish.remedy for wish, given in asked if not given},
+        [request.name for request, granted in results if granted],
+        {request.name: request.remedy for request, granted in results if not granted},
     )
 
 
 @contextmanager
-def prompt() -> Iterator[None]:
-    """Before all ordinary processes for a while, where that is permitted.
+def realtime_priority() -> Iterator[None]:
+    """Real-time priority in a context, where that is permitted.
 
-    For a process that computes when something arrives. The port's process, which it wakes, has the same priority, and
-    so goes to another core instead of taking this one.
+    For a process that computes when something arrives. The port process, which it wakes, has the same priority, and
+    therefore goes to another core instead of preempting this one.
     """
     before = (os.sched_getscheduler(0), os.sched_getparam(0)) if hasattr(os, "sched_getscheduler") else None
     _enter_fifo()
@@ -77,14 +77,14 @@ def prompt() -> Iterator[None]:
 
 
 def busy_wait_share() -> float:
-    """Of the time, how much a process may stay awake for what it expects: none where a simulator, the model and the
-    port have less than a core each."""
+    """Share of the time that a process may spend in busy waits: 0 where a simulator, the model and the port have less
+    than a core each."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return _AWAKE_SHARE if cores >= _CORES_TO_STAY_AWAKE else 0.0
+    return _BUSY_WAIT_SHARE if cores >= _CORES_FOR_BUSY_WAIT else 0.0
 
 
 def _reduce_timer_slack() -> bool:
-    """The kernel rounds waits up by 50 us unless told otherwise; needs no privilege."""
+    """Without this the kernel rounds waits up by 50 us; needs no privilege."""
     try:
         libc = ctypes.CDLL(None, use_errno=True)
         return int(libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)) == 0
@@ -93,7 +93,7 @@ def _reduce_timer_slack() -> bool:
 
 
 def _enter_fifo() -> bool:
-    """Before all ordinary processes, where that is permitted; all threads, for each may hold the interpreter's lock."""
+    """SCHED_FIFO for all threads, for each may hold the interpreter's lock."""
     try:
         for thread in Path("/proc/self/task").iterdir():
             os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(_FIFO_PRIORITY))
@@ -103,10 +103,10 @@ def _enter_fifo() -> bool:
 
 
 def _lock_memory() -> bool:
-    """Keep every page in memory, those of later allocations too.
+    """Lock every page in memory, including later allocations.
 
-    Under a finite limit that lock would make a later allocation fail in mid-run. So it is asked for where there is no
-    limit, or by privilege: with a limit of 0 the kernel grants it to the privileged alone.
+    Under a finite limit the lock would make a later allocation fail in mid-run. It is requested where there is no
+    limit, or by privilege: with a limit of 0 the kernel grants it to privileged processes alone.
     """
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     unlimited = limit[0] == resource.RLIM_INFINITY
@@ -123,9 +123,9 @@ def _lock_memory() -> bool:
 
 
 def _pin(place: int) -> bool:
-    """Move to an isolated core, where nobody else runs.
+    """Move to an isolated core, where nothing else runs.
 
-    Among others' processes a pinned one is not earlier: where its core is busy in the kernel, it cannot go elsewhere.
+    On a shared core a pinned process is no earlier: while that core is busy in the kernel, it cannot go elsewhere.
     """
     cores = isolated_cores()
     try:

@@ -1,4 +1,4 @@
-"""What a run makes of the signals that are meant to end it."""
+"""Signals that end a run."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from threading import current_thread, main_thread
 
 @contextmanager
 def on_signals(act: Callable[..., None]) -> Iterator[None]:
-    """Let SIGINT, SIGTERM and SIGHUP do something else for a while.
+    """Handle SIGINT, SIGTERM and SIGHUP by `act` in a context.
 
-    A signal that is ignored stays so: a shell's background job is not meant to hear Ctrl-C. Threads other than
-    the main one have no say in this.
+    A signal that is ignored stays ignored: Ctrl-C is not meant for a shell's background job. Outside the main thread
+    nothing changes.
     """
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if current_thread() is main_thread() else ()
     previous = {number: signal.getsignal(number) for number in numbers}
-    heard = [number for number in numbers if previous[number] is not signal.SIG_IGN]
-    for number in heard:
+    handled = [number for number in numbers if previous[number] is not signal.SIG_IGN]
+    for number in handled:
         signal.signal(number, act)
     try:
         yield
     finally:
-        for number in heard:
+        for number in handled:
             signal.signal(number, previous[number])

@@ -1,4 +1,4 @@
-"""What a run amounted to: counted while it flies, told at its end."""
+"""The summary of a run: counted while it runs, written at its end."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ import numpy as np
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.runtime.lateness import LatenessHistogram
+from lidar_emu.runtime.lateness import LatenessHistogram, RollingLateness
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryStatus, Report
-from lidar_emu.runtime.rolling_lateness import RollingLateness
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.shots.model import Model
 
@@ -27,7 +26,7 @@ _DROPS = {
 
 @dataclass
 class ErrorStatistics:
-    """Moments of an error, added up."""
+    """Moments of an error."""
 
     count: int = 0
     total: float = 0.0
@@ -35,7 +34,7 @@ class ErrorStatistics:
     largest: float = 0.0
 
     def add(self, error: FloatArray) -> None:
-        """Add errors; NaN is passed over."""
+        """Add errors; NaN is ignored."""
         known = error[np.isfinite(error)]
         if known.size:
             self.count += known.size
@@ -63,9 +62,9 @@ class Tally:
     speed_error_mps: ErrorStatistics = field(default_factory=ErrorStatistics)
     reasons: list[Counter[int]] = field(default_factory=list)
     faults: Counter[str] = field(default_factory=Counter)
-    """Shots on which a fault acted, by its kind."""
+    """Shots that a fault affected, by its kind."""
     silent: int = 0
-    """Shots that the device did not fire, by its mode or by its rate."""
+    """Shots that the device did not fire, because of its mode or its rate."""
 
     def measured(self, block: Measurement) -> None:
         """Add shots whose delivery status is known."""
@@ -76,7 +75,7 @@ class Tally:
         for beam, counts in enumerate(self.reasons):
             counts.update(block.reason[:, beam].tolist())
 
-    def report(self, report: Report, silent: bool = False) -> None:
+    def report(self, report: DeliveryReport, silent: bool = False) -> None:
         """Count the delivery status of a packet; `silent`: the device sent none."""
         self.statuses[report.status] += 1
         self.silent += silent and report.status is DeliveryStatus.SUPPRESSED
@@ -86,7 +85,7 @@ class Tally:
             self.windows.add(report.due_ns, lateness_ns)
 
     def missed(self) -> None:
-        """A shot was late before it was computed."""
+        """Count a shot that was late before it was computed."""
         self.statuses[DeliveryStatus.LATE] += 1
 
     @property
@@ -110,7 +109,7 @@ class Tally:
         return sum(self.statuses[status] for status in _DROPS)
 
     def to_json(self) -> dict[str, Any]:
-        """The counts under the names of the summary file."""
+        """The counts, by the keys of the summary file."""
         return {
             "shots": {
                 "due": self.due,
@@ -133,32 +132,46 @@ class Tally:
         }
 
 
-def of_scenario(scenario: FlightScenario | BenchScenario, model: Model) -> dict[str, Any]:
-    """What is known of a run before it, under the names of the summary file."""
-    decided = scenario.live is None or scenario.duration_s is not None  # else by the simulator
+@dataclass
+class Outcome:
+    """Result of a run."""
+
+    tally: Tally
+    details: dict[str, Any]
+    error: str | None
+    """Why the run ended early, if that is an error."""
+
+    def to_json(self) -> dict[str, Any]:
+        """The summary file."""
+        return {**self.details, **self.tally.to_json()}
+
+
+def planned_summary(scenario: FlightScenario | BenchScenario, model: Model) -> dict[str, Any]:
+    """What is known before the run, by the keys of the summary file."""
+    has_end = scenario.live is None or scenario.duration_s is not None  # otherwise the simulator decides
     return {
         "scenario": scenario.name,
         "seed": scenario.seed,
         "epoch": scenario.timing.epoch.isoformat(),
         "rate_hz": scenario.timing.rate_hz,
-        "planned_shots": model.shot_count if decided else None,
+        "planned_shots": model.shot_count if has_end else None,
         **_expectation(scenario, model),
         "left_out": [row for row in model.plan.rows() if not row["computed"]],
     }
 
 
 def _expectation(scenario: FlightScenario | BenchScenario, model: Model) -> dict[str, Any]:
-    """What the closed forms expect of the run, under the names of the summary file; null for a bench pattern and
-    for a flight that is not known yet."""
+    """Expected errors by closed forms, by the keys of the summary file; null for a bench pattern and for a flight
+    that is not known yet."""
     names = ("expected_range_error_m", "expected_speed_error_mps", "expected_dropout")
     if scenario.live or not isinstance(scenario, FlightScenario) or model.flight is None:
         return dict.fromkeys(names)
     from lidar_emu.plan.expected_error import expected_error
 
-    told = expected_error(scenario, model.flight, model.plan.beamlets).to_json()
+    expected = expected_error(scenario, model.flight, model.plan.beamlets).to_json()
     values = (
-        {"mean": told["range_bias_m"], "rms": told["range_rms_m"]},
-        {"mean": told["speed_bias_mps"], "rms": told["speed_rms_mps"]},
-        told["dropout"],
+        {"mean": expected["range_bias_m"], "rms": expected["range_rms_m"]},
+        {"mean": expected["speed_bias_mps"], "rms": expected["speed_rms_mps"]},
+        expected["dropout"],
     )
     return dict(zip(names, values, strict=True))

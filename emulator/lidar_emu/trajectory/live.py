@@ -58,7 +58,7 @@ class LiveTrajectory:
             self._take(truth)
         return verdict
 
-    def rehearse(self, truth: Truth) -> None:
+    def warm_up(self, truth: Truth) -> None:
         """What it takes to accept a truth, without any consequence."""
         with self.pretending(truth):
             self._judge(truth, None)

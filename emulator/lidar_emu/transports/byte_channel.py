@@ -62,7 +62,7 @@ class DescriptorChannel:
         return self._descriptor
 
     def connected(self) -> bool:
-        """Always: a cable does not tell."""
+        """Always true: a cable cannot be sensed."""
         return True
 
     def send(self, payload: bytes) -> bool:
@@ -85,13 +85,13 @@ class DescriptorChannel:
         for _, happened in self._poll.poll(0):
             data = self._read() if happened & select.POLLIN else b""
             if not data:
-                # Readable and yet nothing to read is how a vanished device looks.
+                # A vanished device is readable, and reads nothing.
                 raise LinkLostError("the other end is gone")
             return data
         return b""
 
     def take_diagnostics(self) -> LinkDiagnostics:
-        """Nothing: bytes have no news of their own."""
+        """Always empty: a byte link has no diagnostics."""
         return NOTHING
 
     def unread(self) -> int:
@@ -129,7 +129,7 @@ class PtyChannel(DescriptorChannel):
         # Cooked mode would eat control bytes and echo the rest.
         tty.setraw(slave)
         path = os.ttyname(slave)
-        # With our slave end closed, a hang-up says that nobody else has it open.
+        # With our slave end closed, a hang-up means that no other program has it open.
         os.close(slave)
         super().__init__(master, path, lambda: os.close(master))
         self._had_reader = False
@@ -138,29 +138,29 @@ class PtyChannel(DescriptorChannel):
         """Whether a program has the other end open."""
         hung_up = any(happened & select.POLLHUP for _, happened in self._poll.poll(0))
         if hung_up and self._had_reader:
-            # What the last reader left is stale for the next one, who starts with a whole packet.
+            # Unread bytes are stale for the next reader, which starts with a whole packet.
             self._rest = b""
             self._on_slave(lambda slave: termios.tcflush(slave, termios.TCIFLUSH))
         self._had_reader = not hung_up
         return not hung_up
 
     def send(self, payload: bytes) -> bool:
-        """Take the whole packet (True) or nothing of it (False: the line is full, or nobody is there)."""
-        # Somebody who was there is not asked for again before each packet.
+        """Take the whole packet (True) or nothing of it (False: the line is full, or there is no reader)."""
+        # A known reader is not checked again before each packet.
         return (self._had_reader or self.connected()) and super().send(payload)
 
     def receive(self) -> bytes:
-        """What has arrived; empty if nothing, or nobody is there."""
+        """What has arrived; empty if nothing, or if there is no reader."""
         ready = self._poll.poll(0)
         if not any(happened & select.POLLIN for _, happened in ready):
             return b""
         try:
             return self._read()
-        except LinkLostError:  # EIO: the reader left, and the next one may come
+        except LinkLostError:  # EIO: the reader has closed its end, and another may open it
             return b""
 
     def unread(self) -> int:
-        """Bytes that the reader has not fetched: closing the master throws them away."""
+        """Bytes that the reader has not fetched: closing the master discards them."""
         counts = [0]
         self._on_slave(lambda slave: counts.append(queued_bytes(slave, termios.FIONREAD)))
         return len(self._rest) + counts[-1]
@@ -181,7 +181,7 @@ class PtyChannel(DescriptorChannel):
 
 
 def queued_bytes(descriptor: int, request: int = termios.TIOCOUTQ) -> int:
-    """Bytes in a queue of the descriptor, that of output unless said otherwise; 0 where it has none, or is gone."""
+    """Bytes in a queue of the descriptor, by default the output queue; 0 if it has none, or is closed."""
     count = bytearray(_INT.size)
     with suppress(OSError):
         fcntl.ioctl(descriptor, request, count)

@@ -1,6 +1,6 @@
-"""Adapters for which python-can itself would wait: slcan on a serial line, and a bus behind a network.
+"""Adapters on which python-can itself would block: slcan on a serial line, and a bus behind a network.
 
-Their bytes go out by a channel of ours, which takes whole lines or nothing.
+Their bytes are written through a channel that takes whole lines or nothing.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import Any
 from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.spec import PortSpec
 
-_FRAME_PATIENCE_S = 1.0
+_MESSAGE_TIMEOUT_S = 1.0
 
 
-class _Patient:
-    """Stands in for a serial port or a socket whose writing would wait for a full line, or spin."""
+class _NonBlocking:
+    """Replaces a serial port or a socket that would block, or spin, while the line is full."""
 
     def __init__(self, original: Any, lines: DescriptorChannel) -> None:
         self._original = original
@@ -38,30 +38,30 @@ class _Patient:
         return getattr(self._original, name)
 
 
-def patient_slcan(bus: Any, spec: PortSpec) -> DescriptorChannel:
-    """Write an slcan bus' lines by the channel that this returns."""
+def nonblocking_slcan(bus: Any, spec: PortSpec) -> DescriptorChannel:
+    """Make an slcan bus write its lines through the returned channel."""
     if spec.fd:
         bus.set_bitrate(spec.bitrate, spec.data_bitrate)
     port = bus.serialPortOrig
     lines = DescriptorChannel(port.fileno(), str(spec), port.close)
-    bus.serialPortOrig = _Patient(port, lines)
+    bus.serialPortOrig = _NonBlocking(port, lines)
     return lines
 
 
-def patient_remote(bus: Any, spec: PortSpec) -> DescriptorChannel:
-    """Write the messages of python-can-remote's bus by the channel that this returns."""
+def nonblocking_remote(bus: Any, spec: PortSpec) -> DescriptorChannel:
+    """Make a bus of python-can-remote write its messages through the returned channel."""
     protocol, sock = bus.remote_protocol, bus.socket
     lines = DescriptorChannel(sock.fileno(), str(spec), sock.close)
-    # A message of which the end does not come is waited for no longer than this.
-    sock.settimeout(_FRAME_PATIENCE_S)
-    protocol._ws.socket = _Patient(sock, lines)
+    # The end of a message must follow within this time.
+    sock.settimeout(_MESSAGE_TIMEOUT_S)
+    protocol._ws.socket = _NonBlocking(sock, lines)
 
-    def take_leave() -> None:
-        """Its own would wait for the server's answer for ever."""
+    def shut_down() -> None:
+        """The library's own function would wait for the server's answer for ever."""
         with suppress(Exception):
             protocol.close()
         lines.close()
         bus._is_shutdown = True
 
-    bus.shutdown = take_leave
+    bus.shutdown = shut_down
     return lines

@@ -1,4 +1,4 @@
-"""Frames as python-can's messages, and back."""
+"""Conversion of frames to python-can messages and back."""
 
 from __future__ import annotations
 

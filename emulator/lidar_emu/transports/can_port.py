@@ -1,4 +1,4 @@
-"""CAN through python-can: whole sets of frames, without waiting."""
+"""CAN through python-can: whole sets of frames, without blocking."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from lidar_emu.errors import InputError, one_line
 from lidar_emu.transports.byte_channel import DescriptorChannel
-from lidar_emu.transports.can_adapters import patient_remote, patient_slcan
+from lidar_emu.transports.can_adapters import nonblocking_remote, nonblocking_slcan
 from lidar_emu.transports.can_messages import frame_of, message_of
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, LinkDiagnostics, LinkLostError
@@ -22,9 +22,9 @@ from lidar_emu.transports.spec import PortSpec
 if TYPE_CHECKING:
     import can
 
-_RECEIVE_AT_MOST = 16  # what python-can takes for more would make a shot late
+_RECEIVE_AT_MOST = 16  # decoding more in python-can would delay a shot
 _FULL_ERRNOS = (errno.ENOBUFS, errno.EAGAIN)
-_PATIENT = {"slcan": patient_slcan, "remote": patient_remote}
+_NONBLOCKING = {"slcan": nonblocking_slcan, "remote": nonblocking_remote}
 
 
 class CanChannel:
@@ -39,7 +39,7 @@ class CanChannel:
         self._lines = lines
         self._rest: deque[can.Message] = deque()
         self._descriptor = _descriptor_of(bus)
-        self._noticed = LinkDiagnostics()
+        self._diagnostics = LinkDiagnostics()
         self._controller: str | None = None
         self._lost_frames = 0
 
@@ -55,12 +55,12 @@ class CanChannel:
 
     @property
     def writable(self) -> int | None:
-        """Descriptor to wait on for room, where it tells the truth."""
+        """Descriptor to wait on for room, if it is reliable."""
         # SocketCAN's is writable even while frames are refused.
         return None if self._lines is None else self._lines.writable
 
     def connected(self) -> bool:
-        """Always: a bus does not tell."""
+        """Always true: a bus cannot be sensed."""
         return True
 
     def send(self, payload: bytes) -> bool:
@@ -90,23 +90,23 @@ class CanChannel:
             if message is None:
                 break
             if message.is_error_frame:
-                self._notice_error(message)
+                self._count_error(message)
             elif message.is_remote_frame:
-                self._noticed.counts["ignored_frames"] += 1
+                self._diagnostics.counts["ignored_frames"] += 1
             else:
                 frames.append(frame_of(message))
-        self._notice_losses()
+        self._count_losses()
         return pack_frames(frames)
 
     def take_diagnostics(self) -> LinkDiagnostics:
-        """Error frames, frames that make no sense, frames lost on the way in; since the last call."""
-        if self._noticed == NOTHING:
+        """Error frames, ignored frames and frames lost on reception since the last call."""
+        if self._diagnostics == NOTHING:
             return NOTHING
-        noticed, self._noticed = self._noticed, LinkDiagnostics()
-        return noticed
+        diagnostics, self._diagnostics = self._diagnostics, LinkDiagnostics()
+        return diagnostics
 
     def unread(self) -> int:
-        """Bytes on their way to an slcan adapter; frames on a bus are nobody's to lose."""
+        """Bytes on their way to an slcan adapter; frames on a bus cannot be lost by closing it."""
         return 0 if self._lines is None else self._lines.unread()
 
     def close(self) -> None:
@@ -125,36 +125,38 @@ class CanChannel:
                 self._bus.send(messages[0], timeout=0)
             except LinkLostError:
                 raise
-            except Exception as error:  # an adapter raises what it likes
+            except Exception as error:  # an adapter may raise anything
                 if _is_full(error):
                     return
                 raise LinkLostError(_text_of(error)) from None
             messages.popleft()
 
-    def _notice_error(self, message: can.Message) -> None:
-        self._noticed.counts["error_frames"] += 1
+    def _count_error(self, message: can.Message) -> None:
+        self._diagnostics.counts["error_frames"] += 1
         if is_bus_off(message.arbitration_id):
-            # The system goes on taking frames without a word, and throws them away.
+            # The system continues to accept frames, and discards them.
             raise LinkLostError("bus off")
         state = controller_state(message.arbitration_id, bytes(message.data))
         if state not in (None, self._controller):
-            self._noticed.events.append(f"CAN controller: {state}")
+            self._diagnostics.events.append(f"CAN controller: {state}")
             self._controller = state
 
-    def _notice_losses(self) -> None:
+    def _count_losses(self) -> None:
         if self._socket is None:
             return
         lost = (lost_frames(self._socket) - self._lost_frames) % 2**32
         if lost:
             self._lost_frames += lost
-            self._noticed.counts["lost_frames"] += lost
-            self._noticed.events.append(f"{lost} received frames lost: they came faster than they were read")
+            self._diagnostics.counts["lost_frames"] += lost
+            self._diagnostics.events.append(
+                f"{lost} received frames lost: they came faster than they were read"
+            )
 
     def _receive_one(self) -> can.Message | None:
         try:
             return self._bus.recv(timeout=0)
         except (ValueError, LookupError):  # a line that is not slcan
-            self._noticed.counts["ignored_frames"] += 1
+            self._diagnostics.counts["ignored_frames"] += 1
             return None
         except Exception as error:
             raise LinkLostError(_text_of(error)) from None
@@ -164,19 +166,19 @@ def open_can(spec: PortSpec) -> CanChannel:
     """Open the bus that `spec` names.
 
     Raises:
-        InputError: no such interface or channel, or values that the adapter cannot do.
+        InputError: no such interface or channel, or values that the adapter does not support.
     """
     import can
 
-    # Everything that matters is raised; the library's own log lines would end up between the user's.
+    # Everything that matters is raised; the library's log lines would mix with the user's output.
     logging.getLogger("can").setLevel(logging.CRITICAL)
     if spec.interface not in can.VALID_INTERFACES:
         known = ", ".join(sorted(can.VALID_INTERFACES - {"virtual"}))
         raise InputError("--interface", None, spec.interface, f"allowed: {known}")
     try:
         bus = can.Bus(interface=spec.interface, channel=spec.channel, ignore_config=True, **_settings(spec))
-        lines = _PATIENT[spec.interface](bus, spec) if spec.interface in _PATIENT else None
-    except Exception as error:  # without its vendor's driver an interface raises what it likes
+        lines = _NONBLOCKING[spec.interface](bus, spec) if spec.interface in _NONBLOCKING else None
+    except Exception as error:  # without its vendor's driver an interface may raise anything
         reason = f"it cannot be opened: {_kind_of(error)}{_text_of(error)}"
         raise InputError("--channel", None, f"{spec.interface} {spec.channel}", reason) from None
     channel = CanChannel(bus, str(spec), lines)
@@ -229,11 +231,11 @@ def _is_full(error: Exception) -> bool:
 
 
 def _kind_of(error: Exception) -> str:
-    """The name of an error whose text alone would say too little."""
+    """The name of an error whose text alone is not enough."""
     from can import CanError
 
-    speaks_for_itself = isinstance(error, CanError | OSError | ValueError)
-    return "" if speaks_for_itself else f"{type(error).__name__}: "
+    is_clear = isinstance(error, CanError | OSError | ValueError)
+    return "" if is_clear else f"{type(error).__name__}: "
 
 
 def _text_of(error: BaseException) -> str:

@@ -1,4 +1,4 @@
-"""Datagram sockets by address: made, and bound or connected, or closed again."""
+"""Datagram sockets by address, bound or connected."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ Join = Callable[[socket.socket, Any], None]
 
 
 def udp_socket(place: str, join: Join) -> socket.socket:
-    """A UDP socket that joins `HOST:PORT`, which IPv6 has in brackets.
+    """A UDP socket that joins `HOST:PORT`, with an IPv6 host in brackets.
 
     Raises:
         OSError: there is no such host, or it cannot be joined.
-        ValueError: that is no address.
+        ValueError: it is not an address.
     """
     host, _, number = place.rpartition(":")
     port = int(number)

@@ -1,8 +1,8 @@
-"""CAN frames, and a shot's frames as one run of bytes.
+"""CAN frames, and the frames of a shot as one byte string.
 
 A record is: identifier u32, flags u8 (1 FD, 2 bit rate switch, 4 extended identifier), length u8, data;
 little-endian. A packet for a CAN port is a concatenation of records, so that rings and pipes carry bytes
-whatever the link.
+on every kind of link.
 """
 
 from __future__ import annotations

@@ -6,11 +6,11 @@ import select
 
 from lidar_emu.errors import InputError
 from lidar_emu.transports.frames import Frame, unpack_frames
-from lidar_emu.transports.link import Channel, LinkLostError
+from lidar_emu.transports.link import LinkLostError, PortChannel
 from lidar_emu.transports.opening import Opener, opener
 from lidar_emu.transports.spec import Kind, PortSpec
 
-_LOOK_AGAIN_S = 0.01
+_POLL_S = 0.01
 
 
 class _Host:
@@ -18,11 +18,11 @@ class _Host:
 
     def __init__(self, open_channel: Opener) -> None:
         self._open = open_channel
-        self._channel: Channel | None = open_channel()
+        self._channel: PortChannel | None = open_channel()
         self.description = self._channel.description
         """Name of the port; of a pty, the path that the other side opens."""
         self.times_lost = 0
-        """How often the link broke."""
+        """Number of breaks of the link."""
 
     def close(self) -> None:
         """Give the port back."""
@@ -65,8 +65,8 @@ class _Host:
             data = channel.receive()
             if data or left_s <= 0:
                 return data
-            _pause(min(_LOOK_AGAIN_S, left_s))
-            left_s -= _LOOK_AGAIN_S
+            _pause(min(_POLL_S, left_s))
+            left_s -= _POLL_S
 
     def _reopen(self) -> bool:
         try:

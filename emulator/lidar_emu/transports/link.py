@@ -1,4 +1,4 @@
-"""A link that is never waited for: it takes whole packets or drops them, and comes back after a break."""
+"""A link that never blocks: it takes whole packets or drops them, and is opened again with back-off after a break."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from lidar_emu.errors import InputError
 
 _FIRST_RETRY_NS = 100_000_000
 _LAST_RETRY_NS = 2_000_000_000
-_LOOK_AGAIN_NS = 50_000_000
-_TRY_AGAIN_NS = 1_000_000
+_POLL_NS = 50_000_000
+_RETRY_ROOM_NS = 1_000_000
 
 
 class DeliveryStatus(IntEnum):
-    """What became of a packet."""
+    """Delivery status of a packet."""
 
     SENT = 0
     """Handed to the link in whole."""
     LATE = 1
-    """Skipped: its time had passed by more than what is allowed."""
+    """Skipped: it was overdue by more than the limit."""
     DROPPED_FULL = 2
     """The line was still busy with earlier packets."""
     DROPPED_NOBODY = 3
-    """Nobody has the other end of the pty open."""
+    """No program has the other end of the pty open."""
     DROPPED_BROKEN = 4
     """The link was broken."""
     SUPERSEDED = 5
-    """Never sent: a command has changed the shot, and another packet takes its place."""
+    """Not sent: a command has changed the shot, and another packet replaces it."""
     SUPPRESSED = 6
-    """Nothing was to be sent: the device sends none, or a fault that was ordered has taken the packet away."""
+    """Not sent: the device sends none in its mode, or a fault has removed the packet."""
 
 
 class LinkLostError(Exception):
@@ -40,18 +40,18 @@ class LinkLostError(Exception):
 
 
 COUNTED = ("error_frames", "ignored_frames", "lost_frames")
-"""What is counted besides data: error frames, frames without data of ours, frames (or datagrams) that came too fast."""
+"""Counted besides data: error frames, ignored frames, frames (or datagrams) lost because they came too fast."""
 
 
 @dataclass
 class LinkDiagnostics:
-    """What happened on a link besides its data."""
+    """Events and counts of a link, besides its data."""
 
     events: list[str] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
-    """Under the names of `COUNTED`."""
+    """Counts by the names of `COUNTED`."""
     pulse_ns: int | None = None
-    """When the last pulse came, on the monotonic clock; None: none has."""
+    """When the last synchronisation pulse began, on the monotonic clock; None: there was none."""
 
 
 NOTHING = LinkDiagnostics()
@@ -59,18 +59,18 @@ NOTHING = LinkDiagnostics()
 
 @dataclass(frozen=True)
 class DriverFeatures:
-    """What a port's driver was asked for that a link can do without."""
+    """Optional features that a link requests from the driver of its port."""
 
     granted: tuple[str, ...] = ()
     missing: Mapping[str, str] = field(default_factory=dict)
-    """What it does not have, each with what would have it."""
+    """Features that the driver lacks, each with a remedy."""
 
 
 NO_DRIVER_FEATURES = DriverFeatures()
 
 
-class Channel(Protocol):
-    """An open port. No call waits; every call but `close` may raise LinkLostError."""
+class PortChannel(Protocol):
+    """An open port. No call blocks; every call but `close` may raise LinkLostError."""
 
     description: str
     driver_features: DriverFeatures
@@ -81,26 +81,26 @@ class Channel(Protocol):
 
     @property
     def readable(self) -> int | None:
-        """Descriptor to wait on for something to `receive`; None: look from time to time."""
+        """Descriptor to wait on for something to `receive`; None: poll from time to time."""
 
     @property
     def writable(self) -> int | None:
         """Descriptor to wait on for room; None: try from time to time."""
 
     def connected(self) -> bool:
-        """Whether somebody is at the other end, as far as can be known."""
+        """Whether the other end is connected, as far as can be known."""
 
     def send(self, payload: bytes) -> bool:
-        """Take the whole packet (True) or nothing of it (False: the line is full, or nobody is `connected`)."""
+        """Take the whole packet (True) or nothing of it (False: the line is full, or not `connected`)."""
 
     def flush(self) -> bool:
         """Complete a packet that was partly written; True if none is left."""
 
     def receive(self) -> bytes:
-        """What has arrived (CAN: frame records), also from one who left since; empty if nothing."""
+        """What has arrived (CAN: frame records), even if its sender has closed its end since; empty if nothing."""
 
     def take_diagnostics(self) -> LinkDiagnostics:
-        """What was noticed since the last call; does not raise."""
+        """Events and counts since the last call; does not raise."""
 
     def unread(self) -> int:
         """Bytes taken that have not left the line or, on a pty, were not fetched by its reader."""
@@ -116,18 +116,18 @@ class Link:
         InputError: the port cannot be opened at the start.
     """
 
-    def __init__(self, open_channel: Callable[[], Channel]) -> None:
+    def __init__(self, open_channel: Callable[[], PortChannel]) -> None:
         self._open = open_channel
-        self._channel: Channel | None = open_channel()
+        self._channel: PortChannel | None = open_channel()
         self.description = self._channel.description
-        self._somebody = True
+        self._connected = True
         self._retry_at_ns = 0
         self._back_off_ns = _FIRST_RETRY_NS
         self._events: list[tuple[int, str]] = []
         self.counts: Counter[str] = Counter()
-        """Under the names of `COUNTED`, over all times that the link was open."""
+        """Counts by the names of `COUNTED`, over all the times that the link was open."""
         self.pulse_ns: int | None = None
-        """When the last pulse came on the port's pulse line, on the monotonic clock; None: none has."""
+        """When the last pulse began on the port's pulse line, on the monotonic clock; None: there was none."""
 
     def send(self, payload: bytes, now_ns: int) -> DeliveryStatus:
         """Send a packet or drop it."""
@@ -136,13 +136,13 @@ class Link:
             return DeliveryStatus.DROPPED_BROKEN
         try:
             taken = channel.send(payload)
-            if not (taken and self._somebody):
+            if not (taken and self._connected):
                 self._is_connected(channel, now_ns)
         except LinkLostError as lost:
             self._lose(str(lost), now_ns)
             return DeliveryStatus.DROPPED_BROKEN
         if not taken:
-            return DeliveryStatus.DROPPED_FULL if self._somebody else DeliveryStatus.DROPPED_NOBODY
+            return DeliveryStatus.DROPPED_FULL if self._connected else DeliveryStatus.DROPPED_NOBODY
         self._back_off_ns = _FIRST_RETRY_NS
         return DeliveryStatus.SENT
 
@@ -174,7 +174,7 @@ class Link:
 
     @property
     def driver_features(self) -> DriverFeatures:
-        """What the port's driver was asked for besides, as it is now."""
+        """Optional features of the port's driver."""
         return NO_DRIVER_FEATURES if self._channel is None else self._channel.driver_features
 
     @property
@@ -186,7 +186,7 @@ class Link:
     def unread(self) -> int:
         """Bytes taken that have not left the line or, on a pty, were not fetched by its reader."""
         try:
-            return 0 if self._channel is None or not self._somebody else self._channel.unread()
+            return 0 if self._channel is None or not self._connected else self._channel.unread()
         except LinkLostError:
             return 0
 
@@ -194,13 +194,13 @@ class Link:
     def readable(self) -> list[int]:
         """Descriptors to wait on for something to receive."""
         # Without a reader a pty's descriptor is readable (hung up) for ever.
-        descriptor = self._channel.readable if self._channel and self._somebody else None
+        descriptor = self._channel.readable if self._channel and self._connected else None
         return [] if descriptor is None else [descriptor]
 
     @property
     def writable(self) -> list[int]:
         """Descriptors to wait on for room."""
-        descriptor = self._channel.writable if self._channel and self._somebody else None
+        descriptor = self._channel.writable if self._channel and self._connected else None
         return [] if descriptor is None else [descriptor]
 
     def wake_ns(self, now_ns: int, wants_room: bool) -> int | None:
@@ -208,15 +208,15 @@ class Link:
         if self._channel is None:
             return self._retry_at_ns
         if (wants_room or self.pending) and not self.writable:
-            return now_ns + _TRY_AGAIN_NS
-        return None if self.readable else now_ns + _LOOK_AGAIN_NS
+            return now_ns + _RETRY_ROOM_NS
+        return None if self.readable else now_ns + _POLL_NS
 
-    def note(self, text: str, now_ns: int) -> None:
-        """Add to what happened to the link."""
+    def add_event(self, text: str, now_ns: int) -> None:
+        """Add an event of the link."""
         self._events.append((now_ns, text))
 
     def take_events(self) -> list[tuple[int, str]]:
-        """What happened to the link since the last call: (monotonic time in ns, text)."""
+        """Events of the link since the last call: (monotonic time in ns, text)."""
         events, self._events = self._events, []
         return events
 
@@ -226,30 +226,30 @@ class Link:
             self._channel.close()
             self._channel = None
 
-    def _is_connected(self, channel: Channel, now_ns: int) -> bool:
-        somebody = channel.connected()
-        if somebody != self._somebody:
-            self._somebody = somebody
-            self.note("connected" if somebody else "nobody connected", now_ns)
-        return somebody
+    def _is_connected(self, channel: PortChannel, now_ns: int) -> bool:
+        connected = channel.connected()
+        if connected != self._connected:
+            self._connected = connected
+            self.add_event("connected" if connected else "nobody connected", now_ns)
+        return connected
 
-    def _take_diagnostics(self, channel: Channel, now_ns: int) -> None:
-        noticed = channel.take_diagnostics()
-        if noticed is NOTHING:
+    def _take_diagnostics(self, channel: PortChannel, now_ns: int) -> None:
+        diagnostics = channel.take_diagnostics()
+        if diagnostics is NOTHING:
             return
-        self.counts += noticed.counts
-        if noticed.pulse_ns is not None:
-            self.pulse_ns = noticed.pulse_ns
-        for text in noticed.events:
-            self.note(text, now_ns)
+        self.counts += diagnostics.counts
+        if diagnostics.pulse_ns is not None:
+            self.pulse_ns = diagnostics.pulse_ns
+        for text in diagnostics.events:
+            self.add_event(text, now_ns)
 
     def _lose(self, text: str, now_ns: int) -> None:
         if self._channel is not None:
             self._take_diagnostics(self._channel, now_ns)
         self.close()
-        self._somebody = True
+        self._connected = True
         self._retry_later(now_ns)
-        self.note(f"link broken: {text}", now_ns)
+        self.add_event(f"link broken: {text}", now_ns)
 
     def _reopen(self, now_ns: int) -> None:
         try:
@@ -257,7 +257,7 @@ class Link:
         except InputError:
             self._retry_later(now_ns)
         else:
-            self.note("reopened", now_ns)
+            self.add_event("reopened", now_ns)
 
     def _retry_later(self, now_ns: int) -> None:
         # The back-off starts anew with the next packet sent: a port that opens but fails at once stays quiet.

@@ -1,4 +1,4 @@
-"""Pulses on a modem line that comes in: when the last one began.
+"""Synchronisation pulses (PPS) on a modem input line: when the last one began.
 
 Source: serial_core.c and usb-serial.c of Linux, where TIOCMIWAIT waits until one of the lines changes.
 """
@@ -13,13 +13,13 @@ from collections.abc import Callable
 from contextlib import suppress
 
 MODEM_LINES = {"cts": termios.TIOCM_CTS, "dsr": termios.TIOCM_DSR, "cd": termios.TIOCM_CD}
-"""Those that come in, with their bits."""
+"""Input lines, with their bits."""
 
 
 class PulseLine:
     """Watches a line in a thread of its own, which notes the time at once, whatever else the process does.
 
-    A pulse begins with a rising edge. One that is over before the thread has looked is none: milliseconds are enough.
+    A pulse begins with a rising edge. It is missed if it ends before the thread reads the line; milliseconds suffice.
 
     Args:
         terminal: descriptor of the port; it must stay open until `close`.
@@ -31,20 +31,20 @@ class PulseLine:
         self.last_ns: int | None = None
         """When the last pulse began, on the monotonic clock; None: there was none."""
         self._port, self._line, self._now_ns = terminal, line, now_ns
-        # Nothing but an edge, or the end of the process, frees a thread that waits for one. With a descriptor of its
-        # own it never waits on what the number stands for later.
+        # Only an edge, or the end of the process, releases a waiting thread. With a descriptor of its own it never
+        # waits on another file that takes the same number later.
         self._terminal = os.dup(terminal)
         self._failure: list[str] = []
         self._closed = False
         threading.Thread(target=self._watch, daemon=True).start()
 
     def take_failure(self) -> list[str]:
-        """Why no pulses will be told of, once; nothing while they are."""
+        """Why pulses are no longer detected, once; empty while they are."""
         failure, self._failure = self._failure, []
         return failure
 
     def close(self) -> None:
-        """Tell of no more pulses, and let others open the port though the thread may still have it open."""
+        """Stop, and let others open the port though the thread may still have it open."""
         self._closed = True
         with suppress(OSError):
             fcntl.flock(self._port, fcntl.LOCK_UN)

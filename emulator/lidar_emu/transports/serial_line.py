@@ -1,4 +1,4 @@
-"""A serial device: besides bytes it has settings, a driver with gifts, and other programs that want it.
+"""A serial device: its settings, optional features of its driver, and other programs that use it.
 
 Sources: ioctl_tty(2), termios(3), linux/serial.h, asm-generic/ioctls.h.
 """
@@ -25,13 +25,13 @@ _REMEDIES = {"low_latency": "a serial driver that has it", "rs485": "a serial dr
 
 
 class SerialChannel(DescriptorChannel):
-    """An open device. Nobody else may open it from here on; whoever had it open already can still change its settings,
-    which are then set again.
+    """An open device, locked against other programs. A program that had it open already can still change its settings;
+    they are then set again.
 
     Args:
         port: of pyserial, open and set up.
         spec: the port as the user named it.
-        now_ns: instant of the monotonic clock; without it no pulses are told of.
+        now_ns: instant of the monotonic clock; without it pulses are not detected.
     """
 
     def __init__(self, port: Any, spec: PortSpec, now_ns: Callable[[], int] | None = None) -> None:
@@ -41,29 +41,29 @@ class SerialChannel(DescriptorChannel):
         super().__init__(self._tty, spec.path, port.close, self._reader.descriptor)
         self.driver_features = ask_driver(port, spec)
         self._settings = _settings_of(self._tty)
-        self._noticed = LinkDiagnostics(modem_lines(self._tty))
-        # A pty outlives us: to whoever holds its other end the mark would stay.
+        self._diagnostics = LinkDiagnostics(modem_lines(self._tty))
+        # A pty outlives this process: the mark would stay for the program at its other end.
         self._marked = not _is_pty(self._tty) and _ask(self._tty, termios.TIOCEXCL)
         self._pulses = PulseLine(self._tty, spec.pulse_line, now_ns) if spec.pulse_line and now_ns else None
 
     def take_diagnostics(self) -> LinkDiagnostics:
-        """The modem lines as they were found, pulses, and whether another program has changed the settings."""
+        """The initial modem lines, pulses, and whether another program has changed the settings."""
         if self._settings is not None and _settings_of(self._tty) not in (self._settings, None):
             with suppress(OSError):
                 fcntl.ioctl(self._tty, _TCSETS2, self._settings)
-            self._noticed.events.append(
+            self._diagnostics.events.append(
                 "another program has changed the settings of the port; they were set again"
             )
         if self._pulses is not None:
-            self._noticed.pulse_ns = self._pulses.last_ns
-            self._noticed.events += self._pulses.take_failure()
-        if self._noticed == NOTHING:
+            self._diagnostics.pulse_ns = self._pulses.last_ns
+            self._diagnostics.events += self._pulses.take_failure()
+        if self._diagnostics == NOTHING:
             return NOTHING
-        noticed, self._noticed = self._noticed, LinkDiagnostics()
-        return noticed
+        diagnostics, self._diagnostics = self._diagnostics, LinkDiagnostics()
+        return diagnostics
 
     def close(self) -> None:
-        """Give the device back, to everybody; never raises."""
+        """Give the device back and unlock it; never raises."""
         if self._marked:
             _ask(self._tty, termios.TIOCNXCL)
         if self._pulses is not None:
@@ -73,22 +73,22 @@ class SerialChannel(DescriptorChannel):
 
 
 def ask_driver(port: Any, spec: PortSpec) -> DriverFeatures:
-    """Ask the driver of a pyserial port for what a link can do without."""
+    """Request optional features from the driver of a pyserial port."""
     from serial.rs485 import RS485Settings
 
-    wishes: dict[str, Callable[[], None]] = {"low_latency": lambda: port.set_low_latency_mode(True)}
+    requests: dict[str, Callable[[], None]] = {"low_latency": lambda: port.set_low_latency_mode(True)}
     if spec.rs485:
-        wishes["rs485"] = lambda: setattr(port, "rs485_mode", RS485Settings())
+        requests["rs485"] = lambda: setattr(port, "rs485_mode", RS485Settings())
     granted = []
-    for name, wish in wishes.items():
+    for name, request in requests.items():
         with suppress(OSError, ValueError, NotImplementedError):
-            wish()
+            request()
             granted.append(name)
-    return DriverFeatures(tuple(granted), {name: _REMEDIES[name] for name in wishes if name not in granted})
+    return DriverFeatures(tuple(granted), {name: _REMEDIES[name] for name in requests if name not in granted})
 
 
 def modem_lines(descriptor: int) -> list[str]:
-    """A line of text on the modem lines that come in; none where the port has none."""
+    """A line of text with the states of the modem input lines; empty if the port has none."""
     try:
         bits = modem_bits(descriptor)
     except OSError:
@@ -109,7 +109,7 @@ def users_of(path: str) -> str:
 
 
 def _settings_of(descriptor: int) -> bytes | None:
-    """The settings as the system keeps them, with any bit rate; None where it does not tell."""
+    """The settings as the system stores them, with any bit rate; None if they cannot be read."""
     try:
         return fcntl.ioctl(descriptor, _TCGETS2, bytes(_SETTINGS_BYTES))
     except OSError:

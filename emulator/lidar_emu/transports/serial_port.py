@@ -13,7 +13,7 @@ from typing import Any
 
 from lidar_emu.errors import InputError, one_line
 from lidar_emu.transports.byte_channel import DescriptorChannel, PtyChannel
-from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, Channel, LinkDiagnostics, LinkLostError
+from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, LinkDiagnostics, LinkLostError, PortChannel
 from lidar_emu.transports.serial_line import SerialChannel, users_of
 from lidar_emu.transports.spec import Kind, PortSpec
 
@@ -21,7 +21,7 @@ _LOOPBACK_BUFFER_BYTES = 4 << 20
 _URL_WRITE_TIMEOUT_S = 0.1
 _CONNECT_TIMEOUT_S = 1.0
 _WRAPPING_SCHEMES = ("loop", "spy", "cp2110")
-_IAC = b"\xff"  # what a telnet stream doubles
+_IAC = b"\xff"  # a telnet stream doubles this byte
 _RECEIVE_AT_MOST_BYTES = 1024
 _IN_USE = "in use by another program"
 _REASONS = {
@@ -43,13 +43,13 @@ def loopback_pair() -> tuple[socket.socket, socket.socket]:
     return device, host
 
 
-def open_loopback(descriptor: int) -> Channel:
+def open_loopback(descriptor: int) -> PortChannel:
     """One end of the in-memory link, by its descriptor, which belongs to the channel from here on."""
     return DescriptorChannel(descriptor, str(PortSpec()), lambda: os.close(descriptor))
 
 
-def open_byte_channel(spec: PortSpec, now_ns: Callable[[], int] | None = None) -> Channel:
-    """Open a serial device, a pyserial URL or a new pty; without a clock it tells of no pulses.
+def open_byte_channel(spec: PortSpec, now_ns: Callable[[], int] | None = None) -> PortChannel:
+    """Open a serial device, a pyserial URL or a new pty; without a clock pulses are not detected.
 
     Raises:
         InputError: it cannot be opened.
@@ -57,15 +57,15 @@ def open_byte_channel(spec: PortSpec, now_ns: Callable[[], int] | None = None) -
     return PtyChannel() if spec.kind is Kind.PTY else _open_serial(spec, now_ns)
 
 
-def _open_serial(spec: PortSpec, now_ns: Callable[[], int] | None) -> Channel:
+def _open_serial(spec: PortSpec, now_ns: Callable[[], int] | None) -> PortChannel:
     if spec.scheme == "socket":
         return _open_tcp(spec)
     import serial
 
-    patience_s = _URL_WRITE_TIMEOUT_S if spec.scheme in _WRAPPING_SCHEMES else None
+    write_timeout_s = _URL_WRITE_TIMEOUT_S if spec.scheme in _WRAPPING_SCHEMES else None
     try:
         port = serial.serial_for_url(
-            spec.path, baudrate=spec.baud, timeout=0, write_timeout=patience_s, exclusive=True
+            spec.path, baudrate=spec.baud, timeout=0, write_timeout=write_timeout_s, exclusive=True
         )
     except (OSError, termios.error) as error:  # SerialException is an OSError
         raise InputError("--port", None, spec.path, _reason(error, spec.path)) from None
@@ -73,7 +73,7 @@ def _open_serial(spec: PortSpec, now_ns: Callable[[], int] | None) -> Channel:
         if spec.scheme:
             allowed = f"{_reason(error, spec.path)}; allowed: pyserial's URLs"
             raise InputError("--port", None, spec.path, allowed) from None
-        raise InputError("--baud", None, spec.baud, "allowed: a bit rate that the port can do") from None
+        raise InputError("--baud", None, spec.baud, "allowed: a bit rate that the port supports") from None
     if spec.scheme == "rfc2217":
         return TelnetChannel(port, spec.path)
     if spec.scheme in _WRAPPING_SCHEMES:
@@ -81,8 +81,8 @@ def _open_serial(spec: PortSpec, now_ns: Callable[[], int] | None) -> Channel:
     return SerialChannel(port, spec, now_ns)
 
 
-def _open_tcp(spec: PortSpec) -> Channel:
-    """Bytes as they are over TCP. pyserial can do that, too, but waits 0.3 s whenever it closes such a port."""
+def _open_tcp(spec: PortSpec) -> PortChannel:
+    """Raw bytes over TCP. pyserial waits 0.3 s whenever it closes such a port."""
     host, _, number = spec.path.partition("://")[2].rpartition(":")
     try:
         if not number.isdecimal():
@@ -104,8 +104,8 @@ def _reason(error: Exception, path: str) -> str:
 
 
 class TelnetChannel(DescriptorChannel):
-    """A port behind a terminal server (RFC 2217): pyserial reads and negotiates, packets are written here, since its
-    own `write` waits for seconds where the other end does not read."""
+    """A port behind a terminal server (RFC 2217): pyserial reads and negotiates; packets are written here, for its
+    `write` blocks for seconds while the other end does not read."""
 
     readable = None
 
@@ -121,7 +121,7 @@ class TelnetChannel(DescriptorChannel):
         """What has arrived, a bounded number of bytes; empty if nothing."""
         data = b""
         try:
-            # It hands out one at a time where it must not wait.
+            # Without blocking it returns one byte at a time.
             while len(data) < _RECEIVE_AT_MOST_BYTES and (byte := self._port.read(1)):
                 data += byte
         except (OSError, termios.error) as error:
@@ -130,19 +130,19 @@ class TelnetChannel(DescriptorChannel):
         return data
 
     def _hang_up(self) -> None:
-        """pyserial's farewell takes 0.3 s, for which nobody waits, and leaves a broken socket open."""
+        """Close in a thread: pyserial takes 0.3 s, and leaves a broken socket open."""
 
-        def take_leave() -> None:
+        def close() -> None:
             self._port.close()
             self._socket.close()
 
-        threading.Thread(target=take_leave, daemon=True).start()
+        threading.Thread(target=close, daemon=True).start()
 
 
 class UrlChannel:
     """A pyserial port that has no descriptor of its own to write to (loop://, spy://).
 
-    Its `write` may wait for a short while; a packet that did not fit in that time counts as dropped.
+    Its `write` may block for a short time; a packet that was not written by then counts as dropped.
     """
 
     driver_features = NO_DRIVER_FEATURES
@@ -155,7 +155,7 @@ class UrlChannel:
         self._port = port
 
     def connected(self) -> bool:
-        """Always, while it is open."""
+        """Always true while the port is open."""
         return True
 
     def send(self, payload: bytes) -> bool:
@@ -171,7 +171,7 @@ class UrlChannel:
         return True
 
     def flush(self) -> bool:
-        """Nothing is ever left."""
+        """Always true: nothing is ever left."""
         return True
 
     def receive(self) -> bytes:
@@ -182,11 +182,11 @@ class UrlChannel:
             raise LinkLostError(one_line(str(error))) from None
 
     def take_diagnostics(self) -> LinkDiagnostics:
-        """Nothing: bytes have no news of their own."""
+        """Always empty: a byte link has no diagnostics."""
         return NOTHING
 
     def unread(self) -> int:
-        """Not known."""
+        """Always 0: unknown."""
         return 0
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""What Linux knows about a CAN interface and a socket besides the frames, and what error frames mean.
+"""State of a SocketCAN interface and its socket besides the frames, and the meaning of error frames.
 
 Sources: linux/can/error.h, linux/if.h, linux/sock_diag.h; netdevice(7), socket(7).
 """
@@ -26,43 +26,43 @@ _CONTROLLER_STATES = {0x30: "error passive", 0x0C: "error warning", 0x40: "error
 
 
 def prepare_socket(sock: socket.socket, spec: PortSpec) -> None:
-    """Give an opened socket room, and see whether its frames can leave: it opens on a dead interface, too.
+    """Enlarge the receive buffer of an opened socket, and check that its interface is up.
 
     Raises:
-        InputError: they cannot.
+        InputError: frames cannot leave the interface.
     """
     enlarge_receive_buffer(sock)
     try:
-        option, trouble = _trouble(sock, spec)
+        option, problem = _problem(sock, spec)
     except OSError as error:
-        option, trouble = "--channel", f"it cannot be opened: {error.strerror}"
-    if trouble:
-        raise InputError(option, None, f"{spec.interface} {spec.channel}", trouble)
+        option, problem = "--channel", f"it cannot be opened: {error.strerror}"
+    if problem:
+        raise InputError(option, None, f"{spec.interface} {spec.channel}", problem)
 
 
 def enlarge_receive_buffer(sock: socket.socket) -> None:
-    """A reader that is slow for a moment loses frames; give it room, as far as the system allows."""
+    """A reader that is slow for a moment would lose frames; enlarge the buffer as far as the system allows."""
     for option in (socket.SO_RCVBUF, _SO_RCVBUFFORCE):
         with suppress(OSError):
             sock.setsockopt(socket.SOL_SOCKET, option, _RECEIVE_BUFFER_BYTES)
 
 
 def lost_frames(sock: socket.socket) -> int:
-    """Frames that the system has thrown away because the socket was not read in time; counted modulo 2**32."""
+    """Frames that the system has discarded because the socket was not read in time; counted modulo 2**32."""
     try:
-        told = sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
+        answer = sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
     except OSError:  # before Linux 4.12
         return 0
-    return int(_MEMINFO.unpack(told)[_MEMINFO_DROPS]) if len(told) == _MEMINFO.size else 0
+    return int(_MEMINFO.unpack(answer)[_MEMINFO_DROPS]) if len(answer) == _MEMINFO.size else 0
 
 
 def is_bus_off(error_class: int) -> bool:
-    """Whether an error frame with this identifier says that the controller has left the bus."""
+    """Whether an error frame with this identifier reports bus-off."""
     return bool(error_class & _BUS_OFF)
 
 
 def controller_state(error_class: int, data: bytes) -> str | None:
-    """The state that an error frame says the controller has come into, where it says so."""
+    """The controller state that an error frame reports, if it does."""
     if error_class & _RESTARTED:
         return "restarted after bus-off"
     if error_class & _CONTROLLER and len(data) > 1:
@@ -72,8 +72,8 @@ def controller_state(error_class: int, data: bytes) -> str | None:
     return None
 
 
-def _trouble(sock: socket.socket, spec: PortSpec) -> tuple[str, str]:
-    """The option at fault, and why the interface cannot carry the frames of this port; empty if it can."""
+def _problem(sock: socket.socket, spec: PortSpec) -> tuple[str, str]:
+    """The wrong option, and why the interface cannot carry the frames of this port; empty if it can."""
     flags = _ask(sock, spec.channel, _SIOCGIFFLAGS)
     if not flags & _IFF_UP:
         return "--channel", f"the interface is down: ip link set {spec.channel} up"

@@ -1,4 +1,4 @@
-"""Which port to open, and the rules for naming it."""
+"""The port as the user specifies it, and the rules for the options."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _THIS_MACHINE = "127.0.0.1"
 
 
 class Kind(StrEnum):
-    """What sort of port it is."""
+    """Kind of a port."""
 
     LOOPBACK = "loopback"
     SERIAL = "serial"
@@ -28,20 +28,20 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class PortSpec:
-    """A port as the user named it."""
+    """A port as the user specified it."""
 
     kind: Kind = Kind.LOOPBACK
     path: str = ""
     """Device path or pyserial URL (serial); HOST:PORT of the other end (UDP)."""
     baud: int = DEFAULT_BAUD
-    """Bits per second on a serial line; on a pty, which has none, of the line that it stands for. On UDP of the line
+    """Bits per second on a serial line; on a pty, which has none, of the line that it represents; on UDP of the line
     behind the bridge, or 0."""
     rs485: bool = False
     """Whether the driver is to enable the transmitter while it sends (serial)."""
     pulse_line: str = ""
-    """Modem line whose rising edges are pulses (serial), named as in `pulse_line`; empty: none is."""
+    """Modem line whose rising edges are synchronisation pulses (serial), named as in `pulse_line`; empty: none."""
     interface: str = ""
-    """python-can's name of the adapter's kind (CAN), and so the following."""
+    """python-can interface name (CAN), e.g. socketcan; the following fields are for CAN as well."""
     channel: str = ""
     bitrate: int = DEFAULT_BITRATE
     """Bits per second; with CAN FD, of the arbitration phase."""
@@ -75,7 +75,7 @@ class PortSpec:
                 return f"{self.interface} {self.channel}"
 
     def to_json(self) -> dict[str, Any]:
-        """As values that JSON knows."""
+        """The fields as JSON values."""
         return asdict(self)
 
     @classmethod
@@ -94,7 +94,7 @@ def parse_port(
     data_bitrate: int | None = None,
     rs485: bool = False,
 ) -> PortSpec:
-    """The port that these options name together; None stands for an option that was not given.
+    """The port that these options specify together; None: the option was not given.
 
     Raises:
         InputError: two ports at once, an option of the other kind of port, or a value out of range.
@@ -152,7 +152,7 @@ def _can(
             "--interface",
             None,
             interface,
-            "it ends with its process; allowed: socketcan (vcan0), slcan or another of python-can's",
+            "it ends with its process; allowed: socketcan (vcan0), slcan or another python-can interface",
         )
     if not channel:
         raise InputError("--channel", None, channel or "nothing", "allowed: the channel of the CAN interface")

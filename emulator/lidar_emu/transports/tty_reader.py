@@ -1,8 +1,8 @@
-"""A terminal read in a thread of its own, so that nobody else waits for what the kernel does with its input.
+"""Reads a terminal in a thread of its own, so that the sender never waits for the kernel's terminal input.
 
-Whoever polls or reads a terminal first waits for the kernel's worker that carries the bytes to it (n_tty_poll flushes
-the port's work), and that worker has no more than ordinary priority: on a busy machine a host that says 1000 commands a
-second made shots late by milliseconds. Behind a pipe it does not.
+A process that polls or reads a terminal first waits for the kernel worker that delivers the bytes (n_tty_poll flushes
+the port's work queue), and that worker has ordinary priority: on a busy machine a host that sent 1000 commands a second
+delayed shots by milliseconds. Behind a pipe it does not.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from contextlib import suppress
 
 _PIPE_BYTES = 4096
 _F_SETPIPE_SZ = 1031
-_LEAVE_S = 1.0
+_STOP_LIMIT_S = 1.0
 
 
 class TtyReader:
-    """Passes a terminal's input on into a small pipe; the pipe ends where the terminal does.
+    """Copies the input of a terminal into a small pipe; the pipe ends when the terminal does.
 
     Args:
         terminal: its descriptor, non-blocking. It must stay open until `close`.
@@ -29,24 +29,24 @@ class TtyReader:
         self._terminal = terminal
         self.descriptor, self._pipe = os.pipe()
         """To read from."""
-        with suppress(OSError):  # a short one: what waits in it is heard late
+        with suppress(OSError):  # a short one: bytes that wait in it are late
             fcntl.fcntl(self._pipe, _F_SETPIPE_SZ, _PIPE_BYTES)
-        self._leave_out, self._leave = os.pipe()
-        self._thread = threading.Thread(target=self._carry, daemon=True)
+        self._stop_out, self._stop = os.pipe()
+        self._thread = threading.Thread(target=self._copy, daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """Stop reading, and give the pipe back."""
-        os.close(self.descriptor)  # whoever waits for room in it is freed
-        os.close(self._leave)
-        self._thread.join(_LEAVE_S)
+        os.close(self.descriptor)  # releases a thread that waits for room
+        os.close(self._stop)
+        self._thread.join(_STOP_LIMIT_S)
 
-    def _carry(self) -> None:
+    def _copy(self) -> None:
         poll = select.poll()
         poll.register(self._terminal, select.POLLIN)
-        poll.register(self._leave_out, 0)  # told of a hang-up all the same
+        poll.register(self._stop_out, 0)  # a hang-up is reported in any case
         with suppress(OSError):
-            while not any(descriptor == self._leave_out for descriptor, _ in poll.poll()):
+            while not any(descriptor == self._stop_out for descriptor, _ in poll.poll()):
                 try:
                     data = os.read(self._terminal, _PIPE_BYTES)
                 except BlockingIOError:
@@ -55,4 +55,4 @@ class TtyReader:
                     break
                 os.write(self._pipe, data)
         os.close(self._pipe)
-        os.close(self._leave_out)
+        os.close(self._stop_out)

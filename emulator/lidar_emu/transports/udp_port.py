@@ -1,6 +1,6 @@
 """UDP: a datagram per packet, framed as on a byte link, so that a bridge can pass it on to a UART as it is.
 
-The device talks to one address and hears nobody else; the host binds that address and answers whom it heard last.
+The device exchanges datagrams with one address only; the host binds that address and answers the last sender.
 Sources: udp(7), ip(7), socket(7).
 """
 
@@ -25,10 +25,10 @@ _NOBODY = (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.EHOSTDOWN)
 
 
 class UdpChannel:
-    """The device's end: a socket that is connected to its peer, so that the system keeps all others away.
+    """The device's end: a socket that is connected to its peer, so that the system drops datagrams of all others.
 
-    A datagram that nobody takes is known where the other machine says so: at once on this machine, by the next packet
-    across a network, never through a firewall that is silent. Each packet is tried all the same.
+    An unreceived datagram is known if the other machine reports it: at once on this machine, by the next packet across
+    a network, never through a silent firewall. Each packet is tried in any case.
     """
 
     pending = False
@@ -37,8 +37,8 @@ class UdpChannel:
     def __init__(self, sock: socket.socket, description: str) -> None:
         self.description = description
         self._socket = sock
-        self._somebody = True
-        self._noticed = NOTHING
+        self._connected = True
+        self._diagnostics = NOTHING
         self._lost = 0
         sock.setblocking(False)
         enlarge_receive_buffer(sock)
@@ -54,23 +54,23 @@ class UdpChannel:
         return self._socket.fileno()
 
     def connected(self) -> bool:
-        """Whether the last packet was not refused, as far as is known."""
-        self._somebody &= not self._refused()
-        return self._somebody
+        """Whether the last packet was received, as far as is known."""
+        self._connected &= not self._refused()
+        return self._connected
 
     def send(self, payload: bytes) -> bool:
-        """Take the whole packet (True) or nothing of it (False: no room, or nobody there)."""
+        """Take the whole packet (True) or nothing of it (False: no room, or no receiver)."""
         refused_before = self._refused()
         try:
             self._put(payload)
         except OSError as error:
             return self._not_sent(error)
         refused_now = self._refused()
-        self._somebody = not (refused_before or refused_now)
+        self._connected = not (refused_before or refused_now)
         return not refused_now
 
     def flush(self) -> bool:
-        """Nothing is ever left: a datagram goes whole or not at all."""
+        """Always true: a datagram is sent whole or not at all."""
         return True
 
     def receive(self) -> bytes:
@@ -83,15 +83,15 @@ class UdpChannel:
                 break
             except OSError as error:
                 self._not_sent(error)
-        if arrived:  # be it an empty one
-            self._somebody = True
-            self._notice_losses()
+        if arrived:  # even an empty one
+            self._connected = True
+            self._count_losses()
         return b"".join(arrived)
 
     def take_diagnostics(self) -> LinkDiagnostics:
-        """Datagrams that came faster than they were read."""
-        noticed, self._noticed = self._noticed, NOTHING
-        return noticed
+        """Datagrams that were lost because they came faster than they were read."""
+        diagnostics, self._diagnostics = self._diagnostics, NOTHING
+        return diagnostics
 
     def unread(self) -> int:
         """Bytes that have not left this machine, with the system's overhead."""
@@ -101,13 +101,13 @@ class UdpChannel:
         """Give the address back."""
         self._socket.close()
 
-    def _notice_losses(self) -> None:
+    def _count_losses(self) -> None:
         lost = (lost_frames(self._socket) - self._lost) % 2**32
         if lost:
             self._lost += lost
             text = f"{lost} received datagrams lost: they came faster than they were read"
-            self._noticed = LinkDiagnostics(
-                [*self._noticed.events, text], self._noticed.counts + Counter(lost_frames=lost)
+            self._diagnostics = LinkDiagnostics(
+                [*self._diagnostics.events, text], self._diagnostics.counts + Counter(lost_frames=lost)
             )
 
     def _put(self, payload: bytes) -> None:
@@ -117,20 +117,20 @@ class UdpChannel:
         return self._socket.recv(_LONGEST_BYTES)
 
     def _refused(self) -> bool:
-        """Whether the system has heard, since it was last asked, that a packet found nobody."""
+        """Whether the system reports, since the last call, that a packet found no receiver."""
         return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) in _NOBODY
 
     def _not_sent(self, error: OSError) -> bool:
-        """False, where a packet is lost and the link is not."""
+        """Return False if the packet is lost, but not the link."""
         if error.errno in _NOBODY:
-            self._somebody = False
+            self._connected = False
         elif error.errno not in _FULL:
             raise LinkLostError(error.strerror or str(error)) from None
         return False
 
 
 class UdpHostChannel(UdpChannel):
-    """The host's end: hears everybody who knows its address, and answers the last."""
+    """The host's end: receives from every sender, and answers the last one."""
 
     def __init__(self, sock: socket.socket, description: str) -> None:
         super().__init__(sock, description)
@@ -138,7 +138,7 @@ class UdpHostChannel(UdpChannel):
 
     def _put(self, payload: bytes) -> None:
         if self._peer is None:
-            raise ConnectionRefusedError(errno.ECONNREFUSED, "nobody has been heard")
+            raise ConnectionRefusedError(errno.ECONNREFUSED, "nothing was received yet")
         self._socket.sendto(payload, self._peer)
 
     def _get(self) -> bytes:

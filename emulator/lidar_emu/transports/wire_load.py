@@ -1,4 +1,4 @@
-"""How much of a link's capacity a stream of packets takes: known before the run."""
+"""Share of a link's capacity that a stream of packets takes, known before the run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def wire_load(spec: PortSpec, payload: bytes, rate_hz: float) -> float:
     """Share of the link's capacity that `rate_hz` packets a second take; above 1 they do not fit.
 
     Args:
-        spec: the port. A pty has no bit rate of its own: its `baud` is that of the line it stands for.
+        spec: the port. A pty has no bit rate of its own: its `baud` is the rate of the line that it represents.
         payload: the longest packet of the run, framed for the port (CAN: frame records).
         rate_hz: packets per second.
     """
@@ -24,7 +24,7 @@ def wire_load(spec: PortSpec, payload: bytes, rate_hz: float) -> float:
 
 
 def time_on_link_s(spec: PortSpec, payload: bytes) -> float:
-    """How long a packet takes on the link; 0 where bits take no time. Arguments as for `wire_load`."""
+    """Transmission time of a packet; 0 if bits take no time. Arguments as for `wire_load`."""
     if not spec.has_bit_rate:
         return 0.0
     if spec.kind is Kind.CAN:
@@ -33,7 +33,7 @@ def time_on_link_s(spec: PortSpec, payload: bytes) -> float:
 
 
 def check_wire_load(spec: PortSpec, payload: bytes, rate_hz: float) -> str | None:
-    """A warning where the link will be nearly full, else None. Arguments as for `wire_load`.
+    """A warning if the link will be nearly full, otherwise None. Arguments as for `wire_load`.
 
     Raises:
         InputError: the packets do not fit.
@@ -57,7 +57,7 @@ def check_wire_load(spec: PortSpec, payload: bytes, rate_hz: float) -> str | Non
 
 
 def drain_time_s(spec: PortSpec, unread: int) -> float:
-    """How long the port takes for bytes that it was given and that have not left it; 0 where no bit rate tells."""
+    """Time in which the port sends the bytes that have not left it; 0 if the bit rate is unknown."""
     if spec.kind is not Kind.SERIAL or not spec.has_bit_rate:
         return 0.0
     return SERIAL_BITS_PER_BYTE * unread / spec.baud

@@ -138,7 +138,7 @@ def test_errors_and_bus_off_on_order(start: Start, tmp_path: Path) -> None:
         run.signal(signal.SIGINT)
         run.succeed()
     summary = read_summary(tmp_path / "s.json")
-    assert events(summary) == ["link broken: bus off, as ordered", "reopened"] * 2
+    assert events(summary) == ["link broken: bus off by an injected fault", "reopened"] * 2
     assert summary["wire"]["error_frames"] == 50
     assert summary["shots"]["dropped"]["broken"] > 0
     assert len(slcan_lines.shots(dump.frames())) == summary["shots"]["sent"], "whole or not at all"

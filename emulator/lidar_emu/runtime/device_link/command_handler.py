@@ -1,21 +1,21 @@
-"""What a host says to the device: read, checked, answered, and kept until the shots can follow it."""
+"""Commands of a host: decoded, checked, executed by the device, acknowledged, and returned as changes of the shots."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from lidar_emu.device.commands import OUT_OF_RANGE, Order, Value
+from lidar_emu.device.commands import OUT_OF_RANGE, DeviceCommand, Value
 from lidar_emu.device.state import DeviceState
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.change_queue import Change, Changes
+from lidar_emu.runtime.change_queue import Change
 from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
-from lidar_emu.runtime.device_link.rate_limiter import RateLimiter
 from lidar_emu.runtime.device_link.received_command import ReceivedCommand
 from lidar_emu.runtime.lateness import LatenessHistogram
+from lidar_emu.runtime.observer import Observer
 from lidar_emu.transports.frames import unpack_frames
 from lidar_protocol import (
     BadCommand,
@@ -27,77 +27,106 @@ from lidar_protocol import (
 
 _UNKNOWN = 255
 _VERDICTS = ("accepted", "unknown", "malformed", "bad_sequence", "out_of_state", "out_of_range")
+_BUFFER_BYTES = 4096
+_BYTES_PER_S = 16_000
+"""A thousand commands a second, which take a tenth of a processor."""
+
+
+class RateLimiter:
+    """A token bucket over received bytes: a host that floods the device must not keep it from its shots."""
+
+    def __init__(self) -> None:
+        self._room = float(_BUFFER_BYTES)
+        self._last_ns: int | None = None
+        self.refused_bytes = 0
+
+    def take(self, size: int, arrived_ns: int) -> int:
+        """How many of `size` bytes there is room for; `arrived_ns` is an instant of the monotonic clock."""
+        if self._last_ns is not None:
+            drained = (arrived_ns - self._last_ns) * 1e-9 * _BYTES_PER_S
+            self._room = min(_BUFFER_BYTES, self._room + max(0.0, drained))
+        self._last_ns = arrived_ns
+        taken = min(size, int(self._room))
+        self._room -= taken
+        self.refused_bytes += size - taken
+        return taken
 
 
 class CommandHandler:
-    """The device's ears and mouth on a link.
+    """Handles the commands of a host.
 
     Args:
-        voice: by which it answers, and the interface of which has commands.
-        device: that is commanded.
-        can_date: whether packets can tell a time that the clock may be set to, in nanoseconds since the epoch.
-        changes: where shots find what they are to follow.
-        tell: told of every command, with the number of the first shot that follows it, if one does.
-        answered: told of every answer, and of the scenario time of the command.
+        encoder: encodes acknowledgements; its interface has commands.
+        device: executes the commands.
+        can_date: whether packets can hold a time to which the clock may be set, in nanoseconds since the epoch.
+        send: sends an acknowledgement at once.
+        observers: receive every command, with the first shot that follows it, and every acknowledgement.
 
     Raises:
-        InputError: the interface's acknowledgement cannot be filled.
+        InputError: the interface's acknowledgement has fields that cannot be filled.
     """
 
     def __init__(
         self,
-        voice: DownlinkEncoder,
+        encoder: DownlinkEncoder,
         device: DeviceTimeline,
         can_date: Callable[[int], bool],
-        changes: Changes,
-        tell: Callable[[ReceivedCommand, int | None], None],
-        answered: Callable[[bytes, int], None],
+        send: Callable[[bytes], None],
+        observers: Sequence[Observer],
     ) -> None:
-        self._voice, self._interface = voice, voice.interface
-        self._bytes = None if voice.can else CommandReader(voice.interface, voice.unit)
-        self._frames = CanCommandReader(voice.interface, voice.unit) if voice.can else None
+        self._encoder, self._interface = encoder, encoder.interface
+        self._bytes = None if encoder.can else CommandReader(encoder.interface, encoder.unit)
+        self._frames = CanCommandReader(encoder.interface, encoder.unit) if encoder.can else None
         self._device, self._can_date = device, can_date
-        self._changes, self._tell, self._answered = changes, tell, answered
-        assert voice.interface.commands is not None
-        self._commands = voice.interface.commands
+        self._send, self._observers = send, observers
+        assert encoder.interface.commands is not None
+        self._commands = encoder.interface.commands
         self._sequence: int | None = None
-        self._life = 0
+        self._restarts = 0
         self._verdicts: Counter[str] = Counter()
         self._delay = LatenessHistogram()
-        self._intake = RateLimiter()
+        self._limiter = RateLimiter()
         self._unanswerable = self._ignored_bytes = 0
-        for verdict in _VERDICTS:  # an interface that cannot say them is refused before the run
-            self._check_answer(verdict)
+        for verdict in _VERDICTS:  # an interface that cannot encode them is refused before the run
+            self._check_acknowledgement(verdict)
 
-    def hear(self, data: bytes, arrived_ns: int, time_ns: int, pulse_ns: int | None = None) -> None:
-        """Obey and answer the commands that are complete with these bytes (CAN: frame records).
+    def receive(
+        self, data: bytes, arrived_ns: int, time_ns: int, pulse_ns: int | None = None
+    ) -> list[Change]:
+        """Execute and acknowledge the commands that these bytes complete (CAN: frame records).
 
         Args:
-            arrived_ns: when they came, on the monotonic clock.
+            data: received bytes.
+            arrived_ns: when they arrived, on the monotonic clock.
             time_ns: scenario time.
             pulse_ns: scenario time of the last synchronisation pulse before them; None: there was none.
+
+        Returns:
+            The changes that shots have yet to follow.
         """
         before = self._device.at(time_ns)
         if not before.answers:
             self._ignored_bytes += len(data)
-            return
-        for command in self._read(data, arrived_ns):
-            if before.restarts != self._life:  # a device that has restarted knows of no command before
-                self._life, self._sequence = before.restarts, None
-            heard, after = self._obey(command, time_ns, pulse_ns)
-            if after is not None:
-                self._changes.add(self._change(after, heard, arrived_ns))
+            return []
+        changes: list[Change] = []
+        for command in self._decode(data, arrived_ns):
+            if before.restarts != self._restarts:  # a restart begins a new sequence
+                self._restarts, self._sequence = before.restarts, None
+            received, after = self._execute(command, time_ns, pulse_ns)
+            if after is None:
+                self._notify(received, None)
             else:
-                self._tell(heard, None)
-            self._verdicts[heard.verdict] += 1
-            self._reply(heard)
+                changes.append(self._change(after, received, arrived_ns))
+            self._verdicts[received.verdict] += 1
+            self._acknowledge(received)
             before = self._device.at(time_ns)
             if not before.answers:  # it has restarted
                 break
+        return changes
 
     @property
     def counts(self) -> dict[str, int]:
-        """Under the names of housekeeping."""
+        """The counts, by the names of the housekeeping fields."""
         accepted = self._verdicts["accepted"]
         return {
             "commands_accepted": accepted,
@@ -106,13 +135,13 @@ class CommandHandler:
         }
 
     def to_json(self) -> dict[str, Any]:
-        """The counts under the names of the summary file."""
+        """The counts, by the keys of the summary file."""
         return {
             "accepted": self._verdicts["accepted"],
             "rejected": {word: n for word, n in sorted(self._verdicts.items()) if word != "accepted"},
             "unanswerable": self._unanswerable,
             "skipped_bytes": self._reader.counters.skipped_bytes,
-            "ignored_bytes": self._ignored_bytes + self._intake.refused_bytes,
+            "ignored_bytes": self._ignored_bytes + self._limiter.refused_bytes,
             "delay": self._delay.summary(),
         }
 
@@ -122,61 +151,67 @@ class CommandHandler:
         assert reader is not None
         return reader
 
-    def _read(self, data: bytes, arrived_ns: int) -> list[Command | BadCommand]:
+    def _decode(self, data: bytes, arrived_ns: int) -> list[Command | BadCommand]:
         if self._bytes is not None:
-            return self._bytes.feed(data[: self._intake.take(len(data), arrived_ns)])
+            return self._bytes.feed(data[: self._limiter.take(len(data), arrived_ns)])
         assert self._frames is not None
         commands = []
         for frame in unpack_frames(data):
-            heard = [] if frame.is_extended else self._frames.feed(frame.can_id, frame.data, frame.is_fd)
-            # What others say to each other on the bus takes no room.
-            if heard and self._intake.take(len(frame.data), arrived_ns) == len(frame.data):
-                commands += heard
+            decoded = [] if frame.is_extended else self._frames.feed(frame.can_id, frame.data, frame.is_fd)
+            # Frames of other nodes on the bus take no room.
+            if decoded and self._limiter.take(len(frame.data), arrived_ns) == len(frame.data):
+                commands += decoded
         return commands
 
-    def _obey(
+    def _execute(
         self, command: Command | BadCommand, time_ns: int, pulse_ns: int | None
     ) -> tuple[ReceivedCommand, DeviceState | None]:
-        """The command as it was heard, and the state that it leads to; None where it changes nothing."""
+        """The command with its verdict, and the state of the device after it; None if nothing changes."""
         in_turn = self._in_turn(command)
         if in_turn:
             self._sequence = command.sequence
         if isinstance(command, BadCommand):
-            return ReceivedCommand(
-                time_ns, command.code, {}, command.sequence, command.verdict, pulse_ns
-            ), None
-        values = self._words(command)
-        heard = ReceivedCommand(time_ns, command.name, values, command.sequence, "bad_sequence", pulse_ns)
+            bad = ReceivedCommand(time_ns, command.code, {}, command.sequence, command.verdict, pulse_ns)
+            return bad, None
+        values = self._with_words(command)
+        received = ReceivedCommand(time_ns, command.name, values, command.sequence, "bad_sequence", pulse_ns)
         if not in_turn:
-            return heard, None
+            return received, None
         tone_ns = values.get("tone_ns")
         if isinstance(tone_ns, int) and not self._can_date(tone_ns):
-            return heard._replace(verdict=OUT_OF_RANGE), None
-        order = Order(command.name, values, time_ns, time_ns if pulse_ns is None else pulse_ns)
-        state, verdict = self._device.obey(order)
-        return heard._replace(verdict=verdict), state
+            return received._replace(verdict=OUT_OF_RANGE), None
+        tone_at_ns = time_ns if pulse_ns is None else pulse_ns
+        state, verdict = self._device.execute(DeviceCommand(command.name, values, time_ns, tone_at_ns))
+        return received._replace(verdict=verdict), state
 
-    def _change(self, after: DeviceState, heard: ReceivedCommand, arrived_ns: int) -> Change:
+    def _change(self, after: DeviceState, received: ReceivedCommand, arrived_ns: int) -> Change:
         return Change(
-            lambda session: session.use_device(after), arrived_ns, partial(self._settled, heard, arrived_ns)
+            lambda session: session.use_device(after),
+            arrived_ns,
+            partial(self._applied, received, arrived_ns),
         )
 
-    def _settled(
-        self, heard: ReceivedCommand, arrived_ns: int, shot: int | None, begins_ns: int | None
+    def _applied(
+        self, received: ReceivedCommand, arrived_ns: int, shot: int | None, begins_ns: int | None
     ) -> None:
-        self._tell(heard, shot)
+        self._notify(received, shot)
         if begins_ns is not None:
             self._delay.add(max(0, begins_ns - arrived_ns))
 
+    def _notify(self, received: ReceivedCommand, shot: int | None) -> None:
+        for observer in self._observers:
+            observer.on_command(received, shot)
+
     def _in_turn(self, command: Command | BadCommand) -> bool:
-        """Whether it has the number after the last; `no_op` may have any but the last: the count goes on from it."""
+        """Whether its sequence number follows the last one; `no_op` may have any other number, and restarts the
+        count there."""
         if self._sequence is None:
             return command.sequence is not None
         if isinstance(command, Command) and command.name == "no_op":
             return command.sequence != self._sequence
         return command.sequence == (self._sequence + 1) % self._commands.sequence_steps
 
-    def _words(self, command: Command) -> Mapping[str, Value]:
+    def _with_words(self, command: Command) -> Mapping[str, Value]:
         """The arguments, with the words of enumerations."""
         words = {
             placed.field.name: placed.field.enumeration
@@ -189,30 +224,31 @@ class CommandHandler:
             for name, value in command.values.items()
         }
 
-    def _reply(self, heard: ReceivedCommand) -> None:
-        shown_ns = self._device.at(heard.time_ns).clock.reads_ns(heard.time_ns)
+    def _acknowledge(self, received: ReceivedCommand) -> None:
+        shown_ns = self._device.at(received.time_ns).clock.reads_ns(received.time_ns)
         try:
-            answer = self._answer(heard, shown_ns)
+            payload = self._encode(received, shown_ns)
         except EncodeError:  # a time or a number that the interface's field does not hold
             self._unanswerable += 1
             return
-        if answer is not None:
-            self._voice.say(answer)
-            self._answered(answer, heard.time_ns)
+        if payload is not None:
+            self._send(payload)
+            for observer in self._observers:
+                observer.on_acknowledgement(payload, received.time_ns)
 
-    def _answer(self, heard: ReceivedCommand, shown_ns: int) -> bytes | None:
-        command = _UNKNOWN if heard.command is None else heard.command
+    def _encode(self, received: ReceivedCommand, shown_ns: int) -> bytes | None:
+        command = _UNKNOWN if received.command is None else received.command
         values = {
-            "sequence": heard.sequence or 0,
-            "verdict": heard.verdict,
+            "sequence": received.sequence or 0,
+            "verdict": received.verdict,
             "time_ns": shown_ns,
             "time_s": shown_ns * 1e-9,
         }
-        return self._voice.acknowledgement(self._verdicts.total() - 1, command, values)
+        return self._encoder.acknowledgement(self._verdicts.total() - 1, command, values)
 
-    def _check_answer(self, verdict: str) -> None:
+    def _check_acknowledgement(self, verdict: str) -> None:
         try:
-            self._answer(ReceivedCommand(0, None, {}, None, verdict), 0)
+            self._encode(ReceivedCommand(0, None, {}, None, verdict), 0)
         except EncodeError as error:
             raise InputError(
                 "wire.interface", "acknowledge", verdict, f"it cannot be sent: {error}"

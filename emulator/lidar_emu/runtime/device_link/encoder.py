@@ -1,8 +1,8 @@
-"""How the device says what is no shot: acknowledgements and housekeeping, on bytes or on CAN."""
+"""The downlink besides the shots: acknowledgements and housekeeping, on a byte link or on CAN."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from lidar_emu.runtime.feed.packet_queue import payload_of
@@ -11,7 +11,7 @@ from lidar_protocol.layout import Layout
 
 
 def housekeeping_layouts(interface: Interface, can: bool) -> list[Layout]:
-    """In what a device can say how it is; empty: it cannot."""
+    """Layouts of the housekeeping on a kind of link; empty if there is none."""
     if can:
         blocks = interface.can.housekeeping if interface.can else ()
         return [block.layout for block in blocks]
@@ -19,36 +19,39 @@ def housekeeping_layouts(interface: Interface, can: bool) -> list[Layout]:
 
 
 class DownlinkEncoder:
-    """What one unit can say on one kind of link.
+    """Encodes the acknowledgements and the housekeeping of one unit for one kind of link.
 
     Args:
-        interface: by which it talks.
-        unit: of the device.
+        interface: description of the interface.
+        unit: unit number of the device.
         can: whether the link is a CAN bus.
-        say: sends at once.
     """
 
-    def __init__(self, interface: Interface, unit: int, can: bool, say: Callable[[bytes], None]) -> None:
+    def __init__(self, interface: Interface, unit: int, can: bool) -> None:
         self.interface, self.unit, self.can = interface, unit, can
-        self.say = say
         self._device = Device(interface, unit)
 
     @property
     def has_commands(self) -> bool:
-        """Whether a host can command the device."""
+        """Whether the interface has commands on this link."""
         commands = self.interface.commands
         return commands is not None and (not self.can or all(each.can for each in commands.commands))
 
+    @property
+    def has_housekeeping(self) -> bool:
+        """Whether the interface has housekeeping on this link."""
+        return bool(housekeeping_layouts(self.interface, self.can))
+
     def acknowledgement(self, number: int, command: int | str, values: Mapping[str, Any]) -> bytes | None:
-        """The answer to a command; None where the interface has none.
+        """The acknowledgement of a command; None if the interface has none.
 
         Args:
-            number: how many answers went before.
-            command: its name or code.
-            values: `sequence`, `verdict` and the like.
+            number: number of acknowledgements before this one.
+            command: name or code of the command.
+            values: `sequence`, `verdict` and other fields.
 
         Raises:
-            EncodeError: a value cannot be sent.
+            EncodeError: a value does not fit its field.
         """
         if self.can:
             can = self.interface.can
@@ -60,14 +63,14 @@ class DownlinkEncoder:
         return self._device.acknowledge(number, command, **values)
 
     def housekeeping(self, number: int, values: Mapping[str, Any]) -> bytes:
-        """How the device is.
+        """A housekeeping packet.
 
         Args:
-            number: how many went before.
-            values: by the names of the fields.
+            number: number of housekeeping packets before this one.
+            values: values by the names of the fields.
 
         Raises:
-            EncodeError: a value is missing or cannot be sent.
+            EncodeError: a value is missing or does not fit its field.
         """
         if self.can:
             return payload_of(self._device.housekeeping_frames(values))

@@ -1,8 +1,8 @@
-"""Housekeeping: how the device is, sent at a rate of its own between the shots."""
+"""Housekeeping: telemetry on the device itself, sent at a rate of its own between the shots."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -13,95 +13,95 @@ from lidar_emu.errors import InputError
 from lidar_emu.runtime.device_link.command_handler import CommandHandler
 from lidar_emu.runtime.device_link.encoder import DownlinkEncoder, housekeeping_layouts
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.packets import Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.runtime.summary import Tally
 from lidar_protocol import EncodeError
 
-_SILENT_COUNTS = {"commands_accepted": 0, "commands_rejected": 0, "bad_bytes": 0}
+_NO_COMMANDS = {"commands_accepted": 0, "commands_rejected": 0, "bad_bytes": 0}
 
 
 class HousekeepingSender(Observer):
-    """Composes housekeeping and sends it as the shots pass by: at every pace, and as the device is at that time.
+    """Sends housekeeping as the shots pass by: at every pace, with the state of the device at that scenario time.
 
     Args:
-        voice: by which it is said, and the interface of which has housekeeping.
-        device: that is told of.
+        encoder: encodes it; its interface has housekeeping.
+        device: the device.
         tally: counts shots.
-        commands: counts commands; None where the device hears none.
-        tell: told of what was sent, and of the scenario time that it is about.
+        commands: counts commands; None: the interface has none.
+        send: sends a packet at once.
+        observers: receive every packet, with its scenario time.
 
     Raises:
-        InputError: the interface has fields that cannot be filled.
+        InputError: the interface has housekeeping fields that cannot be filled.
     """
 
     def __init__(
         self,
-        voice: DownlinkEncoder,
+        encoder: DownlinkEncoder,
         device: DeviceTimeline,
         tally: Tally,
         commands: CommandHandler | None,
-        tell: Callable[[bytes, int], None],
+        send: Callable[[bytes], None],
+        observers: Sequence[Observer],
     ) -> None:
-        self._voice = voice
+        self._encoder = encoder
         self._device, self._tally, self._commands = device, tally, commands
-        self._tell = tell
-        self._told: tuple[int, int] | None = None
+        self._send, self._observers = send, observers
+        self._last_period: tuple[int, int] | None = None
         self._truth_age_s: float | None = None
-        self.sent = 0
-        """How many times the device has told how it is."""
-        self.encode_failures = 0
-        """How many times it could not, for want of a word or of room in a field."""
+        self._sent = self._encode_failures = 0
         try:
-            voice.housekeeping(0, self.values(0) | {"mode": self._word(Mode.TRACK)})
+            encoder.housekeeping(0, self.values(0) | {"mode": self._mode_word(Mode.TRACK)})
         except EncodeError as error:
             raise InputError(
                 "wire.interface", "housekeeping", str(error), "allowed: fields of the default interface"
             ) from None
 
-    def on_report(self, packet: Outgoing, report: Report) -> None:  # noqa: ARG002
+    def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
         """Send what is due by the time of this packet."""
-        self.tick(packet.due_ns)
+        self.send_due(packet.due_ns)
 
     def on_truth_used(self, shot: int, age_ns: int, truth_time_ns: int) -> None:  # noqa: ARG002
-        """Remember how old the truth of the last shot was."""
+        """Store the age of the last shot's truth."""
         self._truth_age_s = age_ns * 1e-9
 
-    def tick(self, time_ns: int) -> None:
-        """Send what is due by this scenario time; of several missed instants the last one."""
+    def send_due(self, time_ns: int) -> None:
+        """Send what is due by this scenario time; of several missed instants only the last one."""
         state = self._device.at(time_ns)
         rate_hz = state.settings.housekeeping_rate_hz
         if rate_hz == 0 or not state.answers:
-            self._told = None
+            self._last_period = None
             return
-        # The period that the instant is in, by its length and number: another rate counts at once.
+        # The period that contains the instant, by its length and number: another rate takes effect at once.
         period_ns = round(1e9 / rate_hz)
         period = period_ns, time_ns // period_ns
-        if period != self._told:
-            self._told = period
-            self._send(time_ns)
+        if period != self._last_period:
+            self._last_period = period
+            self._send_at(time_ns)
 
     def start_flight(self) -> None:
         """Scenario time begins anew."""
-        self._told = None
+        self._last_period = None
 
-    def _send(self, time_ns: int) -> None:
-        payload = self.composed(time_ns)
+    def _send_at(self, time_ns: int) -> None:
+        payload = self.encoded(time_ns)
         if not payload:
-            self.encode_failures += 1
+            self._encode_failures += 1
             return
-        self.sent += 1
-        self._voice.say(payload)
-        self._tell(payload, time_ns)
+        self._sent += 1
+        self._send(payload)
+        for observer in self._observers:
+            observer.on_housekeeping(payload, time_ns)
 
-    def composed(self, time_ns: int, **instead: Any) -> bytes:
-        """How the device is at a scenario time, but for these values; empty where the interface has no room for it."""
+    def encoded(self, time_ns: int, **replaced: Any) -> bytes:
+        """The packet at a scenario time, with some values replaced; empty if a value does not fit its field."""
         try:
-            return self._voice.housekeeping(self.sent, self.values(time_ns) | instead)
+            return self._encoder.housekeeping(self._sent, self.values(time_ns) | replaced)
         except EncodeError:
             return b""
 
     def values(self, time_ns: int) -> dict[str, Any]:
-        """How the device is at a scenario time, by the names of the fields."""
+        """Values at a scenario time, by the names of the fields."""
         state = self._device.at(time_ns)
         shown_ns = state.clock.reads_ns(time_ns)
         major, minor, patch = (int(part) for part in __version__.split(".")[:3])
@@ -111,27 +111,31 @@ class HousekeepingSender(Observer):
             "software_major": major,
             "software_minor": minor,
             "software_patch": patch,
-            "mode": self._word(state.mode),
+            "mode": self._mode_word(state.mode),
             "interlock_closed": state.interlock_closed,
             "laser_on": state.measures,
             "clock_locked": state.clock_locked,
-            "temperature_c": state.heat.temperature_c(self._device.rules.heating, time_ns),
+            "temperature_c": state.thermal.temperature_c(self._device.rules.thermal, time_ns),
             "laser_power_w": self._device.rules.laser_power_w if state.measures else 0.0,
             "uptime_s": max(0, time_ns - state.restarted_ns) // 10**9,
             "shots_dropped": self._tally.dropped,
             "shots_late": self._tally.late,
             "truth_age_s": self._truth_age_s,
-            **(_SILENT_COUNTS if self._commands is None else self._commands.counts),
+            **(_NO_COMMANDS if self._commands is None else self._commands.counts),
         }
 
-    def _word(self, mode: Mode) -> str:
-        """The mode, or where the interface has no such word the nearest that it has."""
-        known = self._voice.interface.enumerations.get(self._enumeration or "", {})
+    def to_json(self) -> dict[str, int]:
+        """The counts, by the keys of the summary file."""
+        return {"sent": self._sent, "encode_failures": self._encode_failures}
+
+    def _mode_word(self, mode: Mode) -> str:
+        """The mode in the words of the interface, or the nearest mode that it has."""
+        known = self._encoder.interface.enumerations.get(self._mode_enumeration or "", {})
         nearest = (mode, Mode.TRACK if mode is Mode.ACQUIRE else Mode.STANDBY)
         return next((word for word in nearest if word in known), mode)
 
     @cached_property
-    def _enumeration(self) -> str | None:
-        layouts = housekeeping_layouts(self._voice.interface, self._voice.can)
+    def _mode_enumeration(self) -> str | None:
+        layouts = housekeeping_layouts(self._encoder.interface, self._encoder.can)
         fields = (placed.field for layout in layouts for placed in layout.placed)
         return next((field.enumeration for field in fields if field.name == "mode"), None)

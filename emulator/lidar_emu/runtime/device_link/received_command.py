@@ -1,4 +1,4 @@
-"""A command as the device has heard it."""
+"""A command as the device has received it."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from typing import NamedTuple
 
 
 class ReceivedCommand(NamedTuple):
-    """A command, good or bad, and what the device answered."""
+    """A command, valid or not, and its verdict."""
 
     time_ns: int
-    """Scenario time; before the flight, from power-up."""
+    """Scenario time; before the flight, time from power-up."""
     command: str | int | None
-    """Its name; the code of one that cannot be read; None where that is missing, too."""
+    """Its name; the code of an unreadable command; None if that is missing, too."""
     values: Mapping[str, int | float | str | None]
     """Its arguments."""
     sequence: int | None
+    """Its sequence number."""
     verdict: str
     tone_ns: int | None = None
     """Scenario time of the last pulse before it; None: there was none, or the port has no pulse line."""

@@ -1,134 +1,197 @@
-"""A prescribed flight: shots computed ahead of time, as far as the ring holds them, and again after a command."""
+"""A planned flight: shots are computed ahead of time, as far as the ring holds them, and again after a command."""
 
 from __future__ import annotations
 
 from collections import deque
+from contextlib import AbstractContextManager, nullcontext
 
-from lidar_emu.runtime.change_queue import Change
-from lidar_emu.runtime.feed.base import Desk
+from lidar_emu.runtime.change_queue import Change, ChangeQueue
+from lidar_emu.runtime.feed.base import Feed, RunControl
+from lidar_emu.runtime.feed.packet_queue import PacketQueue
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import Outgoing
-from lidar_emu.session import Block
+from lidar_emu.runtime.port.packets import OutgoingPacket
+from lidar_emu.runtime.port.runner import PortRunner
+from lidar_emu.session import Block, Session
+from lidar_emu.shots.model import Model
+from lidar_emu.trajectory.live_datagram import Truth
+from lidar_emu.wire import Encoder
 
 _LEAD_NS = 100_000_000
 _HEAD_START_NS = 250_000_000
 _REACTION_NS = 3_000_000
-"""What it takes to compute the first shot after a command, and to tell the port: no packet that is due sooner is
-changed."""
+"""Time to compute the first shot after a command and to inform the port: no packet that is due sooner is changed."""
+
+_STILL = (0.0, 0.0, 0.0)
+_FACING_DOWN = (0.0, 0.5**0.5, 0.5**0.5, 0.0)
+_HOVER = Truth(0, 0, (0.0, 0.0, 1000.0), _STILL, _STILL, _FACING_DOWN, _STILL)
 
 
-class AheadFeed:
-    """Computes block after block.
+class PlannedShots:
+    """The shots of a session in blocks, the first of which is computed before the run.
 
     Args:
-        first: the block that has been computed already.
-        block_shots: the longest further one.
-        start_ns: instant of the monotonic clock at scenario time 0; None: once some shots are computed.
-        period_ns: from shot to shot.
+        session: computes the shots.
+        model: model of the session.
+        encoder: encoder of the session.
+        block_shots: shots in the longest block.
+        known: whether the first shots are known before the run.
     """
 
     def __init__(
-        self, desk: Desk, first: Block, block_shots: int, start_ns: int | None, period_ns: int, pace: Pace
+        self, session: Session, model: Model, encoder: Encoder, block_shots: int, known: bool
     ) -> None:
-        self._desk = desk
+        self.session, self.block_shots, self._known = session, block_shots, known
+        if not (known and session.device.measures):
+            self.sample = warm_up(model, encoder)
+            """The first block of the flight or, if that is not known, a shot like it."""
+        if known:
+            self.sample = self._next()
+
+    def first(self) -> Block:
+        """The first block of the flight."""
+        return self.sample if self._known else self._next()
+
+    def _next(self) -> Block:
+        block = self.session.shoot(self.block_shots)
+        assert block is not None
+        return block
+
+
+def warm_up(model: Model, encoder: Encoder) -> Block:
+    """Shot 0, computed to compile what the flight needs, and to know the length of packets.
+
+    With live truth the shot is computed one kilometre above the site's origin, and leaves no trace.
+    """
+    with _hovering(model):
+        block = Session(model, encoder).shoot(1)
+    assert block is not None
+    return block
+
+
+def _hovering(model: Model) -> AbstractContextManager[None]:
+    if model.flight is None or not model.flight.is_live:
+        return nullcontext()
+    from lidar_emu.trajectory.live import LiveTrajectory
+
+    assert isinstance(model.flight.trajectory, LiveTrajectory)
+    return model.flight.trajectory.pretending(_HOVER)
+
+
+class AheadFeed(Feed):
+    """Computes block after block.
+
+    Args:
+        control, session, port, packets, changes: see `Feed`.
+        first: the block that has been computed already.
+        block_shots: shots in the longest further block.
+        start_ns: instant of the monotonic clock at scenario time 0; None: once some shots are computed.
+        pace: pace of the run.
+    """
+
+    def __init__(
+        self,
+        control: RunControl,
+        session: Session,
+        port: PortRunner,
+        packets: PacketQueue,
+        changes: ChangeQueue,
+        first: Block,
+        block_shots: int,
+        start_ns: int | None,
+        pace: Pace,
+    ) -> None:
+        super().__init__(control, session, port, packets, changes)
         self._first = first
         self._longest = self._next_length = block_shots
         self._start_ns = 0 if start_ns is None else start_ns
         self._starts_soon = start_ns is None
-        self._period_ns = period_ns
+        self._period_ns = session.period_ns
         self._pace = pace
         self._latency_ns = int(first.measurement.due_ns[0])
-        self._waiting: deque[Outgoing] = deque()
+        self._waiting: deque[OutgoingPacket] = deque()
         self._until: int | None = None
-        """The shot that is to be the first to follow what was heard, if it is still to come."""
-        self._last_followed = 0
+        """First shot that the oldest change affects, if it is still to come."""
+        self._last_changed = 0
 
-    def fly(self) -> None:
+    def run(self) -> None:
         """See `Feed`."""
-        desk = self._desk
-        self._waiting.extend(desk.outbox.announce(self._first))
+        self._waiting.extend(self._packets.announce(self._first))
         if self._starts_soon:
             self._get_ahead()
-            self._start_ns = desk.clock.now_ns() + _LEAD_NS
-        desk.begin(self._start_ns)
-        while not desk.interrupted() and self._go_on():
-            desk.outbox.settle()
-        desk.finish()
+            self._start_ns = self._clock.now_ns() + _LEAD_NS
+        self._control.begin(self._start_ns)
+        while not self._control.stopped and self._step():
+            self._packets.collect_reports()
+        self._finish()
 
     def _get_ahead(self) -> None:
-        """So that the run does not begin with a model that is just about as fast as its shots are due."""
+        """Fill the ring before the start, so that a model that is barely fast enough has a reserve."""
         if self._pace is not Pace.WALL:
             return
-        until_ns, self._next_length = self._desk.clock.now_ns() + _HEAD_START_NS, 1
-        while not self._desk.interrupted():
-            while self._waiting and self._desk.outbox.push(self._waiting[0]):
+        until_ns, self._next_length = self._clock.now_ns() + _HEAD_START_NS, 1
+        while not self._control.stopped:
+            while self._waiting and self._packets.push(self._waiting[0]):
                 self._waiting.popleft()
-            if (
-                self._waiting
-                or self._desk.clock.now_ns() >= until_ns
-                or (block := self._next_block()) is None
-            ):
+            if self._waiting or self._clock.now_ns() >= until_ns or (block := self._next_block()) is None:
                 return
-            self._waiting.extend(self._desk.outbox.announce(block))
+            self._waiting.extend(self._packets.announce(block))
 
-    def _go_on(self) -> bool:
-        """Do the next thing; False if there is nothing left to do."""
-        desk = self._desk
+    def _step(self) -> bool:
+        """Push a packet, compute a block, or wait; False if nothing is left to do."""
         if self._pace is Pace.WALL:
-            desk.hear(desk.clock.now_ns() - self._start_ns, self._start_ns)
+            self._changes.receive(self._clock.now_ns() - self._start_ns, self._start_ns)
         else:
-            desk.hear(self._next_to_push() * self._period_ns)
-        self._follow_changes()
+            self._changes.receive(self._next_to_push() * self._period_ns)
+        self._apply_changes()
         if self._waiting:
-            if desk.outbox.push(self._waiting[0]):
+            if self._packets.push(self._waiting[0]):
                 self._waiting.popleft()
             else:
-                desk.rest()
+                self._wait_for_reports()
         elif (block := self._next_block()) is not None:
-            self._waiting.extend(desk.outbox.announce(block))
-        elif desk.outbox.empty:
+            self._waiting.extend(self._packets.announce(block))
+        elif self._packets.empty:
             return False
         else:
-            desk.rest()
+            self._wait_for_reports()
         return True
 
     def _next_block(self) -> Block | None:
-        """Short at first after a change, so that its first shot is soon there."""
-        session = self._desk.session
+        """The next block: short after a change, so that its first shot is ready soon."""
         length = self._next_length
         self._next_length = min(2 * length, self._longest)
         if self._until is not None:
-            length = min(length, self._until - session.next_shot)
-        return session.shoot(length)
+            length = min(length, self._until - self._session.next_shot)
+        return self._session.shoot(length)
 
-    def _follow_changes(self) -> None:
-        """Compute anew the shots that were computed before something was heard that they are to follow."""
-        desk, session = self._desk, self._desk.session
-        while (change := desk.changes.first) is not None:
-            shot = self._until = self._first_to_follow(change)
+    def _apply_changes(self) -> None:
+        """Apply changes, and go back to the first shot that each affects if it was computed already."""
+        session = self._session
+        while (change := self._changes.first) is not None:
+            shot = self._until = self._first_affected(change)
             if shot > session.next_shot or (shot == session.next_shot and session.is_over):
                 return
             if shot < session.next_shot:
-                desk.outbox.supersede(shot)
+                self._packets.supersede(shot)
                 session.rewind(shot)
                 self._waiting = deque(packet for packet in self._waiting if packet.shot < shot)
-            desk.follow(self._begins_ns(shot))
-            self._last_followed, self._next_length = shot, 1
+            self._changes.apply_first(session, self._begins_ns(shot))
+            self._last_changed, self._next_length = shot, 1
         self._until = None
 
-    def _first_to_follow(self, change: Change) -> int:
-        """The first shot to begin after the command, and late enough that its packet can still be made.
+    def _first_affected(self, change: Change) -> int:
+        """The first shot that begins after the change, and late enough that its packet can still be made.
 
-        None before the one that followed the change before: going back beyond that would undo it.
+        Never one before the first shot of the previous change: going back further would undo that change.
         """
         if self._pace is not Pace.WALL:
             return self._next_to_push()
-        ready_ns = self._desk.clock.now_ns() + _REACTION_NS - self._latency_ns
+        ready_ns = self._clock.now_ns() + _REACTION_NS - self._latency_ns
         begins_ns = max(change.arrived_ns, ready_ns) - self._start_ns
-        return max(self._last_followed, -(-begins_ns // self._period_ns))
+        return max(self._last_changed, -(-begins_ns // self._period_ns))
 
     def _next_to_push(self) -> int:
-        return self._waiting[0].shot if self._waiting else self._desk.session.next_shot
+        return self._waiting[0].shot if self._waiting else self._session.next_shot
 
     def _begins_ns(self, shot: int) -> int | None:
         return self._start_ns + shot * self._period_ns if self._pace is Pace.WALL else None

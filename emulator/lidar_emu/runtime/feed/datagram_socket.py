@@ -1,4 +1,4 @@
-"""The sockets that others send to: a simulator its truth, whoever may the faults that he orders."""
+"""Datagram sockets that receive: truth from a simulator, faults to inject."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _AT_ONCE = 64
 
 
 class DatagramSocket:
-    """A bound datagram socket, UDP or Unix, that answers whom it hears.
+    """A bound datagram socket, UDP or Unix.
 
     Args:
-        address: `udp:HOST:PORT` or `unix:PATH`; a path that a dead process left behind is taken over.
+        address: `udp:HOST:PORT` or `unix:PATH`; the path of a dead process is taken over.
 
     Raises:
         OSError: it cannot be bound.
-        ValueError: that is no address.
+        ValueError: it is not an address.
     """
 
     def __init__(self, address: str, clock: Clock) -> None:
@@ -45,21 +45,21 @@ class DatagramSocket:
         return self._socket.fileno()
 
     def receive(self, most: int = _AT_ONCE) -> list[tuple[bytes, int, Any]]:
-        """Datagrams that have arrived, so many at most, with the instants of the monotonic clock at which they were
-        taken, and the addresses that they came from."""
+        """At most `most` datagrams that have arrived, each with the instant of the monotonic clock at which it was read
+        and the address of its sender."""
         arrived: list[tuple[bytes, int, Any]] = []
         while len(arrived) < most:
             try:
                 data, sender = self._socket.recvfrom(_LONGEST_BYTES)
             except BlockingIOError:
                 break
-            except ConnectionError:  # an answer found nobody
+            except ConnectionError:  # an earlier answer found no receiver
                 continue
             arrived.append((data, self._clock.now_ns(), sender))
         return arrived
 
     def answer(self, datagram: bytes, receiver: Any) -> bool:
-        """To an address that something came from; False if it cannot be delivered."""
+        """Send to the address of a sender; False if it cannot be delivered."""
         if not receiver:  # a Unix socket without a name
             return False
         try:
@@ -83,7 +83,7 @@ class DatagramSocket:
 
 
 def _is_abandoned(path: str) -> bool:
-    """Whether the path is a socket that nobody listens to any more."""
+    """Whether the path is the socket of a process that has ended."""
     try:
         if not stat.S_ISSOCK(Path(path).stat().st_mode):
             return False

@@ -1,4 +1,4 @@
-"""A flight that waits for a command: until then the device boots, answers and tells how it is."""
+"""A flight that waits for a command: until then the device boots, acknowledges commands and sends housekeeping."""
 
 from __future__ import annotations
 
@@ -9,74 +9,74 @@ from lidar_emu.device.modes import initial
 from lidar_emu.device.rules import Rules
 from lidar_emu.device.state import Mode
 from lidar_emu.device.timeline import DeviceTimeline
-from lidar_emu.errors import InputError
+from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.device_link.housekeeping import HousekeepingSender
-from lidar_emu.runtime.feed.base import POLL_NS, Desk, Feed
+from lidar_emu.runtime.feed.base import Feed, RunControl
+from lidar_emu.runtime.feed.packet_queue import PacketQueue
+from lidar_emu.runtime.port.runner import PortRunner
+from lidar_emu.session import Session
 
 _LEAD_NS = 100_000_000
 """From the command to scenario time 0."""
 
 
 def waiting_device(rules: Rules) -> DeviceTimeline:
-    """The device before the flight: times count from power-up, and nothing happens to it that the scenario dates."""
+    """The device before the flight: times count from power-up, and the dated events of the scenario are left out."""
     start = Mode.STANDBY if rules.start is Mode.TRACK else rules.start
     before = replace(rules, start=start, power_on_ns=0, events=())
     return DeviceTimeline(before, initial(before))
 
 
-class OnCommandFeed:
-    """Scenario time 0 comes soon after the command that makes the device acquire.
+class OnCommandFeed(Feed):
+    """Scenario time 0 follows the command that makes the device acquire.
 
     Args:
+        control, session, port, packets, changes: see `Feed`.
         device: see `waiting_device`.
-        flight: given scenario time 0 on the monotonic clock, the feed of the shots from there on.
-        begun: told how long after power-up scenario time 0 comes.
-
-    Raises:
-        InputError: no command can be heard on this link.
+        housekeeping: sends housekeeping; None: the interface has none.
+        flight: makes the feed of the shots, from scenario time 0 on the monotonic clock.
+        on_flight_started: called with the time from power-up to scenario time 0.
     """
 
     def __init__(
         self,
-        desk: Desk,
+        control: RunControl,
+        session: Session,
+        port: PortRunner,
+        packets: PacketQueue,
+        changes: ChangeQueue,
         device: DeviceTimeline,
-        housekeeper: HousekeepingSender | None,
+        housekeeping: HousekeepingSender | None,
         flight: Callable[[int], Feed],
-        begun: Callable[[int], None],
+        on_flight_started: Callable[[int], None],
     ) -> None:
-        if desk.commands is None:
-            allowed = "allowed with an interface that has commands on this link"
-            raise InputError("--start", None, "on-command", allowed)
-        self._desk = desk
-        self._device = device
-        self._housekeeper = housekeeper
-        self._flight, self._begun = flight, begun
+        super().__init__(control, session, port, packets, changes)
+        self._device, self._housekeeping = device, housekeeping
+        self._flight, self._on_flight_started = flight, on_flight_started
 
-    def fly(self) -> None:
+    def run(self) -> None:
         """See `Feed`."""
-        powered_ns = self._desk.clock.now_ns()
+        powered_ns = self._clock.now_ns()
         if not self._wait_for_command(powered_ns):
             return
-        start_ns = self._desk.clock.now_ns() + _LEAD_NS
-        state = self._device.start_flight(self._desk.session.rules, start_ns - powered_ns)
-        if self._housekeeper is not None:
-            self._housekeeper.start_flight()
-        self._desk.session.use_device(state)
-        self._begun(start_ns - powered_ns)
-        self._flight(start_ns).fly()
+        start_ns = self._clock.now_ns() + _LEAD_NS
+        state = self._device.start_flight(self._session.rules, start_ns - powered_ns)
+        if self._housekeeping is not None:
+            self._housekeeping.start_flight()
+        self._session.use_device(state)
+        self._on_flight_started(start_ns - powered_ns)
+        self._flight(start_ns).run()
 
     def _wait_for_command(self, powered_ns: int) -> bool:
-        """Whether it came; False if the run was interrupted."""
-        desk = self._desk
-        while not desk.interrupted():
-            now_ns = desk.clock.now_ns() - powered_ns
-            desk.hear(now_ns, powered_ns)
-            while desk.changes.first is not None:
-                desk.follow(None)
+        """Wait for the command; False if the run was stopped."""
+        while not self._control.stopped:
+            now_ns = self._clock.now_ns() - powered_ns
+            self._changes.receive(now_ns, powered_ns)
+            while self._changes.first is not None:
+                self._changes.apply_first(self._session, None)
             if self._device.at(now_ns).measures:
                 return True
-            if self._housekeeper is not None:
-                self._housekeeper.tick(now_ns)
-            desk.outbox.wait(desk.clock.now_ns() + POLL_NS)
-            desk.outbox.settle()
+            if self._housekeeping is not None:
+                self._housekeeping.send_due(now_ns)
+            self._wait_for_reports()
         return False

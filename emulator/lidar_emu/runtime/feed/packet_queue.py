@@ -1,4 +1,4 @@
-"""Shots on their way through the port: handed over in order, counted and shown once their delivery status is known."""
+"""Packets on their way through the port: pushed in order, counted and recorded once their delivery status is known."""
 
 from __future__ import annotations
 
@@ -6,29 +6,29 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
-from lidar_emu.runtime.port.status import Arrival
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block
 from lidar_emu.transports.frames import Frame, pack_frames
 from lidar_emu.wire import Packet
 
-_TOLD_AT_ONCE = 8
-"""Shots: a recorder is busy with as many for milliseconds."""
+_SHOTS_PER_PART = 8
+"""A recorder is busy with as many shots for milliseconds."""
 _AHEAD = 64
-"""Packets in the port's hands, or half of the room, with which shots that a command changed are no longer urgent."""
-_PUT_OFF_AT_MOST = 32
-"""Parts of blocks."""
+"""Packets in the ring, or half of the room, with which recomputed shots are no longer urgent."""
+_DEFERRED_PARTS = 32
 
 
 class PacketQueue:
-    """Between whoever computes shots and the port's process.
+    """Packets from their announcement to their report.
 
     Args:
-        observers: told of everything: they must be quick.
-        room: packets that may be on their way at a time. The port must hold twice as many, for those that commands have
-            superseded stay in its ring until the ones before them are sent.
+        port: sends them.
+        observers: called in the loop of the run: they must be quick.
+        tally: counts them.
+        room: packets that may be on their way at a time. The port must hold twice as many, for superseded packets stay
+            in its ring until the ones before them are sent.
     """
 
     def __init__(self, port: PortRunner, observers: Sequence[Observer], tally: Tally, room: int) -> None:
@@ -36,24 +36,24 @@ class PacketQueue:
         self._observers = observers
         self._tally = tally
         self._announced: dict[tuple[int, int], tuple[Block, int]] = {}
-        self._in_flight: deque[tuple[Outgoing, Block, int]] = deque()
-        self._settling: tuple[Block, int, int] | None = None
-        self._settled: deque[Block] = deque()
+        self._in_flight: deque[tuple[OutgoingPacket, Block, int]] = deque()
+        self._open_part: tuple[Block, int, int] | None = None
+        self._finished_parts: deque[Block] = deque()
         self._is_urgent = False
         self._generation = 0
         self._room = self._left = room
 
-    def announce(self, block: Block) -> list[Outgoing]:
-        """Tell of shots just computed; returns their packets, which are to be pushed in this order."""
+    def announce(self, block: Block) -> list[OutgoingPacket]:
+        """Announce shots just computed; return their packets, which are to be pushed in this order."""
         for observer in self._observers:
             observer.on_block_computed(block)
-        packets = list(outgoing(block, self._generation))
+        packets = list(outgoing_packets(block, self._generation))
         for row, packet in enumerate(packets):
             self._announced[packet.generation, packet.shot] = block, row
         return packets
 
-    def push(self, packet: Outgoing) -> bool:
-        """Hand a packet over; False where there is no room before the port has sent some."""
+    def push(self, packet: OutgoingPacket) -> bool:
+        """Hand a packet to the port; False if there is no room before the port has sent some."""
         if self._left <= 0 or not self._port.push(packet):
             return False
         self._left -= 1
@@ -61,14 +61,10 @@ class PacketQueue:
         self._in_flight.append((packet, *self._announced.pop((packet.generation, packet.shot))))
         return True
 
-    def alert(self) -> None:
-        """A packet that is due will be pushed at once, see `PortRunner.alert`."""
-        self._port.alert()
-
     def supersede(self, from_shot: int) -> None:
-        """From this shot on, what was announced is not to be sent: shots from there on will be announced anew.
+        """Withdraw the announced packets from this shot on: the shots will be announced anew.
 
-        A packet that the port has sent before it hears of it stays sent, and that of the new announcement is not.
+        A packet that the port has sent already stays sent, and its successor is not sent.
         """
         self._generation += 1
         self._is_urgent = True
@@ -78,14 +74,10 @@ class PacketQueue:
         self._left = self._room - sum(packet.shot < from_shot for packet, _, _ in self._in_flight)
         self._announced = {key: value for key, value in self._announced.items() if key[1] < from_shot}
 
-    def send_now(self, payload: bytes) -> None:
-        """Send what is no shot."""
-        self._port.send_now(payload)
+    def collect_reports(self) -> list[DeliveryReport]:
+        """Count the reported packets, pass events and far-end data to the observers; return the reports.
 
-    def settle(self) -> list[Report]:
-        """Count what became of packets and pass on what arrived; returns the packets' reports.
-
-        While shots that a command has changed are urgent, observers hear of settled ones later.
+        While recomputed shots are urgent, observers receive the blocks later.
         """
         reports = self._port.reports()
         for report in reports:
@@ -98,86 +90,68 @@ class PacketQueue:
             self._tally.report(report, block.silent)
             for observer in self._observers:
                 observer.on_report(packet, report)
-            self._met_fate(block, row)
-        for event in self._port.link_events():
+            self._add_to_part(block, row)
+        for event in self._port.take_link_events():
             for observer in self._observers:
                 observer.on_link_event(event.time_ns, event.text)
         if data := self._port.far_end():
             for observer in self._observers:
                 observer.on_far_end_data(data)
-        if not self._is_urgent or len(self._settled) > _PUT_OFF_AT_MOST:
-            self._tell_settled()
+        if not self._is_urgent or len(self._finished_parts) > _DEFERRED_PARTS:
+            self._pass_parts_on()
         return reports
 
     def close(self) -> None:
-        """After the last report: the shots of a block that was cut off."""
-        self.settle()
-        self._part_settled()
-        self._tell_settled()
+        """After the last report: pass on the shots of a block that was cut off."""
+        self.collect_reports()
+        self._finish_part()
+        self._pass_parts_on()
 
     def missed(self, shot: int, due_ns: int, now_ns: int) -> None:
         """Count a shot that was too late to be computed; times from the start of the run."""
         self._tally.missed()
-        report = Report(shot, due_ns, -1, DeliveryStatus.LATE, now_ns)
+        report = DeliveryReport(shot, due_ns, -1, DeliveryStatus.LATE, now_ns)
         for observer in self._observers:
-            observer.on_report(Outgoing(shot, due_ns, b""), report)
+            observer.on_report(OutgoingPacket(shot, due_ns, b""), report)
 
     @property
     def empty(self) -> bool:
         """Whether the delivery status of every packet is known."""
         return not self._in_flight
 
-    @property
-    def through(self) -> bool:
-        """Whether the port is through with the last packet, see `PortRunner.finished`."""
-        return self._port.finished
+    def _add_to_part(self, block: Block, row: int) -> None:
+        """Observers receive a few shots at a time; of a superseded block, those that were sent."""
+        if self._open_part is None or self._open_part[0] is not block:
+            self._finish_part()
+            self._open_part = block, row, row
+        first = self._open_part[1]
+        self._open_part = block, first, row + 1
+        if row + 1 in (len(block.packets), first + _SHOTS_PER_PART):
+            self._finish_part()
 
-    def wait(self, until_ns: int, readable: Sequence[int] = (), awake: bool = False) -> None:
-        """Sleep, or wait `awake`, until an instant of the monotonic clock, or until the port or one of the descriptors
-        has news."""
-        self._port.wait(until_ns, readable, awake)
+    def _finish_part(self) -> None:
+        if self._open_part is not None:
+            self._finished_parts.append(self._open_part[0].part(*self._open_part[1:]))
+            self._open_part = None
 
-    def arrivals(self) -> list[Arrival]:
-        """What arrived on the port since the last call."""
-        return self._port.arrivals()
-
-    def last_packet_pushed(self) -> None:
-        """No more will come."""
-        self._port.last_packet_pushed()
-
-    def _met_fate(self, block: Block, row: int) -> None:
-        """Shots are told of a few at a time; of a block that a command cut, those that were sent."""
-        if self._settling is None or self._settling[0] is not block:
-            self._part_settled()
-            self._settling = block, row, row
-        first = self._settling[1]
-        self._settling = block, first, row + 1
-        if row + 1 in (len(block.packets), first + _TOLD_AT_ONCE):
-            self._part_settled()
-
-    def _part_settled(self) -> None:
-        if self._settling is not None:
-            self._settled.append(self._settling[0].part(*self._settling[1:]))
-            self._settling = None
-
-    def _tell_settled(self) -> None:
-        while self._settled:
-            part = self._settled.popleft()
+    def _pass_parts_on(self) -> None:
+        while self._finished_parts:
+            part = self._finished_parts.popleft()
             self._tally.measured(part.measurement)
             self._tally.faults.update(fault.kind for fault in part.faults)
             for observer in self._observers:
                 observer.on_block_sent(part)
 
 
-def outgoing(block: Block, generation: int = 0) -> Iterator[Outgoing]:
-    """The packets of shots, as the port's process takes them."""
+def outgoing_packets(block: Block, generation: int = 0) -> Iterator[OutgoingPacket]:
+    """The packets of shots, as the port process takes them."""
     shots = block.measurement.shot.tolist()
     for shot, due_ns, packet in zip(shots, block.due_ns, block.packets, strict=True):
-        yield Outgoing(shot, due_ns, payload_of(packet), generation)
+        yield OutgoingPacket(shot, due_ns, payload_of(packet), generation)
 
 
 def payload_of(packet: Packet) -> bytes:
-    """A packet as the port process takes it."""
+    """A packet as the port process takes it: bytes, or frame records on CAN."""
     if isinstance(packet, bytes):
         return packet
     return pack_frames([Frame(f.can_id, f.data, f.is_fd, f.bitrate_switch) for f in packet])

@@ -1,4 +1,4 @@
-"""Truth from a simulator as a run uses it: received, judged, shown to observers, counted."""
+"""Truth from a simulator: received, checked, passed to the observers, counted."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
 from lidar_emu.runtime.lateness import LatenessHistogram
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict, sequence_of
 
 if TYPE_CHECKING:
     from lidar_emu.trajectory.live import LiveTrajectory
 
-_UNTOLD = 1000
-"""Datagrams before the run that observers hear of once it has begun."""
+_EARLY_DATAGRAMS = 1000
+"""Datagrams before the run that are passed to the observers once it has begun."""
 
 
 def truth_socket(address: str, clock: Clock) -> DatagramSocket:
@@ -34,25 +34,26 @@ def truth_socket(address: str, clock: Clock) -> DatagramSocket:
         raise InputError("trajectory", "listen", address, allowed) from None
 
 
-class Arrival(NamedTuple):
-    """A datagram that came in."""
+class ReceivedTruth(NamedTuple):
+    """A datagram of truth, or what claims to be one."""
 
     truth: Truth | None
-    """None if it was none."""
+    """None: the datagram is malformed."""
     verdict: Verdict
     sequence: int
-    """Its number, as far as it has one."""
+    """Sequence number, as far as there is one."""
     arrived_ns: int
     """Instant of the monotonic clock."""
     sender: Any
-    """The address that it came from."""
+    """Address of the sender."""
 
 
 class TruthSource(Observer):
-    """Feeds a live trajectory from a socket, and looks how soon what comes of it is sent.
+    """Feeds a live trajectory from a socket, and measures the response: from truth to the last byte of its packet.
 
     Args:
         stale_after_ns: age above which truth is stale.
+        observers: receive every datagram, when there is time.
     """
 
     def __init__(
@@ -70,12 +71,12 @@ class TruthSource(Observer):
         self._stale = 0
         self._undelivered = 0
         self._response = LatenessHistogram()
-        self._awaited: deque[tuple[int, int]] = deque()
+        self._unreported_shots: deque[tuple[int, int]] = deque()
         self.ended = False
-        """Whether a truth has said that the flight ends with it."""
+        """Whether the last truth of the flight has arrived."""
         self._start_ns: int | None = None
         self._begun = False
-        self._untold: list[tuple[bytes, int, int, bool]] = []
+        self._unreported: list[tuple[bytes, int, int, bool]] = []
         self.newest_arrived_ns = 0
         """Instant of the monotonic clock."""
 
@@ -83,24 +84,23 @@ class TruthSource(Observer):
         """Ready when something arrived."""
         return self._socket.fileno()
 
-    def receive(self) -> list[Arrival]:
-        """Take what arrived into account."""
-        return [self._judged(*arrived) for arrived in self._socket.receive()]
+    def receive(self) -> list[ReceivedTruth]:
+        """Take the datagrams that have arrived into account."""
+        return [self._check(*datagram) for datagram in self._socket.receive()]
 
     def receive_one(self) -> None:
-        """The same for the first datagram only: asking in vain for another one would take the time of a shot's tenth
-        part."""
-        for arrived in self._socket.receive(1):
-            self._judged(*arrived)
+        """As `receive`, for the first datagram only: asking in vain for another takes a tenth of a shot's time."""
+        for datagram in self._socket.receive(1):
+            self._check(*datagram)
 
-    def rehearse(self) -> None:
-        """Go through the newest truth once more, without any consequence."""
+    def warm_up(self) -> None:
+        """Process the newest truth once more, without consequence, to fill the processor's caches."""
         newest = None if self.newest is None else Truth.from_bytes(self.newest.to_bytes())
         if newest is not None:
-            self._trajectory.rehearse(newest)
+            self._trajectory.warm_up(newest)
 
     def expect(self, start_ns: int) -> None:
-        """Scenario time 0 is at this instant of the monotonic clock, as is known before the first truth."""
+        """Scenario time 0 is at this instant of the monotonic clock, known before the first truth."""
         self._start_ns = start_ns
 
     def begin(self, start_ns: int | None) -> None:
@@ -111,22 +111,22 @@ class TruthSource(Observer):
         """
         self._start_ns, self._begun = start_ns, True
 
-    def tell(self) -> None:
-        """Let observers hear of what has come since the last time. The run has begun; no shot waits for it."""
-        untold, self._untold = self._untold, []
-        for data, arrived_ns, lockstep_ns, counted in untold:
+    def notify(self) -> None:
+        """Pass new datagrams to the observers. Call it once the run has begun, while no shot waits."""
+        unreported, self._unreported = self._unreported, []
+        for data, arrived_ns, lockstep_ns, counted in unreported:
             time_ns = lockstep_ns if self._start_ns is None else arrived_ns - self._start_ns
             for observer in self._observers:
                 observer.on_truth(data, max(0, time_ns), counted)
 
     def answer(self, parts: Sequence[Answer], receiver: Any) -> None:
-        """To the sender of a datagram; an answer that cannot be delivered is counted."""
+        """Answer the sender of a datagram; answers that cannot be delivered are counted."""
         for part in parts:
             self._undelivered += not self._socket.answer(part.to_bytes(), receiver)
 
     @property
     def newest(self) -> Truth | None:
-        """The truth that counts; None before the first."""
+        """The newest accepted truth; None before the first."""
         return self._trajectory.newest
 
     def covers(self, time_ns: int) -> bool:
@@ -138,7 +138,7 @@ class TruthSource(Observer):
         """Whether truth is not stale for a shot valid at this scenario time."""
         return self._age_ns(time_ns) <= self._stale_after_ns
 
-    def used_for(self, packet: Outgoing, time_ns: int) -> None:
+    def used_for(self, packet: OutgoingPacket, time_ns: int) -> None:
         """Note that a packet, of a shot valid at this scenario time, was made from the newest truth."""
         age_ns = self._age_ns(time_ns)
         self._age.add(age_ns)
@@ -148,22 +148,21 @@ class TruthSource(Observer):
         for observer in self._observers:
             observer.on_truth_used(packet.shot, age_ns, self.newest.time_ns)
         since_ns = max(self.newest_arrived_ns - self._start_ns, packet.due_ns)
-        self._awaited.append((packet.shot, since_ns))
+        self._unreported_shots.append((packet.shot, since_ns))
 
     def _age_ns(self, time_ns: int) -> int:
         newest = self.newest
         return 0 if newest is None else max(0, time_ns - newest.time_ns)
 
-    def on_report(self, packet: Outgoing, report: Report) -> None:
-        """Count how long it took from truth in, or from when the packet was due if that was later, to its last byte
-        written."""
-        while self._awaited and self._awaited[0][0] <= packet.shot:
-            shot, since_ns = self._awaited.popleft()
+    def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
+        """Count the response time: from truth, or the due time if that is later, to the last byte written."""
+        while self._unreported_shots and self._unreported_shots[0][0] <= packet.shot:
+            shot, since_ns = self._unreported_shots.popleft()
             if shot == packet.shot and report.status is DeliveryStatus.SENT:
                 self._response.add(max(0, report.sent_ns - since_ns))
 
     def to_json(self) -> dict[str, Any]:
-        """The counts under the names of the summary file."""
+        """The counts, by the keys of the summary file."""
         verdicts = self._trajectory.verdicts
         return {
             "datagrams": {verdict.name.lower(): verdicts[verdict] for verdict in Verdict},
@@ -175,18 +174,18 @@ class TruthSource(Observer):
             "response": self._response.summary(),
         }
 
-    def _judged(self, data: bytes, arrived_ns: int, sender: Any) -> Arrival:
+    def _check(self, data: bytes, arrived_ns: int, sender: Any) -> ReceivedTruth:
         truth = Truth.from_bytes(data)
         verdict = self._trajectory.accept(
             truth, None if self._start_ns is None else arrived_ns - self._start_ns
         )
         if verdict is Verdict.ACCEPTED:
             self.newest_arrived_ns = arrived_ns
-        # The last truth may say again what the one before it said.
+        # The last truth may be a duplicate that only sets the flag.
         if truth is not None and verdict in (Verdict.ACCEPTED, Verdict.DUPLICATE):
             self.ended |= truth.last
-        if self._begun or len(self._untold) < _UNTOLD:
+        if self._begun or len(self._unreported) < _EARLY_DATAGRAMS:
             newest = self.newest
             lockstep_ns = 0 if newest is None else newest.time_ns
-            self._untold.append((data, arrived_ns, lockstep_ns, verdict is Verdict.ACCEPTED))
-        return Arrival(truth, verdict, sequence_of(data), arrived_ns, sender)
+            self._unreported.append((data, arrived_ns, lockstep_ns, verdict is Verdict.ACCEPTED))
+        return ReceivedTruth(truth, verdict, sequence_of(data), arrived_ns, sender)

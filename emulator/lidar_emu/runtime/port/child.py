@@ -1,4 +1,4 @@
-"""The port process as its parent sees it: started, told, heard, ended."""
+"""The port process as a child of the model's process: its start, its pipes and its end."""
 
 from __future__ import annotations
 
@@ -21,20 +21,21 @@ _STANDARD_ERROR = 2
 
 
 class PortDiedError(RunError):
-    """The process that owned the port is no more."""
+    """The port process has died."""
 
 
 class PortChild:
-    """`lidar_emu.runtime.port.process` in a session of its own, where no terminal's Ctrl-C reaches it.
+    """`lidar_emu.runtime.port.process` in a session of its own, which no terminal's Ctrl-C reaches.
 
     Args:
-        descriptors: what it inherits besides its three standard ones, by name; they stay the caller's.
+        descriptors: descriptors that the child inherits besides the three standard ones, by name; they stay the
+            caller's.
     """
 
     def __init__(self, descriptors: Mapping[str, int]) -> None:
         self.ended = False
-        """Whether it has said its last."""
-        self._heard = b""
+        """Whether its status pipe has ended."""
+        self._received = b""
         self._errors = anonymous_file()
         # In a process that was started without standard descriptors ours may have taken their numbers.
         copies = {
@@ -42,7 +43,7 @@ class PortChild:
             for name, descriptor in descriptors.items()
         }
         self.inherited = copies
-        """The numbers under which it knows `descriptors`."""
+        """The numbers of `descriptors` in the child."""
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "lidar_emu.runtime.port.process"],
@@ -58,36 +59,36 @@ class PortChild:
                 os.close(copy)
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._lifeline = self._process.stdin
-        self._answers = self._process.stdout
+        self._control = self._process.stdin
+        self._status = self._process.stdout
 
     @property
     def pid(self) -> int:
-        """Its number."""
+        """Process id."""
         return self._process.pid
 
     @property
     def descriptor(self) -> int:
-        """Ready when there is something to hear."""
-        return self._answers.fileno()
+        """Ready when there is something to `receive`."""
+        return self._status.fileno()
 
-    def tell(self, **order: object) -> None:
-        """Give it a line. Of its death one hears (`ended`): who tells may be in the middle of something else."""
+    def send(self, **message: object) -> None:
+        """Send a message. A dead child is reported by `ended`, for the caller may be in the middle of something."""
         with suppress(BrokenPipeError):
-            self._lifeline.write(json.dumps(order).encode() + b"\n")
+            self._control.write(json.dumps(message).encode() + b"\n")
 
-    def hear(self) -> list[dict[str, Any]]:
-        """What it has said since the last call; sets `ended` at the end."""
-        answers: list[dict[str, Any]] = []
-        while not self.ended and select.select([self._answers], [], [], 0)[0]:
+    def receive(self) -> list[dict[str, Any]]:
+        """The messages since the last call; sets `ended` at the end of file."""
+        messages: list[dict[str, Any]] = []
+        while not self.ended and select.select([self._status], [], [], 0)[0]:
             data = os.read(self.descriptor, _READ_BYTES)
             self.ended = not data
-            *lines, self._heard = (self._heard + data).split(b"\n")
-            answers += (json.loads(line) for line in lines)
-        return answers
+            *lines, self._received = (self._received + data).split(b"\n")
+            messages += (json.loads(line) for line in lines)
+        return messages
 
     def death(self) -> PortDiedError:
-        """How it came to its end, with the last line that it wrote about it."""
+        """Why it ended, with the last line of its standard error."""
         status = self._process.wait()
         how = f"signal {-status}" if status < 0 else f"exit code {status}"
         errors = os.pread(self._errors, _READ_BYTES, 0).decode(errors="replace")
@@ -95,29 +96,29 @@ class PortChild:
             one_line(": ".join([f"the port process ended ({how})", *errors.splitlines()[-1:]]))
         )
 
-    def hang_up(self, in_order: bool) -> None:
-        """Cut the lifeline: it closes the port and ends.
+    def close_control(self, in_order: bool) -> None:
+        """Close the control pipe: the child closes the port and ends.
 
         Args:
-            in_order: False: first it says its final message.
+            in_order: False: it sends the final message first.
         """
-        os.set_blocking(self._lifeline.fileno(), False)  # it may hang, with a full pipe
-        self.tell(end=in_order)
-        self._lifeline.close()
+        os.set_blocking(self._control.fileno(), False)  # it may hang, with a full pipe
+        self.send(end=in_order)
+        self._control.close()
 
     def kill(self) -> None:
         """Make sure that it has ended, and give everything back."""
         self._process.kill()
         self._process.wait()
-        self._lifeline.close()
-        self._answers.close()
+        self._control.close()
+        self._status.close()
         os.close(self._errors)
 
 
-def complaints() -> dict[str, int]:
-    """Standard error, where there is one: a process that survives ours can say so there."""
+def standard_error() -> dict[str, int]:
+    """Standard error, if there is one: the port process reports there if it survives the model's process."""
     try:
         os.fstat(_STANDARD_ERROR)
     except OSError:
         return {}
-    return {"complaints": _STANDARD_ERROR}
+    return {"stderr": _STANDARD_ERROR}

@@ -1,4 +1,4 @@
-"""The far end of the in-memory loopback: read in the model's process, as a host would read it."""
+"""The far end of the in-memory loopback, read in the model's process as a host would read it."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ _READ_BYTES = 65536
 
 
 class LoopbackEnd:
-    """A line's other end. It must be read: an in-memory line can be full, too."""
+    """The other end of the line. It must be read: an in-memory line can be full, too."""
 
     def __init__(self) -> None:
         self.device_end, self._socket = loopback_pair()
-        """The end of the device; whoever passed it on closes it."""
+        """The end of the device; the caller closes it once the child has inherited it."""
         self._socket.setblocking(False)
         self._data = bytearray()
 

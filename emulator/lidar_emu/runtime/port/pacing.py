@@ -1,4 +1,4 @@
-"""When a packet goes out: a pure decision."""
+"""Pacing: when a packet goes out. A pure decision."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ from enum import Enum, StrEnum
 
 
 class Pace(StrEnum):
-    """How the run's time passes."""
+    """What sets the pace of a run."""
 
     WALL = "wall"
-    """With the wall clock: a packet goes out when it is due, or not at all."""
+    """The wall clock: a packet goes out when it is due, or not at all."""
     MAX = "max"
-    """As fast as the link takes it; nothing is late.
+    """The link: packets go out as fast as it takes them; nothing is late.
 
-    A full line is waited for, and so is the first reader of a pty, but not for ever: when the line has taken
-    nothing for 5 s that is a link event, and when nothing moved for 30 s packets are dropped as full, or as
-    nobody connected, until something moves again. Once a pty had a reader, none is waited for any more."""
+    The sender waits for a full line and for the first reader of a pty, but not for ever: after 5 s in which the line
+    has taken nothing there is a link event, and after 30 s without progress packets are dropped as full, or as nobody
+    connected, until there is progress again. Once a pty had a reader, the sender waits for no other one."""
     LOCKSTEP = "lockstep"
-    """With live truth: a packet goes out, as with `MAX`, once truth has come that its shot precedes."""
+    """Live truth: a packet goes out, as with `MAX`, once truth beyond its shot has arrived."""
 
 
 class WhenLate(StrEnum):
-    """What a late packet means for the run."""
+    """What happens when a packet is late."""
 
     SKIP = "skip"
     """It is skipped, and the next one goes out when it is due."""
     ABORT = "abort"
-    """It was the last one: nothing is sent any more."""
+    """The run ends: nothing is sent any more."""
 
 
 class Action(Enum):
@@ -40,11 +40,11 @@ class Action(Enum):
 
 @dataclass(frozen=True)
 class Pacing:
-    """The rule. After a stall what is too old is skipped: no burst follows that no instrument would make."""
+    """The rule. After a stall, overdue packets are skipped: an instrument would not send them in a burst either."""
 
     pace: Pace
     late_after_ns: int
-    """A packet that could not start within this time after it was due is late, and skipped."""
+    """A packet is late, and skipped, if its transmission could not begin within this time after it was due."""
     when_late: WhenLate = WhenLate.SKIP
 
     def action(self, now_ns: int, due_ns: int) -> Action:

@@ -1,39 +1,49 @@
-"""What passes between the model's process and the port's: packets one way, reports the other."""
+"""Records that pass between the model's process and the port process."""
 
 from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import DeliveryStatus
 
-__all__ = ["ALERT", "NEWS", "DeliveryStatus", "Frame", "Outgoing", "Report", "pack_frames", "unpack_frames"]
+__all__ = [
+    "NEWS",
+    "WAKE_UP",
+    "DeliveryReport",
+    "DeliveryStatus",
+    "Frame",
+    "OutgoingPacket",
+    "ReceivedBytes",
+    "pack_frames",
+    "unpack_frames",
+]
 
-NEWS, ALERT = b"\0", b"\1"
-"""What the doorbell of the port's process says: something has changed; a packet that is due will follow at once."""
+NEWS, WAKE_UP = b"\0", b"\1"
+"""Bytes in the doorbell pipe of the port process: something has changed; a packet that is due will follow at once."""
 
 _PACKET_HEAD = struct.Struct("<qqI")
 _REPORT = struct.Struct("<qqqBq")
 
 
 @dataclass(frozen=True)
-class Outgoing:
-    """A finished packet."""
+class OutgoingPacket:
+    """A finished packet, from the model's process to the port process."""
 
     shot: int
     due_ns: int
-    """From the start of the run."""
+    """Due time, from the start of the run."""
     payload: bytes
     """Framed bytes on a byte link, frame records (`pack_frames`) on CAN."""
     generation: int = 0
-    """How many commands had changed shots that were computed already."""
+    """How many times computed shots had been recomputed when this packet was made."""
 
     HEAD_BYTES = _PACKET_HEAD.size
 
     def to_bytes(self) -> bytes:
-        """As a ring entry."""
+        """The packet as a ring entry."""
         return _PACKET_HEAD.pack(self.shot, self.due_ns, self.generation) + self.payload
 
     @classmethod
@@ -44,27 +54,28 @@ class Outgoing:
 
 
 @dataclass(frozen=True)
-class Report:
-    """What became of a packet."""
+class DeliveryReport:
+    """The delivery status of a packet, from the port process to the model's process."""
 
     shot: int
     due_ns: int
-    """From the start of the run."""
+    """Due time, from the start of the run."""
     sent_ns: int
-    """When the link had taken it, from the start of the run; -1 if it did not. Of superseded packets: their number."""
+    """When the link had taken the packet, from the start of the run; -1 if it did not. With status SUPERSEDED: the
+    number of packets."""
     status: DeliveryStatus
     woke_ns: int = -1
-    """When the port's process had woken up for it, from the start of the run; -1 if that was before the start."""
+    """When the port process had woken up for the packet, from the start of the run; -1 if that was before the start."""
 
     SIZE_BYTES = _REPORT.size
 
     @property
     def packets(self) -> int:
-        """Of how many packets this tells."""
+        """Number of packets that this report covers."""
         return self.sent_ns if self.status is DeliveryStatus.SUPERSEDED else 1
 
     def to_bytes(self) -> bytes:
-        """As a ring entry."""
+        """The report as a ring entry."""
         return _REPORT.pack(self.shot, self.due_ns, self.sent_ns, self.status, self.woke_ns)
 
     @classmethod
@@ -72,3 +83,14 @@ class Report:
         """The inverse of `to_bytes`."""
         shot, due_ns, sent_ns, status, woke_ns = _REPORT.unpack(entry)
         return cls(shot, due_ns, sent_ns, DeliveryStatus(status), woke_ns)
+
+
+class ReceivedBytes(NamedTuple):
+    """Bytes that arrived on the port. Instants are those of the monotonic clock."""
+
+    at_ns: int
+    data: bytes
+    """On CAN, frame records."""
+    pulse_ns: int | None
+    """When the last synchronisation pulse came before these bytes; None: there was none, or the port has no pulse
+    line."""

@@ -1,25 +1,25 @@
-"""The process that owns the port. It sends what is due and counts what arrives; it imports little.
+"""The port process: it owns the port, sends packets when they are due, and counts what arrives. It imports little.
 
-Started by `PortRunner` with a pipe as standard input, which is its lifeline: at the end of file it closes the
-port and ends, however the parent ended; in mid-run the other end has half a second to fetch what was sent. Unless the
-parent had hung up in order, it sends nothing more of what it was given but final message, if it has any.
+`PortRunner` starts it with the control pipe as standard input: at its end of file the process closes the port and ends,
+however the model's process ended; in mid-run the other end has half a second to fetch what was sent. Unless the
+model's process has closed the pipe in order, no further packet is sent but the final message, if there is one.
 Both pipes carry one JSON object per line:
 
     in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "faults": [a PortFault] or null}
-                                                     once; also "loopback": fd, "complaints": fd
+                                                     once; also "loopback": fd, "stderr": fd
          {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ..., "when_late": ...}}    monotonic clock
          {"fault": a PortFault}                      one more, if there was a list at the start
-         {"finish": true}                            no more packets will come
-         {"supersede": [generation, shot, number]}   older packets from this shot, before that entry: not to be sent
-         {"send": hex}                               at once; it is no shot
-         {"final_message": hex}                         to be sent if the parent dies
-         {"end": in order}                           before the end of file, unless the parent died; or false: it fails
+         {"finish": true}                            no more packets will follow
+         {"supersede": [generation, shot, number]}   do not send older packets from this shot, before that entry
+         {"send": hex}                               send at once; not a shot
+         {"final_message": hex}                      to be sent if the model's process dies
+         {"end": in order}                           before the end of file, unless the model's process died
     out  {"ready": description} or {"refused": [where, key, value, allowed]}
-         {"granted": [name], "missing": {name: command}}     what the system gave towards punctuality
-         {"arrived": [time_ns, hex, pulse_ns]}       received on the port, and when the last pulse came, or null; lost
-                                                     while the parent does not listen
-         {"settled": count}                          in lockstep: number of packets whose delivery status is known
-         {"event": [number, time_ns, text]}          counted from 1; lost while the parent does not listen
+         {"granted": [name], "missing": {name: command}}     real-time privileges
+         {"received": [time_ns, hex, pulse_ns]}      arrived on the port, and when the last pulse came, or null; lost
+                                                     while the model's process does not read
+         {"completed": count}                        in lockstep: number of packets whose delivery status is final
+         {"event": [number, time_ns, text]}          counted from 1; lost while the model's process does not read
          {"finished": counts}                        every packet has its report
          {"stopped": counts}                         last line
 """
@@ -32,13 +32,11 @@ from typing import TYPE_CHECKING, Any
 
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.answers import Answers
-from lidar_emu.runtime.port.control_pipe import ControlPipe
-from lidar_emu.runtime.port.drain import SETTLE_NS, Drain
 from lidar_emu.runtime.port.pacing import Pace, Pacing, WhenLate
-from lidar_emu.runtime.port.packets import ALERT
-from lidar_emu.runtime.port.parent_death import complain, send_final_message, told_of
-from lidar_emu.runtime.port.ring import Ring
+from lidar_emu.runtime.port.packets import WAKE_UP
+from lidar_emu.runtime.port.parent_death import result_text, send_final_message, write_error
+from lidar_emu.runtime.port.pipes import ControlPipe, StatusPipe
+from lidar_emu.runtime.port.ring import SharedRing
 from lidar_emu.runtime.port.sender import Sender, Wait
 from lidar_emu.runtime.realtime import request_realtime
 from lidar_emu.transports.link import COUNTED, DeliveryStatus, Link
@@ -49,62 +47,64 @@ from lidar_emu.transports.wire_load import drain_time_s
 if TYPE_CHECKING:
     from lidar_emu.transports.faulty_link import FaultyPort
 
-_LIFELINE, _PARENT = 0, 1
+_CONTROL, _STATUS = 0, 1
 _PIPE_BYTES = 65536
 _DRAIN_NS = 2_000_000_000
-_HASTY_DRAIN_NS = 500_000_000
-_LOOK_AGAIN_NS = 5_000_000
-_ALERT_NS = 1_000_000
-"""How long the packet that was announced is waited for without sleeping."""
-# A host that floods the port is heard no faster than a line of 2.5 Mbit/s would bring it. The rest of the time belongs
-# to the shots, and a process that never sleeps is one that the system makes wait.
-_LISTEN_NS_PER_BYTE = 4_000
+_SHORT_DRAIN_NS = 500_000_000
+_EMPTY_NS = 20_000_000
+"""How long a line must look empty."""
+_POLL_NS = 5_000_000
+_WAKE_UP_NS = 1_000_000
+"""Longest busy wait for the announced packet."""
+# A host that floods the port is read no faster than a line of 2.5 Mbit/s would deliver. The rest of the time belongs to
+# the shots, and the system delays a process that never sleeps.
+_READ_NS_PER_BYTE = 4_000
 
 
 def main() -> None:
-    """Run until the lifeline ends."""
-    # Ctrl-C in a terminal goes to the whole group; what it means is the parent's business.
+    """Run until the control pipe ends."""
+    # Ctrl-C in a terminal goes to the whole process group; the model's process handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    lifeline = ControlPipe(_LIFELINE)
-    settings = lifeline.next_blocking()
+    control = ControlPipe(_CONTROL)
+    settings = control.receive_first()
     if settings is None:
         return
     clock = Clock()
-    answers = Answers(_PARENT, clock)
+    status = StatusPipe(_STATUS, clock)
     spec = PortSpec.from_json(settings["port"])
     open_port = opener(spec, settings.get("loopback"), clock.now_ns)
     faulty = None if settings["faults"] is None else _faulty(open_port, spec, settings["faults"], clock)
     try:
         link = Link(faulty or open_port)
     except InputError as error:
-        answers.say(refused=[error.where, error.key, _plain(error.value), error.allowed])
-        answers.end()
+        status.send(refused=[error.where, error.key, _plain(error.value), error.allowed])
+        status.close()
         return
-    os.set_blocking(_LIFELINE, False)
-    answers.say(ready=link.description)
+    os.set_blocking(_CONTROL, False)
+    status.send(ready=link.description)
     try:
-        with Ring(settings["packets"]) as packets, Ring(settings["reports"]) as reports:
-            complaint = _Port(
-                spec, link, packets, reports, settings["doorbell"], lifeline, answers, clock, faulty
+        with SharedRing(settings["packets"]) as packets, SharedRing(settings["reports"]) as reports:
+            error_text = _PortLoop(
+                spec, link, packets, reports, settings["doorbell"], control, status, clock, faulty
             ).run()
     finally:
         link.close()
-    if complaint is not None and "complaints" in settings:
-        complain(settings["complaints"], complaint, clock)
+    if error_text is not None and "stderr" in settings:
+        write_error(settings["stderr"], error_text, clock)
 
 
-class _Port:
-    """The loop: do what is due, then sleep until something else is."""
+class _PortLoop:
+    """The loop of the process: do what is due, then sleep until the next event."""
 
     def __init__(
         self,
         spec: PortSpec,
         link: Link,
-        packets: Ring,
-        reports: Ring,
+        packets: SharedRing,
+        reports: SharedRing,
         doorbell: int,
-        lifeline: ControlPipe,
-        answers: Answers,
+        control: ControlPipe,
+        status: StatusPipe,
         clock: Clock,
         faulty: FaultyPort | None,
     ) -> None:
@@ -113,162 +113,189 @@ class _Port:
         self._packets = packets
         self._reports = reports
         self._doorbell = doorbell
-        self._lifeline = lifeline
-        self._answers = answers
+        self._control = control
+        self._status = status
         self._clock = clock
         self._faulty = faulty
         self._sender: Sender | None = None
-        self._listens_again_ns = 0
+        self._reads_again_ns = 0
         self._received_bytes = 0
-        self._unheard_bytes = 0
-        self._said_bytes = 0
-        self._unsent = 0
-        self._lockstep = False
-        self._told_settled = 0
+        self._rx_overrun_bytes = 0
+        self._unscheduled_bytes = 0
+        self._tx_dropped = 0
+        self._is_lockstep = False
+        self._reported_completed = 0
         self._event_count = 0
-        self._alert_until_ns = 0
+        self._busy_until_ns = 0
         self._finishing = False
-        self._drain: Drain | None = None
+        self._drain: _Drain | None = None
         self._final_message = b""
         self._ends_in_order: bool | None = None
 
     def run(self) -> str | None:
-        """Until the lifeline ends; returns what the user is to be told if the parent has died."""
-        alive = True
-        while alive:
-            # First what the process woke up for. Whether somebody is at the other end was seen before it slept, and
-            # would have woken it if it had changed.
+        """Run until the control pipe ends; return an error message if the model's process died."""
+        is_open = True
+        while is_open:
+            # First what the process woke up for. Whether a reader is connected was checked before it slept, and a
+            # change would have woken it.
             wait = self._sender.step() if self._sender is not None else Wait()
             self._link.service(self._clock.now_ns())
-            self._tell_events()
-            self._tell_settled()
-            drain_ns = self._drained_or_look_again(wait)
-            self._answers.flush()
-            alive = self._sleep(wait, drain_ns)
-        complaint = "the model's process died: the run has ended" if self._ends_in_order is None else None
+            self._report_events()
+            self._report_completed()
+            drain_ns = self._drain_until_ns(wait)
+            self._status.flush()
+            is_open = self._sleep(wait, drain_ns)
+        return self._end()
+
+    def _end(self) -> str | None:
+        error = "the model's process died: the run has ended" if self._ends_in_order is None else None
         if self._final_message and not self._ends_in_order:
             status = send_final_message(self._link, self._final_message, self._clock)
-            complaint = complaint and f"{complaint}, final message {told_of(status)}"
-            self._drain_in_haste()
+            error = error and f"{error}, final message {result_text(status)}"
+            self._drain_briefly()
         elif self._sender is not None and (self._drain is None or self._finishing):
-            self._drain_in_haste()
-        self._answers.say(stopped=self._counts())
-        self._answers.end()
-        return complaint
+            self._drain_briefly()
+        self._status.send(stopped=self._counts())
+        self._status.close()
+        return error
 
     def _sleep(self, wait: Wait, drain_ns: int | None) -> bool:
-        """Sleep until something is to be done, and take what arrived; False at the end of the lifeline."""
+        """Sleep until the next event, and read what arrived; False at the end of the control pipe."""
         now_ns = self._clock.now_ns()
-        listens = now_ns >= self._listens_again_ns
-        readable = self._link.readable if listens else []
-        listens_again_ns = None if listens else self._listens_again_ns
-        wakes_ns = (wait.until_ns, drain_ns, listens_again_ns, self._link.wake_ns(now_ns, wait.for_room))
+        reads = now_ns >= self._reads_again_ns
+        readable = self._link.readable if reads else []
+        reads_again_ns = None if reads else self._reads_again_ns
+        wakes_ns = (wait.until_ns, drain_ns, reads_again_ns, self._link.wake_ns(now_ns, wait.for_room))
         until_ns = min((wake_ns for wake_ns in wakes_ns if wake_ns is not None), default=None)
         doorbells = [self._doorbell] if wait.for_packets else []
         wants_room = wait.for_room or self._link.pending
-        alert = wait.for_packets and self._alert_until_ns > self._clock.now_ns()
+        busy_wait = wait.for_packets and self._busy_until_ns > self._clock.now_ns()
         ready, _ = self._clock.wait(
-            self._alert_until_ns if alert else until_ns,
-            [_LIFELINE, *doorbells, *readable],
-            [*self._answers.writable, *(self._link.writable if wants_room else [])],
-            awake=alert,
+            self._busy_until_ns if busy_wait else until_ns,
+            [_CONTROL, *doorbells, *readable],
+            [*self._status.writable, *(self._link.writable if wants_room else [])],
+            busy_wait=busy_wait,
         )
         if self._doorbell in ready:
-            alerted = os.read(self._doorbell, _PIPE_BYTES).endswith(ALERT)
-            self._alert_until_ns = self._clock.now_ns() + _ALERT_NS if alerted else 0
-        # Without a descriptor to watch, arrivals are looked for on every round.
-        if listens and (not readable or readable[0] in ready):
+            woken = os.read(self._doorbell, _PIPE_BYTES).endswith(WAKE_UP)
+            self._busy_until_ns = self._clock.now_ns() + _WAKE_UP_NS if woken else 0
+        # Without a descriptor to wait on, the link is read in every round.
+        if reads and (not readable or readable[0] in ready):
             self._receive()
-        return _LIFELINE not in ready or self._lifeline.obey(self._obey)
+        if _CONTROL not in ready:
+            return True
+        messages, is_open = self._control.receive()
+        for message in messages:
+            self._execute(message)
+        return is_open
 
-    def _obey(self, order: dict[str, Any]) -> None:
-        if "begin" in order:
-            begin = order["begin"]
-            if self._faulty is not None:
-                self._faulty.begin(begin["start_ns"])
-            pacing = Pacing(Pace(begin["pace"]), begin["late_after_ns"], WhenLate(begin["when_late"]))
-            self._lockstep = pacing.pace is Pace.LOCKSTEP
-            if pacing.pace is Pace.WALL:
-                had = request_realtime()
-                driver_features = self._link.driver_features
-                self._answers.say(
-                    granted=[*had.granted, *driver_features.granted],
-                    missing={**had.missing, **driver_features.missing},
-                )
-            self._sender = Sender(
-                self._packets, self._reports, self._link, self._clock, begin["start_ns"], pacing
-            )
-        if "fault" in order and self._faulty is not None:
-            self._faulty.order(order["fault"])
-        if "finish" in order:
+    def _execute(self, message: dict[str, Any]) -> None:
+        if "begin" in message:
+            self._begin(message["begin"])
+        if "fault" in message and self._faulty is not None:
+            self._faulty.add(message["fault"])
+        if "finish" in message:
             self._finishing = True
-        self._final_message = bytes.fromhex(order.get("final_message", "")) or self._final_message
-        self._ends_in_order = order.get("end", self._ends_in_order)
-        if "send" in order:
-            self._say(bytes.fromhex(order["send"]))
-        if "supersede" in order and self._sender is not None:
-            self._sender.supersede(*order["supersede"])
+        self._final_message = bytes.fromhex(message.get("final_message", "")) or self._final_message
+        self._ends_in_order = message.get("end", self._ends_in_order)
+        if "send" in message:
+            self._send_now(bytes.fromhex(message["send"]))
+        if "supersede" in message and self._sender is not None:
+            self._sender.supersede(*message["supersede"])
 
-    def _say(self, payload: bytes) -> None:
-        """Send or drop at once what is no shot, also before the run begins."""
+    def _begin(self, begin: dict[str, Any]) -> None:
+        if self._faulty is not None:
+            self._faulty.begin(begin["start_ns"])
+        pacing = Pacing(Pace(begin["pace"]), begin["late_after_ns"], WhenLate(begin["when_late"]))
+        self._is_lockstep = pacing.pace is Pace.LOCKSTEP
+        if pacing.pace is Pace.WALL:
+            system, driver = request_realtime(), self._link.driver_features
+            self._status.send(
+                granted=[*system.granted, *driver.granted], missing={**system.missing, **driver.missing}
+            )
+        self._sender = Sender(
+            self._packets, self._reports, self._link, self._clock, begin["start_ns"], pacing
+        )
+
+    def _send_now(self, payload: bytes) -> None:
+        """Send or drop at once what is not a shot, also before the run begins."""
         if self._link.send(payload, self._clock.now_ns()) is DeliveryStatus.SENT:
-            self._said_bytes += len(payload)
+            self._unscheduled_bytes += len(payload)
         else:
-            self._unsent += 1
+            self._tx_dropped += 1
 
-    def _drained_or_look_again(self, wait: Wait) -> int | None:
-        """Say so once everything is out; while the other end still reads, when to look again."""
+    def _drain_until_ns(self, wait: Wait) -> int | None:
+        """Report when all packets are out and read; while the other end still reads, return the next poll."""
         if not self._finishing or not wait.for_packets:
             return None
         now_ns = self._clock.now_ns()
         unread = self._link.unread
         if self._drain is None:
-            self._drain = Drain(now_ns, _DRAIN_NS + round(drain_time_s(self._spec, unread) * 1e9))
+            self._drain = _Drain(now_ns, _DRAIN_NS + round(drain_time_s(self._spec, unread) * 1e9))
         if not self._drain.is_over(bool(self._link.pending or unread), now_ns):
-            return now_ns + SETTLE_NS
+            return now_ns + _EMPTY_NS
         self._finishing = False
-        self._answers.say(finished=self._counts())
+        self._status.send(finished=self._counts())
         return None
 
-    def _drain_in_haste(self) -> None:
-        """What counts as sent should arrive, even where nobody cares for the rest of the run."""
+    def _drain_briefly(self) -> None:
+        """What counts as sent should arrive, even if the rest of the run is cut off."""
         now_ns = self._clock.now_ns()
-        drain = Drain(now_ns, _HASTY_DRAIN_NS)
+        drain = _Drain(now_ns, _SHORT_DRAIN_NS)
         while not drain.is_over(bool(self._link.pending or self._link.unread), now_ns):
-            self._clock.wait(now_ns + _LOOK_AGAIN_NS)
+            self._clock.wait(now_ns + _POLL_NS)
             now_ns = self._clock.now_ns()
             self._link.service(now_ns)
             self._receive()
-        self._tell_events()
+        self._report_events()
 
     def _receive(self) -> None:
         now_ns = self._clock.now_ns()
         data = self._link.receive(now_ns)
-        self._listens_again_ns = now_ns + _LISTEN_NS_PER_BYTE * len(data)
+        self._reads_again_ns = now_ns + _READ_NS_PER_BYTE * len(data)
         self._received_bytes += len(data)
-        if data and not self._answers.mention(arrived=[now_ns, data.hex(), self._link.pulse_ns]):
-            self._unheard_bytes += len(data)
+        if data and not self._status.send_if_idle(received=[now_ns, data.hex(), self._link.pulse_ns]):
+            self._rx_overrun_bytes += len(data)
 
-    def _tell_events(self) -> None:
+    def _report_events(self) -> None:
         for time_ns, text in self._link.take_events():
             self._event_count += 1
-            self._answers.mention(event=[self._event_count, time_ns, text])
+            self._status.send_if_idle(event=[self._event_count, time_ns, text])
 
-    def _tell_settled(self) -> None:
-        """Where a simulator waits for the packets to be out, so does the parent."""
-        if self._lockstep and self._sender is not None and self._sender.settled != self._told_settled:
-            self._told_settled = self._sender.settled
-            self._answers.say(settled=self._told_settled)
+    def _report_completed(self) -> None:
+        """In lockstep the model's process waits for the packets as well, for the simulator does."""
+        if (
+            self._is_lockstep
+            and self._sender is not None
+            and self._sender.completed != self._reported_completed
+        ):
+            self._reported_completed = self._sender.completed
+            self._status.send(completed=self._reported_completed)
 
     def _counts(self) -> dict[str, int]:
-        sent_bytes = self._said_bytes + (self._sender.sent_bytes if self._sender is not None else 0)
+        packet_bytes = self._sender.sent_bytes if self._sender is not None else 0
         return {
-            "sent_bytes": sent_bytes,
+            "sent_bytes": self._unscheduled_bytes + packet_bytes,
             "received_bytes": self._received_bytes,
-            "rx_overrun_bytes": self._unheard_bytes,
-            "unsent": self._unsent,
+            "rx_overrun_bytes": self._rx_overrun_bytes,
+            "tx_dropped": self._tx_dropped,
             **{name: self._link.counts[name] for name in COUNTED},
         }
+
+
+class _Drain:
+    """The time at the end in which the other end still reads what was sent; it begins at once."""
+
+    def __init__(self, now_ns: int, limit_ns: int) -> None:
+        self._ends_ns = now_ns + limit_ns
+        self._busy_ns = now_ns
+
+    def is_over(self, is_busy: bool, now_ns: int) -> bool:
+        """Whether the line is empty, or the time limit has passed."""
+        if is_busy:
+            self._busy_ns = now_ns
+        # Bytes on their way through a pty are counted nowhere for a moment: it must look empty for a while.
+        return now_ns - self._busy_ns >= _EMPTY_NS or now_ns >= self._ends_ns
 
 
 def _faulty(open_port: Opener, spec: PortSpec, faults: list[dict[str, Any]], clock: Clock) -> FaultyPort:
@@ -276,7 +303,7 @@ def _faulty(open_port: Opener, spec: PortSpec, faults: list[dict[str, Any]], clo
 
     port = FaultyPort(open_port, spec, clock.now_ns)
     for fault in faults:
-        port.order(fault)
+        port.add(fault)
     return port
 
 

@@ -15,10 +15,10 @@ _WORD = struct.Struct("=Q")
 _ENTRY_HEAD = struct.Struct("=II")
 
 
-class Ring:
+class SharedRing:
     """A single-producer, single-consumer ring of byte strings over a shared descriptor.
 
-    The memory has no name, so nothing is left behind however the processes end. `head` and `tail` count
+    The memory has no name, so nothing is left when the processes end, in whatever way. `head` and `tail` count
     entries written and read since the beginning and never wrap. An entry carries a checksum that covers
     its number too: on a processor that makes the head visible before the entry, the reader sees that the
     entry is not yet there, and finds it the next time. Hence neither locks nor barriers.
@@ -83,8 +83,8 @@ class Ring:
         return self._words[_HEAD]
 
     def skip_to(self, number: int) -> int:
-        """Consumer: pass over entries, so that the next is the one before which `number` were pushed; returns how many
-        that were."""
+        """Consumer: skip entries, so that the next one is the one before which `number` were pushed; return the number
+        of skipped entries."""
         skipped = max(0, number - self._words[_TAIL])
         self._words[_TAIL] += skipped
         return skipped

@@ -1,4 +1,4 @@
-"""The model's side of the port process: start it, feed it, learn what became of each packet, end it."""
+"""The model's side of the port process: start it, hand it packets, collect reports and received bytes, end it."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ from typing import Any, Self
 
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.child import PortChild, complaints
-from lidar_emu.runtime.port.events import LinkEvent
+from lidar_emu.runtime.port.child import PortChild, standard_error
 from lidar_emu.runtime.port.loopback import LoopbackEnd
 from lidar_emu.runtime.port.pacing import Pace, WhenLate
-from lidar_emu.runtime.port.packets import ALERT, NEWS, Outgoing, Report
-from lidar_emu.runtime.port.ring import Ring
-from lidar_emu.runtime.port.stall_monitor import Notice, Watch
-from lidar_emu.runtime.port.status import Arrival, PortStatus
+from lidar_emu.runtime.port.packets import NEWS, WAKE_UP, DeliveryReport, OutgoingPacket, ReceivedBytes
+from lidar_emu.runtime.port.ring import SharedRing
+from lidar_emu.runtime.port.stall_monitor import OnStall, StallMonitor
+from lidar_emu.runtime.port.status import LinkEvent, PortStatus
 from lidar_emu.transports.spec import Kind, PortSpec
 
 _START_LIMIT_NS = 30_000_000_000
@@ -27,36 +26,44 @@ _OPENING_POLL_NS = 100_000_000
 
 
 class PortRunner:
-    """A port in a process of its own. Leaving its context ends the process, whatever happened; where that is an error
-    of ours, after its final message (see `prepare`).
+    """A port in a process of its own. Leaving its context ends the process, whatever happened; after an error of ours
+    it sends the final message first (see `set_final_message`).
 
     Order of use: `start`; `begin`, before or after the first `push`; `push` and `reports`; `finish`.
 
     Args:
         slots: packets that the ring holds: the longest look-ahead.
         packet_bytes: the longest packet.
-        notice: told when one of the two processes stood still; see `Watch`.
+        on_stall: called when one of the two processes stalls or resumes; see `StallMonitor`.
+        keeps_received: whether `take_received` will be called; if not, received bytes are only counted.
     """
 
-    def __init__(self, slots: int = 1024, packet_bytes: int = 4096, notice: Notice | None = None) -> None:
+    def __init__(
+        self,
+        slots: int = 1024,
+        packet_bytes: int = 4096,
+        on_stall: OnStall | None = None,
+        keeps_received: bool = False,
+    ) -> None:
         self._clock = Clock()
-        self._watch = Watch(self._clock, notice)
+        self._stalls = StallMonitor(self._clock, on_stall)
         self._child: PortChild | None = None
-        packets_fd = Ring.create(slots, Outgoing.HEAD_BYTES + packet_bytes)
+        packets_fd = SharedRing.create(slots, OutgoingPacket.HEAD_BYTES + packet_bytes)
         # Reports are fetched at least once in `slots` packets, and as many can be under way: twice that is never full.
-        reports_fd = Ring.create(2 * slots, Report.SIZE_BYTES)
-        self._packets = Ring(packets_fd)
-        self._reports = Ring(reports_fd)
-        self._fetched: deque[Report] = deque()
+        reports_fd = SharedRing.create(2 * slots, DeliveryReport.SIZE_BYTES)
+        self._packets = SharedRing(packets_fd)
+        self._reports = SharedRing(reports_fd)
+        self._fetched: deque[DeliveryReport] = deque()
         self._slots, self._uncollected = slots, 0
         doorbell_fd, self._doorbell = os.pipe()
         os.set_blocking(self._doorbell, False)
-        self._passed = {"packets": packets_fd, "reports": reports_fd, "doorbell": doorbell_fd}
+        self._inherited = {"packets": packets_fd, "reports": reports_fd, "doorbell": doorbell_fd}
+        self._keeps_received, self._received = keeps_received, list[ReceivedBytes]()
         self._far_end: LoopbackEnd | None = None
         self._begun = False
         self._closed = False
-        self.told = PortStatus()
-        """What the process has said about itself, the port and the link."""
+        self.status = PortStatus()
+        """Status of the port and its link."""
 
     def __enter__(self) -> Self:
         return self
@@ -67,36 +74,36 @@ class PortRunner:
         self.close(in_order=kind is None or issubclass(kind, InputError | KeyboardInterrupt))
 
     def start(self, spec: PortSpec, faults: list[dict[str, Any]] | None = None) -> str:
-        """Start the process and open the port; returns its description.
+        """Start the process and open the port; return its description.
 
         Args:
             spec: the port.
-            faults: of the port, each a `PortFault` as a mapping; None: there are none, nor will be.
+            faults: faults of the port, each a `PortFault` as a mapping; None: there are none, nor will be.
 
         Raises:
             InputError: the port cannot be opened.
             RunError: the process did not start.
         """
-        passed = self._passed | complaints()
+        inherited = self._inherited | standard_error()
         if spec.kind is Kind.LOOPBACK:
             self._far_end = LoopbackEnd()
             with self._far_end.device_end as device_end:
-                self._child = PortChild(passed | {"loopback": device_end.fileno()})
+                self._child = PortChild(inherited | {"loopback": device_end.fileno()})
         else:
-            self._child = PortChild(passed)
-        self._child.tell(port=spec.to_json(), faults=faults, **self._child.inherited)
+            self._child = PortChild(inherited)
+        self._child.send(port=spec.to_json(), faults=faults, **self._child.inherited)
         deadline_ns = self._clock.now_ns() + _START_LIMIT_NS
-        while not self.told.description:
+        while not self.status.description:
             if self._clock.now_ns() > deadline_ns:
                 raise RunError(f"opening {spec} took more than {_START_LIMIT_NS // 10**9} s")
             self.wait(self._clock.now_ns() + _OPENING_POLL_NS)
-        self.told.start_ns = self._clock.now_ns()
-        return self.told.description
+        self.status.start_ns = self._clock.now_ns()
+        return self.status.description
 
     def begin(
         self, start_ns: int, late_after_ns: int, pace: Pace, when_late: WhenLate = WhenLate.SKIP
     ) -> None:
-        """Say when the run starts.
+        """Begin the run.
 
         Args:
             start_ns: instant of `Clock.now_ns` from which `due_ns` counts.
@@ -104,13 +111,13 @@ class PortRunner:
             pace: see `Pace`.
             when_late: see `WhenLate`.
         """
-        self.told.start_ns, self._begun = start_ns, True
+        self.status.start_ns, self._begun = start_ns, True
         begin = {"start_ns": start_ns, "late_after_ns": late_after_ns, "pace": pace, "when_late": when_late}
-        self._running().tell(begin=begin)
+        self._running().send(begin=begin)
         if pace is Pace.WALL:
-            self._watch.begin(start_ns)
+            self._stalls.begin(start_ns)
 
-    def push(self, packet: Outgoing) -> bool:
+    def push(self, packet: OutgoingPacket) -> bool:
         """Hand over a packet, in the order of the due times; False if the ring is full (see `wait`).
 
         Raises:
@@ -124,42 +131,42 @@ class PortRunner:
         if not self._packets.push(packet.to_bytes()):
             self._collect()
             return False
-        self._watch.pushed(packet.due_ns)
-        self._ring()
+        self._stalls.pushed(packet.due_ns)
+        self._ring_doorbell()
         return True
 
-    def alert(self) -> None:
-        """A packet that is due will be pushed within a millisecond: the process had better be awake by then."""
-        self._ring(ALERT)
+    def wake_up(self) -> None:
+        """Wake the process: a packet that is due will be pushed within a millisecond."""
+        self._ring_doorbell(WAKE_UP)
 
     def supersede(self, generation: int, from_shot: int) -> None:
-        """Packets of earlier generations are not to be sent any more, from this shot on; they are reported as such."""
-        self._running().tell(supersede=[generation, from_shot, self._packets.written])
+        """From shot `from_shot` on, stop sending packets of earlier generations; they are reported as superseded."""
+        self._running().send(supersede=[generation, from_shot, self._packets.written])
 
     def send_now(self, payload: bytes) -> None:
-        """Send what is no shot, between shots; there is no report."""
-        self._running().tell(send=payload.hex())
+        """Send what is not a shot, between shots; there is no report."""
+        self._running().send(send=payload.hex())
 
-    def prepare(self, final_message: bytes) -> None:
-        """What the process is to send, instead of whatever it was given, should ours die; each time anew."""
-        self._running().tell(final_message=final_message.hex())
+    def set_final_message(self, message: bytes) -> None:
+        """Set the message that the process sends, instead of the pending packets, if the model's process dies."""
+        self._running().send(final_message=message.hex())
 
-    def order_fault(self, order: dict[str, Any]) -> None:
-        """One more fault of the port, if there was a list of them at the start."""
-        self._running().tell(fault=order)
+    def inject_fault(self, fault: dict[str, Any]) -> None:
+        """Add a fault of the port, if there was a list of them at the start."""
+        self._running().send(fault=fault)
 
-    def arrivals(self) -> list[Arrival]:
-        """What arrived on the port since the last call."""
-        arrived, self.told.arrived = self.told.arrived, []
-        return arrived
+    def take_received(self) -> list[ReceivedBytes]:
+        """Bytes that arrived on the port since the last call."""
+        received, self._received = self._received, []
+        return received
 
-    def link_events(self) -> list[LinkEvent]:
-        """What happened to the link since the last call; also after `close`."""
-        happened, self.told.happened = self.told.happened, []
-        return happened
+    def take_link_events(self) -> list[LinkEvent]:
+        """Events of the link since the last call; also after `close`."""
+        events, self.status.new_events = self.status.new_events, []
+        return events
 
-    def reports(self) -> list[Report]:
-        """What became of packets since the last call, in the order of `push`; also after `close`.
+    def reports(self) -> list[DeliveryReport]:
+        """Reports since the last call, in the order of `push`; also after `close`.
 
         Raises:
             PortDiedError: as `wait`.
@@ -172,7 +179,7 @@ class PortRunner:
     def far_end(self) -> bytes:
         """What the in-memory loopback delivered since the last call; also after `close`.
 
-        It must be fetched as a host would read: an in-memory line can be full, too.
+        It must be read as a host would read: an in-memory line can be full, too.
         """
         if not self._closed:
             self._collect()
@@ -180,12 +187,13 @@ class PortRunner:
 
     @property
     def pid(self) -> int | None:
-        """The port process; None before `start`."""
+        """Process id of the port process; None before `start`."""
         return None if self._child is None else self._child.pid
 
-    def wait(self, until_ns: int, readable: Sequence[int] = (), awake: bool = False) -> None:
-        """Sleep, or stay awake, until an instant of the monotonic clock, or until the process says something, the
-        loopback delivers or one of the descriptors is ready. Who stays awake is in a hurry: the process is heard later.
+    def wait(self, until_ns: int, readable: Sequence[int] = (), busy_wait: bool = False) -> None:
+        """Sleep, or wait busily, until an instant of the monotonic clock, or until the process reports something, the
+        loopback delivers or one of the descriptors is ready. After a busy wait that a descriptor ended, messages of the
+        process are left for later.
 
         Raises:
             PortDiedError: the process died. What it had reported before can still be fetched, after `close`.
@@ -193,35 +201,35 @@ class PortRunner:
         descriptors = [*readable, self._running().descriptor]
         if self._far_end is not None:
             descriptors.append(self._far_end.fileno())
-        ready, _ = self._clock.wait(until_ns, descriptors, awake=awake)
-        if not (awake and set(readable).intersection(ready)):
+        ready, _ = self._clock.wait(until_ns, descriptors, busy_wait=busy_wait)
+        if not (busy_wait and set(readable).intersection(ready)):
             self._collect()
 
-    def last_packet_pushed(self) -> None:
-        """No more packets will come: `finished` turns true once the process is through with them.
+    def end_packets(self) -> None:
+        """No more packets will follow: `finished` turns true once the process has completed them.
 
         Raises:
             RunError: the run has not begun.
         """
         if not self._begun:
             raise RunError("the run has not begun")
-        self._running().tell(finish=True)
-        self._ring()
+        self._running().send(finish=True)
+        self._ring_doorbell()
 
     @property
     def finished(self) -> bool:
-        """Every packet was sent, skipped or dropped, and what was sent has left the line or, on a pty, was read;
-        for that the other end has 2 s, and a serial line the time that its bit rate makes it take besides."""
-        return self.told.finished
+        """Every packet was sent, skipped or dropped, and what was sent has left the line or, on a pty, was read; the
+        other end has 2 s for that, and a serial line also the time that its bit rate requires."""
+        return self.status.finished
 
     def finish(self) -> None:
-        """`last_packet_pushed`, and wait until `finished`.
+        """`end_packets`, and wait until `finished`.
 
         Raises:
             RunError: the run has not begun, or the process died.
         """
-        self.last_packet_pushed()
-        while not self.told.finished:
+        self.end_packets()
+        while not self.finished:
             self.wait(self._clock.now_ns() + _POLL_NS)
 
     def close(self, in_order: bool = True) -> None:
@@ -230,7 +238,7 @@ class PortRunner:
         In mid-run the other end still has half a second to fetch what counts as sent.
 
         Args:
-            in_order: False: the run fails, and the process says its final message.
+            in_order: False: the run fails, and the process sends the final message.
         """
         if self._closed:
             return
@@ -242,25 +250,25 @@ class PortRunner:
         finally:
             self._packets.close()
             self._reports.close()
-            for descriptor in (*self._passed.values(), self._doorbell):
+            for descriptor in (*self._inherited.values(), self._doorbell):
                 os.close(descriptor)
             if self._far_end is not None:
                 self._far_end.close()
 
     def _stop(self, child: PortChild, in_order: bool) -> None:
         try:
-            child.hang_up(in_order)
+            child.close_control(in_order)
             deadline_ns = self._clock.now_ns() + _STOP_LIMIT_NS
             while not child.ended and self._clock.now_ns() < deadline_ns:
                 self._clock.wait(self._clock.now_ns() + _POLL_NS, [child.descriptor])
                 self._drain()
-                self.told.understand(child.hear())
+                self._handle(child.receive())
         finally:
             # It has ended, or it hangs in a driver.
             child.kill()
 
     def _collect(self) -> None:
-        """Take everything that the process has for us.
+        """Take all reports and messages of the process.
 
         Raises:
             InputError: it could not open the port.
@@ -268,16 +276,24 @@ class PortRunner:
         """
         child = self._running()
         self._fetch()
-        self.told.understand(child.hear())
+        self._handle(child.receive())
         if child.ended:
             raise child.death()
-        self._watch.look()
+        self._stalls.poll()
+
+    def _handle(self, messages: list[dict[str, Any]]) -> None:
+        for message in messages:
+            if "received" not in message:
+                self.status.update(message)
+            elif self._keeps_received:
+                at_ns, data, pulse_ns = message["received"]
+                self._received.append(ReceivedBytes(at_ns, bytes.fromhex(data), pulse_ns))
 
     def _fetch(self) -> None:
         self._uncollected = 0
         while (entry := self._reports.pop()) is not None:
-            self._fetched.append(report := Report.from_bytes(entry))
-            self._watch.reported(report.packets)
+            self._fetched.append(report := DeliveryReport.from_bytes(entry))
+            self._stalls.reported(report.packets)
         self._drain()
 
     def _drain(self) -> None:
@@ -289,8 +305,8 @@ class PortRunner:
             raise RunError("the port is not open")
         return self._child
 
-    def _ring(self, what: bytes = NEWS) -> None:
+    def _ring_doorbell(self, what: bytes = NEWS) -> None:
         try:
             os.write(self._doorbell, what)
         except BlockingIOError:
-            return  # it has rung often enough to be heard
+            return  # the pipe is full of earlier rings

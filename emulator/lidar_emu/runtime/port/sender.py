@@ -1,4 +1,4 @@
-"""Takes packets from the ring and sends, skips or drops each; knows no time but its clock's."""
+"""The sender: takes packets from the ring, and sends, skips or drops each. Time comes from its clock alone."""
 
 from __future__ import annotations
 
@@ -6,19 +6,73 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.backpressure import BackpressurePolicy, BlockedLink
 from lidar_emu.runtime.port.pacing import Action, Pace, Pacing, WhenLate
-from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
-from lidar_emu.runtime.port.ring import Ring
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.ring import SharedRing
 
 _PACKETS_PER_STEP = 16
+_WARN_AFTER_NS = 5_000_000_000
+_GIVE_UP_AFTER_NS = 30_000_000_000
 
 
-class Sink(BlockedLink, Protocol):
+class PacketLink(Protocol):
     """Where packets go: a `Link`."""
+
+    @property
+    def unread(self) -> int:
+        """Bytes that the other end has yet to fetch."""
 
     def send(self, payload: bytes, now_ns: int) -> DeliveryStatus:
         """Take the whole packet or drop it."""
+
+    def add_event(self, text: str, now_ns: int) -> None:
+        """Add an event of the link."""
+
+
+class BackpressurePolicy:
+    """Decides for each packet that the link refuses whether to retry or to drop it; see `Pace.MAX`.
+
+    The time limits start anew with every packet that the link takes, and whenever the other end has fetched something:
+    a slow line may have no room for seconds and still make progress.
+    """
+
+    def __init__(self, link: PacketLink) -> None:
+        self._link = link
+        self._was_connected = False
+        self._stalled: tuple[DeliveryStatus, int] | None = None
+        self._since_ns = 0
+        self._warned_ns = 0
+
+    def retry_until(self, status: DeliveryStatus, now_ns: int) -> int | None:
+        """Instant until which to wait before the packet is tried again; None: the status is final.
+
+        Args:
+            status: what the link made of the packet.
+            now_ns: instant of the monotonic clock.
+        """
+        is_full, no_reader = status is DeliveryStatus.DROPPED_FULL, status is DeliveryStatus.DROPPED_NOBODY
+        self._was_connected |= is_full or status is DeliveryStatus.SENT
+        if not (is_full or (no_reader and not self._was_connected)):
+            self._stalled = None
+            return None
+        stalled = status, self._link.unread
+        if stalled != self._stalled:
+            self._stalled, self._since_ns, self._warned_ns = stalled, now_ns, 0
+        stalled_ns = now_ns - self._since_ns
+        if is_full:
+            self._warn(stalled_ns, now_ns)
+        if stalled_ns >= _GIVE_UP_AFTER_NS:
+            return None
+        return self._since_ns + (_WARN_AFTER_NS if stalled_ns < _WARN_AFTER_NS else _GIVE_UP_AFTER_NS)
+
+    def _warn(self, stalled_ns: int, now_ns: int) -> None:
+        """Add a link event at each of the two limits, once."""
+        for limit_ns, consequence in ((_WARN_AFTER_NS, ""), (_GIVE_UP_AFTER_NS, ": packets are dropped")):
+            if self._warned_ns < limit_ns <= stalled_ns:
+                self._warned_ns = limit_ns
+                self._link.add_event(
+                    f"the line has taken nothing for {limit_ns // 10**9} s{consequence}", now_ns
+                )
 
 
 @dataclass(frozen=True)
@@ -34,13 +88,19 @@ class Wait:
 
 
 class Sender:
-    """The way of each packet from the ring to its report.
+    """Moves each packet from the ring to the link, and its report to the ring of reports.
 
-    The ring of reports must hold all packets of which the other process has not yet fetched a report.
+    The ring of reports must hold a report for every packet that the model's process has not collected yet.
     """
 
     def __init__(
-        self, packets: Ring, reports: Ring, link: Sink, clock: Clock, start_ns: int, pacing: Pacing
+        self,
+        packets: SharedRing,
+        reports: SharedRing,
+        link: PacketLink,
+        clock: Clock,
+        start_ns: int,
+        pacing: Pacing,
     ) -> None:
         self._packets = packets
         self._reports = reports
@@ -48,83 +108,83 @@ class Sender:
         self._clock = clock
         self._start_ns = start_ns
         self._pacing = pacing
-        self._patience = BackpressurePolicy(link)
-        self._next: Outgoing | None = None
-        self._given_up = False
+        self._backpressure = BackpressurePolicy(link)
+        self._next: OutgoingPacket | None = None
+        self._aborted = False
         self._superseded: list[tuple[int, int, int]] = []
         self._last_shot = -1
         self.sent_bytes = 0
-        self.settled = 0
-        """Packets whose delivery status is known."""
+        self.completed = 0
+        """Packets whose delivery status is final."""
 
     def step(self) -> Wait:
-        """Do what is due now, a bounded part of it at a time."""
+        """Process the packets that are due now, a bounded number at a time."""
         for _ in range(_PACKETS_PER_STEP):
-            if self._given_up:
+            if self._aborted:
                 return Wait(for_packets=True)
-            packet = self._take()
+            packet = self._peek()
             if packet is None:
                 return Wait(for_packets=True)
             now_ns = self._clock.now_ns()
             if (count := self._superseded_from(packet)) > 0:
-                self._report(Report(packet.shot, packet.due_ns, count, DeliveryStatus.SUPERSEDED), count)
+                report = DeliveryReport(packet.shot, packet.due_ns, count, DeliveryStatus.SUPERSEDED)
+                self._report(report, count)
                 continue
             match self._pacing.action(now_ns - self._start_ns, packet.due_ns):
                 case Action.WAIT:
                     return Wait(until_ns=self._start_ns + packet.due_ns)
-                case _ if not packet.payload:  # what is not sent is not late either
-                    self._finish(packet, DeliveryStatus.SUPPRESSED, now_ns)
+                case _ if not packet.payload:  # a packet that is not sent cannot be late
+                    self._complete(packet, DeliveryStatus.SUPPRESSED, now_ns)
                 case Action.SKIP:
-                    self._finish(packet, DeliveryStatus.LATE, now_ns)
-                    self._given_up = self._pacing.when_late is WhenLate.ABORT
+                    self._complete(packet, DeliveryStatus.LATE, now_ns)
+                    self._aborted = self._pacing.when_late is WhenLate.ABORT
                 case Action.SEND:
                     status = self._link.send(packet.payload, now_ns)
-                    until_ns = self._patience_ends_ns(status, now_ns)
+                    until_ns = self._retry_until(status, now_ns)
                     if until_ns is not None:
                         return Wait(until_ns, for_room=status is DeliveryStatus.DROPPED_FULL)
-                    self._finish(packet, status, now_ns)
+                    self._complete(packet, status, now_ns)
         return Wait(until_ns=self._clock.now_ns())
 
     def supersede(self, generation: int, from_shot: int, end: int) -> None:
-        """Packets of earlier generations are not sent any more, from this shot on; they lie before entry `end`."""
+        """From shot `from_shot` on, stop sending packets of earlier generations; they lie before entry `end`."""
         self._superseded.append((generation, from_shot, end))
 
-    def _superseded_from(self, packet: Outgoing) -> int:
-        """How many packets from this one on are not to be sent; they leave the ring at once.
+    def _superseded_from(self, packet: OutgoingPacket) -> int:
+        """Number of packets, from this one on, that must not be sent; they leave the ring at once.
 
-        A shot whose delivery status is known already is also passed over: news of the command came too late for it.
+        A shot whose packet is complete already is not sent again: the command came too late for it.
         """
         if self._superseded:
-            # Those that no packet is older than any more concern nobody.
+            # A mark that is not newer than this packet affects no later packet either.
             self._superseded = [mark for mark in self._superseded if mark[0] > packet.generation]
             ends = [end for _, shot, end in self._superseded if packet.shot >= shot]
             if ends:
                 return 1 + self._packets.skip_to(max(ends))
         return int(packet.shot <= self._last_shot)
 
-    def _patience_ends_ns(self, status: DeliveryStatus, now_ns: int) -> int | None:
-        """Until when the packet is kept; None: its delivery status is final."""
-        return self._patience.wait_until(status, now_ns) if self._pacing.pace is not Pace.WALL else None
+    def _retry_until(self, status: DeliveryStatus, now_ns: int) -> int | None:
+        """Instant until which the packet is kept; None: its delivery status is final."""
+        return None if self._pacing.pace is Pace.WALL else self._backpressure.retry_until(status, now_ns)
 
-    def _take(self) -> Outgoing | None:
+    def _peek(self) -> OutgoingPacket | None:
         if self._next is None:
             entry = self._packets.pop()
-            self._next = None if entry is None else Outgoing.from_bytes(entry)
+            self._next = None if entry is None else OutgoingPacket.from_bytes(entry)
         return self._next
 
-    def _finish(self, packet: Outgoing, status: DeliveryStatus, woke_ns: int) -> None:
+    def _complete(self, packet: OutgoingPacket, status: DeliveryStatus, woke_ns: int) -> None:
         sent_ns = -1
         if status is DeliveryStatus.SENT:
             # As fast as the link takes it, a packet may go out before the start, even centuries before it.
             sent_ns = max(0, self._clock.now_ns() - self._start_ns)
             self.sent_bytes += len(packet.payload)
         self._last_shot = packet.shot
-        self._report(
-            Report(packet.shot, packet.due_ns, sent_ns, status, max(-1, woke_ns - self._start_ns)), 1
-        )
+        woke_ns = max(-1, woke_ns - self._start_ns)
+        self._report(DeliveryReport(packet.shot, packet.due_ns, sent_ns, status, woke_ns), 1)
 
-    def _report(self, report: Report, count: int) -> None:
+    def _report(self, report: DeliveryReport, count: int) -> None:
         self._next = None
         if not self._reports.push(report.to_bytes()):
             raise RuntimeError("the ring of reports is too small")
-        self.settled += count
+        self.completed += count

@@ -1,4 +1,4 @@
-"""Notices when one of a run's two processes stands still: stopped, starved, or caught in a driver."""
+"""Detects that one of a run's two processes stalls: stopped, starved of processor time, or blocked in a driver."""
 
 from __future__ import annotations
 
@@ -7,77 +7,81 @@ from collections.abc import Callable
 
 from lidar_emu.runtime.clock import Clock
 
-STANDSTILL_NS = 100_000_000
-"""How long a process may stand still before that is worth a word."""
+STALL_NS = 100_000_000
+"""Shortest stall that is reported."""
 
-Notice = Callable[[int, str], None]
-"""Told of what happened, and when, in nanoseconds from the start of the run."""
+OnStall = Callable[[int, str], None]
+"""Receives the time, in nanoseconds from the start of the run, and a description of the event."""
 
 
-class Watch:
-    """In the model's process, which looks several times in `STANDSTILL_NS` unless it computes.
+class StallMonitor:
+    """Runs in the model's process, which polls it several times in `STALL_NS` unless it computes.
 
-    The port's process reports every packet as soon as it is due, sent or not. The model's process computes or
-    sleeps for a moment: time that passed between two looks without being computed in was not its own.
+    The port process reports every packet as soon as it is due, sent or not. The model's process computes or sleeps for
+    short times only: time between two polls in which it had no processor time is a stall of its own.
 
     Args:
-        notice: told when the port's process is silent, when it answers again, and when the model's was away.
+        on_stall: called when the port process stalls, when it resumes, and after a stall of the model's process.
     """
 
-    def __init__(self, clock: Clock, notice: Notice | None) -> None:
+    def __init__(self, clock: Clock, on_stall: OnStall | None) -> None:
         self._clock = clock
-        self._tell = notice or _nobody
+        self._on_stall = on_stall or _ignore
         self._unreported_due_ns: deque[int] = deque()
         self._reported = 0
         self._start_ns: int | None = None
-        self._looked_ns = self._computed_ns = 0
-        self._waits_for = -1
-        self._waits_since_ns = 0
+        self._polled_ns = self._computed_ns = 0
+        self._overdue_after = -1
+        self._overdue_since_ns = 0
         self._silent_since_ns: int | None = None
 
     def begin(self, start_ns: int) -> None:
-        """The run keeps the pace of the clock, from this instant of the monotonic clock on."""
+        """Start monitoring a run that keeps pace with the wall clock.
+
+        Args:
+            start_ns: start of the run, an instant of the monotonic clock.
+        """
         self._start_ns = start_ns
-        self._looked_ns, self._computed_ns = self._clock.now_ns() - start_ns, self._clock.computed_ns()
+        self._polled_ns, self._computed_ns = self._clock.now_ns() - start_ns, self._clock.computed_ns()
 
     def pushed(self, due_ns: int) -> None:
-        """A packet was handed to the port's process."""
+        """Count a packet that was pushed to the port process."""
         self._unreported_due_ns.append(due_ns)
 
     def reported(self, count: int) -> None:
-        """It has reported so many packets."""
+        """Count packets that the port process has reported."""
         self._reported += count
         for _ in range(count):
             self._unreported_due_ns.popleft()
 
-    def look(self) -> None:
-        """After all reports that are there have been counted."""
+    def poll(self) -> None:
+        """Check both processes; call after all available reports were counted."""
         if self._start_ns is None:
             return
         now_ns = self._clock.now_ns() - self._start_ns
-        self._look_at_the_port(now_ns)
-        self._look_at_ourselves(now_ns)
+        self._check_port(now_ns)
+        self._check_model(now_ns)
 
-    def _look_at_the_port(self, now_ns: int) -> None:
+    def _check_port(self, now_ns: int) -> None:
         due_ns = self._unreported_due_ns[0] if self._unreported_due_ns else now_ns
-        if due_ns >= now_ns or self._waits_for != self._reported:
+        if due_ns >= now_ns or self._overdue_after != self._reported:
             # A packet that is overdue for the first time counts from now: it may have been pushed just now.
-            self._waits_for, self._waits_since_ns = self._reported if due_ns < now_ns else -1, now_ns
+            self._overdue_after, self._overdue_since_ns = self._reported if due_ns < now_ns else -1, now_ns
             if self._silent_since_ns is not None:
                 silent_ms = (now_ns - self._silent_since_ns) / 1e6
                 self._silent_since_ns = None
-                self._tell(now_ns, f"the port's process answers again, after {silent_ms:.0f} ms")
-        elif self._silent_since_ns is None and now_ns - self._waits_since_ns > STANDSTILL_NS:
-            self._silent_since_ns = self._waits_since_ns
-            self._tell(now_ns, "the port's process does not answer")
+                self._on_stall(now_ns, f"the port process responds again, after {silent_ms:.0f} ms")
+        elif self._silent_since_ns is None and now_ns - self._overdue_since_ns > STALL_NS:
+            self._silent_since_ns = self._overdue_since_ns
+            self._on_stall(now_ns, "the port process does not respond")
 
-    def _look_at_ourselves(self, now_ns: int) -> None:
+    def _check_model(self, now_ns: int) -> None:
         computed_ns = self._clock.computed_ns()
-        away_ns = now_ns - self._looked_ns - (computed_ns - self._computed_ns)
-        self._looked_ns, self._computed_ns = now_ns, computed_ns
-        if away_ns > STANDSTILL_NS:
-            self._tell(now_ns, f"the model's process stood still for {away_ns / 1e6:.0f} ms")
+        stalled_ns = now_ns - self._polled_ns - (computed_ns - self._computed_ns)
+        self._polled_ns, self._computed_ns = now_ns, computed_ns
+        if stalled_ns > STALL_NS:
+            self._on_stall(now_ns, f"the model's process stalled for {stalled_ns / 1e6:.0f} ms")
 
 
-def _nobody(time_ns: int, text: str) -> None:
-    """Whom nobody listens to."""
+def _ignore(time_ns: int, text: str) -> None:
+    """Without a callback, stalls are not reported."""

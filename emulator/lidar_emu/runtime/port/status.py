@@ -1,106 +1,136 @@
-"""What the port's process has said so far."""
+"""Status of the port and its link, as the port process reports it."""
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.port.events import EventLog, LinkEvent, told
 from lidar_emu.transports.link import COUNTED
 
+_KEPT_AT_EACH_END = 10
 
-class Arrival(NamedTuple):
-    """What arrived on the port. Instants are those of the monotonic clock."""
 
-    at_ns: int
-    data: bytes
-    """On CAN, frame records."""
-    pulse_ns: int | None
-    """When the last pulse before it came; None: there was none, or the port has no pulse line."""
+@dataclass(frozen=True)
+class LinkEvent:
+    """An event of the link."""
+
+    time_ns: int
+    """From the start of the run."""
+    text: str
+
+
+def events_to_json(source: str, count: int, events: Sequence[LinkEvent]) -> dict[str, Any]:
+    """Events of a `link` or `process`, by the keys of the summary file."""
+    return {
+        f"{source}_event_count": count,
+        f"{source}_events": [{"time_s": event.time_ns * 1e-9, "what": event.text} for event in events],
+    }
+
+
+class EventLog:
+    """The first and the last ten events, and the count of all: a link that flaps for hours costs no memory.
+
+    Times are instants of the monotonic clock.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        """Number of events, including those that are not stored."""
+        self._first: list[tuple[int, str]] = []
+        self._last: deque[tuple[int, str]] = deque(maxlen=_KEPT_AT_EACH_END)
+
+    def add(self, number: int, time_ns: int, text: str) -> None:
+        """Add event `number`, counted from 1; missing numbers are events that were lost on the way."""
+        self.count = number
+        kept = self._first if len(self._first) < _KEPT_AT_EACH_END else self._last
+        kept.append((time_ns, text))
+
+    def since(self, start_ns: int) -> list[LinkEvent]:
+        """The stored events, with times from `start_ns`."""
+        return [LinkEvent(time_ns - start_ns, text) for time_ns, text in (*self._first, *self._last)]
 
 
 @dataclass
 class PortStatus:
-    """Kept from its answers."""
+    """Status of the port, from the messages of the port process."""
 
     description: str = ""
     """Name of the port; of a pty, the path that the host opens."""
     sent_bytes: int | None = None
-    """Known at the end; None if the process died before it could tell."""
+    """Known at the end; None if the process died before it could report."""
     received_bytes: int | None = None
-    """What arrived on the port; known when `sent_bytes` is."""
+    """Bytes that arrived on the port; known when `sent_bytes` is."""
     rx_overrun_bytes: int | None = None
-    """Of what arrived, what came too fast to be passed on."""
-    unsent: int | None = None
+    """Received bytes that arrived too fast to be passed on."""
+    tx_dropped: int | None = None
     """Payloads of `send_now` that the link did not take."""
-    noticed: dict[str, int | None] = field(default_factory=lambda: dict.fromkeys(COUNTED))
-    """What a CAN bus counts besides data; known when `sent_bytes` is."""
+    link_counts: dict[str, int | None] = field(default_factory=lambda: dict.fromkeys(COUNTED))
+    """Counts of frames without data; see `COUNTED`. Known when `sent_bytes` is."""
     granted: list[str] = field(default_factory=list)
-    """What the system gave towards punctuality; see `RealtimePrivileges`."""
+    """Real-time privileges that the system granted; see `RealtimePrivileges`."""
     missing: dict[str, str] = field(default_factory=dict)
-    """What it refused, each with the command that would give it."""
+    """Privileges that it refused, each with the command that grants it."""
     finished: bool = False
-    arrived: list[Arrival] = field(default_factory=list)
-    happened: list[LinkEvent] = field(default_factory=list)
-    """Events that nobody has taken yet."""
+    """Every packet has its report, and what was sent has left the line or was read."""
+    new_events: list[LinkEvent] = field(default_factory=list)
+    """Events that were not taken yet."""
     start_ns: int = 0
-    """The instant from which the times of events count: the beginning of the flight, or as long as there is none the
-    opening of the port."""
+    """Instant of the monotonic clock from which the times of events count: scenario time 0, or the opening of the port
+    as long as no flight has begun."""
     _events: EventLog = field(default_factory=EventLog)
 
     @property
     def events(self) -> list[LinkEvent]:
-        """What happened to the link so far: of more than 20 events the first and the last ten."""
+        """Events of the link so far: of more than 20 events the first and the last ten."""
         return self._events.since(self.start_ns)
 
     @property
     def event_count(self) -> int:
-        """How many events there were, with those that `events` leaves out."""
+        """Number of events, including those that `events` leaves out."""
         return self._events.count
 
     def to_json(self, load: float | None) -> dict[str, Any]:
-        """What became of port and link, under the names of the summary file.
+        """The status, by the keys of the summary file.
 
         Args:
-            load: how much of the link the shots take.
+            load: share of the link's capacity that the shots take.
         """
         wire = {
             "load": load,
             "sent_bytes": self.sent_bytes,
             "received_bytes": self.received_bytes,
             "rx_overrun_bytes": self.rx_overrun_bytes,
-            "tx_dropped": self.unsent,
-            **self.noticed,
+            "tx_dropped": self.tx_dropped,
+            **self.link_counts,
         }
         return {
             "granted": self.granted,
             "missing": self.missing,
             "wire": wire,
-            **told("link", self.event_count, self.events),
+            **events_to_json("link", self.event_count, self.events),
         }
 
-    def understand(self, answers: list[dict[str, Any]]) -> None:
-        """Take in what it said.
+    def update(self, message: dict[str, Any]) -> None:
+        """Take a message of the port process into account.
 
         Raises:
-            InputError: it could not open the port.
+            InputError: the process could not open the port.
         """
-        for answer in answers:
-            match answer:
-                case {"refused": refusal}:
-                    raise InputError(*refusal)
-                case {"ready": description}:
-                    self.description = description
-                case {"granted": granted, "missing": missing}:
-                    self.granted, self.missing = granted, missing
-                case {"arrived": [time_ns, data, pulse_ns]}:
-                    self.arrived.append(Arrival(time_ns, bytes.fromhex(data), pulse_ns))
-                case {"event": [number, time_ns, text]}:
-                    self._events.add(number, time_ns, text)
-                    self.happened.append(LinkEvent(time_ns - self.start_ns, text))
-                case {"finished": counts} | {"stopped": counts}:
-                    self.finished = True
-                    self.sent_bytes, self.received_bytes = counts["sent_bytes"], counts["received_bytes"]
-                    self.rx_overrun_bytes, self.unsent = counts["rx_overrun_bytes"], counts["unsent"]
-                    self.noticed = {name: counts[name] for name in COUNTED}
+        match message:
+            case {"refused": refusal}:
+                raise InputError(*refusal)
+            case {"ready": description}:
+                self.description = description
+            case {"granted": granted, "missing": missing}:
+                self.granted, self.missing = granted, missing
+            case {"event": [number, time_ns, text]}:
+                self._events.add(number, time_ns, text)
+                self.new_events.append(LinkEvent(time_ns - self.start_ns, text))
+            case {"finished": counts} | {"stopped": counts}:
+                self.finished = True
+                self.sent_bytes, self.received_bytes = counts["sent_bytes"], counts["received_bytes"]
+                self.rx_overrun_bytes, self.tx_dropped = counts["rx_overrun_bytes"], counts["tx_dropped"]
+                self.link_counts = {name: counts[name] for name in COUNTED}

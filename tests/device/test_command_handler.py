@@ -14,11 +14,12 @@ from lidar_emu.device.modes import initial
 from lidar_emu.device.state import DeviceState
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.change_queue import Changes
+from lidar_emu.runtime.change_queue import Change
 from lidar_emu.runtime.device_link.command_handler import CommandHandler
 from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
 from lidar_emu.runtime.device_link.housekeeping import HousekeepingSender
 from lidar_emu.runtime.device_link.received_command import ReceivedCommand
+from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
@@ -38,33 +39,35 @@ DEFAULT = default_interface()
 S = 1000 * MS
 
 
-class Line:
-    """A host and a device, and what was said."""
+class Line(Observer):
+    """A host and a device, and what the device sent."""
 
     def __init__(self, interface: Interface = DEFAULT, can: bool = False, **part: Any) -> None:
         self.interface, self.can = interface, can
-        self.said: list[bytes] = []
-        self.told: list[tuple[ReceivedCommand, int | None]] = []
-        self.answered: list[tuple[bytes, int]] = []
+        self.sent: list[bytes] = []
+        self.received: list[tuple[ReceivedCommand, int | None]] = []
         self.kept: list[tuple[bytes, int]] = []
         behaviour = rules(**part)
         self.device = DeviceTimeline(behaviour, initial(behaviour))
-        voice = DownlinkEncoder(interface, 0, can, self.said.append)
-        self.changes = Changes()
-        self.post = CommandHandler(
-            voice, self.device, lambda shown_ns: shown_ns < 1 << 61, self.changes, self._tell, self._answer
+        encoder = DownlinkEncoder(interface, 0, can)
+        self.changes: list[Change] = []
+        self.handler = CommandHandler(
+            encoder, self.device, lambda shown_ns: shown_ns < 1 << 61, self.sent.append, [self]
         )
         self.tally = Tally(Pace.WALL)
-        self.housekeeper = HousekeepingSender(voice, self.device, self.tally, self.post, self._keep)
+        self.housekeeping = HousekeepingSender(
+            encoder, self.device, self.tally, self.handler, self.sent.append, [self]
+        )
 
-    def _tell(self, heard: ReceivedCommand, shot: int | None) -> None:
-        self.told.append((heard, shot))
+    def on_command(self, command: ReceivedCommand, shot: int | None) -> None:
+        self.received.append((command, shot))
 
-    def _answer(self, payload: bytes, time_ns: int) -> None:
-        self.answered.append((payload, time_ns))
-
-    def _keep(self, payload: bytes, time_ns: int) -> None:
+    def on_housekeeping(self, payload: bytes, time_ns: int) -> None:
         self.kept.append((payload, time_ns))
+
+    def receive(self, data: bytes, time_ns: int) -> None:
+        """Let the device receive bytes."""
+        self.changes += self.handler.receive(data, 0, time_ns)
 
     def command(self, name: str, sequence: int, **arguments: Any) -> bytes:
         host = Host(self.interface)
@@ -75,18 +78,18 @@ class Line:
 
     def send(self, time_ms: float, name: str, sequence: int, **arguments: Any) -> str:
         """Give a command; returns the verdict that comes back."""
-        self.post.hear(self.command(name, sequence, **arguments), 0, round(time_ms * MS))
-        answer = self.heard()[-1]
+        self.receive(self.command(name, sequence, **arguments), round(time_ms * MS))
+        answer = self.messages()[-1]
         assert isinstance(answer, Acknowledge)
         assert answer.sequence == sequence
         return answer.verdict
 
-    def heard(self) -> list[Any]:
+    def messages(self) -> list[Any]:
         """All that the host has received."""
         if not self.can:
-            return list(SerialReceiver(self.interface).receive(b"".join(self.said)))
+            return list(SerialReceiver(self.interface).receive(b"".join(self.sent)))
         receiver = CanReceiver(self.interface)
-        frames = [frame for payload in self.said for frame in unpack_frames(payload)]
+        frames = [frame for payload in self.sent for frame in unpack_frames(payload)]
         return [message for f in frames for message in receiver.receive(f.can_id, f.data, f.is_fd)]
 
 
@@ -103,7 +106,7 @@ def test_numbers_of_commands(can: bool) -> None:
     assert line.send(2, "set_pattern", 202, pattern=9) == "out_of_range"
     assert line.send(3, "set_mode", 203, mode="self_test") == "out_of_state"
     assert line.send(4, "enable_beams", 204, beams=1) == "accepted", "a number counts whatever the verdict"
-    assert line.post.counts == {"commands_accepted": 3, "commands_rejected": 4, "bad_bytes": 0}
+    assert line.handler.counts == {"commands_accepted": 3, "commands_rejected": 4, "bad_bytes": 0}
 
 
 def test_a_host_that_does_not_know_the_number_begins_anew_with_a_no_op() -> None:
@@ -122,8 +125,8 @@ def test_a_command_that_cannot_be_read_counts_too() -> None:
     packet = struct.pack(">HHHBB", 0x12A0, 0xC004, 3, 99, 4)
     packet += crc_hqx(packet, 0xFFFF).to_bytes(2, "big")
     cut = packet.split(b"\0")
-    line.post.hear(b"\0" + b"".join(bytes([len(piece) + 1]) + piece for piece in cut) + b"\0", 0, 0)
-    assert [message.verdict for message in line.heard()] == ["accepted", "unknown"]
+    line.receive(b"\0" + b"".join(bytes([len(piece) + 1]) + piece for piece in cut) + b"\0", 0)
+    assert [message.verdict for message in line.messages()] == ["accepted", "unknown"]
     assert line.send(0, "no_op", 5) == "accepted"
     assert line.send(0, "set_pattern", 6, pattern=1) == "accepted"
 
@@ -133,17 +136,17 @@ def test_after_a_restart_any_number_may_come_first(restart: str) -> None:
     line = Line()
     assert line.send(0, "no_op", 3) == "accepted"
     assert line.send(1, "reset", 4, restart=restart) == "accepted"
-    said = len(line.said)
-    line.post.hear(line.command("no_op", 5), 0, 100 * MS)
-    assert len(line.said) == said, "who boots hears nothing"
-    assert line.post.to_json()["ignored_bytes"] == len(line.command("no_op", 5))
+    said = len(line.sent)
+    line.receive(line.command("no_op", 5), 100 * MS)
+    assert len(line.sent) == said, "who boots hears nothing"
+    assert line.handler.to_json()["ignored_bytes"] == len(line.command("no_op", 5))
     assert line.send(4000, "set_mode", 77, mode="track") == "accepted"
 
 
 def test_what_follows_a_reset_in_one_breath_is_not_heard() -> None:
     line = Line()
-    line.post.hear(line.command("reset", 0, restart="warm") + line.command("no_op", 1), 0, 0)
-    assert [message.command for message in line.heard()] == ["reset"]
+    line.receive(line.command("reset", 0, restart="warm") + line.command("no_op", 1), 0)
+    assert [message.command for message in line.messages()] == ["reset"]
 
 
 def test_a_change_waits_for_the_shots_and_is_told_with_the_first_that_follows() -> None:
@@ -153,16 +156,21 @@ def test_a_change_waits_for_the_shots_and_is_told_with_the_first_that_follows() 
     line.send(30, "set_pattern", 2, pattern=1)
     line.send(40, "set_pattern", 3, pattern=0)
     states: list[DeviceState] = []
-    assert [(heard.command, shot) for heard, shot in line.told] == [("no_op", None), ("set_pattern", None)]
-    assert line.changes.first is not None
-    session: Any = SimpleNamespace(next_shot=4, use_device=lambda device: states.append(device))
-    line.changes.follow(session, 1234)
+    assert [(heard.command, shot) for heard, shot in line.received] == [
+        ("no_op", None),
+        ("set_pattern", None),
+    ]
+    first, second = line.changes
+    session: Any = SimpleNamespace(use_device=lambda device: states.append(device))
+    first.apply(session)
+    assert first.applied is not None
+    first.applied(4, 1234)
     assert [state.settings.pattern for state in states] == [1]
-    assert line.told[-1] == (ReceivedCommand(20 * MS, "set_pattern", {"pattern": 1}, 1, "accepted"), 4)
-    line.changes.close()
-    assert line.told[-1] == (ReceivedCommand(40 * MS, "set_pattern", {"pattern": 0}, 3, "accepted"), None)
-    assert line.changes.first is None
-    assert line.post.to_json()["delay"]["count"] == 1
+    assert line.received[-1] == (ReceivedCommand(20 * MS, "set_pattern", {"pattern": 1}, 1, "accepted"), 4)
+    assert second.applied is not None
+    second.applied(None, None)
+    assert line.received[-1] == (ReceivedCommand(40 * MS, "set_pattern", {"pattern": 0}, 3, "accepted"), None)
+    assert line.handler.to_json()["delay"]["count"] == 1
 
 
 def test_answers_are_dated_by_the_device_s_clock() -> None:
@@ -170,12 +178,12 @@ def test_answers_are_dated_by_the_device_s_clock() -> None:
     line.send(1000, "no_op", 0)
     line.send(2000, "time_at_tone", 1, tone_ns=7 * S)
     line.send(2500, "no_op", 2)
-    assert [message.values["time_ns"] for message in line.heard()] == [51 * S, 7 * S, 7 * S + S // 2]
+    assert [message.values["time_ns"] for message in line.messages()] == [51 * S, 7 * S, 7 * S + S // 2]
 
 
 def test_a_time_that_packets_cannot_tell_is_refused() -> None:
     line = Line()
-    line.post._can_date = lambda shown_ns: shown_ns < 100 * S
+    line.handler._can_date = lambda shown_ns: shown_ns < 100 * S
     assert line.send(0, "time_at_tone", 0, tone_ns=100 * S) == "out_of_range"
     assert line.send(0, "time_at_tone", 1, tone_ns=99 * S) == "accepted"
 
@@ -184,9 +192,9 @@ def test_housekeeping_bit_by_bit() -> None:
     """Read by struct from INTERFACE.md, an hour after power-up."""
     line = Line(thermal={"ambient_c": 20.0, "rise_k": 12.0, "time_constant_s": 240.0})
     line.tally.statuses.update({})
-    line.housekeeper.on_truth_used(3, 12_345_000, 0)
-    line.housekeeper.tick(3_600 * S)
-    (payload,) = line.said
+    line.housekeeping.on_truth_used(3, 12_345_000, 0)
+    line.housekeeping.send_due(3_600 * S)
+    (payload,) = line.sent
     assert line.kept == [(payload, 3_600 * S)]
     body = _unstuffed(payload)[6:-2]
     time_s, fraction = struct.unpack(">II", body[:4] + b"\0" + body[4:7])
@@ -208,15 +216,15 @@ def _unstuffed(frame: bytes) -> bytes:
 def test_housekeeping_comes_at_its_rate_however_shots_come() -> None:
     line = Line(start="boot", boot_s=0.5, self_test_s=1.0, housekeeping_rate_hz=2.0)
     for time_ms in range(0, 4000, 7):
-        line.housekeeper.tick(time_ms * MS)
-    times_s = [message.values["time_ns"] / S for message in line.heard()]
+        line.housekeeping.send_due(time_ms * MS)
+    times_s = [message.values["time_ns"] / S for message in line.messages()]
     assert times_s == pytest.approx([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5], abs=0.008)
-    modes = [DEFAULT.word("mode", message.values["mode"]) for message in line.heard()]
+    modes = [DEFAULT.word("mode", message.values["mode"]) for message in line.messages()]
     assert modes == ["self_test"] * 2 + ["standby"] * 5
     assert line.send(4000, "set_parameter", 0, parameter=0, number=0) == "accepted"
     count = len(line.kept)
     for time_ms in range(4000, 9000, 7):
-        line.housekeeper.tick(time_ms * MS)
+        line.housekeeping.send_due(time_ms * MS)
     assert len(line.kept) == count
 
 
@@ -226,31 +234,31 @@ def test_another_rate_counts_at_once_whoever_sets_it() -> None:
     assert line.send(500, "set_parameter", 0, parameter=0, number=0.05) == "accepted"
     assert line.send(3000, "reset", 1, restart="cold") == "accepted"
     for time_ms in range(0, 8000, 10):
-        line.housekeeper.tick(time_ms * MS)
+        line.housekeeping.send_due(time_ms * MS)
     assert [time_ns // MS for _, time_ns in line.kept] == [0, 500, 5000, 6000, 7000]
 
 
 def test_housekeeping_tells_of_its_own_time_not_of_commands_to_come() -> None:
     line = Line(start="standby")
     line.send(2000, "set_mode", 0, mode="track")
-    line.housekeeper.tick(1000 * MS)
-    line.housekeeper.tick(3000 * MS)
-    told = [message for message in line.heard() if isinstance(message, Housekeeping)]
+    line.housekeeping.send_due(1000 * MS)
+    line.housekeeping.send_due(3000 * MS)
+    told = [message for message in line.messages() if isinstance(message, Housekeeping)]
     assert [message.values["mode"] for message in told] == [1, 4]
 
 
 def test_housekeeping_on_can_is_five_frames() -> None:
     line = Line(can=True)
-    line.housekeeper.tick(0)
-    assert [frame.can_id for frame in unpack_frames(line.said[0])] == [0x139, 0x13A, 0x13B, 0x13C, 0x13D]
-    assert all(isinstance(message, Housekeeping) for message in line.heard())
+    line.housekeeping.send_due(0)
+    assert [frame.can_id for frame in unpack_frames(line.sent[0])] == [0x139, 0x13A, 0x13B, 0x13C, 0x13D]
+    assert all(isinstance(message, Housekeeping) for message in line.messages())
 
 
 def test_an_interface_with_fewer_words_says_the_nearest() -> None:
     altimeter = shipped_interface("altimeter")
     line = Line(altimeter, start="boot", boot_s=0.5, self_test_s=1.0)
-    line.housekeeper.tick(1000 * MS)
-    (told,) = line.heard()
+    line.housekeeping.send_due(1000 * MS)
+    (told,) = line.messages()
     assert altimeter.word("state", told.values["mode"]) == "standby"
 
 
@@ -267,8 +275,8 @@ def test_housekeeping_that_cannot_be_filled_is_refused() -> None:
 def test_others_on_the_bus_do_not_drown_a_command_and_a_flood_of_commands_is_not_all_heard() -> None:
     line = Line(can=True)
     others = pack_frames([Frame(0x700, bytes(8))]) * 10_000
-    line.post.hear(others + line.command("no_op", 0), 0, 0)
-    assert [message.command for message in line.heard()] == ["no_op"]
-    line.post.hear(b"".join(line.command("no_op", k % 256) for k in range(1, 20_000)), 0, 0)
-    assert 1_000 < len(line.heard()) < 5_000
-    assert line.post.to_json()["ignored_bytes"] > 10_000
+    line.receive(others + line.command("no_op", 0), 0)
+    assert [message.command for message in line.messages()] == ["no_op"]
+    line.receive(b"".join(line.command("no_op", k % 256) for k in range(1, 20_000)), 0)
+    assert 1_000 < len(line.messages()) < 5_000
+    assert line.handler.to_json()["ignored_bytes"] > 10_000

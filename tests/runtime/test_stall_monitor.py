@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from lidar_emu.runtime.port.stall_monitor import Watch
+from lidar_emu.runtime.port.stall_monitor import StallMonitor
 
 MS = 1_000_000
 START_NS = 77_000 * MS
@@ -19,7 +19,7 @@ class World:
         self.now, self.computed = START_NS - 100 * MS, 0
         self.told: list[tuple[int, str]] = []
         clock: Any = self
-        self.watch = Watch(clock, lambda time_ns, text: self.told.append((time_ns // MS, text)))
+        self.monitor = StallMonitor(clock, lambda time_ns, text: self.told.append((time_ns // MS, text)))
 
     def now_ns(self) -> int:
         return self.now
@@ -31,8 +31,8 @@ class World:
         """Wait, a look every 10 ms, with so many reports in each."""
         for _ in range(ms // 10):
             self.now += 10 * MS
-            self.watch.reported(reports)
-            self.watch.look()
+            self.monitor.reported(reports)
+            self.monitor.poll()
 
 
 @pytest.fixture
@@ -40,8 +40,8 @@ def world() -> World:
     """A run of 1000 shots that has gone on for a second, all well."""
     made = World()
     for shot in range(1000):
-        made.watch.pushed(10 * MS * shot)
-    made.watch.begin(START_NS)
+        made.monitor.pushed(10 * MS * shot)
+    made.monitor.begin(START_NS)
     made.rest(100, reports=0)
     made.rest(1000, reports=1)
     assert made.told == []
@@ -52,32 +52,32 @@ def test_silence_is_told_once_at_its_beginning_and_at_its_end(world: World) -> N
     world.rest(100, reports=0)
     assert world.told == [], "its packets were due for no more than 100 ms"
     world.rest(500, reports=0)
-    assert world.told == [(1120, "the port's process does not answer")]
-    world.watch.reported(60)
+    assert world.told == [(1120, "the port process does not respond")]
+    world.monitor.reported(60)
     world.rest(10, reports=1)
-    assert world.told[1:] == [(1610, "the port's process answers again, after 600 ms")]
+    assert world.told[1:] == [(1610, "the port process responds again, after 600 ms")]
     world.rest(1000, reports=1)
     assert len(world.told) == 2
 
 
 def test_a_packet_that_was_late_already_when_it_was_pushed_is_no_silence(world: World) -> None:
-    world.watch.reported(899)
+    world.monitor.reported(899)
     for shot in range(5):
-        world.watch.pushed(10 * MS * shot)
+        world.monitor.pushed(10 * MS * shot)
         world.rest(50, reports=0)
-        world.watch.reported(1)
+        world.monitor.reported(1)
     assert world.told == []
 
 
 def test_nothing_due_nothing_missed(world: World) -> None:
-    world.watch.reported(899)
+    world.monitor.reported(899)
     world.rest(5000, reports=0)
     assert world.told == []
 
 
 def test_superseded_packets_are_reported_together(world: World) -> None:
-    world.watch.reported(899)
-    world.watch.pushed(2000 * MS)
+    world.monitor.reported(899)
+    world.monitor.pushed(2000 * MS)
     world.rest(800, reports=0)
     world.rest(10, reports=1)
     assert world.told == []
@@ -91,15 +91,15 @@ def test_time_that_was_neither_slept_nor_computed_in(
 ) -> None:
     world.now += away_ms * MS
     world.computed += computed_ms * MS
-    world.watch.reported(away_ms // 10)
-    world.watch.look()
-    expected = [(1000 + away_ms, f"the model's process stood still for {away_ms} ms")] if noticed else []
+    world.monitor.reported(away_ms // 10)
+    world.monitor.poll()
+    expected = [(1000 + away_ms, f"the model's process stalled for {away_ms} ms")] if noticed else []
     assert world.told == expected
 
 
 def test_without_the_clocks_pace_nobody_is_missed() -> None:
     world = World()
-    world.watch.pushed(0)
+    world.monitor.pushed(0)
     world.now += 10_000 * MS
-    world.watch.look()
+    world.monitor.poll()
     assert world.told == []

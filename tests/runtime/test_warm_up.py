@@ -34,26 +34,26 @@ def session() -> Session:
     return Session(build_model(scenario), encoder, 200, faulty_encoder(scenario, encoder, False))
 
 
-def packets(one: Session, rehearsing: bool) -> list[Any]:
+def packets(one: Session, warming: bool) -> list[Any]:
     sent: list[Any] = []
     rewound = False
     while True:
-        if rehearsing:
-            one.rehearse()
+        if warming:
+            one.warm_up()
         block = one.shoot(1)
         if block is None:
             return sent
         sent += zip(block.packets, block.due_ns, strict=True)
-        if rehearsing and len(sent) == 40 and not rewound:
+        if warming and len(sent) == 40 and not rewound:
             rewound = True
             one.rewind(25)
             del sent[25:]
 
 
 def test_packets_are_the_same_with_and_without() -> None:
-    plain = packets(session(), rehearsing=False)
+    plain = packets(session(), warming=False)
     assert len(plain) == 100
-    assert packets(session(), rehearsing=True) == plain
+    assert packets(session(), warming=True) == plain
 
 
 class Socket:
@@ -81,18 +81,18 @@ def test_observers_hear_of_each_datagram_once_and_when_there_is_time() -> None:
     socket: Any = Socket(*((data, 500 * MS + k * 10 * MS) for k, data in enumerate(datagrams)))
     listener = Listener()
     source = TruthSource(socket, LiveTrajectory(10.0), 100 * MS, [listener])
-    source.rehearse()
+    source.warm_up()
     source.receive_one()
     source.begin(500 * MS)
-    source.rehearse()
+    source.warm_up()
     assert listener.heard == []
-    source.tell()
+    source.notify()
     assert listener.heard == [(datagrams[0], 0, True)]
     source.receive_one()
-    source.rehearse()
+    source.warm_up()
     source.receive()
-    source.tell()
-    source.tell()
+    source.notify()
+    source.notify()
     assert listener.heard == [(data, k * 10 * MS, k < 3) for k, data in enumerate(datagrams)]
     assert source.newest == truths[-1]
     counted = source.to_json()["datagrams"]

@@ -7,6 +7,7 @@ import select
 import signal
 import struct
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
 from lidar_emu.runtime.device_link.final_message import FinalMessage, why_no_final_message
 from lidar_emu.runtime.device_link.housekeeping import HousekeepingSender
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report, unpack_frames
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, unpack_frames
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.device import DeviceBehaviour
@@ -29,7 +30,7 @@ from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_protocol import default_interface, shipped_interface
 
 SECOND_NS = 1_000_000_000
-WORDS = b"these are the final message"
+MESSAGE = b"these are the final message"
 
 
 def unstuffed(frame: bytes) -> bytes:
@@ -42,24 +43,26 @@ def unstuffed(frame: bytes) -> bytes:
     return data[:-1]
 
 
-def words_of(tally: Tally, prepare: Callable[[bytes], None], can: bool = False) -> FinalMessage:
-    voice = DownlinkEncoder(default_interface(), 3, can, say=prepare)
+def final_message_of(tally: Tally, prepare: Callable[[bytes], None], can: bool = False) -> FinalMessage:
+    encoder = DownlinkEncoder(default_interface(), 3, can)
     rules = device_rules(DeviceBehaviour(), 10.0, 4, 1)
-    keeper = HousekeepingSender(voice, DeviceTimeline(rules, initial(rules)), tally, None, lambda *_: None)
-    return FinalMessage(voice, keeper, prepare)
+    housekeeping = HousekeepingSender(
+        encoder, DeviceTimeline(rules, initial(rules)), tally, None, prepare, []
+    )
+    return FinalMessage(encoder, housekeeping, prepare)
 
 
 def test_they_are_a_housekeeping_packet_with_mode_safe_and_the_laser_off() -> None:
     tally = Tally(Pace.WALL)
     for status in (DeliveryStatus.LATE, DeliveryStatus.LATE, DeliveryStatus.DROPPED_FULL):
-        tally.report(Report(0, 0, -1, status))
+        tally.report(DeliveryReport(0, 0, -1, status))
     prepared: list[bytes] = []
-    said = words_of(tally, prepared.append)
-    said.begin()
+    said = final_message_of(tally, prepared.append)
+    said.on_opened("port", datetime.now(UTC))
     for tenth in range(26):
         said.on_report(
-            Outgoing(tenth, tenth * SECOND_NS // 10, b""),
-            Report(tenth, tenth * SECOND_NS // 10, 0, DeliveryStatus.SENT),
+            OutgoingPacket(tenth, tenth * SECOND_NS // 10, b""),
+            DeliveryReport(tenth, tenth * SECOND_NS // 10, 0, DeliveryStatus.SENT),
         )
     assert len(prepared) == 1 + 2, "once a second"
     *_, frame, rest = prepared[-1].split(b"\0")
@@ -77,7 +80,7 @@ def test_they_are_a_housekeeping_packet_with_mode_safe_and_the_laser_off() -> No
 
 
 def test_on_can_they_are_frames() -> None:
-    frames = unpack_frames(words_of(Tally(Pace.WALL), lambda _: None, can=True).words())
+    frames = unpack_frames(final_message_of(Tally(Pace.WALL), lambda _: None, can=True).payload())
     assert {frame.can_id for frame in frames} == {0x100 + 3 * 0x40 + k for k in range(0x39, 0x3E)}
     assert next(frame.data[0] for frame in frames if frame.can_id & 0x3F == 0x39) == 6
 
@@ -101,15 +104,15 @@ def begun(path: str, runner: PortRunner) -> None:
     """One packet is sent, one is due in an hour."""
     runner.start(PortSpec(Kind.SERIAL, path))
     runner.begin(Clock().now_ns(), 60 * SECOND_NS, Pace.WALL)
-    runner.prepare(b"first draft")
-    runner.prepare(WORDS)
-    runner.push(Outgoing(0, 0, b"now"))
-    runner.push(Outgoing(1, 3600 * SECOND_NS, b"in an hour"))
+    runner.set_final_message(b"first draft")
+    runner.set_final_message(MESSAGE)
+    runner.push(OutgoingPacket(0, 0, b"now"))
+    runner.push(OutgoingPacket(1, 3600 * SECOND_NS, b"in an hour"))
     while not runner.reports():
         runner.wait(Clock().now_ns() + SECOND_NS)
 
 
-@pytest.mark.parametrize(("error", "said"), [(MemoryError, WORDS), (KeyboardInterrupt, b""), (None, b"")])
+@pytest.mark.parametrize(("error", "said"), [(MemoryError, MESSAGE), (KeyboardInterrupt, b""), (None, b"")])
 def test_a_run_that_fails_by_itself_says_them_too(
     error: type[BaseException] | None, said: bytes, line: Any
 ) -> None:

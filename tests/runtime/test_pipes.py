@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.answers import Answers
+from lidar_emu.runtime.port.pipes import StatusPipe
 
 SECOND_NS = 1_000_000_000
 
@@ -50,15 +50,15 @@ def fill(descriptor: int) -> int:
 
 def test_what_must_arrive_arrives_in_order_though_the_pipe_was_full(pipe: tuple[int, int]) -> None:
     clock = ReaderAtLast(pipe[0])
-    answers = Answers(pipe[1], clock)
+    status = StatusPipe(pipe[1], clock)
     filled = fill(pipe[1])
-    answers.say(finished={"sent_bytes": 1})
-    assert answers.writable == [pipe[1]]
+    status.send(finished={"sent_bytes": 1})
+    assert status.writable == [pipe[1]]
     for number in range(1000):
-        answers.mention(event=[number, 0, "flap"])
-    answers.say(stopped={"sent_bytes": 1})
-    answers.end()
-    assert answers.writable == []
+        status.send_if_idle(event=[number, 0, "flap"])
+    status.send(stopped={"sent_bytes": 1})
+    status.close()
+    assert status.writable == []
     os.set_blocking(pipe[0], False)
     heard = clock.heard + os.read(pipe[0], 65536)
     told = [json.loads(line) for line in heard[filled:].splitlines()]
@@ -67,11 +67,11 @@ def test_what_must_arrive_arrives_in_order_though_the_pipe_was_full(pipe: tuple[
 
 def test_a_line_longer_than_the_pipe_arrives_in_parts(pipe: tuple[int, int]) -> None:
     clock = ReaderAtLast(pipe[0])
-    answers = Answers(pipe[1], clock)
+    status = StatusPipe(pipe[1], clock)
     text = "x" * 300_000
-    answers.say(ready=text)
-    assert answers.writable
-    answers.end()
+    status.send(ready=text)
+    assert status.writable
+    status.close()
     os.set_blocking(pipe[0], False)
     while not clock.heard.endswith(b"\n"):
         clock.heard += os.read(pipe[0], 65536)
@@ -79,25 +79,25 @@ def test_a_line_longer_than_the_pipe_arrives_in_parts(pipe: tuple[int, int]) -> 
 
 
 def test_with_room_everything_is_said_at_once(pipe: tuple[int, int]) -> None:
-    answers = Answers(pipe[1], ReaderAtLast(None))
-    answers.mention(event=[1, 2, "connected"])
-    assert answers.writable == []
+    status = StatusPipe(pipe[1], ReaderAtLast(None))
+    status.send_if_idle(event=[1, 2, "connected"])
+    assert status.writable == []
     assert json.loads(os.read(pipe[0], 1000)) == {"event": [1, 2, "connected"]}
 
 
 def test_a_parent_that_never_listens_holds_nobody_up_for_long(pipe: tuple[int, int]) -> None:
     clock = ReaderAtLast(None)
-    answers = Answers(pipe[1], clock)
+    status = StatusPipe(pipe[1], clock)
     fill(pipe[1])
-    answers.say(stopped={})
-    answers.end()
+    status.send(stopped={})
+    status.close()
     assert clock.time_ns == SECOND_NS
 
 
 def test_a_parent_that_is_gone_is_not_told() -> None:
     reader, writer = os.pipe()
-    answers = Answers(writer, ReaderAtLast(None))
+    status = StatusPipe(writer, ReaderAtLast(None))
     os.close(reader)
-    answers.say(finished={})
-    assert answers.writable == []
+    status.send(finished={})
+    assert status.writable == []
     os.close(writer)

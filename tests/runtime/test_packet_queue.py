@@ -8,9 +8,9 @@ import lidar_emu
 from lidar_emu.device.state import DeviceState
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.events import LinkEvent
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryStatus, Outgoing, Report
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.status import LinkEvent
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block, Session
 from lidar_emu.shots.model import build_model
@@ -21,16 +21,16 @@ class Port:
     """A stand-in for `PortRunner`."""
 
     def __init__(self) -> None:
-        self.pushed: deque[Outgoing] = deque()
+        self.pushed: deque[OutgoingPacket] = deque()
         self.superseded: tuple[int, int] | None = None
         self.last_shot = -1
-        self._reports: list[Report] = []
+        self._reports: list[DeliveryReport] = []
 
-    def push(self, packet: Outgoing) -> bool:
+    def push(self, packet: OutgoingPacket) -> bool:
         self.pushed.append(packet)
         return True
 
-    def meet(self, count: int) -> None:
+    def deliver(self, count: int) -> None:
         """Deliver this many packets."""
         for _ in range(count):
             packet = self.pushed.popleft()
@@ -40,17 +40,19 @@ class Port:
             if not gone:
                 self.last_shot = packet.shot
             self._reports.append(
-                Report(packet.shot, packet.due_ns, 1 if gone else packet.due_ns, status, packet.due_ns)
+                DeliveryReport(
+                    packet.shot, packet.due_ns, 1 if gone else packet.due_ns, status, packet.due_ns
+                )
             )
 
     def supersede(self, generation: int, from_shot: int) -> None:
         self.superseded = generation, from_shot
 
-    def reports(self) -> list[Report]:
+    def reports(self) -> list[DeliveryReport]:
         reports, self._reports = self._reports, []
         return reports
 
-    def link_events(self) -> list[LinkEvent]:
+    def take_link_events(self) -> list[LinkEvent]:
         return []
 
     def far_end(self) -> bytes:
@@ -67,7 +69,7 @@ class Kept(Observer):
         self.shots += block.measurement.shot.tolist()
         self.angles_deg += block.measurement.beam_angle_deg[:, 0].tolist()
 
-    def on_report(self, packet: Outgoing, report: Report) -> None:
+    def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
         assert packet.shot == report.shot
         self.reported.append(packet.shot)
 
@@ -84,39 +86,39 @@ def with_pattern(session: Session, number: int) -> DeviceState:
     return session.device._replace(settings=settings)
 
 
-def post(session: Session, outbox: PacketQueue, shots: int) -> None:
+def post(session: Session, queue: PacketQueue, shots: int) -> None:
     block = session.shoot(shots)
     assert block is not None
-    for packet in outbox.announce(block):
-        assert outbox.push(packet)
+    for packet in queue.announce(block):
+        assert queue.push(packet)
 
 
 def test_blocks_settle_once_all_their_packets_have_met_their_fate() -> None:
-    session, port, kept, tally, outbox = begun()
-    post(session, outbox, 5)
-    post(session, outbox, 5)
-    port.meet(4)
-    outbox.settle()
+    session, port, kept, tally, queue = begun()
+    post(session, queue, 5)
+    post(session, queue, 5)
+    port.deliver(4)
+    queue.collect_reports()
     assert (kept.shots, kept.reported, tally.range_error_m.count) == ([], [0, 1, 2, 3], 0)
-    port.meet(3)
-    outbox.settle()
+    port.deliver(3)
+    queue.collect_reports()
     assert (kept.shots, tally.range_error_m.count) == ([0, 1, 2, 3, 4], 20)
-    outbox.close()
+    queue.close()
     assert (kept.shots, tally.range_error_m.count) == ([0, 1, 2, 3, 4, 5, 6], 28)
 
 
 def test_shots_that_a_command_changes_are_told_once_as_they_were_sent() -> None:
-    session, port, kept, tally, outbox = begun()
-    post(session, outbox, 5)
-    post(session, outbox, 5)
-    port.meet(2)
-    outbox.settle()
+    session, port, kept, tally, queue = begun()
+    post(session, queue, 5)
+    post(session, queue, 5)
+    port.deliver(2)
+    queue.collect_reports()
     session.rewind(3)
     session.use_device(with_pattern(session, 1))
-    outbox.supersede(3)
-    post(session, outbox, 4)
-    port.meet(len(port.pushed))
-    outbox.close()
+    queue.supersede(3)
+    post(session, queue, 4)
+    port.deliver(len(port.pushed))
+    queue.close()
     assert kept.shots == kept.reported == list(range(7))
     assert kept.angles_deg == [22.5] * 3 + [7.5] * 4
     assert tally.sent == tally.due == 7
@@ -124,24 +126,24 @@ def test_shots_that_a_command_changes_are_told_once_as_they_were_sent() -> None:
 
 
 def test_what_is_told_never_keeps_changed_shots_waiting() -> None:
-    session, port, kept, _, outbox = begun()
+    session, port, kept, _, queue = begun()
     for _ in range(4):
-        post(session, outbox, 10)
-    port.meet(9)
-    outbox.settle()
+        post(session, queue, 10)
+    port.deliver(9)
+    queue.collect_reports()
     assert kept.shots == list(range(8)), "a long block is told of in parts"
-    port.meet(8)
-    outbox.settle()
+    port.deliver(8)
+    queue.collect_reports()
     assert kept.shots == list(range(10))
     session.rewind(18)
-    outbox.supersede(18)
-    post(session, outbox, 10)
-    port.meet(1 + 22 + 1)
-    outbox.settle()
+    queue.supersede(18)
+    post(session, queue, 10)
+    port.deliver(1 + 22 + 1)
+    queue.collect_reports()
     assert kept.shots == list(range(10)), "changed shots come first"
     for _ in range(5):
-        post(session, outbox, 10)
-    outbox.settle()
+        post(session, queue, 10)
+    queue.collect_reports()
     assert kept.shots == list(range(18)), "and once they are ahead the others are made up for"
 
 
@@ -157,15 +159,15 @@ def test_going_back_computes_the_same_again() -> None:
 
 
 def test_a_packet_that_was_sent_before_the_port_heard_of_a_command_is_told_as_it_was_sent() -> None:
-    session, port, kept, tally, outbox = begun()
-    post(session, outbox, 5)
-    port.meet(4)  # shot 3 goes out while the model is at it
+    session, port, kept, tally, queue = begun()
+    post(session, queue, 5)
+    port.deliver(4)  # shot 3 goes out while the model is at it
     session.rewind(3)
     session.use_device(with_pattern(session, 1))
-    outbox.supersede(3)
-    post(session, outbox, 4)
-    port.meet(len(port.pushed))
-    outbox.close()
+    queue.supersede(3)
+    post(session, queue, 4)
+    port.deliver(len(port.pushed))
+    queue.close()
     assert kept.shots == kept.reported == list(range(7))
     assert kept.angles_deg == [22.5] * 4 + [7.5] * 3
     assert tally.due == 7
