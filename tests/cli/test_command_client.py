@@ -118,7 +118,7 @@ def test_a_unit_that_is_not_there_does_not_answer(
     present = unit(0)
     assert commander(5, timeout_s=0.2).send("no_op", {}).verdict == NO_ACKNOWLEDGEMENT
     assert commander(0).send("no_op", {}).verdict == "accepted"
-    assert len(present.heard) == 1
+    assert len(present.received) == 1
 
 
 def test_where_the_bus_has_no_answers_a_command_counts_as_sent(spec: PortSpec) -> None:

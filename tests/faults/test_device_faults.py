@@ -39,7 +39,7 @@ def ordered(session: Session, device: DeviceTimeline, scenario: Any, text: str) 
     events = all_events(scenario.device, scenario.faults)
     encoder = Encoder(scenario.wire, False, False, 4)
     session.use_faults(build_model(scenario), faulty_encoder(scenario, encoder, False), events)
-    device.expect(events)
+    device.use_events(events)
     return scenario
 
 

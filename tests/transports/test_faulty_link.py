@@ -67,12 +67,12 @@ class Line:
 class Bench:
     """A link with faults, and its clock."""
 
-    def __init__(self, spec: PortSpec, *orders: dict[str, Any]) -> None:
+    def __init__(self, spec: PortSpec, *faults: dict[str, Any]) -> None:
         self.now_ns = START_NS
         self.line = Line()
         self.port = FaultyPort(self.line.open, spec, lambda: self.now_ns)
-        for number, order in enumerate(orders):
-            self.port.order({"number": number, "from_ns": 100 * MS, "to_ns": 300 * MS, **order})
+        for number, fault in enumerate(faults):
+            self.port.add({"number": number, "from_ns": 100 * MS, "to_ns": 300 * MS, **fault})
         self.link = Link(self.port)
         self.port.begin(START_NS)
 
@@ -250,17 +250,17 @@ def test_what_comes_at_a_rate_comes_once_though_the_port_is_lost_meanwhile() -> 
 def test_nothing_goes_wrong_before_the_start() -> None:
     line = Line()
     port = FaultyPort(line.open, SERIAL, lambda: START_NS)
-    port.order({"number": 0, "kind": "disconnect", "from_ns": 0, "to_ns": None})
+    port.add({"number": 0, "kind": "disconnect", "from_ns": 0, "to_ns": None})
     link = Link(port)
     assert link.send(b"a", START_NS) is DeliveryStatus.SENT
     port.begin(START_NS)
     assert link.send(b"b", START_NS) is DeliveryStatus.DROPPED_BROKEN
 
 
-def test_orders_may_come_later() -> None:
+def test_faults_may_be_added_later() -> None:
     bench = Bench(SERIAL)
     assert bench.at(150).send(b"a") is DeliveryStatus.SENT
-    bench.port.order({"number": 0, "kind": "disconnect", "from_ns": 100 * MS, "to_ns": 300 * MS})
+    bench.port.add({"number": 0, "kind": "disconnect", "from_ns": 100 * MS, "to_ns": 300 * MS})
     assert bench.send(b"b") is DeliveryStatus.DROPPED_BROKEN
 
 

@@ -138,7 +138,7 @@ def test_nobody_connected_is_reported_when_it_changes() -> None:
 def test_what_others_know_about_the_link_is_told_in_its_turn() -> None:
     cable = Cable()
     link = Link(cable.open)
-    link.note("slow", 3 * MS)
+    link.add_event("slow", 3 * MS)
     cable.plugged = False
     link.send(b"x", 4 * MS)
     assert texts(link) == [(3, "slow"), (4, "link broken: pulled")]

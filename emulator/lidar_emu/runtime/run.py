@@ -48,7 +48,7 @@ class Run:
         scenario: the scenario.
         model: model of the scenario.
         options: port, pace and start.
-        observers: called in the loop of the run: they must be quick.
+        observers: called in the loop of the run: they must be quick. More may be added until the run begins.
 
     Raises:
         InputError: the wire is too slow for the rate, the interface too small for the beams, or the pace or the start
@@ -65,7 +65,7 @@ class Run:
     ) -> None:
         self._prepared = prepare(scenario, model, options)
         self._options, self._timing = options, scenario.timing
-        self._observers = list(observers)
+        self._observers = observers
         self.clock = clock or Clock()
         self._port: PortRunner
         self._injector: FaultInjector | None = None
@@ -164,7 +164,8 @@ class Run:
 
     def _connect(self, socket: DatagramSocket | None) -> None:
         """Make the device's side of the link and the truth source, and let them observe the run."""
-        prepared, port, observers = self._prepared, self._port, self._observers
+        prepared, port = self._prepared, self._port
+        self._observers = observers = list(self._observers)
         downlink, device = prepared.downlink, prepared.device
         self._truth = self._truth_source(socket)
         if downlink.has_commands:
