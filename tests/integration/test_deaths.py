@@ -177,6 +177,6 @@ def test_a_process_that_stood_still_is_told_and_followed_by_no_burst(
     shots, _ = received(far_end)
     assert (told["shots"]["due"], told["shots"]["sent"]) == (500, len(shots))
     assert told["shots"]["late"] == 500 - len(shots) >= {"port": 40, "model": 80}[who]
-    # What was due meanwhile is not made up for: the longest lateness is far from the time that it stood still.
+    # What was due meanwhile is not made up for: the longest lateness is far from the time that it stalled.
     assert told["lateness"]["max_ns"] < {"port": 250_000_000, "model": 1_500_000_000}[who]
     assert shots == sorted(set(shots))
