@@ -18,21 +18,30 @@ WATCHED = {
         for name in (
             *("trajectory.powered", "trajectory.profile", "echo", "echo.dust"),
             *("scene", "scene.generated", "scene.mesh", "scene.objects"),
-            *("flight", "flight.recorded", "fmcw.measure", "fmcw.variants", "fmcw.waveform"),
+            *("flight", "flight.recorded", "fmcw.beam_measurement", "fmcw.receiver_faults", "fmcw.waveform"),
             *("faults.measured", "faults.physics", "plan.flight", "plan.expected_error", "probability"),
         )
     ),
 }
-FLIGHT = {"numba", "scipy", "plan.flight", "flight", "trajectory.profile", "scene", "echo", "fmcw.measure"}
+FLIGHT = {
+    "numba",
+    "scipy",
+    "plan.flight",
+    "flight",
+    "trajectory.profile",
+    "scene",
+    "echo",
+    "fmcw.beam_measurement",
+}
 OBJECTS = {"scene.mesh", "scene.objects"}
 SIMULATED = {
     "bench": set[str](),
     "descent": FLIGHT,
     "dusty_landing": FLIGHT | {"echo.dust"},
     "hazards": FLIGHT | OBJECTS | {"scene.generated"},
-    "homodyne_sign": FLIGHT | {"faults.physics", "fmcw.variants"},
+    "homodyne_sign": FLIGHT | {"faults.physics", "fmcw.receiver_faults"},
     "nasa_three_beam": FLIGHT,
-    "noisy_descent_2025": FLIGHT | {"faults.physics", "fmcw.variants"},
+    "noisy_descent_2025": FLIGHT | {"faults.physics", "fmcw.receiver_faults"},
     "obstacles": FLIGHT | OBJECTS,
     "paper_fig2": FLIGHT | OBJECTS | {"scene.generated"},
     "paper_fig3": FLIGHT,

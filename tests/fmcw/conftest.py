@@ -1,4 +1,4 @@
-"""The instruments are a module of these tests."""
+"""The synthesis of records is a module of these tests."""
 
 from __future__ import annotations
 

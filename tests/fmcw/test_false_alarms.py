@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from instruments import plain
+from instruments import beam_record, plain
 from scipy import stats
 from synthesis import COSINES
 
@@ -33,7 +33,7 @@ def _drawn(looks: int, bins: int) -> np.ndarray:
     for shot in range(SHOTS):
         below = np.inf
         for i in range(3):
-            below, place = noise_peak(looks, below, float(bins - i), np.uint64(5), shot, 1, 6, i)
+            below, place = noise_peak(looks, below, float(bins - i), beam_record(shot, 1, seed=5), i)
             peaks[shot, i] = below, place
     return peaks
 

@@ -6,6 +6,7 @@ from math import erf, log, sqrt
 
 import numpy as np
 import pytest
+from instruments import beam_record
 from synthesis import fft_bins, tones_in_time
 
 from lidar_emu.fmcw.bin_filter import convolve_taps, filter_bins
@@ -114,7 +115,7 @@ def _drawn(linewidth: float, delay: float, half: int, shots: int) -> np.ndarray:
     """(shots, 2 half + 1) taps of the laser's line."""
     taps = np.empty((shots, 2, 2 * half + 1))
     for shot in range(shots):
-        line_taps(linewidth, delay, np.uint64(8), shot, 1, 4, 0, half, taps[shot])
+        line_taps(linewidth, delay, beam_record(shot, 1, seed=8), 0, half, taps[shot])
     return taps[:, 0] + 1j * taps[:, 1]
 
 
@@ -186,7 +187,7 @@ def test_published_line_is_a_gaussian_over_bins() -> None:
     half, linewidth = 12, 6.55
     taps = np.empty((4000, 2, 2 * half + 1))
     for shot in range(len(taps)):
-        gaussian_line_taps(linewidth, np.uint64(8), shot, 1, 4, 0, half, taps[shot])
+        gaussian_line_taps(linewidth, beam_record(shot, 1, seed=8), 0, half, taps[shot])
     power = np.mean((taps**2).sum(axis=1), axis=0)
     scale = linewidth / sqrt(8 * log(2)) * sqrt(2)
     expected = np.array(

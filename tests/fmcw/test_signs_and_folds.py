@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from instruments import targets
 
 from lidar_emu.fmcw.estimation import (
     ALL,
@@ -35,7 +36,7 @@ def _observed(beat: float, doppler: float) -> np.ndarray:
 def test_published_detector_finds_what_does_not_fold_at_nyquist(beat: float, doppler: float) -> None:
     assume(beat + abs(doppler) < LENGTH / 2)
     assume(min(beat, abs(doppler)) > 4)
-    estimate = chirp_minus_doppler(*_observed(beat, doppler), TWELFTH, TWELFTH, TWELFTH)
+    estimate = chirp_minus_doppler(targets(_observed(beat, doppler)))
     assert estimate.range_bin == pytest.approx(beat, abs=1e-6)
     assert estimate.doppler_bin == pytest.approx(doppler, abs=1e-6)
     assert estimate.residual_bin == pytest.approx(0, abs=1e-6)
@@ -45,7 +46,7 @@ def test_published_detector_finds_what_does_not_fold_at_nyquist(beat: float, dop
 
 
 def test_published_detector_errs_beyond_nyquist_and_its_residual_says_so() -> None:
-    estimate = chirp_minus_doppler(*_observed(14_000, 60_000), TWELFTH, TWELFTH, TWELFTH)
+    estimate = chirp_minus_doppler(targets(_observed(14_000, 60_000)))
     assert abs(estimate.range_bin - 14_000) > 1000
     assert abs(estimate.residual_bin) > 1000
 
@@ -53,7 +54,7 @@ def test_published_detector_errs_beyond_nyquist_and_its_residual_says_so() -> No
 def _least_squares(
     observed: np.ndarray, variances: tuple[float, float, float] = (TWELFTH, TWELFTH, TWELFTH)
 ) -> Estimate:
-    return least_squares(ALL, *observed, *variances, LENGTH, FARTHEST)
+    return least_squares(ALL, targets(observed, variances), LENGTH, FARTHEST)
 
 
 @settings(deadline=None)
@@ -112,7 +113,7 @@ def test_sign_is_not_resolved_at_the_ground(doppler: float) -> None:
     """At no range the mirror image, negative range and opposite speed, fits as well."""
     assert not _least_squares(_observed(0.0, doppler)).sign_resolved
     assert _least_squares(_observed(0.0, doppler)).doppler_bin == 500.0  # of equals the closing one
-    assert not chirp_minus_doppler(*_observed(0.0, doppler), TWELFTH, TWELFTH, TWELFTH).sign_resolved
+    assert not chirp_minus_doppler(targets(_observed(0.0, doppler))).sign_resolved
 
 
 def test_a_false_lock_is_not_resolved() -> None:
@@ -125,7 +126,7 @@ def test_a_false_lock_is_not_resolved() -> None:
 
 def test_frequencies_that_nothing_explains_are_not_found() -> None:
     far_beyond = np.array([60_000.0, 50.0, 100.0])
-    estimate = least_squares(ALL, *far_beyond, TWELFTH, TWELFTH, TWELFTH, LENGTH, 100.0)
+    estimate = least_squares(ALL, targets(far_beyond), LENGTH, 100.0)
     assert not estimate.found
     assert np.isnan(estimate.range_bin)
     assert not estimate.sign_resolved
@@ -140,7 +141,7 @@ def _of_two(mask: int, observed: np.ndarray, farthest: float = FARTHEST) -> Esti
     there = [bool(mask & bit) for bit in (UP, CONSTANT, DOWN)]
     frequencies = np.where(there, observed, np.nan)
     variances = np.where(there, TWELFTH, np.nan)
-    return least_squares(mask, *frequencies, *variances, LENGTH, farthest)
+    return least_squares(mask, targets(frequencies, variances), LENGTH, farthest)
 
 
 def _slow_explanations(mask: int, observed: np.ndarray) -> list[tuple[int, bool, bool, bool, float, float]]:
@@ -227,7 +228,7 @@ def test_chirps_without_doppler_line_are_a_hover(doppler: float) -> None:
     [(UP | DOWN, (0.1 + 0.3) / 4, (0.1 + 0.3) / 4), (UP | CONSTANT, 0.3, 0.2), (CONSTANT | DOWN, 0.5, 0.2)],
 )
 def test_variances_of_two_segments(mask: int, range_variance: float, doppler_variance: float) -> None:
-    estimate = least_squares(mask, *_observed(2000.0, 9000.0), 0.1, 0.2, 0.3, LENGTH, FARTHEST)
+    estimate = least_squares(mask, targets(_observed(2000.0, 9000.0), (0.1, 0.2, 0.3)), LENGTH, FARTHEST)
     assert [estimate.range_variance, estimate.doppler_variance] == pytest.approx(
         [range_variance, doppler_variance]
     )
@@ -244,7 +245,7 @@ def test_one_explanation_alone_is_resolved() -> None:
 
 @pytest.mark.parametrize("mask", [0, UP, CONSTANT, DOWN])
 def test_fewer_than_two_segments_say_nothing(mask: int) -> None:
-    estimate = least_squares(mask, 1.0, 2.0, 3.0, TWELFTH, TWELFTH, TWELFTH, LENGTH, FARTHEST)
+    estimate = least_squares(mask, targets((1.0, 2.0, 3.0)), LENGTH, FARTHEST)
     assert not estimate.found
     assert not estimate.sign_resolved
     assert np.isnan([estimate.range_bin, estimate.doppler_bin]).all()
@@ -263,7 +264,7 @@ EXTREME = st.sampled_from([0.0, 1e-300, 1.0, 65_535.5, 65_536.0, 1e9, 1e150, np.
 def test_what_is_found_is_finite(
     mask: int, observed: tuple[float, ...], variances: tuple[float, ...], farthest: float
 ) -> None:
-    estimate = least_squares(mask, *observed, *variances, LENGTH, farthest)
+    estimate = least_squares(mask, targets(observed, variances), LENGTH, farthest)
     if estimate.found:
         assert np.isfinite([estimate.range_bin, estimate.doppler_bin]).all()
         assert np.isfinite([estimate.range_variance, estimate.doppler_variance]).all()

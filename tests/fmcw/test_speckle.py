@@ -9,7 +9,7 @@ from scipy import stats
 
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.speckle import SLOTS, forget, set_weights
+from lidar_emu.fmcw.speckle import forget_corners, set_weights, speckle_field
 from lidar_emu.scenario.instrument import Detection, Instrument, Optics, Waveform
 
 BEAMLETS = 128
@@ -19,17 +19,15 @@ class _Field:
     """The field at one place after another, as a beam asks for it."""
 
     def __init__(self, beam: int = 0, keep: bool = True, beamlets: int = BEAMLETS) -> None:
-        self._beam, self._keep, self._beamlets = beam, keep, beamlets
-        self._held = np.empty((SLOTS, 2), dtype=np.int64)
-        self._corners = np.empty((SLOTS, 2, beamlets))
-        forget(self._held)
+        self._beam, self._keep = beam, keep
+        self._field = speckle_field(beamlets)
+        forget_corners(self._field)
 
     def __call__(self, east: float, north: float) -> np.ndarray:
         if not self._keep:
-            forget(self._held)
-        words, weights = np.empty((4, self._beamlets), dtype=np.uint64), np.empty((2, self._beamlets))
-        set_weights(np.uint64(6), self._beam, 3, east, north, self._held, self._corners, words, weights)
-        return weights[0] + 1j * weights[1]
+            forget_corners(self._field)
+        set_weights(np.uint64(6), self._beam, east, north, self._field)
+        return self._field.weights[0] + 1j * self._field.weights[1]
 
 
 def _places(count: int, seed: int = 4) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from instruments import beam_record
 from mpmath import mp, mpf
 from scipy import stats
 from synthesis import COSINES, fft_bins, tones_in_time
@@ -20,7 +21,7 @@ from lidar_emu.fmcw.spectrum import (
     ROWS,
     TAPS,
     WINDOWS,
-    Window,
+    SpectralWindow,
     add_noise,
     fold,
     grid_capacity,
@@ -143,12 +144,12 @@ def test_bins_laid_are_the_union_around_the_tones(places: list[int]) -> None:
 def _add_noise(shot: int, first_index: int, length: float, grid: np.ndarray, bins: np.ndarray) -> None:
     columns = grid.shape[1]
     words, scratch = np.empty((4, columns), dtype=np.uint64), np.empty((2, columns + 2))
-    add_noise(np.uint64(3), shot, 0, 2, first_index, length, grid, columns, bins, words, scratch)
+    add_noise(beam_record(shot, 0, seed=3), first_index, length, grid, columns, bins, words, scratch)
     mirror_ends(length, grid, grid.shape[1], bins)
 
 
 def _noise_spectra(
-    window: Window, first: int, count: int, length: float, shots: int, looks: int = 1
+    window: SpectralWindow, first: int, count: int, length: float, shots: int, looks: int = 1
 ) -> np.ndarray:
     """(shots, count) power of windowed noise."""
     grid = _grid(np.arange(first + REACH, first + count - REACH, 1.0), int(length))

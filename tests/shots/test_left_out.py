@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -121,7 +121,7 @@ def test_smear_has_two_sides(side: float) -> None:
 @pytest.mark.parametrize("side", [0.98, 1.02])
 def test_the_line_has_two_sides(side: float) -> None:
     range_m = side * LEAST_LINE_DRIFT * 299792458 / (4 * np.pi * 3e3)
-    echoes = replace(_echoes(range_m, 0.0, 0.0, 0.0, 1, 3), closing_speed_mps=np.full((SHOTS, 1, 1), 50.0))
+    echoes = _echoes(range_m, 0.0, 0.0, 0.0, 1, 3)._replace(closing_speed_mps=np.full((SHOTS, 1, 1), 50.0))
     # Migration at this speed is beyond its own limit.
     some, whole = _with_and_without(Instrument(detection=FINE), echoes)
     assert _same(some, whole) is (side > 1)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-
 import numpy as np
 import pytest
 
@@ -49,9 +47,8 @@ def test_at_one_instant_it_does_not_matter_which_of_the_two_moves(make_flight) -
         hits = over.cast(where)
         assert (hits.object_id == 1).all()
         seen.append(compute_echoes(scenario.instrument, scenario.site, over, 19, where, hits))
-    for field in fields(Echoes):
-        one, other = (getattr(echoes, field.name) for echoes in seen)
-        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-11, err_msg=field.name)
+    for name, one, other in zip(Echoes._fields, *seen, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-11, err_msg=name)
 
 
 def test_the_closing_speed_is_that_of_both(make_flight) -> None:

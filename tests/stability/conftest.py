@@ -1,9 +1,8 @@
-"""Truth, extremes and whole flights are modules of these tests; the instruments are those of the receiver's."""
+"""Truth, extremes and whole flights are modules of these tests."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
 
-HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "fmcw")]
+sys.path.insert(0, str(Path(__file__).parent))

@@ -112,7 +112,7 @@ def _some_nan() -> list[Beams]:
 
 def _inside() -> list[Beams]:
     instrument, beams = _point(JOINT, 1000.0, 50.0, shots=3)
-    flagged: Echoes = replace(beams, inside=~beams.inside)
+    flagged: Echoes = beams._replace(inside=~beams.inside)
     return [(instrument, flagged), _point(JOINT, [0.0, -0.0, -5e-324, -1.0, -1e300, -np.inf], 50.0, shots=1)]
 
 

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "fmcw")]
+sys.path[:0] = [str(HERE), str(HERE.parent / "support")]
 
 from extremes import EXTREMES  # noqa: E402
 from flights import FLIGHTS  # noqa: E402

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,7 +114,8 @@ def quiet(scenario: FlightScenario) -> FlightScenario:
 
 def one_beam(echoes: Echoes, rows: slice) -> Echoes:
     """The first beam of some shots."""
-    return Echoes(*(getattr(echoes, name)[rows, :1] for name in Echoes.__dataclass_fields__))
+    arrays: tuple[NDArray[Any], ...] = echoes
+    return Echoes(*(values[rows, :1] for values in arrays))
 
 
 def rms_apart(one: Returns, other: Returns) -> tuple[float, float]:

@@ -8,7 +8,6 @@ in parcels of equal optical depth with places and speeds of their own, or from o
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +29,7 @@ _LEAST_COSINE = 0.05
 
 
 class _Paths(NamedTuple):
-    """How beams (shots, beams) go through the sheet."""
+    """Paths of beams (shots, beams) through the sheet."""
 
     length_m: FloatArray
     """In the dust, up to the ground."""
@@ -57,7 +56,7 @@ class Dust:
         paths = self._paths(pointing, axis_hits, growth, shot)
         parcels = self._parcels(echoes, pointing, axis_hits, paths, shot)
         streak_depth = np.where(paths.in_streak, self._plume.streak_optical_depth, 0.0)
-        dimmed = replace(echoes, power_w=echoes.power_w * _passed(paths.depth + streak_depth)[..., None])
+        dimmed = echoes._replace(power_w=echoes.power_w * _passed(paths.depth + streak_depth)[..., None])
         return _stronger(dimmed, parcels) if self._stronger_only else _joined(dimmed, parcels)
 
     def _growth(self, height_m: FloatArray) -> FloatArray:
@@ -102,8 +101,7 @@ class Dust:
         sent_back = np.where(behind, _passed(self._plume.streak_optical_depth) * sent_back, sent_back)
         sent_back[..., 0] *= paths.in_streak
         power_w = self._white_w(range_m) * np.pi / (2.0 * self._plume.lidar_ratio_sr) * sent_back
-        return replace(
-            echoes,
+        return echoes._replace(
             range_m=np.where(sent_back > 0.0, range_m, np.nan),
             closing_speed_mps=self._closing_mps(pointing, drawn[..., 1]),
             power_w=np.where(sent_back > 0.0, power_w, 0.0),
@@ -111,7 +109,7 @@ class Dust:
         )
 
     def _closing_mps(self, pointing: Pointing, drawn: FloatArray) -> FloatArray:
-        """Of dust that flees along the ground, from below the sensor toward where the beam goes."""
+        """Closing speed of dust that moves along the ground, from below the sensor in the beam's direction."""
         axis, plume = pointing.true_site, self._plume
         sensor_mps = np.asarray(dot(pointing.sensor_velocity_site_mps, axis))
         outward_mps = plume.speed_mps * (1.0 + plume.speed_spread * (2.0 * drawn - 1.0))
@@ -133,7 +131,7 @@ def _joined(ground: Echoes, parcels: Echoes) -> Echoes:
     """Both, as beamlets of the same beams. They share the beam's speckle field and its motion within a measurement."""
     names = ("range_m", "closing_speed_mps", "power_w", "range_rate_mps")
     both = {name: np.concatenate([getattr(ground, name), getattr(parcels, name)], axis=-1) for name in names}
-    return replace(ground, **both)
+    return ground._replace(**both)
 
 
 def _stronger(ground: Echoes, parcels: Echoes) -> Echoes:
@@ -141,8 +139,7 @@ def _stronger(ground: Echoes, parcels: Echoes) -> Echoes:
     streak_w = parcels.power_w[..., :1]
     wins = streak_w > ground.power_w.sum(axis=-1, keepdims=True)
     first = np.arange(ground.power_w.shape[-1]) == 0
-    return replace(
-        ground,
+    return ground._replace(
         range_m=np.where(wins, parcels.range_m[..., :1], ground.range_m),
         closing_speed_mps=np.where(wins, parcels.closing_speed_mps[..., :1], ground.closing_speed_mps),
         power_w=np.where(wins, np.where(first, streak_w, 0.0), ground.power_w),

@@ -1,4 +1,4 @@
-"""What arrives from the footprint of each beam, at its time of validity and around it.
+"""Echoes of the beamlets of each beam: power, range, closing speed and speckle around the time of validity.
 
 A beam leaves the sensor along u, which turns with u' = ω x u, while the sensor moves with v. The phase of the echo from
 a fixed point of the ground, at the distance s along the axis and x across it, is 2k L with L = s + x²/(2 Rc), Rc the
@@ -16,9 +16,10 @@ Where what is hit moves, v is the sensor's velocity past it.
 from __future__ import annotations
 
 from math import pi, sqrt
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.flight.flight import Flight, Pointing
 from lidar_emu.flight.pointing import ACCELERATION, SENSOR, TRUE, TURNING, VELOCITY
@@ -26,7 +27,8 @@ from lidar_emu.fmcw.link_budget import echo_law, echo_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.vectors import cross, dot, nan_to_zero, store
+from lidar_emu.numerics.records import as_record
+from lidar_emu.numerics.vectors import cross, dot, nan_to_zero
 from lidar_emu.scanner.footprint import Footprint, sample_footprint
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.site import Site
@@ -40,7 +42,7 @@ _LEAST_COSINE = 1e-3
 
 
 class BeamletHits(NamedTuple):
-    """Where beamlets (shots, beams, beamlets) start, go and hit."""
+    """Start, direction and hit of beamlets (shots, beams, beamlets)."""
 
     start_site_m: FloatArray
     """(shots, beams, beamlets, 3)"""
@@ -50,7 +52,7 @@ class BeamletHits(NamedTuple):
 
 
 class _Buffers(NamedTuple):
-    """Arrays of one shape of block, filled again for each block."""
+    """Arrays for blocks of one shape, overwritten by each block."""
 
     footprint: Footprint
     starts_site_m: FloatArray
@@ -62,7 +64,13 @@ class _Buffers(NamedTuple):
 
     @classmethod
     def of(cls, shape: tuple[int, int], beamlets: int, moving: bool) -> Self:
-        """For (shots, beams) over a scene of which something moves, or nothing."""
+        """Arrays for (shots, beams).
+
+        Args:
+            shape: (shots, beams).
+            beamlets: per beam.
+            moving: whether anything in the scene moves.
+        """
         shots, beams = shape
         each = (shots, beams, beamlets)
         footprint = Footprint.unfilled(shots * beams, beamlets)
@@ -88,27 +96,29 @@ class _Buffers(NamedTuple):
 
 
 class EchoModel:
-    """What echoes need of instrument, site and flight, in the numbers of the kernel."""
+    """Computes echoes for an instrument over a site.
+
+    Args:
+        beamlets: per beam.
+    """
 
     def __init__(self, instrument: Instrument, site: Site, flight: Flight, beamlets: int) -> None:
-        """Of beams of so many beamlets each."""
         self._flight, self._beamlets = flight, beamlets
         self._waist_m, self._wavelength_m = instrument.optics.waist_radius_m, instrument.waveform.wavelength_m
-        self._law = echo_law(instrument, site.surface, site.atmosphere)
-        self._swing_radps = np.empty(3)
+        self._law = as_record(echo_law(instrument, site.surface, site.atmosphere))
         self._buffers = _Buffers.of((0, 0), beamlets, flight.has_moving_objects)
         self._hits = self._buffers.hits
 
     @property
     def beamlet_hits(self) -> BeamletHits:
-        """Where the light of the last echoes met the ground. They hold until the next echoes."""
+        """Hits of the beamlets of the last echoes, valid until the next echoes."""
         buffers = self._buffers
         shape = buffers.echoes.range_m.shape
         starts, rays = (vectors.reshape(*shape, 3) for vectors in (buffers.starts_site_m, buffers.rays_site))
         return BeamletHits(starts, rays, self._hits.shaped(shape))
 
     def cast_beamlets(self, pointing: Pointing, axis_hits: Hits) -> Hits:
-        """Where beamlets meet the ground, (rays,), if axes do at `axis_hits`. They hold until the next ones."""
+        """Hits (rays,) of the beamlets around axes that hit at `axis_hits`, valid until the next call."""
         shots, beams = axis_hits.range_m.shape
         if self._buffers.echoes.fired.shape != (shots, beams):
             self._buffers = _Buffers.of((shots, beams), self._beamlets, self._flight.has_moving_objects)
@@ -132,93 +142,62 @@ class EchoModel:
         return self._hits
 
     def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
-        """Echoes of beams (shots, beams) whose axes met the ground at `axis_hits`. They hold until the next ones."""
+        """Echoes of beams (shots, beams) whose axes hit at `axis_hits`, valid until the next call."""
         hits = self.cast_beamlets(pointing, axis_hits)
         footprint, echoes = self._buffers.footprint, self._buffers.echoes
         echoes.fired[:], echoes.inside[:] = pointing.fired, axis_hits.inside
-        _receive(
-            *self._law,
-            self._waist_m,
-            pointing.beams,
-            axis_hits.range_m,
-            footprint.weight,
-            footprint.ray_site,
-            footprint.doppler_site,
-            footprint.across_site,
-            footprint.doppler_start_m,
-            hits.normal_site,
-            hits.velocity_site_mps,
-            pointing.time_ns,
-            self._swing_radps,
-            hits.reflectance,
-            echoes.range_m,
-            echoes.closing_speed_mps,
-            echoes.power_w,
-            echoes.range_rate_mps,
-            echoes.closing_acceleration_mps2,
-            echoes.smear_acceleration_mps2,
-            echoes.speckle_place,
-            echoes.speckle_drift_per_s,
-        )
+        _set_echoes(self._law, pointing.beams, pointing.time_ns, axis_hits.range_m, footprint, hits, echoes)
         return echoes
 
 
 def compute_echoes(
     instrument: Instrument, site: Site, flight: Flight, beamlets: int, pointing: Pointing, axis_hits: Hits
 ) -> Echoes:
-    """Echoes of beams (shots, beams), each of so many beamlets, whose axes met the ground at `axis_hits`."""
+    """Echoes of beams (shots, beams) of `beamlets` beamlets each, whose axes hit at `axis_hits`."""
     return EchoModel(instrument, site, flight, beamlets).echoes(pointing, axis_hits)
 
 
 @kernel(outermost=True)
-def _receive(
-    emitted_w: float,
-    coupling: float,
-    lommel_seeliger_share: float,
-    parting_per_m: float,
-    extinction_per_m: float,
-    rayleigh_m: float,
-    waist_m: float,
+def _set_echoes(
+    laws: NDArray[Any],
     vectors: FloatArray,
-    axis_range_m: FloatArray,
-    weight: FloatArray,
-    ray: FloatArray,
-    doppler: FloatArray,
-    across: FloatArray,
-    doppler_start_m: FloatArray,
-    normals: FloatArray,
-    surface_mps: FloatArray,
     time_ns: IntArray,
-    swing_radps: FloatArray,
-    reflectance: FloatArray,
-    range_m: FloatArray,
-    speed_mps: FloatArray,
-    power_w: FloatArray,
-    range_rate_mps: FloatArray,
-    closing_mps2: FloatArray,
-    smear_mps2: FloatArray,
-    place: FloatArray,
-    drift_per_s: FloatArray,
+    axis_range_m: FloatArray,
+    footprint: Footprint,
+    hits: Hits,
+    echoes: Echoes,
 ) -> None:
-    """Fill speed, power and range rate (shots, beams, beamlets) and what each beam has one of; `swing_radps` (3,) is
-    overwritten with u'."""
+    """Set the arrays of `echoes` but its ranges and flags.
+
+    Args:
+        laws: (1,) record of an `EchoLaw`.
+        vectors: (6, shots, beams, 3) of a `Pointing`.
+        time_ns: (shots, beams) times of validity.
+        axis_range_m: (shots, beams) of the beams' axes.
+        footprint: of (shots * beams) beams.
+        hits: of the beamlets, (rays,).
+    """
+    law = laws[0]
+    waist_m, rayleigh_m = law.waist_m, law.rayleigh_m
+    range_m, surface_mps, across = echoes.range_m, hits.velocity_site_mps, footprint.across_site
+    doppler_start_m = footprint.doppler_start_m
     shots, beams, beamlets = range_m.shape
     for s in range(shots):
         for b in range(beams):
             beam = s * beams + b
             axis, first, second = vectors[TRUE, s, b], across[0, beam], across[1, beam]
             sensor, velocity, away_m = vectors[SENSOR, s, b], vectors[VELOCITY, s, b], axis_range_m[s, b]
-            store(swing_radps, 0, cross(vectors[TURNING, s, b], axis))
+            swing_radps = cross(vectors[TURNING, s, b], axis)
             on_axis = beam * beamlets
-            first_mps = _past(surface_mps, on_axis, velocity, first)
-            second_mps = _past(surface_mps, on_axis, velocity, second)
+            first_mps = _relative_speed(surface_mps, on_axis, velocity, first)
+            second_mps = _relative_speed(surface_mps, on_axis, velocity, second)
             first_radps, second_radps = dot(swing_radps, first), dot(swing_radps, second)
             along_mps2 = dot(vectors[ACCELERATION, s, b], axis)
             coriolis_mps2 = first_mps * first_radps + second_mps * second_radps
             passing_m2ps2 = first_mps * first_mps + second_mps * second_mps
             squared_radps2 = first_radps * first_radps + second_radps * second_radps
-            closing_mps2[s, b] = along_mps2 + coriolis_mps2
-            smear_mps2[s, b] = along_mps2 + _bending_mps2(
+            echoes.closing_acceleration_mps2[s, b] = along_mps2 + coriolis_mps2
+            echoes.smear_acceleration_mps2[s, b] = along_mps2 + _point_acceleration_mps2(
                 passing_m2ps2, coriolis_mps2, squared_radps2, away_m, rayleigh_m
             )
             # Across the beam, in pitches: from shot to shot the echo's field is that of the whole beam. It changes
@@ -231,46 +210,36 @@ def _receive(
                 time_s = 1e-9 * time_ns[s, b]
                 first_m -= time_s * nan_to_zero(dot(surface_mps[on_axis], first))
                 second_m -= time_s * nan_to_zero(dot(surface_mps[on_axis], second))
-            place[s, b, 0], place[s, b, 1] = (
+            echoes.speckle_place[s, b, 0], echoes.speckle_place[s, b, 1] = (
                 nan_to_zero(first_m / waist_pitch_m),
                 nan_to_zero(second_m / waist_pitch_m),
             )
             arm_m, pitch_m = _speckle_scale(beamlets, away_m, waist_m, rayleigh_m)
-            drift_per_s[s, b, 0] = nan_to_zero((first_mps + arm_m * first_radps) / pitch_m)
-            drift_per_s[s, b, 1] = nan_to_zero((second_mps + arm_m * second_radps) / pitch_m)
+            echoes.speckle_drift_per_s[s, b, 0] = nan_to_zero((first_mps + arm_m * first_radps) / pitch_m)
+            echoes.speckle_drift_per_s[s, b, 1] = nan_to_zero((second_mps + arm_m * second_radps) / pitch_m)
             for i in range(beamlets):
                 ray_i = on_axis + i
-                facet = normals[ray_i]
-                speed_mps[s, b, i] = (
-                    _past(surface_mps, ray_i, velocity, doppler[beam, i])
+                facet = hits.normal_site[ray_i]
+                echoes.closing_speed_mps[s, b, i] = (
+                    _relative_speed(surface_mps, ray_i, velocity, footprint.doppler_site[beam, i])
                     - doppler_start_m[0, beam, i] * first_radps
                     - doppler_start_m[1, beam, i] * second_radps
                 )
-                cos_incidence = -dot(facet, ray[beam, i])
+                cos_incidence = -dot(facet, footprint.ray_site[beam, i])
                 # -(n·(v + R u'))/(n·u): of the distance along the moving beam to the plane of its facet. u' is the
                 # axis': the turn of a beamlet, and that of its start, differ by the footprint's radius times the rate.
-                sinking_mps = _past(surface_mps, ray_i, velocity, facet) + range_m[s, b, i] * dot(
+                sinking_mps = _relative_speed(surface_mps, ray_i, velocity, facet) + range_m[s, b, i] * dot(
                     facet, swing_radps
                 )
-                range_rate_mps[s, b, i] = sinking_mps / max(cos_incidence, _LEAST_COSINE)
+                echoes.range_rate_mps[s, b, i] = sinking_mps / max(cos_incidence, _LEAST_COSINE)
                 lit = cos_incidence > 0.0 and range_m[s, b, i] >= 0.0
-                whole_w = echo_power_w(
-                    emitted_w,
-                    coupling,
-                    lommel_seeliger_share,
-                    parting_per_m,
-                    extinction_per_m,
-                    rayleigh_m,
-                    reflectance[ray_i],
-                    range_m[s, b, i],
-                    cos_incidence,
-                )
-                power_w[s, b, i] = whole_w * weight[i] if lit else 0.0
+                whole_w = echo_power_w(law, hits.reflectance[ray_i], range_m[s, b, i], cos_incidence)
+                echoes.power_w[s, b, i] = whole_w * footprint.weight[i] if lit else 0.0
 
 
 @kernel
-def _past(surface_mps: FloatArray, ray: int, velocity: FloatArray, along: FloatArray) -> float:
-    """The sensor's speed along a vector, past the place that a ray hits: where nothing moves, simply its speed."""
+def _relative_speed(surface_mps: FloatArray, ray: int, velocity: FloatArray, along: FloatArray) -> float:
+    """Speed of the sensor along a vector, relative to the place that a ray hits."""
     speed_mps = dot(velocity, along)
     if surface_mps.size > 0:
         speed_mps -= nan_to_zero(dot(surface_mps[ray], along))
@@ -278,13 +247,13 @@ def _past(surface_mps: FloatArray, ray: int, velocity: FloatArray, along: FloatA
 
 
 @kernel
-def _bending_mps2(
+def _point_acceleration_mps2(
     passing_m2ps2: float, coriolis_mps2: float, squared_radps2: float, range_m: float, rayleigh_m: float
 ) -> float:
     """-d²L/dt² of the point of the ground on the axis, less a·u; 0 where the axis meets nothing.
 
     (1 - R/Rc) (2 v·u' + R u'²) - v²/Rc, v across the beam. Far away this is -v²/R however the beam turns: the
-    distance to a fixed point does not know of beams.
+    distance to a fixed point does not depend on the beam.
     """
     squared_m2 = range_m * range_m + rayleigh_m * rayleigh_m
     flatness = rayleigh_m * rayleigh_m / squared_m2
@@ -294,7 +263,7 @@ def _bending_mps2(
 
 @kernel
 def _speckle_scale(beamlets: int, range_m: float, waist_m: float, rayleigh_m: float) -> tuple[float, float]:
-    """How far a turn of the beam shifts its field, and the pitch of the field's lattice, within a measurement.
+    """Shift of the field per turn of the beam, and pitch of the field's lattice, within a measurement, both in metres.
 
     Several beamlets have their own Doppler shifts, and only the exchange of scatterers is left to the field; one stands
     for both.

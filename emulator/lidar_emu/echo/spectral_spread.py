@@ -1,4 +1,4 @@
-"""How far a footprint spreads a beam's spectrum: over range by its slope, over speed by motion across the beam."""
+"""Spectral spread of a footprint: over range by its slope, over speed by motion across the beam."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from lidar_emu.flight.flight import Pointing
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import cross, dot
-from lidar_emu.scanner.footprint import beam_radius_m, wavefront_radius_m
+from lidar_emu.scanner.wavefront import beam_radius_m, wavefront_radius_m
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scene.ray_hits import Hits
 
@@ -25,18 +25,18 @@ class Spread(NamedTuple):
         return np.sqrt(np.maximum(self.variance(1.0, 1.0), self.variance(1.0, -1.0)))
 
     def variance(self, beat: float, doppler: float) -> FloatArray:
-        """Of a frequency that is so much of the range's beat and so much of the Doppler shift: bins²."""
+        """Variance in bins² of the frequency `beat` times the range's beat plus `doppler` times the Doppler shift."""
         gradient = beat * self.beat + doppler * self.doppler
         return np.asarray(dot(gradient, gradient))
 
 
 def no_spread(hits: Hits) -> Spread:
-    """Of a footprint without width."""
+    """Spread of a footprint without width: none."""
     return Spread(np.zeros_like(hits.normal_site), np.zeros_like(hits.normal_site))
 
 
 def spread_bins(instrument: Instrument, pointing: Pointing, hits: Hits) -> Spread:
-    """Of each beam, (shots, beams), on the facet that its axis hits.
+    """Spread of each beam, (shots, beams), on the facet that its axis hits.
 
     The footprint's weight exp(-4 r²/w²) has the rms radius w/√8 along any axis.
 

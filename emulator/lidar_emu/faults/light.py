@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -97,8 +97,7 @@ class LightFaults:
             return np.concatenate([ground, np.where(affected, structure, elsewhere)], axis=-1)
 
         ground_w = np.where(affected, (1.0 - fault.share) * echoes.power_w, echoes.power_w)
-        return replace(
-            echoes,
+        return echoes._replace(
             range_m=joined(echoes.range_m, fault.range_m, np.nan),
             closing_speed_mps=joined(echoes.closing_speed_mps, 0.0, 0.0),
             power_w=joined(ground_w, fault.share * float(power_w), 0.0),
@@ -108,7 +107,7 @@ class LightFaults:
 
 def _faded(echoes: Echoes, active: _ActiveFault) -> Echoes:
     factor = 10.0 ** (-active.fault.loss_db * active.ramp / 10.0)
-    return replace(echoes, power_w=np.where(active.affected, factor, 1.0)[..., None] * echoes.power_w)
+    return echoes._replace(power_w=np.where(active.affected, factor, 1.0)[..., None] * echoes.power_w)
 
 
 def _patched(echoes: Echoes, active: _ActiveFault) -> Echoes:
@@ -128,4 +127,4 @@ def _patched(echoes: Echoes, active: _ActiveFault) -> Echoes:
     )
     power_w = echoes.power_w.copy()
     power_w[..., : ratio.shape[-1]] *= ratio
-    return replace(echoes, power_w=power_w)
+    return echoes._replace(power_w=power_w)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -54,7 +54,7 @@ class FaultyReceivers:
         return returns
 
     def _only(self, echoes: Echoes, beams: BoolArray) -> Echoes:
-        return echoes if beams.all() else replace(echoes, fired=echoes.fired & beams)
+        return echoes if beams.all() else echoes._replace(fired=echoes.fired & beams)
 
     def _receiver(self, acting: int) -> Level:
         """Receiver with the faults whose bits are set."""

@@ -1,1 +1,1 @@
-"""What the receiver makes of the light: echo power, spectra, targets, range and closing speed."""
+"""The FMCW receiver: link budget, spectra, detection, estimation of range and closing speed."""

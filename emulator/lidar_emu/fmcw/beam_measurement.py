@@ -1,4 +1,4 @@
-"""The kernel over shots and beams: three spectra, their targets, range and closing speed."""
+"""The kernel over shots and beams of the spectral and the statistical level: targets, range and closing speed."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from lidar_emu.fmcw.doppler_sign_ambiguity import with_opposite_sign
 from lidar_emu.fmcw.estimation import DOWN, UP, Estimate, chirp_minus_doppler, least_squares
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.returns import RETURN_COLUMNS
+from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes
 from lidar_emu.fmcw.segment_spectrum import set_spectrum
 from lidar_emu.fmcw.skip_limits import GROSS_RESIDUAL_BINS
-from lidar_emu.fmcw.speckle import forget
+from lidar_emu.fmcw.speckle import forget_corners
 from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.fmcw.statistical_model import draw_targets
-from lidar_emu.fmcw.workspace import Workspace
+from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 
@@ -31,7 +31,7 @@ BEAM_RETURN = np.dtype(
 """One row of `Returns`."""
 
 _FASTEST = 1e12
-"""Largest acceleration, place or drift."""
+"""Largest acceleration, place or drift of a beam."""
 
 _VALID = int(Reason.VALID)
 _NOT_FIRED = int(Reason.NOT_FIRED)
@@ -41,162 +41,106 @@ _AMBIGUOUS = int(Reason.AMBIGUOUS)
 
 
 @kernel(outermost=True)
-def prepare(
-    models: NDArray[Any],
-    range_m: FloatArray,
-    closing_speed_mps: FloatArray,
-    motions: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    bounded: FloatArray,
+def most_taps(
+    models: NDArray[Any], range_m: FloatArray, closing_speed_mps: FloatArray, smear_mps2: FloatArray
 ) -> int:
-    """Fill `bounded` with flat `motions`, one after another, as far as the kernels' arithmetic bears them; return the
-    taps of the widest filter that any beam needs. The first of them is the smear's acceleration."""
+    """Taps on each side of the widest filter that any beam needs."""
     model = models[0]
-    place = 0
-    for motion in motions:
-        for i in range(len(motion)):
-            bounded[place] = _bounded(motion[i])
-            place += 1
-    widest = 0
-    for s in range(range_m.shape[0]):
-        for b in range(range_m.shape[1]):
-            smear_mps2 = bounded[s * range_m.shape[1] + b]
-            for i in range(range_m.shape[2]):
-                needed = widest_filter(model, range_m[s, b, i], closing_speed_mps[s, b, i], smear_mps2)
-                widest = max(widest, needed)
-    return widest
+    most = 0
+    shots, beams, beamlets = range_m.shape
+    for s in range(shots):
+        for b in range(beams):
+            acceleration_mps2 = _bounded(smear_mps2[s, b])
+            for i in range(beamlets):
+                taps = widest_filter(model, range_m[s, b, i], closing_speed_mps[s, b, i], acceleration_mps2)
+                most = max(most, taps)
+    return most
 
 
 @kernel
 def _bounded(value: float) -> float:
-    """Within what the kernels' arithmetic bears, far beyond any motion; 0 where nothing is known."""
+    """A number within the limits of the kernels' arithmetic, far beyond any motion; 0 for NaN."""
     return 0.0 if np.isnan(value) else min(max(value, -_FASTEST), _FASTEST)
 
 
 @kernel(outermost=True)
-def measure_spectra(
+def measure_beams(
     models: NDArray[Any],
     work: Workspace,
-    range_m: FloatArray,
-    closing_speed_mps: FloatArray,
-    power_w: FloatArray,
-    range_rate_mps: FloatArray,
-    closing_acceleration_mps2: FloatArray,
-    smear_acceleration_mps2: FloatArray,
-    speckle_place: FloatArray,
-    speckle_drift_per_s: FloatArray,
-    fired: NDArray[np.bool_],
-    inside: NDArray[np.bool_],
+    spectra: SpectrumWorkspace | None,
+    echoes: Echoes,
     shot: NDArray[np.int64],
     seed: np.uint64,
     rows: NDArray[Any],
 ) -> None:
+    """Measure every beam that fires.
+
+    Args:
+        models: (1,) the receiver's constants.
+        work: overwritten.
+        spectra: overwritten; None draws targets from the statistical model. numba compiles that branch alone then.
+        echoes: arrays in C order.
+        shot: (shots,) their numbers.
+        seed: of the run.
+        rows: (shots, beams) of BEAM_RETURN, zeroed.
+    """
     model = models[0]
-    for s in range(range_m.shape[0]):
-        for b in range(range_m.shape[1]):
+    beam = work.beam[0]
+    beam.seed = seed
+    for s in range(rows.shape[0]):
+        beam.shot = shot[s]
+        for b in range(rows.shape[1]):
             row = rows[s, b]
-            _blank(row, fired[s, b], inside[s, b])
+            _blank(row, echoes.fired[s, b], echoes.inside[s, b])
             if row.reason != _VALID:
                 continue
-            row.reason, count, total_w = gather_beamlets(
+            row.reason = gather_beamlets(
                 model,
-                range_m[s, b],
-                closing_speed_mps[s, b],
-                power_w[s, b],
-                range_rate_mps[s, b],
+                echoes.range_m[s, b],
+                echoes.closing_speed_mps[s, b],
+                echoes.power_w[s, b],
+                echoes.range_rate_mps[s, b],
+                beam,
                 work.beamlets,
             )
             if row.reason == _INSIDE_GROUND:
                 continue
-            smear_mps2 = smear_acceleration_mps2[s, b]
-            half = 0
-            if count > 0:
-                first_m, first_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
-                half = widest_filter(model, first_m, first_mps, smear_mps2)
-            forget(work.held)
+            beam.beam = b
+            _set_motion(beam, echoes, s, b)
+            forget_corners(work.speckle)
+            if spectra is not None:
+                beam.filter_taps = 0
+                if beam.lit_beamlets > 0:
+                    first_m, first_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
+                    beam.filter_taps = widest_filter(model, first_m, first_mps, beam.smear_acceleration_mps2)
             for segment in range(3):
-                bins = set_spectrum(
-                    model,
-                    work,
-                    count,
-                    half,
-                    segment,
-                    closing_acceleration_mps2[s, b],
-                    smear_mps2,
-                    speckle_place[s, b],
-                    speckle_drift_per_s[s, b],
-                    total_w,
-                    shot[s],
-                    b,
-                    seed,
-                )
-                targets = find_targets(model, work, bins, segment, shot[s], b, seed)
+                if spectra is None:
+                    targets = draw_targets(model, work, beam, segment)
+                else:
+                    bins = set_spectrum(model, work, spectra, beam, segment)
+                    targets = find_targets(model, work, spectra, beam, segment, bins)
                 _count_targets(model, row, segment, targets, work.targets[segment])
             _conclude(model, work.targets, row)
 
 
-@kernel(outermost=True)
-def measure_statistically(
-    models: NDArray[Any],
-    work: Workspace,
-    range_m: FloatArray,
-    closing_speed_mps: FloatArray,
-    power_w: FloatArray,
-    range_rate_mps: FloatArray,
-    closing_acceleration_mps2: FloatArray,
-    smear_acceleration_mps2: FloatArray,
-    speckle_place: FloatArray,
-    speckle_drift_per_s: FloatArray,
-    fired: NDArray[np.bool_],
-    inside: NDArray[np.bool_],
-    shot: NDArray[np.int64],
-    seed: np.uint64,
-    rows: NDArray[Any],
-) -> None:
-    model = models[0]
-    for s in range(range_m.shape[0]):
-        for b in range(range_m.shape[1]):
-            row = rows[s, b]
-            _blank(row, fired[s, b], inside[s, b])
-            if row.reason != _VALID:
-                continue
-            row.reason, count, total_w = gather_beamlets(
-                model,
-                range_m[s, b],
-                closing_speed_mps[s, b],
-                power_w[s, b],
-                range_rate_mps[s, b],
-                work.beamlets,
-            )
-            if row.reason == _INSIDE_GROUND:
-                continue
-            forget(work.held)
-            for segment in range(3):
-                targets = draw_targets(
-                    model,
-                    work,
-                    count,
-                    segment,
-                    closing_acceleration_mps2[s, b],
-                    smear_acceleration_mps2[s, b],
-                    speckle_place[s, b],
-                    speckle_drift_per_s[s, b],
-                    total_w,
-                    shot[s],
-                    b,
-                    seed,
-                )
-                _count_targets(model, row, segment, targets, work.targets[segment])
-            _conclude(model, work.targets, row)
+@kernel
+def _set_motion(beam: Any, echoes: Echoes, s: int, b: int) -> None:
+    """Copy a beam's motion and its place in the speckle field."""
+    beam.closing_acceleration_mps2 = _bounded(echoes.closing_acceleration_mps2[s, b])
+    beam.smear_acceleration_mps2 = _bounded(echoes.smear_acceleration_mps2[s, b])
+    for axis in range(2):
+        beam.speckle_place[axis] = _bounded(echoes.speckle_place[s, b, axis])
+        beam.speckle_drift_per_s[axis] = _bounded(echoes.speckle_drift_per_s[s, b, axis])
 
 
 @kernel(forceinline=True)
-def _count_targets(model: ReceiverModel, row: Any, segment: int, count: int, targets: FloatArray) -> None:
-    """Note the `count` targets of a segment, as far as a faulty receiver has them."""
+def _count_targets(model: ReceiverModel, row: Any, segment: int, count: int, targets: NDArray[Any]) -> None:
+    """Count the targets of a segment: none in a lost one, and folded again where samples are missing."""
     if model.lost_segments & (1 << segment):
         count = 0
     if model.sampled_length < model.fft_length:
         for t in range(count):
-            targets[t, 0], _, _ = fold(targets[t, 0], model.sampled_length)
+            targets[t].frequency_bin, _, _ = fold(targets[t].frequency_bin, model.sampled_length)
     if count > 0:
         row.segments |= 1 << segment
     row.returns = count if segment == 0 else min(row.returns, count)
@@ -204,7 +148,7 @@ def _count_targets(model: ReceiverModel, row: Any, segment: int, count: int, tar
 
 @kernel
 def _blank(row: Any, fired: bool, inside: bool) -> None:
-    """Nothing is known, and why if that is known."""
+    """Set all to NaN, and the reason where the beam does not fire or the sensor is inside the ground."""
     row.reason = _VALID if fired and not inside else (_INSIDE_GROUND if fired else _NOT_FIRED)
     row.range_m = np.nan
     row.closing_speed_mps = np.nan
@@ -217,14 +161,14 @@ def _blank(row: Any, fired: bool, inside: bool) -> None:
 
 
 @kernel(inline="always")
-def _conclude(model: ReceiverModel, targets: FloatArray, row: Any) -> None:
-    """What the targets of three segments, (3, MAX_TARGETS, 3), say together."""
+def _conclude(model: ReceiverModel, targets: NDArray[Any], row: Any) -> None:
+    """Estimate range and closing speed from the targets of three segments, (3, MAX_TARGETS) of TARGET."""
     power = 0.0
     detections = 0
     for segment in range(3):
         if row.segments & (1 << segment):
-            row.segment_peak_hz[segment] = targets[segment, 0, 0] * model.bin_width_hz
-            power += targets[segment, 0, 2]
+            row.segment_peak_hz[segment] = targets[segment, 0].frequency_bin * model.bin_width_hz
+            power += targets[segment, 0].power_over_noise
             detections += 1
     if detections > 0:
         scale = model.noise_power / model.window_centre**2
@@ -240,19 +184,15 @@ def _conclude(model: ReceiverModel, targets: FloatArray, row: Any) -> None:
 
 
 @kernel
-def _estimate(model: ReceiverModel, segments: int, targets: FloatArray) -> Estimate:
-    """One target of each segment, (3, 4), combined."""
-    up, constant, down = targets[0, 0], targets[1, 0], targets[2, 0]
-    up_var, constant_var, down_var = targets[0, 1], targets[1, 1], targets[2, 1]
+def _estimate(model: ReceiverModel, segments: int, targets: NDArray[Any]) -> Estimate:
+    """The estimate from one target of each segment, (3,) of TARGET."""
     if model.joint_estimate:
         farthest_bin = model.record_edge_range_m / model.range_bin_m
-        estimate = least_squares(
-            segments, up, constant, down, up_var, constant_var, down_var, model.fft_length, farthest_bin
-        )
+        estimate = least_squares(segments, targets, model.fft_length, farthest_bin)
     else:
-        estimate = chirp_minus_doppler(up, constant, down, up_var, constant_var, down_var)
+        estimate = chirp_minus_doppler(targets)
     if model.opposite_doppler_sign:
-        return with_opposite_sign(estimate, segments, up, constant, down, up_var, constant_var, down_var)
+        return with_opposite_sign(estimate, segments, targets)
     return estimate
 
 

@@ -1,4 +1,4 @@
-"""From beamlets to the tones of one segment: beat frequencies and complex weights.
+"""Tones of one segment: beat frequencies and complex weights of the beamlets.
 
 Frequency plan: the up-chirp ends at the carrier, the constant segment stays there, the down-chirp starts from it. A
 beamlet at range R, delay τ = 2R/c, whose ground closes with v, beats in a record's centre at
@@ -12,6 +12,7 @@ Re[w exp(j2πg t)] with t from the record's centre.
 from __future__ import annotations
 
 from math import pi, sin, sqrt
+from typing import Any
 
 import numpy as np
 
@@ -46,28 +47,29 @@ def gather_beamlets(
     closing_speed_mps: FloatArray,
     power_w: FloatArray,
     range_rate_mps: FloatArray,
+    beam: Any,
     beamlets: FloatArray,
-) -> tuple[int, int, float]:
-    """Fill `beamlets`, whose columns are those of `range_m` and some more.
+) -> int:
+    """Fill `beamlets`, whose columns are those of `range_m` and some more, and the beam's light in `beam`.
 
     A column that returns no light is like the first that does, but for its power of 0: so all of a beam's arrays have
     the same length, and lie in one piece.
 
     Returns:
-        The reason why nothing can be detected, for the case that nothing is; the number of beamlets that return light;
-        their power.
+        The reason why nothing can be detected, for the case that nothing is.
     """
     reason = _NO_SURFACE
+    beam.lit_beamlets, beam.power_w = 0, 0.0
     count, first = 0, 0
     beamlets[SHARE] = 0.0
     total_w = 0.0
     for i in range(len(range_m)):
         distance_m, power = range_m[i], power_w[i]
         if distance_m <= 0.0:
-            return _INSIDE_GROUND, 0, 0.0
+            return _INSIDE_GROUND
         if distance_m > model.record_edge_range_m:
-            # The echo arrives when the record has begun; what is left of it is heard, but not believed.
-            power *= _heard_share(model, (distance_m - model.record_edge_range_m) * model.delay_per_m) ** 2
+            # The echo arrives when the record has begun; what is left of it is detected, but reported as beyond range.
+            power *= _record_share(model, (distance_m - model.record_edge_range_m) * model.delay_per_m) ** 2
             if reason == _NO_SURFACE:
                 reason = _BEYOND_RANGE
         elif distance_m > 0.0:
@@ -92,12 +94,13 @@ def gather_beamlets(
             snr = share[i] * scale
             amplitude[i] = sqrt(snr)
             share[i] = snr * per_root
-    return reason, count, total_w
+    beam.lit_beamlets, beam.power_w = count, total_w
+    return reason
 
 
 @kernel
-def _heard_share(model: ReceiverModel, lost: float) -> float:
-    """Amplitude of a windowed bin, of a line that misses the first part of its record, over that of a whole one.
+def _record_share(model: ReceiverModel, lost: float) -> float:
+    """Ratio of the amplitudes of a windowed bin: of a line that misses the first part of its record, to a whole line.
 
     The window is centre - 2 side cos(2πx), x over the record.
     """
@@ -127,15 +130,15 @@ def _beat_terms(model: ReceiverModel, segment: int) -> tuple[float, float, float
 def relative_turn(
     model: ReceiverModel, segment: int, time_records: float, range_m: float, ahead_m: float, faster_mps: float
 ) -> float:
-    """Phase of one beamlet's echo beside that of another, in turns, from what it is at the time of validity.
+    """Phase of one beamlet's echo relative to another's, in turns, counted from the time of validity.
 
     With k of the light that returns the phase is that of exp(-2jkL): it turns with the beamlets' own Doppler shifts,
     and from segment to segment as the optical frequency changes, over a beamlet's range beside the other's.
 
     Args:
         time_records: from the time of validity, in records.
-        range_m: of the other, whose delay says which light returns.
-        ahead_m, faster_mps: range and closing speed less those of the other, at the time of validity.
+        range_m: of the other, whose delay selects the light that returns.
+        ahead_m, faster_mps: range and closing speed minus the other's, at the time of validity.
     """
     carrier = model.carrier_ratio[segment] - 1.0
     if segment != 1:

@@ -7,6 +7,7 @@ over the record.
 from __future__ import annotations
 
 from math import ceil, floor, sqrt
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from lidar_emu.fmcw.laser_phase_noise import gaussian_line_taps, line_matters, l
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS, smear_bins, smear_taps
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.spectrum import BIN
-from lidar_emu.fmcw.workspace import Workspace
+from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.sine import FAST
@@ -25,7 +26,7 @@ _MOST_TAPS = 512
 _INDICES = 4 * _MOST_TAPS
 
 _MOST_SMEAR_BINS = 128.0
-"""Beats that change by more are spread over so many bins, and are as weak there as they would be."""
+"""Beats that change by more are spread over this many bins, and scaled to their true strength there."""
 
 _LANES = 4
 """Numbers in a vector."""
@@ -51,27 +52,24 @@ def widest_filter(model: ReceiverModel, range_m: float, speed_mps: float, accele
 def filter_beam(
     model: ReceiverModel,
     work: Workspace,
-    half: int,
+    spectra: SpectrumWorkspace,
+    beam: Any,
     segment: int,
     look: int,
-    smear_acceleration_mps2: float,
     count: int,
-    purpose: int,
-    shot: int,
-    beam: int,
-    seed: np.uint64,
 ) -> None:
-    """Apply smear and the laser's line, those of the two that matter, to the bins of one record."""
+    """Apply smear and the laser's line, where they matter, to the first `count` bins of one record."""
+    half = beam.filter_taps
     range_m, speed_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
-    by_smear, by_line, both = work.taps[0], work.taps[1], work.taps[2]
-    smear = smear_bins(model, segment, speed_mps, smear_acceleration_mps2)
+    by_smear, by_line, both = spectra.taps[0], spectra.taps[1], spectra.taps[2]
+    smear = smear_bins(model, segment, speed_mps, beam.smear_acceleration_mps2)
     smeared, lined = abs(smear) > model.least_smear_bins, line_matters(model, range_m)
     index = (segment + 3 * look) * _INDICES
     if lined and model.homodyne_line:
         delay = model.delay_per_m * range_m
-        line_taps(model.linewidth_bins, delay, seed, shot, beam, purpose, index, half, by_line)
+        line_taps(model.linewidth_bins, delay, beam, index, half, by_line)
     elif lined:
-        gaussian_line_taps(model.linewidth_bins, seed, shot, beam, purpose, index, half, by_line)
+        gaussian_line_taps(model.linewidth_bins, beam, index, half, by_line)
     if smeared:
         computed = min(max(smear, -_MOST_SMEAR_BINS), _MOST_SMEAR_BINS)
         smear_taps(computed, half, by_smear)
@@ -85,7 +83,7 @@ def filter_beam(
     if smeared or lined:
         beat = signed_bin(model, segment, range_m, speed_mps)
         nearest = beat - model.fft_length * np.rint(beat / model.fft_length)
-        filter_bins(taps, half, nearest < 0.0, work.grid, count, work.bins[look], work.filtered)
+        filter_bins(taps, half, nearest < 0.0, spectra.grid, count, spectra.bins[look], spectra.filtered)
 
 
 @kernel(fastmath=FAST)

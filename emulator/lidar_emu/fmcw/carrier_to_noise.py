@@ -8,8 +8,20 @@ from lidar_emu.scenario.instrument import Instrument, Receiver
 from lidar_emu.scenario.site import Site
 
 
+def snr_per_w(instrument: Instrument, site: Site | None) -> float:
+    """Carrier-to-noise ratio of an echo in a rectangular bin, per watt of echo.
+
+    The photons detected coherently in a record, η_h η_q P T_rec / hν, over one plus the ratios of all other noise to
+    the local oscillator's shot noise.
+    """
+    receiver = instrument.receiver
+    photons = instrument.optics.heterodyne_efficiency * receiver.responsivity_a_per_w
+    photons *= instrument.waveform.record_time_s
+    return photons / (ELEMENTARY_CHARGE_C * sum(noise_over_shot(instrument, site)))
+
+
 def noise_over_shot(instrument: Instrument, site: Site | None) -> tuple[float, float]:
-    """Noise before and after the poles of the amplifier, over the local oscillator's shot noise.
+    """Ratios to the local oscillator's shot noise: all noise ahead of the amplifier's poles, and the digitiser's.
 
     Current noise of shot 2 q R P_LO, dark 2 q I_d, thermal 4kT/R_f, intensity RIN (R P_LO)² after common-mode
     rejection, sunlight in the receiver's own mode, and the digitiser's (full scale / 2^bits)² / 12 spread from 0 to
@@ -32,6 +44,6 @@ def noise_over_shot(instrument: Instrument, site: Site | None) -> tuple[float, f
 
 
 def shot_a2_per_hz(receiver: Receiver) -> float:
-    """Of the local oscillator's current."""
+    """Current noise density of the local oscillator's shot noise, 2 q R P_LO."""
     current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
     return 2.0 * ELEMENTARY_CHARGE_C * current_a

@@ -69,7 +69,7 @@ def set_close_tones(
         odd = whole[i] - 2.0 * np.floor(0.5 * whole[i])
         share = (1.0 - 2.0 * odd) * sin_pi(_off(rests[i])) / pi
         residue_re[i], residue_im[i] = share * weight_re[i], share * weight_im[i]
-    # In whole vectors, where there are columns enough; nobody reads those beyond `count`.
+    # In whole vectors, where there are columns enough; columns beyond `count` are never read.
     wide = min(-(-count // _LANES) * _LANES, grid.shape[1], bins.shape[1])
     _sum_poles(tones, residues, grid, wide, bins)
     _add_remainder(tones, residues, length, middle, grid, wide, bins)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,16 +13,16 @@ from lidar_emu.fmcw.laser_phase_noise import line_variance
 from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, peak
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, TAPS
-from lidar_emu.fmcw.workspace import MAX_TARGETS, Workspace
+from lidar_emu.fmcw.workspace import MAX_TARGETS, SpectrumWorkspace, Workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 
 
 @kernel(inline="always")
 def find_targets(
-    model: ReceiverModel, work: Workspace, count: int, segment: int, shot: int, beam: int, seed: np.uint64
+    model: ReceiverModel, work: Workspace, spectra: SpectrumWorkspace, beam: Any, segment: int, count: int
 ) -> int:
-    """Fill `work.targets[segment]` with frequency, its variance and power over noise, strongest first.
+    """Fill `work.targets[segment]`, strongest first.
 
     Args:
         count: bins in use, 0 without light.
@@ -32,44 +34,44 @@ def find_targets(
     highest = 0.0
     noisiest = 0.0
     for j in range(count):
-        highest = max(highest, work.grid[POWER, j])
-        noisiest = max(noisiest, work.grid[NOISE, j])
+        highest = max(highest, spectra.grid[POWER, j])
+        noisiest = max(noisiest, spectra.grid[NOISE, j])
     if count == 0:
         noisiest = 1.0
     computed = float(max(0, count - 2 * TAPS))
-    alarms = draw_alarms(model, highest, noisiest, computed, segment, shot, beam, seed, work.alarms)
+    alarms = draw_alarms(model, beam, segment, highest, noisiest, computed, work.alarms)
     if alarms > 0:
-        highest = max(highest, work.alarms[0, 0])
+        highest = max(highest, work.alarms[0].power)
     groups = find_groups(
-        work.grid[POWER, :count],
-        work.grid[NOISE, :count],
+        spectra.grid[POWER, :count],
+        spectra.grid[NOISE, :count],
         model.threshold * model.noise_power,
         model.group_power_share * highest,
-        work.peaks,
+        spectra.peaks,
     )
     for g in range(groups):
-        _set_target(model, work, work.peaks[g], targets[g])
+        _set_target(model, spectra, spectra.peaks[g], targets[g])
         if model.peak_method != BIN_CENTRE:
             # The estimators know of noise only.
-            targets[g, 1] += line_variance(model, work.beamlets[RANGE_M, 0]) / model.looks
+            targets[g].variance_bin2 += line_variance(model, work.beamlets[RANGE_M, 0]) / model.looks
     return insert_alarms(model, work.alarms[:alarms], highest, targets, groups)
 
 
 @kernel(inline="always")
-def _set_target(model: ReceiverModel, work: Workspace, j: int, target: FloatArray) -> None:
+def _set_target(model: ReceiverModel, spectra: SpectrumWorkspace, j: int, target: Any) -> None:
     offset, variance = peak(
         model.peak_method,
-        work.grid,
-        work.bins,
+        spectra.grid,
+        spectra.bins,
         j,
         model.window_centre,
         model.window_side,
         model.fft_length,
     )
-    target[0] = work.grid[BIN, j] + offset
-    target[1] = variance
-    target[2] = work.grid[POWER, j] / (work.grid[NOISE, j] * model.noise_power)
-    target[3] = work.grid[POWER, j]
+    target.frequency_bin = spectra.grid[BIN, j] + offset
+    target.variance_bin2 = variance
+    target.power_over_noise = spectra.grid[POWER, j] / (spectra.grid[NOISE, j] * model.noise_power)
+    target.power = spectra.grid[POWER, j]
 
 
 @kernel

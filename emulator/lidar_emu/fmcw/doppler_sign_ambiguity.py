@@ -1,39 +1,38 @@
-"""The other branch of a homodyne receiver: the same beats, explained by the other sign of the Doppler shift."""
+"""Doppler sign ambiguity of a homodyne receiver: the same beats, explained by the opposite sign of the shift."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.fmcw.estimation import ALL, CONSTANT, UP, Estimate
 from lidar_emu.numerics.kernels import kernel
 
 
 @kernel
-def with_opposite_sign(
-    usual: Estimate,
-    mask: int,
-    up: float,
-    constant: float,
-    down: float,
-    up_var: float,
-    constant_var: float,
-    down_var: float,
-) -> Estimate:
-    """What a chirp and the Doppler line also say, if the shift is the other way round.
+def with_opposite_sign(usual: Estimate, mask: int, targets: NDArray[Any]) -> Estimate:
+    """The estimate of a chirp and the Doppler line if the shift has the opposite sign.
 
     F₀ = |d| has no sign, so that g₊ = b - d or g₋ = b + d has a second solution with -d. For a closing lidar that goes
     by the down-chirp it is b + 2d: too far by 2 c |v| / (λS), 193 s times the speed with 2 MHz/µs at 1.55 µm. Of
     three segments the longer chirp is taken; the shorter one would refute it.
 
     Args:
-        usual: what the instrument's own estimator makes of them.
-        mask: bits of the segments whose frequencies exist.
-        up, constant, down: observed frequencies F₊, F₀, F₋ in bins.
-        up_var, constant_var, down_var: their variances.
+        usual: the estimate of the instrument's own estimator.
+        mask: bits of the segments that have a target.
+        targets: (3,) of TARGET: one of each segment.
 
     Returns:
         The least b that is not negative; not found without Doppler line, or where both chirps tell the sign.
     """
+    up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
+    up_var, constant_var, down_var = (
+        targets[0].variance_bin2,
+        targets[1].variance_bin2,
+        targets[2].variance_bin2,
+    )
     by_up = mask == UP | CONSTANT or (mask == ALL and up > down)
     doppler = -constant if usual.doppler_bin > 0.0 else constant
     chirp, chirp_var, toward = (up, up_var, doppler) if by_up else (down, down_var, -doppler)

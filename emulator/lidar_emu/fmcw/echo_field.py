@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.beat_tones import relative_turn
-from lidar_emu.fmcw.receiver_model import ReceiverModel, as_records
-from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.speckle import SLOTS, forget, set_weights
+from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.returns import Echoes, contiguous_echoes
+from lidar_emu.fmcw.speckle import SpeckleField, forget_corners, set_weights
+from lidar_emu.fmcw.workspace import build_workspace
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import uniform_pair, unit_phasor
-from lidar_emu.numerics.random_streams import PHASE, SPECKLE
+from lidar_emu.numerics.random_streams import PHASE
+from lidar_emu.numerics.records import as_record
 
 
 def echo_field(
@@ -42,54 +44,40 @@ def echo_field(
         amplitude = snr / np.sqrt(np.maximum(snr.sum(axis=-1, keepdims=True), np.finfo(float).tiny))
     shots, beams, beamlets = echoes.range_m.shape
     field = np.zeros((shots, beams, 3, beamlets), dtype=complex)
-    _set_field(
-        as_records(model),
-        lit,
-        amplitude,
-        np.ascontiguousarray(echoes.range_m, dtype=float),
-        np.ascontiguousarray(echoes.closing_speed_mps, dtype=float),
-        np.ascontiguousarray(echoes.speckle_place, dtype=float),
-        np.ascontiguousarray(echoes.speckle_drift_per_s, dtype=float),
-        np.ascontiguousarray(shot, dtype=np.int64),
-        np.uint64(seed),
-        (PHASE, SPECKLE),
-        field,
-    )
+    work = build_workspace(beamlets, 1)
+    arrays = contiguous_echoes(echoes)
+    number = np.ascontiguousarray(shot, dtype=np.int64)
+    _set_field(as_record(model), work.speckle, lit, amplitude, arrays, number, np.uint64(seed), field)
     return field
 
 
-@kernel(outermost=True, allocates=True)
+@kernel(outermost=True)
 def _set_field(
     models: NDArray[Any],
+    speckle: SpeckleField,
     lit: BoolArray,
     amplitude: FloatArray,
-    range_m: FloatArray,
-    closing_speed_mps: FloatArray,
-    place: FloatArray,
-    drift_per_s: FloatArray,
+    echoes: Echoes,
     shot: NDArray[np.int64],
     seed: np.uint64,
-    purposes: tuple[int, int],
     field: NDArray[np.complex128],
 ) -> None:
+    """Fill `field` as `echo_field` returns it; `speckle` is overwritten."""
     model = models[0]
+    range_m, closing_speed_mps = echoes.range_m, echoes.closing_speed_mps
+    place, drift_per_s, weights = echoes.speckle_place, echoes.speckle_drift_per_s, speckle.weights
     beamlets = range_m.shape[2]
-    pairs = beamlets // 2 + 1
-    held = np.empty((SLOTS, 2), dtype=np.int64)
-    corners = np.empty((SLOTS, 2, 2 * pairs))
-    words = np.empty((4, pairs), dtype=np.uint64)
-    weights = np.empty((2, 2 * pairs))
     for s in range(range_m.shape[0]):
         for b in range(range_m.shape[1]):
-            forget(held)
+            forget_corners(speckle)
             for segment in range(3):
                 time_records = (segment - 1) * model.segment_records
                 time_s = time_records * model.record_time_s
-                common_turn, _ = uniform_pair(seed, shot[s], b, purposes[0], segment)
+                common_turn, _ = uniform_pair(seed, shot[s], b, PHASE, segment)
                 if model.speckle:
                     east = place[s, b, 0] + drift_per_s[s, b, 0] * time_s
                     north = place[s, b, 1] + drift_per_s[s, b, 1] * time_s
-                    set_weights(seed, b, purposes[1], east, north, held, corners, words, weights)
+                    set_weights(seed, b, east, north, speckle)
                 sense = -1.0 if segment == 0 else 1.0
                 first = -1
                 for i in range(beamlets):

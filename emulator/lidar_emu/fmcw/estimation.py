@@ -1,4 +1,4 @@
-"""From the three observed frequencies to range and closing speed, all in bins.
+"""Estimation of range and closing speed from the three observed frequencies, all in bins.
 
 The beats carry signs, g₊ = b - d, g₀ = d, g₋ = b + d with b the beat of range and d the Doppler shift; a
 homodyne receiver shows only where each of them folds to between 0 and N/2. Estimators differ in how they find
@@ -7,9 +7,10 @@ the signs.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.numerics.kernels import kernel
 
@@ -26,14 +27,14 @@ _FOLD_COST = 9.0
 _APART_VARIANCES = 36.0
 """Explanations nearer than six standard deviations tell the same."""
 
-_DEAF_BINS = 16.0
+_AC_COUPLED_BINS = 16.0
 """A tone so near 0 may have been lost to AC coupling: 73 kHz with the default instrument."""
 
 _ROUNDING = 1.0 + 1e-9
 
 
 class Estimate(NamedTuple):
-    """What one target's three frequencies say, in bins and bins²."""
+    """Range and Doppler shift of one target, in bins and bins²."""
 
     found: bool
     """Some choice of signs and folds lies within the instrument's range, to three standard deviations."""
@@ -50,19 +51,22 @@ class Estimate(NamedTuple):
 
 
 @kernel
-def chirp_minus_doppler(
-    up: float, constant: float, down: float, up_var: float, constant_var: float, down_var: float
-) -> Estimate:
+def chirp_minus_doppler(targets: NDArray[Any]) -> Estimate:
     """The published detector: range from the chirp that holds the sum, less the Doppler line.
 
-    Budge et al.: the up-chirp above the down-chirp means receding. It knows nothing of folds at N/2. The sign
+    Budge et al.: the up-chirp above the down-chirp means receding. Folds at N/2 are ignored. The sign
     counts as resolved when the chirps differ by more than three standard deviations of their difference and the
     residual stays within three of its own: a fold at N/2 shows there.
 
     Args:
-        up, constant, down: observed frequencies F₊, F₀, F₋.
-        up_var, constant_var, down_var: their variances.
+        targets: (3,) of TARGET: one of each segment.
     """
+    up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
+    up_var, constant_var, down_var = (
+        targets[0].variance_bin2,
+        targets[1].variance_bin2,
+        targets[2].variance_bin2,
+    )
     closing = not up > down
     longer, shorter = (down, up) if closing else (up, down)
     # The shorter chirp's tone may have passed zero: its sign is the one that fits better.
@@ -84,17 +88,7 @@ def chirp_minus_doppler(
 
 
 @kernel
-def least_squares(
-    mask: int,
-    up: float,
-    constant: float,
-    down: float,
-    up_var: float,
-    constant_var: float,
-    down_var: float,
-    length: float,
-    farthest_bin: float,
-) -> Estimate:
+def least_squares(mask: int, targets: NDArray[Any], length: float, farthest_bin: float) -> Estimate:
     """Joint least squares over the segments that hold a target, with the signs and folds that explain them best.
 
     A chirp's signed beat is F, -F, N - F or F - N. The constant segment's is F or -F: a Doppler shift beyond
@@ -111,9 +105,8 @@ def least_squares(
     Two have no residual, and seldom a single explanation; see `_from_two`.
 
     Args:
-        mask: bits of the segments whose frequencies exist: UP, CONSTANT, DOWN. The others' are not read.
-        up, constant, down: observed frequencies F₊, F₀, F₋.
-        up_var, constant_var, down_var: their variances.
+        mask: bits of the segments that have a target: UP, CONSTANT, DOWN. The others' are ignored.
+        targets: (3,) of TARGET: one of each segment, with its observed frequency F₊, F₀ or F₋.
         length: N.
         farthest_bin: largest b that the instrument can have observed.
 
@@ -121,7 +114,13 @@ def least_squares(
         The estimate, not found where fewer than two segments are there or none of the explanations is admitted.
     """
     if mask == ALL:
-        return _from_three(up, constant, down, up_var, constant_var, down_var, length, farthest_bin)
+        return _from_three(targets, length, farthest_bin)
+    up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
+    up_var, constant_var, down_var = (
+        targets[0].variance_bin2,
+        targets[1].variance_bin2,
+        targets[2].variance_bin2,
+    )
     if mask == UP | DOWN:
         variance = 0.25 * (up_var + down_var)
         return _from_two(mask, up, down, variance, variance, length, farthest_bin)
@@ -133,16 +132,13 @@ def least_squares(
 
 
 @kernel
-def _from_three(
-    up: float,
-    constant: float,
-    down: float,
-    up_var: float,
-    constant_var: float,
-    down_var: float,
-    length: float,
-    farthest_bin: float,
-) -> Estimate:
+def _from_three(targets: NDArray[Any], length: float, farthest_bin: float) -> Estimate:
+    up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
+    up_var, constant_var, down_var = (
+        targets[0].variance_bin2,
+        targets[1].variance_bin2,
+        targets[2].variance_bin2,
+    )
     spread = up_var + 4.0 * constant_var + down_var
     if not spread < np.inf:
         return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, False)
@@ -202,8 +198,8 @@ def _from_two(
     N/2. Of those with the fewest folds at N/2 the choice falls on
 
     1. one that is closing;
-    2. one that says why the third segment is silent: its tone would lie within _DEAF_BINS of 0, where AC coupling
-       takes it. Two chirps without Doppler line are thus a hovering lidar if their tones lie close together;
+    2. one that explains why the third segment has no target: its tone would lie within _AC_COUPLED_BINS of 0, where AC
+       coupling takes it. Two chirps without Doppler line are thus a hovering lidar if their tones lie close together;
     3. one with |d| > b, the state of nearly all of a landing: time to touchdown is then less than λS/c (97 s for a
        chirp of 2 MHz/µs at 1.55 µm), and what silenced the third segment is a fade.
 
@@ -238,7 +234,7 @@ def _from_two(
             folds = ((choice >> 3) & 1) + ((choice >> 1) & 1)
             cost = 8.0 * folds
             cost += 4.0 if doppler < 0.0 else 0.0
-            cost += 2.0 if abs(silent) > _DEAF_BINS else 0.0
+            cost += 2.0 if abs(silent) > _AC_COUPLED_BINS else 0.0
             cost += 1.0 if abs(doppler) <= beat else 0.0
             if cost < best_cost:
                 best_cost, best_range, best_doppler = cost, beat, doppler

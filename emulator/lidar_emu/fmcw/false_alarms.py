@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import exp, expm1, log, log1p, pi, sin
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chndtr
 
 from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE
@@ -13,13 +15,12 @@ from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.response import noise_level
 from lidar_emu.fmcw.spectrum import SpectralWindow
 from lidar_emu.fmcw.workspace import MAX_TARGETS
-from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import uniform_pair
 from lidar_emu.numerics.random_streams import FALSE_ALARM
 
-_PEAK_VARIANCE_TIMES_SNR = 0.5
-"""Of the estimators that resolve part of a bin, for peaks in noise, whose bins are not computed."""
+_VARIANCE_TIMES_SNR = 0.5
+"""Variance of a sub-bin estimator times the SNR, for peaks in noise, whose bins are not computed."""
 
 
 @kernel
@@ -30,7 +31,7 @@ def exceeding_bins(looks: int, power: float, bins: float) -> float:
 
 @kernel
 def log_exceedance(looks: int, power: float) -> float:
-    """Logarithm of the probability that the mean of so many exponential powers of unit mean exceeds `power`.
+    """Logarithm of the probability that the mean of `looks` exponential powers of unit mean exceeds `power`.
 
     A gamma distribution of whole shape: Q(M, x) = e^-x (1 + x + ... + x^(M-1)/(M-1)!) with x = M power.
     """
@@ -62,17 +63,14 @@ def noise_peak(
     looks: int,
     below: float,
     bins: float,
-    seed: np.uint64,
-    shot: int,
-    beam: int,
-    purpose: int,
+    beam: Any,
     index: int,
 ) -> tuple[float, float]:
-    """The highest of so many powers over their mean, given that none exceeds `below`, and where it is, from 0 to 1.
+    """The highest of `bins` powers over their mean, given that none exceeds `below`, and its place from 0 to 1.
 
     The largest of B is below p with probability (1 - Q(p))^B; of a single look, p = -log(1 - u^(1/B)).
     """
-    u, place = uniform_pair(seed, shot, beam, purpose, index)
+    u, place = uniform_pair(beam.seed, beam.shot, beam.beam, FALSE_ALARM, index)
     ceiling = log1p(-exp(log_exceedance(looks, below))) if below < np.inf else 0.0
     exceedance = -expm1(ceiling + log(u) / bins)
     return quantile(looks, log(exceedance)), place
@@ -81,14 +79,12 @@ def noise_peak(
 @kernel
 def draw_alarms(
     model: ReceiverModel,
+    beam: Any,
+    segment: int,
     highest: float,
     noisiest: float,
     computed: float,
-    segment: int,
-    shot: int,
-    beam: int,
-    seed: np.uint64,
-    alarms: FloatArray,
+    alarms: NDArray[Any],
 ) -> int:
     """Peaks of noise above the threshold in bins that are not computed, unless the echo leaves them no chance.
 
@@ -96,7 +92,7 @@ def draw_alarms(
         highest: power of the echo's highest bin.
         noisiest: mean noise power of the rectangular bins there.
         computed: bins that are computed.
-        alarms: (MAX_TARGETS, 3) receives power, bin, and power over noise.
+        alarms: (MAX_TARGETS,) of TARGET, filled strongest first.
 
     Returns:
         Their number.
@@ -108,53 +104,48 @@ def draw_alarms(
         return 0
     below = np.inf
     for a in range(MAX_TARGETS):
-        below, place = noise_peak(
-            model.looks, below, max(1.0, bins - a), seed, shot, beam, FALSE_ALARM, MAX_TARGETS * segment + a
-        )
+        below, place = noise_peak(model.looks, below, max(1.0, bins - a), beam, MAX_TARGETS * segment + a)
         if below <= model.threshold:
             return a
         k = 1.0 + place * (0.5 * model.fft_length - 2.0)
         if model.peak_method == BIN_CENTRE:
             k = np.rint(k)
         level = noise_level(model.response, 1.0, 0.0, k, sin(pi * k / model.fft_length))
-        alarms[a, 0] = below * level * model.noise_power
-        alarms[a, 1] = k
-        alarms[a, 2] = below
+        alarm = alarms[a]
+        alarm.frequency_bin = k
+        alarm.variance_bin2 = BIN_VARIANCE if model.peak_method == BIN_CENTRE else _VARIANCE_TIMES_SNR / below
+        alarm.power_over_noise = below
+        alarm.power = below * level * model.noise_power
     return MAX_TARGETS
 
 
 @kernel(inline="always")
 def insert_alarms(
-    model: ReceiverModel, alarms: FloatArray, highest: float, targets: FloatArray, count: int
+    model: ReceiverModel, alarms: NDArray[Any], highest: float, targets: NDArray[Any], count: int
 ) -> int:
-    """Put peaks of noise among the `count` targets, as far as they are near the highest power; the new count."""
+    """Insert peaks of noise among the `count` targets where they are near the highest power; return the new count."""
     for a in range(len(alarms)):
-        if alarms[a, 0] > model.group_power_share * highest:
-            count = _insert(model, alarms[a], targets, count)
+        if alarms[a].power > model.group_power_share * highest:
+            count = _insert(alarms[a], targets, count)
     return count
 
 
 @kernel
-def _insert(model: ReceiverModel, alarm: FloatArray, targets: FloatArray, count: int) -> int:
-    """Put a peak of noise in its place among the `count` strongest targets."""
+def _insert(alarm: Any, targets: NDArray[Any], count: int) -> int:
+    """Insert a peak of noise among the `count` strongest targets, by its power."""
     place = count
-    while place > 0 and targets[place - 1, 3] < alarm[0]:
+    while place > 0 and targets[place - 1].power < alarm.power:
         if place < MAX_TARGETS:
-            for i in range(targets.shape[1]):
-                targets[place, i] = targets[place - 1, i]
+            targets[place] = targets[place - 1]
         place -= 1
     if place < MAX_TARGETS:
-        exact = model.peak_method != BIN_CENTRE
-        targets[place, 0] = alarm[1]
-        targets[place, 1] = _PEAK_VARIANCE_TIMES_SNR / alarm[2] if exact else BIN_VARIANCE
-        targets[place, 2] = alarm[2]
-        targets[place, 3] = alarm[0]
+        targets[place] = alarm
     return min(count + 1, MAX_TARGETS)
 
 
 @lru_cache(16)
 def neighbour_exceedance(window: SpectralWindow, threshold: float) -> float:
-    """Probability that a bin of noise above the threshold is followed by another: windows correlate neighbours.
+    """Probability that the bin after a noise bin above the threshold exceeds it too: windows correlate neighbours.
 
     Of two circular Gaussians with squared correlation ρ² the one's power, given the other's p, is noncentral
     chi-squared; p beyond the threshold is exponential.

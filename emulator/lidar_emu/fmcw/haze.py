@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, signed_bin
@@ -9,8 +11,10 @@ from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.response import tone_gain
 from lidar_emu.fmcw.spectrum import BIN, NOISE, fold
 from lidar_emu.fmcw.workspace import Workspace
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import complex_normal
+from lidar_emu.numerics.random_streams import HAZE
 
 _PANELS = 16
 
@@ -19,18 +23,15 @@ _PANELS = 16
 def set_haze_tone(
     model: ReceiverModel,
     work: Workspace,
+    beam: Any,
     look: int,
-    purpose: int,
-    shot: int,
-    beam: int,
-    seed: np.uint64,
 ) -> None:
     """The air's own line in the constant segment: all of it closes with the sensor's speed. The last of the tones."""
     beat = signed_bin(model, 1, work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0])
     gain_re, gain_im = tone_gain(model.response, beat)
     observed_bin, factor_re, factor_im = fold(beat, model.fft_length)
     snr = haze_snr(model, work.beamlets[RANGE_M, 0])
-    x, y = complex_normal(seed, shot, beam, purpose, look)
+    x, y = complex_normal(beam.seed, beam.shot, beam.beam, HAZE, look)
     scale = np.sqrt(snr)
     tone = work.tones[look, :, -1]
     tone[0] = np.rint(observed_bin)
@@ -55,13 +56,15 @@ def haze_snr(model: ReceiverModel, range_m: float) -> float:
 
 
 @kernel(inline="always")
-def add_haze(model: ReceiverModel, work: Workspace, segment: int, gain: float, count: int) -> None:
+def add_haze(
+    model: ReceiverModel, work: Workspace, grid: FloatArray, segment: int, gain: float, count: int
+) -> None:
     """The air's light in a chirp: each range has its own beat, so that it adds to the noise of each bin."""
     farthest_m, speed_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
     zero = signed_bin(model, segment, 0.0, speed_mps)
     scale = gain * gain * model.haze.snr_per_m / model.beat_bin_per_m
     for j in range(count):
-        k = work.grid[BIN, j]
+        k = grid[BIN, j]
         # The signed beats that are seen at bin k: itself, its mirror, and those beyond N/2.
         for beat in (k, -k, model.fft_length - k, k - model.fft_length):
             r = (beat - zero) / model.beat_bin_per_m
@@ -69,4 +72,4 @@ def add_haze(model: ReceiverModel, work: Workspace, segment: int, gain: float, c
                 gain_re, gain_im = tone_gain(model.response, beat)
                 passed = scale * (gain_re * gain_re + gain_im * gain_im)
                 spread = 1.0 + (r / model.haze.rayleigh_range_m) ** 2
-                work.grid[NOISE, j] += passed * np.exp(-2.0 * model.haze.extinction_per_m * r) / spread
+                grid[NOISE, j] += passed * np.exp(-2.0 * model.haze.extinction_per_m * r) / spread

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from math import cos, erf, exp, log, pi, sin, sqrt
-
-import numpy as np
+from typing import Any
 
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import complex_normal
+from lidar_emu.numerics.random_streams import LINE
 
 
 @kernel
@@ -45,10 +45,7 @@ def line_matters(model: ReceiverModel, range_m: float) -> bool:
 def line_taps(
     linewidth: float,
     delay: float,
-    seed: np.uint64,
-    shot: int,
-    beam: int,
-    purpose: int,
+    beam: Any,
     first_index: int,
     half: int,
     taps: FloatArray,
@@ -67,6 +64,8 @@ def line_taps(
     Args:
         linewidth: Δν in bins.
         delay: τ in records.
+        beam: record of the beam, `workspace.BEAM`.
+        first_index: of its random numbers.
         half: taps on each side.
         taps: (2, 2 half + 1) receives real and imaginary parts.
     """
@@ -82,8 +81,8 @@ def line_taps(
         quadrature = sqrt(max(0.0, 0.5 * overlap * (both - pseudo)))
         u_re, u_im = 0.0, 0.0
         if in_phase > 0.02 * quadrature:
-            u_re, u_im = complex_normal(seed, shot, beam, purpose, first_index + 2 * m)
-        v_re, v_im = complex_normal(seed, shot, beam, purpose, first_index + 2 * m + 1)
+            u_re, u_im = complex_normal(beam.seed, beam.shot, beam.beam, LINE, first_index + 2 * m)
+        v_re, v_im = complex_normal(beam.seed, beam.shot, beam.beam, LINE, first_index + 2 * m + 1)
         if m == 0:
             taps[0, half] = exp(-0.5 * drift) + in_phase * u_re * sqrt(2.0)
             taps[1, half] = quadrature * v_re * sqrt(2.0)
@@ -113,10 +112,7 @@ def _line_powers(rate: float, drift: float, loss: float, omega: float, delay: fl
 @kernel
 def gaussian_line_taps(
     linewidth: float,
-    seed: np.uint64,
-    shot: int,
-    beam: int,
-    purpose: int,
+    beam: Any,
     first_index: int,
     half: int,
     taps: FloatArray,
@@ -127,11 +123,17 @@ def gaussian_line_taps(
 
     Args:
         linewidth: full width at half maximum in bins.
+        beam: record of the beam, `workspace.BEAM`.
+        first_index: of its random numbers.
         half: taps on each side.
         taps: (2, 2 half + 1) receives real and imaginary parts.
     """
     scale = max(linewidth / sqrt(8.0 * log(2.0)), 1e-9) * sqrt(2.0)
     for m in range(-half, half + 1):
         share = sqrt(0.5 * (erf((m + 0.5) / scale) - erf((m - 0.5) / scale)))
-        x, y = complex_normal(seed, shot, beam, purpose, first_index + half + m) if m != 0 else (1.0, 0.0)
+        x, y = (
+            complex_normal(beam.seed, beam.shot, beam.beam, LINE, first_index + half + m)
+            if m != 0
+            else (1.0, 0.0)
+        )
         taps[0, half + m], taps[1, half + m] = share * x, share * y

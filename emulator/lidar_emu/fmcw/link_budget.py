@@ -21,7 +21,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 
 class EchoLaw(NamedTuple):
-    """How the power of an echo goes with range and incidence, in the order in which `echo_power_w` takes it."""
+    """Constants of the power of an echo as a function of range and incidence."""
 
     emitted_w: float
     """Power of the laser, less what the optics and depolarisation cost."""
@@ -29,8 +29,9 @@ class EchoLaw(NamedTuple):
     """λ²/(π w0²): what the mode of the local oscillator takes of a radiance of 1 W/m² per steradian at the aperture."""
     lommel_seeliger_share: float
     parting_per_m: float
-    """By how many of their radii at the waist the modes part, per metre of range."""
+    """Separation of the two modes in radii at the waist, per metre of range."""
     extinction_per_m: float
+    waist_m: float
     rayleigh_m: float
 
 
@@ -44,28 +45,19 @@ def echo_law(instrument: Instrument, surface: Surface, atmosphere: Atmosphere | 
         lommel_seeliger_share=float(surface.lommel_seeliger_share),
         parting_per_m=float(optics.alignment_error_rad / optics.waist_radius_m),
         extinction_per_m=0.0 if atmosphere is None else float(atmosphere.extinction_per_m),
+        waist_m=float(optics.waist_radius_m),
         rayleigh_m=float(np.pi * optics.waist_radius_m**2 / wavelength_m),
     )
 
 
 @kernel
-def echo_power_w(
-    emitted_w: float,
-    coupling: float,
-    lommel_seeliger_share: float,
-    parting_per_m: float,
-    extinction_per_m: float,
-    rayleigh_m: float,
-    reflectance: float,
-    range_m: float,
-    cos_incidence: float,
-) -> float:
-    """One echo by an `EchoLaw`; see `coherent_power_w`."""
-    farness, parting = range_m / rayleigh_m, parting_per_m * range_m
+def echo_power_w(law: EchoLaw, reflectance: float, range_m: float, cos_incidence: float) -> float:
+    """Power of one echo; see `coherent_power_w`."""
+    farness, parting = range_m / law.rayleigh_m, law.parting_per_m * range_m
     spread = 1.0 + farness * farness
-    dimmed = exp(-parting * parting / spread - 2.0 * extinction_per_m * range_m) / spread
-    limb = lommel_seeliger_share + (1.0 - lommel_seeliger_share) * cos_incidence
-    facing_w = emitted_w * reflectance / pi * coupling
+    dimmed = exp(-parting * parting / spread - 2.0 * law.extinction_per_m * range_m) / spread
+    limb = law.lommel_seeliger_share + (1.0 - law.lommel_seeliger_share) * cos_incidence
+    facing_w = law.emitted_w * reflectance / pi * law.coupling
     return facing_w * (0.0 if cos_incidence <= 0.0 else limb) * dimmed
 
 
@@ -96,7 +88,7 @@ def coherent_power_w(
     Returns:
         Watts in the broadcast shape: NaN where an argument is NaN, 0 for a surface seen from behind.
     """
-    law = partial(interpreted(echo_power_w), *echo_law(instrument, surface, atmosphere), surface.reflectance)
+    law = partial(interpreted(echo_power_w), echo_law(instrument, surface, atmosphere), surface.reflectance)
     return np.asarray(np.vectorize(law, otypes=[float])(range_m, cos_incidence))
 
 

@@ -35,7 +35,7 @@ _NODES, _WEIGHTS = (np.ascontiguousarray(a) for a in np.polynomial.legendre.legg
 
 @kernel
 def smear_bins(model: ReceiverModel, segment: int, speed_mps: float, acceleration_mps2: float) -> float:
-    """By how many bins a beat changes during its record: acceleration, and in the chirps migration.
+    """Change of a beat during its record, in bins: by acceleration, and in the chirps by range migration.
 
     A scatterer's range changes with its speed, and so does its Doppler shift with the optical frequency: each makes
     half of the chirps' -4Sv/c.

@@ -52,7 +52,7 @@ _LEAST_VARIANCE = 1e-12
 """Below it the estimate is exact to rounding; it keeps weights finite."""
 
 _MOST_VARIANCE = 1.0 / 3.0
-"""Of an offset that may be anywhere within a bin on either side."""
+"""Variance of an offset that may be anywhere within a bin on either side."""
 
 _SPAN = 6
 """Bins on each side of the peak that Aboutanios and Mulgrew's half-bin transforms are made of, where there are."""
@@ -62,7 +62,8 @@ _ONE, _TWO = _spans
 """Taps on each side; as literals each would have filters of its own compiled."""
 
 _ITERATIONS = 3
-"""From Jacobsen's estimate on. At 20 dB the last step still moves it by 0.0009 bin rms, and further ones by 0.0002."""
+"""Iterations after Jacobsen's estimate. At 20 dB the last step still moves it by 0.0009 bin rms, and
+further ones by 0.0002."""
 
 _BISECTIONS = 10
 """Steps to the place in the half bin whose tone gives a parabola's vertex."""
@@ -103,7 +104,7 @@ def peak(
     if not (abs(offset) <= 1.0 and variance <= _MOST_VARIANCE):  # NaN included: bins without any power
         offset = min(max(offset, -1.0), 1.0) if abs(offset) > 0.0 else 0.0
         variance = _MOST_VARIANCE
-    # Three quarters of a bin away the neighbour would be the highest: it is noise that says so.
+    # Three quarters of a bin away the neighbour would be the highest: the estimate is noise.
     if abs(offset) > 0.75 or grid[BIN, j] <= 2.0 or grid[BIN, j] >= 0.5 * length - 2.0:
         variance = _MOST_VARIANCE if abs(offset) <= 0.75 else max(variance, BIN_VARIANCE)
     return offset, max(variance, _LEAST_VARIANCE)

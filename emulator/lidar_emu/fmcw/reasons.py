@@ -1,4 +1,4 @@
-"""Why a beam gave no valid measurement."""
+"""Reasons why a beam has no valid measurement."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class Reason(IntEnum):
-    """What stands in the way of a valid range and speed; the codes are those of the wire."""
+    """Reason why a beam has no valid range and speed; the codes are sent over the wire."""
 
     VALID = 0
     NOT_FIRED = 1

@@ -1,11 +1,11 @@
-"""From the description of an instrument, and of the site's light and air, to the receiver's numbers."""
+"""Constants of the receiver's kernels, from the description of an instrument and of the site's light and air."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from lidar_emu.errors import InputError
-from lidar_emu.fmcw.carrier_to_noise import noise_over_shot, shot_a2_per_hz
+from lidar_emu.fmcw.carrier_to_noise import noise_over_shot, shot_a2_per_hz, snr_per_w
 from lidar_emu.fmcw.false_alarms import neighbour_exceedance, quantile
 from lidar_emu.fmcw.link_budget import haze_w_per_m
 from lidar_emu.fmcw.peak_interpolation import METHODS
@@ -27,11 +27,10 @@ from lidar_emu.scenario.site import Site
 def build_receiver(
     instrument: Instrument, site: Site | None = None, exact: bool = False, statistical: bool = False
 ) -> ReceiverModel:
-    """The receiver's numbers.
+    """Constants of the receiver of an instrument.
 
-    Bin SNR is the number of photons detected coherently in a record, η_h η_q P T_rec / hν, over one plus the ratios
-    of all other noise to the local oscillator's shot noise (`noise_over_shot`). The threshold is where the mean of
-    the looks' noise powers is exceeded with probability P_fa / (N/2).
+    The signal of a bin follows from `carrier_to_noise.snr_per_w`. The threshold is the power that the mean of the
+    looks' noise powers exceeds with probability P_fa / (N/2).
 
     Args:
         instrument: its description.
@@ -48,8 +47,7 @@ def build_receiver(
     carrier_hz = SPEED_OF_LIGHT_MPS / waveform.wavelength_m
     bin_hz, record_s = waveform.bin_width_hz, waveform.record_time_s
     amplifier, digitiser = noise_over_shot(instrument, site)
-    snr_per_w = instrument.optics.heterodyne_efficiency * receiver.responsivity_a_per_w * record_s
-    snr_per_w /= ELEMENTARY_CHARGE_C * (amplifier + digitiser)
+    per_w = snr_per_w(instrument, site)
     window = WINDOWS[detection.window]
     threshold = float(interpreted(quantile)(detection.looks, instrument.log_false_alarm_per_bin))
     return ReceiverModel(
@@ -70,10 +68,10 @@ def build_receiver(
         segment_records=waveform.segment_time_s / record_s,
         cycle_records=waveform.cycle_time_s / record_s,
         record_time_s=record_s,
-        snr_per_w=snr_per_w,
+        snr_per_w=per_w,
         signal_shot_per_w=1.0 / (receiver.local_oscillator_power_w * amplifier),
         response=_response(instrument, amplifier, digitiser),
-        haze=_haze(instrument, site, snr_per_w),
+        haze=_haze(instrument, site, per_w),
         linewidth_bins=waveform.linewidth_hz / bin_hz,
         homodyne_line=waveform.linewidth_model == "homodyne",
         speckle=instrument.optics.speckle,
@@ -123,15 +121,19 @@ def _response(instrument: Instrument, amplifier: float, digitiser: float) -> Res
 
 
 def _passed(turns: float) -> float:
-    """White noise behind a single pole, at so many sample rates, all zones together, over that from 0 to N/2."""
+    """Ratio of white noise behind a single pole, all zones together, to the noise from 0 to N/2 ahead of it.
+
+    Args:
+        turns: half-power frequency over the sample rate.
+    """
     return float(np.pi * turns) if np.isfinite(turns) else 1.0
 
 
-def _haze(instrument: Instrument, site: Site | None, snr_per_w: float) -> Haze:
+def _haze(instrument: Instrument, site: Site | None, per_w: float) -> Haze:
     waist_m, wavelength_m = instrument.optics.waist_radius_m, instrument.waveform.wavelength_m
     air = None if site is None else site.atmosphere
     return Haze(
-        snr_per_m=0.0 if air is None else haze_w_per_m(instrument, air) * snr_per_w,
+        snr_per_m=0.0 if air is None else haze_w_per_m(instrument, air) * per_w,
         extinction_per_m=0.0 if air is None else air.extinction_per_m,
         rayleigh_range_m=np.pi * waist_m**2 / wavelength_m,
     )

@@ -1,4 +1,4 @@
-"""Receivers in which something is wrong, as numbers of the same kernels."""
+"""Faulty receivers: changed constants of the same kernels."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ _SEGMENTS = ("up", "constant", "down")
 
 
 def without_segments(model: ReceiverModel, names: Iterable[str]) -> ReceiverModel:
-    """One that never sees these segments: `up`, `constant`, `down`."""
+    """A receiver that loses these segments: `up`, `constant`, `down`."""
     lost = sum(1 << _SEGMENTS.index(name) for name in set(names))
     return model._replace(lost_segments=model.lost_segments | lost)
 
 
 def with_opposite_doppler_sign(model: ReceiverModel) -> ReceiverModel:
-    """One that takes the sign of the Doppler shift for the other one, see `opposite_doppler_sign`."""
+    """A receiver that resolves the Doppler sign ambiguity wrongly, see `with_opposite_sign`."""
     return model._replace(opposite_doppler_sign=True)
 
 
 def decimated(model: ReceiverModel, factor: int) -> ReceiverModel:
-    """One that takes every so-manieth sample, and does not know it.
+    """A receiver that samples only every Nth time, and estimates as if it sampled every time.
 
     The noise of all folds lies in what is left of the band: a tone's SNR falls by the factor, as does the number of
     bins in which noise can be taken for an echo.
@@ -38,7 +38,7 @@ def decimated(model: ReceiverModel, factor: int) -> ReceiverModel:
 
 
 def noisier(model: ReceiverModel, detection: Detection, noise_db: float) -> ReceiverModel:
-    """One with so much more noise in all bins, under the threshold that was set before."""
+    """A receiver with more noise in all bins, and the threshold of the instrument without it."""
     ratio = 10.0 ** (noise_db / 10.0)
     threshold = model.threshold / ratio
     single = detection.looks == 1

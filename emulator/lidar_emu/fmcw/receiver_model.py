@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from lidar_emu.fmcw.response import Response
-from lidar_emu.numerics.kernels import with_fields
 
 
 class Haze(NamedTuple):
     """Light that the air itself returns, in units of the noise power of a bin."""
 
     snr_per_m: float
-    """From each metre just before the sensor; 0 for clear air."""
+    """SNR of the light from each metre just ahead of the sensor; 0 for clear air."""
     extinction_per_m: float
     rayleigh_range_m: float
     """Range at which the beam's area has doubled."""
@@ -29,12 +25,12 @@ class ReceiverModel(NamedTuple):
     fft_length: float
     looks: int
     range_bin_m: float
-    """Range whose beat is one bin, c df / 2S, by the slope that the instrument believes in."""
+    """Range whose beat is one bin, c df / 2S, by the nominal slope."""
     speed_bin_mps: float
     """Closing speed whose Doppler shift is one bin, λ df / 2."""
     bin_width_hz: float
     beat_bin_per_m: float
-    """2S / (c df) with the slope that the laser has."""
+    """2S / (c df) with the laser's actual slope."""
     delay_per_m: float
     """2 / (c T_rec): the echo's delay in records."""
     slope_over_carrier_per_m: float
@@ -72,7 +68,7 @@ class ReceiverModel(NamedTuple):
     """Smaller changes of a beat during a record are left out."""
     least_line_drift: float
     least_line_scatter_bins: float
-    """Where both are smaller the laser's line is left out."""
+    """The laser's line is left out where both are smaller."""
     least_false_alarm: float
     """Smaller probabilities that noise elsewhere matters are left out."""
     sampled_length: float
@@ -81,20 +77,3 @@ class ReceiverModel(NamedTuple):
     """Bits of the segments of which nothing is seen."""
     opposite_doppler_sign: bool
     """Take the other sign of the Doppler shift."""
-
-
-@lru_cache(maxsize=16)
-def as_records(fields: Any) -> Any:
-    """A named tuple as a structured array of one: numba hands on its address, not fifty numbers to each kernel."""
-    return with_fields(np.array([fields], dtype=_record_type(fields)))
-
-
-def _record_type(fields: Any) -> np.dtype[Any]:
-    kinds = [(name, _field_type(value)) for name, value in zip(fields._fields, fields, strict=True)]
-    return np.dtype(kinds, align=True)
-
-
-def _field_type(value: Any) -> np.dtype[Any]:
-    if not isinstance(value, tuple):
-        return np.dtype(type(value))
-    return _record_type(value) if hasattr(value, "_fields") else np.dtype((float, len(value)))

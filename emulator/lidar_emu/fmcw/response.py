@@ -1,4 +1,4 @@
-"""What amplifier and digitiser do to tones and noise: poles, folded noise, clipping."""
+"""Response of amplifier and digitiser to tones and noise: poles, folded noise, clipping."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Response(NamedTuple):
     mean_noise: float
     """Mean over all bins of what the poles and the digitiser make of the noise."""
     full_scale: float
-    """Largest amplitude that is not clipped, that of a tone on its bin being its bin's magnitude; infinite for an
+    """Largest amplitude that is not clipped, in units of the bin of a tone on its bin; infinite for an
     ideal digitiser."""
 
 
@@ -42,7 +42,7 @@ def is_flat(response: Response) -> bool:
 
 @kernel(fastmath=FAST, forceinline=True)
 def tone_gain(response: Response, signed_bin: float) -> tuple[float, float]:
-    """Complex gain at a signed frequency, not folded: that of -f is the conjugate."""
+    """Complex gain at a signed frequency, not folded: the gain at -f is the conjugate."""
     gain_re, gain_im = 1.0, 0.0
     if response.highpass_bin > 0.0:
         below = response.highpass_bin * response.highpass_bin + signed_bin * signed_bin
@@ -91,7 +91,7 @@ def noise_level(response: Response, factor: float, added: float, k: float, sine:
 
 @kernel
 def clipping(response: Response, tones: FloatArray, length: float) -> tuple[float, float]:
-    """What a clipping digitiser makes of tones (4, tones) and noise, taken together as Gaussian (Bussgang's theorem).
+    """Gain and distortion of a clipping digitiser, tones (4, tones) and noise taken as Gaussian (Bussgang's theorem).
 
     Returns:
         The gain of everything in the input, and the power per rectangular bin of the distortion, taken as white.

@@ -1,9 +1,9 @@
-"""What goes into the receiver and what comes out of it."""
+"""Input and output of the receiver: echoes and returns."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,8 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.columns import Column, columns, missing_columns
 
 
-@dataclass(frozen=True)
-class Echoes:
-    """What arrives from each beamlet of each beam."""
+class Echoes(NamedTuple):
+    """The echoes of all beamlets of all beams, as kernels take them."""
 
     range_m: FloatArray
     """(shots, beams, beamlets) At the time of validity; NaN where a beamlet meets nothing."""
@@ -41,6 +40,18 @@ class Echoes:
     """(shots, beams) The sensor is below the ground."""
 
 
+_FLAGS = ("fired", "inside")
+
+
+def contiguous_echoes(echoes: Echoes) -> Echoes:
+    """The same echoes in C order, float64 but for flags: kernels are compiled for these alone."""
+    arrays: dict[str, Any] = {
+        name: np.ascontiguousarray(values, dtype=np.bool_ if name in _FLAGS else np.float64)
+        for name, values in zip(Echoes._fields, echoes, strict=True)
+    }
+    return Echoes(**arrays)
+
+
 @dataclass(frozen=True)
 class BeamReport:
     """What the instrument reports of each beam, (shots, beams); NaN where it has nothing to report."""
@@ -55,7 +66,7 @@ class BeamReport:
         BoolArray,
         Column("?", "", "Whether the sign of the closing speed and the folds of the beats are beyond doubt."),
     ]
-    """For closing speeds up to λ fs / 4 (232.5 m/s): beyond, every segment looks like an alias. `fmcw.estimate` has
+    """For closing speeds up to λ fs / 4 (232.5 m/s): beyond, every segment looks like an alias. `fmcw.estimation` has
     the rules."""
     reason: Annotated[
         NDArray[np.int8],

@@ -11,7 +11,7 @@ LEAST_LINE_SCATTER_BINS = 0.005
 σ = τ sqrt(6Δν/π) in bins and records, are smaller: 1 % of the echo's power."""
 
 GROSS_RESIDUAL_BINS = 2048.0
-"""Three frequencies that disagree by more are not those of one target: even a footprint at grazing incidence is
+"""Three frequencies that disagree by more do not belong to one target: even a footprint at grazing incidence is
 narrower, and false locks and surfaces beyond the record disagree by tens of thousands."""
 
 LEAST_FALSE_ALARM = 1e-9

@@ -12,7 +12,7 @@ within 0.035 of the Gaussian exp(-D²/w²) where the pitch is (π/√8) w.
 from __future__ import annotations
 
 from math import floor
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import fill_complex_normals, unit_phasor
+from lidar_emu.numerics.random_streams import SPECKLE
 
 SLOTS = 9
 """Corners kept, by their coordinates modulo 3: a measurement seldom moves by more than a cell."""
@@ -28,34 +29,42 @@ _FIRST: Any = np.int64(0)
 """No literal, for which numba would compile what draws the numbers once more."""
 
 _LOW_WORD = np.int64(0x7FFFFFFF)
-"""Of a coordinate: two of them are a number that has a sign bit left."""
+"""Mask of a coordinate: two of them fit in a number beside its sign bit."""
+
+
+class SpeckleField(NamedTuple):
+    """The field of one beam at one place, and the corners of the lattice around it."""
+
+    weights: FloatArray
+    """(2, beamlets) Real and imaginary parts at the place, of unit mean power."""
+    held: NDArray[np.int64]
+    """(SLOTS, 2) Coordinates of the corners in `corners`."""
+    corners: FloatArray
+    """(SLOTS, 2, beamlets) The numbers there."""
+    words: NDArray[np.uint64]
+    """(4, beamlets / 2 or more) Random words, overwritten."""
+
+
+def speckle_field(beamlets: int) -> SpeckleField:
+    """Arrays for the field of beams of up to `beamlets` beamlets, an even number; `forget_corners` clears them."""
+    return SpeckleField(
+        weights=np.empty((2, beamlets)),
+        held=np.empty((SLOTS, 2), dtype=np.int64),
+        corners=np.empty((SLOTS, 2, beamlets)),
+        words=np.empty((4, beamlets), dtype=np.uint64),
+    )
 
 
 @kernel
-def set_weights(
-    seed: np.uint64,
-    beam: int,
-    purpose: int,
-    east: float,
-    north: float,
-    held: NDArray[np.int64],
-    corners: FloatArray,
-    words: NDArray[np.uint64],
-    weights: FloatArray,
-) -> None:
-    """Set `weights` (2, beamlets), of unit mean power, to the field at a place given in pitches.
-
-    Args:
-        held: (SLOTS, 2) coordinates of the corners in `corners`; `forget` clears them for each beam.
-        corners: (SLOTS, 2, beamlets) the numbers there.
-        words: (4, beamlets / 2) overwritten.
-    """
+def set_weights(seed: np.uint64, beam: int, east: float, north: float, field: SpeckleField) -> None:
+    """Set the field's weights to those at a place given in pitches."""
+    weights, corners = field.weights, field.corners
     weights[:] = 0.0
     cell_east, cell_north = floor(east), floor(north)
     for corner in range(4):
         x, y = corner & 1, corner >> 1
         share = _share(east - cell_east, x) * _share(north - cell_north, y)
-        slot = _hold(seed, beam, purpose, int(cell_east) + x, int(cell_north) + y, held, corners, words)
+        slot = _slot_of(seed, beam, int(cell_east) + x, int(cell_north) + y, field)
         for part in range(2):
             weight, normal = weights[part], corners[slot, part]
             for i in range(len(weight)):
@@ -63,9 +72,9 @@ def set_weights(
 
 
 @kernel
-def forget(held: NDArray[np.int64]) -> None:
-    """No corner is known."""
-    held[:] = np.iinfo(np.int64).max
+def forget_corners(field: SpeckleField) -> None:
+    """Forget all corners, as before each beam."""
+    field.held[:] = np.iinfo(np.int64).max
 
 
 @kernel
@@ -76,20 +85,12 @@ def _share(offset: float, side: int) -> float:
 
 
 @kernel
-def _hold(
-    seed: np.uint64,
-    beam: int,
-    purpose: int,
-    x: int,
-    y: int,
-    held: NDArray[np.int64],
-    corners: FloatArray,
-    words: NDArray[np.uint64],
-) -> int:
+def _slot_of(seed: np.uint64, beam: int, x: int, y: int, field: SpeckleField) -> int:
     """The slot of a corner, drawn unless it is there."""
+    held, corners, words = field.held, field.corners, field.words
     slot = 3 * (x % 3) + y % 3
     if held[slot, 0] != x or held[slot, 1] != y:
         held[slot, 0], held[slot, 1] = x, y
         place = int(((x & _LOW_WORD) << 32) | (y & _LOW_WORD))
-        fill_complex_normals(seed, place, beam, purpose, _FIRST, corners.shape[2], words, corners[slot])
+        fill_complex_normals(seed, place, beam, SPECKLE, _FIRST, corners.shape[2], words, corners[slot])
     return slot

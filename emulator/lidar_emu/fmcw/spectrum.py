@@ -18,7 +18,7 @@ bin is, and bins (2, capacity) with real and imaginary parts; several looks have
 from __future__ import annotations
 
 from math import copysign, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import fill_complex_normals
+from lidar_emu.numerics.random_streams import NOISE_BINS
 from lidar_emu.numerics.sine import FAST, sin_pi
 
 BIN, COS, SIN, NOISE, POWER, TOP, LOW = range(7)
@@ -63,7 +64,7 @@ WINDOWS = {
 
 @kernel(forceinline=True)
 def fold(signed_bin: float, length: float) -> tuple[float, float, float]:
-    """Where a real-valued receiver sees a tone of signed frequency, and what becomes of its weight.
+    """The bin at which a real-valued receiver observes a tone of signed frequency, and the factors of its weight.
 
     Returns:
         The observed bin, 0 to N/2, and factors of ±1 for the real and the imaginary part of the weight: a
@@ -85,8 +86,8 @@ def lay_bins(tone_bin: FloatArray, reach: float, length: float, scratch: FloatAr
         reach: bins on each side of a tone, at least TAPS.
         length: N.
         scratch: (tones,) overwritten.
-        grid: (ROWS, capacity) receives BIN, from -TAPS to N/2 + TAPS, COS and SIN; `grid_capacity` tells what
-            it must hold.
+        grid: (ROWS, capacity) receives BIN, from -TAPS to N/2 + TAPS, COS and SIN; `grid_capacity` gives
+            its capacity.
 
     Returns:
         The number of bins. Intervals that touch or overlap are one.
@@ -113,7 +114,7 @@ def lay_bins(tone_bin: FloatArray, reach: float, length: float, scratch: FloatAr
 
 
 def grid_capacity(tones: int, reach: int, length: float) -> int:
-    """Columns that any spectrum of so many tones needs, all bins at most."""
+    """Largest number of columns of a spectrum of `tones` tones; all bins at most."""
     return min(tones * (2 * reach + 2) + int(_ONE_INTERVAL), int(length) // 2 + 2 * TAPS + 2)
 
 
@@ -189,10 +190,7 @@ def set_tones(tones: FloatArray, length: float, grid: FloatArray, count: int, bi
 
 @kernel
 def add_noise(
-    seed: np.uint64,
-    shot: int,
-    beam: int,
-    purpose: int,
+    beam: Any,
     first_index: int,
     length: float,
     grid: FloatArray,
@@ -204,6 +202,7 @@ def add_noise(
     """Add noise of mean power NOISE; a bin's noise depends on its own index alone.
 
     Args:
+        beam: record of the beam, `workspace.BEAM`.
         first_index: even; index of bin 0.
         words, scratch: (4, capacity / 2), (2, capacity) overwritten, two columns longer than any interval.
     """
@@ -217,7 +216,8 @@ def add_noise(
         first = int(grid[BIN, start]) + skipped
         needed = stop - start - skipped + first % 2
         drawn = needed + needed % 2
-        fill_complex_normals(seed, shot, beam, purpose, (first_index + first) // 2, drawn, words, scratch)
+        pair = (first_index + first) // 2
+        fill_complex_normals(beam.seed, beam.shot, beam.beam, NOISE_BINS, pair, drawn, words, scratch)
         _add(scratch, first % 2 - start - skipped, start, stop, length, grid, bins)
         start = stop
 

@@ -1,4 +1,4 @@
-"""One segment from the closed-form error model: the statistical level.
+"""The statistical level: targets of one segment from the closed-form error model.
 
 The beam's tones are added up at one frequency, where their sum is strongest to first order, instead of in every bin.
 Speckle, spread, smear and the laser's line take from that sum what they take from the spectrum's peak; one complex
@@ -9,6 +9,7 @@ from its variance.
 from __future__ import annotations
 
 from math import pi, sqrt
+from typing import Any
 
 import numpy as np
 
@@ -29,37 +30,24 @@ from lidar_emu.numerics.sine import sin_pi
 
 
 @kernel(inline="always")
-def draw_targets(
-    model: ReceiverModel,
-    work: Workspace,
-    count: int,
-    segment: int,
-    acceleration_mps2: float,
-    smear_acceleration_mps2: float,
-    place: FloatArray,
-    drift_per_s: FloatArray,
-    power_w: float,
-    shot: int,
-    beam: int,
-    seed: np.uint64,
-) -> int:
+def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int) -> int:
     """Fill `work.targets[segment]` as `set_spectrum` and `find_targets` do, with one target of the ground at most."""
     targets = work.targets[segment]
-    if count == 0:
-        alarms = draw_alarms(model, 0.0, 1.0, 0.0, segment, shot, beam, seed, work.alarms)
+    if beam.lit_beamlets == 0:
+        alarms = draw_alarms(model, beam, segment, 0.0, 1.0, 0.0, work.alarms)
         return insert_alarms(model, work.alarms[:alarms], 0.0, targets, 0)
-    kept = _filter_loss(model, work, segment, smear_acceleration_mps2)
+    kept = _filter_loss(model, work, segment, beam.smear_acceleration_mps2)
     power, frequency, weight = 0.0, 0.0, 0.0
     for look in range(model.looks):
-        set_look_tones(model, work, segment, look, acceleration_mps2, place, drift_per_s, shot, beam, seed)
+        set_look_tones(model, work, beam, segment, look)
         gain, distortion = clipping(model.response, work.tones[look], model.fft_length)
-        factor, loss = gain * gain * (1.0 + model.signal_shot_per_w * power_w), gain * kept
+        factor, loss = gain * gain * (1.0 + model.signal_shot_per_w * beam.power_w), gain * kept
         centre, re, im = _sum_at_peak(work.tones[look])
         k = min(max(np.rint(centre), 1.0), 0.5 * model.fft_length - 1.0)
         level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
         straddled = loss * _window_gain(model, centre - k)
         index = (segment + 3 * look) * SEGMENT_INDICES
-        x, y = complex_normal(seed, shot, beam, NOISE_BINS, index)
+        x, y = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, index)
         scale = sqrt(level * model.noise_power)
         power += ((straddled * re + scale * x) ** 2 + (straddled * im + scale * y) ** 2) / model.looks
         strength = loss * loss * (re * re + im * im)
@@ -68,13 +56,14 @@ def draw_targets(
     if weight <= 0.0:
         return 0
     centre, snr = frequency / weight, weight / level
-    alarms = draw_alarms(model, power, level, 2.0, segment, shot, beam, seed, work.alarms)
-    highest = max(power, work.alarms[0, 0]) if alarms > 0 else power
+    alarms = draw_alarms(model, beam, segment, power, level, 2.0, work.alarms)
+    highest = max(power, work.alarms[0].power) if alarms > 0 else power
     groups = 0
     noise = level * model.noise_power
     if power > model.threshold * noise and power > model.group_power_share * highest:
-        _set_target(model, work, centre, snr, segment, shot, beam, seed, targets[0])
-        targets[0, 2], targets[0, 3] = power / noise, power
+        _set_target(model, work, beam, segment, centre, snr, targets[0])
+        targets[0].power_over_noise = power / noise
+        targets[0].power = power
         groups = 1
     return insert_alarms(model, work.alarms[:alarms], highest, targets, groups)
 
@@ -127,7 +116,7 @@ def _window_gain(model: ReceiverModel, offset: float) -> float:
 def _filter_loss(
     model: ReceiverModel, work: Workspace, segment: int, smear_acceleration_mps2: float
 ) -> float:
-    """What smear and the laser's line leave of the central tap."""
+    """Amplitude of the central tap under smear and the laser's line."""
     smear = smear_bins(model, segment, work.beamlets[SPEED_MPS, 0], smear_acceleration_mps2)
     # Of a chirp of β bins the peak falls as 1 - (πβ)²/360, and as β^-1/2 for many.
     chirped = 1.0 / (1.0 + (pi * smear) ** 2 / 90.0) ** 0.25
@@ -140,22 +129,21 @@ def _filter_loss(
 def _set_target(
     model: ReceiverModel,
     work: Workspace,
+    beam: Any,
+    segment: int,
     centre: float,
     snr: float,
-    segment: int,
-    shot: int,
-    beam: int,
-    seed: np.uint64,
-    target: FloatArray,
+    target: Any,
 ) -> None:
     """Frequency and variance: the estimator's error, and the laser's drift over the delay."""
     method = model.peak_method
     efficiency = EFFICIENCY[method]
     line = line_variance(model, work.beamlets[RANGE_M, 0]) * efficiency / model.looks
-    error, _ = complex_normal(seed, shot, beam, NOISE_BINS, (segment + 1) * SEGMENT_INDICES - 1)
+    index = (segment + 1) * SEGMENT_INDICES - 1
+    error, _ = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, index)
     variance = efficiency * CRAMER_RAO_BIN2 / snr + line
-    target[0] = centre + min(max(sqrt(2.0 * variance) * error, -1.0), 1.0)
-    target[1] = max(variance, 1e-12)
+    target.frequency_bin = centre + min(max(sqrt(2.0 * variance) * error, -1.0), 1.0)
+    target.variance_bin2 = max(variance, 1e-12)
     if method == BIN_CENTRE:
-        target[0] = min(max(np.rint(target[0]), 1.0), 0.5 * model.fft_length - 1.0)
-        target[1] = BIN_VARIANCE
+        target.frequency_bin = min(max(np.rint(target.frequency_bin), 1.0), 0.5 * model.fft_length - 1.0)
+        target.variance_bin2 = BIN_VARIANCE

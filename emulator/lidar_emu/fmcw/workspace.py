@@ -1,34 +1,69 @@
-"""Arrays that the receiver's kernels write to."""
+"""Arrays that the receiver's kernels write to, and the records of a beam and of a target."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.close_tones import TONES_PER_DIVISION
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS
-from lidar_emu.fmcw.speckle import SLOTS
+from lidar_emu.fmcw.speckle import SpeckleField, speckle_field
 from lidar_emu.fmcw.spectrum import REACH, ROWS, grid_capacity
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import with_fields
 
 MAX_TARGETS = 4
 """Targets kept of one spectrum, the strongest."""
 
+BEAM = np.dtype(
+    [
+        ("seed", "u8"),
+        ("shot", "i8"),
+        ("beam", "i8"),
+        ("closing_acceleration_mps2", "f8"),
+        ("smear_acceleration_mps2", "f8"),
+        ("speckle_place", "f8", (2,)),
+        ("speckle_drift_per_s", "f8", (2,)),
+        ("lit_beamlets", "i8"),
+        ("power_w", "f8"),
+        ("filter_taps", "i8"),
+    ],
+    align=True,
+)
+"""The beam being measured: seed, shot and beam number count its random numbers; then its motion and speckle as in
+`Echoes`; then the number of beamlets that return light, their power, and the taps of its filter on each side."""
+
+TARGET = np.dtype(
+    [("frequency_bin", "f8"), ("variance_bin2", "f8"), ("power_over_noise", "f8"), ("power", "f8")],
+    align=True,
+)
+"""A target of one spectrum: its frequency, the variance of that, and the power of its highest bin."""
+
 
 class Workspace(NamedTuple):
-    """Arrays that the kernels write to; their size bounds beamlets, looks and the widest filter."""
+    """Arrays for any level; their size bounds beamlets and looks."""
 
+    beam: NDArray[Any]
+    """(1,) of BEAM."""
     beamlets: FloatArray
     """(5, tones) see `gather_beamlets`; columns are beamlets, and at least one more, for the haze."""
     tones: FloatArray
-    """(looks, 4, tones) see `set_tones`; also the places of all, one after another, to lay bins."""
+    """(looks, 4, tones) see `set_tones`."""
+    speckle: SpeckleField
+    targets: NDArray[Any]
+    """(3, MAX_TARGETS) of TARGET: the targets of each segment, strongest first."""
+    alarms: NDArray[Any]
+    """(MAX_TARGETS,) of TARGET: peaks in noise, strongest first."""
+
+
+class SpectrumWorkspace(NamedTuple):
+    """Arrays for the bins of spectra; their size bounds beamlets, looks and the widest filter."""
+
     places: FloatArray
+    """(2, looks * tones) whole bins of all tones, one look after another, and room to sort them."""
     residues: FloatArray
-    weights: FloatArray
-    held: NDArray[np.int64]
-    corners: FloatArray
     grid: FloatArray
     bins: FloatArray
     filtered: FloatArray
@@ -37,32 +72,39 @@ class Workspace(NamedTuple):
     taps: FloatArray
     """(3, 2, taps) of smear, of the line, and of both."""
     peaks: NDArray[np.int64]
-    targets: FloatArray
-    """(3, MAX_TARGETS, 4) frequency, its variance, power over noise, and power of each segment's targets."""
-    alarms: FloatArray
-    """(MAX_TARGETS, 3) power, bin, and power over noise of peaks in noise."""
 
 
-def build_workspace(beamlets: int, looks: int, half: int, length: float) -> Workspace:
-    """Room for beams of so many beamlets, and filters of `half` taps on each side."""
-    tones = -(-(beamlets + 1) // TONES_PER_DIVISION) * TONES_PER_DIVISION
-    reach = REACH + max(0, half - LEAST_TAPS)
-    capacity = grid_capacity(looks * tones, reach, length)
+def build_workspace(beamlets: int, looks: int) -> Workspace:
+    """Arrays for beams of up to `beamlets` beamlets."""
+    tones = _columns(beamlets)
     return Workspace(
+        beam=with_fields(np.zeros(1, dtype=BEAM)),
         beamlets=np.empty((5, tones)),
         tones=np.zeros((looks, 4, tones)),
+        speckle=speckle_field(tones),
+        targets=with_fields(np.empty((3, MAX_TARGETS), dtype=TARGET)),
+        alarms=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
+    )
+
+
+def build_spectrum_workspace(beamlets: int, looks: int, taps: int, length: float) -> SpectrumWorkspace:
+    """Arrays for beams of up to `beamlets` beamlets, and filters of `taps` taps on each side."""
+    tones = _columns(beamlets)
+    reach = REACH + max(0, taps - LEAST_TAPS)
+    capacity = grid_capacity(looks * tones, reach, length)
+    return SpectrumWorkspace(
         places=np.empty((2, looks * tones)),
         residues=np.empty((2, tones)),
-        weights=np.empty((2, tones)),
-        held=np.empty((SLOTS, 2), dtype=np.int64),
-        corners=np.empty((SLOTS, 2, tones)),
         grid=np.empty((ROWS, capacity)),
         bins=np.empty((looks, 2, capacity)),
-        filtered=np.empty((4, capacity + 2 * half + 4)),
+        filtered=np.empty((4, capacity + 2 * taps + 4)),
         noise=np.empty((2, capacity + 4)),
-        words=np.empty((4, capacity // 2 + tones + 4), dtype=np.uint64),
-        taps=np.empty((3, 2, 2 * half + 1)),
+        words=np.empty((4, capacity // 2 + 4), dtype=np.uint64),
+        taps=np.empty((3, 2, 2 * taps + 1)),
         peaks=np.empty(MAX_TARGETS, dtype=np.int64),
-        targets=np.empty((3, MAX_TARGETS, 4)),
-        alarms=np.empty((MAX_TARGETS, 3)),
     )
+
+
+def _columns(beamlets: int) -> int:
+    """Beamlets and the haze, filled up to whole vectors of tones."""
+    return -(-(beamlets + 1) // TONES_PER_DIVISION) * TONES_PER_DIVISION

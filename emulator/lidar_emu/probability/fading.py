@@ -20,13 +20,13 @@ from lidar_emu.probability.noise import threshold_power
 from lidar_emu.probability.quadrature import nodes_and_weights
 
 Fading = Literal["steady", "swerling_1", "swerling_2", "swerling_3", "swerling_4"]
-"""Of the signal's power. Swerling 1 and 2: exponential (Rayleigh amplitude, fully developed speckle), the same
+"""Fading of the signal's power. Swerling 1 and 2: exponential (Rayleigh amplitude, fully developed speckle), the same
 in all looks or drawn anew for each. Swerling 3 and 4: gamma of order two, likewise. A steady signal is Swerling's
 case 0; its amplitude with noise has Rice's distribution."""
 
 _PANELS = np.linspace(0.0, 1.0, 33)
 _BEYOND = 7.0
-"""A signal so many noise amplitudes above the threshold is detected, but for e^-49."""
+"""Noise amplitudes above the threshold at which a signal is detected, but for e^-49."""
 _LEAST_SNR = 1e-12
 """Below it a fade makes no difference."""
 
@@ -92,7 +92,7 @@ def _mixture(order: int, looks: int, gain: FloatArray, power: FloatArray) -> Flo
 
 
 def _beside_noise(order: int, looks: int, gain: FloatArray, power: FloatArray) -> FloatArray:
-    """Of order k < M: the sum is that of c times a gamma of order k, and of noise of order M - k."""
+    """A gamma-distributed signal of order k < M: the sum of c times a gamma of order k, and of noise of order M - k."""
     idle = looks - order
     noise, weight = nodes_and_weights(power[..., None] * _PANELS)
     density = np.exp((idle - 1) * np.log(noise) - noise - gammaln(idle))

@@ -35,7 +35,7 @@ _BELL_ABOVE = 25.0
 """Up to here `_TERMS` of the series hold all digits."""
 _NODES = 20
 _BELL_EXPONENT = 40.0
-"""Where the bell is cut off: e^-40 of its height."""
+"""The bell is cut off at e^-40 of its height."""
 
 
 def log_q(a: ArrayLike, b: ArrayLike) -> FloatArray:

@@ -17,6 +17,7 @@ import numpy as np
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vectors import dot
+from lidar_emu.scanner.wavefront import rayleigh_range_m
 
 _OUTERMOST_W = {7: np.sqrt(0.5)}
 _OUTERMOST_OTHERWISE_W = 1.1445706
@@ -156,26 +157,6 @@ def beamlet_pattern(count: int) -> tuple[FloatArray, FloatArray]:
     # One pattern serves every shot.
     offset_w.flags.writeable = weight.flags.writeable = False
     return offset_w, weight
-
-
-def rayleigh_range_m(waist_radius_m: float, wavelength_m: float) -> float:
-    """Range z at which the beam's area has doubled."""
-    return float(np.pi * waist_radius_m**2 / wavelength_m)
-
-
-def beam_radius_m(range_m: FloatArray, waist_radius_m: float, wavelength_m: float) -> FloatArray:
-    """1/e² intensity radius w of a Gaussian beam at ranges (...)."""
-    ratio = range_m / rayleigh_range_m(waist_radius_m, wavelength_m)
-    radius_m: FloatArray = waist_radius_m * np.sqrt(1 + ratio * ratio)
-    return radius_m
-
-
-def wavefront_radius_m(range_m: FloatArray, waist_radius_m: float, wavelength_m: float) -> FloatArray:
-    """Radius of curvature Rc of a Gaussian beam's wavefront at ranges (...); infinite at the waist."""
-    rayleigh_m = rayleigh_range_m(waist_radius_m, wavelength_m)
-    with np.errstate(divide="ignore", over="ignore"):
-        radius_m: FloatArray = range_m + rayleigh_m * (rayleigh_m / range_m)
-    return radius_m
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""What the receiver makes of the light on its detectors: response, noise, digitiser.
+"""The analog receiver: response of its poles, noise, digitiser.
 
 Amplitudes are in units in which white noise ahead of the receiver's poles, in the band up to half the sample rate,
 has unit mean power in a rectangular bin: the square of a tone's amplitude is its bin SNR.
@@ -73,7 +73,7 @@ class Digitiser(NamedTuple):
     """Clipping and rounding, in the unit of the samples."""
 
     full_scale: float
-    """From the lowest to the highest value."""
+    """Range from the lowest to the highest value."""
     bits: float
 
     def digitise(self, samples: FloatArray) -> FloatArray:
@@ -94,7 +94,7 @@ def receive_record(
     """The record of one segment behind the receiver's poles, without noise: (..., N), whose real part is sampled.
 
     The poles act as a product in the frequency domain, at a multiple of the sample rate at which the true
-    frequencies of all beamlets, folded later or not, lie within the band; every so many samples are then kept. A
+    frequencies of all beamlets, folded later or not, lie within the band; every Nth sample is then kept. A
     run-in ahead of the record, within which the waveform goes on as in `phase_cycles`, lets the transients die: the
     bins of a steady tone come out to some 1e-9 of the peak.
     """
@@ -138,7 +138,7 @@ def _taper(band_share: FloatArray) -> FloatArray:
 def _highest_frequency(
     waveform: Waveform, segment: Segment, beamlets: Beamlets, index: int, ahead_s: float, edges: bool
 ) -> float:
-    """Of one beamlet's beat, from the slope of its phase."""
+    """Highest frequency of one beamlet's beat, from the slope of its phase."""
     half_s = 0.5 * waveform.record_time_s
     time_s = np.linspace(-half_s - ahead_s, half_s, _PROBES)
     step_s = waveform.record_time_s / 2**20

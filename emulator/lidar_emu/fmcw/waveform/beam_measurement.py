@@ -1,4 +1,4 @@
-"""One beam's measurement from samples: three records, their targets, range and closing speed."""
+"""Measurement of one beam from samples: three records, their targets, range and closing speed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
 
 _BLOCK_SAMPLES = 2**23
-"""Of noise and spectra held at once."""
+"""Samples of noise and spectra held at once."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class ScattererPatches:
     """Broadcast to (records, 3, n): amplitude and phase of each at the centre of each segment's record. The leading
     axis is of measurements of the same geometry, each with its own weights and its own noise."""
     range_rate_mps: float | FloatArray | None = None
-    """Of the beam's axis along the ground, from segment to segment; None: minus the closing speed."""
+    """Range rate of the beam's axis along the ground, between segments; None: minus the closing speed."""
     closing_acceleration_mps2: float = 0.0
     """Along the moving beam, from segment to segment."""
     smear_acceleration_mps2: float | None = None
-    """Of a point of the ground, within a record; None: as from segment to segment."""
+    """Acceleration of a point of the ground, within a record; None: as between segments."""
 
     def beamlets(self, segment: Segment, weight: ComplexArray) -> Beamlets:
         """The patches at the centre of one segment's record, with weights (..., n) there."""
@@ -61,7 +61,7 @@ class WaveformMeasurement(Returns):
     """The report of one beam, (records,), with the targets and spectra that it comes from."""
 
     targets: tuple[Targets, Targets, Targets]
-    """Of up-chirp, constant segment and down-chirp."""
+    """Targets of up-chirp, constant segment and down-chirp."""
     noise_power: FloatArray
     """() or (N/2 + 1,): mean power of noise in a bin under the window of detection, as the detector knows it."""
     threshold: FloatArray
@@ -144,11 +144,11 @@ def measure_waveform(
 
 
 def _estimator(waveform: Waveform, detection: Detection) -> Literal["bin", "hann"]:
-    """Of peaks, for an instrument that can be measured here."""
+    """Estimator of peaks, for an instrument that this level supports."""
     if detection.looks != 1 or detection.rule != "all_three":
-        raise ValueError("records are not averaged here, and all three segments are needed")
+        raise ValueError("level waveform: allowed are one look and rule all_three")
     if waveform.linewidth_model != "homodyne" and waveform.linewidth_hz > 0.0:
-        raise ValueError(f"no line {waveform.linewidth_model} here")
+        raise ValueError(f"level waveform: linewidth_model {waveform.linewidth_model}; allowed: homodyne")
     if detection.peak not in ("bin", "hann"):
-        raise ValueError(f"no estimator {detection.peak} here")
+        raise ValueError(f"level waveform: peak {detection.peak}; allowed: bin, hann")
     return detection.peak

@@ -23,7 +23,7 @@ def to_beam_result(
     """(records,) Range and closing speed from the strongest target of each segment, or why there are none.
 
     Args:
-        waveform, detection: of the instrument; slope and frequency are those that it believes in.
+        waveform, detection: of the instrument; slope and frequency are the nominal ones.
         targets: of up-chirp, constant segment and down-chirp.
         windowed_level: mean noise power of a windowed bin, one for all or (N/2 + 1,).
     """

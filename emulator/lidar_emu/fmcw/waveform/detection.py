@@ -23,7 +23,7 @@ TARGETS = 4
 _BIN_VARIANCE = 1.0 / 12.0
 
 _LEAST_VARIANCE, _MOST_VARIANCE = 1e-12, 1.0 / 3.0
-"""That of a tone of which nothing is known but that it lies within a bin of this one."""
+"""Bounds of the variance; the larger is the variance of a tone anywhere within a bin of this one."""
 
 
 class Targets(NamedTuple):
@@ -31,9 +31,9 @@ class Targets(NamedTuple):
 
     frequency_bin: FloatArray
     variance_bin2: FloatArray
-    """Of the frequency, by the estimator's own account."""
+    """Variance of the frequency as the estimator computes it."""
     power: FloatArray
-    """Of the highest bin under the window."""
+    """Power of the highest bin under the window."""
     peak_bin: FloatArray
     """The highest bin."""
 

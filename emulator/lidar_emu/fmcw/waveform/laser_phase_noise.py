@@ -1,4 +1,4 @@
-"""What the laser's own line does to the beat: its phase now, less its phase when the echo left."""
+"""Laser phase noise in samples: the laser's phase now minus its phase when the echo left."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def measure_one_beam(
     s: int,
     b: int,
 ) -> WaveformMeasurement:
-    """What `measure_echoes` finds on its way to beam `b` of shot `shot[s]`, a beam that fires: its three whole spectra.
+    """Measure beam `b` of shot `shot[s]`, which fires, as `measure_echoes` does, and keep its three whole spectra.
 
     Args and errors are those of `measure_echoes`.
     """
@@ -141,7 +141,7 @@ def _measure_records(
 
 
 def _unseen(range_m: FloatArray, edge_m: float) -> Reason:
-    """Why nothing was detected."""
+    """Reason why nothing was detected."""
     if np.isnan(range_m).all():
         return Reason.NO_SURFACE
     return Reason.BELOW_THRESHOLD if np.nanmin(range_m) <= edge_m else Reason.BEYOND_RANGE

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.fmcw.workspace import BEAM, TARGET
+from lidar_emu.numerics.kernels import with_fields
 from lidar_emu.scenario.instrument import Detection, Instrument, Optics, Receiver, Waveform
 
 C_MPS = 299_792_458.0
@@ -61,6 +63,20 @@ def echoes(
         fired,
         ~fired,
     )
+
+
+def beam_record(shot: int, beam: int, seed: int) -> Any:
+    """The record by which the receiver's kernels know a beam."""
+    records = np.zeros(1, dtype=BEAM)
+    records["seed"], records["shot"], records["beam"] = seed, shot, beam
+    return with_fields(records)[0]
+
+
+def targets(frequency_bin: object, variance_bin2: object = 1 / 12) -> np.ndarray:
+    """One target of each segment."""
+    records = np.zeros(3, dtype=TARGET)
+    records["frequency_bin"], records["variance_bin2"] = frequency_bin, variance_bin2
+    return with_fields(records)
 
 
 def beats_hz(
