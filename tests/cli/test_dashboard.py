@@ -20,6 +20,7 @@ from typing import Any
 
 import pytest
 from rich.console import Console
+from waiting import LIMIT_S
 
 from lidar_emu.cli.dashboard import Dashboard
 from lidar_emu.cli.dashboard_process import render
@@ -122,7 +123,7 @@ class Terminal:
     def read_until(self, what: bytes) -> None:
         """Up to these bytes, or to the end of everybody who writes there."""
         while what not in self.seen:
-            assert select.select([self._master], [], [], 60.0)[0], self.seen[-2000:]
+            assert select.select([self._master], [], [], LIMIT_S)[0], self.seen[-2000:]
             try:
                 self.seen += os.read(self._master, 65536)
             except OSError:  # nobody is left
@@ -144,7 +145,10 @@ def on_terminal(folder: Path, *arguments: str) -> Iterator[Terminal]:
         terminal.close()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGKILL],
+)
 def test_the_terminal_is_given_back(number: signal.Signals, tmp_path: Path) -> None:
     """Ctrl-C goes to all that are in the foreground; after `kill -9` only the one that draws can clean up."""
     with on_terminal(tmp_path, "run", "bench.yaml") as terminal:

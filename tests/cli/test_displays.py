@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from waiting import LIMIT_S
 
 from lidar_emu.cli.decoder import Decoder
 from lidar_emu.cli.message_lines import ShotPrinter
@@ -50,7 +51,7 @@ def test_a_reader_that_goes_away_does_not_end_the_flight(tmp_path: Path) -> None
     assert run.stdout is not None
     run.stdout.readline()
     run.stdout.close()
-    assert run.wait(60) == 0
+    assert run.wait(LIMIT_S) == 0
     assert json.loads((tmp_path / "s.json").read_text())["shots"]["sent"] == 20
 
 

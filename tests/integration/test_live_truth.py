@@ -13,7 +13,7 @@ from typing import Any
 import handwritten
 import pytest
 from programs import Program, read_summary
-from waiting import eventually
+from waiting import LIMIT_S, eventually
 
 import lidar_emu
 from lidar_emu.shots.model import build_model
@@ -40,7 +40,7 @@ class Simulator:
         self._there = folder / "truth.sock"
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.socket.bind(str(folder / "simulator.sock"))
-        self.socket.settimeout(60)
+        self.socket.settimeout(LIMIT_S)
 
     def send(self, datagram: bytes) -> None:
         """Once the program listens."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from waiting import LIMIT_S
 
 from lidar_emu.device.modes import initial
 from lidar_emu.device.rules import device_rules
@@ -131,7 +132,7 @@ def test_a_run_that_fails_by_itself_says_them_too(
             run()
     data = b""
     # A second for what was written before the process ended; afterwards nobody writes any more.
-    while len(data) < len(b"now" + said) and select.select([master], [], [], 1)[0]:
+    while len(data) < len(b"now" + said) and select.select([master], [], [], LIMIT_S)[0]:
         data += os.read(master, 100)
     while select.select([master], [], [], 0)[0]:
         data += os.read(master, 100)
