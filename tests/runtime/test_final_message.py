@@ -131,7 +131,7 @@ def test_a_run_that_fails_by_itself_says_them_too(
         with pytest.raises(error):
             run()
     data = b""
-    # A second for what was written before the process ended; afterwards nobody writes any more.
+    # What was written before the process ended; afterwards nobody writes any more.
     while len(data) < len(b"now" + said) and select.select([master], [], [], LIMIT_S)[0]:
         data += os.read(master, 100)
     while select.select([master], [], [], 0)[0]:
