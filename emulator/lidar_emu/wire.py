@@ -1,6 +1,6 @@
-"""From a measurement to what the wire carries, and from what arrived back to a table's rows.
+"""Encode measurements to packets, and decode received messages to rows of a table.
 
-The only file that knows both `Measurement` and `lidar_protocol`.
+The only module that knows both `Measurement` and `lidar_protocol`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from lidar_protocol.fields import Constant, Value
 from lidar_protocol.layout import FILLED_IN, Layout
 
 Packet = bytes | list[CanFrame]
-"""What one shot is on a link: framed bytes, or CAN frames in the order of sending."""
+"""Packet of one shot: framed bytes, or CAN frames in the order of transmission."""
 
 _ON_THE_WIRE = tuple(in_groups(COLUMNS, Group.POINTING, Group.REPORT))
 _columns = attrgetter(*_ON_THE_WIRE)
@@ -47,10 +47,12 @@ _REASONS = tuple(reason.name.lower() for reason in Reason)
 
 
 def interface_named(name: str, where: str, key: str | None = None) -> Interface:
-    """The interface that comes under a name, or that a file (.toml) defines.
+    """Load a shipped interface by name, or an interface definition from a file.
 
     Args:
-        where: who named it, for the complaint; and under which key.
+        name: name of a shipped interface, or a file name that ends in .toml.
+        where: source of the name, for the error message.
+        key: key of the name in the source.
 
     Raises:
         InputError: there is no such interface, or its definition cannot be used.
@@ -69,12 +71,12 @@ def interface_named(name: str, where: str, key: str | None = None) -> Interface:
 
 
 class Encoder:
-    """Packets of one unit for one kind of link.
+    """Encoder of the packets of one unit for one kind of link.
 
     Args:
-        wire: the interface, the unit, and on classic CAN the set of messages.
+        wire: interface, unit, and on classic CAN the set of messages.
         can: whether the link is a CAN bus.
-        fd: whether it carries CAN FD frames.
+        fd: whether the bus carries CAN FD frames.
         beam_count: beams of a shot.
 
     Raises:
@@ -84,7 +86,7 @@ class Encoder:
 
     def __init__(self, wire: Wire, can: bool, fd: bool, beam_count: int) -> None:
         self.interface = interface = interface_named(wire.interface, "scenario", "wire.interface")
-        """By which packets are made."""
+        """Interface of the packets."""
         self._device = Device(interface, wire.unit)
         self._can_set: CanSet | None = ("fd" if fd else wire.can_messages) if can else None
         if wire.unit >= interface.units:
@@ -97,7 +99,7 @@ class Encoder:
         self._reasons = codes.of("reason", _REASONS)
 
     def packets(self, measurement: Measurement, status: Status = TRACKING) -> Iterator[Packet]:
-        """The packet of each shot, through which the device is as it is; empty ones if it is silent."""
+        """Encode each shot with the status of the device; packets are empty if the device is silent."""
         if status.silent:
             for _ in range(len(measurement)):
                 yield b"" if self._can_set is None else []
@@ -112,7 +114,7 @@ class Encoder:
                 raise InputError("wire", f"shot {header['shot']}", "a measurement", str(error)) from None
 
     def can_date(self, measurement: Measurement, shown_ns: int) -> bool:
-        """Whether a packet, such as that of these shots, can tell this time."""
+        """Whether packets like those of these shots can encode this time."""
         if not 0 <= shown_ns < 1 << 62:
             return False
         one = measurement.one(0)
@@ -127,7 +129,7 @@ class Encoder:
         self, measurement: Measurement, status: Status
     ) -> Iterator[tuple[Mapping[str, Value], Sequence[Mapping[str, Value]]]]:
         mode = self._modes[status.mode]
-        # Lists of Python numbers: the protocol knows no arrays, and float(array element) costs more.
+        # Lists of Python numbers: the protocol has no arrays, and float(array element) is slower.
         columns = [column.tolist() for column in _columns(measurement)]
         columns[_REASON] = [[self._reasons[code] for code in row] for row in columns[_REASON]]
         times_ns = measurement.time_ns.tolist()
@@ -156,7 +158,7 @@ class Encoder:
 
 
 _Block = tuple[str, Layout, frozenset[str]]
-"""What is sent of a shot: place in the definition, fields, and what can fill them."""
+"""Block of a packet: its place in the definition, its layout, and the names of values that can fill its fields."""
 
 
 def _check_beams(interface: Interface, where: str, can: bool, beam_count: int) -> None:
@@ -189,7 +191,7 @@ def _layouts(interface: Interface, where: str, can_set: CanSet | None) -> list[_
 
 
 def _check_fields(blocks: list[_Block], where: str) -> None:
-    """Refuse fields that no measurement fills."""
+    """Refuse fields that a measurement cannot fill."""
     for place, layout, known in blocks:
         for field in (placed.field for placed in layout.placed):
             fillable = known if field.beam is None else _OF_A_BEAM
@@ -199,7 +201,7 @@ def _check_fields(blocks: list[_Block], where: str) -> None:
 
 
 class _Codes:
-    """What an interface sends for words: its enumerations may number them as they like."""
+    """Codes of the names in the enumerations of an interface."""
 
     def __init__(self, interface: Interface, where: str, layouts: list[Layout]) -> None:
         self._interface, self._where = interface, where
@@ -207,13 +209,13 @@ class _Codes:
         self._enumerations = {field.name: field.enumeration for field in fields if field.enumeration}
 
     def of_modes(self) -> dict[Mode, int]:
-        """The codes of the modes in which something is measured; an interface need not know that of acquisition."""
+        """Codes of the measuring modes; an interface need not have a code for acquisition."""
         (track,) = self.of("mode", (Mode.TRACK,))
         known = self._interface.enumerations.get(self._enumerations.get("mode", ""), {})
         return {Mode.TRACK: track, Mode.ACQUIRE: known.get(Mode.ACQUIRE, track)}
 
     def of(self, name: str, words: Sequence[str]) -> list[int]:
-        """The codes of these words in the field of a name; without an enumeration, their places in the list."""
+        """Codes of these names in the enumeration of a field; without an enumeration, their indices in the list."""
         enumeration = self._enumerations.get(name)
         if enumeration is None:
             return list(range(len(words)))
@@ -225,10 +227,10 @@ class _Codes:
 
 
 def rows(message: Message) -> list[dict[str, Any]]:
-    """What arrived, one row per beam, under the names of `Measurement.table`; None where a value is missing.
+    """Rows of a decoded message, one per beam, with the names of `Measurement.table`; None where a value is missing.
 
-    `packet_time_s` is the time of validity of the beams that fired first. Core CAN messages carry a part of the
-    columns only: without a time offset a beam's own time is unknown.
+    `packet_time_s` is the time of validity of the first beam. The core set on CAN has only some of the columns: without
+    a time offset the time of a beam is unknown.
     """
     packet_time_s = None if message.time_ns is None else message.time_ns * 1e-9
     unit = {"unit": message.unit, "shot": message.shot, "packet_time_s": packet_time_s}
