@@ -13,9 +13,9 @@ import pytest
 from waiting import LIMIT_S
 
 from lidar_emu.report.flight_pages import draw_all
-from lidar_emu.report.flown import read_flown
 from lidar_emu.report.page import write_page
 from lidar_emu.report.page_style import write_png
+from lidar_emu.report.recorded_run import read_recorded_run
 
 CHROMIUM = shutil.which("chromium")
 FIGURES = ["path", "truth", "errors", "validity", "spectra"]
@@ -25,7 +25,7 @@ DARK = "--blink-settings=preferredColorScheme=0"
 @pytest.fixture(scope="module")
 def flight_page(record, tmp_path_factory) -> Path:
     settings = {"name": "<script>alert(1)</script>", "faults": "[{kind: dropout, beams: [2]}]"}
-    flown = read_flown(record("descent.yaml", duration_s="1", **settings))
+    flown = read_recorded_run(record("descent.yaml", duration_s="1", **settings))
     drawings, notes, plan = draw_all(flown, ())
     folder = tmp_path_factory.mktemp("page")
     write_page(folder / "page.html", flown, ["shots      20 due"], drawings, notes, plan)

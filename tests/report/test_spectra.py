@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lidar_emu.report.flown import Flown, read_flown
+from lidar_emu.report.recorded_run import RecordedRun, read_recorded_run
 from lidar_emu.report.spectra import CannotHearError, choose, listen
 from lidar_emu.shots.model import build_model
 
@@ -15,8 +15,8 @@ LIGHT_MPS = 299_792_458.0
 
 
 @pytest.fixture(scope="module")
-def descent(record) -> Flown:
-    return read_flown(record("descent.yaml", duration_s="1", site="flat"))
+def descent(record) -> RecordedRun:
+    return read_recorded_run(record("descent.yaml", duration_s="1", site="flat"))
 
 
 def test_peaks_are_where_the_beats_of_range_and_speed_are(descent):
@@ -52,7 +52,7 @@ def test_a_shot_that_followed_a_command_is_not_made_up(descent):
 
 
 def test_an_instrument_that_averages_has_none(record):
-    averaged = read_flown(
+    averaged = read_recorded_run(
         record("descent.yaml", duration_s="0.2", site="flat", instrument__detection__looks="2")
     )
     with pytest.raises(CannotHearError, match="averaged"):

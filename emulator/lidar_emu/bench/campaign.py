@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar_emu.campaign.batch import Batch, Orders, fly_batch
+from lidar_emu.campaign.batch import Batch, BatchSettings, fly_batch
 from lidar_emu.campaign.pools import LocalPool, one_thread_each
-from lidar_emu.campaign.read import Prepared, prepare
+from lidar_emu.campaign.read import PreparedCampaign, prepare
 from lidar_emu.campaign.run import fly_campaign
 from lidar_emu.campaign.tables import column_kinds
 from lidar_emu.runtime.clock import Clock
@@ -55,12 +55,12 @@ def measure_cores(show: Callable[[str], None]) -> list[CoreSpeed]:
     clock, wall_s, core_s = Clock(), np.empty((len(LEVELS), _ROUNDS)), np.empty((len(LEVELS), _ROUNDS))
     with tempfile.TemporaryDirectory() as kept:
         for one in prepared.values():
-            fly_batch(_orders(one, Path(kept)), _batch(one, 0, 1))
+            fly_batch(_settings(one, Path(kept)), _batch(one, 0, 1))
         for k in range(_ROUNDS):
             show(f"one core: round {k + 1} of {_ROUNDS}")
             for i, one in enumerate(prepared.values()):
                 begun_ns, computed_ns = clock.now_ns(), clock.computed_ns()
-                fly_batch(_orders(one, Path(kept)), _batch(one, k * _RUNS_A_ROUND, _RUNS_A_ROUND))
+                fly_batch(_settings(one, Path(kept)), _batch(one, k * _RUNS_A_ROUND, _RUNS_A_ROUND))
                 wall_s[i, k] = (clock.now_ns() - begun_ns) * 1e-9 / _RUNS_A_ROUND
                 core_s[i, k] = (clock.computed_ns() - computed_ns) * 1e-9 / _RUNS_A_ROUND
     return [
@@ -87,12 +87,12 @@ def measure_scaling(workers: int, runs: int, show: Callable[[str], None]) -> Sca
     return Scaling(workers, runs, pool_s, alone_s)
 
 
-def _fly_alone(prepared: Prepared, workers: int, folder: Path) -> None:
+def _fly_alone(prepared: PreparedCampaign, workers: int, folder: Path) -> None:
     context = multiprocessing.get_context("spawn")
     processes: list[SpawnProcess] = []
     with one_thread_each():
         for shares in np.array_split(np.arange(prepared.campaign.runs), workers):
-            own = _orders(prepared, folder / str(len(processes)))
+            own = _settings(prepared, folder / str(len(processes)))
             batches = [_batch(prepared, int(run), 1) for run in shares]
             processes.append(context.Process(target=_fly_batches, args=(own, batches)))
             processes[-1].start()
@@ -100,21 +100,23 @@ def _fly_alone(prepared: Prepared, workers: int, folder: Path) -> None:
         process.join()
 
 
-def _fly_batches(orders: Orders, batches: list[Batch]) -> None:
+def _fly_batches(settings: BatchSettings, batches: list[Batch]) -> None:
     for batch in batches:
-        fly_batch(orders, batch)
+        fly_batch(settings, batch)
 
 
-def _orders(prepared: Prepared, folder: Path) -> Orders:
+def _settings(prepared: PreparedCampaign, folder: Path) -> BatchSettings:
     for table in ("runs", "beams"):
         (folder / table).mkdir(parents=True, exist_ok=True)
-    return Orders(prepared.base, folder, column_kinds(prepared.campaign), prepared.campaign.beams_every)
+    return BatchSettings(
+        prepared.base, folder, column_kinds(prepared.campaign), prepared.campaign.beams_every
+    )
 
 
-def _batch(prepared: Prepared, first: int, count: int) -> Batch:
+def _batch(prepared: PreparedCampaign, first: int, count: int) -> Batch:
     return Batch(first, first, [prepared.drawn.values(run) for run in range(first, first + count)])
 
 
-def _flight_s(prepared: Prepared) -> float:
+def _flight_s(prepared: PreparedCampaign) -> float:
     model = build_model(prepared.first)
     return model.shot_count * model.period_ns * 1e-9

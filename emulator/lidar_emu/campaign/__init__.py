@@ -1,1 +1,1 @@
-"""Many runs of one scenario: drawn, flown by many processes, kept, and told about."""
+"""Campaigns: Monte Carlo runs of one scenario, drawn, flown by many processes, stored and summarised."""

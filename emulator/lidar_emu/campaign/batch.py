@@ -1,7 +1,7 @@
-"""The piece of work that a process gets: some runs in a row, flown one after another, kept in a file of each table.
+"""Batches: consecutive runs that one process flies one after another and stores in a file of each table.
 
-Which runs make a batch follows from the campaign alone, and a batch's files from the batch alone: whoever flies it, and
-however often, the bytes are the same.
+Which runs make a batch follows from the campaign alone, and a batch's files from the batch alone: the bytes are
+the same whichever process flies it, and however often.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Batch(NamedTuple):
     values: list[dict[str, Any]]
     """What each of them sets."""
     deadly: frozenset[int] = frozenset()
-    """Those of them that no process survives."""
+    """Runs that crash their process."""
 
     @property
     def runs(self) -> range:
@@ -35,8 +35,8 @@ class Batch(NamedTuple):
         return range(self.first_run, self.first_run + len(self.values))
 
 
-class Orders(NamedTuple):
-    """What all batches have in common."""
+class BatchSettings(NamedTuple):
+    """Settings that all batches share."""
 
     base: Base
     folder: Path
@@ -46,24 +46,24 @@ class Orders(NamedTuple):
     beams_every: int
 
 
-def fly_batch(orders: Orders, batch: Batch) -> int:
-    """Fly the runs and keep them; how many of them failed.
+def fly_batch(settings: BatchSettings, batch: Batch) -> int:
+    """Fly the runs, store them, and return how many failed.
 
     Raises:
         InputError: the folder is not there.
         RunError: a file could not be written.
     """
-    flown = [_fly(orders.base, run, batch) for run in batch.runs]
-    kept = [one for one in flown if one.measurement is not None and one.run % orders.beams_every == 0]
+    flown = [_fly(settings.base, run, batch) for run in batch.runs]
+    kept = [one for one in flown if one.measurement is not None and one.run % settings.beams_every == 0]
     if kept:
-        write_table(beams_table(kept), part_path(orders.folder, "beams", batch.number))
+        write_table(beams_table(kept), part_path(settings.folder, "beams", batch.number))
     # Last, because by this file a batch is known to be done.
-    write_table(runs_table(flown, orders.kinds), part_path(orders.folder, "runs", batch.number))
+    write_table(runs_table(flown, settings.kinds), part_path(settings.folder, "runs", batch.number))
     return sum(one.reason is not None for one in flown)
 
 
 def probe(base: Base, values: dict[str, Any]) -> int:
-    """Fly a run for nothing, to see whether the process survives it; how many died, which is 0."""
+    """Fly a run without storing it, to see whether the process survives it; return 0."""
     with suppress(Exception):
         measured(base, values)
     return 0

@@ -1,4 +1,4 @@
-"""What the runs of a campaign differ in: shares spread as the campaign asks, correlated, made values."""
+"""Monte Carlo dispersions: sampled shares of each distribution, correlated, turned into values."""
 
 from __future__ import annotations
 

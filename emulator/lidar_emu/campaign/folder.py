@@ -11,7 +11,7 @@ from typing import Any
 
 from lidar_emu import __version__
 from lidar_emu.campaign.batch import part_path
-from lidar_emu.campaign.read import Prepared
+from lidar_emu.campaign.read import PreparedCampaign
 from lidar_emu.errors import Finding, InputError, reason_of
 from lidar_emu.files import whole_file
 from lidar_emu.recording.provenance import hashed_files
@@ -21,7 +21,7 @@ _STATED = "campaign.json"
 
 
 @contextmanager
-def campaign_folder(folder: Path, prepared: Prepared, batch_runs: int) -> Iterator[None]:
+def campaign_folder(folder: Path, prepared: PreparedCampaign, batch_runs: int) -> Iterator[None]:
     """Make the folder, or go on with one that holds the beginning of the same campaign; ours alone meanwhile.
 
     Raises:
@@ -93,7 +93,7 @@ def _differing(before: Any, stated: Any) -> Iterator[str]:
             yield key
 
 
-def _statement(prepared: Prepared, batch_runs: int) -> dict[str, Any]:
+def _statement(prepared: PreparedCampaign, batch_runs: int) -> dict[str, Any]:
     """All that decides what the files of the folder hold."""
     campaign = json.loads(prepared.campaign.model_dump_json())
     return {

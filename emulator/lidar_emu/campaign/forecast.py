@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar_emu.campaign.batch import measured
-from lidar_emu.campaign.read import Prepared
+from lidar_emu.campaign.read import PreparedCampaign
 from lidar_emu.campaign.tables import FlownRun, beams_table, column_kinds, runs_table, write_table
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.clock import Clock
@@ -44,7 +44,7 @@ class Forecast(NamedTuple):
         return self.runs * self.run_bytes
 
 
-def forecast(prepared: Prepared) -> Forecast:
+def forecast(prepared: PreparedCampaign) -> Forecast:
     """Fly a few runs, spread over the campaign, and keep them for as long as it takes to see how large they are.
 
     Raises:
@@ -79,7 +79,7 @@ def forecast(prepared: Prepared) -> Forecast:
     )
 
 
-def _kept_bytes(prepared: Prepared, flown: FlownRun) -> float:
+def _kept_bytes(prepared: PreparedCampaign, flown: FlownRun) -> float:
     """What a run takes on disk, with its share of the files' own size if every file holds one."""
     with tempfile.TemporaryDirectory() as folder:
         beams, runs = Path(folder) / "beams", Path(folder) / "runs"

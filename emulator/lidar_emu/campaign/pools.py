@@ -1,4 +1,4 @@
-"""Who flies the batches: processes of this machine, or the workers of a Dask scheduler."""
+"""Pools that fly the batches: processes of this machine, or the workers of a Dask scheduler."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ class Pool(Protocol):
     """An executor that may lose workers."""
 
     slots: int
-    """Batches that it flies at once."""
+    """Batches flown at once."""
     deaths: tuple[type[BaseException], ...]
-    """What a future raises whose worker died."""
+    """Exceptions that a future raises when its worker died."""
 
     def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
         """As `concurrent.futures.Executor`."""
         ...
 
     def mend(self) -> None:
-        """After a death: have all workers again."""
+        """Replace workers that died."""
         ...
 
     def stop(self) -> None:
-        """Let go of the workers, whatever they are doing."""
+        """Release the workers, whatever they are doing."""
         ...
 
 
@@ -52,23 +52,23 @@ class LocalPool:
 
     def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
         """As `concurrent.futures.Executor`."""
-        with one_thread_each(), _deaf_to_ctrl_c():
+        with one_thread_each(), _ctrl_c_blocked():
             return self._executor.submit(work, *args)
 
     def mend(self) -> None:
-        """The pool of a process that died takes no more work: another one does."""
+        """Start a new executor: one whose process died takes no more work."""
         self.stop()
         self._start()
 
     def stop(self) -> None:
-        """End the processes at once; what they were writing was not there yet."""
-        self._lifeline.close()
+        """End the processes at once; files they were writing do not appear."""
+        self._control_pipe.close()
         self._executor.shutdown(wait=True, cancel_futures=True)
 
     def _start(self) -> None:
         # Spawned, since a fork of a process with threads may hang.
         context = multiprocessing.get_context("spawn")
-        theirs, self._lifeline = context.Pipe(duplex=False)
+        theirs, self._control_pipe = context.Pipe(duplex=False)
         self._executor = ProcessPoolExecutor(
             self.slots, mp_context=context, initializer=_begin_worker, initargs=(theirs,)
         )
@@ -111,27 +111,27 @@ class ClusterPool:
         return self._executor.submit(work, *args)
 
     def mend(self) -> None:
-        """The scheduler's business."""
+        """Nothing to do: the scheduler replaces workers."""
 
     def stop(self) -> None:
-        """Let go of the scheduler, which then cancels what is not done."""
+        """Disconnect from the scheduler, which cancels unfinished batches."""
         self._client.close()
 
 
-def _begin_worker(lifeline: Connection) -> None:
-    """Ctrl-C is the parent's to answer; when its end of the lifeline is closed there is nobody to work for."""
+def _begin_worker(control_pipe: Connection) -> None:
+    """Leave Ctrl-C to the parent, and exit once its end of the control pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
-    def follow() -> None:
-        lifeline.poll(None)
+    def exit_with_parent() -> None:
+        control_pipe.poll(None)
         os._exit(0)
 
-    threading.Thread(target=follow, daemon=True).start()
+    threading.Thread(target=exit_with_parent, daemon=True).start()
 
 
 @contextmanager
 def one_thread_each() -> Iterator[None]:
-    """Processes that start now compute with one thread: there is one of them for every core."""
+    """Let processes that start now compute with one thread each, since there is one for every core."""
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)
     try:
@@ -142,8 +142,8 @@ def one_thread_each() -> Iterator[None]:
 
 
 @contextmanager
-def _deaf_to_ctrl_c() -> Iterator[None]:
-    """Processes that start now do not hear Ctrl-C from their first instant on; ours hears it a little later."""
+def _ctrl_c_blocked() -> Iterator[None]:
+    """Block SIGINT in processes that start now from their first instant; in this one it is delivered afterwards."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -45,7 +45,7 @@ class Base:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedCampaign:
     """What is to be flown."""
 
     campaign: Campaign
@@ -77,7 +77,7 @@ def read_campaign(path: Path, runs: int | None = None) -> tuple[Path, Campaign]:
         raise explained(error, Campaign, tree, sources) from None
 
 
-def prepare(path: Path, overrides: Mapping[str, str], runs: int | None) -> Prepared:
+def prepare(path: Path, overrides: Mapping[str, str], runs: int | None) -> PreparedCampaign:
     """A campaign ready to be flown.
 
     Args:
@@ -97,7 +97,7 @@ def prepare(path: Path, overrides: Mapping[str, str], runs: int | None) -> Prepa
     fixed = campaign.set | {key: parse(text, f"--set {key}") for key, text in overrides.items()}
     base = Base(str(scenario.resolve()), fixed)
     drawn = draw(campaign, str(found))
-    return Prepared(campaign, base, drawn, _first_flown(base, drawn, campaign.runs))
+    return PreparedCampaign(campaign, base, drawn, _first_flown(base, drawn, campaign.runs))
 
 
 def _first_flown(base: Base, drawn: Drawn, runs: int) -> FlightScenario:

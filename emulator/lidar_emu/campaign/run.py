@@ -1,4 +1,4 @@
-"""Flying a campaign: batches to a pool, deaths survived, everything kept."""
+"""Fly a campaign: send batches to a pool, survive workers that die, store every run."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from lidar_emu.campaign.batch import Batch, Orders, fly_batch, probe
+from lidar_emu.campaign.batch import Batch, BatchSettings, fly_batch, probe
 from lidar_emu.campaign.folder import campaign_folder, finished
 from lidar_emu.campaign.pools import Pool
-from lidar_emu.campaign.read import Prepared
+from lidar_emu.campaign.read import PreparedCampaign
 from lidar_emu.campaign.tables import column_kinds
 from lidar_emu.errors import RunError
 
@@ -18,33 +18,33 @@ _ROWS_PER_FILE = 500_000
 _LEAST_FILES = 256
 _MOST_RUNS_PER_FILE = 256
 _WAITING = 1
-"""Batches per worker that lie ready, so that none waits for us."""
+"""Batches queued per worker, so that none idles."""
 _DEATHS_IN_A_ROW = 16
 
 
-class Progress(NamedTuple):
-    """How far a campaign is."""
+class CampaignProgress(NamedTuple):
+    """Progress of a campaign."""
 
     runs: int
     done: int
-    """Kept, those of an earlier start and those that failed included."""
+    """Stored runs, including failed ones and those of an earlier start."""
     failed: int
-    """Of those flown now."""
+    """Failed runs of this start."""
 
 
-def runs_per_file(prepared: Prepared, rows_per_run: int) -> int:
+def runs_per_file(prepared: PreparedCampaign, rows_per_run: int) -> int:
     """So few that all workers have work, so many that files are of a sane size; of the campaign alone."""
     rows = max(1, rows_per_run // prepared.campaign.beams_every)
     return max(1, min(prepared.campaign.runs // _LEAST_FILES, _ROWS_PER_FILE // rows, _MOST_RUNS_PER_FILE))
 
 
 def fly_campaign(
-    prepared: Prepared,
+    prepared: PreparedCampaign,
     rows_per_run: int,
     folder: Path,
     make_pool: Callable[[], Pool],
-    told: Callable[[Progress], None],
-) -> Progress:
+    on_progress: Callable[[CampaignProgress], None],
+) -> CampaignProgress:
     """Fly all runs that `folder` does not hold yet.
 
     Args:
@@ -52,7 +52,7 @@ def fly_campaign(
         rows_per_run: beams of all shots of a run, about.
         folder: where everything is kept; another start with the same one goes on.
         make_pool: called if there is something to fly.
-        told: hears how far it is, now and then.
+        on_progress: called at the start and after each batch.
 
     Raises:
         InputError: the folder cannot be used.
@@ -64,23 +64,25 @@ def fly_campaign(
         runs = prepared.campaign.runs
         count = -(-runs // size)
         kept = finished(folder, count)
-        orders = Orders(prepared.base, folder, column_kinds(prepared.campaign), prepared.campaign.beams_every)
-        progress = Progress(runs, sum(min(size, runs - k * size) for k in kept), 0)
-        told(progress)
+        settings = BatchSettings(
+            prepared.base, folder, column_kinds(prepared.campaign), prepared.campaign.beams_every
+        )
+        progress = CampaignProgress(runs, sum(min(size, runs - k * size) for k in kept), 0)
+        on_progress(progress)
         if len(kept) == count:
             return progress
         missing = (_batch(prepared, k, size) for k in range(count) if k not in kept)
         pool = make_pool()
         try:
-            for batch, failed in _Flying(pool, orders, missing).results():
-                progress = Progress(runs, progress.done + len(batch.runs), progress.failed + failed)
-                told(progress)
+            for batch, failed in _Flying(pool, settings, missing).results():
+                progress = CampaignProgress(runs, progress.done + len(batch.runs), progress.failed + failed)
+                on_progress(progress)
         finally:
             pool.stop()
         return progress
 
 
-def _batch(prepared: Prepared, number: int, size: int) -> Batch:
+def _batch(prepared: PreparedCampaign, number: int, size: int) -> Batch:
     runs = range(number * size, min((number + 1) * size, prepared.campaign.runs))
     return Batch(number, runs.start, [prepared.drawn.values(run) for run in runs])
 
@@ -88,8 +90,8 @@ def _batch(prepared: Prepared, number: int, size: int) -> Batch:
 class _Flying:
     """Batches on their way. Those that were with a process that died are flown again one at a time, to see which."""
 
-    def __init__(self, pool: Pool, orders: Orders, batches: Iterator[Batch]) -> None:
-        self._pool, self._orders, self._batches = pool, orders, batches
+    def __init__(self, pool: Pool, settings: BatchSettings, batches: Iterator[Batch]) -> None:
+        self._pool, self._settings, self._batches = pool, settings, batches
         self._flying: dict[Future[int], Batch] = {}
         self._suspects: list[Batch] = []
         self._deaths_in_a_row = 0
@@ -111,7 +113,7 @@ class _Flying:
             batch = next(self._batches, None)
             if batch is None:
                 return
-            self._flying[self._pool.submit(fly_batch, self._orders, batch)] = batch
+            self._flying[self._pool.submit(fly_batch, self._settings, batch)] = batch
 
     def _landed(self) -> Iterator[tuple[Batch, int]]:
         for future in wait(self._flying, return_when=FIRST_COMPLETED).done:
@@ -126,10 +128,10 @@ class _Flying:
 
     def _alone(self, batch: Batch) -> tuple[Batch, int]:
         """A batch with nothing beside it; if that is deadly too, its runs one by one, and then without the deadly."""
-        while (failed := self._by_itself(fly_batch, self._orders, batch)) is None:
+        while (failed := self._by_itself(fly_batch, self._settings, batch)) is None:
             tried = zip(batch.runs, batch.values, strict=True)
             deadly = {
-                run for run, values in tried if self._by_itself(probe, self._orders.base, values) is None
+                run for run, values in tried if self._by_itself(probe, self._settings.base, values) is None
             }
             batch = batch._replace(deadly=batch.deadly | deadly)
         return batch, failed

@@ -1,7 +1,7 @@
 """Errors and dropouts of a whole campaign, by altitude and by incidence, with confidence intervals.
 
-Shots of one run are not independent: they share what was drawn. So runs are dealt to groups in turn, each group has its
-own counts, and the groups' scatter tells how far the figures of another campaign would be off. Errors are counted in
+Shots of one run are not independent: they share the drawn values. So runs are dealt to groups in turn, each group has
+its own counts, and the scatter of the groups estimates the standard error. Errors are counted in
 narrow bins, so that a million runs need no more memory than ten.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 
 LEVELS = (0.05, 0.5, 0.95)
-"""Quantiles that are told."""
+"""Reported quantiles."""
 CONFIDENCE = 0.95
 _GROUPS = 50
 _STEP = 0.01
@@ -28,19 +28,19 @@ _BINS = 2 * round(_REACH / _STEP)
 
 
 class Axis(NamedTuple):
-    """What errors are looked at against."""
+    """A quantity whose bands the errors are sorted into."""
 
     name: str
     edges: FloatArray
 
 
 class Error(NamedTuple):
-    """An error that is looked at."""
+    """An error of a measured quantity."""
 
     name: str
     quantity: str
     scale: float
-    """Below this, bins are equally wide: a hundredth of it."""
+    """Bins below this error are equally wide, a hundredth of it; above, one per cent of the error."""
 
 
 AXES = (
@@ -50,7 +50,7 @@ AXES = (
 ERRORS = (Error("range_error_m", "range_m", 1e-3), Error("speed_error_mps", "closing_speed_mps", 1e-5))
 
 
-class Estimate(NamedTuple):
+class IntervalEstimate(NamedTuple):
     """A figure and its confidence interval; NaN where it is not known."""
 
     value: float
@@ -67,14 +67,14 @@ class BandStatistics(NamedTuple):
     runs: int
     expected: int
     """Beams that fired at ground."""
-    dropout: Estimate
+    dropout: IntervalEstimate
     """Share of these without a valid range."""
-    quantiles: dict[str, list[Estimate]]
+    quantiles: dict[str, list[IntervalEstimate]]
     """By error, at `LEVELS`, of those that are valid."""
 
 
 def campaign_statistics(folder: Path) -> list[BandStatistics]:
-    """Of all beams that a campaign's folder holds; band by band, altitudes first."""
+    """Statistics of all beams in a campaign's folder, band by band, altitudes first."""
     counts = defaultdict[tuple[str, int], _Counts](_Counts)
     for beams in _files(folder):
         for axis in AXES:
@@ -84,7 +84,7 @@ def campaign_statistics(folder: Path) -> list[BandStatistics]:
             for k in np.unique(band[(band >= 0) & (band < len(axis.edges) - 1)]).tolist():
                 counts[axis.name, k].add({name: column[band == k] for name, column in beams.items()})
     return [
-        counts[axis.name, k].told(axis.name, float(axis.edges[k]), float(axis.edges[k + 1]))
+        counts[axis.name, k].statistics(axis.name, float(axis.edges[k]), float(axis.edges[k + 1]))
         for axis in AXES
         for k in range(len(axis.edges) - 1)
         if (axis.name, k) in counts
@@ -114,7 +114,7 @@ def _files(folder: Path) -> Iterator[dict[str, FloatArray]]:
 
 
 class _Counts:
-    """Of one band, group by group."""
+    """Counts of one band, group by group."""
 
     def __init__(self) -> None:
         self.runs = 0
@@ -135,7 +135,7 @@ class _Counts:
             place = np.floor((np.arcsinh(value[known] / error.scale) + _REACH) / _STEP).astype(np.int64)
             np.add.at(self.errors[error.name], (group[known], np.clip(place, 0, _BINS - 1)), 1)
 
-    def told(self, axis: str, low: float, high: float) -> BandStatistics:
+    def statistics(self, axis: str, low: float, high: float) -> BandStatistics:
         """The figures of the band from `low` to `high`."""
         return BandStatistics(
             axis,
@@ -148,23 +148,23 @@ class _Counts:
         )
 
 
-def share(part: IntArray, whole: IntArray, runs: int) -> Estimate:
+def share(part: IntArray, whole: IntArray, runs: int) -> IntervalEstimate:
     """The ratio of two counts (groups,): Wilson's interval for as many trials as the groups' scatter is worth.
 
     Where all or none of them are part there is no scatter: then a run counts as one trial.
     """
     count = int(whole.sum())
     if count == 0:
-        return Estimate(math.nan, math.nan, math.nan)
+        return IntervalEstimate(math.nan, math.nan, math.nan)
     value = float(part.sum() / count)
     spread, factor = _scatter(part.astype(np.float64), whole)
     if not math.isfinite(factor):
-        return Estimate(value, 0.0, 1.0)
+        return IntervalEstimate(value, 0.0, 1.0)
     trials = min(count, value * (1 - value) / spread**2) if spread > 0 else float(runs)
     square = factor**2 / trials
     middle = (value + square / 2) / (1 + square)
     half = math.sqrt(value * (1 - value) * square + square**2 / 4) / (1 + square)
-    return Estimate(value, max(0.0, middle - half), min(1.0, middle + half))
+    return IntervalEstimate(value, max(0.0, middle - half), min(1.0, middle + half))
 
 
 def _scatter(part: FloatArray, whole: IntArray) -> tuple[float, float]:
@@ -179,7 +179,7 @@ def _scatter(part: FloatArray, whole: IntArray) -> tuple[float, float]:
     return math.sqrt(variance) / float(whole.sum()), float(t.ppf((1 + CONFIDENCE) / 2, groups - 1))
 
 
-def _quantile(counts: IntArray, level: float, scale: float) -> Estimate:
+def _quantile(counts: IntArray, level: float, scale: float) -> IntervalEstimate:
     """Of counts (groups, bins); the interval is where the share below may be the level (Woodruff).
 
     An end is not known where that share may be none or all.
@@ -187,7 +187,7 @@ def _quantile(counts: IntArray, level: float, scale: float) -> Estimate:
     below = np.concatenate([np.zeros((_GROUPS, 1)), np.cumsum(counts, axis=1)], axis=1)
     whole = counts.sum(axis=1)
     if not whole.any():
-        return Estimate(math.nan, math.nan, math.nan)
+        return IntervalEstimate(math.nan, math.nan, math.nan)
     together = below.sum(axis=0) / whole.sum()
 
     def at(wanted: float) -> float:
@@ -201,4 +201,4 @@ def _quantile(counts: IntArray, level: float, scale: float) -> Estimate:
     spread, factor = _scatter(below[:, k] + (place - k) * (below[:, k + 1] - below[:, k]), whole)
     half = spread * factor if math.isfinite(factor) else 1.0
     ends = (at(wanted) if 0.0 < wanted < 1.0 else math.nan for wanted in (level - half, level + half))
-    return Estimate(*(float(scale * np.sinh(end * _STEP - _REACH)) for end in (place, *ends)))
+    return IntervalEstimate(*(float(scale * np.sinh(end * _STEP - _REACH)) for end in (place, *ends)))

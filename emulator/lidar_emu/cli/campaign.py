@@ -18,9 +18,9 @@ from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
     from lidar_emu.campaign.pools import Pool
-    from lidar_emu.campaign.read import Prepared
-    from lidar_emu.campaign.run import Progress
-    from lidar_emu.campaign.statistics import BandStatistics, Estimate
+    from lidar_emu.campaign.read import PreparedCampaign
+    from lidar_emu.campaign.run import CampaignProgress
+    from lidar_emu.campaign.statistics import BandStatistics, IntervalEstimate
 
 _STATISTICS = "statistics.csv"
 _HEADINGS = {"altitude_m": "altitude\n\nm", "true_incidence_deg": "incidence\n\n°"}
@@ -100,7 +100,7 @@ def _pool_maker(slots: int, scheduler: str | None) -> Callable[[], Pool]:
     return (lambda: LocalPool(slots)) if scheduler is None else (lambda: ClusterPool(scheduler))
 
 
-def _fly(prepared: Prepared, out: Path, make_pool: Callable[[], Pool]) -> Progress:
+def _fly(prepared: PreparedCampaign, out: Path, make_pool: Callable[[], Pool]) -> CampaignProgress:
     from lidar_emu.campaign.run import fly_campaign
     from lidar_emu.shots.model import build_model, initial_state, measure
 
@@ -108,11 +108,11 @@ def _fly(prepared: Prepared, out: Path, make_pool: Callable[[], Pool]) -> Progre
         # Compile the kernels once here, so that the workers find them in the cache.
         model = build_model(prepared.first)
         measure(model, 0, 1, initial_state(model))
-    last: list[Progress] = []
+    last: list[CampaignProgress] = []
     try:
         with _progress_bar(prepared.campaign.name, prepared.campaign.runs) as show:
 
-            def on_progress(progress: Progress) -> None:
+            def on_progress(progress: CampaignProgress) -> None:
                 last[:] = [progress]
                 show(progress)
 
@@ -125,7 +125,7 @@ def _fly(prepared: Prepared, out: Path, make_pool: Callable[[], Pool]) -> Progre
 
 
 @contextmanager
-def _progress_bar(name: str, runs: int) -> Iterator[Callable[[Progress], None]]:
+def _progress_bar(name: str, runs: int) -> Iterator[Callable[[CampaignProgress], None]]:
     """A progress bar on a terminal, nothing elsewhere."""
     if sys.stderr is None or not sys.stderr.isatty():
         yield lambda _: None
@@ -139,9 +139,11 @@ def _progress_bar(name: str, runs: int) -> Iterator[Callable[[Progress], None]]:
         yield lambda progress: bar.update(task, completed=progress.done)
 
 
-def _conclude(prepared: Prepared, out: Path, plot: str | None, progress: Progress, as_json: bool) -> None:
+def _conclude(
+    prepared: PreparedCampaign, out: Path, plot: str | None, progress: CampaignProgress, as_json: bool
+) -> None:
     from lidar_emu.campaign.statistics import LEVELS, campaign_statistics
-    from lidar_emu.campaign.told import failures, plot_columns, rows, write_statistics
+    from lidar_emu.campaign.summary import failures, plot_columns, rows, write_statistics
 
     with busy("computing the statistics"):
         bands = campaign_statistics(out)
@@ -196,12 +198,12 @@ def _print_statistics(bands: Sequence[BandStatistics]) -> None:
         console.print(table)
 
 
-def _values(estimates: Sequence[Estimate], scale: float) -> list[str]:
+def _values(estimates: Sequence[IntervalEstimate], scale: float) -> list[str]:
     return ["-" if one.value != one.value else f"{scale * one.value:.3f}" for one in estimates]
 
 
-def _print_plan(prepared: Prepared, workers: int, as_json: bool) -> None:
-    """Estimate time, memory and disk from a few runs flown now."""
+def _print_plan(prepared: PreparedCampaign, workers: int, as_json: bool) -> None:
+    """IntervalEstimate time, memory and disk from a few runs flown now."""
     from lidar_emu.campaign.forecast import forecast
 
     with busy(COMPILING):

@@ -15,7 +15,7 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination
 
 if TYPE_CHECKING:
-    from lidar_emu.report.flown import Flown
+    from lidar_emu.report.recorded_run import RecordedRun
 
 
 @click.command(short_help="Summarise a recording: table, files for other tools, an HTML page with figures.")
@@ -75,10 +75,10 @@ def report(
         check_extra(Path("figure.png"), "matplotlib", "plots")
     from lidar_emu.cli.summary_lines import contents_lines
     from lidar_emu.recording.read import read_recording
-    from lidar_emu.report.flown import read_flown
+    from lidar_emu.report.recorded_run import read_recorded_run
 
     with busy(f"reading {file}"):
-        flown = read_flown(read_recording(file))
+        flown = read_recorded_run(read_recording(file))
         contents = flown.contents()
     lines = contents_lines(contents)
     say(json.dumps(contents, indent=2) if as_json else "\n".join(lines))
@@ -110,7 +110,7 @@ def _draw_paper_figure(figure: str, out: tuple[str, ...], others: dict[str, Any]
     )
 
 
-def _write(flown: Flown, path: Path) -> str:
+def _write(flown: RecordedRun, path: Path) -> str:
     from lidar_emu.report.exports import export
     from lidar_emu.report.wire_file import WIRE_SUFFIXES, write_wire_file
 
@@ -125,7 +125,7 @@ def _write(flown: Flown, path: Path) -> str:
 
 
 def _draw(
-    flown: Flown, lines: list[str], page: Path | None, folder: Path | None, at_s: list[float]
+    flown: RecordedRun, lines: list[str], page: Path | None, folder: Path | None, at_s: list[float]
 ) -> list[str]:
     from lidar_emu.report.flight_pages import check_instants, draw_all
     from lidar_emu.report.page import write_page

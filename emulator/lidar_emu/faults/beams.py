@@ -129,8 +129,7 @@ _Result = tuple[Measurement, Held | None]
 
 def _dropout(block: Measurement, active: _ActiveFault) -> _Result:
     nothing: dict[str, Any] = {name: column.missing_value for name, column in REPORT_COLUMNS.items()}
-    reason = Reason.BELOW_THRESHOLD
-    return active.with_columns(block, **nothing, reason=reason, segments=0, returns=0), None
+    return active.with_columns(block, **nothing | {"reason": Reason.BELOW_THRESHOLD}), None
 
 
 def _stuck(block: Measurement, active: _ActiveFault) -> _Result:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property, partial
-from typing import NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,9 @@ from lidar_emu.scene.ray_reach import Reach
 from lidar_emu.trajectory.build import build_trajectory
 from lidar_emu.trajectory.state import Trajectory, VehicleState, seconds
 
+if TYPE_CHECKING:
+    from lidar_emu.flight.recorded_file import GeometryFile
+
 _Shot = TypeVar("_Shot", int, NDArray[np.int64])
 
 
@@ -54,7 +57,7 @@ class Pointing(NamedTuple):
 
     @classmethod
     def unfilled(cls, shot: NDArray[np.int64], beams: int) -> Self:
-        """Arrays to be filled, of shots with so many beams."""
+        """Empty arrays for these shots of `beams` beams."""
         shape = len(shot), beams
         return cls(
             shot=shot,
@@ -116,10 +119,11 @@ def sensor_height_m(pointing: Pointing, axis_hits: Hits) -> FloatArray:
 
 
 class Flight:
-    """The rooms of a flight, built once."""
+    """Vehicle, beams and ground of a scenario, built once.
 
-    is_recorded = False
-    """Whether beams and hits are read instead of computed."""
+    Raises:
+        InputError: a file cannot be used, or the flight leaves its ground or is too long.
+    """
 
     def __init__(self, scenario: FlightScenario) -> None:
         self.scenario = scenario
@@ -139,8 +143,12 @@ class Flight:
         self._needs_ground_altitude = self.scanner.needs_ground_altitude
         self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
         self.shot_count = self._count_shots()
-        if may_leave_its_ground(scenario) and not self.is_recorded:
-            refuse_to_leave(scenario, self.trajectory, self.ground, self.shot_count, self.period_ns)
+        self._check_ground_coverage()
+
+    @property
+    def recorded_geometry(self) -> GeometryFile | None:
+        """The file that beams and hits are read from; None: they are computed."""
+        return None
 
     @cached_property
     def trajectory(self) -> Trajectory:
@@ -263,6 +271,10 @@ class Flight:
         if self._needs_ground_altitude:
             above_ground_m = up_m - self.scene.height_m(starts[1], starts[2])
         return self.scanner.choose(state, starts[0], up_m, above_ground_m)
+
+    def _check_ground_coverage(self) -> None:
+        if may_leave_its_ground(self.scenario):
+            refuse_to_leave(self.scenario, self.trajectory, self.ground, self.shot_count, self.period_ns)
 
     def _count_shots(self) -> int:
         """Shots of the run."""

@@ -18,13 +18,11 @@ from lidar_emu.scene.ray_hits import Hits
 
 
 class RecordedFlight(Flight):
-    """Knows of trajectory and ground what was recorded. Patterns are recorded too: the scanner's state is passed on.
+    """A flight with recorded pointing, patterns and hits; the scanner's state passes through unchanged.
 
     Raises:
         InputError: the file is no geometry, or that of another flight or instrument than the scenario's.
     """
-
-    is_recorded = True
 
     def __init__(self, scenario: FlightScenario, path: Path) -> None:
         self.file = GeometryFile(path)
@@ -34,6 +32,11 @@ class RecordedFlight(Flight):
             allowed = f"allowed: {about.beamlets}, as recorded in {path}, or 1"
             raise InputError(scenario.name, "instrument.optics.beamlets", asked, allowed)
         super().__init__(scenario)
+
+    @property
+    def recorded_geometry(self) -> GeometryFile:
+        """See `Flight`."""
+        return self.file
 
     @property
     def has_moving_objects(self) -> bool:
@@ -57,6 +60,9 @@ class RecordedFlight(Flight):
     ) -> Hits:
         """See `Flight`."""
         return self.file.beamlet_hits(pointing.shot, hits)
+
+    def _check_ground_coverage(self) -> None:
+        """Not checked: where the recorded beams meet no ground, the hits say so."""
 
     def _count_shots(self) -> int:
         shots, duration_s = self.file.about.shots, self.scenario.duration_s

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from lidar_emu.echo.echoes import compute_echoes
@@ -18,6 +20,9 @@ from lidar_emu.scenario.site import Grid, Nested
 from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.scene.ray_hits import Hits
 from lidar_emu.scene.terrain.read import lies_flat
+
+if TYPE_CHECKING:
+    from lidar_emu.flight.recorded_file import GeometryFile
 
 ONE_BEAMLET_BELOW_BINS = 0.1
 _LOOK_EVERY_S = 0.1
@@ -70,8 +75,8 @@ def _look(flight: Flight) -> tuple[Pointing, Hits]:
 
 def _flown(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
     """What says where the beams are and what they meet."""
-    if flight.is_recorded:
-        return [_recorded(flight)]
+    if flight.recorded_geometry is not None:
+        return [_recorded(flight.recorded_geometry)]
     return [
         _trajectory(scenario, flight),
         *_bridges(flight),
@@ -81,12 +86,9 @@ def _flown(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: H
     ]
 
 
-def _recorded(flight: Flight) -> Decision:
-    from lidar_emu.flight.recorded import RecordedFlight
-
-    assert isinstance(flight, RecordedFlight)
-    about = flight.file.about
-    how = f"{flight.file.path.name}: {about.shots} shots of {about.beams} beams, {about.beamlets} rays each"
+def _recorded(geometry: GeometryFile) -> Decision:
+    about = geometry.about
+    how = f"{geometry.path.name}: {about.shots} shots of {about.beams} beams, {about.beamlets} rays each"
     reason = f"the geometry of {about.name} is given"
     return Decision("trajectory, ground, casting", False, how, reason, "as recorded, bit for bit")
 

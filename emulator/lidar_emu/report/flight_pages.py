@@ -8,8 +8,8 @@ from typing import NamedTuple
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.plan.plan import Plan
 from lidar_emu.report import flight_figures, run_figures
-from lidar_emu.report.flown import Flown
 from lidar_emu.report.page_style import Drawing
+from lidar_emu.report.recorded_run import RecordedRun
 from lidar_emu.report.spectra import CannotHearError, choose, draw_spectra, listen
 from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import Model, build_model
@@ -25,7 +25,7 @@ class Figures(NamedTuple):
     """What the run computed; None where its model cannot be built here."""
 
 
-def draw_all(flown: Flown, at_s: Sequence[float]) -> Figures:
+def draw_all(flown: RecordedRun, at_s: Sequence[float]) -> Figures:
     """Every figure that the recording gives.
 
     Args:
@@ -53,7 +53,7 @@ def draw_all(flown: Flown, at_s: Sequence[float]) -> Figures:
     return Figures([d for d in drawings if d is not None], notes, None if model is None else model.plan)
 
 
-def _model(flown: Flown, notes: list[str]) -> Model | None:
+def _model(flown: RecordedRun, notes: list[str]) -> Model | None:
     """The model as it was, where files that the scenario names are still there."""
     try:
         return build_model(flown.recording.scenario)
@@ -63,7 +63,7 @@ def _model(flown: Flown, notes: list[str]) -> Model | None:
 
 
 def _spectra(
-    flown: Flown, model: FlightModel | None, at_s: Sequence[float], notes: list[str]
+    flown: RecordedRun, model: FlightModel | None, at_s: Sequence[float], notes: list[str]
 ) -> Drawing | None:
     if model is None:
         return None
@@ -80,7 +80,7 @@ def _spectra(
         return None
 
 
-def check_instants(flown: Flown, at_s: Sequence[float]) -> None:
+def check_instants(flown: RecordedRun, at_s: Sequence[float]) -> None:
     """Refuse instants that are none of the recording.
 
     Raises:

@@ -10,8 +10,8 @@ from typing import Any
 
 from lidar_emu.files import whole_file
 from lidar_emu.plan.plan import Plan
-from lidar_emu.report.flown import Flown
 from lidar_emu.report.page_style import Drawing, as_svg
+from lidar_emu.report.recorded_run import RecordedRun
 
 _LABEL_WIDTH = 11
 """Of a line of the summary."""
@@ -42,7 +42,7 @@ _NOTHING_FROM_OUTSIDE = "default-src 'none'; img-src data:; style-src 'unsafe-in
 
 def write_page(
     path: Path,
-    flown: Flown,
+    flown: RecordedRun,
     summary: Sequence[str],
     drawings: Sequence[Drawing],
     notes: Sequence[str],
@@ -104,7 +104,7 @@ def _figure(drawing: Drawing) -> str:
     )
 
 
-def _happenings(flown: Flown) -> list[str]:
+def _happenings(flown: RecordedRun) -> list[str]:
     """Commands, faults ordered in flight and events, as they came."""
     rows: list[tuple[float, str, str]] = [
         *(
@@ -142,7 +142,7 @@ def _left_out(plan: Plan | None) -> list[str]:
     return ["<h2>What was left out, and what was not</h2>", _table(heads, rows)]
 
 
-def _origin(flown: Flown) -> list[tuple[str, str]]:
+def _origin(flown: RecordedRun) -> list[tuple[str, str]]:
     origin = flown.recording.origin
     build, named = json.loads(origin["build"]), json.loads(origin["files_sha256"])
     hashes = {name: origin[f"{name}_sha256"] for name in ("scenario", "interface")} | named

@@ -10,8 +10,8 @@ from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.recording.read import JsonMessage
-from lidar_emu.report.flown import Flown
 from lidar_emu.report.page_style import Drawing, draw
+from lidar_emu.report.recorded_run import RecordedRun
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,7 +63,7 @@ def _words(reason: Reason) -> str:
     return reason.name.lower().replace("_", " ")
 
 
-def lateness(flown: Flown) -> Drawing | None:
+def lateness(flown: RecordedRun) -> Drawing | None:
     """How late packets went out: a histogram, and the run's course; None where none had an instant to keep."""
     late_us = flown.lateness_us
     if not (flown.keeps_time and late_us.size):
@@ -91,7 +91,7 @@ def lateness(flown: Flown) -> Drawing | None:
     return draw("lateness", "Lateness", says, 2.8, on)
 
 
-def timeline(flown: Flown) -> Drawing | None:
+def timeline(flown: RecordedRun) -> Drawing | None:
     """When faults acted, commands came and something happened; None where nothing did."""
     marks = _marks(flown)
     if not marks:
@@ -115,7 +115,7 @@ def timeline(flown: Flown) -> Drawing | None:
     )
 
 
-def _marks(flown: Flown) -> dict[str, FloatArray]:
+def _marks(flown: RecordedRun) -> dict[str, FloatArray]:
     """Times in seconds by what happened then."""
     named: list[tuple[str, JsonMessage]] = [
         *((f"fault {told.values['kind']}", told) for told in flown.faults),

@@ -61,7 +61,7 @@ class FlightModel:
     def aim(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
         """Beams of consecutive shots, as misaligned as faults have them."""
         pointing, state = self.flight.point(shot, state)
-        if self.physics is not None and not self.flight.is_recorded:
+        if self.physics is not None and self.flight.recorded_geometry is None:
             pointing = self.physics.tilted(pointing, shot)
         return pointing, state
 

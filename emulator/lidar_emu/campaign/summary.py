@@ -1,4 +1,4 @@
-"""What a campaign came to, for people, tables and pictures."""
+"""The results of a campaign as table rows, CSV and plot columns."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar_emu.campaign.statistics import AXES, ERRORS, LEVELS, BandStatistics, Estimate
+from lidar_emu.campaign.statistics import AXES, ERRORS, LEVELS, BandStatistics, IntervalEstimate
 from lidar_emu.files import whole_file
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.campaign_plot import CampaignColumn
@@ -44,7 +44,7 @@ def _row(band: BandStatistics) -> dict[str, float | int | str]:
     return row
 
 
-def _ended(name: str, estimate: Estimate) -> dict[str, float]:
+def _ended(name: str, estimate: IntervalEstimate) -> dict[str, float]:
     return {name + end: value for end, value in zip(_ENDS, estimate, strict=True)}
 
 
@@ -54,18 +54,20 @@ def write_statistics(bands: Sequence[BandStatistics], path: Path) -> None:
     Raises:
         RunError: writing failed on the way.
     """
-    told = rows(bands)
+    table = rows(bands)
     text = io.StringIO(newline="")
-    if told:
-        writer = csv.DictWriter(text, list(told[0]), lineterminator="\n")
+    if table:
+        writer = csv.DictWriter(text, list(table[0]), lineterminator="\n")
         writer.writeheader()
-        writer.writerows({key: "" if value != value else value for key, value in row.items()} for row in told)
+        writer.writerows(
+            {key: "" if value != value else value for key, value in row.items()} for row in table
+        )
     with whole_file(path) as file:
         file.write(text.getvalue().encode())
 
 
 def plot_columns(bands: Sequence[BandStatistics]) -> list[CampaignColumn]:
-    """What `report.campaign_plot` draws."""
+    """Columns for `report.campaign_plot`."""
     return [_column(axis.name, [band for band in bands if band.axis == axis.name]) for axis in AXES]
 
 
@@ -84,16 +86,16 @@ def _column(axis: str, bands: Sequence[BandStatistics]) -> CampaignColumn:
     )
 
 
-def _estimates(estimates: Sequence[Estimate]) -> FloatArray:
+def _estimates(estimates: Sequence[IntervalEstimate]) -> FloatArray:
     return np.array(estimates, dtype=np.float64).reshape(-1, len(_ENDS))
 
 
 def failures(folder: Path) -> dict[str, int]:
-    """How many runs failed, by reason, the most frequent first."""
+    """Number of failed runs by reason, the most frequent first."""
     from pyarrow import parquet
 
     reasons = Counter[str]()
     for path in sorted((folder / "runs").glob("part-*.parquet")):
-        told = parquet.read_table(path, columns=["failed"], use_threads=False)["failed"].to_pylist()
-        reasons.update(reason for reason in told if reason is not None)
+        failed = parquet.read_table(path, columns=["failed"], use_threads=False)["failed"].to_pylist()
+        reasons.update(reason for reason in failed if reason is not None)
     return dict(reasons.most_common())

@@ -13,15 +13,15 @@ from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
 from lidar_emu.recording.read import read_recording
 from lidar_emu.report.flight_pages import draw_all
-from lidar_emu.report.flown import Flown, read_flown
+from lidar_emu.report.recorded_run import RecordedRun, read_recorded_run
 from lidar_emu.runtime.port.packets import DeliveryStatus
 
 FAULTS = "faults=[{kind: dropout, beams: [2], from_s: 0.5, to_s: 1}, {kind: lost, from_s: 1, to_s: 1.2}]"
 
 
 @pytest.fixture(scope="module")
-def bench_flown(record) -> Flown:
-    return read_flown(record("bench.yaml", duration_s="2"))
+def bench_flown(record) -> RecordedRun:
+    return read_recorded_run(record("bench.yaml", duration_s="2"))
 
 
 def test_it_is_the_summary_of_the_run(tmp_path, monkeypatch):
@@ -69,7 +69,7 @@ def test_a_file_that_was_cut_anywhere_is_read_or_refused(bench_flown, tmp_path):
         path = tmp_path / "cut.mcap"
         path.write_bytes(data[: int(share * len(data))])
         try:
-            flown = read_flown(read_recording(path))
+            flown = read_recorded_run(read_recording(path))
         except InputError:
             continue
         assert flown.recording.is_whole == (share == 1.0)
@@ -86,7 +86,7 @@ def test_a_recording_without_a_column_is_refused_in_one_line(bench_flown, tmp_pa
         bench_flown.recording.path.read_bytes().replace(b'"residual_mps": [', b'"residual_mpz": [')
     )
     with pytest.raises(InputError, match="residual_mps"):
-        read_flown(read_recording(path))
+        read_recorded_run(read_recording(path))
 
 
 def test_all_packets_late(bench_flown):
@@ -119,7 +119,9 @@ def test_a_bench_pattern_says_why_it_has_no_path(bench_flown):
 
 
 def test_a_flight_without_a_valid_measurement_has_a_path(record):
-    blind = read_flown(record("descent.yaml", duration_s="0.2", instrument__detection__maximum_range_m="10"))
+    blind = read_recorded_run(
+        record("descent.yaml", duration_s="0.2", instrument__detection__maximum_range_m="10")
+    )
     assert not blind.measurement.range_valid.any()
     drawings, notes, _ = draw_all(blind, ())
     assert [drawing.name for drawing in drawings] == ["path", "validity"]
@@ -130,7 +132,7 @@ def test_a_scenario_whose_files_are_gone_is_drawn_without_them(record, tmp_path)
     ground = tmp_path / "gone.npz"
     up_m = np.zeros((16, 16))
     np.savez(ground, elevation_m=up_m, pixel_m=500.0)
-    flown = read_flown(
+    flown = read_recorded_run(
         record(
             "descent.yaml", duration_s="0.2", site__ground=f"{{kind: grid, file: {ground}, beyond: plane}}"
         )

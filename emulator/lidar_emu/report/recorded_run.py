@@ -1,4 +1,4 @@
-"""What a recording tells of a flight: everything that the pages about it need, read once."""
+"""The contents of a recording, read once for all pages of a report."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lidar_emu.runtime.summary import Tally
 
 
 @dataclass(frozen=True)
-class Flown:
+class RecordedRun:
     """A recording, read."""
 
     recording: Recording
@@ -104,7 +104,7 @@ class Flown:
         }
 
 
-def read_flown(recording: Recording) -> Flown:
+def read_recorded_run(recording: Recording) -> RecordedRun:
     """Everything in a recording.
 
     Raises:
@@ -126,7 +126,7 @@ def read_flown(recording: Recording) -> Flown:
         for channel in (channels.FAULT, channels.INJECTED_FAULT, channels.COMMAND, channels.EVENT)
     )
     said = len(recording.raw_messages(channels.HOUSEKEEPING))
-    return Flown(recording, measurement, packets, faults, ordered, commands, events, said)
+    return RecordedRun(recording, measurement, packets, faults, ordered, commands, events, said)
 
 
 def _row(told: JsonMessage) -> dict[str, Any]:
