@@ -146,3 +146,46 @@ def test_only_rays_that_need_more_are_strays():
     ]
     origin, direction, expected = (np.array(column, dtype=float) for column in zip(*rays, strict=True))
     np.testing.assert_array_equal(strays(origin, direction, span, kept), expected.astype(bool))
+
+
+def extreme_beamlets(rng, origin, direction, slack_rad, spread_m, count=4000):
+    """Rays at the very limits: turned by the whole slack, and started the whole spread away."""
+    away = rng.normal(size=(count, 3))
+    away *= spread_m / np.linalg.norm(away, axis=1, keepdims=True)
+    turn = rng.normal(size=(count, 3))
+    turn -= (turn @ direction)[:, None] * direction
+    turn *= 1 / np.linalg.norm(turn, axis=1, keepdims=True)
+    return origin + away, np.cos(slack_rad) * direction + np.sin(slack_rad) * turn
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_what_a_ray_needs_holds_all_its_beamlets_and_little_else(seed):
+    """The margin around a ray, without the rows and columns that a cut grid keeps besides."""
+    rng = np.random.default_rng(seed)
+    slack_rad, spread_m = rng.uniform(2e-3, 2e-2), rng.uniform(0.1, 5.0)
+    tilt, azimuth = rng.uniform(0, 0.9), rng.uniform(0, 2 * np.pi)
+    direction = np.array([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), -np.cos(tilt)])
+    floor_m, ceiling_m = -20.0, rng.uniform(-20.0, 20.0)
+    origin = np.array([*rng.uniform(-50, 50, 2), ceiling_m + rng.uniform(-0.9 * (ceiling_m + 20.0), 300.0)])
+    area = Rectangle(-1e4, 1e4, -1e4, 1e4)
+
+    starts, ways = extreme_beamlets(rng, origin, direction, slack_rad, spread_m)
+    t_first = np.maximum((starts[:, 2] - ceiling_m) / -ways[:, 2], 0.0)
+    t_last = (starts[:, 2] - floor_m) / -ways[:, 2]
+    over = t_last > t_first
+    ends = [starts[over] + t[over, None] * ways[over] for t in (t_first, t_last)]
+    place_m = np.concatenate([*(end[:, :2] for end in ends), origin[None, :2]])
+
+    lines = lambda: iter([(origin[None], direction[None])])  # noqa: E731
+    needed = Reach(lines, slack_rad, spread_m).over(Span(area, floor_m, ceiling_m))
+    low_m, high_m = place_m.min(axis=0), place_m.max(axis=0)
+    assert needed.west_m <= low_m[0]
+    assert needed.south_m <= low_m[1]
+    assert needed.east_m >= high_m[0]
+    assert needed.north_m >= high_m[1]
+    # The rest is what slack and spread may add where they add to each other: their share of a slanted way down.
+    margin_m = (spread_m + t_last.max() * slack_rad) / np.cos(tilt + slack_rad)
+    assert needed.west_m >= low_m[0] - margin_m
+    assert needed.south_m >= low_m[1] - margin_m
+    assert needed.east_m <= high_m[0] + margin_m
+    assert needed.north_m <= high_m[1] + margin_m
