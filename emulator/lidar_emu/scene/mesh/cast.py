@@ -9,29 +9,15 @@ Which rays come in one bundle changes nothing that is found.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.scene.mesh.ray import (
-    DX,
-    DY,
-    DZ,
-    ENTERED,
-    LEFT,
-    NEAR,
-    NONE,
-    RX,
-    RY,
-    RZ,
-    X,
-    Y,
-    Z,
-    meet,
-    set_ray,
-    tell,
-)
+from lidar_emu.numerics.vectors import Vector
+from lidar_emu.scene.mesh.ray import NONE, meet, set_hit, set_ray
 
 BUNDLE = 128
 """Most rays of a bundle."""
@@ -43,18 +29,22 @@ _SLACK = 1.0 + 1e-14
 """By how much a box is taken longer, for the rounding of where a ray leaves it."""
 
 
+class _Hull(NamedTuple):
+    """Bounds of a bundle's rays: least and greatest start, and one over the least and greatest direction."""
+
+    start: Vector
+    far_start: Vector
+    per_rate: Vector
+    far_per_rate: Vector
+
+
 @kernel(outermost=True)
 def cast_rays(
     origin: FloatArray,
     direction: FloatArray,
-    box: FloatArray,
-    first: IntArray,
-    count: IntArray,
-    corner_m: FloatArray,
-    sheet: BoolArray,
-    albedo: FloatArray,
-    owner: NDArray[np.int16],
-    rays: FloatArray,
+    boxes: NDArray[np.void],
+    triangles: NDArray[np.void],
+    rays: NDArray[np.void],
     stack: IntArray,
     range_m: FloatArray,
     normal: FloatArray,
@@ -66,12 +56,10 @@ def cast_rays(
 
     Args:
         origin, direction: (n, 3).
-        box, first, count: of the `BoxTree`.
-        corner_m: (triangles, 3, 3), in the order of the tree, counter-clockwise from outside.
-        sheet: (triangles,) seen from both sides; another one that is seen from behind is the end of a solid.
-        albedo, owner: (triangles,) what they reflect, and what they belong to.
-        rays: (BUNDLE, NUMBERS) room.
-        stack: (depth of the tree + 1,) room.
+        boxes: of the `BoxTree`.
+        triangles: records of `TRIANGLE`, in the order of the tree.
+        rays: (BUNDLE,) records of `RAY`, overwritten.
+        stack: (depth of the tree + 1,) overwritten.
         range_m, normal, inside, reflectance, object_id: as in `Hits`.
     """
     start = 0
@@ -80,12 +68,12 @@ def cast_rays(
         if end > start:
             for k in range(start, end):
                 set_ray(origin[k], direction[k], rays[k - start])
-            _walk(box, first, count, corner_m, sheet, rays[: end - start], stack)
+            _walk(boxes, triangles, rays[: end - start], stack)
         else:
-            rays[0, ENTERED] = rays[0, LEFT] = NONE
+            rays[0].entered = rays[0].left = NONE
             end = start + 1
         for k in range(start, end):
-            tell(rays[k - start], corner_m, albedo, owner, k, range_m, normal, inside, reflectance, object_id)
+            set_hit(rays[k - start], triangles, k, range_m, normal, inside, reflectance, object_id)
         start = end
 
 
@@ -110,44 +98,43 @@ def _bundle_end(origin: FloatArray, direction: FloatArray, start: int) -> int:
 
 
 @kernel
-def _walk(
-    box: FloatArray,
-    first: IntArray,
-    count: IntArray,
-    corner_m: FloatArray,
-    sheet: BoolArray,
-    rays: FloatArray,
-    stack: IntArray,
-) -> None:
-    """Find the nearest contact of each ray of a bundle."""
-    ox0 = ox1 = rays[0, X]
-    oy0 = oy1 = rays[0, Y]
-    oz0 = oz1 = rays[0, Z]
-    dx0 = dx1 = rays[0, DX]
-    dy0 = dy1 = rays[0, DY]
-    dz0 = dz1 = rays[0, DZ]
+def _hull(rays: NDArray[np.void]) -> _Hull:
+    first = rays[0]
+    ox0, oy0, oz0 = ox1, oy1, oz1 = first.x, first.y, first.z
+    dx0, dy0, dz0 = dx1, dy1, dz1 = first.dx, first.dy, first.dz
     for k in range(1, rays.shape[0]):
         ray = rays[k]
-        ox0, ox1 = min(ox0, ray[X]), max(ox1, ray[X])
-        oy0, oy1 = min(oy0, ray[Y]), max(oy1, ray[Y])
-        oz0, oz1 = min(oz0, ray[Z]), max(oz1, ray[Z])
-        dx0, dx1 = min(dx0, ray[DX]), max(dx1, ray[DX])
-        dy0, dy1 = min(dy0, ray[DY]), max(dy1, ray[DY])
-        dz0, dz1 = min(dz0, ray[DZ]), max(dz1, ray[DZ])
-    rx0, ry0, rz0, rx1, ry1, rz1 = 1.0 / dx0, 1.0 / dy0, 1.0 / dz0, 1.0 / dx1, 1.0 / dy1, 1.0 / dz1
+        ox0, ox1 = min(ox0, ray.x), max(ox1, ray.x)
+        oy0, oy1 = min(oy0, ray.y), max(oy1, ray.y)
+        oz0, oz1 = min(oz0, ray.z), max(oz1, ray.z)
+        dx0, dx1 = min(dx0, ray.dx), max(dx1, ray.dx)
+        dy0, dy1 = min(dy0, ray.dy), max(dy1, ray.dy)
+        dz0, dz1 = min(dz0, ray.dz), max(dz1, ray.dz)
+    return _Hull(
+        (ox0, oy0, oz0),
+        (ox1, oy1, oz1),
+        (1.0 / dx0, 1.0 / dy0, 1.0 / dz0),
+        (1.0 / dx1, 1.0 / dy1, 1.0 / dz1),
+    )
+
+
+@kernel
+def _walk(
+    boxes: NDArray[np.void], triangles: NDArray[np.void], rays: NDArray[np.void], stack: IntArray
+) -> None:
+    """Find the nearest contact of each ray of a bundle."""
+    hull = _hull(rays)
     farthest = _farthest(rays)
     node, height = 0, 0
-    entry = _entry(box[0], ox0, oy0, oz0, ox1, oy1, oz1, rx0, ry0, rz0, rx1, ry1, rz1)
-    if not entry <= farthest:
+    if not _entry(boxes[0], hull) <= farthest:
         return
     while True:
-        if count[node] > 0:
-            _meet_leaf(box[node], first[node], first[node] + count[node], corner_m, sheet, rays)
+        if boxes[node].held > 0:
+            _meet_leaf(boxes[node], triangles, rays)
             farthest = _farthest(rays)
         else:
-            left = first[node]
-            t_left = _entry(box[left], ox0, oy0, oz0, ox1, oy1, oz1, rx0, ry0, rz0, rx1, ry1, rz1)
-            t_right = _entry(box[left + 1], ox0, oy0, oz0, ox1, oy1, oz1, rx0, ry0, rz0, rx1, ry1, rz1)
+            left = boxes[node].first
+            t_left, t_right = _entry(boxes[left], hull), _entry(boxes[left + 1], hull)
             if t_left <= farthest and t_right <= farthest:
                 nearer = left if t_left <= t_right else left + 1
                 stack[height] = 2 * left + 1 - nearer
@@ -166,43 +153,31 @@ def _walk(
                 return
             height -= 1
             node = stack[height]
-            if _entry(box[node], ox0, oy0, oz0, ox1, oy1, oz1, rx0, ry0, rz0, rx1, ry1, rz1) <= farthest:
+            if _entry(boxes[node], hull) <= farthest:
                 break
 
 
 @kernel
-def _farthest(rays: FloatArray) -> float:
+def _farthest(rays: NDArray[np.void]) -> float:
     """The greatest of the rays' nearest contacts."""
-    farthest: float = rays[0, NEAR]
+    farthest: float = rays[0].near
     for k in range(1, rays.shape[0]):
-        farthest = max(farthest, rays[k, NEAR])
+        farthest = max(farthest, rays[k].near)
     return farthest
 
 
 @kernel(forceinline=True)
-def _entry(
-    box: FloatArray,
-    ox0: float,
-    oy0: float,
-    oz0: float,
-    ox1: float,
-    oy1: float,
-    oz1: float,
-    rx0: float,
-    ry0: float,
-    rz0: float,
-    rx1: float,
-    ry1: float,
-    rz1: float,
-) -> float:
-    """t >= 0 at which the hull reaches a box; NaN where it does not. The r are one over the d."""
+def _entry(box: Any, hull: _Hull) -> float:
+    """t >= 0 at which the hull reaches a box; NaN where it does not."""
+    low, high = box.low_m, box.high_m
+    (ox0, oy0, oz0), (ox1, oy1, oz1), (rx0, ry0, rz0), (rx1, ry1, rz1) = hull
     near, far = 0.0, np.inf
-    near, far = _clip(box[3] - ox0, rx0, near, far)
-    near, far = _clip(ox1 - box[0], -rx1, near, far)
-    near, far = _clip(box[4] - oy0, ry0, near, far)
-    near, far = _clip(oy1 - box[1], -ry1, near, far)
-    near, far = _clip(box[5] - oz0, rz0, near, far)
-    near, far = _clip(oz1 - box[2], -rz1, near, far)
+    near, far = _clip(high[0] - ox0, rx0, near, far)
+    near, far = _clip(ox1 - low[0], -rx1, near, far)
+    near, far = _clip(high[1] - oy0, ry0, near, far)
+    near, far = _clip(oy1 - low[1], -ry1, near, far)
+    near, far = _clip(high[2] - oz0, rz0, near, far)
+    near, far = _clip(oz1 - low[2], -rz1, near, far)
     reached: float = near if near <= far * _SLACK else np.nan
     return reached
 
@@ -218,16 +193,13 @@ def _clip(distance: float, per_rate: float, near: float, far: float) -> tuple[fl
 
 
 @kernel
-def _meet_leaf(
-    box: FloatArray, start: int, end: int, corner_m: FloatArray, sheet: BoolArray, rays: FloatArray
-) -> None:
-    """Take the contacts of rays with triangles start ... end-1 where they are nearer than what is known."""
+def _meet_leaf(box: Any, triangles: NDArray[np.void], rays: NDArray[np.void]) -> None:
+    """Take the contacts of rays with a leaf's triangles where they are nearer than what is known."""
     for k in range(rays.shape[0]):
         ray = rays[k]
         if rays.shape[0] > 1:
-            x, y, z = ray[X], ray[Y], ray[Z]
-            rx, ry, rz = ray[RX], ray[RY], ray[RZ]
-            if not _entry(box, x, y, z, x, y, z, rx, ry, rz, rx, ry, rz) <= ray[NEAR]:
+            start, per_rate = (ray.x, ray.y, ray.z), (ray.rx, ray.ry, ray.rz)
+            if not _entry(box, _Hull(start, start, per_rate, per_rate)) <= ray.near:
                 continue
-        for triangle in range(start, end):
-            meet(corner_m[triangle], sheet[triangle], triangle, ray)
+        for number in range(box.first, box.first + box.held):
+            meet(triangles[number], number, ray)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.numerics.kernels import with_fields
 from lidar_emu.scene.mesh.cast import BUNDLE, cast_rays
-from lidar_emu.scene.mesh.ray import NUMBERS
+from lidar_emu.scene.mesh.ray import RAY, TRIANGLE
 from lidar_emu.scene.mesh.tree import build_tree
 from lidar_emu.scene.ray_hits import GROUND, Hits, contiguous
 
@@ -60,35 +61,29 @@ class TriangleMesh:
     def __init__(self, triangles: Triangles) -> None:
         self._tree = build_tree(triangles.corner_m.min(axis=1), triangles.corner_m.max(axis=1))
         # Neighbours in space are neighbours in memory.
-        self._triangles = triangles.chosen(self._tree.order)
-        self._rays = np.empty((BUNDLE, NUMBERS))
+        self._triangles = _records(triangles, self._tree.order)
+        self._rays = with_fields(np.empty(BUNDLE, dtype=RAY))
         self._stack = np.empty(self._tree.depth + 1, dtype=np.int64)
 
     @property
     def low_m(self) -> FloatArray:
         """(3,) least coordinates."""
-        return self._tree.box[0, :3]
+        return np.asarray(self._tree.boxes["low_m"][0])
 
     @property
     def high_m(self) -> FloatArray:
         """(3,) greatest coordinates."""
-        return self._tree.box[0, 3:]
+        return np.asarray(self._tree.boxes["high_m"][0])
 
     def cast(self, origin_m: FloatArray, direction: FloatArray, hits: Hits | None = None) -> Hits:
         """First contact of rays with the triangles; see `Scene.cast`."""
         origin, way = contiguous(origin_m, direction)
         hits = hits or Hits.empty(len(origin))
-        tree, triangles = self._tree, self._triangles
         cast_rays(
             origin,
             way,
-            tree.box,
-            tree.first,
-            tree.held,
-            triangles.corner_m,
-            triangles.sheet,
-            triangles.reflectance,
-            triangles.object_id,
+            self._tree.boxes,
+            self._triangles,
             self._rays,
             self._stack,
             hits.range_m,
@@ -119,7 +114,7 @@ class TriangleMesh:
         self, origin: NDArray[np.longdouble], way: NDArray[np.longdouble], k: int, hits: Hits
     ) -> None:
         triangles = self._triangles
-        a, b, c = np.moveaxis(triangles.corner_m.astype(np.longdouble), 1, 0)
+        a, b, c = np.moveaxis(triangles["corner_m"].astype(np.longdouble), 1, 0)
         p = np.cross(way, c - a)
         volume = ((b - a) * p).sum(axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -132,13 +127,21 @@ class TriangleMesh:
         # Of several at one place the one that is seen from before.
         nearest = np.flatnonzero(met)[np.lexsort((volume[met] < 0, t[met]))[0]]
         behind = volume[nearest] < 0
-        hits.inside[k] = behind and not triangles.sheet[nearest] and t[nearest] > 0
+        hits.inside[k] = behind and not triangles["sheet"][nearest] and t[nearest] > 0
         if not hits.inside[k]:
             normal = np.cross((b - a)[nearest], (c - a)[nearest])
-            normal *= -1 if behind and triangles.sheet[nearest] else 1
+            normal *= -1 if behind and triangles["sheet"][nearest] else 1
             hits.range_m[k] = t[nearest]
             hits.normal_site[k] = normal / np.sqrt((normal * normal).sum())
             hits.reflectance[k], hits.object_id[k] = (
-                triangles.reflectance[nearest],
-                triangles.object_id[nearest],
+                triangles["albedo"][nearest],
+                triangles["object_id"][nearest],
             )
+
+
+def _records(triangles: Triangles, order: IntArray) -> Any:
+    """(n,) The triangles as `TRIANGLE`, in the order of a tree."""
+    records = np.empty(len(order), dtype=TRIANGLE)
+    records["corner_m"], records["sheet"] = triangles.corner_m[order], triangles.sheet[order]
+    records["albedo"], records["object_id"] = triangles.reflectance[order], triangles.object_id[order]
+    return with_fields(records)

@@ -6,12 +6,13 @@ the least sum of areas times triangles over a few places (the surface area heuri
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.kernels import kernel, with_fields
 
 LEAF_TRIANGLES = 4
 """A box of no more is not split."""
@@ -23,31 +24,43 @@ _BINS = 16
 """Places between which a split is looked for, along each axis."""
 
 
+BOX = np.dtype(
+    [("low_m", np.float64, (3,)), ("high_m", np.float64, (3,)), ("first", np.int64), ("held", np.int64)]
+)
+"""A box: least and greatest x, y and z; the first of its two halves, or of a leaf its first triangle in the tree's
+order; the triangles of a leaf, 0 for a box that is split."""
+
+
 class BoxTree(NamedTuple):
     """Boxes, the root first; the two halves of a box lie side by side."""
 
-    box: FloatArray
-    """(boxes, 6) least x, y, z, then greatest."""
-    first: IntArray
-    """(boxes,) first of the two halves; of a leaf its first triangle in `order`."""
-    held: IntArray
-    """(boxes,) triangles of a leaf; 0 for a box that is split."""
+    boxes: NDArray[np.void]
+    """(boxes,) records of `BOX`."""
     order: IntArray
     """(triangles,) the triangles, leaf after leaf."""
     depth: int
     """Boxes on the longest way down."""
 
 
+class _Extents(NamedTuple):
+    """Triangles while the tree is built."""
+
+    low: FloatArray
+    """(triangles, 3) least coordinates."""
+    high: FloatArray
+    """(triangles, 3) greatest coordinates."""
+    order: IntArray
+    """(triangles,)"""
+
+
 def build_tree(low: FloatArray, high: FloatArray) -> BoxTree:
     """The tree over triangles whose least and greatest corners are (n, 3), n > 0."""
     count = len(low)
-    box, order = np.empty((2 * count, 6)), np.arange(count, dtype=np.int64)
-    first, held, depth = (np.zeros(2 * count, dtype=np.int64) for _ in range(3))
+    boxes, order = with_fields(np.zeros(2 * count, dtype=BOX)), np.arange(count, dtype=np.int64)
+    depth = np.zeros(2 * count, dtype=np.int64)
     bins, right = np.empty((_BINS, 7)), np.empty(_BINS)
-    boxes = _split_all(low - MARGIN_M, high + MARGIN_M, order, box, first, held, depth, bins, right)
-    return BoxTree(
-        box[:boxes].copy(), first[:boxes].copy(), held[:boxes].copy(), order, int(depth[:boxes].max()) + 1
-    )
+    used = _split_all(low - MARGIN_M, high + MARGIN_M, order, boxes, depth, bins, right)
+    return BoxTree(boxes[:used].copy(), order, int(depth[:used].max()) + 1)
 
 
 @kernel(outermost=True)
@@ -55,65 +68,57 @@ def _split_all(
     low: FloatArray,
     high: FloatArray,
     order: IntArray,
-    box: FloatArray,
-    first: IntArray,
-    count: IntArray,
+    boxes: NDArray[np.void],
     depth: IntArray,
     bins: FloatArray,
     right: FloatArray,
 ) -> int:
     """Fill the arrays of a `BoxTree`; the number of boxes."""
-    boxes, node = 1, 0
-    first[0], count[0] = 0, order.shape[0]
-    while node < boxes:
-        start, end = first[node], first[node] + count[node]
-        _enclose(low, high, order, start, end, box[node])
-        if count[node] > LEAF_TRIANGLES:
-            middle = _split(low, high, order, start, end, bins, right)
-            first[boxes], count[boxes] = start, middle - start
-            first[boxes + 1], count[boxes + 1] = middle, end - middle
-            depth[boxes] = depth[boxes + 1] = depth[node] + 1
-            first[node], count[node] = boxes, 0
-            boxes += 2
+    extents = _Extents(low, high, order)
+    used, node = 1, 0
+    boxes[0].first, boxes[0].held = 0, order.shape[0]
+    while node < used:
+        box = boxes[node]
+        start, count = box.first, box.held
+        _enclose(extents, start, start + count, box)
+        if count > LEAF_TRIANGLES:
+            middle = _split(extents, start, start + count, bins, right)
+            boxes[used].first, boxes[used].held = start, middle - start
+            boxes[used + 1].first, boxes[used + 1].held = middle, start + count - middle
+            depth[used] = depth[used + 1] = depth[node] + 1
+            box.first, box.held = used, 0
+            used += 2
         node += 1
-    return boxes
+    return used
 
 
 @kernel
-def _enclose(
-    low: FloatArray, high: FloatArray, order: IntArray, start: int, end: int, box: FloatArray
-) -> None:
+def _enclose(extents: _Extents, start: int, end: int, box: Any) -> None:
     for axis in range(3):
-        box[axis], box[3 + axis] = np.inf, -np.inf
+        box.low_m[axis], box.high_m[axis] = np.inf, -np.inf
     for k in range(start, end):
-        _widen(box, low[order[k]], high[order[k]])
+        triangle = extents.order[k]
+        _widen(box.low_m, box.high_m, extents.low[triangle], extents.high[triangle])
 
 
 @kernel
-def _widen(box: FloatArray, low: FloatArray, high: FloatArray) -> None:
+def _widen(box_low: FloatArray, box_high: FloatArray, low: FloatArray, high: FloatArray) -> None:
     for axis in range(3):
-        box[axis] = min(box[axis], low[axis])
-        box[3 + axis] = max(box[3 + axis], high[axis])
+        box_low[axis] = min(box_low[axis], low[axis])
+        box_high[axis] = max(box_high[axis], high[axis])
 
 
 @kernel
-def _half_area(box: FloatArray) -> float:
-    x, y, z = box[3] - box[0], box[4] - box[1], box[5] - box[2]
+def _half_area(low: FloatArray, high: FloatArray) -> float:
+    x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
     area: float = x * y + y * z + z * x
     return area
 
 
 @kernel
-def _split(
-    low: FloatArray,
-    high: FloatArray,
-    order: IntArray,
-    start: int,
-    end: int,
-    bins: FloatArray,
-    right: FloatArray,
-) -> int:
+def _split(extents: _Extents, start: int, end: int, bins: FloatArray, right: FloatArray) -> int:
     """Order triangles so that those up to the number returned are one half, and the rest the other."""
+    low, high, order = extents
     best_axis, best_bin, best_work = -1, 0, np.inf
     best_from, best_scale = 0.0, 0.0
     for axis in range(3):
@@ -124,7 +129,7 @@ def _split(
         scale = _BINS / (most - least) if most > least else np.inf
         if not scale < np.inf:
             continue
-        place, work = _best_place(low, high, order, start, end, axis, least, scale, bins, right)
+        place, work = _best_place(extents, start, end, axis, least, scale, bins, right)
         if work < best_work:
             best_axis, best_bin, best_work, best_from, best_scale = axis, place, work, least, scale
     if best_axis < 0:
@@ -133,7 +138,7 @@ def _split(
     i, j = start, end - 1
     while i <= j:
         triangle = order[i]
-        if _bin_of(low, high, triangle, best_axis, best_from, best_scale) <= best_bin:
+        if _bin_of(extents, triangle, best_axis, best_from, best_scale) <= best_bin:
             i += 1
         else:
             order[i], order[j] = order[j], triangle
@@ -142,15 +147,14 @@ def _split(
 
 
 @kernel
-def _bin_of(low: FloatArray, high: FloatArray, triangle: int, axis: int, least: float, scale: float) -> int:
-    return min(int((low[triangle, axis] + high[triangle, axis] - least) * scale), _BINS - 1)
+def _bin_of(extents: _Extents, triangle: int, axis: int, least: float, scale: float) -> int:
+    centre = extents.low[triangle, axis] + extents.high[triangle, axis]
+    return min(int((centre - least) * scale), _BINS - 1)
 
 
 @kernel
 def _best_place(
-    low: FloatArray,
-    high: FloatArray,
-    order: IntArray,
+    extents: _Extents,
     start: int,
     end: int,
     axis: int,
@@ -163,21 +167,21 @@ def _best_place(
     for b in range(_BINS):
         bins[b, :3], bins[b, 3:6], bins[b, 6] = np.inf, -np.inf, 0.0
     for k in range(start, end):
-        triangle = order[k]
-        b = _bin_of(low, high, triangle, axis, least, scale)
-        _widen(bins[b], low[triangle], high[triangle])
+        triangle = extents.order[k]
+        b = _bin_of(extents, triangle, axis, least, scale)
+        _widen(bins[b, :3], bins[b, 3:6], extents.low[triangle], extents.high[triangle])
         bins[b, 6] += 1.0
     place, work = 0, np.inf
     # From the right first, then from the left: the last bin and the first become the boxes that grow.
     for b in range(_BINS - 1, 0, -1):
         if b < _BINS - 1:
             _widen_by_bin(bins, _BINS - 1, b)
-        right[b] = _half_area(bins[_BINS - 1]) * bins[_BINS - 1, 6]
+        right[b] = _half_area(bins[_BINS - 1, :3], bins[_BINS - 1, 3:6]) * bins[_BINS - 1, 6]
     for b in range(_BINS - 1):
         if b > 0:
             _widen_by_bin(bins, 0, b)
         if bins[0, 6] < end - start:
-            left = _half_area(bins[0]) * bins[0, 6]
+            left = _half_area(bins[0, :3], bins[0, 3:6]) * bins[0, 6]
             if left + right[b + 1] < work:
                 place, work = b, left + right[b + 1]
     return place, work
@@ -185,5 +189,5 @@ def _best_place(
 
 @kernel
 def _widen_by_bin(bins: FloatArray, wider: int, b: int) -> None:
-    _widen(bins[wider], bins[b, :3], bins[b, 3:6])
+    _widen(bins[wider, :3], bins[wider, 3:6], bins[b, :3], bins[b, 3:6])
     bins[wider, 6] += bins[b, 6]
