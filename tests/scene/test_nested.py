@@ -69,7 +69,7 @@ def test_equals_a_march_along_the_composite_surface():
     surfaces = []
     scene = ground
     for _ in range(2):
-        surfaces.append((scene.map_area, surface_of(scene.inner)))
+        surfaces.append((scene.rectangle, surface_of(scene.inner)))
         scene = scene.outer
     surfaces.append((extent(scene.samples), surface_of(scene)))
 

@@ -111,7 +111,7 @@ def test_a_misalignment_ordered_in_flight_finds_its_ground(folder, monkeypatch):
 def test_detail_is_where_the_flight_is_low(folder):
     flown = load(folder, nested(f", {DETAIL}"))
     scene = Flight(flown).scene
-    west_m, east_m, *_ = scene.map_area
+    west_m, east_m, *_ = scene.rectangle
     assert 100 < east_m - west_m < 300
     plain = Flight(load(folder, nested())).scene
     # Samples stay, and between them there is something new.
@@ -129,7 +129,7 @@ def test_fits_what_is_generated_into_a_map(folder):
         Flight(load(folder, ground)).scene  # noqa: B018
     ground = f"{{kind: nested, grids: [{made}, {{kind: grid, file: wide.npz, {ORIGIN}, at_m: [0, 0], beyond: plane}}]}}"
     scene = Flight(load(folder, ground)).scene
-    assert scene.map_area == (-12, 52, -42, 22)
+    assert scene.rectangle == (-12, 52, -42, 22)
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,12 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.records import as_record
+from lidar_emu.numerics.vectors import Vector, vector_at
 from lidar_emu.scene.map_area import Rectangle
 
 Lines = tuple[FloatArray, FloatArray]
@@ -48,34 +51,20 @@ class Reach:
         needed = np.array(NOWHERE)
         for origin, direction in self._lines():
             low = origin[:, 2] < below_m
-            slack = self._slack_rad, self._spread_m
-            _extend(origin[low], direction[low], *span.area, span.floor_m, span.ceiling_m, *slack, needed)
+            _extend(origin[low], direction[low], as_record(span), self._slack_rad, self._spread_m, needed)
         return Rectangle(*needed.tolist())
 
 
 def strays(origin_site_m: FloatArray, direction_site: FloatArray, span: Span, kept: Rectangle) -> BoolArray:
     """(n,) Whether rays may need more of a ground than what is kept of it."""
     stray = np.empty(len(origin_site_m), dtype=np.bool_)
-    _find_strays(origin_site_m, direction_site, *span.area, span.floor_m, span.ceiling_m, *kept, stray)
+    _find_strays(origin_site_m, direction_site, as_record(span), as_record(kept), stray)
     return stray
 
 
 @kernel
 def _needed(
-    x: float,
-    y: float,
-    z: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    west: float,
-    east: float,
-    south: float,
-    north: float,
-    floor: float,
-    ceiling: float,
-    slack: float,
-    spread: float,
+    start: Vector, way: Vector, span: Span, slack: float, spread: float
 ) -> tuple[float, float, float, float]:
     """The part of an area over which any ray, turned and moved by no more than this, is between floor and ceiling.
 
@@ -83,9 +72,11 @@ def _needed(
     at the earliest if it sinks by slack faster, and to the floor at the latest if by slack slower. One that may not
     sink at all ends where it climbs through the ceiling, or leaves the area.
     """
+    (x, y, z), (dx, dy, dz) = start, way
+    west, east, south, north = span.area.west_m, span.area.east_m, span.area.south_m, span.area.north_m
     if not np.isfinite(x + y + z + dx + dy + dz):
         return np.inf, -np.inf, np.inf, -np.inf
-    above = z - spread - ceiling
+    above = z - spread - span.ceiling_m
     first = 0.0
     if above > 0.0:
         first = above / (slack - dz) if slack > dz else np.inf
@@ -93,7 +84,7 @@ def _needed(
     level = np.hypot(dx, dy) - slack
     last = away / level if level > 0.0 else np.inf
     if -dz > slack:
-        last = min(last, max(z + spread - floor, 0.0) / (-dz - slack))
+        last = min(last, max(z + spread - span.floor_m, 0.0) / (-dz - slack))
     elif dz > slack:
         last = min(last, max(-above, 0.0) / (dz - slack))
     if first > last:
@@ -113,25 +104,21 @@ def _needed(
 def _extend(
     origin: FloatArray,
     direction: FloatArray,
-    west: float,
-    east: float,
-    south: float,
-    north: float,
-    floor: float,
-    ceiling: float,
+    spans: NDArray[np.void],
     slack: float,
     spread: float,
     needed: FloatArray,
 ) -> None:
-    """Extend a rectangle (4,) by what rays need."""
+    """Extend a rectangle (4,) by what rays need of the ground in a span, the record of a `Span`."""
+    span = spans[0]
+    area = span.area
     for k in range(len(origin)):
-        x, y, z = origin[k, 0], origin[k, 1], origin[k, 2]
-        dx, dy, dz = direction[k, 0], direction[k, 1], direction[k, 2]
-        w, e, s, n = _needed(x, y, z, dx, dy, dz, west, east, south, north, floor, ceiling, slack, spread)
+        start = vector_at(origin[k], 0)
+        w, e, s, n = _needed(start, vector_at(direction[k], 0), span, slack, spread)
         if w <= e and s <= n:
             needed[0], needed[1] = min(needed[0], w), max(needed[1], e)
             needed[2], needed[3] = min(needed[2], s), max(needed[3], n)
-        x, y = min(max(x, west), east), min(max(y, south), north)
+        x, y = min(max(start[0], area.west_m), area.east_m), min(max(start[1], area.south_m), area.north_m)
         needed[0], needed[1] = min(needed[0], x), max(needed[1], x)
         needed[2], needed[3] = min(needed[2], y), max(needed[3], y)
 
@@ -140,21 +127,13 @@ def _extend(
 def _find_strays(
     origin: FloatArray,
     direction: FloatArray,
-    west: float,
-    east: float,
-    south: float,
-    north: float,
-    floor: float,
-    ceiling: float,
-    kept_west: float,
-    kept_east: float,
-    kept_south: float,
-    kept_north: float,
+    spans: NDArray[np.void],
+    areas: NDArray[np.void],
     stray: BoolArray,
 ) -> None:
+    """Fill `stray` (n,): whether rays may need more of the ground in a span than what is kept of its area."""
+    kept = areas[0]
     for k in range(len(origin)):
-        x, y, z = origin[k, 0], origin[k, 1], origin[k, 2]
-        dx, dy, dz = direction[k, 0], direction[k, 1], direction[k, 2]
-        w, e, s, n = _needed(x, y, z, dx, dy, dz, west, east, south, north, floor, ceiling, 0.0, 0.0)
-        within = kept_west <= w and e <= kept_east and kept_south <= s and n <= kept_north
+        w, e, s, n = _needed(vector_at(origin[k], 0), vector_at(direction[k], 0), spans[0], 0.0, 0.0)
+        within = kept.west_m <= w and e <= kept.east_m and kept.south_m <= s and n <= kept.north_m
         stray[k] = w <= e and s <= n and not within

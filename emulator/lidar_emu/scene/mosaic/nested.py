@@ -6,9 +6,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.records import as_record
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.grid.traverse import FACE_DEPTH_M, clip
 from lidar_emu.scene.map_area import Rectangle
@@ -60,7 +62,7 @@ class NestedGround:
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
         t_in, t_out = np.empty(len(origin)), np.empty(len(origin))
-        _set_stretches(origin, direction, *self.rectangle, t_in, t_out)
+        _set_stretches(origin, direction, as_record(self.rectangle), t_in, t_out)
         if (t_in == 0.0).all():
             self.inner.cast(origin, direction, hits, bundle)
         else:
@@ -151,15 +153,14 @@ class NestedGround:
 def _set_stretches(
     origin: FloatArray,
     direction: FloatArray,
-    west: float,
-    east: float,
-    south: float,
-    north: float,
+    rectangles: NDArray[np.void],
     t_in: FloatArray,
     t_out: FloatArray,
 ) -> None:
     """Set the first and the last t >= 0 at which rays are over a rectangle; (inf, -inf) where they never are. A ray
     with NaN begins over it and is there for no time."""
+    area = rectangles[0]
+    west, east, south, north = area.west_m, area.east_m, area.south_m, area.north_m
     for k in range(len(t_in)):
         x_in, x_out = clip(origin[k, 0] - west, direction[k, 0], east - west)
         y_in, y_out = clip(origin[k, 1] - south, direction[k, 1], north - south)
