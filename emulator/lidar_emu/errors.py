@@ -1,4 +1,4 @@
-"""The two errors that end a command: one for what the user gave, one for the run itself."""
+"""The two errors that end a command: invalid input, and a run that failed."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import json
 
 
 class InputError(Exception):
-    """What the user gave cannot be used: one line that names file, key, value and what is allowed.
+    """Invalid input: one line that names file, key, value and what is allowed.
 
-    The command line turns it into exit code 2. ``allowed`` completes the sentence, mostly as "allowed: ...".
+    The command line turns it into exit code 2. ``allowed`` completes the line, mostly as "allowed: ...".
     """
 
     def __init__(self, where: str, key: str | None, value: object, allowed: str) -> None:
@@ -29,7 +29,7 @@ class RunError(Exception):
 
 
 class Finding(str):
-    """What was found where a value cannot be shown, such as `no such file`: it stands in the line as it is."""
+    """A description in place of a value, such as `no such file`; messages show it as it is."""
 
     __slots__ = ()
 
@@ -48,10 +48,10 @@ def shown(value: object, limit: int = 60) -> str:
 
 
 def reason_of(error: BaseException) -> str:
-    """Why the system, or a library, would not: in the system's words where it has some."""
+    """Reason of an error: the system's message if there is one."""
     return getattr(error, "strerror", None) or str(error) or type(error).__name__
 
 
 def one_line(text: str) -> str:
-    """``text`` with every run of white space made one blank, and nothing that would move a terminal's cursor."""
+    """``text`` with each run of white space as one blank, and `?` for characters that are not printable."""
     return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and the folder for what can be made again."""
+"""Files written whole or not at all, and the cache folder."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ def check_extra(path: Path, module: str, extra: str) -> None:
 def whole_file(path: Path) -> Iterator[BinaryIO]:
     """An open file that takes the name `path` once it is complete; an older file stays until then.
 
-    Any number of threads, processes and machines may write the same file at once; the last to be done has it.
+    Any number of threads, processes and machines may write the same file at once; the last to finish wins.
 
     Raises:
-        InputError: nothing can be written there.
+        InputError: the path cannot be written.
         RunError: writing failed on the way (a full disk).
     """
     check_destination(path)

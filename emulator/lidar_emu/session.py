@@ -30,7 +30,7 @@ _NOT_SETTLING = Settling()
 
 @dataclass(frozen=True)
 class Block:
-    """Consecutive shots, measured and encoded, in one state of the device."""
+    """Consecutive shots, measured and encoded, during which the device's state was constant."""
 
     measurement: Measurement
     packets: list[Packet]
@@ -222,7 +222,7 @@ class Session:
         return self._state.settling.settled(patterns, self.next_shot, self._model.period_ns, settling_ns)
 
     def _fire(self, count: int, fires: BoolArray | None, settling: Settling, silent: bool = False) -> Block:
-        """Measure and encode the next shots, in one state of the device."""
+        """Measure and encode the next shots, during which the device's state is constant."""
         state = self._state
         measurement, model, injected = measure(self._model, self.next_shot, count, state.model, fires, silent)
         stamped, status = _stamped(measurement, state), state.shot_policy.status
@@ -257,7 +257,7 @@ class Session:
 
 
 def _stamped(measurement: Measurement, state: _State) -> Measurement:
-    """The shots with the numbers and times of the device."""
+    """The measurement with the device's shot counter and clock."""
     clock = state.shot_policy.device.clock
     if state.unnumbered == 0 and (state.shot_policy.is_plain or clock.is_exact):
         return measurement

@@ -43,7 +43,7 @@ added = factory(3.0)
 
 @kernel
 def inner(line, x):
-    """Of no matter."""
+    """Add."""
     return added(line.slope * x + line.start + OFFSET + TABLE[1])
 
 @kernel(outermost=True)
@@ -123,7 +123,7 @@ def test_a_damaged_file_is_compiled_again(
     assert set(folder.iterdir()) == set(whole)
 
 
-def test_what_cannot_be_kept_is_compiled_and_said_once(
+def test_a_cache_that_cannot_be_written_is_reported_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: Path, warnings: Callable[[], list[str]]
 ) -> None:
     del folder
@@ -132,7 +132,7 @@ def test_what_cannot_be_kept_is_compiled_and_said_once(
     assert start() == (51.0, 1)
     assert start(x=10) == (51.0, 1)
     (line,) = warnings()
-    assert "every start compiles the kernels, since they cannot be kept: Not a directory" in line
+    assert "kernels are compiled at every start, since they cannot be cached: Not a directory" in line
 
 
 def test_what_cannot_be_written_is_still_read(
@@ -188,14 +188,14 @@ def test_a_change_of_what_a_kernel_is_compiled_from_compiles_it_again(
     assert start() == (51.0, 0), "both are kept"
 
 
-def test_words_and_places_change_nothing(folder: Path) -> None:
+def test_comments_docstrings_and_line_numbers_do_not_matter(folder: Path) -> None:
     del folder
     start()
-    assert start("# A comment.\n\n" + SOURCE.replace("Of no matter.", "Of none at all.")) == (51.0, 0)
+    assert start("# A comment.\n\n" + SOURCE.replace("Add.", "Add more.")) == (51.0, 0)
 
 
 def test_a_global_of_an_unknown_kind_is_refused() -> None:
-    with pytest.raises(TypeError, match="of which no digest can be made"):
+    with pytest.raises(TypeError, match="which has no digest"):
         digest(made(SOURCE.replace("OFFSET, TABLE = 2.0", "OFFSET, TABLE = {}")).outer)
 
 

@@ -1,4 +1,4 @@
-"""The kinds of arrays that the rooms pass to one another."""
+"""Types of arrays."""
 
 from __future__ import annotations
 

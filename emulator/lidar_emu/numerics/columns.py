@@ -38,7 +38,7 @@ class Column:
     """The declaration of an array shaped (shots, beams, *components), or (shots, *components)."""
 
     dtype: str
-    """As numpy writes it, e.g. `f8`."""
+    """Type as numpy writes it, e.g. `f8`."""
     unit: str
     """Empty for a flag, a code or a count."""
     meaning: str

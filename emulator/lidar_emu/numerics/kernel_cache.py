@@ -1,4 +1,4 @@
-"""Compiled kernels on disk: one file for each kernel and signature, named after all that it was compiled from.
+"""Compiled kernels on disk: one file per kernel and signature, named by a hash of all inputs of its compilation.
 
 numba's own cache keeps a compiled function until its file changes, whatever changes in the functions that it calls,
 and two processes that compile at once may exchange entries of its index. Here a name is a hash of the code, the
@@ -35,7 +35,7 @@ from lidar_emu.files import cache_folder, whole_file
 
 _COMPILERS = (numba.__version__, np.__version__, sys.version_info[:2])
 _CHECK_SUM_BYTES = 32
-_UNKEPT = "every start compiles the kernels, since they cannot be kept"
+_UNCACHED = "kernels are compiled at every start, since they cannot be cached"
 _warned = set[str]()
 
 
@@ -45,7 +45,7 @@ _dumps: Any = dumps
 
 
 class KernelCache(NullCache):
-    """What a dispatcher asks for a kernel before it compiles one, and gives one to keep."""
+    """The cache that a dispatcher reads before it compiles a kernel, and writes afterwards."""
 
     def __init__(self, kernel: Dispatcher) -> None:
         self._kernel = kernel
@@ -64,7 +64,7 @@ class KernelCache(NullCache):
         return _rebuild(target_context, *pickle.loads(content))
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
-        """Keep a kernel that was just compiled; where that fails, say so once."""
+        """Keep a kernel that was just compiled; warn once if that fails."""
         content = _dumps(compiled._reduce())
         try:
             path = self._path(signature, compiled.codegen)
@@ -72,9 +72,9 @@ class KernelCache(NullCache):
             with whole_file(path) as file:
                 file.write(sha256(content).digest() + content)
         except InputError as error:
-            _warn("unkept", f"{_UNKEPT}: {error.where}: {error.value}")
+            _warn("uncached", f"{_UNCACHED}: {error.where}: {error.value}")
         except (OSError, RuntimeError, RunError) as error:
-            _warn("unkept", f"{_UNKEPT}: {reason_of(error)}")
+            _warn("uncached", f"{_UNCACHED}: {reason_of(error)}")
 
     def _path(self, signature: Any, codegen: Any) -> Path:
         target = *_COMPILERS, *codegen.magic_tuple(), *map(_spelt, signature)
@@ -89,23 +89,23 @@ def _folder() -> Path:
 
 
 def _warn(cause: str, text: str) -> None:
-    """Once for each cause, and not by every worker of a pool."""
+    """Warn once for each cause, and not in every worker of a pool."""
     if cause not in _warned and parent_process() is None:
         logging.getLogger(__name__).warning("lidar-emu: warning: %s", text)
     _warned.add(cause)
 
 
 def _spelt(numba_type: Any) -> str:
-    """A type with the names of a named tuple's fields, which numba leaves out of its name."""
+    """A type's name with the field names of a named tuple, which numba leaves out."""
     fields = getattr(getattr(numba_type, "instance_class", None), "_fields", ())
     return f"{numba_type}{fields}" + "".join(map(_spelt, getattr(numba_type, "types", ())))
 
 
 def digest(kernel: Dispatcher, target: str = "") -> str:
-    """A hash of all that a kernel is compiled from: its own code, and the code of the kernels that it calls.
+    """A hash of everything a kernel is compiled from: its own code, and the code of the kernels that it calls.
 
     Raises:
-        TypeError: one of them takes in a global of a kind that is not known here.
+        TypeError: one of them uses a global of an unknown kind.
     """
     found: dict[Dispatcher, bytes] = {}
     waiting = [kernel]
@@ -163,4 +163,4 @@ def _shown(value: object) -> str:
         value, bool | int | float | complex | str | np.generic | BuiltinFunctionType
     ):
         return repr(value)
-    raise TypeError(f"a kernel takes in {value!r}, of which no digest can be made")
+    raise TypeError(f"a kernel uses {value!r}, which has no digest")

@@ -20,7 +20,7 @@ _NO_WRAPPERS = {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper"
 
 
 class _Uncollected(event.Listener):
-    """No looking for garbage while numba compiles: it makes millions of objects and keeps most of them."""
+    """Suspends garbage collection while numba compiles: numba makes millions of objects and keeps most of them."""
 
     def __init__(self) -> None:
         self._depth = 0
@@ -50,9 +50,9 @@ class _Decorator(Protocol):
 
 
 class _Inner(CPUDispatcher):
-    """Compiled for calls from kernels only; for one from Python once more, with all that such a call needs.
+    """A kernel compiled without Python wrappers; the first call from Python compiles it again, with them.
 
-    Unpacking Python's arguments is more code than most kernels are, and made a third of the time of compiling.
+    Unpacking Python's arguments is more code than most kernels are, and took a third of the time of compiling.
     """
 
     def __call__(self, *args: Any) -> Any:
@@ -82,9 +82,8 @@ def kernel(
 def kernel(function: Any = None, *, outermost: bool = False, allocates: bool = False, **options: Any) -> Any:
     """`njit` for kernels that work in their caller's arrays; divisions follow IEEE 754.
 
-    numba counts references to an array's owner wherever the array is handed on, and does so atomically. In code made of
-    short kernels that is half of the time, of running and of compiling alike; here nothing is counted, unless a kernel
-    allocates.
+    numba counts references to an array's owner wherever the array is passed on, and does so atomically. In code made of
+    short kernels that takes half of the time, both of running and of compiling. Here only kernels that allocate count.
 
     Args:
         outermost: called from Python, and kept in the cache with all that it calls.
@@ -110,9 +109,9 @@ def _compiled(function: Any, **options: Any) -> Any:
 
 
 def with_fields(structured: Any) -> Any:
-    """A structured array as kernels take it, who read its fields as attributes.
+    """A structured array for kernels, which read its fields as attributes.
 
-    Of a plain array Python itself reads them by index alone; numba takes one ten times sooner than a recarray.
+    Interpreted kernels need a recarray for that; numba unpacks a plain array ten times faster.
     """
     return structured.view(np.recarray) if config.DISABLE_JIT else structured  # type: ignore[attr-defined]
 

@@ -1,9 +1,9 @@
-"""Random numbers of the whole package, and what each is for.
+"""Random streams: every random number of the package, and its purpose.
 
 A number that belongs to a shot is a function of seed, shot, beam and purpose (`philox`), so that any shot can be
 computed alone and no effect changes the numbers of another. Kernels call `philox` themselves, with a purpose from here;
-everything else has a `RandomStream`. What is drawn once for a whole run or a whole ground, in one large array, comes
-from a numpy generator made by `generator`.
+everything else has a `RandomStream`. Large arrays that are drawn once, for a run or a ground, come from a numpy
+generator made by `generator`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from lidar_emu.numerics.philox import complex_normal, uniform_pair
 
 _RECEIVER: Any = np.arange(1, 7)
 PHASE, NOISE_BINS, SPECKLE, LINE, HAZE, FALSE_ALARM = _RECEIVER
-"""Purposes in the receiver's kernels. They are not literals: numba would compile what they are passed to for each."""
+"""Purposes in the receiver's kernels. They are variables: numba would compile a kernel anew for each literal that is
+passed to it."""
 FIRST_FAULT = 1024
 """Purpose of the first fault of a scenario's list; the others follow."""
 DUST = 5120
@@ -60,17 +61,17 @@ def generator(
 
 
 class RandomStream:
-    """Random numbers of one purpose by shot and beam: those of a fault, of the dust.
+    """Random numbers of one purpose by shot and beam, such as the numbers of one fault.
 
     Args:
-        seed: of the run.
+        seed: the run's seed.
         purpose: declared in this module.
     """
 
     def __init__(self, seed: int, purpose: int) -> None:
         self._seed = np.uint64(seed)
         self._purpose = purpose
-        # Kernels are compiled before the run: a fault's first shot must not be late for it.
+        # Kernels are compiled before the run, so that a fault's first shot is not late.
         no_shot = np.empty(0, dtype=np.int64)
         self.uniforms(no_shot, 1, 0)
         self.normals(no_shot, 1, 0)
@@ -96,7 +97,7 @@ class RandomStream:
         return out
 
     def sequence(self, shot: int, first: int, count: int) -> FloatArray:
-        """(count,) Uniforms number `first` onward of a sequence that a shot as a whole has besides."""
+        """(count,) Uniforms from number `first` on of a further sequence that belongs to the shot as a whole."""
         out = np.empty(count)
         _fill_sequence(self._seed, shot, self._purpose, first, out)
         return out

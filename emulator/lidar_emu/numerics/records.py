@@ -1,4 +1,4 @@
-"""How structures pass from Python to kernels: numbers that stay the same as one record, arrays each for itself.
+"""Structures as arguments of kernels: constant numbers as one record, arrays as arguments of their own.
 
 A kernel takes the address of a record (a structured array of one element) at the price of an array. A named tuple of
 arrays costs some 5 µs more per call from Python, longer than many kernels take; between kernels it costs nothing.

@@ -7,9 +7,9 @@ from math import factorial, pi
 from lidar_emu.numerics.kernels import kernel
 
 FAST = {"nsz"}
-"""The liberty that kernels may take: none that changes the order of a sum or the meaning of NaN, nor one that is taken
-or not by what surrounds a kernel. A process that compiles runs other copies of kernels than one that finds them in the
-cache: with multiplications and additions contracted, the two differed in the last digits."""
+"""Fast-math flags of kernels. None changes the order of a sum or the meaning of NaN, and none depends on the code
+around a kernel: a process that compiles runs other copies of kernels than a process that loads them from the cache,
+and with contracted multiplications and additions the two differed in the last digits."""
 
 _A1, _A3, _A5, _A7, _A9, _A11, _A13, _A15, _A17, _A19, _A21 = (
     (-1) ** (n // 2) * pi**n / factorial(n) for n in range(1, 22, 2)

@@ -10,7 +10,7 @@ from lidar_emu.scenario.part import Part, Switch, unusable
 
 
 class Ramp(Part):
-    """A saw tooth."""
+    """Sawtooth from `start` to `stop`, repeated."""
 
     start: float
     """Value at the start of each period."""
@@ -56,7 +56,7 @@ class BenchBeam(Part):
 
 
 class BenchPattern(Part):
-    """Instead of instrument, site, trajectory and scanner."""
+    """Constants and ramps of each beam, in place of instrument, site, trajectory and scanner."""
 
     beams: Annotated[list[BenchBeam], Field(min_length=1, max_length=64)]
     """The beams, from 0."""

@@ -14,7 +14,7 @@ _Matrix = list[list[float]]
 
 
 class Uniform(Part):
-    """Any number between two bounds alike."""
+    """Uniform distribution between two bounds."""
 
     kind: Literal["uniform"]
     """Chooses this distribution."""
@@ -29,7 +29,7 @@ class Uniform(Part):
 
 
 class Integer(Part):
-    """Any whole number between two bounds alike, as for seeds and counts."""
+    """Uniform distribution of whole numbers between two bounds, both included, as for seeds and counts."""
 
     kind: Literal["integer"]
     """Chooses this distribution."""
@@ -44,7 +44,7 @@ class Integer(Part):
 
 
 class Normal(Part):
-    """A normal distribution, truncated where bounds are given."""
+    """Normal distribution, truncated where bounds are given."""
 
     kind: Literal["normal"]
     """Chooses this distribution."""
@@ -53,9 +53,9 @@ class Normal(Part):
     sigma: Positive
     """Standard deviation, before truncation."""
     low: float | None = None
-    """Nothing below this is drawn."""
+    """Lower bound. Left out: none."""
     high: float | None = None
-    """Nothing above this is drawn."""
+    """Upper bound. Left out: none."""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -63,18 +63,18 @@ class Normal(Part):
 
 
 class Lognormal(Part):
-    """A number whose logarithm is normal: a factor that is as often doubled as halved."""
+    """Lognormal distribution, for factors: doubling is as likely as halving."""
 
     kind: Literal["lognormal"]
     """Chooses this distribution."""
     median: Positive
-    """As many values are below it as above."""
+    """Median of the values."""
     sigma_log: Positive
-    """Standard deviation of the natural logarithm; for small ones the relative standard deviation."""
+    """Standard deviation of the natural logarithm; if small, about the relative standard deviation."""
 
 
 class Triangular(Part):
-    """Least, likeliest and largest value, and straight lines between."""
+    """Triangular distribution, from its least, likeliest and largest value."""
 
     kind: Literal["triangular"]
     """Chooses this distribution."""
@@ -93,14 +93,14 @@ class Triangular(Part):
 
 
 class Choice(Part):
-    """One of some values: numbers, text, names of parts, whole mappings."""
+    """Random choice from a list of values: numbers, text, names of parts, or whole mappings."""
 
     kind: Literal["choice"]
     """Chooses this distribution."""
     of: Annotated[list[Any], Field(min_length=1, max_length=10_000)]
     """The values."""
     weights: list[Annotated[float, Field(ge=0)]] = []
-    """How often each, one number per value in any unit. Left out: all alike."""
+    """Relative probability of each value, in any unit. Left out: all equal."""
 
     @model_validator(mode="after")
     def _one_weight_each(self) -> Self:
@@ -115,14 +115,14 @@ Distribution = Annotated[
 
 
 class JointNormal(Part):
-    """Several keys that are normal together, as a navigation filter states its errors."""
+    """Multivariate normal distribution of several keys, such as the errors that a navigation filter states."""
 
     keys: Annotated[list[str], Field(min_length=1)]
     """Dotted keys of the scenario."""
     mean: list[float]
-    """One per key."""
+    """Mean of each key."""
     covariance: _Matrix
-    """A row per key, in the units of the keys: symmetric and positive definite."""
+    """Covariance matrix, one row per key, in the units of the keys: symmetric and positive definite."""
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Self:
@@ -133,12 +133,13 @@ class JointNormal(Part):
 
 
 class Correlation(Part):
-    """How the keys of single dispersions hang together: a Gaussian copula, of normal ones their correlation."""
+    """Correlation of keys in `dispersions` by a Gaussian copula; for normal distributions, their correlation
+    coefficients."""
 
     keys: Annotated[list[str], Field(min_length=2)]
     """Keys of `dispersions`."""
     matrix: _Matrix
-    """A row per key, ones on the diagonal: symmetric and positive definite."""
+    """Correlation matrix, one row per key, ones on the diagonal: symmetric and positive definite."""
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Self:
@@ -150,28 +151,28 @@ class Correlation(Part):
 
 
 class Campaign(Part):
-    """A file of its own, which names the scenario that is flown."""
+    """A Monte Carlo campaign: a file of its own, which names the scenario that is flown."""
 
     name: Annotated[str, Field(min_length=1, max_length=200)]
-    """Shown in plans and pictures."""
+    """Shown in plans and figures."""
     scenario: str
     """A scenario's file, relative to this one, or the name of a shipped scenario."""
     set: dict[str, Any] = {}
     """Dotted keys of the scenario and the values that all runs have instead of its own."""
     runs: Annotated[int, Field(ge=1, le=10_000_000)]
-    """How many."""
+    """Number of runs."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Seed of the dispersed keys and of the runs' own seeds."""
     sampling: Literal["random", "latin_hypercube", "sobol"] = "random"
-    """How the dispersions are drawn: each run for itself, or spread evenly over all runs."""
+    """`random`: each run is drawn independently; `latin_hypercube` and `sobol`: spread evenly over all runs."""
     dispersions: dict[str, Distribution] = {}
     """Dotted keys of the scenario, each with its distribution."""
     joint_normals: list[JointNormal] = []
-    """Keys that are drawn together."""
+    """Keys that are drawn jointly."""
     correlations: list[Correlation] = []
-    """Between dispersions."""
+    """Correlations between dispersions."""
     beams_every: Annotated[int, Field(ge=1)] = 1
-    """Every how many-th run keeps the table of its beams, of which the statistics are made; 1: each."""
+    """N: every Nth run keeps its table of beams, from which the statistics are computed; 1: every run."""
 
     @model_validator(mode="after")
     def _keys_once(self) -> Self:
@@ -211,7 +212,7 @@ def _ascending(part: _Bounded, low: str, high: str) -> _Bounded:
 
 def _check_square(matrix: _Matrix, key: str, size: int) -> None:
     if len(matrix) != size or any(len(row) != size for row in matrix):
-        raise unusable(key, Finding("another size"), f"{size} rows of {size} numbers")
+        raise unusable(key, Finding("wrong size"), f"{size} rows of {size} numbers")
     for i in range(size):
         for j in range(i):
             if matrix[i][j] != matrix[j][i]:

@@ -1,4 +1,4 @@
-"""The device around the lidar: its modes and their times, its housekeeping, its clock, and what is done to it."""
+"""The device around the lidar: modes and their times, housekeeping, clock and external events."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Step = Annotated[float, Field(ge=0, le=LONGEST_STEP_S)]
 
 
 class DeviceClock(Part):
-    """What the device takes for the time. It is set by the command `time_at_tone`, and drifts on from there."""
+    """The device's clock. The command `time_at_tone` sets it; it drifts from there."""
 
     offset_s: Annotated[float, Field(ge=-LARGEST_OFFSET_S, le=LARGEST_OFFSET_S)] = 0.0
-    """Reading less true time at power-up."""
+    """Error at power-up: reading minus true time."""
     drift_ppm: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
-    """How much too fast it runs at power-up."""
+    """Rate error at power-up; positive if the clock is fast."""
     ageing_ppm_per_day: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
-    """How `drift_ppm` changes."""
+    """Change of the rate error per day."""
     wander_ppm: Annotated[float, Field(ge=0, le=1e4)] = 0.0
     """Random wander of the rate over tens of seconds to hours, root mean square; added to the drift."""
     locked_at_start: Switch = True
@@ -40,7 +40,7 @@ class Thermal(Part):
     """The temperature that housekeeping reports: it approaches `ambient_c + rise_k` while the laser is on."""
 
     ambient_c: Annotated[float, Field(ge=-273.15, le=300)] = 20.0
-    """Temperature with the laser off for long, and at power-up."""
+    """Temperature at power-up, and in equilibrium with the laser off."""
     rise_k: NonNegative = 12.0
     """Final temperature rise with the laser on."""
     time_constant_s: Positive = 240.0
@@ -50,25 +50,25 @@ class Thermal(Part):
 
 
 class DeviceEvent(Part):
-    """Something that is done to the device at an instant."""
+    """An external event at an instant."""
 
     at_s: NonNegative
     """Scenario time."""
     what: Literal["interlock_opens", "interlock_closes", "power_off", "power_on"]
-    """An open interlock puts the device into mode `fault`. After `power_on` it boots, as new."""
+    """An open interlock puts the device into mode `fault`. After `power_on` the device boots with its initial state."""
 
 
 class DeviceBehaviour(Part):
     """Modes, commands, housekeeping and clock; see docs/device.md."""
 
     start: Literal["track", "standby", "boot"] = "track"
-    """What the device does from power-up on: `track` measures from the first shot on; `boot` boots, tests itself and
-    goes on as `after_boot` says."""
+    """State at power-up: `track` measures from the first shot; `standby` waits for a command; `boot` boots, runs the
+    self-test and continues as `after_boot` states."""
     after_boot: Literal["standby", "track"] = "standby"
-    """After boot: wait in `standby` for a command, or acquire and track at once, as a device does that nobody
-    commands."""
+    """After boot: wait in `standby` for a command, or acquire and track at once, as a device without telecommands
+    does."""
     power_on_s: NonNegative = 0.0
-    """Scenario time of power-up; before it there is nothing on the wire."""
+    """Scenario time of power-up; the device is silent before it."""
     boot_s: Step = 2.0
     """Time from power-up or a cold restart to the self-test."""
     self_test_s: Step = 1.0
@@ -76,17 +76,17 @@ class DeviceBehaviour(Part):
     warm_restart_s: Step = 0.5
     """Time from a warm restart to `standby`."""
     acquisition_s: Step = 0.5
-    """How long the device is in mode `acquire` before it is in `track`."""
+    """Time in mode `acquire` before mode `track`."""
     settling_s: Step = 0.0
-    """Beams do not fire in shots that begin so soon after a change of pattern."""
+    """Beams do not fire in shots that begin within this time after a change of pattern."""
     housekeeping_rate_hz: Annotated[float, Field(ge=0, le=MOST_HOUSEKEEPING_HZ)] = 1.0
-    """Housekeeping packets per second, in whole scenario seconds and parts of them; 0: none."""
+    """Housekeeping packets per second, at multiples of their period in scenario time; 0: none."""
     clock: DeviceClock = DeviceClock()
     """The device's clock."""
     thermal: Thermal = Thermal()
-    """Its temperature."""
+    """Temperature model."""
     events: Annotated[list[DeviceEvent], Field(max_length=256)] = []
-    """What is done to it, in ascending order of time."""
+    """External events, in ascending order of time."""
 
     @model_validator(mode="after")
     def _events_ascend(self) -> Self:

@@ -1,4 +1,4 @@
-"""The first complaint of the schema as one line: file, key, value and what is allowed."""
+"""The first validation error of a scenario as one line: file, key, value and what is allowed."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ _WORDS = {
 
 
 class Source(NamedTuple):
-    """Who stated a key: a file or an option, and how many leading steps of the key are not its own."""
+    """Where a key is stated: a file or an option, and how many leading steps of the key lie outside it."""
 
     name: str
     outer: int = 0
 
 
 def source_of(key: Key, sources: Mapping[Key, Source]) -> Source:
-    """Who stated the key, or the nearest mapping around it."""
+    """Where the key, or the nearest mapping around it, is stated."""
     return sources[max((start for start in sources if key[: len(start)] == start), key=len)]
 
 
 def explained(
     error: ValidationError, model: type[BaseModel], tree: Tree, sources: Mapping[Key, Source]
 ) -> InputError:
-    """What `model` found wrong first with `tree`; `sources` names the file that stated each key."""
-    complaints = error.errors(include_url=False)
-    first = _most_telling(complaints)
+    """The first error of `model` in `tree`; `sources` names the file that states each key."""
+    details = error.errors(include_url=False)
+    first = _first_cause(details)
     key = _place(tree, first)
     source = source_of(key, sources)
     name = dotted(key[source.outer :])
@@ -70,38 +70,38 @@ def explained(
         case "too_short" | "too_long":
             found = Finding(f"a list of {len(value)}")
             return InputError(source.name, name, found, f"allowed: {_length(first)}")
-    # A value that may be one thing or another is wrong for each of them.
-    together = dict.fromkeys(_words(one) for one in complaints if _place(tree, one) == key)
+    # A value that fails a union fails each of its alternatives.
+    together = dict.fromkeys(_words(one) for one in details if _place(tree, one) == key)
     return InputError(source.name, name, value, f"allowed: {', or '.join(together)}")
 
 
-def _most_telling(complaints: list[Any]) -> Any:
-    """The first one; but of a mistyped key, the key that is there rather than the one that is missing."""
-    first = complaints[0]
+def _first_cause(details: list[Any]) -> Any:
+    """The first error; for a mistyped key, the unknown key rather than the missing one."""
+    first = details[0]
     if first["type"] != _MISSING:
         return first
-    beside = (one for one in complaints if one["type"] == _UNKNOWN and one["loc"][:-1] == first["loc"][:-1])
+    beside = (one for one in details if one["type"] == _UNKNOWN and one["loc"][:-1] == first["loc"][:-1])
     return next(beside, first)
 
 
-def _place(tree: Tree, complaint: Any) -> Key:
+def _place(tree: Tree, detail: Any) -> Key:
     """The key in question: pydantic also names the kind that it chose in a union."""
     node: Any = tree
     key: list[str | int] = []
     just_entered = False
-    for step in complaint["loc"]:
+    for step in detail["loc"]:
         if just_entered and isinstance(node, dict) and step == node.get("kind"):
             just_entered = False
         elif _has(node, step):
             node = node[step]
             key.append(step)
             just_entered = True
-    if complaint["type"] == _MISSING:
-        key.append(complaint["loc"][-1])
-    if complaint["type"] in (_NO_KIND, _OTHER_KIND):
+    if detail["type"] == _MISSING:
+        key.append(detail["loc"][-1])
+    if detail["type"] in (_NO_KIND, _OTHER_KIND):
         key.append("kind")
-    if complaint["type"] == "unusable":
-        key += [int(step) if step.isdecimal() else step for step in complaint["ctx"]["key"].split(".")]
+    if detail["type"] == "unusable":
+        key += [int(step) if step.isdecimal() else step for step in detail["ctx"]["key"].split(".")]
     return tuple(key)
 
 
@@ -118,17 +118,17 @@ def _value_at(tree: Tree, key: Key) -> Any:
     return node
 
 
-def _words(complaint: Any) -> str:
-    kind = str(complaint["type"])
+def _words(detail: Any) -> str:
+    kind = str(detail["type"])
     if kind.startswith(("datetime", "timezone")):
         return _INSTANT
-    return _WORDS.get(kind) or complaint["msg"].removeprefix("Input should be ")
+    return _WORDS.get(kind) or detail["msg"].removeprefix("Input should be ")
 
 
-def _length(complaint: Any) -> str:
-    if complaint["type"] == "too_short":
-        return f"at least {complaint['ctx']['min_length']}"
-    return f"at most {complaint['ctx']['max_length']}"
+def _length(detail: Any) -> str:
+    if detail["type"] == "too_short":
+        return f"at least {detail['ctx']['min_length']}"
+    return f"at most {detail['ctx']['max_length']}"
 
 
 def _schema_at(model: type[BaseModel], location: Key) -> Iterator[dict[str, Any]]:
@@ -144,7 +144,7 @@ def _schema_at(model: type[BaseModel], location: Key) -> Iterator[dict[str, Any]
 
 @cache
 def _schema(model: type[BaseModel]) -> dict[str, Any]:
-    """Made once: it takes a quarter of a second, and a campaign may have thousands of complaints."""
+    """Made once: it takes a quarter of a second, and a campaign may have thousands of errors."""
     return model.model_json_schema()
 
 

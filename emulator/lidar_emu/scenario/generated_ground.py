@@ -11,7 +11,7 @@ from lidar_emu.scenario.part import Part, Positive, unusable
 
 LEAST_CELLS, MOST_CELLS = 32, 4096
 CRATER_SAMPLES, ROCK_SAMPLES = 4, 2
-"""Grid spacings across the smallest crater and the smallest rock that the grid shows."""
+"""Grid spacings across the smallest crater and the smallest rock that the grid resolves."""
 
 HeightRatio = Annotated[float, Field(ge=0.01, le=1)]
 
@@ -20,46 +20,48 @@ Interpolation = Literal["bilinear", "triangles"]
 
 
 class Relief(Part):
-    """Fractional Brownian relief: the rms difference of height between points r apart grows as r^H."""
+    """Fractional Brownian relief: the rms height difference between points r apart grows as r^H."""
 
     hurst: Annotated[float, Field(ge=0.05, le=0.99)] = 0.76
     """Hurst exponent H: 0.5 is a random walk, near 1 smooth. The lunar maria have about 0.76, the highlands 0.95."""
     rms_slope_deg: Annotated[float, Field(gt=0, lt=60)]
-    """Arc tangent of the rms difference of height over the baseline. This ground has it, whatever the seed."""
+    """Arc tangent of the rms height difference over the baseline. Every seed gives exactly this value."""
     baseline_m: Positive
-    """Distance over which that slope is taken: from `spacing_m` to a quarter of `size_m`."""
+    """Distance over which this slope is taken: from `spacing_m` to a quarter of `size_m`."""
 
 
 class Craters(Part):
-    """Simple craters. The lunar production function for an age, held down to equilibrium where small ones are worn
-    away as fast as they form."""
+    """Simple craters. The lunar production function for an age, limited to equilibrium where small craters erode as
+    fast as they form."""
 
     age_gyr: Annotated[float, Field(ge=1e-6, le=4.4)]
     """Age of the surface; the production and the chronology follow Neukum et al. (2001) for the Moon."""
     equilibrium_density: Annotated[float, Field(ge=1e-4, le=0.3)] = 0.079
-    """C in the equilibrium's C / D² craters larger than D per area, with D in the area's unit (Trask 1966)."""
+    """C: in equilibrium, C / D² craters per unit area are larger than D, with D in the unit of length of that area
+    (Trask 1966)."""
     depth_to_diameter: Annotated[float, Field(ge=0.02, le=0.3)] = 0.2
-    """Depth of a fresh crater, from rim crest to floor, over its diameter. Its rim is 0.18 times as high."""
+    """Depth of a fresh crater, from rim crest to floor, over its diameter. The rim is 0.18 times as high as the
+    crater is deep."""
     smallest_diameter_m: Positive | None = None
-    """Left out: four times `spacing_m`, which is also the least that the grid can show."""
+    """Left out: four times `spacing_m`, the smallest that the grid resolves."""
     largest_diameter_m: Positive | None = None
     """Left out: a quarter of `size_m`."""
 
 
 class MarsRocks(Part):
-    """Rocks as on Mars: those larger than D cover the share k exp(-q D) of the ground, q = 1.79 + 0.152 / k per metre
-    (Golombek and Rapp 1997)."""
+    """Rocks as on Mars: rocks larger than D cover the fraction k exp(-q D) of the ground, q = 1.79 + 0.152 / k per
+    metre (Golombek and Rapp 1997)."""
 
     kind: Literal["golombek"]
     """Chooses this law."""
     abundance: Annotated[float, Field(ge=0.005, le=0.4)]
-    """k, the share of the ground that rocks of all sizes cover; 0.05 to 0.1 where landers go, 0.2 is rocky."""
+    """k, the fraction of the ground covered by rocks of all sizes; 0.05 to 0.1 at landing sites, 0.2 is rocky."""
     height_to_diameter: HeightRatio = 0.5
     """Height above ground over diameter."""
     smallest_diameter_m: Positive | None = None
-    """Left out: twice `spacing_m`, which is also the least that the grid can show."""
+    """Left out: twice `spacing_m`, the smallest that the grid resolves."""
     largest_diameter_m: Positive | None = None
-    """Left out: 10 m, or a tenth of `size_m` where that is less."""
+    """Left out: 10 m, but at most a tenth of `size_m`."""
 
 
 class PowerLawRocks(Part):
@@ -68,23 +70,23 @@ class PowerLawRocks(Part):
     kind: Literal["power_law"]
     """Chooses this law."""
     per_m2_over_1_m: Annotated[float, Field(gt=0, le=0.1)]
-    """N, the rocks larger than 1 m per square metre."""
+    """N, the number of rocks larger than 1 m per square metre."""
     exponent: Annotated[float, Field(gt=0, le=6)] = 2.6
-    """b."""
+    """Exponent b."""
     height_to_diameter: HeightRatio = 0.5
     """Height above ground over diameter."""
     smallest_diameter_m: Positive | None = None
-    """Left out: twice `spacing_m`, which is also the least that the grid can show."""
+    """Left out: twice `spacing_m`, the smallest that the grid resolves."""
     largest_diameter_m: Positive | None = None
-    """Left out: 10 m, or a tenth of `size_m` where that is less."""
+    """Left out: 10 m, but at most a tenth of `size_m`."""
 
 
 Rocks = MarsRocks | PowerLawRocks
 
 
 class Generated(Part):
-    """Ground made from these numbers: an elevation grid with the origin of the site frame at its centre. It is made
-    once and kept. `lidar-emu ground` shows it, measures it and exports it."""
+    """Ground generated from these parameters: an elevation grid with the origin of the site frame at its centre. It
+    is generated once and cached. `lidar-emu ground` displays it, measures it and exports it."""
 
     kind: Literal["generated"]
     """Chooses this kind of ground."""
@@ -101,7 +103,7 @@ class Generated(Part):
     rocks: Annotated[Rocks, Field(discriminator="kind")] | None = None
     """Left out: none."""
     interpolation: Interpolation = "bilinear"
-    """What spans the cells, as of `grid`."""
+    """What spans the cells, as for a `grid`."""
     beyond: Literal["none", "plane", "sphere"] = "none"
     """What lies outside the grid: nothing, the level plane through the origin, or the body's sphere through it."""
     at_m: tuple[float, float] | None = None
@@ -132,7 +134,7 @@ class Generated(Part):
         part: Craters | Rocks = getattr(self, name)
         smallest_m, largest_m = diameter_range_m(self, name)
         if smallest_m < resolved_m * (1 - 1e-9):
-            allowed = f"what the grid can show, from {resolved_m:g}"
+            allowed = f"what the grid resolves, from {resolved_m:g}"
             raise unusable(f"{name}.smallest_diameter_m", smallest_m, allowed)
         if not smallest_m < largest_m <= self.size_m / 2:
             allowed = f"above the smallest, {smallest_m:g}, to half of size_m, {self.size_m / 2:g}"

@@ -27,12 +27,12 @@ class Waveform(Part):
     fft_length: Annotated[int, Field(ge=256, le=2**24)] = 2**17
     """Samples in a record; a power of two."""
     slope_error: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
-    """Relative error of the slope that the laser really has: 1e-3 reads 2 m too far at 2 km."""
+    """Relative error of the laser's true slope: 1e-3 reads 2 m too far at 2 km."""
     linewidth_hz: NonNegative = 3e3
     """Full width at half maximum of the laser's Lorentzian line; 0 leaves it out."""
     linewidth_model: Literal["homodyne", "coherent"] = "homodyne"
-    """Only what the laser drifts within the echo's delay counts (`homodyne`), or the published simulation's
-    convolution of every line with a Gaussian of that width whatever the delay (`coherent`)."""
+    """`homodyne`: only phase noise that builds up within the echo's delay widens the line; `coherent`: every line is
+    convolved with a Gaussian of that width whatever the delay, as in the published simulation."""
 
     @model_validator(mode="after")
     def _record_fits(self) -> Self:
@@ -68,7 +68,7 @@ class Waveform(Part):
 
     @property
     def validity_offset_s(self) -> float:
-        """From the start of a cycle to the centre of the constant segment's record."""
+        """Time from the start of a cycle to the centre of the constant segment's record."""
         return 2 * self.segment_time_s - self.record_time_s / 2
 
     @property
@@ -89,7 +89,7 @@ class Optics(Part):
     heterodyne_efficiency: Fraction = 0.4
     """Overlap of the echo with the local oscillator."""
     depolarisation: Fraction = 0.5
-    """Share of the echo that returns in the received polarisation."""
+    """Fraction of the echo that returns in the received polarisation."""
     alignment_error_rad: NonNegative = 0.0
     """Angle between the transmitted and the received mode."""
     speckle: Switch = True
@@ -102,8 +102,8 @@ class Adc(Part):
     """The digitiser after the amplifier."""
 
     effective_bits: Annotated[float, Field(ge=1, le=24)] = 8.0
-    """Effective number of bits: quantisation and all other noise of the digitiser, taken as white: true where a step is
-    no more than about twice the analogue noise."""
+    """Effective number of bits. Quantisation and all other noise of the digitiser are taken as white, which holds
+    where a step is at most about twice the analogue noise."""
     full_scale_v: Annotated[float, Field(ge=1e-9, le=1e3)] = 0.05
     """Range from the lowest to the highest voltage at the amplifier's output; beyond, the signal is clipped."""
 
@@ -122,16 +122,16 @@ class Receiver(Part):
     dark_current_a: Annotated[float, Field(ge=0, le=1)] = 1e-8
     """Dark current of the pair of detectors."""
     relative_intensity_noise_db_per_hz: Annotated[float, Field(ge=-300, le=0)] | None = -150.0
-    """Relative intensity noise of the laser; null leaves it out."""
+    """Relative intensity noise of the laser; null: none."""
     common_mode_rejection_db: NonNegative = 30.0
     """Suppression of intensity noise by the balanced pair."""
     bandwidth_hz: Positive | None = 300e6
     """Half-power frequency of the amplifier's single pole. Noise from beyond half the sample rate folds in: a wide
-    amplifier is a noisy one. null is flat within the band and lets nothing else in."""
+    amplifier is a noisy one. null: flat within the band, without folded noise."""
     ac_coupling_hz: NonNegative = 50e3
     """Half-power frequency of the single-pole high-pass before the digitiser; 0 couples directly."""
     adc: Adc | None = Adc()
-    """null is ideal."""
+    """null: an ideal digitiser."""
 
 
 class Detection(Part):
@@ -142,7 +142,7 @@ class Detection(Part):
     false_alarm_probability: Annotated[float, Field(ge=1e-300, le=0.5)] = 1e-3
     """Probability that noise alone crosses the threshold anywhere in one FFT."""
     group_fraction: Annotated[float, Field(gt=0, lt=1)] = 0.3
-    """Contiguous bins above this share of the spectrum's highest magnitude form one target."""
+    """Contiguous bins above this fraction of the spectrum's highest magnitude form one target."""
     looks: Annotated[int, Field(ge=1, le=64)] = 1
     """Cycles whose power spectra are averaged into one measurement."""
     peak: Literal["bin", "parabola", "jacobsen", "hann", "aboutanios_mulgrew"] = "bin"

@@ -19,7 +19,7 @@ _DEFINITIONS = "#/$defs/"
 
 
 class _Generator(GenerateJsonSchema):
-    """Says what an author may write, without titles that only repeat the keys."""
+    """Generates the schema as an author writes it, without titles that only repeat the keys."""
 
     def field_title_should_be_set(self, schema: object) -> bool:  # noqa: ARG002
         return False
@@ -31,13 +31,13 @@ class _Generator(GenerateJsonSchema):
 
     def tagged_union_schema(self, schema: core_schema.TaggedUnionSchema) -> JsonSchemaValue:
         node = super().tagged_union_schema(schema)
-        # OpenAPI's word, unknown to JSON Schema: each choice already fixes its `kind`.
+        # An OpenAPI keyword, unknown to JSON Schema: each choice already fixes its `kind`.
         node.pop("discriminator", None)
         return node
 
 
 def models_schema(models: Any = FlightScenario | BenchScenario) -> Node:
-    """What a file of these models says once its references are resolved: `anyOf` them, and `$defs` of all below."""
+    """JSON Schema of a file with its references resolved: `anyOf` the models, and `$defs` of all below them."""
     adapter: TypeAdapter[Any] = TypeAdapter(models)
     return adapter.json_schema(schema_generator=_Generator)
 
@@ -45,7 +45,7 @@ def models_schema(models: Any = FlightScenario | BenchScenario) -> Node:
 def json_schema() -> Node:
     """JSON Schema (draft 2020-12) of a scenario file as its author writes it.
 
-    Where a part stands, the name of a file and a mapping with `base` and the keys that differ are allowed too.
+    In place of a part, the name of a file and a mapping with `base` and the keys that differ are allowed too.
     Conditions between several keys are left to `load`.
     """
     schema = models_schema()
@@ -58,7 +58,8 @@ def json_schema() -> Node:
 
 
 def campaign_schema() -> Node:
-    """JSON Schema (draft 2020-12) of a campaign's file. What it sets and draws is the scenario's business."""
+    """JSON Schema (draft 2020-12) of a campaign's file. The keys that it sets and draws are checked with the
+    scenario."""
     return {**models_schema(Campaign), "$schema": _DIALECT, "title": "lidar-emu campaign"}
 
 
@@ -73,7 +74,7 @@ def target(node: Node) -> str:
 
 
 def choices(node: Node) -> list[Node]:
-    """What a node may be: the alternatives of a union and of those within it, or the node alone."""
+    """The alternatives of a union, nested ones included, or the node alone."""
     alternatives: list[Node] = node.get("anyOf") or node.get("oneOf") or []
     return [choice for alternative in alternatives for choice in choices(alternative)] or [node]
 

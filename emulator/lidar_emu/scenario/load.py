@@ -54,8 +54,8 @@ def load(
 
     Args:
         scenario: path of a YAML file, or the name of a shipped one (`descent.yaml` or `descent`).
-        overrides: dotted keys and YAML values that replace what the file says, e.g. `{"timing.rate_hz": "100"}`.
-        campaign: dotted keys and values as they are, which a campaign has drawn; they replace both.
+        overrides: dotted keys and YAML values that replace the file's, e.g. `{"timing.rate_hz": "100"}`.
+        campaign: dotted keys and values drawn by a campaign; they replace both.
 
     Raises:
         InputError: names the file, key and value that cannot be used, and what is allowed.
@@ -80,7 +80,8 @@ def load(
 
 
 def _anchor_interface(tree: Tree, folder: Path, sources: Sources) -> None:
-    """An interface's file is relative to the scenario that names it; of an option, to where the user is."""
+    """Resolve an interface's file relative to the scenario that names it; named by an option, to the working
+    directory."""
     wire = tree.get("wire")
     if not isinstance(wire, dict) or source_of(("wire", "interface"), sources).name == _OPTION:
         return
@@ -109,10 +110,10 @@ def find_file(given: Path, folder: str) -> Path:
     )
 
 
-def _is(look: Callable[[], bool]) -> bool:
-    """What a look at the file system says; a name that no file can have is nothing."""
+def _is(check: Callable[[], bool]) -> bool:
+    """Result of a check of the file system; False for a name that no file can have."""
     try:
-        return look()
+        return check()
     except (OSError, ValueError):
         return False
 
@@ -175,7 +176,7 @@ def _resolve_part(part: str, value: Any, owner: Path, sources: Sources) -> Any:
         return own
     if not isinstance(value["base"], str):
         raise InputError(source.name, f"{part}.base", value["base"], "allowed: the name of a file")
-    # What lies below the part is the base's from here on, other than this.
+    # From here on, keys below the part belong to the base, except these.
     sources.update({key: source_of(key, sources) for key in _leaves(own, (part,))})
     return _merged(_read_part(part, value["base"], owner, source, sources), own, (part,), sources)
 
@@ -238,7 +239,7 @@ def _anchor_files(tree: Tree, folder: Path, where: str, part: str | None) -> Non
 
 
 def _nodes(node: Any, keys: tuple[str, ...]) -> Iterator[tuple[Any, tuple[str, ...]]]:
-    """What lies at these keys, `*` being any, and the way to it. Entries of a list may be stated by index."""
+    """Nodes at these keys, each with its path; `*` matches any key. Entries of a list may be stated by index."""
     if not keys:
         yield node, ()
         return

@@ -21,7 +21,7 @@ class MeshOrigin(Part):
     longitude_deg: Longitude | None = None
     """East longitude."""
     body_fixed_m: Vector3 | None = None
-    """Instead of them: the point itself, in metres along the body's axes."""
+    """Instead: the origin in metres along the body's axes."""
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
@@ -52,4 +52,4 @@ class Mesh(Part):
     unit: MeshUnit
     """Unit of the file's coordinates."""
     origin: MeshOrigin = MeshOrigin()
-    """The point that becomes the origin of the site frame."""
+    """The point of the mesh that becomes the origin of the site frame."""

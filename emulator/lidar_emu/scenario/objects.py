@@ -1,4 +1,4 @@
-"""Objects that stand on the ground of a site, lie there, or move above it."""
+"""Objects on the ground of a site, or moving above it."""
 
 from __future__ import annotations
 
@@ -17,46 +17,46 @@ Angle = Annotated[float, Field(ge=-360, le=360)]
 
 
 class Scatter(Part):
-    """Copies of an object, each turned at random, at random places around its own. Every one stands on the ground."""
+    """Copies of an object at random positions and headings around its own position. Every copy stands on the ground."""
 
     count: Annotated[int, Field(ge=1, le=MOST_COPIES)]
-    """How many."""
+    """Number of copies."""
     radius_m: Positive
-    """Radius of the disc about `east_m`, `north_m` over which they are spread evenly."""
+    """Radius of the disc about `east_m`, `north_m` in which copies are uniformly distributed."""
     scale: tuple[Positive, Positive] = (1.0, 1.0)
-    """Least and greatest size, relative to the object's own; in between all octaves are alike."""
+    """Smallest and largest size relative to the object's own; the logarithm of the size is uniform."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Another seed is another arrangement. The scenario's own seed does not change it."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.scale[0] > self.scale[1]:
-            raise unusable("scale", list(self.scale), "the least size first")
+            raise unusable("scale", list(self.scale), "the smallest size first")
         return self
 
 
 class TimedPlace(Part):
-    """Where an object is at a time."""
+    """A waypoint of an object."""
 
     time_s: NonNegative
-    """Since the start of the flight."""
+    """Time since the start of the flight."""
     east_m: float
-    """Of its place."""
+    """East coordinate, from the origin of the site frame."""
     north_m: float
-    """Of its place."""
+    """North coordinate, from the origin of the site frame."""
     up_m: float
-    """Of its place, above the origin of the site frame."""
+    """Height above the origin of the site frame."""
 
 
 class Motion(Part):
-    """How an object moves. Its own speed is in the closing speed of what hits it."""
+    """Motion of an object. The closing speed of beams that hit it includes its velocity."""
 
     velocity_mps: Vector3 | None = None
-    """East, north and up, from its place at the start."""
+    """Constant velocity east, north and up, from its position at the start."""
     waypoints: Annotated[list[TimedPlace], Field(min_length=1)] | None = None
-    """Instead: straight from one to the next, at rest before the first and after the last. They replace its place."""
+    """Instead of its position: straight legs between waypoints, at rest before the first and after the last."""
     turn_rate_dps: Annotated[float, Field(ge=-3600, le=3600)] = 0.0
-    """Degrees per second about the upward axis through its place, clockwise as seen from above."""
+    """Rate of turn about the upward axis through its position, in degrees per second, clockwise seen from above."""
 
     @model_validator(mode="after")
     def _one_path(self) -> Self:
@@ -70,29 +70,29 @@ class Motion(Part):
 
 
 class Placed(Part):
-    """What all objects have in common. An object's own axes are forward, right and up; its place is the point of the
-    ground that it stands on."""
+    """Keys of every object. An object's axes are forward, right and up; its position is the point of the ground that
+    it stands on."""
 
     name: str
-    """Of this object alone."""
+    """Unique name."""
     east_m: float = 0.0
-    """Place, from the origin of the site frame."""
+    """East coordinate of its position, from the origin of the site frame."""
     north_m: float = 0.0
-    """Place, from the origin of the site frame."""
+    """North coordinate of its position, from the origin of the site frame."""
     up_m: float | None = None
-    """Height of the place. Left out: on the ground there."""
+    """Height of its position above the origin of the site frame. Left out: on the ground."""
     yaw_deg: Angle = 0.0
-    """Where forward points, clockwise from north."""
+    """Heading of the forward axis, clockwise from north."""
     pitch_deg: Angle = 0.0
-    """How far forward points up."""
+    """Angle of the forward axis above the horizontal."""
     roll_deg: Angle = 0.0
-    """How far right is turned down."""
+    """Angle by which the right axis is turned down."""
     reflectance: Annotated[float, Field(ge=0, le=1)] | None = None
     """Albedo. Left out: the site's."""
     scatter: Scatter | None = None
-    """Left out: there is one."""
+    """Left out: a single object."""
     motion: Motion | None = None
-    """Left out: it stays where it is."""
+    """Left out: at rest."""
 
     @model_validator(mode="after")
     def _one_or_many(self) -> Self:
@@ -104,14 +104,14 @@ class Placed(Part):
 
 
 class Boulder(Placed):
-    """The upper half of an ellipsoid on the ground, and the lower half below."""
+    """An ellipsoid on the ground, with its lower half below."""
 
     kind: Literal["boulder"]
     """Chooses this object."""
     diameter_m: Positive
-    """Across."""
+    """Horizontal diameter."""
     height_m: Positive | None = None
-    """Above the ground. Left out: half the diameter."""
+    """Height above the ground. Left out: half the diameter."""
 
 
 class Slab(Placed):
@@ -120,50 +120,51 @@ class Slab(Placed):
     kind: Literal["slab"]
     """Chooses this object."""
     length_m: Positive
-    """Forward."""
+    """Length along the forward axis."""
     width_m: Positive
-    """To the right."""
+    """Width along the right axis."""
     height_m: Positive
-    """Above its place."""
+    """Height above its position."""
 
 
 class Cliff(Placed):
-    """A step: a face, a level top behind it, and an upright back. It faces backward: yaw is where one goes up."""
+    """A step: a face, a level top behind it, and a vertical back. The face looks backward, so that the way up is
+    forward."""
 
     kind: Literal["cliff"]
     """Chooses this object."""
     length_m: Positive
     """Length of the top, forward of the edge."""
     width_m: Positive
-    """Of the face."""
+    """Width of the face."""
     height_m: Positive
-    """Of the face."""
+    """Height of the face."""
     face_deg: Annotated[float, Field(ge=5, le=90)] = 90.0
-    """How steep the face is."""
+    """Inclination of the face."""
 
 
 class RampObject(Placed):
-    """A wedge that rises forward from the ground, to an upright back."""
+    """A wedge that rises forward from the ground to a vertical back."""
 
     kind: Literal["ramp"]
     """Chooses this object."""
     length_m: Positive
-    """Forward."""
+    """Length along the forward axis."""
     width_m: Positive
-    """To the right."""
+    """Width along the right axis."""
     height_m: Positive
     """Height of the far end."""
 
 
 class Tree(Placed):
-    """An upright trunk, and an ellipsoid for its crown."""
+    """A vertical trunk with an ellipsoidal crown."""
 
     kind: Literal["tree"]
     """Chooses this object."""
     height_m: Positive
     """Height of the top of the crown."""
     crown_diameter_m: Positive
-    """Across."""
+    """Diameter of the crown."""
     crown_base_m: NonNegative | None = None
     """Height of the lowest point of the crown. Left out: a third of `height_m`."""
     trunk_diameter_m: Positive | None = None
@@ -182,13 +183,13 @@ class Pad(Placed):
     kind: Literal["pad"]
     """Chooses this object."""
     diameter_m: Positive
-    """Across."""
+    """Diameter of the top."""
     height_m: Positive = 0.1
-    """Above its place."""
+    """Height above its position."""
 
 
 class MeshObject(Placed):
-    """A mesh from a file, whose axes are forward, left and up; its zero is the object's place."""
+    """A mesh from a file, whose axes are forward, left and up; its origin is the object's position."""
 
     kind: Literal["mesh"]
     """Chooses this object."""
@@ -197,7 +198,7 @@ class MeshObject(Placed):
     unit: MeshUnit
     """Unit of the file's coordinates."""
     scale: Positive = 1.0
-    """How many times larger it is than the file says."""
+    """Scale factor on the file's coordinates."""
 
 
 PlacedObject = Annotated[

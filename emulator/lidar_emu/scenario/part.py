@@ -1,4 +1,4 @@
-"""What every part of a scenario has in common: strict values, no unknown keys, each key documented."""
+"""Base of every part of a scenario: strict values, no unknown keys, each key documented."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Part(BaseModel):
 
 
 def unusable(key: str, value: object, allowed: str) -> PydanticCustomError:
-    """What a part's own check raises: the dotted key below the part, its value, and what is allowed."""
+    """The error that a part's own check raises: dotted key below the part, value, and what is allowed."""
     context = {"key": key, "value": value, "allowed": allowed}
     return PydanticCustomError("unusable", "{key}: {value} is not usable; allowed: {allowed}", context)
 

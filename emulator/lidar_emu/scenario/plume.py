@@ -13,19 +13,20 @@ Depth = Annotated[float, Field(ge=0, le=50)]
 
 
 class Plume(Part):
-    """A sheet of dust that blows outward over the ground; see docs/flights.md. Heights are the sensor's above it."""
+    """A sheet of dust that blows outward over the ground; see docs/flights.md. Heights are heights of the sensor
+    above the ground."""
 
     onset_height_m: Positive = 30.0
-    """Below it dust is raised; from there to `full_height_m` it grows in proportion."""
+    """Dust is raised below this height; the amount grows linearly down to `full_height_m`."""
     full_height_m: Annotated[float, Field(ge=0)] = 12.0
-    """Below it there is as much dust as there will be."""
+    """The amount of dust is constant below this height."""
     optical_depth: Depth = 0.5
     """Optical depth of the sheet at full height, once through it straight down: the ground's echo loses
     exp(-2 · depth)."""
     thickness_m: Positive = 1.0
     """Thickness of the sheet above the ground."""
     lidar_ratio_sr: Annotated[float, Field(ge=1, le=1000)] = 50.0
-    """Extinction over backscatter of the dust: with less its own echo is stronger."""
+    """Extinction over backscatter of the dust; with a smaller ratio the dust's own echo is stronger."""
     streak_share: Share = 0.05
     """Probability, at full height, that a beam meets a dense streak in a shot."""
     streak_optical_depth: Depth = 3.0
@@ -33,7 +34,7 @@ class Plume(Part):
     speed_mps: Annotated[float, Field(ge=0, le=3000)] = 20.0
     """Outward speed of the dust over the ground, away from below the vehicle."""
     speed_spread: Share = 0.5
-    """Speeds lie evenly within so much of `speed_mps` around it."""
+    """Speeds are uniform within this fraction of `speed_mps` around it."""
 
     @model_validator(mode="after")
     def _grows_downward(self) -> Self:

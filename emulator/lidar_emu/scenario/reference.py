@@ -1,4 +1,4 @@
-"""What a scenario and a campaign may say, for people, from the models and their docstrings."""
+"""The reference page of scenarios and campaigns, generated from the models and their docstrings."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _listed(names: Iterator[str] | list[str]) -> str:
 
 
 def _models_below(model: str, place: str, definitions: Node) -> Iterator[tuple[str, str]]:
-    """The model and those that its keys refer to, in the order of the keys, each with its dotted key."""
+    """The model and the models that its keys refer to, in the order of the keys, each with its dotted key."""
     yield model, place
     for key, node in definitions[model]["properties"].items():
         below = f"{place}.{key}" if place else key
@@ -93,7 +93,7 @@ def _models_below(model: str, place: str, definitions: Node) -> Iterator[tuple[s
 
 
 def _named(node: Node) -> Node:
-    """What stands at each key of a mapping whose keys are the author's; empty if that may be anything."""
+    """Schema of the values of a mapping with free keys; empty if any value is allowed."""
     below: Node | bool = node.get("additionalProperties", False)
     return below if isinstance(below, dict) else {}
 

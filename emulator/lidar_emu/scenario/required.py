@@ -1,4 +1,4 @@
-"""What a command may ask of a scenario."""
+"""Requirements of commands on a scenario."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 
 
 def require_flight(scenario: FlightScenario | BenchScenario) -> FlightScenario:
-    """For what needs a geometry.
+    """The scenario, if it is a flight.
 
     Raises:
         InputError: it is a bench pattern.
@@ -19,7 +19,7 @@ def require_flight(scenario: FlightScenario | BenchScenario) -> FlightScenario:
 
 
 def require_known_flight(scenario: FlightScenario | BenchScenario) -> None:
-    """For what cannot wait for a simulator.
+    """Refuse live truth, for commands that cannot wait for a simulator.
 
     Raises:
         InputError: the trajectory is live.

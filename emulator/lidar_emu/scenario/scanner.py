@@ -1,4 +1,4 @@
-"""The scanner: beam directions, when they switch, and how the sensor sits on the vehicle."""
+"""The scanner: beam directions, changes of pattern, and the mounting on the vehicle."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class BeamRing(Part):
 
 
 class Directions(Part):
-    """A list of directions of your own."""
+    """A list of beam directions."""
 
     kind: Literal["directions"]
     """Chooses this pattern."""
@@ -72,7 +72,7 @@ class AltitudeSwitch(Part):
     repeatedly: Switch = False
     """Switch back on climbing above `below_m + hysteresis_m`; otherwise the switch stays."""
     hysteresis_m: NonNegative = 0.0
-    """See `repeatedly`."""
+    """Hysteresis of switching back, see `repeatedly`."""
     pattern: Pattern
     """The beams while active."""
 
@@ -89,15 +89,15 @@ class TimeSwitch(Part):
 
 
 class Scan(Part):
-    """A scan program: with each shot all beams are swung one step on, along a line from one side to the other, and then
-    at once back to its start. They stand still during a shot."""
+    """A scan program: after each shot all beams are deflected by one more step along a line from one side to the
+    other; after a line they return to its start. The deflection is constant during a shot."""
 
     half_angle_deg: Annotated[float, Field(gt=0, lt=90)]
     """Largest deflection to each side of the pattern's direction."""
     steps: Annotated[int, Field(ge=2, le=10_000)]
-    """Shots of a line, evenly spaced in angle, both ends included."""
+    """Shots per line, evenly spaced in angle, both ends included."""
     azimuth_deg: float = 90.0
-    """Side that a line ends on, from sensor x towards y: at 90 the scan runs across track to the right."""
+    """Direction in which a line ends, from sensor x towards y: at 90 the scan runs across track to the right."""
 
 
 class Scanner(Part):
@@ -106,14 +106,14 @@ class Scanner(Part):
     pattern: Pattern
     """The beams at the start."""
     switches: list[Annotated[AltitudeSwitch | TimeSwitch, Field(discriminator="kind")]] = []
-    """Changes in flight, taken at the start of a shot; where several are active the last one listed counts."""
+    """Changes of pattern in flight, at the start of a shot; of several active ones, the last in the list applies."""
     firing: Literal["together", "in_turn"] = "together"
     """All beams in one cycle (one receiver each), or one cycle after another, each with its own validity."""
     scan: Scan | None = None
-    """Left out: the beams stay where their pattern points."""
+    """Left out: no scan."""
     misalignment_mrad: list[tuple[float, float]] = []
-    """True direction less published one, per beam, as small rotations about sensor x and y. Left out: none. The
-    published direction is what the flight software believes."""
+    """True direction minus published direction, per beam, as small rotations about sensor x and y. Left out: none.
+    The flight software knows the published direction only."""
 
     @property
     def patterns(self) -> list[Pattern]:
@@ -122,13 +122,14 @@ class Scanner(Part):
 
 
 class Mounting(Part):
-    """Where the sensor sits on the body."""
+    """The position and attitude of the sensor on the body."""
 
     lever_arm_m: Vector3 = (0.0, 0.0, 0.0)
-    """Sensor in the body frame (x forward, y right, z down), from the point whose trajectory is flown."""
+    """Position of the sensor in the body frame (x forward, y right, z down), from the point whose trajectory is
+    flown."""
     roll_deg: float = 0.0
-    """Sensor against body about x (order yaw, pitch, roll). At zero the boresight is body z."""
+    """Rotation of the sensor relative to the body about x (order yaw, pitch, roll). At zero the boresight is body z."""
     pitch_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
-    """Sensor against body about y."""
+    """Rotation of the sensor relative to the body about y."""
     yaw_deg: float = 0.0
-    """Sensor against body about z."""
+    """Rotation of the sensor relative to the body about z."""

@@ -1,4 +1,4 @@
-"""The scenario: one file that says what is flown, over what, with which instrument."""
+"""The scenario: one file that states what is flown, over which ground, with which instrument."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ class Timing(Part):
     rate_hz: Annotated[float, Field(ge=1e-3, le=10_000)] = 20.0
     """Shots per second."""
     epoch: Epoch = datetime(2030, 1, 1, tzinfo=UTC)
-    """Instant of scenario time 0 on the instrument's clock; UTC where it names no zone."""
+    """Instant of scenario time 0 on the instrument's clock; UTC if it names no zone."""
     processing_latency_s: Annotated[float, Field(ge=0, le=3600)] = 2e-3
     """Time from the end of the cycle to the packet."""
     late_after_s: Annotated[float, Field(ge=1e-6, le=3600)] | None = None
     """A packet later than this is late: not sent, but counted. Left out: one period."""
     when_late: Literal["skip", "abort"] = "skip"
-    """After a late packet: `skip` goes on with the next one when that is due; `abort` ends the run (exit code 1)."""
+    """After a late packet: `skip` continues with the next packet when it is due; `abort` ends the run (exit code 1)."""
     when_process_dies: Literal["end", "safe"] = "end"
     """If the process of the model or of the port dies, the other one ends the run; `safe`: its last packet is
-    housekeeping that says mode safe and laser off, where the interface has that."""
+    housekeeping with mode safe and laser off, if the interface has that message."""
 
     @property
     def period_ns(self) -> int:
@@ -63,10 +63,10 @@ class Timing(Part):
 
 
 class Wire(Part):
-    """What this unit says on the wire, and as whom."""
+    """Messages and unit number on the wire."""
 
     interface: str = "default"
-    """Message definitions: `default`, `altimeter`, or a TOML file (`.toml`) of one's own."""
+    """Message definitions: `default`, `altimeter`, or your own TOML file (`.toml`)."""
     unit: Annotated[int, Field(ge=0, le=15)] = 0
     """Offsets the APID and the CAN identifiers, so that several units can share a bus."""
     can_messages: Literal["core", "full"] = "full"
@@ -74,14 +74,14 @@ class Wire(Part):
 
 
 class Scenario(Part):
-    """What every run states, whatever it flies."""
+    """Keys of every scenario."""
 
     name: str
     """Shown in plans and summaries."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Seed of every random number."""
     duration_s: Annotated[float, Field(gt=0, le=LONGEST_S)] | None = None
-    """Length of the run. Left out: as long as the trajectory or the pattern."""
+    """Length of the run. Left out: the length of the trajectory or the pattern."""
     timing: Timing = Timing()
     """Rate and latency."""
     wire: Wire = Wire()
@@ -89,16 +89,16 @@ class Scenario(Part):
     device: DeviceBehaviour = DeviceBehaviour()
     """The device around the lidar: modes, clock, housekeeping."""
     faults: Annotated[list[Fault], Field(min_length=0, max_length=256)] = []
-    """What goes wrong, in this order: each acts on what those before it have left."""
+    """Injected faults, applied in this order."""
 
     @property
     def live(self) -> Live | None:
-        """Where the truth of a simulator comes from; None if the scenario itself says how it is flown."""
+        """Source of live truth; None if the scenario defines its trajectory or pattern."""
         return None
 
     @property
     def laser_power_w(self) -> float | None:
-        """Power of the laser while it is on; None where there is none."""
+        """Power of the laser while it is on; None if there is no laser."""
         return None
 
 
@@ -121,7 +121,7 @@ class FlightScenario(Scenario):
     """How the receiver is computed: `geometric` reports the truth, `statistical` draws from the closed-form error
     model, `spectral` computes the bins of the spectra that matter, `waveform` every sample (slow)."""
     exact: Switch = False
-    """Compute every stage of the model, also those whose effect is below its bound."""
+    """Compute every stage of the model, including stages whose effect is below its bound."""
 
     @property
     def live(self) -> Live | None:
@@ -135,7 +135,7 @@ class FlightScenario(Scenario):
 
     @property
     def cycle_time_s(self) -> float:
-        """From the start of a shot to the end of its last segment: each beam in turn takes all of its looks."""
+        """Time from the start of a shot to the end of its last segment: each beam in turn takes all of its looks."""
         return self.instrument.waveform.cycle_time_s * self.instrument.detection.looks * self._cycles
 
     @property

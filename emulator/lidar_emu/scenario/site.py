@@ -1,4 +1,4 @@
-"""The site: a body, the ground of one place on it, how the ground reflects, and the air above it."""
+"""The site: body, ground, objects, reflectance and atmosphere."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Slope = Annotated[float, Field(ge=0, lt=90)]
 
 
 class Body(Part):
-    """The body landed on. Its sphere is the altitude datum of the site."""
+    """The celestial body. Its sphere is the altitude datum of the site."""
 
     name: str = "Moon"
     """Shown in plans and summaries."""
@@ -33,7 +33,7 @@ class Plane(Part):
     slope_deg: Slope = 0.0
     """Inclination of the plane."""
     downhill_azimuth_deg: float = 0.0
-    """Direction in which it falls, clockwise from north."""
+    """Downhill direction, clockwise from north."""
 
 
 class Sphere(Part):
@@ -68,45 +68,44 @@ class Origin(Part):
 
 
 class Grid(Part):
-    """An elevation grid, read as a surface through its samples."""
+    """An elevation grid; the ground is a surface through its samples."""
 
     kind: Literal["grid"]
     """Chooses this kind of ground."""
     file: str
     """GeoTIFF, PDS label (`.lbl`, not the `.img` beside it) or ESRI ASCII (extra `geo`), or `.npz` with `elevation_m`
-    (rows from north to south), `pixel_m` and, as wanted, `map_x_m`, `map_y_m` of the first sample. Relative to the
+    (rows from north to south), `pixel_m` and, optionally, `map_x_m`, `map_y_m` of the first sample. Relative to the
     file that names it."""
     band: str | Annotated[int, Field(ge=1)] = "elevation"
     """Band by its description, or by number from 1. A file of one band needs neither."""
     registration: Literal["file", "area", "point"] = "file"
     """Whether a sample stands for its pixel's centre (`area`) or its corner node (`point`); `file`: as the file
-    says, else `area`."""
+    states, else `area`."""
     nodata: float | None = None
-    """Value that marks missing samples, where the file does not state it. Infinite and NaN samples are always
-    missing."""
+    """Value that marks missing samples, if the file does not state it. Infinite and NaN samples are always missing."""
     elevation_scale: Positive | None = None
-    """Metres per unit of the file. Left out: by the unit that the file states, else 1."""
+    """Metres per unit of the file. Left out: from the unit that the file states, else 1."""
     elevation_offset_m: float = 0.0
     """Added after scaling: shifts the file's vertical datum to the site's sphere."""
     origin: Origin = Origin()
     """The point of the map that becomes the origin of the site frame."""
     placement: Literal["projected", "flat"] = "projected"
-    """`projected`: where the file's map projection says, in a frame tangent to the body at the origin, north to the
-    pole; samples are taken anew there, and the ground falls away with the body. `flat`: the map's plane is the
-    horizontal plane and its north is north, as of files that state no projection."""
+    """`projected`: placed by the file's map projection in a frame tangent to the body at the origin, north to the
+    pole; the map is resampled there, and the ground falls away with the body's curvature. `flat`: the map's plane is
+    the horizontal plane and its north is north, as for files without a projection."""
     half_size_m: Positive | None = None
-    """How far a projected grid reaches from the origin to the east, west, north and south. Left out: to the end of
-    the file, at most 1000 samples and a tenth of the body's radius."""
+    """Extent of a projected grid from the origin to the east, west, north and south. Left out: to the edge of the
+    file, at most 1000 samples and a tenth of the body's radius."""
     reflectance_band: str | Annotated[int, Field(ge=1)] | None = None
-    """Band with the albedo at the laser's wavelength, 0 to 1, in place of `surface.reflectance`, which stays where
-    samples are missing."""
+    """Band with the albedo at the laser's wavelength, 0 to 1. `surface.reflectance` applies where samples are
+    missing."""
     rock_abundance_band: str | Annotated[int, Field(ge=1)] | None = None
-    """Band with the share of the area that rocks cover, 0 to 1; shown by `plan`, otherwise unused."""
+    """Band with the fraction of the area covered by rocks, 0 to 1; shown by `plan`, otherwise unused."""
     interpolation: Interpolation = "bilinear"
     """What spans the cell between four samples: one bilinear patch, or two triangles that share the diagonal from
-    south-west to north-east. The surface chosen is the truth that ranges are measured to."""
+    south-west to north-east. Ranges are measured to this surface: it is the ground truth."""
     beyond: Literal["none", "plane", "sphere"] = "none"
-    """What lies outside the grid: nothing (beams that leave it find no surface), the level plane through the
+    """What lies outside the grid: no surface (beams that leave the grid have no echo), the level plane through the
     origin, or the body's sphere through the origin. Missing samples count as outside."""
     at_m: tuple[float, float] | None = None
     """Origin of the grid in the site frame, east and north, where there are several grids. Left out: at 0, 0."""
@@ -115,8 +114,8 @@ class Grid(Part):
 
 
 class Nested(Part):
-    """Several grids: the first one that has a sample at a place counts there. Each is mixed with those after it over a
-    strip along its edge and around its holes, so that nothing breaks off there."""
+    """Nested grids: at each point the first grid that has a sample there applies. Each grid is blended into the next
+    ones over a strip along its edge and around its holes, so that the surface has no steps there."""
 
     kind: Literal["nested"]
     """Chooses this kind of ground."""
@@ -124,7 +123,7 @@ class Nested(Part):
         list[Annotated[Grid | Generated, Field(discriminator="kind")]], Field(min_length=2, max_length=16)
     ]
     """The grids, from the finest to the widest. The origin of the first is the origin of the site frame; another grid
-    whose `origin` and `at_m` are left out is placed by the same point of the map. The last one states what lies
+    whose `origin` and `at_m` are left out is aligned to the same point of the map. The last one states what lies
     beyond."""
     feather_m: NonNegative | None = None
     """Width of the strips. Left out: four pixels of the wider grid, at most a quarter of the finer one's side."""
@@ -149,7 +148,7 @@ class Surface(Part):
     reflectance: Annotated[float, Field(ge=0, le=1)] = 0.18
     """Lambertian albedo at normal incidence."""
     lommel_seeliger_share: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """L in `L + (1 - L) cos(incidence)`: 0 Lambert, 1 the Moon's at zero phase angle, about 0.5 Mars."""
+    """Fraction L in `L + (1 - L) cos(incidence)`; 0: Lambert, 1: the Moon at zero phase angle, about 0.5: Mars."""
 
 
 class Atmosphere(Part):
@@ -162,22 +161,22 @@ class Atmosphere(Part):
 
 
 class Site(Part):
-    """A place to land."""
+    """A landing site."""
 
     name: str = "site"
     """Shown in plans and summaries."""
     body: Body = Body()
     """The body and its altitude datum."""
     ground: Annotated[Plane | Sphere | Grid | Generated | Nested | Mesh, Field(discriminator="kind")]
-    """What the beams hit."""
+    """Shape of the ground."""
     objects: list[PlacedObject] = []
-    """What stands on the ground or moves above it, and is hit before it."""
+    """Objects on the ground or moving above it."""
     origin_altitude_m: float | None = None
     """Height of the site frame's origin above the body's sphere. Left out: the ground's own height at the origin
     (0 for a plane, a sphere, and a mesh that is not body-fixed), so that altitudes count from the ground at the
     landing point."""
     surface: Surface = Surface()
-    """Reflection."""
+    """Reflectance of the ground."""
     atmosphere: Atmosphere | None = None
     """Left out: vacuum."""
     sunlight_w_per_m2_um: Annotated[float, Field(ge=0, le=1e9)] = 0.0
@@ -186,7 +185,7 @@ class Site(Part):
 
     @property
     def is_smooth(self) -> bool:
-        """Whether the ground is a formula, with nothing on it."""
+        """Whether the ground is a formula, without objects on it."""
         return isinstance(self.ground, Plane | Sphere) and not self.objects
 
     @model_validator(mode="after")

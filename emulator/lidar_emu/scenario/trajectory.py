@@ -1,4 +1,4 @@
-"""The trajectory: a constant-deceleration profile, a table, live truth, or a powered descent that is computed."""
+"""The trajectory: a constant-deceleration profile, a table, live truth, or a simulated powered descent."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ class Profile(Part):
     heading_deg: float = 0.0
     """Horizontal direction of flight, clockwise from north."""
     target_east_m: float = 0.0
-    """Where the path's line meets altitude 0."""
+    """East coordinate at which the path's line meets altitude 0."""
     target_north_m: float = 0.0
-    """Where the path's line meets altitude 0."""
+    """North coordinate at which the path's line meets altitude 0."""
     attitude: Attitude = Attitude()
     """Body attitude and rates."""
 
@@ -112,7 +112,7 @@ class AngleColumn(Part):
     unit: AngleUnit
     """Unit of the file."""
     sign: Literal[1, -1] = 1
-    """-1 where the file counts the angle the other way."""
+    """-1 if the file counts the angle in the opposite direction."""
 
 
 class QuaternionColumns(Part):
@@ -132,14 +132,15 @@ class RateColumns(Part):
 
 
 class Table(Part):
-    """A CSV file with a header; cubic Hermite between its rows. Empty cells are passed over, column by column."""
+    """A CSV file with a header; cubic Hermite interpolation between its rows. Empty cells are skipped, column by
+    column."""
 
     kind: Literal["table"]
     """Chooses this kind of trajectory."""
     file: str
-    """Relative to the file that names it."""
+    """Path of the CSV file, relative to the file that names it."""
     time: TimeColumn
-    """Seconds count from the first row flown."""
+    """Time column; scenario time 0 is the first row flown."""
     up: LengthColumn
     """Height above the origin of the site frame."""
     east: LengthColumn | None = None
@@ -163,7 +164,7 @@ class Table(Part):
     maximum_gap_s: Positive = 10.0
     """A longer gap between filled cells of a column that is used, inside the part flown, is refused or bridged."""
     longer_gaps: Literal["refuse", "bridge"] = "refuse"
-    """`bridge`: such a gap is flown along the curve across it; plan, tables and pictures tell where."""
+    """`bridge`: the curve continues across such a gap; plans, tables and figures show where."""
 
     @model_validator(mode="after")
     def _one_attitude(self) -> Self:
@@ -185,14 +186,16 @@ class Live(Part):
     listen: Annotated[str, Field(json_schema_extra={"pattern": _ADDRESS})] = "udp:127.0.0.1:5600"
     """Where truth arrives: `udp:HOST:PORT` or `unix:PATH`, a datagram socket."""
     lead_s: Annotated[float, Field(ge=0, le=10)] = 1e-3
-    """How long before its packet is due a shot is computed at the latest, from the truth that is there."""
+    """Latest start of a shot's computation, as a time before its packet is due. It uses the newest truth at that
+    instant."""
     stale_after_s: Annotated[float, Field(gt=0, le=3600)] = 0.1
-    """Truth is stale when the newest is this much older than the shot that it is used for."""
+    """Truth is stale if the newest sample is older than the shot by more than this."""
     when_stale: Literal["coast", "invalid", "abort"] = "coast"
-    """`coast` continues the motion, `invalid` sends beams that did not fire, `abort` ends the run with an error.
+    """`coast` extrapolates the motion, `invalid` sends beams that did not fire, `abort` ends the run with an error.
     Each is counted."""
     jump_m: Positive = 10.0
-    """Truth further than this from where the last one was heading is a jump: counted, and not interpolated across."""
+    """A sample further than this from the extrapolation of the one before is a jump: counted, and not interpolated
+    across."""
 
     @model_validator(mode="after")
     def _address_is_one(self) -> Self:
@@ -207,41 +210,43 @@ Velocity = Annotated[float, Field(ge=-1e5, le=1e5)]
 
 
 class Start(Part):
-    """Where a powered descent begins, the engine burning."""
+    """State at the start of a powered descent; the engine is burning."""
 
     position_site_m: tuple[Coordinate, Coordinate, Coordinate]
     """East, north and up from the origin of the site frame."""
     velocity_site_mps: tuple[Velocity, Velocity, Velocity]
-    """East, north and up; the ground is at rest."""
+    """Velocity relative to the ground: east, north and up."""
     attitude: Attitude | None = None
-    """Left out: the thrust points where guidance asks for it first, and the body does not turn."""
+    """Left out: thrust along the first command of guidance, and no rotation."""
 
 
 class Target(Part):
-    """The place to land at; the ground is taken as level there."""
+    """Landing point; the ground there is taken as level."""
 
     east_m: Coordinate = 0.0
-    """From the origin of the site frame. A gravity turn lands where it gets to."""
+    """East coordinate, from the origin of the site frame. A gravity turn does not steer towards it."""
     north_m: Coordinate = 0.0
-    """From the origin of the site frame."""
+    """North coordinate, from the origin of the site frame."""
     up_m: Coordinate = 0.0
-    """Height of the ground that the feet meet."""
+    """Height of the ground at touchdown."""
 
 
 class GravityTurn(Part):
-    """Thrust against the velocity, just enough to be slow at the gate's height; the path bends down by itself."""
+    """Thrust against the velocity, just enough to reach the descent speed at the gate; gravity turns the path
+    downward."""
 
     kind: Literal["gravity_turn"]
     """Chooses this guidance."""
 
 
 class Polynomial(Part):
-    """Acceleration as a quadratic polynomial of the time to go, which ends over the target, upright and at its pace."""
+    """Acceleration as a quadratic polynomial of the time to go, to arrive above the target, upright and at the
+    descent speed."""
 
     kind: Literal["polynomial"]
     """Chooses this guidance."""
     time_to_gate_s: Annotated[float, Field(gt=0, le=3600)] | None = None
-    """Left out: what a constant deceleration to the gate would take."""
+    """Left out: the time of a constant deceleration to the gate."""
 
 
 class PoweredDescent(Part):
@@ -250,31 +255,32 @@ class PoweredDescent(Part):
     kind: Literal["powered_descent"]
     """Chooses this kind of trajectory."""
     vehicle: Vehicle
-    """What flies."""
+    """The lander."""
     start: Start
-    """State at the start."""
+    """Initial state."""
     target: Target = Target()
     """Landing target."""
     guidance: Annotated[GravityTurn | Polynomial, Field(discriminator="kind")]
-    """How it gets to the gate, the point from which it descends straight down."""
+    """Guidance to the gate, the point from which the descent is vertical."""
     gate_height_m: NonNegative = 30.0
     """Height of the gate above the ground at the target, counted from the feet."""
     descent_speed_mps: Positive = 1.5
     """Downward speed from the gate on."""
     cut_off_height_m: NonNegative = 0.5
-    """Height of the lowest foot above the ground when the engine is cut off; 0: when it touches."""
+    """Height of the lowest foot above the ground at engine cut-off; 0: at touchdown."""
     maximum_tilt_deg: Annotated[float, Field(ge=0, le=85)] = 45.0
     """Largest angle of the commanded thrust from the vertical."""
     heading_deg: float = 0.0
-    """Direction that body x keeps, clockwise from north."""
+    """Heading of body x, clockwise from north."""
     gravity_mps2: Positive = 1.62
-    """At the origin of the site frame. It points to the centre of the site's body and falls off with its square."""
+    """Gravity at the origin of the site frame. It points to the centre of the site's body and falls with the square
+    of the distance."""
     control_rate_hz: Annotated[float, Field(ge=1, le=1000)] = 20.0
-    """How often guidance and attitude control command anew."""
+    """Rate of the commands of guidance and attitude control."""
     step_s: Annotated[float, Field(ge=1e-5, le=0.1)] = 0.01
     """Longest step of the integration; a control period, spin, slosh, a bending mode or stiff feet shorten it."""
     after_touchdown_s: Annotated[float, Field(ge=0, le=60)] = 0.0
-    """How long the flight goes on, engine and control off, on the feet."""
+    """Length of the flight after touchdown, with engine and control off."""
     longest_s: Annotated[float, Field(gt=0, le=7200)] = 900.0
     """A flight that has not landed by then is refused."""
 

@@ -1,4 +1,4 @@
-"""The vehicle of a powered descent: masses, engine, attitude control, gear, and what swings and bends on it."""
+"""The vehicle of a powered descent: masses, engine, attitude control, gear, slosh and a bending mode."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ class Engine(Part):
     """A throttled engine through the centre of mass; it pushes along body -z."""
 
     maximum_thrust_n: Positive
-    """At full throttle."""
+    """Thrust at full throttle."""
     minimum_thrust_n: NonNegative = 0.0
-    """At the lowest throttle: between this and 0 it cannot burn."""
+    """Thrust at the lowest throttle; the engine cannot burn between this and 0."""
     specific_impulse_s: Positive = 310.0
     """Thrust per weight of propellant a second, in standard gravity."""
     valve_lag_s: Lag = 0.02
-    """Time constant with which the thrust follows its command. It is solved in closed form: 5e-5 is as exact as 0.1."""
+    """Time constant of the thrust's response to its command, integrated in closed form: short ones need no shorter
+    steps."""
 
     @model_validator(mode="after")
     def _throttle_range(self) -> Self:
@@ -38,18 +39,18 @@ class AttitudeControl(Part):
     bandwidth_radps: Annotated[float, Field(gt=0, le=50)] = 1.5
     """Natural frequency of the closed loop."""
     maximum_torque_nm: Positive = 400.0
-    """About each body axis."""
+    """Largest torque about each body axis."""
     maximum_rate_degps: Positive = 15.0
-    """Rate at which it turns the vehicle."""
+    """Largest rate of rotation."""
     lag_s: Lag = 0.02
-    """Time constant with which the torque follows its command."""
+    """Time constant of the torque's response to its command."""
 
 
 class Gear(Part):
     """Feet in a circle below the vehicle, each a damped spring along the vertical, with friction."""
 
     feet: Annotated[int, Field(ge=3, le=16)] = 4
-    """How many."""
+    """Number of feet."""
     radius_m: Positive = 1.5
     """Radius of the circle of the feet."""
     below_m: NonNegative = 1.2
@@ -59,31 +60,32 @@ class Gear(Part):
     damping_spm: NonNegative = 3.0
     """The spring's force is multiplied by 1 + damping · speed of compression, never below 0 (Hunt and Crossley)."""
     friction: NonNegative = 0.5
-    """Coulomb's coefficient; below 2 cm/s proportional to the speed."""
+    """Coefficient of Coulomb friction; below 2 cm/s friction is proportional to the speed."""
 
 
 class Slosh(Part):
-    """Propellant that swings: a point mass on a rod from a hinge, free in both directions."""
+    """Slosh of propellant: a pendulum of a point mass on a rod, free in both directions."""
 
     mass_kg: Positive
-    """Part of the dry mass as far as the engine is concerned: it stays."""
+    """Sloshing mass; the engine does not consume it."""
     length_m: Positive
     """Length of the rod; it swings at sqrt(acceleration / length)."""
     hinge_body_m: Vector3 = (0.0, 0.0, 0.0)
-    """Where it hangs, from the reference point."""
+    """Position of the hinge in the body frame, from the reference point."""
     damping_per_s: Annotated[float, Field(ge=0, le=100)] = 0.02
     """Friction with the tank's wall, per mass and speed."""
 
 
 class FlexibleMode(Part):
-    """One bending mode of an appendage, moved by the vehicle's angular acceleration and moving it."""
+    """One bending mode of an appendage, coupled to the vehicle's angular acceleration."""
 
     frequency_hz: Annotated[float, Field(gt=0, le=50)]
     """Frequency with the vehicle's body held still."""
     damping_ratio: Annotated[float, Field(ge=0, lt=1)] = 0.005
     """Fraction of the critical damping."""
     inertia_share: tuple[Share, Share, Share]
-    """Of the dry vehicle's inertia about body x, y and z that swings with it; their sum below 0.9."""
+    """Fractions of the dry vehicle's inertia about body x, y and z that take part in the mode; their sum is at most
+    0.9."""
 
     @model_validator(mode="after")
     def _leaves_a_body(self) -> Self:
@@ -93,20 +95,20 @@ class FlexibleMode(Part):
 
 
 class Vehicle(Part):
-    """A lander. Its reference point is its centre of mass, without what sloshes."""
+    """A lander. Its reference point is its centre of mass without the sloshing mass."""
 
     mass_kg: Positive
-    """At the start, with all that sloshes."""
+    """Mass at the start, including the sloshing mass."""
     dry_mass_kg: Positive
-    """When the tanks are empty: a flight that needs more propellant is refused."""
+    """Mass with empty tanks; a flight that needs more propellant is refused."""
     inertia_kgm2: tuple[Positive, Positive, Positive]
-    """About body x, y and z at the start; it shrinks with the mass."""
+    """Moments of inertia about body x, y and z at the start; they decrease with the mass."""
     engine: Engine
     """The main engine."""
     attitude_control: AttitudeControl = AttitudeControl()
-    """What turns it."""
+    """Attitude control."""
     gear: Gear = Gear()
-    """What it stands on."""
+    """Landing gear."""
     slosh: Slosh | None = None
     """Left out: none."""
     flexible_mode: FlexibleMode | None = None

@@ -1,4 +1,4 @@
-"""YAML 1.2 as plain values: text, numbers, lists and mappings, within reason.
+"""YAML 1.2 as plain values: text, numbers, lists and mappings, of limited size.
 
 `1e6` is a number and `12:30:45` is text, as an author means them; instants stay text for the schema to read.
 """
@@ -39,7 +39,7 @@ def read_mapping(path: Path) -> Tree:
 
 @lru_cache(maxsize=32)
 def _mapping(path: Path, data: bytes) -> Tree:
-    """Kept, since who flies a scenario many times reads the same few files again and again."""
+    """Cached: repeated runs of a scenario read the same few files."""
     if len(data) > _MAXIMUM_BYTES:
         raise InputError(str(path), None, Finding(f"{len(data)} bytes"), f"allowed: at most {_MAXIMUM_BYTES}")
     try:
@@ -66,9 +66,9 @@ def parse(text: str, where: str) -> Any:
             # About numbers in files that declare themselves YAML 1.1.
             warnings.simplefilter("ignore")
             tree = read_values(text)
-    except Exception as error:  # what values of explicit tags raise is not bounded
-        raise InputError(where, _line_of(error), _problem_of(error), _mended(error)) from None
-    _refuse_unreasonable(tree, where)
+    except Exception as error:  # values with explicit tags may raise anything
+        raise InputError(where, _line_of(error), _problem_of(error), _allowed(error)) from None
+    _check_values(tree, where)
     return tree
 
 
@@ -90,14 +90,14 @@ def _line_of(error: Exception) -> str | None:
     return None if mark is None else f"line {mark.line + 1}"
 
 
-def _mended(error: Exception) -> str:
+def _allowed(error: Exception) -> str:
     from ruamel.yaml.constructor import DuplicateKeyError
 
     return "allowed: each key once" if isinstance(error, DuplicateKeyError) else "allowed: YAML 1.2"
 
 
-def _refuse_unreasonable(tree: Any, where: str) -> None:
-    """Refuse values that no key takes, and aliases that expand beyond reason."""
+def _check_values(tree: Any, where: str) -> None:
+    """Refuse values that no key takes, and aliases that expand without bound."""
     for count, (key, node) in enumerate(_nodes(tree, ())):
         if len(key) >= MAXIMUM_DEPTH or count >= _MAXIMUM_NODES:
             limits = f"allowed: at most {_MAXIMUM_NODES} values, nested {MAXIMUM_DEPTH} deep"

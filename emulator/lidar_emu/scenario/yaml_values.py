@@ -1,4 +1,4 @@
-"""How YAML nodes become values: instants stay text, and merge keys are counted."""
+"""Values of YAML nodes: instants stay text, and merged keys are counted."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _MAXIMUM_MERGED_KEYS = 10_000
 
 
 class _Constructor(SafeConstructor):
-    """Instants are left to the schema, which knows the time zone to assume."""
+    """Leaves instants to the schema, which knows the time zone to assume."""
 
     merged_keys = 0
 
     def flatten_mapping(self, node: MappingNode) -> None:
-        """Merge, but not as often as a few lines of nested `<<` can ask for."""
+        """Merge, within a limit: a few lines of nested `<<` can repeat keys without bound."""
         before = len(node.value)
         super().flatten_mapping(node)
         self.merged_keys += max(0, len(node.value) - before)

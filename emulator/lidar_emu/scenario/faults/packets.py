@@ -82,7 +82,7 @@ class WrongCrc(TimedFault):
 
 
 class Delayed(TimedFault):
-    """Delayed packets: sent later than the time of transmission in them, in order. `late_after_s` counts from the
+    """Delayed packets: sent in order, later than the time of transmission in them. `late_after_s` counts from the
     delayed due time."""
 
     kind: Literal["delayed"]
