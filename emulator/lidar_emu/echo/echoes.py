@@ -146,7 +146,15 @@ class EchoModel:
         hits = self.cast_beamlets(pointing, axis_hits)
         footprint, echoes = self._buffers.footprint, self._buffers.echoes
         echoes.fired[:], echoes.inside[:] = pointing.fired, axis_hits.inside
-        _set_echoes(self._law, pointing.beams, pointing.time_ns, axis_hits.range_m, footprint, hits, echoes)
+        _set_echoes(
+            self._law,
+            pointing.beams,
+            pointing.time_ns,
+            axis_hits.range_m,
+            tuple(footprint),
+            (hits.normal_site, hits.velocity_site_mps, hits.reflectance),
+            tuple(echoes),
+        )
         return echoes
 
 
@@ -163,9 +171,9 @@ def _set_echoes(
     vectors: FloatArray,
     time_ns: IntArray,
     axis_range_m: FloatArray,
-    footprint: Footprint,
-    hits: Hits,
-    echoes: Echoes,
+    footprint_arrays: tuple[Any, ...],
+    hit_arrays: tuple[Any, ...],
+    echo_arrays: tuple[Any, ...],
 ) -> None:
     """Set the arrays of `echoes` but its ranges and flags.
 
@@ -174,12 +182,16 @@ def _set_echoes(
         vectors: (6, shots, beams, 3) of a `Pointing`.
         time_ns: (shots, beams) times of validity.
         axis_range_m: (shots, beams) of the beams' axes.
-        footprint: of (shots * beams) beams.
-        hits: of the beamlets, (rays,).
+        footprint_arrays: of a `Footprint` of (shots * beams) beams; like the others a plain tuple, whose type numba
+            finds sooner than a named one's.
+        hit_arrays: normals, velocities and reflectances of the beamlets' `Hits`, (rays,).
+        echo_arrays: of `Echoes`.
     """
     law = laws[0]
+    footprint, echoes = Footprint(*footprint_arrays), Echoes(*echo_arrays)
+    normals, surface_mps, reflectance = hit_arrays
     waist_m, rayleigh_m = law.waist_m, law.rayleigh_m
-    range_m, surface_mps, across = echoes.range_m, hits.velocity_site_mps, footprint.across_site
+    range_m, across = echoes.range_m, footprint.across_site
     doppler_start_m = footprint.doppler_start_m
     shots, beams, beamlets = range_m.shape
     for s in range(shots):
@@ -219,7 +231,7 @@ def _set_echoes(
             echoes.speckle_drift_per_s[s, b, 1] = nan_to_zero((second_mps + arm_m * second_radps) / pitch_m)
             for i in range(beamlets):
                 ray_i = on_axis + i
-                facet = hits.normal_site[ray_i]
+                facet = normals[ray_i]
                 echoes.closing_speed_mps[s, b, i] = (
                     _relative_speed(surface_mps, ray_i, velocity, footprint.doppler_site[beam, i])
                     - doppler_start_m[0, beam, i] * first_radps
@@ -233,7 +245,7 @@ def _set_echoes(
                 )
                 echoes.range_rate_mps[s, b, i] = sinking_mps / max(cos_incidence, _LEAST_COSINE)
                 lit = cos_incidence > 0.0 and range_m[s, b, i] >= 0.0
-                whole_w = echo_power_w(law, hits.reflectance[ray_i], range_m[s, b, i], cos_incidence)
+                whole_w = echo_power_w(law, reflectance[ray_i], range_m[s, b, i], cos_incidence)
                 echoes.power_w[s, b, i] = whole_w * footprint.weight[i] if lit else 0.0
 
 

@@ -21,7 +21,7 @@ from lidar_emu.fmcw.skip_limits import GROSS_RESIDUAL_BINS
 from lidar_emu.fmcw.speckle import forget_corners
 from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.fmcw.statistical_model import draw_targets
-from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace
+from lidar_emu.fmcw.workspace import SpectrumWorkspace, as_workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 
@@ -66,25 +66,29 @@ def _bounded(value: float) -> float:
 @kernel(outermost=True)
 def measure_beams(
     models: NDArray[Any],
-    work: Workspace,
-    spectra: SpectrumWorkspace | None,
-    echoes: Echoes,
+    work_arrays: tuple[Any, ...],
+    spectrum_arrays: tuple[Any, ...] | None,
+    echo_arrays: tuple[Any, ...],
     shot: NDArray[np.int64],
     seed: np.uint64,
     rows: NDArray[Any],
 ) -> None:
     """Measure every beam that fires.
 
+    Structures of arrays come as plain tuples, whose types numba finds sooner than those of named ones.
+
     Args:
         models: (1,) the receiver's constants.
-        work: overwritten.
-        spectra: overwritten; None draws targets from the statistical model. numba compiles that branch alone then.
-        echoes: arrays in C order.
+        work_arrays: of a `Workspace`, overwritten.
+        spectrum_arrays: of a `SpectrumWorkspace`, overwritten; None draws targets from the statistical model, and
+            numba compiles that branch alone then.
+        echo_arrays: of `Echoes`, in C order.
         shot: (shots,) their numbers.
         seed: of the run.
         rows: (shots, beams) of BEAM_RETURN, zeroed.
     """
     model = models[0]
+    work, echoes = as_workspace(work_arrays), Echoes(*echo_arrays)
     beam = work.beam[0]
     beam.seed = seed
     for s in range(rows.shape[0]):
@@ -108,15 +112,16 @@ def measure_beams(
             beam.beam = b
             _set_motion(beam, echoes, s, b)
             forget_corners(work.speckle)
-            if spectra is not None:
+            if spectrum_arrays is not None:
                 beam.filter_taps = 0
                 if beam.lit_beamlets > 0:
                     first_m, first_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
                     beam.filter_taps = widest_filter(model, first_m, first_mps, beam.smear_acceleration_mps2)
             for segment in range(3):
-                if spectra is None:
+                if spectrum_arrays is None:
                     targets = draw_targets(model, work, beam, segment)
                 else:
+                    spectra = SpectrumWorkspace(*spectrum_arrays)
                     bins = set_spectrum(model, work, spectra, beam, segment)
                     targets = find_targets(model, work, spectra, beam, segment, bins)
                 _count_targets(model, row, segment, targets, work.targets[segment])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lidar_emu.fmcw.beam_measurement import BEAM_RETURN, measure_beams, most_taps
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Returns, contiguous_echoes
-from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace, build_spectrum_workspace, build_workspace
+from lidar_emu.fmcw.workspace import build_spectrum_workspace, build_workspace, plain
 from lidar_emu.numerics.kernels import with_fields
 from lidar_emu.numerics.records import as_record
 
@@ -42,8 +42,8 @@ class FmcwReceiver:
         self._measure: Any = measure_beams
         self._most_taps: Any = most_taps
         self._beamlets, self._taps = 0, -1
-        self._work: Workspace
-        self._spectra: SpectrumWorkspace | None = None
+        self._work: tuple[Any, ...]
+        self._spectra: tuple[Any, ...] | None = None
 
     def __call__(self, echoes: Echoes, shot: NDArray[np.int64]) -> Returns:
         """The returns of echoes (shots, beams, beamlets) of shots with these numbers, (shots,)."""
@@ -54,7 +54,7 @@ class FmcwReceiver:
             self._records,
             self._work,
             self._spectra,
-            echoes,
+            tuple(echoes),
             np.ascontiguousarray(shot, dtype=np.int64),
             self._seed,
             with_fields(rows),
@@ -70,9 +70,9 @@ class FmcwReceiver:
             taps = self._most_taps(self._records, echoes.range_m, *motion)
         if self._beamlets == beamlets and self._taps >= taps:
             return
-        self._work = build_workspace(beamlets, model.looks)
+        self._work = plain(build_workspace(beamlets, model.looks))
         if not model.statistical:
-            self._spectra = build_spectrum_workspace(beamlets, model.looks, taps, model.fft_length)
+            self._spectra = tuple(build_spectrum_workspace(beamlets, model.looks, taps, model.fft_length))
         self._beamlets, self._taps = beamlets, taps
 
 

@@ -12,7 +12,7 @@ from lidar_emu.fmcw.motion_smear import LEAST_TAPS
 from lidar_emu.fmcw.speckle import SpeckleField, speckle_field
 from lidar_emu.fmcw.spectrum import REACH, ROWS, grid_capacity
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.numerics.kernels import with_fields
+from lidar_emu.numerics.kernels import kernel, with_fields
 
 MAX_TARGETS = 4
 """Targets kept of one spectrum, the strongest."""
@@ -85,6 +85,18 @@ def build_workspace(beamlets: int, looks: int) -> Workspace:
         targets=with_fields(np.empty((3, MAX_TARGETS), dtype=TARGET)),
         alarms=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
     )
+
+
+def plain(work: Workspace) -> tuple[Any, ...]:
+    """The arrays of a workspace as plain tuples, for calls from Python."""
+    return tuple(tuple(part) if isinstance(part, tuple) else part for part in work)
+
+
+@kernel
+def as_workspace(arrays: tuple[Any, ...]) -> Workspace:
+    """The workspace of `plain` tuples."""
+    beam, beamlets, tones, speckle, targets, alarms = arrays
+    return Workspace(beam, beamlets, tones, SpeckleField(*speckle), targets, alarms)
 
 
 def build_spectrum_workspace(beamlets: int, looks: int, taps: int, length: float) -> SpectrumWorkspace:
