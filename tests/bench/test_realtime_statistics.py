@@ -11,12 +11,12 @@ from lidar_emu.bench.cyclictest import histogram_figures
 from lidar_emu.bench.realtime import RealtimeOptions, in_order_of, scenario_of
 from lidar_emu.bench.realtime_statistics import (
     NEVER,
+    SecondComparison,
     Side,
-    Window,
     counts_between,
     figures,
     histogram_edges_ns,
-    late_of_its_own,
+    late_without_control,
     median_excess_ns,
     windows,
 )
@@ -55,7 +55,7 @@ def test_seconds_stand_beside_each_other():
     assert [window.at_s for window in told] == list(range(11))  # half of the last second is there
     assert [window.late for window in told] == [1, 0, 2, 0, 0, 0, 0, 0, 0, 1, 0]
     assert [window.control_late for window in told] == [0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0]
-    assert late_of_its_own(told) == 2
+    assert late_without_control(told) == 2
     excess = []
     for second in range(11):
         p99 = []
@@ -78,13 +78,13 @@ def test_nothing_measured_is_nothing():
     nothing = side(np.empty(0, dtype=np.int64), 100)
     assert windows(nothing, nothing) == []
     assert median_excess_ns([]) is None
-    assert late_of_its_own([]) == 0
+    assert late_without_control([]) == 0
 
 
 def test_a_second_of_skipped_shots_has_no_p99_but_counts():
-    of = [Window(0, None, 5, 100, 0), Window(1, 30, 10, 0, 0)]
+    of = [SecondComparison(0, None, 5, 100, 0), SecondComparison(1, 30, 10, 0, 0)]
     assert median_excess_ns(of) == 20
-    assert late_of_its_own(of) == 100
+    assert late_without_control(of) == 100
 
 
 def test_skipped_shots_were_woken_up_for_all_the_same():

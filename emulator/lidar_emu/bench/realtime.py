@@ -1,4 +1,4 @@
-"""How late the emulator is on this machine: a whole flight beside a control that only sleeps and writes."""
+"""Lateness of the emulator on this machine: a whole flight, and a control process that only sleeps and writes."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.bench.cyclictest import Cyclictest
-from lidar_emu.bench.realtime_helper import Helper
-from lidar_emu.bench.realtime_statistics import NEVER, Side, Window, windows
+from lidar_emu.bench.helper_process import Helper
+from lidar_emu.bench.realtime_statistics import NEVER, SecondComparison, Side, windows
 from lidar_emu.numerics.arrays import IntArray
 from lidar_emu.recording.write import Recorder
 from lidar_emu.runtime.feed.packet_queue import payload_of
@@ -40,7 +40,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class RealtimeOptions:
-    """What is flown."""
+    """The benchmark flight."""
 
     rate_hz: float = 1111.0
     """Shots per second."""
@@ -48,29 +48,29 @@ class RealtimeOptions:
     beamlets: int = 61
     """Per beam; the four beams are fired together."""
     recording: bool = False
-    """Whether the flight is recorded as well, into a file that is thrown away."""
+    """Whether the flight is recorded as well, into a temporary file."""
 
 
 @dataclass(frozen=True)
 class RealtimeReport:
-    """What both sides measured."""
+    """The measurements of emulator and control process."""
 
     options: RealtimeOptions
     emulator: Side
     control: Side
-    windows: list[Window]
+    windows: list[SecondComparison]
     steal_by_second: dict[int, int]
-    """Ticks that the host took in each second of the run; empty where the system does not count them."""
+    """Ticks stolen by the host in each second of the run; empty if the system does not count them."""
     packet_bytes: int
     summary: dict[str, Any]
     """The flight's own, as `lidar-emu run --summary` writes it."""
     control_granted: list[str]
     cyclictest: dict[str, int] | None
-    """None where it is not installed, or could not run."""
+    """None if it is not installed, or could not run."""
 
 
 def scenario_of(options: RealtimeOptions) -> FlightScenario:
-    """The shipped descent's instrument and ground, on a straight way down that takes the whole duration.
+    """The shipped descent's instrument and ground, on a straight descent that takes the whole duration.
 
     Raises:
         InputError: a rate, duration or number of beamlets that no instrument has.
@@ -93,7 +93,7 @@ def scenario_of(options: RealtimeOptions) -> FlightScenario:
 
 
 def measure_realtime(options: RealtimeOptions, progress: Progress) -> RealtimeReport:
-    """Fly, with the control and the readers beside; Ctrl-C ends the flight early and keeps what was measured.
+    """Fly, with control process and readers in parallel; Ctrl-C ends the flight early and keeps the measurements.
 
     Raises:
         InputError: as `scenario_of`.
@@ -102,39 +102,39 @@ def measure_realtime(options: RealtimeOptions, progress: Progress) -> RealtimeRe
     progress("preparing")
     scenario = scenario_of(options)
     model = build_model(scenario)
-    witness = _Witness(progress)
+    log = _ReportLog(progress)
     run_options = RunOptions(PortSpec(Kind.PTY, baud=_BAUD))
-    run = Run(scenario, model, run_options, [witness])
+    run = Run(scenario, model, run_options, [log])
     with ExitStack() as stack:
         if options.recording:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lidar-emu-"))
             recorder = Recorder(Path(folder) / "flight.mcap", scenario, run_options)
-            witness.others.append(stack.enter_context(recorder))
+            log.others.append(stack.enter_context(recorder))
         cyclictest = stack.enter_context(Cyclictest(scenario.timing.period_ns, model.shot_count))
-        beside = _Beside(
+        processes = _ControlProcesses(
             stack, run, scenario.timing.late_after_ns, scenario.timing.period_ns, model.shot_count
         )
-        witness.others.append(beside)
+        log.others.append(processes)
         summary = run.fly().to_json()
         progress("collecting")
-        emulator = witness.side(run.start_ns or 0, beside.received_ns(), beside.delimiters)
-        control = beside.control_side()
+        emulator = log.side(run.start_ns or 0, processes.received_ns(), processes.delimiters)
+        control = processes.control_side()
         cyclic = cyclictest.result()
     return RealtimeReport(
         options,
         emulator,
         control,
         windows(emulator, control),
-        witness.steal_by_second(),
-        beside.packet_bytes,
+        log.steal_by_second(),
+        processes.packet_bytes,
         summary,
-        beside.granted,
+        processes.granted,
         cyclic,
     )
 
 
-class _Witness(Observer):
-    """Notes every report of the flight, in the loop of the model's process."""
+class _ReportLog(Observer):
+    """Records every delivery report of the flight, in the loop of the model process."""
 
     def __init__(self, progress: Progress) -> None:
         self.others: list[Observer] = []
@@ -160,7 +160,7 @@ class _Witness(Observer):
             other.on_block_sent(block)
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
-        """Note it, and the steal ticks once a second."""
+        """Record it, and the steal ticks once a second."""
         self._due.append(report.due_ns)
         self._woke.append(report.woke_ns)
         self._sent.append(report.sent_ns)
@@ -175,7 +175,7 @@ class _Witness(Observer):
             other.on_report(packet, report)
 
     def side(self, start_ns: int, received_ns: IntArray, delimiters: int) -> Side:
-        """What was noted, with the instants of the reader (monotonic clock, one per delimiter)."""
+        """The recorded instants, with those of the reader (monotonic clock, one per delimiter)."""
         sent = np.array(self._sent, dtype=np.int64)
         return Side(
             np.array(self._due, dtype=np.int64),
@@ -186,19 +186,19 @@ class _Witness(Observer):
         )
 
     def steal_by_second(self) -> dict[int, int]:
-        """Ticks taken from one second's first report to the next one's."""
+        """Ticks stolen between the first reports of consecutive seconds."""
         return {
             second: after - before
             for (second, before), (_, after) in zip(self._steal, self._steal[1:], strict=False)
         }
 
 
-class _Beside(Observer):
-    """The control and the two readers, started by what happens in the flight.
+class _ControlProcesses(Observer):
+    """The control process and the two readers, started by events of the flight.
 
     Args:
         stack: ends the processes.
-        run: of which the start is asked.
+        run: the flight, whose start they need.
     """
 
     def __init__(
@@ -209,31 +209,31 @@ class _Beside(Observer):
         self._period_ns = period_ns
         self._shot_count = shot_count
         self._control, self._control_reader, self._reader = (
-            stack.enter_context(Helper(f"lidar_emu.bench.realtime_{name}"))
-            for name in ("control", "far_end", "far_end")
+            stack.enter_context(Helper(f"lidar_emu.bench.{name}"))
+            for name in ("realtime_control", "pty_reader", "pty_reader")
         )
-        told = self._control.hear()
+        told = self._control.receive()
         self.granted: list[str] = told["granted"]
         for reader in (self._reader, self._control_reader):
-            reader.hear()
-        self._control_reader.tell(path=told["path"])
-        self._control_reader.hear()
+            reader.receive()
+        self._control_reader.send(path=told["path"])
+        self._control_reader.receive()
         self._first_due_ns: int | None = None
         self.packet_bytes = 0
         self.delimiters = 1
 
     def on_block_computed(self, block: Block) -> None:
-        """With the first shots it is known what the control has to write."""
+        """Take the size of the packets from the first shots."""
         if self._first_due_ns is None:
             payload = payload_of(block.packets[0])
             self.packet_bytes, self.delimiters = len(payload), payload.count(0)
             self._first_due_ns = int(block.measurement.due_ns[0])
 
     def on_opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
-        """Open the far end of the emulator's pty; the start is known, and so is when the control has to write."""
-        self._reader.tell(path=port)
-        self._reader.hear()
-        self._control.tell(
+        """Open the far end of the emulator's pty, and send the control process its schedule."""
+        self._reader.send(path=port)
+        self._reader.receive()
+        self._control.send(
             packet_bytes=self.packet_bytes,
             start_ns=self._run.start_ns,
             first_due_ns=self._first_due_ns,
@@ -247,7 +247,7 @@ class _Beside(Observer):
         return self._reader.finish()[0] if self._run.start_ns is not None else _NOTHING
 
     def control_side(self) -> Side:
-        """What the control and its reader noted."""
+        """The instants of the control process and its reader."""
         if self._first_due_ns is None or self._run.start_ns is None:
             return Side(_NOTHING, _NOTHING, _NOTHING, _NOTHING, _NOTHING.astype(bool))
         received = self._control_reader.finish()[0] - self._run.start_ns
@@ -258,7 +258,7 @@ class _Beside(Observer):
 
 
 def in_order_of(sent_ns: IntArray, received_ns: IntArray) -> IntArray:
-    """When each packet was received, shape as `sent_ns`: neither the pty nor the reader changes the order."""
+    """Instants of reception, shape as `sent_ns`: neither the pty nor the reader changes the order."""
     result = np.full(len(sent_ns), NEVER, dtype=np.int64)
     sent = np.flatnonzero(sent_ns != NEVER)[: len(received_ns)]
     result[sent] = received_ns[: len(sent)]

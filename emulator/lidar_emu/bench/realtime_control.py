@@ -1,7 +1,7 @@
-"""The control of `bench realtime`: the same sleep and the same write at the same instants, and nothing else.
+"""The control process of `bench realtime`: the same sleep and the same write at the same instants, and nothing else.
 
-Started as a process; see `realtime_helper`. What it is late by, this machine makes any program late by that sleeps
-and writes. It is told once when and what to write, and answers with the path of its pty before.
+A helper process; see `helper_process`. Its lateness is the lateness of any program on this machine that sleeps and
+writes. It sends the path of its pty, and then receives when and what to write.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import signal
 import tty
 from array import array
 
-from lidar_emu.bench.realtime_answers import LIFELINE, answer, answer_arrays, next_order
+from lidar_emu.bench.helper_pipes import CONTROL, receive_message, send_arrays, send_message
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.realtime import request_realtime
 
@@ -20,21 +20,21 @@ _SECOND_ISOLATED_CORE = 1
 
 
 def main() -> None:
-    """Write until the last shot, or until the lifeline ends."""
+    """Write until the last shot, or until the control pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     master, slave = os.openpty()
     tty.setraw(slave)
     os.set_blocking(master, False)
-    answer(path=os.ttyname(slave), granted=request_realtime(_SECOND_ISOLATED_CORE).granted)
-    order = next_order()
-    if order is None:
+    send_message(path=os.ttyname(slave), granted=request_realtime(_SECOND_ISOLATED_CORE).granted)
+    message = receive_message()
+    if message is None:
         return
-    os.close(slave)  # by now the reader has it open
-    payload = b"U" * (order.pop("packet_bytes") - 1) + b"\0"
+    os.close(slave)  # the reader has it open by now
+    payload = b"U" * (message.pop("packet_bytes") - 1) + b"\0"
     clock = Clock()
-    instants = write_on_time(clock, master, payload, **order)
-    clock.wait(None, [LIFELINE])  # closing the pty would throw away what its reader has not fetched
-    answer_arrays(*instants)
+    instants = write_on_time(clock, master, payload, **message)
+    clock.wait(None, [CONTROL])  # closing the pty would discard bytes that its reader has not fetched
+    send_arrays(*instants)
 
 
 def write_on_time(
@@ -47,14 +47,14 @@ def write_on_time(
     count: int,
     late_after_ns: int,
 ) -> tuple[array[int], array[int]]:
-    """Write when it is due, or not at all when that is past; returns when it woke up and when it had written.
+    """Write when due, or not at all if it is too late; return when it woke up and when it had written.
 
-    Both count from the start; -1 where nothing was written. Shots that did not come up any more are left out.
+    Both count from the start; -1 where nothing was written. Shots after an early end are left out.
     """
     woke, written = array("q"), array("q")
     due_ns = start_ns + first_due_ns
     for _ in range(count):
-        ready, _roomy = clock.wait(due_ns, [LIFELINE, descriptor])
+        ready, _roomy = clock.wait(due_ns, [CONTROL, descriptor])
         if ready:
             break
         woke_ns = clock.now_ns()

@@ -1,4 +1,4 @@
-"""The report of `bench realtime` for machines."""
+"""The report of `bench realtime` as a JSON document."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from lidar_emu.bench.realtime_statistics import (
     counts_between,
     figures,
     histogram_edges_ns,
-    late_of_its_own,
+    late_without_control,
     median_excess_ns,
 )
 
 
 def realtime_document(report: RealtimeReport) -> dict[str, Any]:
-    """Everything but the single shots. Times are integer nanoseconds."""
+    """All results except the single shots. Times are integer nanoseconds."""
     shots, summary = report.summary["shots"], report.summary
     return {
         "machine": {
@@ -40,7 +40,7 @@ def realtime_document(report: RealtimeReport) -> dict[str, Any]:
         "windows": {
             "count": len(report.windows),
             "median_excess_p99_ns": median_excess_ns(report.windows),
-            "late_where_control_had_none": late_of_its_own(report.windows),
+            "late_where_control_had_none": late_without_control(report.windows),
             "each": [
                 asdict(window) | {"steal_ticks": report.steal_by_second.get(window.at_s)}
                 for window in report.windows

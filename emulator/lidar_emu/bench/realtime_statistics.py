@@ -1,4 +1,4 @@
-"""What was late by how much, and how much of that is the machine's: pure figures of two sides."""
+"""Lateness statistics of emulator and control process, and the emulator's own contribution."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ QUANTILES = {"p50_ns": 0.5, "p99_ns": 0.99, "p99_9_ns": 0.999, "max_ns": 1.0}
 
 @dataclass(frozen=True)
 class Side:
-    """Instants of one side, the emulator's or the control's, in the order of its shots: arrays of shape (shots,).
+    """Instants of the emulator or of the control process, in the order of its shots: arrays of shape (shots,).
 
     All count in nanoseconds from the start of the run; `NEVER` where it did not happen.
     """
 
     due_ns: IntArray
     woke_ns: IntArray
-    """When the process had woken up for the shot."""
+    """When the process woke up for the shot."""
     written_ns: IntArray
-    """When the write had returned."""
+    """When the write returned."""
     received_ns: IntArray
-    """When the reader at the other end of the pty had it."""
+    """When the reader at the other end of the pty received it."""
     late: BoolArray
-    """Shots that were skipped because it was too late for them."""
+    """Shots that were skipped because they were too late."""
 
     def wake_up_ns(self) -> IntArray:
-        """Lateness of waking up, of all shots, skipped ones too."""
+        """Lateness of waking up for all shots, including skipped ones."""
         return self._after_due(self.woke_ns)
 
     def due_to_written_ns(self) -> IntArray:
-        """Of shots that were written."""
+        """Lateness of the write for shots that were written."""
         return self._after_due(self.written_ns)
 
     def due_to_received_ns(self) -> IntArray:
-        """Of shots that were received."""
+        """Lateness of reception for shots that were received."""
         return self._after_due(self.received_ns)
 
     def _after_due(self, instant_ns: IntArray) -> IntArray:
@@ -48,7 +48,7 @@ class Side:
         return lateness_ns
 
     def where(self, chosen: BoolArray) -> Side:
-        """Some of the shots."""
+        """The chosen shots."""
         return Side(
             self.due_ns[chosen],
             self.woke_ns[chosen],
@@ -59,13 +59,13 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Window:
-    """One second of due times, both sides beside each other."""
+class SecondComparison:
+    """One second of due times: emulator and control process."""
 
     at_s: int
-    """Its beginning."""
+    """Start of the second."""
     p99_ns: int | None
-    """Of the emulator's due-to-written; None where nothing was written."""
+    """p99 of the emulator's due-to-written; None if nothing was written."""
     control_p99_ns: int | None
     late: int
     control_late: int
@@ -85,11 +85,11 @@ def figures(values_ns: IntArray) -> dict[str, int | None]:
     }
 
 
-def windows(emulator: Side, control: Side) -> list[Window]:
-    """Both sides, second by second; the last is left out where it holds less than half of a second's shots."""
+def windows(emulator: Side, control: Side) -> list[SecondComparison]:
+    """Both sides, second by second; the last is left out if it holds less than half of a second's shots."""
     parts, control_parts = _full_seconds(emulator), _full_seconds(control)
     return [
-        Window(
+        SecondComparison(
             second,
             quantile_ns(part.due_to_written_ns(), 0.99),
             quantile_ns(control_part.due_to_written_ns(), 0.99),
@@ -108,10 +108,10 @@ def _full_seconds(side: Side) -> dict[int, Side]:
     return {int(second): side.where(seconds == second) for second in full}
 
 
-def median_excess_ns(of: list[Window]) -> float | None:
-    """Median over windows of the emulator's p99 less the control's: what the emulator itself costs.
+def median_excess_ns(of: list[SecondComparison]) -> float | None:
+    """Median over seconds of the emulator's p99 minus the control's: the emulator's own contribution.
 
-    A host that takes the machine away for a while hits both sides, or one of them in a window or two.
+    A host that suspends the machine for a while affects both sides, or one of them in a second or two.
     """
     excess = [
         window.p99_ns - window.control_p99_ns
@@ -121,8 +121,8 @@ def median_excess_ns(of: list[Window]) -> float | None:
     return float(np.median(excess)) if excess else None
 
 
-def late_of_its_own(of: list[Window]) -> int:
-    """Late shots in windows where the control had none."""
+def late_without_control(of: list[SecondComparison]) -> int:
+    """Late shots in seconds in which the control process had none."""
     return sum(window.late for window in of if not window.control_late)
 
 

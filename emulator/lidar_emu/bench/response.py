@@ -1,4 +1,4 @@
-"""How long the emulator takes from truth in to the last byte written, beside a control that writes at once."""
+"""Latency from live truth to the last byte written, compared with a control process that writes at once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.bench.realtime_helper import Helper
+from lidar_emu.bench.helper_process import Helper
 from lidar_emu.bench.realtime_statistics import NEVER
 from lidar_emu.numerics.arrays import IntArray
 from lidar_emu.runtime.clock import Clock
@@ -30,12 +30,12 @@ _BAUD = 3_000_000
 _TOP_M, _BOTTOM_M, _SPEED_MPS = 2000.0, 100.0, 50.0
 _BEFORE_START_S = 0.5
 _EARLY_NS = 100_000
-"""Truth comes this long before the packet is due: later, the shot would be computed without it."""
+"""Truth is sent this long before the packet is due: any later, the shot would be computed without it."""
 
 
 @dataclass(frozen=True)
 class ResponseReport:
-    """What both sides took, in nanoseconds, one number for each shot that was written."""
+    """Latencies of emulator and control process in nanoseconds, one for each shot that was written."""
 
     rate_hz: float
     duration_s: float
@@ -48,7 +48,7 @@ class ResponseReport:
 def measure_response(
     rate_hz: float, duration_s: float, beamlets: int, progress: Callable[[str], None]
 ) -> ResponseReport:
-    """Fly by a simulator's truth, which comes for each shot just before its packet is due.
+    """Fly on a simulator's truth, which is sent for each shot just before its packet is due.
 
     Raises:
         InputError: a rate, duration or number of beamlets that no instrument has.
@@ -63,9 +63,11 @@ def measure_response(
         assert isinstance(model, FlightModel)
         simulator, control, reader, control_reader = (
             stack.enter_context(Helper(f"lidar_emu.bench.{name}"))
-            for name in ("response_simulator", "response_control", "realtime_far_end", "realtime_far_end")
+            for name in ("response_simulator", "response_control", "pty_reader", "pty_reader")
         )
-        beside = _Beside(simulator, control, reader, control_reader, addresses, model, scenario, progress)
+        beside = _SimulatorProcesses(
+            simulator, control, reader, control_reader, addresses, model, scenario, progress
+        )
         port, clock = PortSpec(Kind.PTY, baud=_BAUD), Clock()
         Run(
             scenario, model, RunOptions(port), []
@@ -102,8 +104,8 @@ def _scenario(rate_hz: float, duration_s: float, beamlets: int, address: Path) -
     return scenario
 
 
-class _Beside(Observer):
-    """Starts simulator, control and readers with the flight, and notes when its packets were written."""
+class _SimulatorProcesses(Observer):
+    """Starts simulator, control process and readers with the flight, and records when its packets were written."""
 
     def __init__(
         self,
@@ -123,20 +125,20 @@ class _Beside(Observer):
         self.start_ns = 0
         self.shots: list[int] = []
         self.written_ns: list[int] = []
-        path = control.hear()["path"]
+        path = control.receive()["path"]
         for helper in (simulator, reader, control_reader):
-            helper.hear()
-        control_reader.tell(path=path)
-        control_reader.hear()
+            helper.receive()
+        control_reader.send(path=path)
+        control_reader.receive()
 
     def on_waiting(self, port: str, what: str) -> None:  # noqa: ARG002
-        """The port is open: so can be the others."""
-        self._reader.tell(path=port)
-        self._reader.hear()
-        self._control.tell(address=str(self._addresses[1]), packet_bytes=144)
-        self._control.hear()
+        """Start the other processes once the port is open."""
+        self._reader.send(path=port)
+        self._reader.receive()
+        self._control.send(address=str(self._addresses[1]), packet_bytes=144)
+        self._control.receive()
         flight = self._flight
-        self._simulator.tell(
+        self._simulator.send(
             emulator=str(self._addresses[0]),
             control=str(self._addresses[1]),
             start_ns=self.start_ns,
@@ -149,11 +151,11 @@ class _Beside(Observer):
         )
 
     def on_opened(self, port: str, start: datetime) -> None:
-        """Say so."""
+        """Report progress."""
         self._progress(f"flying on {port} from {start:%H:%M:%S}")
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
-        """Note when it was written."""
+        """Record when it was written."""
         if report.sent_ns >= 0:
             self.shots.append(packet.shot)
             self.written_ns.append(report.sent_ns)

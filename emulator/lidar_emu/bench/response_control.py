@@ -1,6 +1,6 @@
-"""The control of `bench response`: for each datagram a write of as many bytes to a pty, and nothing else.
+"""The control process of `bench response`: writes as many bytes to a pty for each datagram, and nothing else.
 
-A process; see `realtime_helper`.
+A process; see `helper_process`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import socket
 import tty
 from array import array
 
-from lidar_emu.bench.realtime_answers import LIFELINE, answer, answer_arrays, next_order
+from lidar_emu.bench.helper_pipes import CONTROL, receive_message, send_arrays, send_message
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.realtime import request_realtime
 
@@ -19,27 +19,27 @@ _NEVER = -1
 
 
 def main() -> None:
-    """Write until the lifeline ends."""
+    """Write until the control pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     master, slave = os.openpty()
     tty.setraw(slave)
     os.set_blocking(master, False)
-    answer(path=os.ttyname(slave), granted=request_realtime(1).granted)
-    order = next_order()
+    send_message(path=os.ttyname(slave), granted=request_realtime(1).granted)
+    order = receive_message()
     if order is None:
         return
     os.close(slave)
     link = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     link.bind(order["address"])
-    answer(open=True)
-    answer_arrays(_write(Clock(), link, master, b"U" * order["packet_bytes"]))
+    send_message(open=True)
+    send_arrays(_write(Clock(), link, master, b"U" * order["packet_bytes"]))
 
 
 def _write(clock: Clock, link: socket.socket, descriptor: int, payload: bytes) -> array[int]:
-    """When each write had returned, on the monotonic clock."""
+    """Instants at which each write returned, on the monotonic clock."""
     written = array("q")
     while True:
-        ready, _ = clock.wait(None, [link.fileno(), LIFELINE])
+        ready, _ = clock.wait(None, [link.fileno(), CONTROL])
         if link.fileno() not in ready:
             return written
         link.recv(65536)

@@ -1,6 +1,6 @@
-"""The simulator of `bench response`: sends truth at given instants, and notes when.
+"""The simulator of `bench response`: sends truth at given instants, and records when.
 
-A process; see `realtime_helper`.
+A process; see `helper_process`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import socket
 from array import array
 from contextlib import suppress
 
-from lidar_emu.bench.realtime_answers import LIFELINE, answer, answer_arrays, next_order
+from lidar_emu.bench.helper_pipes import CONTROL, receive_message, send_arrays, send_message
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.realtime import request_realtime
 from lidar_emu.trajectory.live_datagram import Truth
@@ -19,14 +19,14 @@ _FACING_DOWN = (0.0, 0.5**0.5, 0.5**0.5, 0.0)
 
 
 def main() -> None:
-    """Send until the last shot, or until the lifeline ends."""
+    """Send until the last shot, or until the control pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    answer(ready=True)
-    order = next_order()
+    send_message(ready=True)
+    order = receive_message()
     if order is None:
         return
     request_realtime()
-    answer_arrays(*_send(Clock(), **order))
+    send_arrays(*_send(Clock(), **order))
 
 
 def _send(
@@ -50,13 +50,13 @@ def _send(
     for shot in range(count):
         due_ns = start_ns + first_sent_ns + shot * period_ns
         for receiver, wait_ns, sent in ((emulator, 0, told), (control, period_ns // 2, told_control)):
-            if clock.wait(due_ns + wait_ns, [LIFELINE])[0]:
+            if clock.wait(due_ns + wait_ns, [CONTROL])[0]:
                 return told, told_control
             datagram = _truth(shot + 1, first_truth_ns + shot * period_ns, top_m, speed_mps)
             sent.append(clock.now_ns() - start_ns)
-            with suppress(OSError):  # it has ended
+            with suppress(OSError):  # the receiver has ended
                 link.sendto(datagram, receiver)
-    clock.wait(None, [LIFELINE])
+    clock.wait(None, [CONTROL])
     return told, told_control
 
 

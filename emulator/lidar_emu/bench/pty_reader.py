@@ -1,4 +1,4 @@
-"""The reader at the far end of a pty: notes when each packet was there. A process; see `realtime_helper`."""
+"""The reader at the far end of a pty: records when each packet arrived. A helper process; see `helper_process`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import signal
 from array import array
 
-from lidar_emu.bench.realtime_answers import LIFELINE, answer, answer_arrays, next_order
+from lidar_emu.bench.helper_pipes import CONTROL, receive_message, send_arrays, send_message
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.realtime import request_realtime
 
@@ -15,23 +15,23 @@ _THIRD_ISOLATED_CORE = 2
 
 
 def main() -> None:
-    """Read until the other end is closed, or until the lifeline ends."""
+    """Read until the other end is closed, or until the control pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    answer(ready=True)
-    order = next_order()
-    if order is None:
+    send_message(ready=True)
+    message = receive_message()
+    if message is None:
         return
-    descriptor = os.open(order["path"], os.O_RDWR | os.O_NOCTTY)
+    descriptor = os.open(message["path"], os.O_RDWR | os.O_NOCTTY)
     request_realtime(_THIRD_ISOLATED_CORE)
-    answer(open=True)
-    answer_arrays(_note_delimiters(Clock(), descriptor))
+    send_message(open=True)
+    send_arrays(_record_delimiters(Clock(), descriptor))
 
 
-def _note_delimiters(clock: Clock, descriptor: int) -> array[int]:
+def _record_delimiters(clock: Clock, descriptor: int) -> array[int]:
     """Instants of the monotonic clock, one for each zero byte: zero is in no packet but at its ends."""
     seen = array("q")
     while True:
-        ready, _ = clock.wait(None, [descriptor, LIFELINE])
+        ready, _ = clock.wait(None, [descriptor, CONTROL])
         if descriptor in ready:
             try:
                 data = os.read(descriptor, _READ_BYTES)
@@ -41,7 +41,7 @@ def _note_delimiters(clock: Clock, descriptor: int) -> array[int]:
             if not data:
                 return seen
             seen.extend([now_ns] * data.count(0))
-        elif LIFELINE in ready:
+        elif CONTROL in ready:
             return seen
 
 

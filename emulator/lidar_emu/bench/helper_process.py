@@ -1,6 +1,6 @@
-"""A process beside the flight that measures, and what its parent knows of it.
+"""A helper process that measures beside a flight: the parent's side.
 
-It is told JSON lines on its standard input, which is also its lifeline, answers with JSON lines, and at its end
+It receives JSON lines on its standard input, the control pipe, replies with JSON lines, and at its end
 writes a line with the number of its arrays and then the arrays, one after the other, all of the same length.
 """
 
@@ -35,8 +35,8 @@ class Helper:
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._lifeline = self._process.stdin
-        self._answers = self._process.stdout
+        self._control = self._process.stdin
+        self._replies = self._process.stdout
 
     def __enter__(self) -> Self:
         return self
@@ -46,35 +46,35 @@ class Helper:
     ) -> None:
         self._process.kill()
         self._process.wait()
-        self._answers.close()
-        self._hang_up()
+        self._replies.close()
+        self._close_control()
 
-    def tell(self, **order: object) -> None:
-        """Give it a line."""
-        self._lifeline.write(json.dumps(order).encode() + b"\n")
-        self._lifeline.flush()
+    def send(self, **message: object) -> None:
+        """Send it a message."""
+        self._control.write(json.dumps(message).encode() + b"\n")
+        self._control.flush()
 
-    def hear(self) -> dict[str, Any]:
-        """Its next line.
+    def receive(self) -> dict[str, Any]:
+        """Its next message.
 
         Raises:
             RunError: it ended without one.
         """
-        line = self._answers.readline()
+        line = self._replies.readline()
         if not line:
             raise RunError(f"{self._module} ended (exit code {self._process.wait()})")
-        answer: dict[str, Any] = json.loads(line)
-        return answer
+        reply: dict[str, Any] = json.loads(line)
+        return reply
 
     def finish(self) -> list[IntArray]:
-        """Cut the lifeline and take what it measured."""
-        self._hang_up()
-        count = self.hear()["arrays"]
-        values = np.frombuffer(self._answers.read(), dtype=np.int64)
+        """Close the control pipe and receive the measured arrays."""
+        self._close_control()
+        count = self.receive()["arrays"]
+        values = np.frombuffer(self._replies.read(), dtype=np.int64)
         return list(values.reshape(count, -1))
 
-    def _hang_up(self) -> None:
+    def _close_control(self) -> None:
         try:
-            self._lifeline.close()
-        except BrokenPipeError:  # it was gone before it heard the last line
+            self._control.close()
+        except BrokenPipeError:  # it ended before it received the last message
             return
