@@ -172,7 +172,8 @@ def test_a_process_that_stood_still_is_told_and_followed_by_no_burst(
     told = read_summary(tmp_path / "s.json")
     what = [event["what"] for event in told["process_events"]]
     texts = {"port": ["does not respond", "responds again"], "model": ["stalled"]}[who]
-    assert all(any(f"the {who}'s process {text}" in line for line in what) for text in texts), what
+    process = {"port": "the port process", "model": "the model's process"}[who]
+    assert all(any(f"{process} {text}" in line for line in what) for text in texts), what
     assert all(f": {line}" in run.out for line in what)
     shots, _ = received(far_end)
     assert (told["shots"]["due"], told["shots"]["sent"]) == (500, len(shots))

@@ -200,6 +200,25 @@ def test_reports_tell_when_the_process_had_woken_up(wall: Rig) -> None:
     assert wall.seen == [DeliveryReport(0, SECOND_NS, SECOND_NS + 730, DeliveryStatus.SENT, SECOND_NS + 700)]
 
 
+def test_a_shot_that_was_sent_before_its_command_came_is_not_sent_again(wall: Rig) -> None:
+    """The model recomputes shots 2 to 4 while shot 2 goes out; the sender has no mark for the new generation yet."""
+    for shot in range(3):
+        wall.push(shot, shot * 1000)
+    wall.run_until_empty()
+    for shot in range(2, 5):
+        packet = OutgoingPacket(shot, shot * 1000, b"new" + bytes([shot]), generation=1)
+        assert wall.packets.push(packet.to_bytes())
+    wall.run_until_empty()
+    sent = [payload for _, payload in wall.line.taken]
+    assert sent == [b"\0\0\0\0", b"\0\0\0\1", b"\0\0\0\2", b"new\3", b"new\4"]
+    assert [(report.shot, report.status, report.packets) for report in wall.seen[3:]] == [
+        (2, DeliveryStatus.SUPERSEDED, 1),
+        (3, DeliveryStatus.SENT, 1),
+        (4, DeliveryStatus.SENT, 1),
+    ]
+    assert wall.sender.completed == 6
+
+
 def test_a_full_line_drops_the_new_packet_at_its_time(wall: Rig) -> None:
     wall.line.status = DeliveryStatus.DROPPED_FULL
     wall.push(0, 0)
