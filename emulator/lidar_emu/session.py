@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from lidar_emu.device.modes import advance, initial, timed
-from lidar_emu.device.rules import DeviceEvent, Rules, device_rules
+from lidar_emu.device.rules import Rules, TimedEvent, device_rules
 from lidar_emu.device.settling import Settling
 from lidar_emu.device.shot_policy import ShotPolicy, shot_policy
 from lidar_emu.device.state import DeviceState
@@ -137,7 +137,7 @@ class Session:
         )
 
     def use_faults(
-        self, model: Model, faulty: FaultyEncoder | None, events: tuple[DeviceEvent, ...] | None = None
+        self, model: Model, faulty: FaultyEncoder | None, events: tuple[TimedEvent, ...] | None = None
     ) -> None:
         """Use these faults from the next shot on: the previous ones, and more after them.
 

@@ -18,7 +18,7 @@ _BEGINS_AND_ENDS: dict[type, tuple[str, str]] = {
 
 
 @dataclass(frozen=True)
-class DeviceEvent:
+class TimedEvent:
     """An event of power supply or interlock."""
 
     at_ns: int
@@ -44,7 +44,7 @@ class Rules:
     """Frequency noise of the clock."""
     holdover_ns: int | None
     thermal: ThermalModel
-    events: tuple[DeviceEvent, ...]
+    events: tuple[TimedEvent, ...]
     rate_hz: float
     """Rate of the scenario's shots."""
     beam_count: int
@@ -90,15 +90,15 @@ def device_rules(
     )
 
 
-def all_events(part: DeviceBehaviour, faults: Sequence[Fault]) -> tuple[DeviceEvent, ...]:
+def all_events(part: DeviceBehaviour, faults: Sequence[Fault]) -> tuple[TimedEvent, ...]:
     """All events of a scenario's device, including those of faults, in ascending order."""
-    events = [DeviceEvent(_ns(event.at_s), event.what) for event in part.events]
+    events = [TimedEvent(_ns(event.at_s), event.what) for event in part.events]
     for fault in faults:
         if isinstance(fault, DeviceFault):
             begins, ends = _BEGINS_AND_ENDS[type(fault)]
-            events.append(DeviceEvent(_ns(fault.from_s), begins))
+            events.append(TimedEvent(_ns(fault.from_s), begins))
             if fault.to_s is not None:
-                events.append(DeviceEvent(_ns(fault.to_s), ends))
+                events.append(TimedEvent(_ns(fault.to_s), ends))
     return tuple(sorted(events, key=lambda event: event.at_ns))
 
 

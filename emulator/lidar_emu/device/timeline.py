@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from lidar_emu.device.commands import DeviceCommand, execute
 from lidar_emu.device.modes import advance, counted_from, timed
-from lidar_emu.device.rules import DeviceEvent, Rules
+from lidar_emu.device.rules import Rules, TimedEvent
 from lidar_emu.device.state import DeviceState
 
 _STORED = 256
@@ -47,7 +47,7 @@ class DeviceTimeline:
         self._since.append(_Since(command.time_ns, after))
         return after, verdict
 
-    def use_events(self, events: tuple[DeviceEvent, ...]) -> None:
+    def use_events(self, events: tuple[TimedEvent, ...]) -> None:
         """Replace the events of the device; those up to now are the same as before."""
         self.rules = replace(self.rules, events=events)
         self._first = timed(self.rules, self._first)

@@ -9,7 +9,7 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, Self
 
-from lidar_emu.device.rules import DeviceEvent, all_events
+from lidar_emu.device.rules import TimedEvent, all_events
 from lidar_emu.errors import Finding, InputError, one_line, reason_of
 from lidar_emu.faults.encoder import FaultyEncoder, faulty_encoder
 from lidar_emu.runtime.change_queue import Change
@@ -41,7 +41,7 @@ class FaultInjector:
     {"accepted": true, "fault": 3, "kind": "dropout"}, or {"accepted": false, "reason": text}.
 
     Args:
-        path: path of the socket; that of a dead process is taken over.
+        path: path of the socket; the socket of a dead process is replaced.
         scenario: scenario of the run.
         model: model of the scenario.
         encoder: encoder of the packets.
@@ -64,7 +64,7 @@ class FaultInjector:
         options: RunOptions,
         packet_bytes: tuple[int, int],
         inject_into_port: Callable[[dict[str, Any]], None],
-        inject_into_device: Callable[[tuple[DeviceEvent, ...]], None],
+        inject_into_device: Callable[[tuple[TimedEvent, ...]], None],
         observers: Sequence[Observer],
     ) -> None:
         self._scenario = self._accepted = scenario

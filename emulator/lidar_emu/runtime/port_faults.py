@@ -23,7 +23,7 @@ def port_faults(scenario: Scenario, end_ns: int | None, pace: Pace, can: bool) -
         can: whether the link is a CAN bus.
 
     Raises:
-        InputError: a fault cannot happen on this link, or the pace is not that of the clock.
+        InputError: a fault cannot happen on this link, or the pace is not the wall clock's.
     """
     return [
         port_fault(scenario, number, fault, end_ns, pace, can)

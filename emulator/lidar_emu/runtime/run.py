@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
-from lidar_emu.device.rules import DeviceEvent
+from lidar_emu.device.rules import TimedEvent
 from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.device_link.command_handler import CommandHandler
@@ -157,7 +157,7 @@ class Run:
             self._observers,
         )
 
-    def _inject_into_device(self, events: tuple[DeviceEvent, ...]) -> None:
+    def _inject_into_device(self, events: tuple[TimedEvent, ...]) -> None:
         """Before a flight on command begins, its events do not concern the device yet."""
         if self.start_ns is not None:
             self._prepared.device.use_events(events)

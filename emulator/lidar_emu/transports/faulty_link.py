@@ -1,7 +1,7 @@
-"""A port on which things go wrong by fault: it breaks, is slow, babbles, or has errors on its bus.
+"""A port with injected faults: it breaks, is slow, babbles, or has errors on its bus.
 
-Whatever stands between a packet and the line sits here as one more channel, so that the link above sees no more than it
-would of a real fault: a port that is lost, cannot be opened, or is full.
+The faults act in a channel between link and port, so that the link sees what it would see of a real fault: a port that
+is lost, cannot be opened, or is full.
 """
 
 from __future__ import annotations
@@ -190,7 +190,7 @@ class FaultyChannel:
         return self._channel.receive()
 
     def take_diagnostics(self) -> LinkDiagnostics:
-        """What was diagnostics since the last call, ordered error frames among it."""
+        """Events and counts since the last call, with injected error frames."""
         diagnostics = self._channel.take_diagnostics()
         errors = 0
         for fault in self._port.faults:

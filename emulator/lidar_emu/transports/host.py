@@ -93,7 +93,7 @@ class CanHost(_Host):
 
 
 def open_host(spec: PortSpec) -> ByteHost | CanHost:
-    """Open the host's end; of a pty, make it: `description` is the path for the device's `--port`. Of UDP, bind it.
+    """Open the host's end: make a pty, whose `description` is the path for the device's `--port`, or bind a UDP port.
 
     Raises:
         InputError: it cannot be opened, or `spec` names no port.

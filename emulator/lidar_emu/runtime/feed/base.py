@@ -13,7 +13,7 @@ from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.session import Session
 
 POLL_NS = 20_000_000
-"""Longest time until an interruption is noticed."""
+"""Longest time until an interruption takes effect."""
 
 
 class RunControl(Protocol):

@@ -15,8 +15,8 @@ class Pace(StrEnum):
     """The link: packets go out as fast as it takes them; nothing is late.
 
     The sender waits for a full line and for the first reader of a pty, but not for ever: after 5 s in which the line
-    has taken nothing there is a link event, and after 30 s without progress packets are dropped as full, or as nobody
-    connected, until there is progress again. Once a pty had a reader, the sender waits for no other one."""
+    has taken nothing there is a link event, and after 30 s without progress packets are dropped, as line full or as
+    no reader, until there is progress again. Once a pty had a reader, the sender waits for no other one."""
     LOCKSTEP = "lockstep"
     """Live truth: a packet goes out, as with `MAX`, once truth beyond its shot has arrived."""
 
