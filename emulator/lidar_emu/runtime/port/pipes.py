@@ -1,7 +1,7 @@
 """The two pipes between the model's process and the port process: one JSON object per line.
 
-The model's process sends commands through the control pipe; its end of file means that the process has closed it or died.
-The port process sends its status through the other pipe, and never waits for a reader.
+The model's process sends commands through the control pipe; its end of file means that the process has closed it or
+died. The port process sends its status through the other pipe, and never waits for a reader.
 """
 
 from __future__ import annotations
