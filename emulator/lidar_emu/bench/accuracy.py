@@ -83,7 +83,7 @@ class AccuracyReport:
     results: list[SettingResult]
     spectra: list[SpectrumMethod]
 
-    def told(self, result: SettingResult) -> DistributionDifference:
+    def resolved_error(self, result: SettingResult) -> DistributionDifference:
         """A setting's error, at least the sampling noise."""
         if result.setting.shares_draws:
             return result.error
@@ -97,11 +97,11 @@ class AccuracyReport:
     @property
     def front(self) -> list[int]:
         """Indices of the Pareto front of time and range error, fastest first."""
-        return pareto_front([(result.time_s, self.told(result).range_m) for result in self.results])
+        return pareto_front([(result.time_s, self.resolved_error(result).range_m) for result in self.results])
 
     def cheapest(self, range_m: float, speed_mps: float) -> SettingResult | None:
         """The fastest setting whose errors are at most these; None if there is none."""
-        errors = [(self.told(r).range_m, self.told(r).speed_mps) for r in self.results]
+        errors = [(self.resolved_error(r).range_m, self.resolved_error(r).speed_mps) for r in self.results]
         chosen = cheapest([r.time_s for r in self.results], errors, (range_m, speed_mps))
         return None if chosen is None else self.results[chosen]
 

@@ -62,8 +62,8 @@ def _known(value: float) -> float | None:
 
 def marks(report: AccuracyReport) -> tuple[list[Mark], list[Mark]]:
     """Points of the plot, for range and speed; errors below the sampling noise are shown at its level."""
-    told = [report.told(result) for result in report.results]
-    return _marks(report, [e.range_m for e in told]), _marks(report, [e.speed_mps for e in told])
+    errors = [report.resolved_error(result) for result in report.results]
+    return _marks(report, [e.range_m for e in errors]), _marks(report, [e.speed_mps for e in errors])
 
 
 def _marks(report: AccuracyReport, errors: list[float]) -> list[Mark]:

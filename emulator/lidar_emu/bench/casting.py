@@ -145,12 +145,12 @@ def _errors(
     for k in range(len(origin)):
         ray = frame.exactly_to_site(origin[k]), frame.exactly_to_site(direction[k], False)
         exact.append(exact_range_m(ground.samples, *ray, float(found[OURS][k])))
-    told = {}
+    errors_m = {}
     for name, range_m in found.items():
         pairs = zip(range_m.tolist(), exact, strict=True)
         apart = np.array([float(Fraction(r) - t) for r, t in pairs if t is not None and r == r])
-        told[name] = float(np.sqrt((apart**2).mean())), float(np.abs(apart).max())
-    return told
+        errors_m[name] = float(np.sqrt((apart**2).mean())), float(np.abs(apart).max())
+    return errors_m
 
 
 def _built(cells: int) -> Built:

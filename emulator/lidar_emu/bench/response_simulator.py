@@ -44,20 +44,20 @@ def _send(
     """One truth for each shot to the emulator, and half a period later to the control, where neither is in the other's
     way; returns the instants from the start."""
     link = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    told, told_control = array("q"), array("q")
+    to_emulator, to_control = array("q"), array("q")
     # Before the first shot, so that the run can begin.
     link.sendto(_truth(0, 0, top_m, speed_mps), emulator)
     for shot in range(count):
         due_ns = start_ns + first_sent_ns + shot * period_ns
-        for receiver, wait_ns, sent in ((emulator, 0, told), (control, period_ns // 2, told_control)):
+        for receiver, wait_ns, sent in ((emulator, 0, to_emulator), (control, period_ns // 2, to_control)):
             if clock.wait(due_ns + wait_ns, [CONTROL])[0]:
-                return told, told_control
+                return to_emulator, to_control
             datagram = _truth(shot + 1, first_truth_ns + shot * period_ns, top_m, speed_mps)
             sent.append(clock.now_ns() - start_ns)
             with suppress(OSError):  # the receiver has ended
                 link.sendto(datagram, receiver)
     clock.wait(None, [CONTROL])
-    return told, told_control
+    return to_emulator, to_control
 
 
 def _truth(sequence: int, time_ns: int, top_m: float, speed_mps: float) -> bytes:
