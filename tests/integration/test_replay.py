@@ -238,7 +238,7 @@ def test_faults_ordered_in_flight_are_had_again(start: Start, tmp_path: Path) ->
         "--summary",
         "s.json",
     )
-    run.word_after("bench on ")
+    eventually((tmp_path / "c").exists)
     for order in ORDERS:
         start("inject", "c", order).succeed()
     run.signal(signal.SIGINT)
