@@ -119,7 +119,7 @@ def test_where_the_model_dies_no_more_of_its_shots_are_sent(
         assert words == []
 
 
-def test_last_words_on_can(start: Start, far_end: FarEnd) -> None:
+def test_final_message_on_can(start: Start, far_end: FarEnd) -> None:
     options = ["-i", "slcan", "-c", far_end.path, "--bitrate", "1000000"]
     run = start("run", "descent.yaml", *options, *SAFE)
     process = run.port_process()

@@ -1,4 +1,4 @@
-"""Who stood still: a watch under a clock that the test moves."""
+"""Which process stalled: a monitor under a clock that the test moves."""
 
 from __future__ import annotations
 

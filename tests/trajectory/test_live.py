@@ -150,7 +150,7 @@ def test_before_the_first_truth_there_is_no_state() -> None:
         LiveTrajectory(10.0).state(np.array([0.0]))
 
 
-def test_a_rehearsal_has_no_consequence() -> None:
+def test_a_warm_up_has_no_consequence() -> None:
     truths = [falling(t) for t in np.arange(0.0, 7.0, 0.1)]  # more than are kept
     warmed, plain = flown(truths[0]), flown(truths[0])
     instants_s = np.linspace(0.0, 8.0, 50)
