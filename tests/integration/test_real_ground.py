@@ -21,7 +21,7 @@ import lidar_emu
 from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
 from lidar_emu.measurement import Measurement
-from lidar_emu.scenario.site import Grid, Origin
+from lidar_emu.scenario.site import ElevationGrid, Origin
 from lidar_emu.scene.terrain.read import read_terrain
 
 rasterio = pytest.importorskip("rasterio")
@@ -189,7 +189,7 @@ def test_known_places_of_mars(
     public_data: Path, latitude_deg: float, longitude_deg: float, lowest_m: float, highest_m: float
 ) -> None:
     origin = Origin(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
-    terrain = read_terrain(Grid(kind="grid", file=str(public_data / MOLA), origin=origin))
+    terrain = read_terrain(ElevationGrid(kind="grid", file=str(public_data / MOLA), origin=origin))
     assert lowest_m < terrain.origin_elevation_m < highest_m
     assert not np.isnan(terrain.elevation_m).any()
 

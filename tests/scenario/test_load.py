@@ -11,7 +11,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.scenario.load import load, shipped, shipped_scenarios
 from lidar_emu.scenario.scanner import AltitudeSwitch, Square
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.scenario.site import Grid, Plane
+from lidar_emu.scenario.site import ElevationGrid, Plane
 from lidar_emu.scenario.trajectory import Profile, Table
 
 BENCH = "name: bench\nbench_pattern: {duration_s: 1, beams: [{range_m: 100, closing_speed_mps: 5}]}\n"
@@ -162,7 +162,7 @@ def test_another_kind_replaces_the_ground_of_a_base(folder: Path) -> None:
         kind="plane", slope_deg=3
     )
     ground = flight(folder, "{base: mare, ground: {beyond: sphere}}").site.ground
-    assert isinstance(ground, Grid)
+    assert isinstance(ground, ElevationGrid)
     assert ground.beyond == "sphere"
     assert Path(ground.file) == shipped("ground") / "mare.npz"
 
@@ -174,7 +174,11 @@ def test_files_are_relative_to_the_file_that_names_them(folder: Path) -> None:
     stated = flight(folder, "{ground: {kind: grid, file: crater.npz}}").site.ground
     replaced = flight(folder, "{base: parts/crater.yaml, ground: {file: other.npz}}").site.ground
     absolute = flight(folder, "{ground: {kind: grid, file: /data/crater.npz}}").site.ground
-    files = [Path(ground.file) for ground in (named, stated, replaced, absolute) if isinstance(ground, Grid)]
+    files = [
+        Path(ground.file)
+        for ground in (named, stated, replaced, absolute)
+        if isinstance(ground, ElevationGrid)
+    ]
     assert files == [
         folder / "parts" / "crater.npz",
         folder / "crater.npz",
@@ -186,7 +190,7 @@ def test_files_are_relative_to_the_file_that_names_them(folder: Path) -> None:
 def test_shipped_ground_is_found_unless_a_file_lies_beside(folder: Path) -> None:
     def file() -> Path:
         ground = flight(folder, "{ground: {kind: grid, file: mare.npz}}").site.ground
-        assert isinstance(ground, Grid)
+        assert isinstance(ground, ElevationGrid)
         return Path(ground.file)
 
     assert file() == shipped("ground") / "mare.npz"

@@ -5,7 +5,7 @@ import pytest
 
 import lidar_emu
 from lidar_emu.errors import InputError
-from lidar_emu.scenario.site import Grid, Site
+from lidar_emu.scenario.site import ElevationGrid, Site
 from lidar_emu.scene import build_scene
 
 rasterio = pytest.importorskip("rasterio", reason="the extra geo is not installed")
@@ -26,7 +26,9 @@ def write(path, *bands, names=("elevation", "albedo")):
 
 
 def scene(path, **keys):
-    ground = Grid(kind="grid", file=str(path), **{"reflectance_band": "albedo", "beyond": "plane", **keys})
+    ground = ElevationGrid(
+        kind="grid", file=str(path), **{"reflectance_band": "albedo", "beyond": "plane", **keys}
+    )
     return build_scene(Site(ground=ground, surface={"reflectance": 0.07}))
 
 

@@ -8,7 +8,7 @@ import pytest
 from twins import ARISTARCHUS, HERODOTUS
 
 from lidar_emu.errors import InputError
-from lidar_emu.scenario.site import Grid, Site
+from lidar_emu.scenario.site import ElevationGrid, Site
 from lidar_emu.scene import build_scene
 from lidar_emu.scene.terrain.flat import read_flat_raster
 from lidar_emu.scene.terrain.npz import read_npz
@@ -23,7 +23,7 @@ RAMP = np.arange(20, dtype=np.float32).reshape(4, 5) * 10
 
 
 def grid(path, **keys):
-    return Grid(kind="grid", file=str(path), **keys)
+    return ElevationGrid(kind="grid", file=str(path), **keys)
 
 
 def scene(path, site=None, **keys):

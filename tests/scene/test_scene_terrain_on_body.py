@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lidar_emu.errors import InputError
-from lidar_emu.scenario.site import Grid, Site
+from lidar_emu.scenario.site import ElevationGrid, Site
 from lidar_emu.scene import build_scene
 from lidar_emu.scene.terrain.frame import Ellipsoid, LocalFrame
 from lidar_emu.scene.terrain.read import read_terrain
@@ -67,7 +67,7 @@ def to_horizon(crs, latitude_deg, longitude_deg, altitude_m):
 
 
 def terrain_of(path, **keys):
-    return read_terrain(Grid(kind="grid", file=str(path), **keys))
+    return read_terrain(ElevationGrid(kind="grid", file=str(path), **keys))
 
 
 def nodes(terrain):
@@ -137,7 +137,7 @@ def test_orthographic_map_centred_on_the_site(tmp_path):
     east, north, z = nodes(terrain)
     radius_m = MOON_M + 5000.0
     np.testing.assert_allclose(z, np.sqrt(radius_m**2 - east**2 - north**2) - radius_m, rtol=0, atol=1e-4)
-    ground = build_scene(Site(ground=Grid(kind="grid", file=str(path))))
+    ground = build_scene(Site(ground=ElevationGrid(kind="grid", file=str(path))))
     assert ground.origin_altitude_m == 5000.0
 
 
@@ -326,7 +326,7 @@ def test_units_and_orientations_of_maps_do_not_matter(tmp_path):
 def test_the_map_of_another_body(tmp_path):
     path = write_globe(tmp_path / "a.tif", 0)
     with pytest.raises(InputError) as caught:
-        build_scene(Site(ground=Grid(kind="grid", file=str(path))))
+        build_scene(Site(ground=ElevationGrid(kind="grid", file=str(path))))
     assert (
         "site.body.radius_m: 1737400.0 is not usable; allowed: that of the map within 1%, 3396190 m"
         in str(caught.value)

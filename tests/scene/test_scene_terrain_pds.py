@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lidar_emu.errors import InputError
-from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.raster import open_raster
 from lidar_emu.scene.terrain.read import read_terrain
 
@@ -74,7 +74,7 @@ def write_pds(folder, label):
 
 def elevation_at(path, latitude_deg, longitude_deg, **keys):
     origin = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
-    return read_terrain(Grid(kind="grid", file=str(path), origin=origin, **keys)).origin_elevation_m
+    return read_terrain(ElevationGrid(kind="grid", file=str(path), origin=origin, **keys)).origin_elevation_m
 
 
 @pytest.mark.parametrize(("label", "height_m"), [(LOLA, 500.0), (MOLA, 1000.0)])

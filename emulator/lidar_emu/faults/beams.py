@@ -30,7 +30,7 @@ _VALUE_DRAW = 1
 
 
 @dataclass(frozen=True)
-class _ActiveFault:
+class _ActiveBeamFault:
     """A fault that acts in a block of shots."""
 
     instance: FaultInstance
@@ -101,7 +101,7 @@ class BeamFaults:
             if not may_act or instance.schedule.has_ended(int(block.shot[0])):
                 after.append(None)
                 continue
-            active = _ActiveFault(instance, _affected(instance, block), before)
+            active = _ActiveBeamFault(instance, _affected(instance, block), before)
             changed, holding = effect(block, active) if holds or active.affected.any() else (block, None)
             after.append(holding)
             for row in np.flatnonzero(active.affected.any(axis=1)).tolist():
@@ -127,12 +127,12 @@ def _affected(instance: FaultInstance, block: Measurement) -> BoolArray:
 _Result = tuple[Measurement, Held | None]
 
 
-def _dropout(block: Measurement, active: _ActiveFault) -> _Result:
+def _dropout(block: Measurement, active: _ActiveBeamFault) -> _Result:
     nothing: dict[str, Any] = {name: column.missing_value for name, column in REPORT_COLUMNS.items()}
     return active.with_columns(block, **nothing | {"reason": Reason.BELOW_THRESHOLD}), None
 
 
-def _stuck(block: Measurement, active: _ActiveFault) -> _Result:
+def _stuck(block: Measurement, active: _ActiveBeamFault) -> _Result:
     columns, holding = {}, {}
     for value, flag in _VALUES[active.fault.value]:
         valid = getattr(block, flag)
@@ -143,7 +143,7 @@ def _stuck(block: Measurement, active: _ActiveFault) -> _Result:
     return active.with_columns(block, **columns), holding
 
 
-def _frozen(block: Measurement, active: _ActiveFault) -> _Result:
+def _frozen(block: Measurement, active: _ActiveBeamFault) -> _Result:
     columns, holding = {}, {}
     for name in REPORT_COLUMNS:
         before = active.held[name] if active.held else None
@@ -151,33 +151,33 @@ def _frozen(block: Measurement, active: _ActiveFault) -> _Result:
     return active.with_columns(block, **columns), holding
 
 
-def _with_errors(block: Measurement, active: _ActiveFault, range_m: Any, speed_mps: Any) -> _Result:
+def _with_errors(block: Measurement, active: _ActiveBeamFault, range_m: Any, speed_mps: Any) -> _Result:
     erroneous_m = np.maximum(0.0, block.range_m + range_m)
     return active.with_columns(
         block, range_m=erroneous_m, closing_speed_mps=block.closing_speed_mps + speed_mps
     ), None
 
 
-def _bias(block: Measurement, active: _ActiveFault) -> _Result:
+def _bias(block: Measurement, active: _ActiveBeamFault) -> _Result:
     ramp = active.ramp(block)
     return _with_errors(block, active, ramp * active.fault.range_m, ramp * active.fault.closing_speed_mps)
 
 
-def _scale(block: Measurement, active: _ActiveFault) -> _Result:
+def _scale(block: Measurement, active: _ActiveBeamFault) -> _Result:
     ramp, fault = active.ramp(block), active.fault
     range_m = block.range_m * (1 + ramp * (fault.range_factor - 1))
     speed_mps = block.closing_speed_mps * (1 + ramp * (fault.closing_speed_factor - 1))
     return active.with_columns(block, range_m=range_m, closing_speed_mps=speed_mps), None
 
 
-def _drift(block: Measurement, active: _ActiveFault) -> _Result:
+def _drift(block: Measurement, active: _ActiveBeamFault) -> _Result:
     elapsed_s = active.instance.schedule.elapsed_s(block.shot)[:, None]
     return _with_errors(
         block, active, elapsed_s * active.fault.range_mps, elapsed_s * active.fault.closing_speed_mps2
     )
 
 
-def _noise(block: Measurement, active: _ActiveFault) -> _Result:
+def _noise(block: Measurement, active: _ActiveBeamFault) -> _Result:
     errors = active.ramp(block)[..., None] * active.instance.stream.normals(
         block.shot, block.beam_count, _VALUE_DRAW
     )
@@ -187,7 +187,7 @@ def _noise(block: Measurement, active: _ActiveFault) -> _Result:
     )
 
 
-def _outlier(block: Measurement, active: _ActiveFault) -> _Result:
+def _outlier(block: Measurement, active: _ActiveBeamFault) -> _Result:
     fraction = active.instance.stream.uniforms(block.shot, block.beam_count, _VALUE_DRAW)
     columns: dict[str, Any] = {"range_m": _between(active.fault.range_m, fraction[..., 0])}
     if active.fault.closing_speed_mps is not None:
@@ -199,17 +199,17 @@ def _between(interval: kinds.Interval, fraction: FloatArray) -> FloatArray:
     return interval[0] + (interval[1] - interval[0]) * fraction
 
 
-def _claimed_valid(block: Measurement, active: _ActiveFault, columns: dict[str, Any]) -> Measurement:
+def _claimed_valid(block: Measurement, active: _ActiveBeamFault, columns: dict[str, Any]) -> Measurement:
     flags = dict.fromkeys(_FLAGS, True)
     returns = np.maximum(1, block.returns)
     return active.with_columns(block, **columns, **flags, reason=Reason.VALID, segments=7, returns=returns)
 
 
-def _wrong_sign(block: Measurement, active: _ActiveFault) -> _Result:
+def _wrong_sign(block: Measurement, active: _ActiveBeamFault) -> _Result:
     return active.with_columns(block, closing_speed_mps=-block.closing_speed_mps), None
 
 
-def _swapped_beams(block: Measurement, active: _ActiveFault) -> _Result:
+def _swapped_beams(block: Measurement, active: _ActiveBeamFault) -> _Result:
     columns: dict[str, NDArray[Any]] = {}
     a, b = active.fault.beams
     for name in REPORT_COLUMNS:
@@ -218,13 +218,13 @@ def _swapped_beams(block: Measurement, active: _ActiveFault) -> _Result:
     return active.with_columns(block, **columns), None
 
 
-def _false_valid(block: Measurement, active: _ActiveFault) -> _Result:
+def _false_valid(block: Measurement, active: _ActiveBeamFault) -> _Result:
     fault = active.fault
     columns = {"range_m": fault.range_m, "closing_speed_mps": fault.closing_speed_mps}
     return _claimed_valid(block, active, columns), None
 
 
-def _false_invalid(block: Measurement, active: _ActiveFault) -> _Result:
+def _false_invalid(block: Measurement, active: _ActiveBeamFault) -> _Result:
     return active.with_columns(
         block, range_valid=False, speed_valid=False, reason=Reason.BELOW_THRESHOLD
     ), None
@@ -234,7 +234,7 @@ def _is_valid(block: Measurement, fault: Any = None) -> BoolArray:  # noqa: ARG0
     return block.range_valid | block.speed_valid
 
 
-_EFFECTS: dict[type, Callable[[Measurement, _ActiveFault], _Result]] = {
+_EFFECTS: dict[type, Callable[[Measurement, _ActiveBeamFault], _Result]] = {
     kinds.Dropout: _dropout,
     kinds.Stuck: _stuck,
     kinds.Frozen: _frozen,

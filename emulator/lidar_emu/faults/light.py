@@ -24,7 +24,7 @@ from lidar_emu.trajectory.state import seconds
 
 
 @dataclass(frozen=True)
-class _ActiveFault:
+class _ActiveLightFault:
     """A fault that acts in a block of shots."""
 
     fault: Any
@@ -49,7 +49,7 @@ class LightFaults:
         self._echo_faults = [each for each in faults if not isinstance(each.fault, kinds.Misalignment)]
         self._scenario, self._flight = scenario, flight
         self._body_from_sensor = mounting_rotation(scenario.mounting)
-        self._effects: dict[type, Callable[[Echoes, _ActiveFault], Echoes]] = {
+        self._effects: dict[type, Callable[[Echoes, _ActiveLightFault], Echoes]] = {
             kinds.LaserFade: _faded,
             kinds.ReflectancePatch: _patched,
             kinds.Clutter: self._cluttered,
@@ -68,7 +68,7 @@ class LightFaults:
         for each in self._echo_faults:
             affected = each.affected_beams(shot, echoes.fired)
             if affected.any():
-                active = _ActiveFault(each.fault, affected, each.ramp(shot), beamlet_hits)
+                active = _ActiveLightFault(each.fault, affected, each.ramp(shot), beamlet_hits)
                 echoes = self._effects[type(each.fault)](echoes, active)
         return echoes
 
@@ -83,7 +83,7 @@ class LightFaults:
         beams[TRUE] = np.where(affected[..., None], rotate(turn, pointing.true_site), pointing.true_site)
         return pointing._replace(beams=beams)
 
-    def _cluttered(self, echoes: Echoes, active: _ActiveFault) -> Echoes:
+    def _cluttered(self, echoes: Echoes, active: _ActiveLightFault) -> Echoes:
         """Echoes with one more beamlet, which moves with the sensor.
 
         The beamlet shares the speckle of the beam and its acceleration, which matters little within a millisecond.
@@ -105,12 +105,12 @@ class LightFaults:
         )
 
 
-def _faded(echoes: Echoes, active: _ActiveFault) -> Echoes:
+def _faded(echoes: Echoes, active: _ActiveLightFault) -> Echoes:
     factor = 10.0 ** (-active.fault.loss_db * active.ramp / 10.0)
     return echoes._replace(power_w=np.where(active.affected, factor, 1.0)[..., None] * echoes.power_w)
 
 
-def _patched(echoes: Echoes, active: _ActiveFault) -> Echoes:
+def _patched(echoes: Echoes, active: _ActiveLightFault) -> Echoes:
     """Echoes with another reflectance for the beamlets that hit the ground within the disc."""
     start_m, ray, hits = active.beamlet_hits
     east_m, north_m = (start_m[..., k] + hits.range_m * ray[..., k] for k in range(2))

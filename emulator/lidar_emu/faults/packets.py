@@ -43,7 +43,7 @@ class PacketState(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _ActiveFault:
+class _ActivePacketFault:
     """A fault that acts on one shot."""
 
     fault: Any
@@ -171,7 +171,7 @@ class PacketFaults:
                 pieces = before if now and before else pieces
                 kept = pieces if any(pieces) else before
             elif now and type(fault) in _EFFECTS:
-                acting = _ActiveFault(fault, stream, shot, self._interface, self._rewriter, self._can)
+                acting = _ActivePacketFault(fault, stream, shot, self._interface, self._rewriter, self._can)
                 pieces = _EFFECTS[type(fault)](pieces, acting)
             held.append(kept)
         return pieces, state._replace(held=tuple(held))
@@ -182,22 +182,22 @@ class PacketFaults:
         return b"".join(piece for piece in pieces if isinstance(piece, bytes))
 
 
-def _suppressed(pieces: Pieces, active: _ActiveFault) -> Pieces:  # noqa: ARG001
+def _suppressed(pieces: Pieces, active: _ActivePacketFault) -> Pieces:  # noqa: ARG001
     return ()
 
 
-def _doubled(pieces: Pieces, active: _ActiveFault) -> Pieces:  # noqa: ARG001
+def _doubled(pieces: Pieces, active: _ActivePacketFault) -> Pieces:  # noqa: ARG001
     return pieces + pieces
 
 
-def _truncated(pieces: Pieces, active: _ActiveFault) -> Pieces:
+def _truncated(pieces: Pieces, active: _ActivePacketFault) -> Pieces:
     if active.can:
         return pieces[: int(active.fault.keep * len(pieces))]
     whole = b"".join(piece for piece in pieces if isinstance(piece, bytes))
     return (whole[: int(active.fault.keep * len(whole))],)
 
 
-def _bit_errors(pieces: Pieces, active: _ActiveFault) -> Pieces:
+def _bit_errors(pieces: Pieces, active: _ActivePacketFault) -> Pieces:
     errors = _inverted_bits(active)
     place, first, result = next(errors), 0, list[Piece]()
     for piece in pieces:
@@ -210,7 +210,7 @@ def _bit_errors(pieces: Pieces, active: _ActiveFault) -> Pieces:
     return tuple(result)
 
 
-def _inverted_bits(active: _ActiveFault) -> Iterator[int]:
+def _inverted_bits(active: _ActivePacketFault) -> Iterator[int]:
     """Yield the positions of inverted bits: distances between them have a geometric distribution."""
     place, drawn = -1, 0
     log_good = math.log1p(-active.fault.rate) if active.fault.rate < 1 else -math.inf
@@ -229,7 +229,7 @@ def _with_data(piece: Piece, data: bytes) -> Piece:
     return piece._replace(data=data) if isinstance(piece, CanFrame) else data
 
 
-def _wrong_crc(pieces: Pieces, active: _ActiveFault) -> Pieces:
+def _wrong_crc(pieces: Pieces, active: _ActivePacketFault) -> Pieces:
     return tuple(_with_wrong_crc(piece, active.interface) for piece in pieces if isinstance(piece, bytes))
 
 
@@ -249,7 +249,7 @@ def _last_inverted(data: bytes) -> bytes:
     return data[:-1] + bytes(byte ^ 0xFF for byte in data[-1:])
 
 
-def _rewritten(pieces: Pieces, active: _ActiveFault) -> Pieces:
+def _rewritten(pieces: Pieces, active: _ActivePacketFault) -> Pieces:
     return tuple(
         active.rewriter.frame(piece, active.fault)
         if isinstance(piece, CanFrame)
@@ -258,7 +258,7 @@ def _rewritten(pieces: Pieces, active: _ActiveFault) -> Pieces:
     )
 
 
-def _garbage(pieces: Pieces, active: _ActiveFault) -> Pieces:
+def _garbage(pieces: Pieces, active: _ActivePacketFault) -> Pieces:
     count = active.fault.bytes
     noise = bytes(int(u * 256) for u in active.stream.sequence(active.shot, 0, count).tolist())
     if not active.can:
@@ -269,7 +269,7 @@ def _garbage(pieces: Pieces, active: _ActiveFault) -> Pieces:
     return (*frames, *pieces)
 
 
-_EFFECTS: dict[type, Callable[[Pieces, _ActiveFault], Pieces]] = {
+_EFFECTS: dict[type, Callable[[Pieces, _ActivePacketFault], Pieces]] = {
     kinds.Lost: _suppressed,
     kinds.Doubled: _doubled,
     kinds.BitErrors: _bit_errors,

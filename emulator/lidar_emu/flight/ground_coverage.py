@@ -8,7 +8,7 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.scenario.site import Grid, Nested
+from lidar_emu.scenario.site import ElevationGrid, Nested
 from lidar_emu.scene.ray_hits import Scene
 from lidar_emu.trajectory.state import Trajectory, seconds
 
@@ -18,7 +18,11 @@ _CHECKED_SHOTS = 4096
 def may_leave_its_ground(scenario: FlightScenario) -> bool:
     """Whether there are places without ground, and the way to them is known beforehand."""
     ground = scenario.site.ground
-    return isinstance(ground, Grid | Generated | Nested) and ground.beyond == "none" and scenario.live is None
+    return (
+        isinstance(ground, ElevationGrid | Generated | Nested)
+        and ground.beyond == "none"
+        and scenario.live is None
+    )
 
 
 def refuse_to_leave(

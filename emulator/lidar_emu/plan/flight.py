@@ -16,7 +16,7 @@ from lidar_emu.plan.receiver import plan_receiver
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.scenario.site import Grid, Nested
+from lidar_emu.scenario.site import ElevationGrid, Nested
 from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.scene.ray_hits import Hits
 from lidar_emu.scene.terrain.read import lies_flat
@@ -142,7 +142,7 @@ def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: 
     ground = scenario.site.ground
     if isinstance(ground, Mesh):
         return [Decision("ground", True, flight.scene.description, "the site has a mesh", "exact")]
-    if not isinstance(ground, Grid | Generated | Nested):
+    if not isinstance(ground, ElevationGrid | Generated | Nested):
         return [
             Decision("ground", True, flight.scene.description, f"a {ground.kind} is a formula", "exact"),
             Decision("grid traversal", False, "-", "the site has no elevation grid", "exact"),

@@ -67,7 +67,7 @@ class Origin(Part):
         return self
 
 
-class Grid(Part):
+class ElevationGrid(Part):
     """An elevation grid; the ground is a surface through its samples."""
 
     kind: Literal["grid"]
@@ -120,7 +120,8 @@ class Nested(Part):
     kind: Literal["nested"]
     """Chooses this kind of ground."""
     grids: Annotated[
-        list[Annotated[Grid | Generated, Field(discriminator="kind")]], Field(min_length=2, max_length=16)
+        list[Annotated[ElevationGrid | Generated, Field(discriminator="kind")]],
+        Field(min_length=2, max_length=16),
     ]
     """The grids, from the finest to the widest. The origin of the first is the origin of the site frame; another grid
     whose `origin` and `at_m` are left out is aligned to the same point of the map. The last one states what lies
@@ -167,7 +168,7 @@ class Site(Part):
     """Shown in plans and summaries."""
     body: Body = Body()
     """The body and its altitude datum."""
-    ground: Annotated[Plane | Sphere | Grid | Generated | Nested | Mesh, Field(discriminator="kind")]
+    ground: Annotated[Plane | Sphere | ElevationGrid | Generated | Nested | Mesh, Field(discriminator="kind")]
     """Shape of the ground."""
     objects: list[PlacedObject] = []
     """Objects on the ground or moving above it."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from lidar_emu.scene.ray_reach import Reach
     from lidar_emu.scene.sphere import SphereGround
 
-AnyGrid = site.Grid | Generated
+AnyGrid = site.ElevationGrid | Generated
 
 
 def build_scene(part: site.Site) -> Scene:

@@ -28,7 +28,7 @@ class Samples:
     pixel_north_m: float
     """From row to row."""
     interpolation: Interpolation = "bilinear"
-    """What spans a cell, see `scenario.site.Grid`."""
+    """What spans a cell, see `scenario.site.ElevationGrid`."""
     first_column: int = 0
     """Place in the whole grid of the first column that is here."""
     first_row: int = 0

@@ -19,7 +19,7 @@ from lidar_emu.scene.terrain.model import Terrain
 BODY_TOLERANCE = 0.01
 """Maps of one body are drawn on spheres and ellipsoids that differ by up to 0.6 % (Mars)."""
 
-AnyGrid = site.Grid | Generated
+AnyGrid = site.ElevationGrid | Generated
 
 
 def read_layers(part: site.Site, grids: list[AnyGrid]) -> tuple[list[Layer], float]:
@@ -121,4 +121,4 @@ def _generated(ground: Generated) -> Terrain:
         pixel_y_m=spacing_m,
         source=f"generated (seed {ground.seed})",
     )
-    return placed_flat(flat, site.Grid(kind="grid", file="generated"))
+    return placed_flat(flat, site.ElevationGrid(kind="grid", file="generated"))

@@ -9,7 +9,7 @@ import numpy as np
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing
 
 _METRES = "allowed where ground.placement is flat: a map in metres; reproject it (gdalwarp -t_srs)"
@@ -51,7 +51,7 @@ class FlatMap:
         return float(self.first_y_m - self.pixel_y_m * (self.elevation_m.shape[0] - 1))
 
 
-def read_flat_raster(ground: Grid, file: Any) -> FlatMap:
+def read_flat_raster(ground: ElevationGrid, file: Any) -> FlatMap:
     """The bands of an open raster file on its map.
 
     Raises:
@@ -83,7 +83,7 @@ def read_flat_raster(ground: Grid, file: Any) -> FlatMap:
     )
 
 
-def placed_flat(flat: FlatMap, ground: Grid) -> Terrain:
+def placed_flat(flat: FlatMap, ground: ElevationGrid) -> Terrain:
     """The map's plane as the site's horizontal plane, the map's north as the site's.
 
     Raises:
@@ -135,7 +135,7 @@ def _check_map(where: str, file: Any) -> None:
         raise InputError(where, None, Finding(f"a map in {unit}"), _METRES)
 
 
-def _origin(flat: FlatMap, ground: Grid) -> tuple[float, float]:
+def _origin(flat: FlatMap, ground: ElevationGrid) -> tuple[float, float]:
     """Map coordinates of the point that becomes the origin of the site frame."""
     origin = ground.origin
     centre = "or none for the grid's centre"

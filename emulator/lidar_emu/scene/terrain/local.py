@@ -9,7 +9,7 @@ import numpy as np
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.map_area import Rectangle
 from lidar_emu.scene.terrain.frame import LocalFrame
 from lidar_emu.scene.terrain.map import RasterMap, read_window, window_of
@@ -23,7 +23,7 @@ SHARE_OF_RADIUS = 0.1
 """How far at most, of the body's radius."""
 
 
-def read_on_body(ground: Grid, file: Any) -> Terrain:
+def read_on_body(ground: ElevationGrid, file: Any) -> Terrain:
     """The part of an open raster file around the site, in the site frame.
 
     Args:
@@ -57,7 +57,7 @@ def read_on_body(ground: Grid, file: Any) -> Terrain:
     return resampled(surface, others, east_m, north_m)
 
 
-def _frame(ground: Grid, raster: RasterMap, file: Any, band: int) -> LocalFrame:
+def _frame(ground: ElevationGrid, raster: RasterMap, file: Any, band: int) -> LocalFrame:
     """The site frame at the origin that the site names, on the ground of the file."""
     found, latitude, longitude = _origin(ground, raster)
     column, row = raster.sample_at(latitude, longitude, raster.columns / 2)
@@ -81,7 +81,7 @@ def _frame(ground: Grid, raster: RasterMap, file: Any, band: int) -> LocalFrame:
     return LocalFrame(ellipsoid, float(latitude[0]), float(longitude[0]), altitude_m)
 
 
-def _origin(ground: Grid, raster: RasterMap) -> tuple[str, FloatArray, FloatArray]:
+def _origin(ground: ElevationGrid, raster: RasterMap) -> tuple[str, FloatArray, FloatArray]:
     """The origin of the site frame, in words, and its latitude and longitude (1,); NaN off the body."""
     origin = ground.origin
     if origin.latitude_deg is not None and origin.longitude_deg is not None:
@@ -135,7 +135,7 @@ def _spacing_m(steps_m: FloatArray) -> float:
     return float(max(lengths.min(), lengths.max() / 2))
 
 
-def _extent(ground: Grid, raster: RasterMap, frame: LocalFrame, spacing_m: float) -> Rectangle:
+def _extent(ground: ElevationGrid, raster: RasterMap, frame: LocalFrame, spacing_m: float) -> Rectangle:
     """What is wanted of the file, and what of that it can have."""
     radius_m = frame.ellipsoid.equatorial_m
     half_m = min(SAMPLES_TO_EACH_SIDE * spacing_m, SHARE_OF_RADIUS * radius_m)

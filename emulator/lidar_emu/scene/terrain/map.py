@@ -11,7 +11,7 @@ import numpy as np
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.model import check_size
 from lidar_emu.scene.terrain.projection import Projection
 from lidar_emu.scene.terrain.raster import place_in_pixel
@@ -28,7 +28,7 @@ class RasterMap:
         InputError: it states no place on the map.
     """
 
-    def __init__(self, ground: Grid, file: Any) -> None:
+    def __init__(self, ground: ElevationGrid, file: Any) -> None:
         if file.transform.is_identity or not file.transform.determinant:
             allowed = "allowed: a file that states its place on a map"
             raise InputError(ground.file, None, Finding("no georeference"), allowed)

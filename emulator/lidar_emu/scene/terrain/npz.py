@@ -11,7 +11,7 @@ import numpy.typing as npt
 from numpy.lib.npyio import NpzFile
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.flat import FlatMap
 from lidar_emu.scene.terrain.model import check_size, numbers
 
@@ -22,7 +22,7 @@ _ALLOWED = "allowed: elevation_m (rows from north to south), pixel_m, and as wan
 _DAMAGE = (OSError, ValueError, EOFError, RuntimeError, BadZipFile, zlib.error)
 
 
-def read_npz(ground: Grid) -> FlatMap:
+def read_npz(ground: ElevationGrid) -> FlatMap:
     """An `.npz` file as a map.
 
     Raises:
@@ -51,7 +51,7 @@ def read_npz(ground: Grid) -> FlatMap:
     )
 
 
-def _check_keys(ground: Grid) -> None:
+def _check_keys(ground: ElevationGrid) -> None:
     if ground.band not in ("elevation", "elevation_m", 1):
         allowed = "allowed: elevation, all that an .npz holds"
         raise InputError(ground.file, "ground.band", ground.band, allowed)

@@ -11,7 +11,7 @@ from typing import Any
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.model import numbers
 
 _METRES_PER_UNIT = {
@@ -90,14 +90,14 @@ def read_band(path: str, file: Any, band: int, marker: float | None, window: Any
     return values * float(file.scales[band - 1]) + float(file.offsets[band - 1])
 
 
-def elevations_m(ground: Grid, file: Any, band: int, window: Any = None) -> FloatArray:
+def elevations_m(ground: ElevationGrid, file: Any, band: int, window: Any = None) -> FloatArray:
     """(rows, columns) elevations in metres above the site's datum, NaN where missing; see `read_band`."""
     values = read_band(ground.file, file, band, ground.nodata, window)
     scale = _metres_per_unit(file, band) if ground.elevation_scale is None else ground.elevation_scale
     return values * scale + ground.elevation_offset_m
 
 
-def other_bands(ground: Grid, file: Any) -> dict[str, int]:
+def other_bands(ground: ElevationGrid, file: Any) -> dict[str, int]:
     """Numbers of the bands beside the elevation that the site names, by their names in a `Terrain`.
 
     Raises:
@@ -111,7 +111,7 @@ def other_bands(ground: Grid, file: Any) -> dict[str, int]:
     }
 
 
-def shares(ground: Grid, file: Any, name: str, number: int, window: Any = None) -> FloatArray:
+def shares(ground: ElevationGrid, file: Any, name: str, number: int, window: Any = None) -> FloatArray:
     """(rows, columns) one of the other bands, NaN where missing; see `read_band`.
 
     Raises:
@@ -126,7 +126,7 @@ def shares(ground: Grid, file: Any, name: str, number: int, window: Any = None) 
     return values
 
 
-def place_in_pixel(ground: Grid, file: Any) -> float:
+def place_in_pixel(ground: ElevationGrid, file: Any) -> float:
     """Where in its pixel the sample lies, in pixels from the north-west corner, by rasterio's transform.
 
     rasterio reports every file by the corners of its pixels: where the file says that its samples are points

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.scenario.site import Grid
+from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.flat import FlatMap, placed_flat, read_flat_raster
 from lidar_emu.scene.terrain.local import read_on_body
 from lidar_emu.scene.terrain.model import Terrain
@@ -14,7 +14,7 @@ from lidar_emu.scene.terrain.npz import read_npz
 from lidar_emu.scene.terrain.raster import open_raster
 
 
-def read_terrain(ground: Grid) -> Terrain:
+def read_terrain(ground: ElevationGrid) -> Terrain:
     """The elevation file of a site, around the origin that the site names.
 
     Args:
@@ -32,14 +32,14 @@ def read_terrain(ground: Grid) -> Terrain:
         return _flat(ground, read_flat_raster(ground, file))
 
 
-def _flat(ground: Grid, flat: FlatMap) -> Terrain:
+def _flat(ground: ElevationGrid, flat: FlatMap) -> Terrain:
     if ground.half_size_m is not None:
         allowed = "allowed: none, since this grid lies flat and is taken whole"
         raise InputError(ground.file, "ground.half_size_m", ground.half_size_m, allowed)
     return placed_flat(flat, ground)
 
 
-def lies_flat(ground: Grid) -> bool:
+def lies_flat(ground: ElevationGrid) -> bool:
     """Whether the map's plane of a site's file is the horizontal plane, instead of following the body.
 
     Raises:
@@ -52,17 +52,17 @@ def lies_flat(ground: Grid) -> bool:
         return not _is_on_body(ground, file)
 
 
-def _check_is_there(ground: Grid) -> None:
+def _check_is_there(ground: ElevationGrid) -> None:
     if not Path(ground.file).is_file():
         allowed = "allowed: GeoTIFF, PDS label, ESRI ASCII grid or .npz"
         raise InputError(ground.file, None, Finding("no such file"), allowed)
 
 
-def _is_npz(ground: Grid) -> bool:
+def _is_npz(ground: ElevationGrid) -> bool:
     return ground.file.lower().endswith(".npz")
 
 
-def _is_on_body(ground: Grid, file: Any) -> bool:
+def _is_on_body(ground: ElevationGrid, file: Any) -> bool:
     """Whether the file's coordinates are those of a body and count: a map in metres around a bench has none."""
     return (
         ground.placement == "projected"
