@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+from collections import defaultdict
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -24,10 +26,13 @@ GLOBAL_CHANCE = {
 }
 
 
+def nodes(path: Path) -> Iterator[ast.AST]:
+    return ast.walk(ast.parse(path.read_text()))
+
+
 @cache
 def calls(path: Path) -> frozenset[str]:
-    tree = ast.walk(ast.parse(path.read_text()))
-    return frozenset(ast.unparse(node.func) for node in tree if isinstance(node, ast.Call))
+    return frozenset(ast.unparse(node.func) for node in nodes(path) if isinstance(node, ast.Call))
 
 
 def test_there_are_sources():
@@ -43,3 +48,12 @@ def test_one_file_reads_the_clock():
 
 def test_nobody_draws_from_a_global_generator():
     assert [str(path) for path in SOURCES if GLOBAL_CHANCE & calls(path)] == []
+
+
+def test_no_two_classes_share_a_name():
+    places: dict[str, list[str]] = defaultdict(list)
+    for path in SOURCES:
+        for node in nodes(path):
+            if isinstance(node, ast.ClassDef):
+                places[node.name].append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}

@@ -15,8 +15,8 @@ from lidar_emu.device.rules import device_rules
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.runtime.device_link.command_handler import CommandHandler
 from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
-from lidar_emu.runtime.device_link.received_command import ReceivedCommand
 from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.received_command import ReceivedCommand
 from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.transports.can_port import open_can
 from lidar_emu.transports.host import CanHost

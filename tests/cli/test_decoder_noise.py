@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lidar_emu.cli.decoder import Decoder
-from lidar_emu.runtime.feed.packet_queue import payload_of
+from lidar_emu.runtime.port.packets import payload_of
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import BenchScenario, Wire
 from lidar_emu.shots.bench_model import BenchModel

@@ -18,9 +18,9 @@ from lidar_emu.runtime.change_queue import Change
 from lidar_emu.runtime.device_link.command_handler import CommandHandler
 from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
 from lidar_emu.runtime.device_link.housekeeping import HousekeepingSender
-from lidar_emu.runtime.device_link.received_command import ReceivedCommand
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.received_command import ReceivedCommand
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_protocol import (

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.flight.flight import Pointing, sensor_height_m
+from lidar_emu.flight.flight import sensor_height_m
+from lidar_emu.flight.pointing import Pointing
 from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import BoolArray, FloatArray

@@ -21,8 +21,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.flight.flight import Flight, Pointing
-from lidar_emu.flight.pointing import ACCELERATION, SENSOR, TRUE, TURNING, VELOCITY
+from lidar_emu.flight.flight import Flight
+from lidar_emu.flight.pointing import ACCELERATION, SENSOR, TRUE, TURNING, VELOCITY, Pointing
 from lidar_emu.fmcw.link_budget import echo_law, echo_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import FloatArray, IntArray

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.flight.flight import Pointing
+from lidar_emu.flight.pointing import Pointing
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import cross, dot
 from lidar_emu.scanner.wavefront import beam_radius_m, wavefront_radius_m

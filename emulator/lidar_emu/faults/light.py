@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from lidar_emu.echo.echoes import BeamletHits
 from lidar_emu.faults.schedule import FaultInstance
-from lidar_emu.flight.flight import Flight, Pointing
-from lidar_emu.flight.pointing import TRUE
+from lidar_emu.flight.flight import Flight
+from lidar_emu.flight.pointing import TRUE, Pointing
 from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import BoolArray, FloatArray

@@ -13,7 +13,8 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.light import LightFaults
 from lidar_emu.faults.receiver import FaultyReceivers
 from lidar_emu.faults.schedule import FaultInstance, FaultOccurrence
-from lidar_emu.flight.flight import Flight, Pointing
+from lidar_emu.flight.flight import Flight
+from lidar_emu.flight.pointing import Pointing
 from lidar_emu.fmcw.levels import Level
 from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.numerics.arrays import BoolArray

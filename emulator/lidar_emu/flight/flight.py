@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,17 +11,13 @@ from numpy.typing import NDArray
 from lidar_emu.errors import InputError
 from lidar_emu.flight.ground_coverage import may_leave_its_ground, refuse_to_leave
 from lidar_emu.flight.pointing import (
-    ACCELERATION,
-    SENSOR,
-    TRUE,
-    TURNING,
-    VELOCITY,
+    Pointing,
     place_starts,
     point_beams,
     set_times,
 )
 from lidar_emu.flight.sweep import MOST_SHOTS, slack, sweep
-from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.scanner.model import build_scanner, mounting_rotation
 from lidar_emu.scanner.state import ScannerState
@@ -36,78 +32,6 @@ if TYPE_CHECKING:
     from lidar_emu.flight.recorded_file import GeometryFile
 
 _Shot = TypeVar("_Shot", int, NDArray[np.int64])
-
-
-class Pointing(NamedTuple):
-    """Where the beams start and point; arrays are (shots, beams) and (shots, beams, 3), NaN for absent beams."""
-
-    shot: NDArray[np.int64]
-    """(shots,)"""
-    pattern: NDArray[np.int64]
-    """(shots,) Which pattern of beams the shot uses."""
-    time_ns: NDArray[np.int64]
-    in_gap: BoolArray
-    """Where the vehicle is follows there from a bridge over a gap of its table."""
-    fired: BoolArray
-    angle_deg: FloatArray
-    beams: FloatArray
-    """(6, shots, beams, 3) The vectors named below, together for kernels: their places are in `pointing`."""
-    vehicle: FloatArray
-    """(2, shots, 3) Position and velocity."""
-
-    @classmethod
-    def unfilled(cls, shot: NDArray[np.int64], beams: int) -> Self:
-        """Empty arrays for these shots of `beams` beams."""
-        shape = len(shot), beams
-        return cls(
-            shot=shot,
-            pattern=np.empty(len(shot), dtype=np.int64),
-            time_ns=np.empty(shape, dtype=np.int64),
-            in_gap=np.zeros(shape, dtype=np.bool_),
-            fired=np.empty(shape, dtype=np.bool_),
-            angle_deg=np.empty(shape),
-            beams=np.empty((6, *shape, 3)),
-            vehicle=np.empty((2, len(shot), 3)),
-        )
-
-    @property
-    def sensor_site_m(self) -> FloatArray:
-        """Centre of the aperture."""
-        return self._of_beams(SENSOR)
-
-    @property
-    def sensor_velocity_site_mps(self) -> FloatArray:
-        """Of the sensor, which the lever arm moves."""
-        return self._of_beams(VELOCITY)
-
-    @property
-    def sensor_acceleration_site_mps2(self) -> FloatArray:
-        """The body's angular rate is taken as steady: its change, times the lever arm, is left out."""
-        return self._of_beams(ACCELERATION)
-
-    @property
-    def turning_site_radps(self) -> FloatArray:
-        """Angular rate of the body, and of the beams with it."""
-        return self._of_beams(TURNING)
-
-    @property
-    def true_site(self) -> FloatArray:
-        """Where the light goes."""
-        return self._of_beams(TRUE)
-
-    @property
-    def position_site_m(self) -> FloatArray:
-        """(shots, 3) Of the vehicle at the first beam's validity."""
-        return np.asarray(self.vehicle[0])
-
-    @property
-    def velocity_site_mps(self) -> FloatArray:
-        """(shots, 3)"""
-        return np.asarray(self.vehicle[1])
-
-    def _of_beams(self, place: int) -> FloatArray:
-        vectors: FloatArray = self.beams[place]
-        return vectors
 
 
 def sensor_height_m(pointing: Pointing, axis_hits: Hits) -> FloatArray:

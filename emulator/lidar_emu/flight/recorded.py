@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.errors import InputError
-from lidar_emu.flight.flight import Flight, Pointing
+from lidar_emu.flight.flight import Flight
+from lidar_emu.flight.pointing import Pointing
 from lidar_emu.flight.recorded_conditions import require_same
 from lidar_emu.flight.recorded_file import GeometryFile
 from lidar_emu.numerics.arrays import FloatArray, IntArray

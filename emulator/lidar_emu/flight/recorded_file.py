@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.flight.flight import Pointing
+from lidar_emu.flight.pointing import Pointing
 from lidar_emu.scene.ray_hits import Hits
 
 FORMAT, VERSION = "lidar-emu geometry", 1

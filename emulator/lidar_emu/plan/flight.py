@@ -8,7 +8,8 @@ import numpy as np
 
 from lidar_emu.echo.echoes import compute_echoes
 from lidar_emu.echo.spectral_spread import spread_bins
-from lidar_emu.flight.flight import Flight, Pointing, sensor_height_m
+from lidar_emu.flight.flight import Flight, sensor_height_m
+from lidar_emu.flight.pointing import Pointing
 from lidar_emu.plan.faults import planned_faults
 from lidar_emu.plan.ground import plan_objects, plan_parts
 from lidar_emu.plan.plan import Decision, Plan

@@ -24,10 +24,10 @@ from lidar_emu.numerics.columns import Group, in_groups
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import Channel
 from lidar_emu.recording.provenance import provenance
-from lidar_emu.runtime.device_link.received_command import ReceivedCommand
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
+from lidar_emu.runtime.received_command import ReceivedCommand
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block

@@ -6,8 +6,8 @@ from datetime import datetime
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lidar_emu.runtime.device_link.received_command import ReceivedCommand
     from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
+    from lidar_emu.runtime.received_command import ReceivedCommand
     from lidar_emu.scenario.faults import LinkFault, ScheduledFault
     from lidar_emu.session import Block
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from lidar_emu.echo.echoes import EchoModel
 from lidar_emu.faults.build import beam_faults, physics_faults
-from lidar_emu.flight.flight import Flight, Pointing
-from lidar_emu.flight.pointing import approach, locate
+from lidar_emu.flight.flight import Flight
+from lidar_emu.flight.pointing import Pointing, approach, locate
 from lidar_emu.fmcw.levels import build_level
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.measurement import Measurement

@@ -6,12 +6,10 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, payload_of
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block
-from lidar_emu.transports.frames import Frame, pack_frames
-from lidar_emu.wire import Packet
 
 _SHOTS_PER_PART = 8
 """A recorder is busy with as many shots for milliseconds."""
@@ -148,10 +146,3 @@ def outgoing_packets(block: Block, generation: int = 0) -> Iterator[OutgoingPack
     shots = block.measurement.shot.tolist()
     for shot, due_ns, packet in zip(shots, block.due_ns, block.packets, strict=True):
         yield OutgoingPacket(shot, due_ns, payload_of(packet), generation)
-
-
-def payload_of(packet: Packet) -> bytes:
-    """A packet as the port process takes it: bytes, or frame records on CAN."""
-    if isinstance(packet, bytes):
-        return packet
-    return pack_frames([Frame(f.can_id, f.data, f.is_fd, f.bitrate_switch) for f in packet])

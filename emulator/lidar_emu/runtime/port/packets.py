@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import DeliveryStatus
+
+if TYPE_CHECKING:
+    from lidar_emu.wire import Packet
 
 __all__ = [
     "NEWS",
@@ -18,6 +21,7 @@ __all__ = [
     "OutgoingPacket",
     "ReceivedBytes",
     "pack_frames",
+    "payload_of",
     "unpack_frames",
 ]
 
@@ -94,3 +98,10 @@ class ReceivedBytes(NamedTuple):
     pulse_ns: int | None
     """When the last synchronisation pulse came before these bytes; None: there was none, or the port has no pulse
     line."""
+
+
+def payload_of(packet: Packet) -> bytes:
+    """A packet as the port process takes it: bytes, or frame records on CAN."""
+    if isinstance(packet, bytes):
+        return packet
+    return pack_frames([Frame(f.can_id, f.data, f.is_fd, f.bitrate_switch) for f in packet])
