@@ -43,7 +43,7 @@ def test_level_ground_has_nothing_that_stands_out() -> None:
     assert np.median(seen.sigma_m) < own_m * np.sqrt(1 + 1 / LEAST_POINTS)
     bands = bands_of(seen)
     assert sum(band.points for band in bands) == len(seen.off_m)
-    assert all(band.told is None and band.alarms == 0.0 for band in bands if band.level > 0)
+    assert all(band.detected is None and band.alarms == 0.0 for band in bands if band.level > 0)
 
 
 @pytest.mark.parametrize(("height_m", "told"), [(1.2, True), (0.2, False)])

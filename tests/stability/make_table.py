@@ -18,26 +18,25 @@ ALL = [*EXTREMES, *SLOW_TRUTH, *FLIGHTS]
 
 _HEADING = """# Extremes
 
-What the receiver reports at the ends of what it can be given. Nowhere does a NaN, an infinity, a negative range or a
-negative variance leave as valid, and what is not valid says why.
+This page lists what the receiver reports at the extremes of its inputs. No NaN, infinity, negative range or negative
+variance is ever reported as valid, and every invalid measurement states its reason.
 
-Unless a row says otherwise: one scatterer at 60 dB, no speckle, no linewidth, a flat receiver, the three-bin peak and
-least squares over three segments. Errors are the largest of all beams that are valid with their sign resolved, of
-closing speed modulo λ fs/2, beyond what any two of the segments truly say: range and speed of each record's own time,
-so that what three segments one after another read wrongly does not count. "Allowed" stands beside six of the beam's
-own standard deviations. Bins are of the tones of single
-segments.
+Unless a row states otherwise: one scatterer at an SNR of 60 dB, no speckle, no linewidth, a flat receiver response, the
+three-bin peak estimator and least squares over three segments. An error is the largest over all valid beams whose sign
+is resolved, with the closing speed modulo λ fs/2. The reference is the range and speed at each record's own time: the
+part of an error that follows from measuring three segments one after another does not count. The "allowed" error is
+added to six of the beam's own standard deviations. Errors in bins are errors of the tones of single segments.
 
-Written by `tests/stability/make_table.py`; the tests hold every column but the errors to it, and the errors to what is
-allowed.
+`tests/stability/make_table.py` writes this page. The tests compare every column with it except the errors, which must
+stay within the allowed ones.
 
-| extreme | must it be valid? | what is reported | largest error: m; mm/s; bins | allowed: m; mm/s | against what |
+| extreme | must it be valid? | what is reported | largest error: m; mm/s; bins | allowed: m; mm/s | reference |
 |---|---|---|---|---|---|
 """
 
 
 def row(extreme: Extreme, outcome: Outcome) -> list[str]:
-    """Cells of one row."""
+    """Return the cells of one row."""
     names = sorted(reason.name.lower().replace("_", " ") for reason in outcome.reasons)
     reported = ", ".join(names)
     if "valid" in names:
@@ -50,7 +49,7 @@ def row(extreme: Extreme, outcome: Outcome) -> list[str]:
 
 
 def page(rows: list[list[str]]) -> str:
-    """The whole text."""
+    """Return the whole page."""
     return _HEADING + "".join(f"| {' | '.join(cells)} |\n" for cells in rows)
 
 

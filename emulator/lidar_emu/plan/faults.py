@@ -1,4 +1,4 @@
-"""The faults that a scenario orders, as lines of a plan."""
+"""The faults of a scenario, as lines of a plan."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ _WHEN = frozenset({"kind", "at_s", "from_s", "to_s", "probability", "lasts_s"})
 
 
 def planned_faults(scenario: Scenario) -> list[Decision]:
-    """One line each, in the order in which they act; none where there are none."""
+    """One line per fault, in the scenario's order."""
     return [
-        Decision(f"fault {number}", True, _how(fault), f"the scenario orders it {_when(fault)}", "as ordered")
+        Decision(f"fault {number}", True, _how(fault), f"the scenario injects it {_when(fault)}", "as stated")
         for number, fault in enumerate(scenario.faults)
     ]
 

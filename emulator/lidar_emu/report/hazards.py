@@ -67,28 +67,28 @@ class Cloud(NamedTuple):
 
 @dataclass(frozen=True)
 class Band:
-    """What points of a band of altitudes tell; None where there is nothing to judge by."""
+    """Detection statistics of the points in one band of altitudes; None where the band has no such points."""
 
     low_m: float
     high_m: float
     points: int
     spacing_m: float
     """Median distance on the ground from a beam's point to its next."""
-    told_from_m: float
-    """Median height from which nine in ten stand out, by the instrument's own account."""
+    detected_from_m: float
+    """Median height at which nine in ten points are detected, by the instrument's own sigma."""
     higher: int
-    """Points that are really off by at least as much."""
-    told: float | None
-    """Share of those that stand out."""
+    """Points whose true height above or below their surroundings is at least `detected_from_m`."""
+    detected: float | None
+    """Fraction of the higher points that are detected."""
     level: int
-    """Points that are really off by less than a quarter of it."""
+    """Points whose true height is less than a quarter of `detected_from_m`."""
     alarms: float | None
-    """Share of those that stand out."""
+    """Fraction of the level points that are detected: false alarms."""
     slope_base_m: float
     slope_error_deg: float
     """Root mean square, against the plane through the true points."""
     slope_sigma_deg: float
-    """The same by the instrument's own account."""
+    """Root mean square predicted by the instrument's own sigma."""
 
 
 def cloud_of(model: FlightModel) -> Cloud:
@@ -244,9 +244,9 @@ def _mean(points_m: FloatArray, weight: FloatArray) -> FloatArray:
 
 def _band(cloud: Cloud, octave: int, own: BoolArray, own_slope: BoolArray) -> Band:
     sigma_m = cloud.sigma_m[own]
-    told_from_m = (SIGMAS + _NINE_OF_TEN) * sigma_m
+    detected_from_m = (SIGMAS + _NINE_OF_TEN) * sigma_m
     off_m, out = np.abs(cloud.true_off_m[own]), cloud.stands_out[own]
-    higher, level = off_m >= told_from_m, off_m < told_from_m / 4
+    higher, level = off_m >= detected_from_m, off_m < detected_from_m / 4
     error_deg = (cloud.slope_deg - cloud.true_slope_deg)[own_slope]
     some = error_deg.size > 0
     return Band(
@@ -254,9 +254,9 @@ def _band(cloud: Cloud, octave: int, own: BoolArray, own_slope: BoolArray) -> Ba
         high_m=2.0 ** (octave + 1),
         points=int(own.sum()),
         spacing_m=float(np.nanmedian(cloud.spacing_m[own])),
-        told_from_m=float(np.median(told_from_m)),
+        detected_from_m=float(np.median(detected_from_m)),
         higher=int(higher.sum()),
-        told=float(out[higher].mean()) if higher.any() else None,
+        detected=float(out[higher].mean()) if higher.any() else None,
         level=int(level.sum()),
         alarms=float(out[level].mean()) if level.any() else None,
         slope_base_m=float(np.median(cloud.slope_base_m[own_slope])) if some else np.nan,
