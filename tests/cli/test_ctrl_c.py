@@ -1,4 +1,4 @@
-"""Ctrl-C before there is a run to end: nothing is printed, and the shell hears 130."""
+"""Ctrl-C before there is a run to end: nothing is printed, and the exit code is 130."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from lidar_emu.cli import cli, main
 from lidar_emu.cli.progress import busy
 
 CTRL_C = "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n"
@@ -69,3 +70,23 @@ def test_what_else_goes_wrong_in_a_callback_is_told_as_ever() -> None:
     finally:
         sys.unraisablehook = before
     assert told == [LookupError]
+
+
+@pytest.mark.parametrize(
+    ("raised", "expected"),
+    [(KeyboardInterrupt(), SystemExit(130)), (EOFError("cut"), EOFError("cut"))],
+    ids=["Ctrl-C", "end of a file"],
+)
+def test_the_end_of_a_file_is_no_ctrl_c(
+    raised: BaseException, expected: BaseException, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`click` turns both into `Abort`, but no command prompts: an EOFError is a defect and keeps its traceback."""
+
+    def callback() -> None:
+        raise raised
+
+    monkeypatch.setattr(cli.commands["scenarios"], "callback", callback)
+    monkeypatch.setattr(sys, "argv", ["lidar-emu", "scenarios"])
+    with pytest.raises(type(expected)) as ended:
+        main()
+    assert ended.value.args == expected.args

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from types import ModuleType
 
@@ -209,6 +210,61 @@ def test_every_kernel_has_a_digest_of_its_own() -> None:
     kernels = every_kernel()
     assert len(kernels) > 200
     assert len({digest(each) for each in kernels}) == len(kernels)
+
+
+WAITING = f"""
+import sys
+from lidar_emu.numerics.kernel_cache import KernelCache
+
+load = KernelCache.load_overload
+
+def load_and_wait(*args):
+    found = load(*args)
+    print("compiles" if found is None else "found", flush=True)
+    sys.stdin.readline()
+    return found
+
+KernelCache.load_overload = load_and_wait
+{SOURCE}
+print(outer(Line(4.0, 1.0), 10.0), flush=True)
+"""
+
+
+def test_two_processes_compile_a_kernel_at_once(tmp_path: Path) -> None:
+    """Both have looked for the kernel, in vain, before either compiles it."""
+    (tmp_path / "waiting.py").write_text(WAITING)
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    with ExitStack() as stack:
+
+        def start() -> subprocess.Popen[str]:
+            process = stack.enter_context(
+                subprocess.Popen(
+                    [sys.executable, "-c", "import waiting"],
+                    cwd=tmp_path,
+                    env=environment,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.PIPE,
+                    text=True,
+                )
+            )
+            stack.callback(process.kill)
+            return process
+
+        def first_line(process: subprocess.Popen[str]) -> str:
+            assert process.stdout is not None
+            return process.stdout.readline()
+
+        both = [start(), start()]
+        assert [first_line(each) for each in both] == ["compiles\n"] * 2
+        for each in both:
+            assert each.stdin is not None
+            each.stdin.write("\n")
+            each.stdin.flush()
+        assert [each.communicate() for each in both] == [("51.0\n", "")] * 2
+        (file,) = (tmp_path / "kernels").iterdir()
+        assert file.name.startswith("waiting.outer-")
+        assert start().communicate("\n") == ("found\n51.0\n", "")
 
 
 def test_a_run_outlives_a_damaged_file(tmp_path: Path) -> None:
