@@ -86,13 +86,13 @@ class Measurement(BeamReport):
     def with_columns(
         cls, shot: IntArray, time_ns: IntArray, due_ns: IntArray, **known: NDArray[Any]
     ) -> Measurement:
-        """Shots of which these columns are known; the others have the value of a beam that did not fire."""
+        """Build shots from some columns; the other columns have the value of a beam that did not fire."""
         known |= {"shot": shot, "time_ns": time_ns, "due_ns": due_ns}
         return cls(**missing_columns(COLUMNS, known, time_ns.shape), **known)
 
     @classmethod
-    def joined(cls, blocks: Sequence[Measurement]) -> Measurement:
-        """Blocks of shots, one after another."""
+    def concatenate(cls, blocks: Sequence[Measurement]) -> Measurement:
+        """Join blocks of shots in order."""
         return cls(**{name: np.concatenate([getattr(block, name) for block in blocks]) for name in COLUMNS})
 
     @property
@@ -102,22 +102,22 @@ class Measurement(BeamReport):
 
     @property
     def beam_count(self) -> int:
-        """Beams of a shot, fired or not."""
+        """Number of beams per shot, including beams that did not fire."""
         return int(self.fired.shape[1])
 
     def __len__(self) -> int:
         return len(self.shot)
 
     def part(self, first: int, end: int) -> Measurement:
-        """The shots of rows `first` to `end - 1`."""
+        """Select the shots in rows `first` to `end - 1`."""
         return Measurement(**{name: getattr(self, name)[first:end] for name in COLUMNS})
 
     def one(self, row: int) -> Measurement:
-        """A single shot."""
+        """Select a single shot."""
         return self.part(row, row + 1)
 
     def firing_only(self, fires: BoolArray) -> Measurement:
-        """The same shots as if only these beams had fired, (shots, beams) or (1, beams); the truth stays."""
+        """Blank all beams but these, (shots, beams) or (1, beams), as not fired; the ground truth stays."""
         blank: dict[str, Any] = {}
         for name, column in in_groups(COLUMNS, Group.POINTING, Group.REPORT, Group.POINT).items():
             values = getattr(self, name)
@@ -126,7 +126,10 @@ class Measurement(BeamReport):
         return replace(self, **blank)
 
     def table(self) -> dict[str, NDArray[np.generic]]:
-        """One row per shot and beam: the columns of `simulate --out` and, truth aside, the keys of `listen --json`."""
+        """Build a table with one row per shot and beam.
+
+        Its columns are the columns of `simulate --out` and, except for the ground truth, the keys of `listen --json`.
+        """
         shots, beams = self.fired.shape
         derived = {
             "shot": np.repeat(self.shot, beams),

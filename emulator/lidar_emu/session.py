@@ -1,4 +1,4 @@
-"""The emulated device without a clock or a port: measurements and packets, shot by shot."""
+"""The emulated device without clock and port: it computes measurements and packets, shot by shot."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ class Block:
 
     measurement: Measurement
     packets: list[Packet]
-    """Empty packets were removed by faults, or the device sends none."""
+    """One packet per shot; empty where a fault removed it or the device sends none."""
     due_ns: list[int]
-    """Due times of the packets: those of the measurement, unless faults delay them."""
+    """Due times of the packets, from the measurement unless a fault delays them."""
     faults: tuple[FaultOccurrence, ...] = ()
-    """Faults that acted."""
+    """Faults that acted on these shots."""
     silent: bool = False
     """Whether the device fires no beams and sends no measurements."""
 
     def part(self, first: int, end: int) -> Block:
-        """Rows `first` to `end - 1`."""
+        """Select rows `first` to `end - 1`."""
         if (first, end) == (0, len(self.packets)):
             return self
         start = int(self.measurement.shot[0])
@@ -62,7 +62,7 @@ class _State(NamedTuple):
     model: ModelState
     shot_policy: ShotPolicy
     unnumbered: int
-    """Shots of the scenario that the device has not numbered: before its last restart, and silent ones."""
+    """Shots of the scenario without a number in the device's counter: before its last restart, or silent."""
     settling: Settling
     wire: WireState | None
 
@@ -74,8 +74,8 @@ class Session:
         model: measures the shots.
         encoder: encodes the packets.
         kept_blocks: number of blocks by which `rewind` can go back.
-        faulty: encoder with packet faults; None: there are none.
-        rules: rules of the device; None: it is in mode track from the first shot on.
+        faulty: encoder with packet faults; None: without packet faults.
+        rules: rules of the device; None: the device is in mode track from the first shot on.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Session:
         )
         self._before: deque[tuple[int, _State]] = deque(maxlen=kept_blocks)
         self.next_shot = 0
-        """The first shot that has not been computed."""
+        """Number of the next shot to compute."""
 
     @property
     def device(self) -> DeviceState:
@@ -114,7 +114,7 @@ class Session:
 
     @property
     def is_over(self) -> bool:
-        """Whether there are no more shots."""
+        """Whether all shots have been computed."""
         return self.next_shot >= self._model.shot_count
 
     def next_is_silent(self) -> bool:
@@ -139,9 +139,9 @@ class Session:
     def use_faults(
         self, model: Model, faulty: FaultyEncoder | None, events: tuple[TimedEvent, ...] | None = None
     ) -> None:
-        """Use these faults from the next shot on: the previous ones, and more after them.
+        """Use these faults from the next shot on: the previous faults, followed by new ones.
 
-        A new fault that repeats earlier values, such as stuck ones, starts without knowledge of earlier shots.
+        A new fault that repeats earlier values, such as `stuck`, starts without memory of earlier shots.
 
         Args:
             model: model with the faults.
@@ -157,11 +157,11 @@ class Session:
         self._state = self._state._replace(model=self._state.model._replace(faults=held), wire=wire)
 
     def shoot(self, most: int, fired: bool = True) -> Block | None:
-        """Compute the next shots; None after the last. Packets do not depend on the grouping.
+        """Compute the next shots; return None after the last. Packets do not depend on the block size.
 
         Args:
             most: maximum number of shots.
-            fired: whether the beams fire at all.
+            fired: whether the beams fire.
         """
         shot, count = self.next_shot, min(most, self._model.shot_count - self.next_shot)
         if count <= 0:
@@ -185,17 +185,17 @@ class Session:
         self.shoot(1)
         self.next_shot, self._state, self._before = kept
 
-    def pass_over(self, shot: int) -> None:
-        """Continue with this shot; the shots before it are never computed."""
+    def skip_to(self, shot: int) -> None:
+        """Continue with this shot, without computing the shots before it."""
         while self.next_shot < shot:
             count, silent = self._advance(shot - self.next_shot)
             self._skip(count, silent, self._state.model.scanner)
 
     def rewind(self, shot: int) -> None:
-        """Go back to a shot, to compute it and the following ones again.
+        """Go back to a shot, to compute it and the following shots again.
 
         Raises:
-            ValueError: its block is not kept any more.
+            ValueError: its block is no longer kept.
         """
         while self._before and self._before[-1][0] > shot:
             self._before.pop()
@@ -206,7 +206,7 @@ class Session:
             self._catch_up(shot)
 
     def _advance(self, most: int) -> tuple[int, bool]:
-        """Advance the device to the next shot; return the number of shots in one state, and whether they are silent."""
+        """Advance the device to the next shot; return how many shots share its state, and whether they are silent."""
         shot, period_ns = self.next_shot, self._model.period_ns
         device = advance(self.rules, self.device, shot * period_ns)
         if device is not self.device:
@@ -214,7 +214,7 @@ class Session:
         return self._state.shot_policy.steady(shot, most, period_ns)
 
     def _settled(self, count: int) -> tuple[BoolArray | None, Settling]:
-        """(shots,) Whether the beams have settled in each of the next shots, None: in all; and the state after them."""
+        """(shots,) Whether the beams have settled in each of the next shots, None: in all; and the later state."""
         settling_ns = self.device.settings.settling_ns
         if settling_ns == 0:
             return None, _NOT_SETTLING
@@ -239,9 +239,9 @@ class Session:
         return Block(measurement, packets, due_ns, tuple(injected), silent)
 
     def _catch_up(self, shot: int) -> None:
-        """Advance from the beginning of a block, which stays kept, to a shot in it."""
+        """Advance from the start of a kept block to a shot in it."""
         if self._model.faults or self._faulty or self.device.settings.settling_ns:
-            # The state that they carry from shot to shot depends on the measurements.
+            # Their state depends on the measurements of the skipped shots.
             self._before.pop()
             self.shoot(shot - self.next_shot)
             return
@@ -257,7 +257,7 @@ class Session:
 
 
 def _stamped(measurement: Measurement, state: _State) -> Measurement:
-    """The measurement with the device's shot counter and clock."""
+    """Replace shot numbers and times with the readings of the device's counter and clock."""
     clock = state.shot_policy.device.clock
     if state.unnumbered == 0 and (state.shot_policy.is_plain or clock.is_exact):
         return measurement

@@ -80,8 +80,8 @@ class Encoder:
         beam_count: beams of a shot.
 
     Raises:
-        InputError: the interface cannot be used, has no place for so many beams or no such unit, or has fields that a
-            measurement cannot fill.
+        InputError: the interface cannot be used, holds fewer beams or units than the scenario has, or has fields that
+            a measurement cannot fill.
     """
 
     def __init__(self, wire: Wire, can: bool, fd: bool, beam_count: int) -> None:
@@ -113,8 +113,8 @@ class Encoder:
             except EncodeError as error:
                 raise InputError("wire", f"shot {header['shot']}", "a measurement", str(error)) from None
 
-    def can_date(self, measurement: Measurement, shown_ns: int) -> bool:
-        """Whether packets like those of these shots can encode this time."""
+    def can_encode_time(self, measurement: Measurement, shown_ns: int) -> bool:
+        """Whether a packet with the contents of these shots can encode this time."""
         if not 0 <= shown_ns < 1 << 62:
             return False
         one = measurement.one(0)

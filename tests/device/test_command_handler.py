@@ -183,7 +183,7 @@ def test_answers_are_dated_by_the_device_s_clock() -> None:
 
 def test_a_time_that_packets_cannot_tell_is_refused() -> None:
     line = Line()
-    line.handler._can_date = lambda shown_ns: shown_ns < 100 * S
+    line.handler._can_encode_time = lambda shown_ns: shown_ns < 100 * S
     assert line.send(0, "time_at_tone", 0, tone_ns=100 * S) == "out_of_range"
     assert line.send(0, "time_at_tone", 1, tone_ns=99 * S) == "accepted"
 

@@ -259,7 +259,7 @@ def test_shots_that_are_passed_over_are_counted_as_the_device_would_have_fired_t
             each.use_device(each.device._replace(settings=settings_at_a_third))
         all_of(whole)
         for step in steps:
-            session.pass_over(step)
+            session.skip_to(step)
             assert session.next_shot == step
         assert _unnumbered(session) == _unnumbered(whole)
 

@@ -109,7 +109,7 @@ def test_blocks_do_not_matter() -> None:
     model = build_model(scenario(*faults, instrument__optics__speckle="on"))
     whole = measure_whole(model)
     for block_shots in (1, 7):
-        assert_same(whole, Measurement.joined(list(measure_in_blocks(model, block_shots))), slice(None))
+        assert_same(whole, Measurement.concatenate(list(measure_in_blocks(model, block_shots))), slice(None))
 
 
 def test_fading_by_decibels_lowers_the_snr_by_them() -> None:

@@ -92,7 +92,7 @@ class World:
         self.warmed_up.append((self.next_shot, self.now))
         self.now += self.shot_takes_ns
 
-    def pass_over(self, shot: int) -> None:
+    def skip_to(self, shot: int) -> None:
         self.next_shot = max(shot, self.next_shot)
 
     def rewind(self, shot: int) -> None:

@@ -140,7 +140,7 @@ def test_in_any_blocks_and_from_a_recorded_geometry(tmp_path):
     whole = simulate(scenario)
     for block_shots in (1, 70):
         blocks = list(measure_in_blocks(build_model(scenario), block_shots))
-        assert_same(type(whole).joined(blocks), whole)
+        assert_same(type(whole).concatenate(blocks), whole)
     record_geometry(landing(None), tmp_path / "g.npz")
     assert_same(measure_whole(build_model(scenario, tmp_path / "g.npz")), whole)
 

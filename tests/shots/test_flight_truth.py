@@ -201,9 +201,9 @@ def test_a_shot_does_not_depend_on_the_block_that_it_came_in(scenario):
     from lidar_emu.scenario.load import load
 
     model = build_model(load(scenario, {"duration_s": "6"}))
-    whole = Measurement.joined(list(measure_in_blocks(model, 1000)))
+    whole = Measurement.concatenate(list(measure_in_blocks(model, 1000)))
     for size in (1, 7, 64):
-        parts = Measurement.joined(list(measure_in_blocks(model, size)))
+        parts = Measurement.concatenate(list(measure_in_blocks(model, size)))
         for field in fields(Measurement):
             np.testing.assert_array_equal(getattr(parts, field.name), getattr(whole, field.name), field.name)
 

@@ -25,12 +25,12 @@ KEPT = {*OF_SHOTS, "time_ns"}
 def measured() -> Measurement:
     """Every value different from what stands for none."""
     shape = (SHOTS, BEAMS)
-    blank = Measurement.of_nothing(
+    blank = Measurement.with_columns(
         np.zeros(SHOTS, dtype=np.int64),
         np.zeros(shape, dtype=np.int64),
         np.zeros(SHOTS, dtype=np.int64),
-        np.zeros((SHOTS, 3)),
-        np.zeros((SHOTS, 3)),
+        position_site_m=np.zeros((SHOTS, 3)),
+        velocity_site_mps=np.zeros((SHOTS, 3)),
     )
     columns = {}
     for field in fields(Measurement):

@@ -33,7 +33,7 @@ def assert_same(one, other):
 
 def measured(scenario, geometry, block_shots=128):
     blocks = list(measure_in_blocks(build_model(scenario, geometry), block_shots))
-    return type(blocks[0]).joined(blocks)
+    return type(blocks[0]).concatenate(blocks)
 
 
 @pytest.fixture(scope="module")
@@ -205,7 +205,7 @@ def test_a_file_that_was_cut_damaged_or_is_none_is_refused(recorded, tmp_path):
         bytes(flipped),
     ):
         (tmp_path / "bad.npz").write_bytes(content)
-        with pytest.raises(InputError, match="no recorded geometry, or one that was cut or damaged"):
+        with pytest.raises(InputError, match="no recorded geometry, or a truncated or damaged file"):
             measured(flown(WAY), tmp_path / "bad.npz")
     with pytest.raises(InputError, match="no such file"):
         build_model(flown(WAY), tmp_path / "absent.npz")

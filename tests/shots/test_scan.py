@@ -20,7 +20,7 @@ SCAN = {
 def test_lines_follow_one_another_whatever_the_blocks() -> None:
     model = build_model(load("paper_fig4", SCAN))
     assert model.pattern_count == 1
-    whole, parts = (Measurement.joined(list(measure_in_blocks(model, block))) for block in (1000, 3))
+    whole, parts = (Measurement.concatenate(list(measure_in_blocks(model, block))) for block in (1000, 3))
     for name in ("range_m", "closing_speed_mps", "beam_angle_deg", "point_site_m"):
         np.testing.assert_array_equal(getattr(whole, name), getattr(parts, name))
     assert len(whole) > 3 * STEPS

@@ -1,4 +1,4 @@
-"""A flight ready to be measured: vehicle, beams and ground, and where each beam points at each shot."""
+"""The flight of a scenario: trajectory, scanner and ground, and the direction and hit of each beam of each shot."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lidar_emu.flight.pointing import (
     point_beams,
     set_times,
 )
-from lidar_emu.flight.sweep import MOST_SHOTS, slack, sweep
+from lidar_emu.flight.sweep import MOST_SHOTS, beamlet_margins, sweep
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.scanner.model import build_scanner, mounting_rotation
@@ -35,15 +35,15 @@ _Shot = TypeVar("_Shot", int, NDArray[np.int64])
 
 
 def sensor_height_m(pointing: Pointing, axis_hits: Hits) -> FloatArray:
-    """(shots,) Of the sensor above the ground that its beams meet, on average; infinite where they meet none."""
+    """(shots,) Mean height of the sensor above the points that its beams hit; infinite where no beam hits."""
     below_m = -axis_hits.range_m * pointing.true_site[..., 2]
-    met = np.isfinite(below_m)
-    total_m = np.where(met, below_m, 0.0).sum(axis=1)
-    return np.where(met.any(axis=1), total_m / np.maximum(met.sum(axis=1), 1), np.inf)
+    hit = np.isfinite(below_m)
+    total_m = np.where(hit, below_m, 0.0).sum(axis=1)
+    return np.where(hit.any(axis=1), total_m / np.maximum(hit.sum(axis=1), 1), np.inf)
 
 
 class Flight:
-    """Vehicle, beams and ground of a scenario, built once.
+    """Trajectory, scanner and ground of a scenario, built once.
 
     Raises:
         InputError: a file cannot be used, or the flight leaves its ground or is too long.
@@ -52,7 +52,7 @@ class Flight:
     def __init__(self, scenario: FlightScenario) -> None:
         self.scenario = scenario
         self.is_live = scenario.live is not None
-        """Whether the vehicle's motion becomes known only as it is flown."""
+        """Whether the vehicle's motion arrives during the run, as live truth."""
         self.scanner = build_scanner(scenario.scanner)
         timing, instrument = scenario.timing, scenario.instrument
         self.period_ns = timing.period_ns
@@ -71,31 +71,31 @@ class Flight:
 
     @property
     def recorded_geometry(self) -> GeometryFile | None:
-        """The file that beams and hits are read from; None: they are computed."""
+        """The file that supplies beams and hits; None: they are computed."""
         return None
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """Where the vehicle is."""
+        """The vehicle's trajectory."""
         return build_trajectory(self.scenario.trajectory, self.scenario.site.body.radius_m)
 
     @cached_property
     def _reach(self) -> Reach | None:
-        """The rays of the flight, where they are known beforehand."""
+        """Area within reach of the rays, if the trajectory is known in advance."""
         if self.is_live or self.shot_count > MOST_SHOTS:
             return None
         beams = self._validity_ns, self._lever_arm_body_m, self.scanner, self._true_body
         lines = partial(sweep, self.trajectory, self.shot_count, self.period_ns, *beams)
-        return Reach(lines, *slack(self.scenario))
+        return Reach(lines, *beamlet_margins(self.scenario))
 
     @cached_property
     def ground(self) -> Scene:
-        """What the beams of this flight can come to, without the objects on it."""
+        """The part of the ground within reach of the beams, without objects."""
         return build_ground(self.scenario.site, self._reach)
 
     @cached_property
     def scene(self) -> Scene:
-        """What the beams hit."""
+        """Ground and objects within reach of the beams."""
         return with_objects(self.ground, self.scenario.site, self._reach)
 
     @cached_property
@@ -104,19 +104,19 @@ class Flight:
 
     @property
     def has_moving_objects(self) -> bool:
-        """Whether hits tell of velocities."""
+        """Whether hits include surface velocities."""
         return self._moving_scene is not None
 
     def due_ns(self, shot: _Shot) -> _Shot:
-        """When the packets of shots are due, from the start."""
+        """Due time of the packets of shots, from the start of the run."""
         return shot * self.period_ns + self._latency_ns
 
     def seen_ns(self, shot: int) -> int:
-        """Scenario time up to which a shot depends on the vehicle's motion: its last beam's validity."""
+        """Scenario time up to which a shot depends on the vehicle's motion: its last beam's time of validity."""
         return shot * self.period_ns + int(self._validity_ns[-1])
 
     def point(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
-        """Beams of consecutive shots, each taken at its own time of validity."""
+        """Point the beams of consecutive shots, each at its own time of validity."""
         beams = self.scanner.beam_count
         # The first instant of a shot is its start, when its pattern is chosen.
         pointing, instant_s = Pointing.unfilled(shot, beams), np.empty((len(shot), 1 + beams))
@@ -145,12 +145,12 @@ class Flight:
         return pointing, state
 
     def patterns(self, shot: NDArray[np.int64], state: ScannerState) -> IntArray:
-        """(shots,) Number of the pattern of consecutive shots, decided as each begins."""
+        """(shots,) Number of the pattern of consecutive shots, chosen at the start of each shot."""
         begins_s = seconds(shot * self.period_ns)
         return self._choose_patterns(begins_s[:, None], self.trajectory.state(begins_s), state)[0]
 
     def cast(self, pointing: Pointing) -> Hits:
-        """First contact of the beams' axes with the scene: hits shaped (shots, beams)."""
+        """Intersect the beam axes with the scene: first hits, shaped (shots, beams)."""
         hits = self._cast_rays(
             pointing.time_ns, pointing.sensor_site_m.reshape(-1, 3), pointing.true_site.reshape(-1, 3)
         )
@@ -163,11 +163,11 @@ class Flight:
         direction_site: FloatArray,
         hits: Hits | None = None,
     ) -> Hits:
-        """First contact of n rays with the scene.
+        """Intersect n rays with the scene.
 
         Args:
-            time_ns: of m elements, each the time of the next n / m rays.
-            origin_site_m, direction_site, hits: as of `Scene.cast`.
+            time_ns: m times, each for the next n / m rays.
+            origin_site_m, direction_site, hits: see `Scene.cast`.
         """
         if self._moving_scene is None:
             bundle = max(len(direction_site) // max(time_ns.size, 1), 1)
@@ -177,20 +177,20 @@ class Flight:
     def cast_beamlets(
         self, pointing: Pointing, start_site_m: FloatArray, ray_site: FloatArray, hits: Hits
     ) -> Hits:
-        """First contact of the beamlets of these beams, rays (n, 3), one beam after another; `hits` are filled."""
+        """Intersect the beamlets of these beams with the scene and fill `hits`; rays (n, 3) are grouped by beam."""
         return self._cast_rays(pointing.time_ns, start_site_m, ray_site, hits)
 
     def _choose_patterns(
         self, instant_s: FloatArray, vehicle: VehicleState, state: ScannerState
     ) -> tuple[NDArray[np.int64], ScannerState]:
-        """The pattern of each shot, decided at the shot's start: the first of its instants."""
+        """Choose the pattern of each shot at the shot's start, the first of its instants."""
         if not self.scanner.switches and state.commanded is None:
             return np.zeros(len(instant_s), dtype=np.int64), state
         starts = np.empty((4, len(instant_s)))
         place_starts(
             instant_s, vehicle.position_site_m, vehicle.site_from_body, self._lever_arm_body_m, starts
         )
-        # Where no switch asks for the ground it does not matter how high that is.
+        # The ground's height is needed only for pattern switches that use it.
         above_ground_m = up_m = starts[3]
         if self._needs_ground_altitude:
             above_ground_m = up_m - self.scene.height_m(starts[1], starts[2])
@@ -202,12 +202,12 @@ class Flight:
 
     def _count_shots(self) -> int:
         """Shots of the run."""
-        scenario, flown_s = self.scenario, self.trajectory.duration_s
-        if not flown_s <= LONGEST_S:
+        scenario, flight_s = self.scenario, self.trajectory.duration_s
+        if not flight_s <= LONGEST_S:
             allowed = f"allowed: at most {LONGEST_S:.3g} s"
-            raise InputError(scenario.name, "trajectory", f"{flown_s:.3g} s", allowed)
-        duration_s = flown_s if scenario.duration_s is None else scenario.duration_s
-        if duration_s > flown_s * (1 + 1e-9):
-            allowed = f"allowed: at most {flown_s:.6g} s, the flight"
+            raise InputError(scenario.name, "trajectory", f"{flight_s:.3g} s", allowed)
+        duration_s = flight_s if scenario.duration_s is None else scenario.duration_s
+        if duration_s > flight_s * (1 + 1e-9):
+            allowed = f"allowed: at most {flight_s:.6g} s, the duration of the flight"
             raise InputError(scenario.name, "duration_s", duration_s, allowed)
         return scenario.timing.shots_within(duration_s)

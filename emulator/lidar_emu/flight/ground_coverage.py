@@ -1,4 +1,4 @@
-"""Whether a flight stays over its ground."""
+"""Check that a flight stays over its ground."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CHECKED_SHOTS = 4096
 
 
 def may_leave_its_ground(scenario: FlightScenario) -> bool:
-    """Whether there are places without ground, and the way to them is known beforehand."""
+    """Whether the site has an edge, and the trajectory is known in advance."""
     ground = scenario.site.ground
     return (
         isinstance(ground, ElevationGrid | Generated | Nested)
@@ -28,10 +28,10 @@ def may_leave_its_ground(scenario: FlightScenario) -> bool:
 def refuse_to_leave(
     scenario: FlightScenario, trajectory: Trajectory, ground: Scene, shots: int, period_ns: int
 ) -> None:
-    """Refuse a flight of which a shot begins where there is no ground.
+    """Refuse a flight in which a shot begins where there is no ground.
 
     Raises:
-        InputError: with the first such place.
+        InputError: names the first such position.
     """
     for first in range(0, shots, _CHECKED_SHOTS):
         shot = np.arange(first, min(first + _CHECKED_SHOTS, shots), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Pointing of the beams, and its kernels: from the motion of the vehicle to the starts and directions of beams."""
+"""Pointing of the beams, and kernels that compute it from the motion of the vehicle."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from lidar_emu.numerics.rotations import rotate
 from lidar_emu.numerics.vectors import add, cross, dot, nan_to_zero, store
 
 SENSOR, VELOCITY, ACCELERATION, TURNING, TRUE, PUBLISHED = range(6)
-"""Places of the vectors of a beam, in the order of `Pointing`."""
+"""Indices of a beam's vectors in `Pointing.beams`."""
 
 
 class Pointing(NamedTuple):
-    """Where the beams start and point; arrays are (shots, beams) and (shots, beams, 3), NaN for absent beams."""
+    """Origins and directions of the beams; arrays are (shots, beams) and (shots, beams, 3), NaN for absent beams."""
 
     shot: NDArray[np.int64]
     """(shots,)"""
     pattern: NDArray[np.int64]
-    """(shots,) Which pattern of beams the shot uses."""
+    """(shots,) Number of the beam pattern in use."""
     time_ns: NDArray[np.int64]
     in_gap: BoolArray
-    """Where the vehicle is follows there from a bridge over a gap of its table."""
+    """Whether the vehicle's position is bridged over a gap in the trajectory table."""
     fired: BoolArray
     angle_deg: FloatArray
     beams: FloatArray
-    """(6, shots, beams, 3) The vectors named below, together for kernels: their places are in `pointing`."""
+    """(6, shots, beams, 3) The vectors of the properties below in one array for kernels; `pointing` has the indices."""
     vehicle: FloatArray
     """(2, shots, 3) Position and velocity."""
 
@@ -51,40 +51,40 @@ class Pointing(NamedTuple):
     @property
     def sensor_site_m(self) -> FloatArray:
         """Centre of the aperture."""
-        return self._of_beams(SENSOR)
+        return self._vectors(SENSOR)
 
     @property
     def sensor_velocity_site_mps(self) -> FloatArray:
-        """Of the sensor, which the lever arm moves."""
-        return self._of_beams(VELOCITY)
+        """Velocity of the sensor, including the body's rotation about the lever arm."""
+        return self._vectors(VELOCITY)
 
     @property
     def sensor_acceleration_site_mps2(self) -> FloatArray:
-        """The body's angular rate is taken as steady: its change, times the lever arm, is left out."""
-        return self._of_beams(ACCELERATION)
+        """Acceleration of the sensor at constant body rate: the angular acceleration's share is neglected."""
+        return self._vectors(ACCELERATION)
 
     @property
     def turning_site_radps(self) -> FloatArray:
-        """Angular rate of the body, and of the beams with it."""
-        return self._of_beams(TURNING)
+        """Angular rate of the body and its beams."""
+        return self._vectors(TURNING)
 
     @property
     def true_site(self) -> FloatArray:
-        """Where the light goes."""
-        return self._of_beams(TRUE)
+        """Unit vectors along the true beam axes."""
+        return self._vectors(TRUE)
 
     @property
     def position_site_m(self) -> FloatArray:
-        """(shots, 3) Of the vehicle at the first beam's validity."""
+        """(shots, 3) Position of the vehicle at the first beam's time of validity."""
         return np.asarray(self.vehicle[0])
 
     @property
     def velocity_site_mps(self) -> FloatArray:
-        """(shots, 3)"""
+        """(shots, 3) Velocity of the vehicle at the first beam's time of validity."""
         return np.asarray(self.vehicle[1])
 
-    def _of_beams(self, place: int) -> FloatArray:
-        vectors: FloatArray = self.beams[place]
+    def _vectors(self, index: int) -> FloatArray:
+        vectors: FloatArray = self.beams[index]
         return vectors
 
 
@@ -96,7 +96,7 @@ def set_times(
     time_ns: IntArray,
     instant_s: FloatArray,
 ) -> None:
-    """Set times of validity (shots, beams), and instants (shots, 1 + beams): the shot's start and then these."""
+    """Set times of validity (shots, beams), and instants (shots, 1 + beams): the shot's start, then the beams'."""
     for s in range(len(shot)):
         start_ns = shot[s] * period_ns
         instant_s[s, 0] = start_ns * 1e-9
@@ -113,7 +113,7 @@ def place_starts(
     lever_arm_m: FloatArray,
     starts: FloatArray,
 ) -> None:
-    """Take from the first of each shot's instants its time, and where the sensor is then: (4, shots)."""
+    """Set time and sensor position (4, shots) at the first of each shot's instants."""
     for s in range(starts.shape[1]):
         starts[0, s] = instant_s[s, 0]
         k = s * instant_s.shape[1]
@@ -138,14 +138,15 @@ def point_beams(
     vectors: FloatArray,
     vehicle: FloatArray,
 ) -> None:
-    """Fill what `Pointing` consists of; the vehicle is given at 1 + beams instants of each shot, the first unused.
+    """Fill the arrays of `Pointing` from the vehicle's state at 1 + beams instants of each shot, the first unused.
 
-    The lever arm turns with the body: r, ω x r and ω x (ω x r) are added.
+    The lever arm r turns with the body: the sensor's position, velocity and acceleration gain r, ω x r and
+    ω x (ω x r).
 
     Args:
-        row: (shots,) of directions and angles (rows, beams) that each shot takes.
-        vectors: (6, shots, beams, 3) in the order of `Pointing`.
-        vehicle: (2, shots, 3) the vehicle's position and velocity at the first beam's validity.
+        row: (shots,) Row of the directions and angles (rows, beams) that each shot uses.
+        vectors: (6, shots, beams, 3), see `Pointing.beams`.
+        vehicle: (2, shots, 3) Position and velocity of the vehicle at the first beam's time of validity.
     """
     shots, beams = fired.shape
     for s in range(shots):
@@ -169,15 +170,18 @@ def point_beams(
 
 
 @kernel(outermost=True)
-def approach(
+def closing_speed_and_incidence(
     beams: FloatArray,
     normals: FloatArray,
     surface_mps: FloatArray,
     true_closing_mps: FloatArray,
     true_incidence_deg: FloatArray,
 ) -> None:
-    """The sensor's speed along the true axis, less that of what is hit, if it moves; and the angle between the axis
-    and the normal (shots, beams, 3) of what it hits, NaN where that is nothing."""
+    """Compute the true closing speed and incidence angle of each beam.
+
+    The closing speed is the sensor's speed along the true axis minus the hit surface's; a static scene has an empty
+    `surface_mps`. The incidence angle is NaN where a beam has no hit.
+    """
     for s in range(true_closing_mps.shape[0]):
         for b in range(true_closing_mps.shape[1]):
             axis = beams[TRUE, s, b]
@@ -190,8 +194,8 @@ def approach(
 
 
 @kernel(outermost=True)
-def locate(beams: FloatArray, range_m: FloatArray, point_site_m: FloatArray) -> None:
-    """Where the measured range along the published axis ends."""
+def locate_points(beams: FloatArray, range_m: FloatArray, point_site_m: FloatArray) -> None:
+    """Set the points at the measured range along the published axes."""
     for s in range(range_m.shape[0]):
         for b in range(range_m.shape[1]):
             for axis in range(3):

@@ -1,4 +1,4 @@
-"""A flight whose beams and hits are read from a file."""
+"""A flight with beams and hits read from a geometry file."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ class RecordedFlight(Flight):
     """A flight with recorded pointing, patterns and hits; the scanner's state passes through unchanged.
 
     Raises:
-        InputError: the file is no geometry, or that of another flight or instrument than the scenario's.
+        InputError: the file holds no geometry, or the geometry of a different flight or instrument.
     """
 
     def __init__(self, scenario: FlightScenario, path: Path) -> None:
         self.file = GeometryFile(path)
-        about, asked = self.file.about, scenario.instrument.optics.beamlets
-        require_same(scenario, about.conditions, str(path))
-        if asked not in (1, about.beamlets):
-            allowed = f"allowed: {about.beamlets}, as recorded in {path}, or 1"
-            raise InputError(scenario.name, "instrument.optics.beamlets", asked, allowed)
+        metadata, beamlets = self.file.metadata, scenario.instrument.optics.beamlets
+        require_same(scenario, metadata.conditions, str(path))
+        if beamlets not in (1, metadata.beamlets):
+            allowed = f"allowed: {metadata.beamlets}, as recorded in {path}, or 1"
+            raise InputError(scenario.name, "instrument.optics.beamlets", beamlets, allowed)
         super().__init__(scenario)
 
     @property
@@ -42,10 +42,10 @@ class RecordedFlight(Flight):
     @property
     def has_moving_objects(self) -> bool:
         """See `Flight`."""
-        return self.file.about.moving
+        return self.file.metadata.moving
 
     def point(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
-        """See `Flight`; with the misalignment that faults had when it was recorded."""
+        """See `Flight`; misalignment faults are part of the recorded pointing."""
         return self.file.pointing(shot), state
 
     def patterns(self, shot: NDArray[np.int64], _state: ScannerState) -> IntArray:
@@ -63,12 +63,13 @@ class RecordedFlight(Flight):
         return self.file.beamlet_hits(pointing.shot, hits)
 
     def _check_ground_coverage(self) -> None:
-        """Not checked: where the recorded beams meet no ground, the hits say so."""
+        """Skip the check: recorded hits are NaN where a beam has no ground."""
 
     def _count_shots(self) -> int:
-        shots, duration_s = self.file.about.shots, self.scenario.duration_s
-        asked = shots if duration_s is None else self.scenario.timing.shots_within(duration_s)
-        if asked > shots:
-            allowed = f"allowed: at most {shots * self.period_ns * 1e-9:g} s, as recorded in {self.file.path}"
+        recorded, duration_s = self.file.metadata.shots, self.scenario.duration_s
+        shots = recorded if duration_s is None else self.scenario.timing.shots_within(duration_s)
+        if shots > recorded:
+            longest_s = recorded * self.period_ns * 1e-9
+            allowed = f"allowed: at most {longest_s:g} s, as recorded in {self.file.path}"
             raise InputError(self.scenario.name, "duration_s", duration_s, allowed)
-        return asked
+        return shots

@@ -1,4 +1,4 @@
-"""What a recorded geometry depends on, key by key."""
+"""The scenario keys on which a recorded geometry depends."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from lidar_emu.scenario.faults import Misalignment
 from lidar_emu.scenario.schema import FlightScenario
 
 _OF_LIGHT = ("name", "surface.lommel_seeliger_share", "atmosphere", "sunlight_w_per_m2_um")
-"""What of a site is none of its geometry. Reflectance is: it belongs to the places that are hit."""
+"""Keys of a site that do not affect its geometry. Reflectance counts as geometry: it is recorded with each hit."""
 
 _ABSENT = "nothing"
 
 
 def conditions(scenario: FlightScenario) -> dict[str, Any]:
-    """All that a scenario's geometry depends on, as JSON knows it, by key.
+    """List the keys and JSON values on which a scenario's geometry depends.
 
-    Of files that it names the name counts, not the folder: what was recorded is what they held then.
+    A file counts by its name without its folder: the recording holds the geometry of its contents at that time.
     """
     instrument, tree = scenario.instrument, scenario.model_dump(mode="json")
     tilts = {place: fault for place, fault in enumerate(scenario.faults) if isinstance(fault, Misalignment)}
@@ -41,27 +41,27 @@ def conditions(scenario: FlightScenario) -> dict[str, Any]:
         "faults": {str(place): fault.model_dump(mode="json") for place, fault in tilts.items()},
     }
     if any(fault.probability < 1 for fault in tilts.values()):
-        parts["seed"] = scenario.seed  # which says when they act
+        parts["seed"] = scenario.seed  # determines when they act
     of_light = tuple(f"site.{key}" for key in _OF_LIGHT)
     return {key: value for key, value in _leaves(parts) if not key.startswith(of_light)}
 
 
 def require_same(scenario: FlightScenario, recorded: dict[str, Any], file: str) -> None:
-    """Refuse a scenario whose geometry would be another.
+    """Refuse a scenario with a different geometry.
 
     Raises:
-        InputError: a key differs; names the first.
+        InputError: names the first key that differs.
     """
-    asked = conditions(scenario)
-    for key in [*asked, *(key for key in recorded if key not in asked)]:
-        here, there = asked.get(key, _ABSENT), recorded.get(key, _ABSENT)
+    current = conditions(scenario)
+    for key in [*current, *(key for key in recorded if key not in current)]:
+        here, there = current.get(key, _ABSENT), recorded.get(key, _ABSENT)
         if here != there:
             found = Finding("nothing given") if here is _ABSENT else here
             raise InputError(scenario.name, key, found, f"allowed: {there}, as recorded in {file}")
 
 
 def _leaves(tree: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """The values of nested mappings by their keys; lists are values, unless they hold mappings."""
+    """Yield the dotted keys and values of nested mappings; a list is a value unless it holds mappings."""
     if isinstance(tree, list) and any(isinstance(item, dict) for item in tree):
         tree = {str(place): item for place, item in enumerate(tree)}
     if isinstance(tree, dict):

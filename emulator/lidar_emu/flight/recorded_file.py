@@ -1,8 +1,8 @@
-"""The file of a recorded geometry; docs/geometry.md describes it.
+"""The file format of a recorded geometry; docs/geometry.md describes it.
 
-An uncompressed `.npz`, which numpy reads as it is: `about`, JSON text, and for each block of shots the arrays of
-`Pointing`, of the axes' hits and of the beamlets' hits, named `BLOCK.PART.FIELD`. It is written block by block; its
-table of contents comes last, so that a file that was cut is known as such.
+The file is an uncompressed `.npz`, which numpy opens directly. It holds the entry `about`, JSON text, and for each
+block of shots the arrays of `Pointing`, of the axes' hits and of the beamlets' hits, named `BLOCK.PART.FIELD`. Blocks
+are written in order and the table of contents last, so that a truncated file is detected.
 """
 
 from __future__ import annotations
@@ -30,48 +30,48 @@ BLOCK_SHOTS = 1024
 
 _ABOUT = "about"
 _SHOTS_AXIS = {"beams": 1, "vehicle": 1}
-"""Of the fields of `Pointing` whose first axis is not that of shots."""
+"""Index of the shots axis in the fields of `Pointing` that do not begin with it."""
 _UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True)
-class About:
-    """What a file says of itself."""
+class GeometryMetadata:
+    """The metadata of a geometry file, its entry `about`."""
 
     shots: int
     beams: int
     beamlets: int
-    """Rays of each beam whose hits are there; 1: the axis alone."""
+    """Rays per beam with recorded hits; 1: the axis alone."""
     moving: bool
-    """Whether hits tell of velocities."""
+    """Whether hits include surface velocities."""
     name: str
-    """Of the scenario that was flown."""
+    """Name of the scenario."""
     conditions: dict[str, Any]
-    """What the geometry depends on, see `conditions`."""
+    """Keys and values on which the geometry depends, see `recorded_conditions.conditions`."""
 
 
 class GeometryWriter:
-    """Writes blocks of shots as they come."""
+    """Writes the geometry of a flight, a block of shots at a time."""
 
-    def __init__(self, file: BinaryIO, about: About) -> None:
-        self._about = about
+    def __init__(self, file: BinaryIO, metadata: GeometryMetadata) -> None:
+        self._metadata = metadata
         self._blocks = 0
         self._archive = zipfile.ZipFile(file, "w", zipfile.ZIP_STORED)
-        told = {"format": FORMAT, "version": VERSION, "block_shots": BLOCK_SHOTS, **asdict(about)}
-        self._write(_ABOUT, np.array(json.dumps(told)))
+        entry = {"format": FORMAT, "version": VERSION, "block_shots": BLOCK_SHOTS, **asdict(metadata)}
+        self._write(_ABOUT, np.array(json.dumps(entry)))
 
     def add(self, pointing: Pointing, axis_hits: Hits, beamlet_hits: Hits) -> None:
-        """The next `BLOCK_SHOTS` shots, or what is left; `beamlet_hits` (rays,) of a single beamlet are left out."""
+        """Write the next `BLOCK_SHOTS` shots, or the rest; `beamlet_hits` (rays,) of a single beamlet are left out."""
         parts: dict[str, Pointing | Hits] = {"pointing": pointing, "axis": axis_hits}
-        if self._about.beamlets > 1:
-            parts["beamlets"] = beamlet_hits.shaped((*axis_hits.range_m.shape, self._about.beamlets))
+        if self._metadata.beamlets > 1:
+            parts["beamlets"] = beamlet_hits.shaped((*axis_hits.range_m.shape, self._metadata.beamlets))
         for part, arrays in parts.items():
             for field, array in arrays._asdict().items():
                 self._write(f"{self._blocks}.{part}.{field}", array)
         self._blocks += 1
 
     def close(self) -> None:
-        """Write the table of contents, without which nothing can be read."""
+        """Write the table of contents; a file without one cannot be read."""
         self._archive.close()
 
     def _write(self, name: str, array: NDArray[Any]) -> None:
@@ -80,43 +80,46 @@ class GeometryWriter:
 
 
 class GeometryFile:
-    """A file that was written by `GeometryWriter`.
+    """A file written by `GeometryWriter`.
 
     Raises:
-        InputError: it is none, was cut, is damaged, or of another version; also when it is read.
+        InputError: the file is missing, truncated, damaged, of another format or another version; all methods that
+            read from it raise this as well.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         if not path.is_file():
-            raise InputError(str(path), None, Finding("no such file"), "allowed: what --geometry-out wrote")
+            allowed = "allowed: a file from lidar-emu simulate --geometry-out"
+            raise InputError(str(path), None, Finding("no such file"), allowed)
         with self._readable():
             stream = path.open("rb")
             weakref.finalize(self, stream.close)
             self._archive: Any = np.load(stream, allow_pickle=False)
-            told = json.loads(str(self._archive[_ABOUT]))
-            if told["format"] != FORMAT:
-                raise ValueError(told["format"])
-        if told["version"] != VERSION or told["block_shots"] < 1:
+            entry = json.loads(str(self._archive[_ABOUT]))
+            if entry["format"] != FORMAT:
+                raise ValueError(entry["format"])
+        if entry["version"] != VERSION or entry["block_shots"] < 1:
             allowed = f"allowed: version {VERSION}; record it again"
-            raise InputError(str(path), "version", told["version"], allowed)
-        self._block_shots: int = told["block_shots"]
+            raise InputError(str(path), "version", entry["version"], allowed)
+        self._block_shots: int = entry["block_shots"]
         with self._readable():
-            self.about = About(**{name: told[name] for name in About.__dataclass_fields__})
+            fields = {name: entry[name] for name in GeometryMetadata.__dataclass_fields__}
+            self.metadata = GeometryMetadata(**fields)
         self._latest: dict[str, tuple[int, Any]] = {}
 
     def pointing(self, shot: NDArray[np.int64]) -> Pointing:
-        """Of these shots, in rising order."""
+        """Read the beams of these shots, given in ascending order."""
         pointing: Pointing = self._rows("pointing", shot)
         return pointing
 
     def axis_hits(self, shot: NDArray[np.int64]) -> Hits:
-        """(shots, beams) Of the beams' axes."""
+        """Read the hits of the beam axes, (shots, beams)."""
         hits: Hits = self._rows("axis", shot)
         return hits
 
     def beamlet_hits(self, shot: NDArray[np.int64], hits: Hits) -> Hits:
-        """Fill `hits` (rays,) of the beamlets, one beam after another, where the file has more than one a beam."""
+        """Fill `hits` (rays,) of the beamlets, grouped by beam, from a file with more than one beamlet per beam."""
         arrays: tuple[NDArray[Any], ...] = hits
         for values, recorded in zip(arrays, self._rows("beamlets", shot), strict=True):
             values[:] = recorded.reshape(values.shape)
@@ -127,18 +130,18 @@ class GeometryFile:
         for number in np.unique(shot // self._block_shots).tolist():
             block = self._block(part, number)
             rows = shot[shot // self._block_shots == number] - number * self._block_shots
-            pieces.append([_taken(field, array, rows) for field, array in block._asdict().items()])
-        joined = zip(block._fields, zip(*pieces, strict=True), strict=True)
-        return type(block)(*(np.concatenate(each, _SHOTS_AXIS.get(field, 0)) for field, each in joined))
+            pieces.append([_shots_of(field, array, rows) for field, array in block._asdict().items()])
+        fields = zip(block._fields, zip(*pieces, strict=True), strict=True)
+        return type(block)(*(np.concatenate(arrays, _SHOTS_AXIS.get(field, 0)) for field, arrays in fields))
 
     def _block(self, part: str, number: int) -> Any:
-        """A part of a block, kept until another one is asked for."""
+        """Read a part of a block, and keep it until another block is read."""
         latest, block = self._latest.get(part, (-1, None))
         if latest != number:
             like = self._unfilled(part, number)
             with self._readable():
                 arrays = [self._archive[f"{number}.{part}.{field}"] for field in like._fields]
-                # Kernels trust them.
+                # Kernels do not check types and shapes.
                 if [(a.dtype, a.shape) for a in arrays] != [(a.dtype, a.shape) for a in like]:
                     raise ValueError(part)
             block = type(like)(*arrays)
@@ -146,25 +149,25 @@ class GeometryFile:
         return block
 
     def _unfilled(self, part: str, number: int) -> Any:
-        """Arrays of the kind and shape that a part of a block has."""
-        first, about = number * self._block_shots, self.about
-        shot = np.arange(first, min(first + self._block_shots, about.shots), dtype=np.int64)
+        """Allocate arrays with the types and shapes of a part of a block."""
+        first, metadata = number * self._block_shots, self.metadata
+        shot = np.arange(first, min(first + self._block_shots, metadata.shots), dtype=np.int64)
         if part == "pointing":
-            return Pointing.unfilled(shot, about.beams)
-        each = (about.beamlets,) if part == "beamlets" else ()
-        shape = (len(shot), about.beams, *each)
-        return Hits.empty(prod(shape), about.moving).shaped(shape)
+            return Pointing.unfilled(shot, metadata.beams)
+        rays = (metadata.beamlets,) if part == "beamlets" else ()
+        shape = (len(shot), metadata.beams, *rays)
+        return Hits.empty(prod(shape), metadata.moving).shaped(shape)
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
         try:
             yield
         except _UNREADABLE:
-            found = Finding("no recorded geometry, or one that was cut or damaged")
-            allowed = "allowed: a whole file from lidar-emu simulate --geometry-out"
+            found = Finding("no recorded geometry, or a truncated or damaged file")
+            allowed = "allowed: a complete file from lidar-emu simulate --geometry-out"
             raise InputError(str(self.path), None, found, allowed) from None
 
 
-def _taken(field: str, array: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
-    """Some of the shots of a field; of one that is left empty nothing."""
+def _shots_of(field: str, array: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
+    """Select shots of a field; an empty field stays empty."""
     return np.take(array, rows, _SHOTS_AXIS.get(field, 0)) if array.size else array

@@ -1,4 +1,4 @@
-"""All rays that a flight may cast, of whatever patterns its beams take."""
+"""All rays that a flight may cast with any of its beam patterns."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lidar_emu.scene.ray_reach import Lines
 from lidar_emu.trajectory.state import Trajectory, seconds
 
 MOST_SHOTS = 1_000_000
-"""Of a longer flight nothing is known beforehand: to follow it would take longer than it saves."""
+"""Longer flights are not swept: the sweep would take longer than it saves."""
 _SHOTS_AT_ONCE = 4096
 
 
@@ -29,19 +29,18 @@ def sweep(
     scanner: ScannerModel,
     true_body: FloatArray,
 ) -> Iterator[Lines]:
-    """The axes of all beams of all patterns at each beam's time of validity, block by block.
+    """Yield the axes of all beams of all patterns at each beam's time of validity, block by block.
 
-    The first of a shot's rays starts where the sensor is as the shot begins, and has no direction.
+    The first ray of a shot starts at the sensor's position at the start of the shot, and has no direction.
 
     Args:
         trajectory: known for the whole flight.
-        shots: how many.
-        period_ns: from one to the next.
-        validity_ns: (beams,) of each beam, from the shot's start.
-        lever_arm_body_m: (3,) of the sensor.
-        scanner: its patterns.
-        true_body: (rows, beams, 3) where the light goes, as the scanner has them; NaN beyond the beams that a pattern
-            has.
+        shots: number of shots.
+        period_ns: time from shot to shot.
+        validity_ns: (beams,) Time of validity of each beam from the shot's start.
+        lever_arm_body_m: (3,) Position of the sensor.
+        scanner: scanner with its patterns.
+        true_body: (rows, beams, 3) True beam directions, in the scanner's order; NaN where a pattern has fewer beams.
     """
     after_ns = np.concatenate([[0], validity_ns])
     for first in range(0, shots, _SHOTS_AT_ONCE):
@@ -54,11 +53,11 @@ def sweep(
             yield sensor_site_m, rotate(vehicle.site_from_body, body.reshape(-1, 3))
 
 
-def slack(scenario: FlightScenario) -> tuple[float, float]:
-    """How far a beamlet's direction may differ from its axis', in radians, and its start from the aperture's centre.
+def beamlet_margins(scenario: FlightScenario) -> tuple[float, float]:
+    """Bound the angle between beamlets and the beam axis, in radians, and the offset of their origins, in metres.
 
-    A beamlet's ray joins points of the same share of the beam's power: it spreads no faster than the far field.
-    Misalignments that the scenario orders may all come together.
+    A beamlet's ray joins points of equal relative power, so it diverges no faster than the far field. Misalignments
+    that the scenario injects may add up.
     """
     waist_m = scenario.instrument.optics.waist_radius_m
     offset_w, _ = beamlet_pattern(scenario.instrument.optics.beamlets)

@@ -88,9 +88,9 @@ def _flown(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: H
 
 
 def _recorded(geometry: GeometryFile) -> Decision:
-    about = geometry.about
-    how = f"{geometry.path.name}: {about.shots} shots of {about.beams} beams, {about.beamlets} rays each"
-    reason = f"the geometry of {about.name} is given"
+    metadata = geometry.metadata
+    how = f"{geometry.path.name}: {metadata.shots} shots of {metadata.beams} beams, {metadata.beamlets} rays each"
+    reason = f"the geometry of {metadata.name} is given"
     return Decision("trajectory, ground, casting", False, how, reason, "as recorded, bit for bit")
 
 

@@ -150,7 +150,7 @@ class Recording:
             blocks.append(_measured(shots))
         if not blocks:
             raise InputError(str(self.path), None, Finding("without a measurement"), ALLOWED)
-        return Measurement.joined(blocks)
+        return Measurement.concatenate(blocks)
 
     def packets(self) -> Packets:
         """All packets that were due, with their delivery status."""

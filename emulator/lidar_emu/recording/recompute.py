@@ -118,7 +118,7 @@ def _live(
     for row, shot in enumerate(recorded.shot.tolist()):
         if _is_missed(recorded, row):
             continue
-        session.pass_over(shot)
+        session.skip_to(shot)
         parts.inputs.apply_due()
         seen_ns = model.flight.seen_ns(shot)
         newest_ns = truths.give(shot, seen_ns)

@@ -1,4 +1,4 @@
-"""Write down where a flight's beams point and what they meet."""
+"""Record the geometry of a flight: beam directions and hits."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ import numpy as np
 from lidar_emu.echo.echoes import EchoModel
 from lidar_emu.files import whole_file
 from lidar_emu.flight.recorded_conditions import conditions
-from lidar_emu.flight.recorded_file import BLOCK_SHOTS, About, GeometryWriter
+from lidar_emu.flight.recorded_file import BLOCK_SHOTS, GeometryMetadata, GeometryWriter
 from lidar_emu.scenario.required import require_known_flight
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.flight_model import FlightModel
 
 
-def record_geometry(scenario: FlightScenario, path: Path) -> About:
-    """Write the geometry of a flight, a block at a time, with all beamlets that the instrument asks for.
+def record_geometry(scenario: FlightScenario, path: Path) -> GeometryMetadata:
+    """Write the geometry of a flight, a block at a time.
 
-    Also those that the plan leaves out: another instrument may need them.
+    All beamlets of the instrument are written, including those that the plan leaves out: another instrument may need
+    them.
 
     Returns:
-        What the file says of itself.
+        The metadata of the file.
 
     Raises:
         InputError: the flight cannot be built, is live, or `path` cannot be written.
@@ -30,7 +31,7 @@ def record_geometry(scenario: FlightScenario, path: Path) -> About:
     require_known_flight(scenario)
     model, beamlets = FlightModel(scenario), scenario.instrument.optics.beamlets
     flight = model.flight
-    about = About(
+    metadata = GeometryMetadata(
         shots=flight.shot_count,
         beams=model.beam_count,
         beamlets=beamlets,
@@ -38,14 +39,14 @@ def record_geometry(scenario: FlightScenario, path: Path) -> About:
         name=scenario.name,
         conditions=conditions(scenario),
     )
-    light = EchoModel(scenario.instrument, scenario.site, flight, beamlets)
+    echo_model = EchoModel(scenario.instrument, scenario.site, flight, beamlets)
     state = model.initial_state
     with whole_file(path) as file:
-        writer = GeometryWriter(file, about)
+        writer = GeometryWriter(file, metadata)
         for first in range(0, flight.shot_count, BLOCK_SHOTS):
             shot = np.arange(first, min(first + BLOCK_SHOTS, flight.shot_count), dtype=np.int64)
             pointing, state = model.aim(shot, state)
             axis_hits = flight.cast(pointing)
-            writer.add(pointing, axis_hits, light.cast_beamlets(pointing, axis_hits))
+            writer.add(pointing, axis_hits, echo_model.cast_beamlets(pointing, axis_hits))
         writer.close()
-    return about
+    return metadata

@@ -153,7 +153,7 @@ def _measure(model: FlightModel) -> tuple[Measurement, FloatArray]:
         block, state, _ = measure(model, first, min(BLOCK_SHOTS, model.shot_count - first), state)
         blocks.append(block)
         true_m.append(model.points_site_m(replace(block, range_m=block.true_range_m), before))
-    return Measurement.joined(blocks), np.concatenate(true_m)
+    return Measurement.concatenate(blocks), np.concatenate(true_m)
 
 
 def _spacing(true_m: FloatArray) -> FloatArray:

@@ -71,10 +71,10 @@ class PreparedRun:
         """The longest packet that faults may make, so that there is room for it once it is stuffed."""
         return self.room_bytes - _STUFFING_BYTES
 
-    def can_date(self, shown_ns: int) -> bool:
+    def can_encode_time(self, shown_ns: int) -> bool:
         """Whether packets can hold the time up to the end of the run, once the clock was set to `shown_ns`."""
         run_ns = self.model.shot_count * self.model.period_ns
-        return self.encoder.can_date(self.shots.sample.measurement, shown_ns + run_ns)
+        return self.encoder.can_encode_time(self.shots.sample.measurement, shown_ns + run_ns)
 
 
 def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRun:

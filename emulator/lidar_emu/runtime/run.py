@@ -169,7 +169,9 @@ class Run:
         downlink, device = prepared.downlink, prepared.device
         self._truth = self._truth_source(socket)
         if downlink.has_commands:
-            self._commands = CommandHandler(downlink, device, prepared.can_date, port.send_now, observers)
+            self._commands = CommandHandler(
+                downlink, device, prepared.can_encode_time, port.send_now, observers
+            )
         if downlink.has_housekeeping:
             self._housekeeping = HousekeepingSender(
                 downlink, device, self.tally, self._commands, port.send_now, observers

@@ -1,4 +1,4 @@
-"""The bench pattern as a model: what it reports is what the scenario states."""
+"""The bench pattern as a model: it reports the values that the scenario states."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class BenchModel:
-    """Constants and ramps instead of physics."""
+    """A bench pattern: constants and ramps instead of physics."""
 
     def __init__(self, scenario: BenchScenario) -> None:
         self.pattern = scenario.bench_pattern
@@ -40,25 +40,25 @@ class BenchModel:
         self.pattern_count = 0
         self.physics: PhysicsFaults | None = None
         self.flight: Flight | None = None
-        self._order(scenario)
+        self._use_faults(scenario)
 
     def with_faults(self, faults: list[Fault]) -> Self:
-        """The same pattern with other faults.
+        """Copy this model with other faults.
 
         Raises:
-            InputError: one of them is none of a bench pattern.
+            InputError: a fault does not apply to bench patterns.
         """
         twin = copy(self)
-        twin._order(self.scenario.model_copy(update={"faults": faults}))
+        twin._use_faults(self.scenario.model_copy(update={"faults": faults}))
         return twin
 
-    def _order(self, scenario: BenchScenario) -> None:
+    def _use_faults(self, scenario: BenchScenario) -> None:
         refuse_physics(scenario)
         self.scenario = scenario
         self.faults = beam_faults(scenario, self.beam_count)
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """Shots `first` to `first + count - 1`; there is no state to carry."""
+        """Measure shots `first` to `first + count - 1`; a pattern carries no state."""
         valid = np.tile(self._valid, (count, 1))
         truth = self._truth(first, count)
         measurement = Measurement.with_columns(
@@ -76,12 +76,12 @@ class BenchModel:
         )
         return measurement, state
 
-    def unlit(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """The same shots, in none of which a beam fires."""
+    def laser_off(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
+        """Compute the same shots with the laser off."""
         return Measurement.with_columns(**self._truth(first, count)), state
 
     def _truth(self, first: int, count: int) -> dict[str, NDArray[Any]]:
-        """Number, instants and ground truth of shots."""
+        """Number, times and ground truth of shots."""
         shot = np.arange(first, first + count, dtype=np.int64)
         start_ns = shot * self.period_ns
         range_m, closing_mps = (
@@ -97,22 +97,22 @@ class BenchModel:
         }
 
     def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:  # noqa: ARG002
-        """There is only one."""
+        """(shots,) Pattern 0, the only one."""
         return np.zeros(count, dtype=np.int64)
 
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:  # noqa: ARG002
-        """A pattern has no points."""
+        """(shots, beams, 3) NaN: a bench pattern has no points."""
         return measurement.point_site_m
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:  # noqa: ARG002
-        """There is no state to carry."""
+        """Return the state unchanged."""
         return state
 
 
 def _level(level: Level, time_ns: NDArray[np.int64]) -> FloatArray:
     if not isinstance(level, Ramp):
         return np.full(len(time_ns), level)
-    # In whole nanoseconds: a period that starts with a shot starts there exactly.
+    # Whole nanoseconds, so that a period that starts with a shot starts exactly there.
     period_ns = round(level.period_s * 1e9)
     phase = (time_ns % period_ns).astype(np.float64) / period_ns
     return level.start + (level.stop - level.start) * phase

@@ -1,4 +1,4 @@
-"""A flight over ground as a model: truth -> beams -> hits -> echoes -> measurement."""
+"""A flight over ground as a model: ground truth -> beams -> hits -> echoes -> measurement."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lidar_emu.echo.echoes import EchoModel
 from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight.flight import Flight
-from lidar_emu.flight.pointing import Pointing, approach, locate
+from lidar_emu.flight.pointing import Pointing, closing_speed_and_incidence, locate_points
 from lidar_emu.fmcw.levels import build_level
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.measurement import Measurement
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 
 class FlightModel:
-    """A flight over ground, measured by the model of the instrument."""
+    """A flight over ground, measured by the instrument model."""
 
     def __init__(self, scenario: FlightScenario, flight: Flight | None = None) -> None:
-        """Model a scenario; `flight` None: it is built here."""
+        """Model a scenario; `flight` None: build it from the scenario."""
         self.scenario = scenario
         self.flight = Flight(scenario) if flight is None else flight
         self.plan = plan_flight(scenario, self.flight)
@@ -41,32 +41,32 @@ class FlightModel:
         self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
         self.initial_state = self.flight.scanner.initial
         self.pattern_count = self.flight.scanner.set_count
-        self._order(scenario)
+        self._use_faults(scenario)
 
     def with_faults(self, faults: list[Fault]) -> Self:
-        """The same model with other faults.
+        """Copy this model with other faults.
 
         Raises:
-            InputError: one of them is none of this scenario.
+            InputError: a fault does not apply to this scenario.
         """
         twin = copy(self)
-        twin._order(self.scenario.model_copy(update={"faults": faults}))
+        twin._use_faults(self.scenario.model_copy(update={"faults": faults}))
         return twin
 
-    def _order(self, scenario: FlightScenario) -> None:
+    def _use_faults(self, scenario: FlightScenario) -> None:
         self.scenario = scenario
         self.physics = physics_faults(scenario, self.flight, self.level)
         self.faults = beam_faults(scenario, self.beam_count)
 
     def aim(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
-        """Beams of consecutive shots, as misaligned as faults have them."""
+        """Point the beams of consecutive shots, including misalignment faults."""
         pointing, state = self.flight.point(shot, state)
         if self.physics is not None and self.flight.recorded_geometry is None:
             pointing = self.physics.tilted(pointing, shot)
         return pointing, state
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """Shots `first` to `first + count - 1` without faults of beams, given the scanner's state before them."""
+        """Measure shots `first` to `first + count - 1` without beam faults, from the scanner's state before them."""
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.aim(shot, state)
         axis_hits = self.flight.cast(pointing)
@@ -79,8 +79,8 @@ class FlightModel:
             returns = self.physics.returns(echoes, self.echo_model.beamlet_hits, shot)
         return self._measurement(shot, pointing, axis_hits, returns), state
 
-    def unlit(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """The same shots without light, and little computed but where the vehicle is."""
+    def laser_off(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
+        """Compute the same shots with the laser off: only times and the vehicle's state."""
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.flight.point(shot, state)
         measurement = Measurement.with_columns(
@@ -93,18 +93,18 @@ class FlightModel:
         return measurement, state
 
     def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:
-        """(shots,) Which pattern of beams each of these shots uses."""
+        """(shots,) Number of the beam pattern of each shot."""
         return self.flight.patterns(np.arange(first, first + count, dtype=np.int64), state)
 
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
-        """(shots, beams, 3) Where the ranges of a measurement end, given the scanner's state before it."""
+        """(shots, beams, 3) End points of the measured ranges, from the scanner's state before the measurement."""
         pointing, _ = self.flight.point(measurement.shot, state)
         point_site_m = np.empty((*pointing.fired.shape, 3))
-        locate(pointing.beams, measurement.range_m, point_site_m)
+        locate_points(pointing.beams, measurement.range_m, point_site_m)
         return point_site_m
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
-        """The scanner's state after these shots, without measuring them."""
+        """Compute the scanner's state after these shots without measuring them."""
         return self.flight.point(np.arange(first, first + count, dtype=np.int64), state)[1]
 
     def _measurement(
@@ -113,14 +113,14 @@ class FlightModel:
         true_closing_mps = np.empty(pointing.fired.shape)
         point_site_m = np.empty((*pointing.fired.shape, 3))
         true_incidence_deg = np.empty(pointing.fired.shape)
-        approach(
+        closing_speed_and_incidence(
             pointing.beams,
             axis_hits.normal_site,
             axis_hits.velocity_site_mps,
             true_closing_mps,
             true_incidence_deg,
         )
-        locate(pointing.beams, returns.range_m, point_site_m)
+        locate_points(pointing.beams, returns.range_m, point_site_m)
         return Measurement(
             **returns.report(),
             shot=shot,
@@ -139,7 +139,7 @@ class FlightModel:
 
 
 def _dust(scenario: FlightScenario) -> Dust | None:
-    """None where no plume raises any, or the level reports the truth."""
+    """Build the dust model; None without a plume, or at level geometric."""
     if scenario.plume is None or scenario.level == "geometric":
         return None
     from lidar_emu.echo.dust import Dust

@@ -1,7 +1,7 @@
-"""What a run measures, shot by shot, whether physics says so or a bench pattern.
+"""The model of a run, a flight or a bench pattern, and its measurement shot by shot.
 
-Everything here takes a leading shots axis: real time passes short blocks, `simulate` long ones, and the bits
-of a shot do not depend on the block that it came in.
+All arrays have a leading shots axis: real-time runs use short blocks, `simulate` long ones. The bits of a shot do not
+depend on the block size.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ BLOCK_SHOTS = 128
 
 
 class Model(Protocol):
-    """What a run measures, shot by shot."""
+    """A flight or a bench pattern that is measured shot by shot."""
 
     beam_count: int
     shot_count: int
@@ -46,43 +46,43 @@ class Model(Protocol):
         ...
 
     def with_faults(self, faults: list[Fault]) -> Self:
-        """The same model with other faults.
+        """Copy this model with other faults.
 
         Raises:
-            InputError: one of them is none of this scenario.
+            InputError: a fault does not apply to this scenario.
         """
         ...
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """Shots `first` to `first + count - 1` without faults of beams, given the scanner's state before them."""
+        """Measure shots `first` to `first + count - 1` without beam faults, from the scanner's state before them."""
         ...
 
-    def unlit(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """The same shots without light, and little computed but where the vehicle is."""
+    def laser_off(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
+        """Compute the same shots with the laser off: only times and the vehicle's state."""
         ...
 
     def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:
-        """(shots,) Which pattern of beams each of these shots uses."""
+        """(shots,) Number of the beam pattern of each shot."""
         ...
 
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
-        """(shots, beams, 3) Where the ranges of a measurement end, given the scanner's state before it."""
+        """(shots, beams, 3) End points of the measured ranges, from the scanner's state before the measurement."""
         ...
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
-        """The scanner's state after these shots, without measuring them."""
+        """Compute the scanner's state after these shots without measuring them."""
         ...
 
 
 def build_model(scenario: FlightScenario | BenchScenario, geometry: Path | None = None) -> Model:
-    """The model that the scenario asks for.
+    """Build the model of a scenario.
 
     Args:
         scenario: as read by `load`.
-        geometry: the flight's, as it was recorded; None: it is computed.
+        geometry: file with the recorded geometry of the flight; None: compute it.
 
     Raises:
-        InputError: a file cannot be used, the flight leaves the ground, or the geometry is another one's.
+        InputError: a file cannot be used, the flight leaves the ground, or the geometry is from another flight.
     """
     if geometry is None and isinstance(scenario, BenchScenario):
         from lidar_emu.shots.bench_model import BenchModel
@@ -90,23 +90,23 @@ def build_model(scenario: FlightScenario | BenchScenario, geometry: Path | None 
         return BenchModel(scenario)
     from lidar_emu.shots.flight_model import FlightModel
 
-    flown = require_flight(scenario)
+    flight_scenario = require_flight(scenario)
     if geometry is None:
-        return FlightModel(flown)
+        return FlightModel(flight_scenario)
     from lidar_emu.flight.recorded import RecordedFlight
 
-    return FlightModel(flown, RecordedFlight(flown, geometry))
+    return FlightModel(flight_scenario, RecordedFlight(flight_scenario, geometry))
 
 
 class ModelState(NamedTuple):
-    """What is carried from shot to shot."""
+    """State carried from shot to shot."""
 
     scanner: ScannerState
     faults: tuple[Held | None, ...] = ()
 
 
 def initial_state(model: Model) -> ModelState:
-    """Before shot 0."""
+    """State before shot 0."""
     return ModelState(model.initial_state, () if model.faults is None else model.faults.initial)
 
 
@@ -116,16 +116,19 @@ def measure(
     count: int,
     state: ModelState,
     fires: BoolArray | None = None,
-    unlit: bool = False,
+    laser_off: bool = False,
 ) -> tuple[Measurement, ModelState, list[FaultOccurrence]]:
-    """Shots `first` to `first + count - 1` with their faults; the state after them; and which faults acted.
+    """Measure shots `first` to `first + count - 1` with faults; also return the state afterwards and acting faults.
 
     Args:
-        fires: (shots, beams) or (1, beams), which of its beams the device fires; None: all.
-        unlit: it fires none, and the ground under them does not matter either.
+        model: the model.
+        first, count: first shot and number of shots.
+        state: state before the first shot.
+        fires: (shots, beams) or (1, beams), the beams that the device fires; None: all.
+        laser_off: the device fires no beam, so hits and echoes are not computed.
     """
-    measurement, scanner = (model.unlit if unlit else model.measure)(first, count, state.scanner)
-    if fires is not None and not unlit:
+    measurement, scanner = (model.laser_off if laser_off else model.measure)(first, count, state.scanner)
+    if fires is not None and not laser_off:
         measurement = measurement.firing_only(fires)
     in_light: list[FaultOccurrence] = []
     if model.physics is not None:
@@ -139,7 +142,7 @@ def measure(
 
 
 def measure_in_blocks(model: Model, block_shots: int = BLOCK_SHOTS) -> Iterator[Measurement]:
-    """All shots of the run, a block at a time."""
+    """Measure all shots of the run, a block at a time."""
     state = initial_state(model)
     for first in range(0, model.shot_count, block_shots):
         block, state, _ = measure(model, first, min(block_shots, model.shot_count - first), state)
@@ -147,23 +150,23 @@ def measure_in_blocks(model: Model, block_shots: int = BLOCK_SHOTS) -> Iterator[
 
 
 def measure_whole(model: Model) -> Measurement:
-    """All shots of the run at once."""
-    return Measurement.joined(list(measure_in_blocks(model)))
+    """Measure all shots of the run."""
+    return Measurement.concatenate(list(measure_in_blocks(model)))
 
 
 def simulate(scenario: FlightScenario | BenchScenario, seed: int | None = None) -> Measurement:
-    """Measure a whole scenario without clock or wire.
+    """Measure a whole scenario without clock and link.
 
     Args:
         scenario: as read by `load`.
-        seed: instead of the scenario's own.
+        seed: replaces the scenario's seed.
 
     Returns:
-        Arrays shaped (shots, beams); the same values as a run sends for the same seed.
+        Arrays shaped (shots, beams), with the values that a run sends for the same seed.
 
     Raises:
-        InputError: a file that the scenario names cannot be used, or the flight leaves the ground.
-        ValueError: the seed is not one.
+        InputError: a file named by the scenario cannot be used, or the flight leaves the ground.
+        ValueError: the seed is out of range.
     """
     if seed is not None:
         scenario = type(scenario).model_validate({**dict(scenario), "seed": seed})

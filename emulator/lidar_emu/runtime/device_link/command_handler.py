@@ -58,7 +58,7 @@ class CommandHandler:
     Args:
         encoder: encodes acknowledgements; its interface has commands.
         device: executes the commands.
-        can_date: whether packets can hold a time to which the clock may be set, in nanoseconds since the epoch.
+        can_encode_time: whether packets can hold a time to which the clock may be set, in nanoseconds since the epoch.
         send: sends an acknowledgement at once.
         observers: receive every command, with the first shot that follows it, and every acknowledgement.
 
@@ -70,14 +70,14 @@ class CommandHandler:
         self,
         encoder: DownlinkEncoder,
         device: DeviceTimeline,
-        can_date: Callable[[int], bool],
+        can_encode_time: Callable[[int], bool],
         send: Callable[[bytes], None],
         observers: Sequence[Observer],
     ) -> None:
         self._encoder, self._interface = encoder, encoder.interface
         self._bytes = None if encoder.can else CommandReader(encoder.interface, encoder.unit)
         self._frames = CanCommandReader(encoder.interface, encoder.unit) if encoder.can else None
-        self._device, self._can_date = device, can_date
+        self._device, self._can_encode_time = device, can_encode_time
         self._send, self._observers = send, observers
         assert encoder.interface.commands is not None
         self._commands = encoder.interface.commands
@@ -178,7 +178,7 @@ class CommandHandler:
         if not in_turn:
             return received, None
         tone_ns = values.get("tone_ns")
-        if isinstance(tone_ns, int) and not self._can_date(tone_ns):
+        if isinstance(tone_ns, int) and not self._can_encode_time(tone_ns):
             return received._replace(verdict=OUT_OF_RANGE), None
         tone_at_ns = time_ns if pulse_ns is None else pulse_ns
         state, verdict = self._device.execute(DeviceCommand(command.name, values, time_ns, tone_at_ns))

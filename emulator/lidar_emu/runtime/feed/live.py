@@ -100,7 +100,7 @@ class LiveFeed(Feed):
         self._control.begin(self._start_ns)
         self._source.begin(self._start_ns)
         begun_ns = max(first.truth.time_ns, first.arrived_ns - self._start_ns, 0)
-        self._session.pass_over(-(-begun_ns // self._flight.period_ns))
+        self._session.skip_to(-(-begun_ns // self._flight.period_ns))
 
     def _wait_for_truth(self, shot: int) -> None:
         """Wait until truth covers the shot, the flight has ended, or the packet cannot wait."""
@@ -134,7 +134,7 @@ class LiveFeed(Feed):
         now_ns = self._clock.now_ns()
         too_late = now_ns > self._due_ns(shot) + self._late_after_ns
         if too_late and not self._session.next_is_silent():
-            self._session.pass_over(shot + 1)
+            self._session.skip_to(shot + 1)
             self._packets.missed(shot, self._flight.due_ns(shot), now_ns - self._start_ns_known())
             return
         fresh = source.is_fresh_at(self._flight.seen_ns(shot))

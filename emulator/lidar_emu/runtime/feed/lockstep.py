@@ -87,7 +87,7 @@ class LockstepFeed(Feed):
             self._begun = True
             self._control.begin(self._clock.now_ns())
             self._source.begin(None)
-            self._session.pass_over(-(-truth.time_ns // self._flight.period_ns))
+            self._session.skip_to(-(-truth.time_ns // self._flight.period_ns))
         self._source.notify()
         self._compute(truth.time_ns)
         self._ended = self._source.ended or self._session.next_shot >= self._flight.shot_count
