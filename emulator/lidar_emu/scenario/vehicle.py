@@ -22,8 +22,7 @@ class Engine(Part):
     specific_impulse_s: Positive = 310.0
     """Thrust per weight of propellant a second, in standard gravity."""
     valve_lag_s: Lag = 0.02
-    """Time constant of the thrust's response to its command, integrated in closed form: short ones need no shorter
-    steps."""
+    """Time constant of the thrust's response to its command. The response is computed in closed form, for any lag."""
 
     @model_validator(mode="after")
     def _throttle_range(self) -> Self:
