@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 from lidar_emu.scenario.load import shipped_scenarios
@@ -19,7 +20,7 @@ WATCHED = {
             *("trajectory.powered", "trajectory.profile", "echo", "echo.dust"),
             *("scene", "scene.generated", "scene.mesh", "scene.objects"),
             *("flight", "flight.recorded", "fmcw.beam_measurement", "fmcw.receiver_faults", "fmcw.waveform"),
-            *("faults.measured", "faults.physics", "plan.flight", "plan.expected_error", "probability"),
+            *("faults.beams", "faults.physics", "plan.flight", "plan.expected_error", "probability"),
         )
     ),
 }
@@ -41,12 +42,12 @@ SIMULATED = {
     "hazards": FLIGHT | OBJECTS | {"scene.generated"},
     "homodyne_sign": FLIGHT | {"faults.physics", "fmcw.receiver_faults"},
     "nasa_three_beam": FLIGHT,
-    "noisy_descent_2025": FLIGHT | {"faults.physics", "fmcw.receiver_faults"},
+    "noisy_descent_2025": FLIGHT | {"faults.beams", "faults.physics", "fmcw.receiver_faults"},
     "obstacles": FLIGHT | OBJECTS,
     "paper_fig2": FLIGHT | OBJECTS | {"scene.generated"},
     "paper_fig3": FLIGHT,
     "paper_fig4": FLIGHT,
-    "paper_fig5": FLIGHT | OBJECTS | {"scene.generated"},
+    "paper_fig5": FLIGHT,
     "powered_descent": FLIGHT | {"trajectory.powered"},
     "terrain_step_2023": FLIGHT,
 }
@@ -105,6 +106,11 @@ def test_a_command_loads_what_its_scenario_needs(tmp_path: Path) -> None:
 
 def test_no_shipped_scenario_is_forgotten() -> None:
     assert {f"{name}.yaml" for name in (*SIMULATED, *PLANNED)} == set(shipped_scenarios())
+
+
+def test_every_watched_module_exists() -> None:
+    own = [name for name in WATCHED if name.startswith("lidar_emu.")]
+    assert [name for name in own if find_spec(name) is None] == []
 
 
 HEAVY = (
