@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from lidar_emu.device.constants import DeviceConstants, TimedEvent, device_rules
 from lidar_emu.device.modes import advance, initial, timed
-from lidar_emu.device.rules import Rules, TimedEvent, device_rules
 from lidar_emu.device.settling import Settling
 from lidar_emu.device.shot_policy import ShotPolicy, shot_policy
 from lidar_emu.device.state import DeviceState
@@ -84,13 +84,13 @@ class Session:
         encoder: Encoder,
         kept_blocks: int = 1,
         faulty: FaultyEncoder | None = None,
-        rules: Rules | None = None,
+        rules: DeviceConstants | None = None,
     ) -> None:
         self._model = model
         self._encoder = encoder
         self._faulty = faulty
         self.rules = rules or device_rules(DeviceBehaviour(), 1e9 / model.period_ns, model.beam_count, 1)
-        """Rules of the device."""
+        """DeviceConstants of the device."""
         self._state = _State(
             initial_state(model),
             shot_policy(initial(self.rules), model.beam_count),

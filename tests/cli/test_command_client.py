@@ -10,8 +10,8 @@ from itertools import count
 import pytest
 
 from lidar_emu.cli.command_client import NO_ACKNOWLEDGEMENT, SENT, CommandClient
+from lidar_emu.device.constants import device_rules
 from lidar_emu.device.modes import initial
-from lidar_emu.device.rules import device_rules
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.runtime.device_link.command_handler import CommandHandler
 from lidar_emu.runtime.device_link.encoder import DownlinkEncoder

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from lidar_emu.device.commands import DeviceCommand, execute
+from lidar_emu.device.constants import DeviceConstants, device_rules
 from lidar_emu.device.modes import advance, initial
-from lidar_emu.device.rules import Rules, device_rules
 from lidar_emu.device.state import DeviceState
 from lidar_emu.scenario.device import DeviceBehaviour
 
@@ -19,7 +19,7 @@ TIMES = {
 }
 
 
-def rules(**part: Any) -> Rules:
+def rules(**part: Any) -> DeviceConstants:
     """Of a device at 20 shots a second with four beams and two patterns."""
     return device_rules(DeviceBehaviour.model_validate({**TIMES, **part}), 20.0, 4, 2, 1.5)
 

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 import lidar_emu
 from lidar_emu.device.commands import DeviceCommand
+from lidar_emu.device.constants import DeviceConstants, device_rules
 from lidar_emu.device.modes import initial
-from lidar_emu.device.rules import Rules, device_rules
 from lidar_emu.device.state import Mode
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.faults.encoder import faulty_encoder
@@ -40,7 +40,7 @@ def flown(faults: str) -> tuple[FlightScenario, Model]:
     return scenario, build_model(scenario)
 
 
-def begun(faults: str = "[]", **part: Any) -> tuple[Session, Rules]:
+def begun(faults: str = "[]", **part: Any) -> tuple[Session, DeviceConstants]:
     scenario, model = flown(faults)
     rules = device_rules(DeviceBehaviour.model_validate(part), 20.0, 4, 2)
     encoder = Encoder(scenario.wire, False, False, 4)
@@ -72,7 +72,7 @@ def decoded(blocks: list[Block]) -> dict[int, Message]:
     return found
 
 
-def after(rules: Rules, *orders: tuple[float, str, dict[str, Any]]) -> Any:
+def after(rules: DeviceConstants, *orders: tuple[float, str, dict[str, Any]]) -> Any:
     """The state after commands, each at a time in milliseconds."""
     device, state = DeviceTimeline(rules, initial(rules)), None
     for time_ms, name, values in orders:

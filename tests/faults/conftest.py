@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from lidar_emu.device.rules import Rules, device_rules
+from lidar_emu.device.constants import DeviceConstants, device_rules
 from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.scenario.schema import BenchScenario, Scenario
 from lidar_emu.session import Block, Session
@@ -20,7 +20,7 @@ SHOTS = 100
 
 Bench = Callable[..., BenchScenario]
 Shoot = Callable[..., list[Block]]
-RulesOf = Callable[[Scenario, Model], Rules]
+RulesOf = Callable[[Scenario, Model], DeviceConstants]
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def bench() -> Bench:
 def rules_of() -> RulesOf:
     """The rules of a scenario's device."""
 
-    def rules(scenario: Scenario, model: Model) -> Rules:
+    def rules(scenario: Scenario, model: Model) -> DeviceConstants:
         counts = model.beam_count, model.pattern_count
         return device_rules(scenario.device, scenario.timing.rate_hz, *counts, None, scenario.faults)
 

@@ -8,8 +8,8 @@ import pytest
 
 import lidar_emu
 from lidar_emu.device.commands import DeviceCommand
+from lidar_emu.device.constants import DeviceConstants, all_events
 from lidar_emu.device.modes import initial
-from lidar_emu.device.rules import Rules, all_events
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
 from lidar_emu.faults.encoder import faulty_encoder
@@ -133,7 +133,7 @@ def test_a_rule_of_the_scenario_goes_first(bench: Any, rules_of: Any) -> None:
     scenario = bench({"kind": "brown_out", "from_s": 1.0, "to_s": 2.0}, {"kind": "interlock", "from_s": 0.5}, device={
         "events": [{"at_s": 1.0, "what": "power_on"}, {"at_s": 3.0, "what": "power_off"}]
     })  # fmt: skip
-    rules: Rules = rules_of(scenario, build_model(scenario))
+    rules: DeviceConstants = rules_of(scenario, build_model(scenario))
     assert [(event.at_ns // MS, event.what) for event in rules.events] == [
         (500, "interlock_opens"), (1000, "power_on"), (1000, "power_off"), (2000, "power_on"), (3000, "power_off"),
     ]  # fmt: skip

@@ -18,8 +18,8 @@ from mcap.reader import make_reader
 from waiting import LIMIT_S, eventually
 
 import lidar_emu
+from lidar_emu.device.constants import all_events
 from lidar_emu.device.modes import initial
-from lidar_emu.device.rules import all_events
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
 from lidar_emu.faults.encoder import faulty_encoder

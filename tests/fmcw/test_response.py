@@ -7,8 +7,8 @@ import pytest
 from instruments import PLAIN
 from scipy.signal import lfilter
 
+from lidar_emu.fmcw.analog_response import Response, clipping, noise_level, tone_gain
 from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.response import Response, clipping, noise_level, tone_gain
 from lidar_emu.scenario.instrument import Instrument, Receiver, Waveform
 
 

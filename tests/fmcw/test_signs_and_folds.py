@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from instruments import targets
 
-from lidar_emu.fmcw.estimation import (
+from lidar_emu.fmcw.range_speed_estimation import (
     ALL,
     CONSTANT,
     DOWN,

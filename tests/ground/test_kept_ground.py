@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene import build_scene
 from lidar_emu.scene.generated import generate as generator
-from lidar_emu.scene.generated.kept import elevation_m, kept_path
+from lidar_emu.scene.generated.cache import elevation_m, kept_path
 
 ALL = {"relief": RELIEF, "craters": CRATERS, "rocks": MOON_ROCKS}
 
@@ -56,7 +56,7 @@ def test_processes_may_ask_at_once(ground, cache):
     asked = ground(**ALL)
     code = (
         "import hashlib, sys\n"
-        "from lidar_emu.scene.generated.kept import elevation_m\n"
+        "from lidar_emu.scene.generated.cache import elevation_m\n"
         "from lidar_emu.scenario.generated_ground import Generated\n"
         "made = elevation_m(Generated.model_validate_json(sys.argv[1]))\n"
         "print(hashlib.sha256(made.tobytes()).hexdigest())"

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from lidar_emu.runtime.change_queue import Change, ChangeQueue
-from lidar_emu.runtime.feed.ahead import AheadFeed
 from lidar_emu.runtime.feed.live import LiveFeed
-from lidar_emu.runtime.feed.truth_source import TruthSource
+from lidar_emu.runtime.feed.live_truth_source import TruthSource
+from lidar_emu.runtime.feed.planned import PlannedFeed
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import OutgoingPacket
 from lidar_emu.scenario.trajectory import Live
@@ -322,7 +322,7 @@ def test_a_command_is_followed_from_the_next_shot_that_can_be_made(commanded_ms:
     arrived_ns = START_NS + commanded_ms * MS
     first = block_of(world, 30)
     changes = [(arrived_ns, to_pattern(1, arrived_ns))]
-    AheadFeed(*shared(world, changes), first, 30, START_NS, Pace.WALL).run()
+    PlannedFeed(*shared(world, changes), first, 30, START_NS, Pace.WALL).run()
     assert [shot for shot, _ in world.sent] == list(range(900)), "every shot once, in order"
     patterns = [pattern for _, pattern in world.sent]
     follows = patterns.index(1)
@@ -340,7 +340,7 @@ def test_without_a_given_start_the_run_begins_once_shots_are_there(room: int, co
     world.stalls = dict.fromkeys(range(1, 200), 10 * MS)
     first = block_of(world, 1)
     asked_ns = world.now
-    AheadFeed(*shared(world), first, 30, None, Pace.WALL).run()
+    PlannedFeed(*shared(world), first, 30, None, Pace.WALL).run()
     assert world.begun == [(asked_ns + 10 * MS * (computed - 1) + 100 * MS, computed)]
     assert [shot for shot, _ in world.sent] == list(range(200))
 
@@ -350,7 +350,7 @@ def test_two_commands_at_once_and_one_at_the_end() -> None:
     instants = [START_NS + t * MS for t in (1000, 1001, 9990)]
     changes = [(at_ns, to_pattern(k + 1, at_ns)) for k, at_ns in enumerate(instants)]
     first = block_of(world, 30)
-    AheadFeed(*shared(world, changes), first, 30, START_NS, Pace.WALL).run()
+    PlannedFeed(*shared(world, changes), first, 30, START_NS, Pace.WALL).run()
     assert [shot for shot, _ in world.sent] == list(range(200))
     patterns = [pattern for _, pattern in world.sent]
     assert sorted(patterns) == patterns
@@ -366,7 +366,7 @@ def test_no_change_takes_effect_before_one_that_was_heard_earlier(slow: bool) ->
     ready_ns, at_ns = START_NS + 1300 * MS, START_NS + 1000 * MS
     changes = [(at_ns, to_pattern(1, ready_ns, followed)), (at_ns, to_pattern(2, at_ns, followed))]
     first = block_of(world, 5)
-    AheadFeed(*shared(world, changes), first, 5, START_NS, Pace.WALL).run()
+    PlannedFeed(*shared(world, changes), first, 5, START_NS, Pace.WALL).run()
     assert followed == [(1, 26, ready_ns), (2, 26, ready_ns)]
     assert [pattern for _, pattern in world.sent] == [0] * 26 + [2] * 174
 
@@ -377,7 +377,7 @@ def test_what_no_shot_follows_any_more_is_told_of_at_the_end() -> None:
     times_ns = [START_NS + t * MS for t in (9951, 9952)]
     changes = [(at_ns, to_pattern(k, at_ns, followed)) for k, at_ns in enumerate(times_ns)]
     at_work = shared(world, [(at_ns - 3 * MS, change) for at_ns, change in changes])
-    AheadFeed(*at_work, block_of(world, 30), 30, START_NS, Pace.WALL).run()
+    PlannedFeed(*at_work, block_of(world, 30), 30, START_NS, Pace.WALL).run()
     assert followed == []
     at_work[-1].close()
     assert followed == [(0, None, None), (1, None, None)]

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 from waiting import LIMIT_S
 
+from lidar_emu.device.constants import device_rules
 from lidar_emu.device.modes import initial
-from lidar_emu.device.rules import device_rules
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import RunError
 from lidar_emu.runtime.clock import Clock

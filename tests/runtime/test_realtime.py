@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from lidar_emu.runtime.realtime import isolated_cores
+from lidar_emu.runtime.realtime_priority import isolated_cores
 
 WISHES = ["fifo", "isolated_core", "locked_memory", "timer_slack"]
 # Before privilege is given up: who has none may not be able to read the interpreter's library.
 IMPORTS = """
 import ctypes, json, os, resource
 from pathlib import Path
-from lidar_emu.runtime.realtime import request_realtime
+from lidar_emu.runtime.realtime_priority import request_realtime
 """
 REPORT = """
 before = resource.getrlimit(resource.RLIMIT_MEMLOCK)
@@ -101,7 +101,7 @@ def test_a_system_that_does_not_tell_has_none(tmp_path: Path) -> None:
 def test_a_prompt_process_is_an_ordinary_one_again_afterwards() -> None:
     code = """
 import json, os
-from lidar_emu.runtime.realtime import request_realtime, realtime_priority
+from lidar_emu.runtime.realtime_priority import request_realtime, realtime_priority
 scheduler = [os.sched_getscheduler(0)]
 try:
     with realtime_priority():

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lidar_emu.runtime.port.ring import SharedRing
+from lidar_emu.runtime.port.shared_ring import SharedRing
 
 SLOTS, ENTRY_BYTES = 3, 20
 

@@ -36,7 +36,7 @@ from lidar_emu.bench.stopwatch import median_times_s
 from lidar_emu.bench.work_precision import cheapest, pareto_front
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.flight.flight import Flight
-from lidar_emu.fmcw.levels import Level, build_level
+from lidar_emu.fmcw.fidelity_levels import Level, build_level
 from lidar_emu.scenario.schema import FlightScenario
 
 _TIMED_SHOTS = 16

@@ -18,7 +18,7 @@ from lidar_emu.bench.helper_process import Helper
 from lidar_emu.bench.realtime_statistics import NEVER, SecondComparison, Side, windows
 from lidar_emu.numerics.arrays import IntArray
 from lidar_emu.recording.write import Recorder
-from lidar_emu.runtime.lateness import steal_ticks
+from lidar_emu.runtime.lateness_statistics import steal_ticks
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, payload_of

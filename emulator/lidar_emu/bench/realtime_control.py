@@ -13,7 +13,7 @@ from array import array
 
 from lidar_emu.bench.helper_pipes import CONTROL, receive_message, send_arrays, send_message
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.realtime import request_realtime
+from lidar_emu.runtime.realtime_priority import request_realtime
 
 _NEVER = -1
 _SECOND_ISOLATED_CORE = 1

@@ -12,7 +12,7 @@ from contextlib import suppress
 
 from lidar_emu.bench.helper_pipes import CONTROL, receive_message, send_arrays, send_message
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.realtime import request_realtime
+from lidar_emu.runtime.realtime_priority import request_realtime
 from lidar_emu.trajectory.live_datagram import Truth
 
 _FACING_DOWN = (0.0, 0.5**0.5, 0.5**0.5, 0.0)

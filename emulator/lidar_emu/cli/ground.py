@@ -40,9 +40,9 @@ def ground(
     asked = _generated(scenario, settings)
     import numpy as np
 
+    from lidar_emu.scene.generated.cache import keep
     from lidar_emu.scene.generated.compare import compare
     from lidar_emu.scene.generated.generate import generate
-    from lidar_emu.scene.generated.kept import keep
 
     layers = generate(asked)
     elevation_m = layers.elevation_m(asked)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from lidar_emu.device.constants import DeviceConstants
 from lidar_emu.device.modes import acquire, enter, restart, timed
-from lidar_emu.device.rules import Rules
 from lidar_emu.device.state import DeviceState, Mode, PendingTransition
 from lidar_emu.scenario.device import LONGEST_STEP_S, MOST_HOUSEKEEPING_HZ
 
@@ -38,7 +38,7 @@ class _RejectedError(Exception):
     """A command is rejected; the argument is the verdict."""
 
 
-def execute(rules: Rules, state: DeviceState, command: DeviceCommand) -> tuple[DeviceState, str]:
+def execute(rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> tuple[DeviceState, str]:
     """The state after a command, and its verdict. A command that changes nothing returns the same object.
 
     Args:
@@ -54,11 +54,11 @@ def execute(rules: Rules, state: DeviceState, command: DeviceCommand) -> tuple[D
     return (state, ACCEPTED) if after == state else (timed(rules, after), ACCEPTED)
 
 
-def _no_op(_rules: Rules, state: DeviceState, _command: DeviceCommand) -> DeviceState:
+def _no_op(_rules: DeviceConstants, state: DeviceState, _command: DeviceCommand) -> DeviceState:
     return state
 
 
-def _set_mode(rules: Rules, state: DeviceState, command: DeviceCommand) -> DeviceState:
+def _set_mode(rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
     try:
         mode = Mode(str(command.values.get("mode")))
     except ValueError:
@@ -78,14 +78,14 @@ def _set_mode(rules: Rules, state: DeviceState, command: DeviceCommand) -> Devic
     return enter(rules, state, mode, command.time_ns)
 
 
-def _set_pattern(rules: Rules, state: DeviceState, command: DeviceCommand) -> DeviceState:
+def _set_pattern(rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
     pattern = _whole(command, "pattern")
     if pattern != PATTERN_OF_SWITCHES and not 0 <= pattern < rules.pattern_count:
         raise _RejectedError(OUT_OF_RANGE)
     return _with(state, pattern=None if pattern == PATTERN_OF_SWITCHES else pattern)
 
 
-def _set_rate(rules: Rules, state: DeviceState, command: DeviceCommand) -> DeviceState:
+def _set_rate(rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
     """Shots stay on the scenario's grid: the rate is the scenario's rate divided by a whole number."""
     rate_hz = _number(command, "rate_hz")
     divisor = max(1, round(rules.rate_hz / rate_hz)) if rate_hz >= _RATE_STEP_HZ else 1
@@ -94,18 +94,18 @@ def _set_rate(rules: Rules, state: DeviceState, command: DeviceCommand) -> Devic
     return _with(state, divisor=divisor)
 
 
-def _enable_beams(rules: Rules, state: DeviceState, command: DeviceCommand) -> DeviceState:
+def _enable_beams(rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
     beams = _whole(command, "beams")
     if not 0 <= beams < 1 << rules.beam_count:
         raise _RejectedError(OUT_OF_RANGE)
     return _with(state, beams=beams)
 
 
-def _time_at_tone(_rules: Rules, state: DeviceState, command: DeviceCommand) -> DeviceState:
+def _time_at_tone(_rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
     return state._replace(clock=state.clock.set_to(_whole(command, "tone_ns"), command.tone_at_ns))
 
 
-def _set_parameter(_rules: Rules, state: DeviceState, command: DeviceCommand) -> DeviceState:
+def _set_parameter(_rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
     parameter = PARAMETERS.get(_whole(command, "parameter"))
     number = _number(command, "number")
     if parameter is None or not 0 <= number <= parameter.most:
@@ -113,7 +113,7 @@ def _set_parameter(_rules: Rules, state: DeviceState, command: DeviceCommand) ->
     return _with(state, **parameter.setting(number))
 
 
-def _reset(rules: Rules, state: DeviceState, command: DeviceCommand) -> DeviceState:
+def _reset(rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
     kind = command.values.get("restart")
     if kind not in ("warm", "cold"):
         raise _RejectedError(OUT_OF_RANGE)
@@ -165,7 +165,7 @@ _TRANSITIONS = {
 
 class _Handler(NamedTuple):
     modes: frozenset[Mode]
-    apply: Callable[[Rules, DeviceState, DeviceCommand], DeviceState]
+    apply: Callable[[DeviceConstants, DeviceState, DeviceCommand], DeviceState]
 
 
 _COMMANDS = {

@@ -12,12 +12,12 @@ All functions here depend on the previous state and scenario time alone.
 from __future__ import annotations
 
 from lidar_emu.device.clock import powered_up
-from lidar_emu.device.rules import Rules
+from lidar_emu.device.constants import DeviceConstants
 from lidar_emu.device.state import INTERLOCKED, MEASURING, DeviceState, Mode, PendingTransition
 from lidar_emu.device.thermal import ThermalState
 
 
-def initial(rules: Rules) -> DeviceState:
+def initial(rules: DeviceConstants) -> DeviceState:
     """The state at the beginning of the scenario: off, or the mode that the device starts in."""
     power_on_ns = rules.power_on_ns
     transitions: tuple[PendingTransition, ...] = (PendingTransition(power_on_ns, rules.start),)
@@ -38,14 +38,14 @@ def initial(rules: Rules) -> DeviceState:
     return advance(rules, timed(rules, off), 0)
 
 
-def advance(rules: Rules, state: DeviceState, time_ns: int) -> DeviceState:
+def advance(rules: DeviceConstants, state: DeviceState, time_ns: int) -> DeviceState:
     """The state at a time, if no command arrives until then; an earlier time changes nothing."""
     while state.until_ns is not None and state.until_ns <= time_ns:
         state = timed(rules, _next(rules, state, state.until_ns))
     return state
 
 
-def timed(rules: Rules, state: DeviceState) -> DeviceState:
+def timed(rules: DeviceConstants, state: DeviceState) -> DeviceState:
     """The state with the instant of its next change; call it after any change that could have moved that instant."""
     instants = (
         state.pending[0].at_ns if state.pending else None,
@@ -58,7 +58,11 @@ def timed(rules: Rules, state: DeviceState) -> DeviceState:
 
 
 def enter(
-    rules: Rules, state: DeviceState, mode: Mode, time_ns: int, pending: tuple[PendingTransition, ...] = ()
+    rules: DeviceConstants,
+    state: DeviceState,
+    mode: Mode,
+    time_ns: int,
+    pending: tuple[PendingTransition, ...] = (),
 ) -> DeviceState:
     """The state in another mode, with the transitions that follow; mode fault if the interlock is open."""
     if mode in INTERLOCKED and not state.interlock_closed:
@@ -67,13 +71,13 @@ def enter(
     return state._replace(mode=mode, pending=pending, thermal=thermal)
 
 
-def acquire(rules: Rules, state: DeviceState, time_ns: int) -> DeviceState:
+def acquire(rules: DeviceConstants, state: DeviceState, time_ns: int) -> DeviceState:
     """The state in mode acquire, which mode track follows."""
     track = PendingTransition(time_ns + state.settings.acquisition_ns, Mode.TRACK)
     return enter(rules, state, Mode.ACQUIRE, time_ns, (track,))
 
 
-def restart(rules: Rules, state: DeviceState, time_ns: int, cold: bool) -> DeviceState:
+def restart(rules: DeviceConstants, state: DeviceState, time_ns: int, cold: bool) -> DeviceState:
     """The state after a reset: boot, then standby; a cold one has a self-test, and settings and clock of power-up."""
     state = state._replace(restarts=state.restarts + 1, restarted_ns=time_ns)
     if not cold:
@@ -84,7 +88,7 @@ def restart(rules: Rules, state: DeviceState, time_ns: int, cold: bool) -> Devic
     return enter(rules, state._replace(settings=rules.defaults, clock=clock), boot.mode, time_ns, tuple(rest))
 
 
-def counted_from(rules: Rules, state: DeviceState, zero_ns: int) -> DeviceState:
+def counted_from(rules: DeviceConstants, state: DeviceState, zero_ns: int) -> DeviceState:
     """The same state with times counted from another instant, under rules whose events count from there."""
     moved = state._replace(
         pending=tuple(PendingTransition(due.at_ns - zero_ns, due.mode) for due in state.pending),
@@ -95,19 +99,19 @@ def counted_from(rules: Rules, state: DeviceState, zero_ns: int) -> DeviceState:
     return timed(rules, moved)
 
 
-def _cold_start(rules: Rules, time_ns: int) -> tuple[PendingTransition, ...]:
+def _cold_start(rules: DeviceConstants, time_ns: int) -> tuple[PendingTransition, ...]:
     self_test_ns = time_ns + rules.boot_ns
     started = _started(rules, self_test_ns + rules.self_test_ns, rules.defaults.acquisition_ns)
     return (PendingTransition(time_ns, Mode.BOOT), PendingTransition(self_test_ns, Mode.SELF_TEST), *started)
 
 
-def _started(rules: Rules, time_ns: int, acquisition_ns: int) -> tuple[PendingTransition, ...]:
+def _started(rules: DeviceConstants, time_ns: int, acquisition_ns: int) -> tuple[PendingTransition, ...]:
     if rules.waits_for_commands:
         return (PendingTransition(time_ns, Mode.STANDBY),)
     return PendingTransition(time_ns, Mode.ACQUIRE), PendingTransition(time_ns + acquisition_ns, Mode.TRACK)
 
 
-def _next(rules: Rules, state: DeviceState, time_ns: int) -> DeviceState:
+def _next(rules: DeviceConstants, state: DeviceState, time_ns: int) -> DeviceState:
     """The state after the change that is due at this instant; the order here decides between several."""
     if _event_ns(rules, state) == time_ns:
         what = rules.events[state.events_passed].what
@@ -120,7 +124,7 @@ def _next(rules: Rules, state: DeviceState, time_ns: int) -> DeviceState:
     return enter(rules, state, Mode.FAULT, time_ns)
 
 
-def _happened(rules: Rules, state: DeviceState, what: str, time_ns: int) -> DeviceState:
+def _happened(rules: DeviceConstants, state: DeviceState, what: str, time_ns: int) -> DeviceState:
     match what:
         case "interlock_opens" | "interlock_closes":
             state = state._replace(interlock_closed=what == "interlock_closes")
@@ -132,11 +136,11 @@ def _happened(rules: Rules, state: DeviceState, what: str, time_ns: int) -> Devi
     return state
 
 
-def _event_ns(rules: Rules, state: DeviceState) -> int | None:
+def _event_ns(rules: DeviceConstants, state: DeviceState) -> int | None:
     left = rules.events[state.events_passed :]
     return left[0].at_ns if left else None
 
 
-def _unlocks_ns(rules: Rules, state: DeviceState) -> int | None:
+def _unlocks_ns(rules: DeviceConstants, state: DeviceState) -> int | None:
     synced_ns = state.clock.synced_ns
     return None if synced_ns is None or rules.holdover_ns is None else synced_ns + rules.holdover_ns

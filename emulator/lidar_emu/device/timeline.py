@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from lidar_emu.device.commands import DeviceCommand, execute
+from lidar_emu.device.constants import DeviceConstants, TimedEvent
 from lidar_emu.device.modes import advance, counted_from, timed
-from lidar_emu.device.rules import Rules, TimedEvent
 from lidar_emu.device.state import DeviceState
 
 _STORED = 256
@@ -22,7 +22,7 @@ class _Since(NamedTuple):
 class DeviceTimeline:
     """The state from each command on. It depends on time and commands alone, never on what was measured."""
 
-    def __init__(self, rules: Rules, state: DeviceState) -> None:
+    def __init__(self, rules: DeviceConstants, state: DeviceState) -> None:
         self.rules = rules
         self._first = state
         self._since: deque[_Since] = deque(maxlen=_STORED)
@@ -54,7 +54,7 @@ class DeviceTimeline:
         since = [each._replace(state=timed(self.rules, each.state)) for each in self._since]
         self._since = deque(since, maxlen=_STORED)
 
-    def start_flight(self, rules: Rules, zero_ns: int) -> DeviceState:
+    def start_flight(self, rules: DeviceConstants, zero_ns: int) -> DeviceState:
         """Count times from what was `zero_ns`, and use these rules from now on; return the state then."""
         self.rules, self._first = rules, counted_from(rules, self.at(zero_ns), zero_ns)
         self._since.clear()

@@ -15,7 +15,7 @@ from lidar_emu.faults.receiver import FaultyReceivers
 from lidar_emu.faults.schedule import FaultInstance, FaultOccurrence
 from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import Pointing
-from lidar_emu.fmcw.levels import Level
+from lidar_emu.fmcw.fidelity_levels import Level
 from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.numerics.arrays import BoolArray
 from lidar_emu.scenario import faults as kinds

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.faults.schedule import FaultInstance
-from lidar_emu.fmcw.levels import Level
+from lidar_emu.fmcw.fidelity_levels import Level
 from lidar_emu.fmcw.receiver import FmcwReceiver
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_faults import decimated, noisier, with_opposite_doppler_sign, without_segments

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, gather_beamlets
 from lidar_emu.fmcw.bin_filter import widest_filter
 from lidar_emu.fmcw.detection import find_targets
-from lidar_emu.fmcw.doppler_sign_ambiguity import with_opposite_sign
-from lidar_emu.fmcw.estimation import DOWN, UP, Estimate, chirp_minus_doppler, least_squares
+from lidar_emu.fmcw.opposite_sign_fault import with_opposite_sign
+from lidar_emu.fmcw.range_speed_estimation import DOWN, UP, Estimate, chirp_minus_doppler, least_squares
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes

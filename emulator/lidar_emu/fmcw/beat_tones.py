@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from lidar_emu.fmcw.analog_response import is_flat, tone_gain
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.response import is_flat, tone_gain
 from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chndtr
 
+from lidar_emu.fmcw.analog_response import noise_level
 from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.response import noise_level
 from lidar_emu.fmcw.spectrum import SpectralWindow
 from lidar_emu.fmcw.workspace import MAX_TARGETS
 from lidar_emu.numerics.kernels import kernel

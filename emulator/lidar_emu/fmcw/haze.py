@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from lidar_emu.fmcw.analog_response import tone_gain
 from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, signed_bin
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.response import tone_gain
 from lidar_emu.fmcw.spectrum import BIN, NOISE, fold
 from lidar_emu.fmcw.workspace import Workspace
 from lidar_emu.numerics.arrays import FloatArray

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from lidar_emu.errors import InputError
+from lidar_emu.fmcw.analog_response import Response
 from lidar_emu.fmcw.carrier_to_noise import noise_over_shot, shot_a2_per_hz, snr_per_w
 from lidar_emu.fmcw.false_alarms import neighbour_exceedance, quantile
 from lidar_emu.fmcw.link_budget import haze_w_per_m
 from lidar_emu.fmcw.peak_interpolation import METHODS
 from lidar_emu.fmcw.physical_constants import ELEMENTARY_CHARGE_C, PLANCK_J_S
 from lidar_emu.fmcw.receiver_model import Haze, ReceiverModel
-from lidar_emu.fmcw.response import Response
 from lidar_emu.fmcw.skip_limits import (
     LEAST_FALSE_ALARM,
     LEAST_LINE_DRIFT,

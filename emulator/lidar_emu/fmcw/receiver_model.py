@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from lidar_emu.fmcw.response import Response
+from lidar_emu.fmcw.analog_response import Response
 
 
 class Haze(NamedTuple):

@@ -66,8 +66,8 @@ class BeamReport:
         BoolArray,
         Column("?", "", "Whether the sign of the closing speed and the folds of the beats are beyond doubt."),
     ]
-    """For closing speeds up to λ fs / 4 (232.5 m/s): beyond, every segment looks like an alias. `fmcw.estimation` has
-    the rules."""
+    """For closing speeds up to λ fs / 4 (232.5 m/s): beyond, every segment looks like an alias. The rules are in
+    `fmcw.range_speed_estimation`."""
     reason: Annotated[
         NDArray[np.int8],
         Column(

@@ -5,13 +5,13 @@ from __future__ import annotations
 from math import cos, pi, sin
 from typing import Any
 
+from lidar_emu.fmcw.analog_response import clipping, set_noise
 from lidar_emu.fmcw.beat_tones import set_segment_tones
 from lidar_emu.fmcw.bin_filter import filter_beam
 from lidar_emu.fmcw.close_tones import are_close, set_close_tones
 from lidar_emu.fmcw.haze import add_haze, set_haze_tone
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.response import clipping, set_noise
 from lidar_emu.fmcw.speckle import set_weights
 from lidar_emu.fmcw.spectrum import REACH, add_noise, lay_bins, mirror_ends, set_power, set_tones
 from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace

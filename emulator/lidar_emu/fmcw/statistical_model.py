@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from lidar_emu.fmcw.analog_response import clipping, noise_level
 from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS
 from lidar_emu.fmcw.false_alarms import draw_alarms, insert_alarms
 from lidar_emu.fmcw.laser_phase_noise import line_share, line_variance
 from lidar_emu.fmcw.motion_smear import smear_bins
 from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.response import clipping, noise_level
 from lidar_emu.fmcw.segment_spectrum import SEGMENT_INDICES, set_look_tones
 from lidar_emu.fmcw.workspace import Workspace
 from lidar_emu.numerics.arrays import FloatArray

@@ -12,11 +12,11 @@ from functools import partial
 
 import numpy as np
 
+from lidar_emu.fmcw.analog_response import noise_level, tone_gain
 from lidar_emu.fmcw.laser_phase_noise import line_share
 from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.response import noise_level, tone_gain
 from lidar_emu.fmcw.spectrum import WINDOWS, SpectralWindow, fold
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import interpreted

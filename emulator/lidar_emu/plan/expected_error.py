@@ -18,12 +18,12 @@ from scipy.special import exp1, gammaincc
 from lidar_emu.echo.echoes import SPECKLE_PITCH_W, compute_echoes
 from lidar_emu.echo.spectral_spread import Spread, no_spread, spread_bins
 from lidar_emu.flight.flight import Flight
+from lidar_emu.fmcw.analog_response import noise_level, tone_gain
 from lidar_emu.fmcw.beat_tones import signed_bin
 from lidar_emu.fmcw.laser_phase_noise import line_share
 from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY, METHODS
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.response import noise_level, tone_gain
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.spectrum import WINDOWS, fold
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
@@ -231,7 +231,7 @@ def _biases_bin(
 def _combined(
     detection: Detection, up: FloatArray, constant: FloatArray, down: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """As `fmcw.estimation` combines segments of equal variance whose signs are known."""
+    """As `fmcw.range_speed_estimation` combines segments of equal variance whose signs are known."""
     if detection.combine == "least_squares":
         return 0.5 * (up + down), (down - up + constant) / 3.0
     return np.where(constant >= 0.0, down - constant, up + constant), constant

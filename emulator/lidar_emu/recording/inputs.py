@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.device.commands import DeviceCommand
+from lidar_emu.device.constants import all_events
 from lidar_emu.device.modes import initial
-from lidar_emu.device.rules import all_events
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.recording import channels

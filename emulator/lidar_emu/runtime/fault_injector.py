@@ -9,7 +9,7 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, Self
 
-from lidar_emu.device.rules import TimedEvent, all_events
+from lidar_emu.device.constants import TimedEvent, all_events
 from lidar_emu.errors import Finding, InputError, one_line, reason_of
 from lidar_emu.faults.encoder import FaultyEncoder, faulty_encoder
 from lidar_emu.runtime.change_queue import Change

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from lidar_emu.device.constants import DeviceConstants, device_rules
 from lidar_emu.device.modes import initial
-from lidar_emu.device.rules import Rules, device_rules
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
 from lidar_emu.runtime.device_link.final_message import why_no_final_message
-from lidar_emu.runtime.feed.ahead import PlannedShots
 from lidar_emu.runtime.feed.on_command import waiting_device
+from lidar_emu.runtime.feed.planned import PlannedShots
 from lidar_emu.runtime.options import RunOptions, live_part
 from lidar_emu.runtime.port.packets import payload_of
 from lidar_emu.scenario.schema import Scenario
@@ -125,8 +125,8 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     )
 
 
-def rules_of(scenario: Scenario, model: Model) -> Rules:
-    """Rules of the device that measures a scenario."""
+def rules_of(scenario: Scenario, model: Model) -> DeviceConstants:
+    """DeviceConstants of the device that measures a scenario."""
     return device_rules(
         scenario.device,
         scenario.timing.rate_hz,

@@ -9,7 +9,7 @@ from typing import Any
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.feed.base import POLL_NS
-from lidar_emu.runtime.lateness import steal_ticks
+from lidar_emu.runtime.lateness_statistics import steal_ticks
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.child import PortDiedError
 from lidar_emu.runtime.port.pacing import Pace

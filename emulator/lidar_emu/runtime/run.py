@@ -3,35 +3,35 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
-from lidar_emu.device.rules import TimedEvent
+from lidar_emu.device.constants import TimedEvent
+from lidar_emu.runtime.abort_on_late import AbortOnLate
 from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.device_link.command_handler import CommandHandler
 from lidar_emu.runtime.device_link.final_message import FinalMessage
 from lidar_emu.runtime.device_link.housekeeping import HousekeepingSender
-from lidar_emu.runtime.feed.ahead import AheadFeed
 from lidar_emu.runtime.feed.base import Feed
 from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
 from lidar_emu.runtime.feed.live import LiveFeed
+from lidar_emu.runtime.feed.live_truth_source import TruthSource, truth_socket
 from lidar_emu.runtime.feed.lockstep import LockstepFeed
 from lidar_emu.runtime.feed.on_command import OnCommandFeed
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
-from lidar_emu.runtime.feed.truth_source import TruthSource, truth_socket
-from lidar_emu.runtime.lateness import steal_ticks
+from lidar_emu.runtime.feed.planned import PlannedFeed
+from lidar_emu.runtime.lateness_statistics import steal_ticks
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions, port_of, start_instant_ns
 from lidar_emu.runtime.port.child import PortDiedError
 from lidar_emu.runtime.port.pacing import Pace, WhenLate
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.port.status import EventLog, events_to_json
 from lidar_emu.runtime.prepare import prepare
-from lidar_emu.runtime.realtime import busy_wait_share
+from lidar_emu.runtime.realtime_priority import busy_wait_share
 from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import Outcome, Tally, planned_summary
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
@@ -178,7 +178,7 @@ class Run:
             )
         if self._timing.when_process_dies == "safe":
             self._final_message = FinalMessage(downlink, self._housekeeping, port.set_final_message)
-        abort = _AbortOnLate(self.fail) if self._timing.when_late == "abort" else None
+        abort = AbortOnLate(self.fail) if self._timing.when_late == "abort" else None
         inner = self._truth, abort, self._housekeeping, self._final_message
         observers += [observer for observer in inner if observer is not None]
 
@@ -212,7 +212,7 @@ class Run:
             )
 
         def ahead(start_ns: int | None) -> Feed:
-            return AheadFeed(*shared, shots.first(), shots.block_shots, start_ns, self._options.pace)
+            return PlannedFeed(*shared, shots.first(), shots.block_shots, start_ns, self._options.pace)
 
         if not self._options.on_command:
             return ahead(start_ns)
@@ -266,20 +266,3 @@ class Run:
             "faults_in_flight": None if injector is None else injector.to_json(),
             "truth": None if self._truth is None else self._truth.to_json(),
         }
-
-
-class _AbortOnLate(Observer):
-    """Ends the run with the first late shot.
-
-    Args:
-        fail: ends the run with an error.
-    """
-
-    def __init__(self, fail: Callable[[str], None]) -> None:
-        self._fail = fail
-
-    def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
-        """End the run if the packet was late."""
-        if report.status is DeliveryStatus.LATE:
-            late_ms = (report.woke_ns - report.due_ns) * 1e-6
-            self._fail(f"shot {report.shot} was {late_ms:.3f} ms late, and timing.when_late is abort")

@@ -11,7 +11,7 @@ import numpy as np
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.runtime.lateness import LatenessHistogram, RollingLateness
+from lidar_emu.runtime.lateness_statistics import LatenessHistogram, RollingLateness
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario

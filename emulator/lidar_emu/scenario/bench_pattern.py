@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from lidar_emu.scenario.part import Part, Switch, unusable
+from lidar_emu.scenario.section import Part, Switch, unusable
 
 
 class Ramp(Part):

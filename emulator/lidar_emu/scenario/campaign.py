@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from pydantic import Field, model_validator
 
 from lidar_emu.errors import Finding
-from lidar_emu.scenario.part import Part, Positive, unusable
+from lidar_emu.scenario.section import Part, Positive, unusable
 
 _Bounded = TypeVar("_Bounded", bound=Part)
 _Matrix = list[list[float]]

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from lidar_emu.errors import Finding
-from lidar_emu.scenario.part import NonNegative, Part, Positive, Switch, unusable
+from lidar_emu.scenario.section import NonNegative, Part, Positive, Switch, unusable
 
 LONGEST_STEP_S = 3600.0
 LARGEST_OFFSET_S = 1e9

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from lidar_emu.scenario.ground_detail import Detail
-from lidar_emu.scenario.part import Part, Positive, unusable
+from lidar_emu.scenario.section import Part, Positive, unusable
 
 LEAST_CELLS, MOST_CELLS = 32, 4096
 CRATER_SAMPLES, ROCK_SAMPLES = 4, 2

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from lidar_emu.scenario.part import Part, Positive
+from lidar_emu.scenario.section import Part, Positive
 
 
 class Detail(Part):

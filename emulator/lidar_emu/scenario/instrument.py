@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from lidar_emu.scenario.part import Fraction, NonNegative, Part, Positive, Switch, unusable
+from lidar_emu.scenario.section import Fraction, NonNegative, Part, Positive, Switch, unusable
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
 

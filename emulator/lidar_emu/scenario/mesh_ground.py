@@ -7,7 +7,7 @@ from typing import Literal, Self
 from pydantic import model_validator
 
 from lidar_emu.errors import Finding
-from lidar_emu.scenario.part import Latitude, Longitude, Part, Vector3, unusable
+from lidar_emu.scenario.section import Latitude, Longitude, Part, Vector3, unusable
 
 MeshUnit = Literal["m", "km"]
 

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.mesh_ground import MeshUnit
-from lidar_emu.scenario.part import NonNegative, Part, Positive, Vector3, unusable
+from lidar_emu.scenario.section import NonNegative, Part, Positive, Vector3, unusable
 
 MOST_COPIES = 100_000
 

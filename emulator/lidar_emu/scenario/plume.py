@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from lidar_emu.scenario.part import Part, Positive, unusable
+from lidar_emu.scenario.section import Part, Positive, unusable
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Depth = Annotated[float, Field(ge=0, le=50)]

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from lidar_emu.scenario.part import NonNegative, Part, Switch, Vector3
+from lidar_emu.scenario.section import NonNegative, Part, Switch, Vector3
 
 OffBoresight = Annotated[float, Field(ge=0, lt=90)]
 

@@ -12,9 +12,9 @@ from lidar_emu.scenario.bench_pattern import BenchPattern
 from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.instrument import Instrument
-from lidar_emu.scenario.part import Part, Switch, unusable
 from lidar_emu.scenario.plume import Plume
 from lidar_emu.scenario.scanner import Mounting, Scanner
+from lidar_emu.scenario.section import Part, Switch, unusable
 from lidar_emu.scenario.site import Site
 from lidar_emu.scenario.trajectory import Live, Trajectory
 

@@ -11,7 +11,7 @@ from lidar_emu.scenario.generated_ground import Generated, Interpolation
 from lidar_emu.scenario.ground_detail import Detail
 from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scenario.objects import PlacedObject
-from lidar_emu.scenario.part import Latitude, Longitude, NonNegative, Part, Positive, unusable
+from lidar_emu.scenario.section import Latitude, Longitude, NonNegative, Part, Positive, unusable
 
 Slope = Annotated[float, Field(ge=0, lt=90)]
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from lidar_emu.errors import Finding
-from lidar_emu.scenario.part import NonNegative, Part, Positive, unusable
+from lidar_emu.scenario.section import NonNegative, Part, Positive, unusable
 from lidar_emu.scenario.vehicle import Vehicle
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from lidar_emu.scenario.part import NonNegative, Part, Positive, Vector3, unusable
+from lidar_emu.scenario.section import NonNegative, Part, Positive, Vector3, unusable
 
 Lag = Annotated[float, Field(ge=0, le=10)]
 Share = Annotated[float, Field(ge=0, lt=1)]

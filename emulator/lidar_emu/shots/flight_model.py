@@ -12,7 +12,7 @@ from lidar_emu.echo.echoes import EchoModel
 from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import Pointing, closing_speed_and_incidence, locate_points
-from lidar_emu.fmcw.levels import build_level
+from lidar_emu.fmcw.fidelity_levels import build_level
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray

@@ -13,7 +13,7 @@ from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.change_queue import Change
 from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
-from lidar_emu.runtime.lateness import LatenessHistogram
+from lidar_emu.runtime.lateness_statistics import LatenessHistogram
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.received_command import ReceivedCommand
 from lidar_emu.transports.frames import unpack_frames

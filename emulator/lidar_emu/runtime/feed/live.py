@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.feed.arrival_predictor import ArrivalPredictor
 from lidar_emu.runtime.feed.base import POLL_NS, Feed, RunControl
+from lidar_emu.runtime.feed.live_truth_source import ReceivedTruth, TruthSource
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
-from lidar_emu.runtime.feed.truth_source import ReceivedTruth, TruthSource
 from lidar_emu.runtime.port.runner import PortRunner
-from lidar_emu.runtime.realtime import realtime_priority
+from lidar_emu.runtime.realtime_priority import realtime_priority
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.session import Session
 from lidar_emu.trajectory.live_datagram import Verdict

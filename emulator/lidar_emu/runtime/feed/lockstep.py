@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.feed.base import POLL_NS, Feed, RunControl
+from lidar_emu.runtime.feed.live_truth_source import ReceivedTruth, TruthSource
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
-from lidar_emu.runtime.feed.truth_source import ReceivedTruth, TruthSource
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.session import Session

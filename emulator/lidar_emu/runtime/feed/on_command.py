@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from lidar_emu.device.constants import DeviceConstants
 from lidar_emu.device.modes import initial
-from lidar_emu.device.rules import Rules
 from lidar_emu.device.state import Mode
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.runtime.change_queue import ChangeQueue
@@ -20,7 +20,7 @@ _LEAD_NS = 100_000_000
 """From the command to scenario time 0."""
 
 
-def waiting_device(rules: Rules) -> DeviceTimeline:
+def waiting_device(rules: DeviceConstants) -> DeviceTimeline:
     """The device before the flight: times count from power-up, and the dated events of the scenario are left out."""
     start = Mode.STANDBY if rules.start is Mode.TRACK else rules.start
     before = replace(rules, start=start, power_on_ns=0, events=())

@@ -13,7 +13,7 @@ from contextlib import suppress
 from typing import Any
 
 from lidar_emu.errors import RunError, one_line
-from lidar_emu.runtime.port.ring import anonymous_file
+from lidar_emu.runtime.port.shared_ring import anonymous_file
 
 _READ_BYTES = 65536
 _FIRST_NOT_STANDARD = 3

@@ -36,9 +36,9 @@ from lidar_emu.runtime.port.pacing import Pace, Pacing, WhenLate
 from lidar_emu.runtime.port.packets import WAKE_UP
 from lidar_emu.runtime.port.parent_death import result_text, send_final_message, write_error
 from lidar_emu.runtime.port.pipes import ControlPipe, StatusPipe
-from lidar_emu.runtime.port.ring import SharedRing
 from lidar_emu.runtime.port.sender import Sender, Wait
-from lidar_emu.runtime.realtime import request_realtime
+from lidar_emu.runtime.port.shared_ring import SharedRing
+from lidar_emu.runtime.realtime_priority import request_realtime
 from lidar_emu.transports.link import COUNTED, DeliveryStatus, Link
 from lidar_emu.transports.opening import Opener, opener
 from lidar_emu.transports.spec import PortSpec

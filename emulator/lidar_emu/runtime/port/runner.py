@@ -14,7 +14,7 @@ from lidar_emu.runtime.port.child import PortChild, standard_error
 from lidar_emu.runtime.port.loopback import LoopbackEnd
 from lidar_emu.runtime.port.pacing import Pace, WhenLate
 from lidar_emu.runtime.port.packets import NEWS, WAKE_UP, DeliveryReport, OutgoingPacket, ReceivedBytes
-from lidar_emu.runtime.port.ring import SharedRing
+from lidar_emu.runtime.port.shared_ring import SharedRing
 from lidar_emu.runtime.port.stall_monitor import OnStall, StallMonitor
 from lidar_emu.runtime.port.status import LinkEvent, PortStatus
 from lidar_emu.transports.spec import Kind, PortSpec

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from lidar_emu.scenario.faults.timing import BeamNumber, PerBeamFault, RampedFault, TimedFault
-from lidar_emu.scenario.part import NonNegative, unusable
+from lidar_emu.scenario.section import NonNegative, unusable
 
 Interval = tuple[float, float]
 

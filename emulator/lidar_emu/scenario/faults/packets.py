@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from lidar_emu.scenario.faults.timing import TimedFault
-from lidar_emu.scenario.part import Fraction, Positive
+from lidar_emu.scenario.section import Fraction, Positive
 
 
 class TimeJump(TimedFault):

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from lidar_emu.scenario.faults.timing import PerBeamFault, RampedFault, TimedFault
-from lidar_emu.scenario.part import NonNegative, Positive
+from lidar_emu.scenario.section import NonNegative, Positive
 
 
 class LaserFade(RampedFault):

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from lidar_emu.scenario.part import Fraction, NonNegative, Part, unusable
+from lidar_emu.scenario.section import Fraction, NonNegative, Part, unusable
 
 BeamNumber = Annotated[int, Field(ge=0, le=63)]
 

@@ -109,7 +109,7 @@ def _check_body(body: site.Body, terrain: Terrain) -> None:
 
 def _generated(ground: Generated) -> Terrain:
     """What was made is a grid like any other, with the origin at its centre."""
-    from lidar_emu.scene.generated.kept import elevation_m
+    from lidar_emu.scene.generated.cache import elevation_m
     from lidar_emu.scene.terrain.flat import FlatMap, placed_flat
 
     half_m, spacing_m = ground.size_m / 2, ground.size_m / ground.cells

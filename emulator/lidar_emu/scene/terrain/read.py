@@ -8,9 +8,9 @@ from typing import Any
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.flat import FlatMap, placed_flat, read_flat_raster
-from lidar_emu.scene.terrain.local import read_on_body
 from lidar_emu.scene.terrain.model import Terrain
 from lidar_emu.scene.terrain.npz import read_npz
+from lidar_emu.scene.terrain.on_body import read_on_body
 from lidar_emu.scene.terrain.raster import open_raster
 
 

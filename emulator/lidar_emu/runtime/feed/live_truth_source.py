@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from lidar_emu.errors import InputError, reason_of
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
-from lidar_emu.runtime.lateness import LatenessHistogram
+from lidar_emu.runtime.lateness_statistics import LatenessHistogram
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict, sequence_of

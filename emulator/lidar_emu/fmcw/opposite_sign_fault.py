@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.estimation import ALL, CONSTANT, UP, Estimate
+from lidar_emu.fmcw.range_speed_estimation import ALL, CONSTANT, UP, Estimate
 from lidar_emu.numerics.kernels import kernel
 
 

@@ -77,7 +77,7 @@ def _hovering(model: Model) -> AbstractContextManager[None]:
     return model.flight.trajectory.pretending(_HOVER)
 
 
-class AheadFeed(Feed):
+class PlannedFeed(Feed):
     """Computes block after block.
 
     Args:

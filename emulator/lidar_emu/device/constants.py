@@ -1,4 +1,4 @@
-"""Rules of a device: its part of the scenario in whole nanoseconds, and what it needs of the other parts."""
+"""DeviceConstants of a device: its part of the scenario in whole nanoseconds, and what it needs of the other parts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class TimedEvent:
 
 
 @dataclass(frozen=True)
-class Rules:
+class DeviceConstants:
     """Constants that determine all changes of state."""
 
     start: Mode
@@ -62,10 +62,10 @@ def device_rules(
     laser_power_w: float | None = None,
     faults: Sequence[Fault] = (),
     seed: int = 0,
-) -> Rules:
+) -> DeviceConstants:
     """The rules of a scenario's device; `seed` seeds the frequency noise of its clock."""
     thermal, clock = part.thermal, part.clock
-    return Rules(
+    return DeviceConstants(
         start=Mode(part.start),
         power_on_ns=_ns(part.power_on_s),
         boot_ns=_ns(part.boot_s),
