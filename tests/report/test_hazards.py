@@ -93,7 +93,7 @@ def test_boulders_touched_by_a_line_of_points() -> None:
 
 
 def test_flight_without_surroundings_is_refused() -> None:
-    with pytest.raises(InputError, match="no point has surroundings"):
+    with pytest.raises(InputError, match="without neighbouring points"):
         cloud(**{"timing.rate_hz": "0.1"})
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from waiting import LIMIT_S
 
-from lidar_emu.report.flight_pages import draw_all
+from lidar_emu.report.figures import draw_figures
 from lidar_emu.report.page import write_page
 from lidar_emu.report.page_style import write_png
 from lidar_emu.report.recorded_run import read_recorded_run
@@ -26,7 +26,7 @@ DARK = "--blink-settings=preferredColorScheme=0"
 def flight_page(record, tmp_path_factory) -> Path:
     settings = {"name": "<script>alert(1)</script>", "faults": "[{kind: dropout, beams: [2]}]"}
     flown = read_recorded_run(record("descent.yaml", duration_s="1", **settings))
-    drawings, notes, plan = draw_all(flown, ())
+    drawings, notes, plan = draw_figures(flown, ())
     folder = tmp_path_factory.mktemp("page")
     write_page(folder / "page.html", flown, ["shots      20 due"], drawings, notes, plan)
     for drawing in drawings:

@@ -82,7 +82,7 @@ def test_descents_have_two_bins_errors_of_range(figure: int, closing_mps2: float
     """14.0 cm, not the printed 9.9 cm, about the bias of braking from segment to segment."""
     run = simulate(load(f"paper_fig{figure}", {"timing.rate_hz": "37.3"}))
     errors = errors_of(run)
-    assert errors.measured == errors.asked
+    assert errors.measured == errors.fired
     assert errors.range_deviation_m == pytest.approx(RANGE_BIN_M / np.sqrt(6), rel=0.03)
     assert errors.speed_deviation_mps == pytest.approx(SPEED_BIN_MPS / np.sqrt(12), rel=0.03)
     braking_m = SPEED_OF_LIGHT_MPS * 300e-6 * closing_mps2 / (1550e-9 * 2e12)
@@ -98,11 +98,11 @@ def test_lesser_share() -> None:
 
 def test_flight_without_two_targets_is_refused() -> None:
     model = FlightModel(require_flight(load("paper_fig4", {"site": "flat"})))
-    with pytest.raises(InputError, match="no beam meets two things"):
+    with pytest.raises(InputError, match="without a beam on two targets"):
         find_two_targets(model)
 
 
 def test_figure_is_drawn(tmp_path: Path) -> None:
     errors = errors_of(plot_paper_figure("4", tmp_path / "four.png"))
-    assert errors.asked == 4 * 23
+    assert errors.fired == 4 * 23
     assert (tmp_path / "four.png").read_bytes().startswith(b"\x89PNG")

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
 from lidar_emu.recording.read import read_recording
-from lidar_emu.report.flight_pages import draw_all
+from lidar_emu.report.figures import draw_figures
 from lidar_emu.report.recorded_run import RecordedRun, read_recorded_run
 from lidar_emu.runtime.port.packets import DeliveryStatus
 
@@ -98,7 +98,7 @@ def test_all_packets_late(bench_flown):
     late = replace(bench_flown, packets=packets)
     assert late.contents()["shots"]["late"] == 20
     assert late.contents()["shots"]["sent"] == 0
-    assert "lateness" not in {drawing.name for drawing in draw_all(late, ()).drawings}
+    assert "lateness" not in {drawing.name for drawing in draw_figures(late, ()).drawings}
 
 
 def test_lateness_is_drawn_where_time_was_kept(bench_flown):
@@ -106,13 +106,15 @@ def test_lateness_is_drawn_where_time_was_kept(bench_flown):
     packets = bench_flown.packets
     kept = replace(bench_flown, packets=replace(packets, sent_ns=packets.due_ns + 1500))
     recording.origin = {**recording.origin, "pace": "wall"}
-    drawings = {drawing.name: drawing for drawing in draw_all(kept, ()).drawings}
+    drawings = {drawing.name: drawing for drawing in draw_figures(kept, ()).drawings}
     recording.origin = {**recording.origin, "pace": "max"}
-    assert drawings["lateness"].says == ("From due to written: median 2 us, 99 % below 2 us, largest 2 us.")
+    assert drawings["lateness"].description == (
+        "From due to written: median 2 us, 99 % below 2 us, largest 2 us."
+    )
 
 
 def test_a_bench_pattern_says_why_it_has_no_path(bench_flown):
-    drawings, notes, plan = draw_all(bench_flown, ())
+    drawings, notes, plan = draw_figures(bench_flown, ())
     assert {drawing.name for drawing in drawings} == {"truth", "errors", "validity"}
     assert any("bench pattern" in note for note in notes)
     assert plan is not None
@@ -123,7 +125,7 @@ def test_a_flight_without_a_valid_measurement_has_a_path(record):
         record("descent.yaml", duration_s="0.2", instrument__detection__maximum_range_m="10")
     )
     assert not blind.measurement.range_valid.any()
-    drawings, notes, _ = draw_all(blind, ())
+    drawings, notes, _ = draw_figures(blind, ())
     assert [drawing.name for drawing in drawings] == ["path", "validity"]
     assert any("no measurement is valid" in note for note in notes)
 
@@ -138,7 +140,7 @@ def test_a_scenario_whose_files_are_gone_is_drawn_without_them(record, tmp_path)
         )
     )
     ground.unlink()
-    drawings, notes, plan = draw_all(flown, ())
+    drawings, notes, plan = draw_figures(flown, ())
     assert {drawing.name for drawing in drawings} == {"path", "truth", "errors", "validity"}
     assert plan is None
     assert any("gone.npz" in note for note in notes)

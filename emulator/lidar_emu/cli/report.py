@@ -100,7 +100,7 @@ def _draw_paper_figure(figure: str, out: tuple[str, ...], others: dict[str, Any]
     path = Path(out[0] if out else f"paper_fig{figure}.png")
     with busy(COMPILING):
         errors = errors_of(plot_paper_figure(figure, path))
-    click.echo(f"{path}: figure {figure} of Budge et al., {errors.measured} of {errors.asked} beams measured")
+    click.echo(f"{path}: figure {figure} of Budge et al., {errors.measured} of {errors.fired} beams measured")
     click.echo(
         f"range error: mean {errors.range_mean_m:+.4f} m, standard deviation {errors.range_deviation_m:.4f} m"
     )
@@ -127,13 +127,13 @@ def _write(flown: RecordedRun, path: Path) -> str:
 def _draw(
     flown: RecordedRun, lines: list[str], page: Path | None, folder: Path | None, at_s: list[float]
 ) -> list[str]:
-    from lidar_emu.report.flight_pages import check_instants, draw_all
+    from lidar_emu.report.figures import check_instants, draw_figures
     from lidar_emu.report.page import write_page
     from lidar_emu.report.page_style import write_png
 
     check_instants(flown, at_s)
     with busy(COMPILING):
-        drawings, notes, plan = draw_all(flown, at_s)
+        drawings, notes, plan = draw_figures(flown, at_s)
         written = []
         if page is not None:
             write_page(page, flown, lines, drawings, notes, plan)

@@ -94,12 +94,12 @@ def contents_lines(summary: dict[str, Any]) -> list[str]:
         *shot_lines(summary),
         *lateness_lines(summary["lateness"], None),
         *_counted("commands", [f"{each['command']} {each['verdict']}" for each in summary["commanded"]]),
-        *_counted("ordered", [f"fault {each['definition'].get('kind')}" for each in summary["ordered"]]),
+        *_counted("injected", [f"fault {each['definition'].get('kind')}" for each in summary["injected"]]),
         *_counted("events", [f"{each['of']}: {each['what']}" for each in summary["events"]]),
         *beam_lines(summary),
         error_line(summary, "range"),
         error_line(summary, "speed"),
-        f"telemetry  {summary['said']} housekeeping packets",
+        f"telemetry  {summary['housekeeping_packets']} housekeeping packets",
     ]
 
 

@@ -1,4 +1,4 @@
-"""One page of a campaign: dropouts and errors by altitude and by incidence, with their confidence bands."""
+"""Plot of a campaign: dropout rate and errors by altitude and incidence angle, with confidence bands."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ _DOTS_PER_INCH = 100
 
 @dataclass(frozen=True)
 class CampaignColumn:
-    """What one column of the page shows over one axis; arrays end with value, low and high."""
+    """Data of one column of panels; the last axis of each array is (value, low, high) unless a shape is given."""
 
     label: str
     logarithmic: bool
     edge: FloatArray
-    """(bands, 2)"""
+    """(bands, 2) Lower and upper edge."""
     dropout: FloatArray
     """(bands, 3)"""
     quantiles: dict[str, FloatArray]
-    """By label of the error, (levels, bands, 3)."""
+    """Quantiles (levels, bands, 3) by the label of the error."""
 
 
 def plot_campaign(columns: Sequence[CampaignColumn], levels: Sequence[str], title: str, path: Path) -> None:
-    """Draw a PNG of 1600 by 1200 pixels: a column per axis; dropouts above, quantiles of errors below.
+    """Plot a PNG of 1600 by 1200 pixels: a column per axis; dropout rate above, quantiles of errors below.
 
     Raises:
-        InputError: as `check_plot_path`.
-        RunError: writing failed on the way.
+        InputError: see `check_plot_path`.
+        RunError: writing failed.
     """
     check_plot_path(path)
     from matplotlib.figure import Figure
@@ -70,7 +70,7 @@ def _draw_errors(
 ) -> None:
     for i, level in enumerate(levels):
         _draw_bands(axes, column, quantiles[i], f"C{i}", level)
-    # Where most are false locks, kilometres off, these must not hide what errors are elsewhere.
+    # Bands of mostly false locks, with errors of kilometres, must not set the scale.
     known = np.abs(quantiles[:, :, 0][np.isfinite(quantiles[:, :, 0])])
     largest = float(np.percentile(known, 90)) if known.size else 0.0
     axes.set(ylabel=label, ylim=(-1.8 * largest, 1.8 * largest) if largest > 0 else None)
@@ -80,7 +80,7 @@ def _draw_errors(
 def _draw_bands(
     axes: Axes, column: CampaignColumn, estimate: FloatArray, colour: str, label: str | None
 ) -> None:
-    """A line through the middles of the bands, and what is uncertain about it."""
+    """Draw a line through the centres of the bands, with its confidence interval."""
     low, high = column.edge.T
     middle = np.sqrt(low * high) if column.logarithmic else (low + high) / 2
     value, least, most = estimate.T

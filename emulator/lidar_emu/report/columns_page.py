@@ -26,7 +26,7 @@ _TYPES = {"f8": "float64", "i8": "int64", "?": "bool", "i1": "int8", "u1": "uint
 
 
 def markdown() -> str:
-    """The page."""
+    """Write the page as Markdown."""
     return _INTRODUCTION + "".join(f"| {' | '.join(cells)} |\n" for cells in _rows())
 
 

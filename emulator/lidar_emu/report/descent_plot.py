@@ -1,6 +1,6 @@
-"""One page about a descent: where the beams met the ground, and how far off the truth they were.
+"""Plot of a descent: measured points on the ground, and errors against ground truth.
 
-The two upper panels are in the manner of figures 3 to 5 of Budge et al.
+The two upper panels follow figures 3 to 5 of Budge et al.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ _BRIDGE_COLOUR = "#e0a030"
 
 
 def check_plot_path(path: Path) -> None:
-    """Raise what `plot_descent` would raise for this path, before a long run.
+    """Check the path of a plot before a long run.
 
     Raises:
-        InputError: not a `.png`, missing or read-only folder, or the extra `plots` is absent.
+        InputError: the suffix is not `.png`, the folder is missing or read-only, or the extra `plots` is missing.
     """
     if path.suffix != ".png":
         raise InputError(str(path), None, path.suffix or "no suffix", "allowed: .png")
@@ -45,17 +45,17 @@ def check_plot_path(path: Path) -> None:
 
 
 def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path: Path) -> None:
-    """Draw a flight as a PNG of 1600 by 1100 pixels.
+    """Plot a flight as a PNG of 1600 by 1100 pixels.
 
     Args:
-        measurement: of a flight; beams without a valid range or speed are left out where it is shown.
-        scene: the ground to draw below the points; None draws the points alone.
-        title: stands above the panels.
-        path: a `.png`.
+        measurement: measurement of a flight; invalid ranges and speeds are left out of their panels.
+        scene: ground below the points; None: plot the points alone.
+        title: title of the figure.
+        path: file, `.png`.
 
     Raises:
-        InputError: as `check_plot_path`, or there is nothing to draw: a bench pattern, or no valid range.
-        RunError: writing failed on the way.
+        InputError: see `check_plot_path`; or the run is a bench pattern or has no valid range.
+        RunError: writing failed.
     """
     check_plot_path(path)
     if np.isnan(measurement.position_site_m).all():
@@ -67,7 +67,7 @@ def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path
         )
     if not measurement.range_valid.any():
         raise InputError(
-            title, None, Finding("a run without a valid range"), "allowed: a flight that measured some point"
+            title, None, Finding("a run without a valid range"), "allowed: a flight with a valid range"
         )
     figure = _draw(measurement, scene, title)
     with whole_file(path) as file:
@@ -99,7 +99,7 @@ def _draw(measurement: Measurement, scene: Scene | None, title: str) -> Figure:
 
 
 def _surface(ground_m: FloatArray) -> Any:
-    """The ground as light grey quadrilaterals in the light of a low sun, where all four corners exist."""
+    """Build the shaded ground from light grey quadrilaterals whose four corners exist."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
     quads_m = np.stack([ground_m[:-1, :-1], ground_m[:-1, 1:], ground_m[1:, 1:], ground_m[1:, :-1]], axis=2)
@@ -110,8 +110,8 @@ def _surface(ground_m: FloatArray) -> Any:
 
 
 def _set_up(axes: Any, extent: Extent) -> None:
-    # matplotlib orders whole collections by depth, which hides points in the ground; the given order holds
-    # from every view above it.
+    # matplotlib sorts whole collections by depth, which hides points behind the ground; the zorder given here is right
+    # for every view from above.
     axes.computed_zorder = False
     size_m = extent.high_m - extent.low_m
     axes.set(
@@ -143,7 +143,7 @@ def _ticks(count: int) -> MaxNLocator:
 def _add_flight(
     axes: Any, measurement: Measurement, values: FloatArray, valid: NDArray[np.bool_], colours: str
 ) -> Any:
-    """The path with its footprints; returns the coloured points."""
+    """Draw the path and the measured points; return the coloured points."""
     position_m = measurement.position_site_m
     few = len(measurement) <= 100
     axes.plot(
@@ -158,7 +158,7 @@ def _add_flight(
     bridged: NDArray[np.bool_] = np.any(measurement.true_in_gap, axis=1)
     if bridged.any():
         gap_m = np.where(bridged[:, None], position_m, np.nan)
-        axes.plot(*gap_m.T, color=_BRIDGE_COLOUR, linewidth=1.6, label="bridged gap of the table", zorder=4)
+        axes.plot(*gap_m.T, color=_BRIDGE_COLOUR, linewidth=1.6, label="bridged gap in the table", zorder=4)
     points = axes.scatter(
         *measurement.point_site_m[valid].T,
         c=values[valid],
@@ -182,7 +182,7 @@ def _draw_errors(figure: Figure, measurement: Measurement) -> None:
     _add_errors(upper, measurement, range_error_m, measurement.range_valid)
     _add_errors(lower, measurement, speed_error_mmps, measurement.speed_valid)
     if measurement.true_in_gap.any():
-        lower.text(1.005, 0.5, "shaded: gaps of\nthe table, bridged", transform=lower.transAxes, fontsize=9)
+        lower.text(1.005, 0.5, "shaded: bridged\ngaps in the table", transform=lower.transAxes, fontsize=9)
     upper.set_ylabel("range error (m)")
     upper.tick_params(labelbottom=False)
     lower.set_ylabel("speed error (mm/s)")
@@ -199,7 +199,7 @@ def _add_errors(axes: Axes, measurement: Measurement, error: FloatArray, valid: 
         axes.axvspan(start_s, end_s, color=_BRIDGE_COLOUR, alpha=0.3, linewidth=0, zorder=0)
     for beam in range(measurement.beam_count):
         shown = valid[:, beam]
-        # Smaller from beam to beam: where beams agree, all of them are seen.
+        # Markers shrink from beam to beam, so that coinciding beams all stay visible.
         size = largest * (1 - 0.6 * beam / measurement.beam_count)
         time_s = measurement.time_s[shown, beam]
         axes.plot(time_s, error[shown, beam], ".", markersize=size, label=f"beam {beam}", zorder=2)
@@ -208,7 +208,7 @@ def _add_errors(axes: Axes, measurement: Measurement, error: FloatArray, valid: 
 
 
 def _bridges(measurement: Measurement) -> list[tuple[float, float]]:
-    """Beginning and end of the spells in which the truth is bridged."""
+    """Start and end times of the intervals in which the ground truth is bridged."""
     inside = np.any(measurement.true_in_gap, axis=1)
     turns = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8)))
     time_s = measurement.time_ns[:, 0] * 1e-9

@@ -1,4 +1,4 @@
-"""One page of a detection forecast: signal-to-noise ratio and probabilities over altitude."""
+"""Plot of a detection forecast: signal-to-noise ratio and probabilities over altitude."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ _Curve = tuple[str, Literal["-", "--", ":"], FloatArray]
 
 
 def plot_detection(forecast: DetectionForecast, title: str, path: Path) -> None:
-    """Draw a forecast as a PNG of 1600 by 1100 pixels: a colour per beam angle, a line style per kind of fading.
+    """Plot a forecast as a PNG of 1600 by 1100 pixels: a colour per beam angle, a line style per fading model.
 
     Raises:
-        InputError: as `check_plot_path`, or there is nothing to draw: no ground within the maximum range.
-        RunError: writing failed on the way.
+        InputError: see `check_plot_path`; or the ground is beyond the maximum range at every altitude.
+        RunError: writing failed.
     """
     check_plot_path(path)
     if not np.isfinite(forecast.snr_db).any():
         raise InputError(
             title,
             None,
-            Finding("no beam that has an echo"),
+            Finding("no beam with an echo"),
             "allowed: altitudes from which the ground is within detection.maximum_range_m",
         )
     figure = _draw(forecast, title)
@@ -62,8 +62,8 @@ def _draw(forecast: DetectionForecast, title: str) -> Figure:
         forecast,
         (
             ("steady", "-", forecast.measurement_steady),
-            ("speckle, own fades", "--", forecast.measurement_independent),
-            ("speckle, shared fade", ":", forecast.measurement_shared),
+            ("speckle, independent segments", "--", forecast.measurement_independent),
+            ("speckle, shared by segments", ":", forecast.measurement_shared),
         ),
     )
     _add_curves(
@@ -71,8 +71,8 @@ def _draw(forecast: DetectionForecast, title: str) -> Figure:
         forecast,
         (("steady", "-", forecast.false_lock_steady), ("speckle", "--", forecast.false_lock_speckle)),
     )
-    measured.set(ylabel="measurement detected", ylim=(-0.02, 1.02))
-    false_lock.set(ylabel="false lock per segment", yscale="log", ylim=(_LEAST_PROBABILITY, 1.5))
+    measured.set(ylabel="P(measurement detected)", ylim=(-0.02, 1.02))
+    false_lock.set(ylabel="P(false lock) per segment", yscale="log", ylim=(_LEAST_PROBABILITY, 1.5))
     false_lock.set_xlabel("altitude (m)")
     snr.set(xscale="log", xlim=(forecast.altitude_m[0], forecast.altitude_m[-1]))
     for axes in (snr, measured):

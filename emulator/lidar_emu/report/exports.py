@@ -1,4 +1,4 @@
-"""A measurement as a file for other tools: tables, arrays and point clouds."""
+"""Export of a measurement for other tools: tables, arrays and point clouds."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ _NEAR_TO_FAR_RGB = np.array(
 
 
 def check_export_path(path: Path) -> None:
-    """Raise what `export` would raise for this path, before a long run.
+    """Check the path of an export before a long run.
 
     Raises:
-        InputError: unknown suffix, missing or read-only folder, or the extra `tables` is needed and absent.
+        InputError: the suffix is unknown, the folder is missing or read-only, or `.parquet` lacks the extra `tables`.
     """
     if path.suffix not in _WRITERS:
         raise InputError(str(path), None, path.suffix or "no suffix", f"allowed: {', '.join(_WRITERS)}")
@@ -64,12 +64,12 @@ def export(measurement: Measurement, path: Path) -> None:
     """Write a measurement in the format that the suffix of `path` names.
 
     `.csv`, `.npz` and `.parquet` hold the columns of `Measurement.table()`, one row per shot and beam. Missing
-    values are empty cells in CSV, NaN in NPZ and nulls in Parquet; CSV states switches as 1 and 0 and floats with
-    all their digits. `.ply` holds the points with a valid range (binary, site frame: east, north, up in metres).
+    values are empty cells in CSV, NaN in NPZ and nulls in Parquet. CSV has booleans as 1 and 0, and floats with all
+    their digits. `.ply` holds the points with a valid range (binary, site frame: east, north, up in metres).
 
     Raises:
-        InputError: as `check_export_path`, or points were asked of a bench pattern.
-        RunError: writing failed on the way.
+        InputError: see `check_export_path`; or the suffix is `.ply` and the run is a bench pattern.
+        RunError: writing failed.
     """
     check_export_path(path)
     if path.suffix == ".ply" and np.isnan(measurement.position_site_m).all():
@@ -86,12 +86,12 @@ def _write_csv(measurement: Measurement, file: BinaryIO) -> None:
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(table)
     rows.writerows(zip(*(_cells(column) for column in table.values()), strict=True))
-    # The wrapper would close the file, which is not its own.
+    # Otherwise the wrapper would close the caller's file.
     text.detach()
 
 
 def _cells(column: NDArray[np.generic]) -> list[object]:
-    """Python values of a column; the csv module writes floats by `repr` and None as an empty cell."""
+    """Convert a column to Python values; the csv module writes floats by `repr` and None as an empty cell."""
     if column.dtype == np.bool_:
         return list(column.astype(np.uint8).tolist())
     if not np.issubdtype(column.dtype, np.floating):
@@ -108,7 +108,7 @@ def _write_parquet(measurement: Measurement, file: BinaryIO) -> None:
     import pyarrow as pa
     import pyarrow.parquet
 
-    # `from_pandas` makes nulls of NaN, so that queries skip what is missing.
+    # `from_pandas` turns NaN into null, so that queries skip missing values.
     columns = {name: pa.array(column, from_pandas=True) for name, column in measurement.table().items()}
     pyarrow.parquet.write_table(pa.table(columns), file)
 
@@ -131,7 +131,7 @@ def _write_ply(measurement: Measurement, file: BinaryIO) -> None:
 
 
 def _vertices(measurement: Measurement) -> NDArray[np.void]:
-    """(points,) of `_PLY_VERTEX`: shot by shot, beam by beam."""
+    """(points,) Vertices of type `_PLY_VERTEX`, ordered by shot and beam."""
     valid = measurement.range_valid
     vertices = np.empty(np.count_nonzero(valid), dtype=_PLY_VERTEX)
     vertices["x"], vertices["y"], vertices["z"] = measurement.point_site_m[valid].T
@@ -143,7 +143,7 @@ def _vertices(measurement: Measurement) -> NDArray[np.void]:
 
 
 def _colours(range_m: FloatArray) -> NDArray[np.uint8]:
-    """(points, 3) red, green and blue, from dark at the nearest point to bright at the farthest."""
+    """(points, 3) Red, green and blue, from dark at the nearest point to bright at the farthest."""
     if range_m.size == 0:
         return np.empty((0, 3), dtype=np.uint8)
     nearest_m, farthest_m = range_m.min(), range_m.max()
@@ -160,4 +160,4 @@ _WRITERS: dict[str, Callable[[Measurement, BinaryIO], None]] = {
     ".ply": _write_ply,
 }
 SUFFIXES = tuple(_WRITERS)
-"""Of the files that `export` writes."""
+"""Suffixes of the files that `export` writes."""

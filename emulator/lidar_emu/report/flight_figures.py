@@ -1,4 +1,4 @@
-"""Figures of what a flight measured: where, how far, how fast, and how far off the truth."""
+"""Figures of the measurements of a flight: path and points, range and speed, errors against ground truth."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.report.ground_below import extent_of, sample_ground, slope_to_sun
-from lidar_emu.report.page_style import GRID, Drawing, beam_points, draw, name_beams, points
+from lidar_emu.report.page_style import GRID, Drawing, beam_points, draw_figure, name_beams, points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,10 +25,10 @@ _TRUTH = "#8a919c"
 _WIDEST_SIGMA = 5.0
 
 
-def where(measurement: Measurement, scene: Scene | None) -> Drawing:
-    """Path and footprints over the ground: from above, and from the side along the way."""
+def draw_path(measurement: Measurement, scene: Scene | None) -> Drawing:
+    """Draw path and measured points over the ground, from above and from the side."""
 
-    def on(figure: Figure) -> None:
+    def plot(figure: Figure) -> None:
         above, side = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
         ranges = _from_above(above, measurement, scene)
         if measurement.range_valid.any():
@@ -37,15 +37,15 @@ def where(measurement: Measurement, scene: Scene | None) -> Drawing:
 
     low_m, high_m = (f(measurement.position_site_m[:, 2]) for f in (np.nanmin, np.nanmax))
     count = int(measurement.range_valid.sum())
-    says = (
-        f"Path of the vehicle between {low_m:.0f} m and {high_m:.0f} m above the site, and {count} measured points on "
-        "the ground, seen from above and from the side."
+    description = (
+        f"Path of the vehicle between {low_m:.0f} m and {high_m:.0f} m above the site's origin, and {count} measured "
+        "points on the ground, from above and from the side."
     )
-    return draw("path", "Path and footprints", says, 4.4, on)
+    return draw_figure("path", "Path and footprints", description, 4.4, plot)
 
 
 def _from_above(axes: Axes, measurement: Measurement, scene: Scene | None) -> PathCollection:
-    """Returns the coloured points."""
+    """Draw the view from above; return the coloured points."""
     extent = extent_of(measurement)
     if scene is not None:
         light = slope_to_sun(sample_ground(scene, extent, _GROUND_SAMPLES))
@@ -61,14 +61,14 @@ def _from_above(axes: Axes, measurement: Measurement, scene: Scene | None) -> Pa
         rasterized=True,
     )
     axes.plot(*measurement.position_site_m[:, :2].T, color=_PATH, linewidth=1.5, label="path")
-    axes.plot(*measurement.position_site_m[-1, :2], "o", color=_PATH, markersize=4, label="its end")
+    axes.plot(*measurement.position_site_m[-1, :2], "o", color=_PATH, markersize=4, label="end of path")
     axes.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     return drawn
 
 
 def _from_the_side(axes: Axes, measurement: Measurement) -> None:
-    """Height over the distance along the straight line from the path's beginning to its end."""
+    """Draw height over distance along the straight line from the start to the end of the path."""
     position_m = measurement.position_site_m
     way_m = position_m[-1, :2] - position_m[0, :2]
     length_m = float(np.hypot(*way_m))
@@ -81,8 +81,8 @@ def _from_the_side(axes: Axes, measurement: Measurement) -> None:
     axes.set(xlabel=f"distance {towards} (m)", ylabel="up (m)")
 
 
-def against_truth(measurement: Measurement) -> Drawing:
-    """Range and closing speed with their truth."""
+def draw_truth(measurement: Measurement) -> Drawing:
+    """Draw range and closing speed with their ground truth."""
     pairs = (
         ("range (m)", measurement.range_m, measurement.true_range_m, measurement.range_valid),
         (
@@ -94,7 +94,7 @@ def against_truth(measurement: Measurement) -> Drawing:
     )
     time_s = np.asarray(measurement.time_ns * 1e-9, dtype=np.float64)
 
-    def on(figure: Figure) -> None:
+    def plot(figure: Figure) -> None:
         for axes, (label, measured, true, valid) in zip(figure.subplots(2, sharex=True), pairs, strict=True):
             for beam in range(measurement.beam_count):
                 axes.plot(
@@ -103,23 +103,26 @@ def against_truth(measurement: Measurement) -> Drawing:
                 shown = valid[:, beam]
                 beam_points(axes, beam, measurement.beam_count, time_s[shown, beam], measured[shown, beam])
                 axes.plot([], [], ".", color=f"C{beam % 10}", label=f"beam {beam}")
-            axes.plot([], [], color=_TRUTH, label="truth")
+            axes.plot([], [], color=_TRUTH, label="ground truth")
             axes.set_ylabel(label)
         name_beams(figure.axes[0], measurement.beam_count)
         figure.axes[-1].set_xlabel("time (s)")
 
     ranges = _span(measurement.range_m[measurement.range_valid], "m")
     speeds = _span(measurement.closing_speed_mps[measurement.speed_valid], "m/s")
-    says = f"Measured ranges ({ranges}) and closing speeds ({speeds}) of each beam over time, on lines of their truth."
-    return draw("truth", "Range and speed against truth", says, 4.6, on)
+    description = (
+        f"Measured ranges ({ranges}) and closing speeds ({speeds}) of each beam over time, with their ground truth as "
+        "lines."
+    )
+    return draw_figure("truth", "Range and speed against truth", description, 4.6, plot)
 
 
 def _span(values: FloatArray, unit: str) -> str:
     return f"{values.min():.4g} to {values.max():.4g} {unit}" if values.size else "none valid"
 
 
-def errors(measurement: Measurement) -> Drawing:
-    """Errors over time with twice the standard deviation that the device states, and their distribution over it."""
+def draw_errors(measurement: Measurement) -> Drawing:
+    """Draw errors over time with the band of two stated sigma, and the distribution of error over stated sigma."""
     rows = (
         ("range error (m)", 1.0, measurement.range_m - measurement.true_range_m,
          measurement.sigma_range_m, measurement.range_valid),
@@ -128,7 +131,7 @@ def errors(measurement: Measurement) -> Drawing:
     )  # fmt: skip
     time_s = np.asarray(measurement.time_ns * 1e-9, dtype=np.float64)
 
-    def on(figure: Figure) -> None:
+    def plot(figure: Figure) -> None:
         grid = figure.subplots(2, 2, width_ratios=(3.0, 1.0), sharex="col")
         for (along, spread), (label, factor, error, sigma, valid) in zip(grid, rows, strict=True):
             for beam in range(measurement.beam_count):
@@ -146,12 +149,12 @@ def errors(measurement: Measurement) -> Drawing:
             grid[0, 1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
 
     error_m, error_mps = (row[2][row[4]] for row in rows)
-    says = (
+    description = (
         f"Errors of {error_m.size} ranges ({_moments(error_m, 1.0, 'm')}) and {error_mps.size} speeds "
-        f"({_moments(error_mps, 1e3, 'mm/s')}) over time with the band of two stated standard deviations, and "
-        "their distribution in units of the stated standard deviation beside a normal one."
+        f"({_moments(error_mps, 1e3, 'mm/s')}) over time with the band of two stated standard deviations, and their "
+        "distribution in units of the stated standard deviation beside the normal distribution."
     )
-    return draw("errors", "Errors and the stated sigma", says, 4.6, on)
+    return draw_figure("errors", "Errors and the stated sigma", description, 4.6, plot)
 
 
 def _moments(error: FloatArray, factor: float, unit: str) -> str:
@@ -162,7 +165,7 @@ def _moments(error: FloatArray, factor: float, unit: str) -> str:
 
 
 def _add_band(axes: Axes, time_s: FloatArray, sigma: FloatArray) -> None:
-    """Twice the median of what the device states, stretch by stretch; nothing where it states none."""
+    """Draw twice the median of the stated sigma, interval by interval; nothing if none is stated."""
     stated: BoolArray = np.isfinite(sigma) & (sigma > 0.0)
     if not stated.any():
         return
@@ -182,7 +185,7 @@ def _add_spread(axes: Axes, error: FloatArray, sigma: FloatArray) -> None:
     ratio = ratio[np.isfinite(ratio)]
     axes.set_yticks([])
     if not ratio.size:
-        axes.text(0.5, 0.5, "no sigma is stated", ha="center", transform=axes.transAxes)
+        axes.text(0.5, 0.5, "no stated sigma", ha="center", transform=axes.transAxes)
         return
     bins = np.linspace(-_WIDEST_SIGMA, _WIDEST_SIGMA, 61)
     clipped = np.clip(ratio, -_WIDEST_SIGMA, _WIDEST_SIGMA)

@@ -1,4 +1,4 @@
-"""The box that a flight fills, and the ground in it."""
+"""The bounding box of a flight, and the ground in it, for plots."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ if TYPE_CHECKING:
     from lidar_emu.scene.ray_hits import Scene
 
 _WIDEST_RATIO = 3.0
-"""Of the longer to the shorter horizontal axis: a long approach stays readable."""
+"""Largest ratio of the horizontal axes, so that a long approach stays readable."""
 
 
 @dataclass(frozen=True)
 class Extent:
-    """The box that is drawn, in the site frame."""
+    """The plotted box in the site frame."""
 
     low_m: FloatArray
     """(3,) East, north, up."""
     high_m: FloatArray
-    """(3,)"""
+    """(3,) East, north, up."""
 
 
 def extent_of(measurement: Measurement) -> Extent:
-    """Room for the path and the points, with a margin, and never flat."""
+    """Compute the bounding box of path and measured points, with a margin and a least size."""
     seen_m = np.concatenate([measurement.position_site_m, measurement.point_site_m[measurement.range_valid]])
     low_m, high_m = np.nanmin(seen_m, axis=0), np.nanmax(seen_m, axis=0)
     centre_m, half_m = (high_m + low_m) / 2, (high_m - low_m) / 2
@@ -38,7 +38,7 @@ def extent_of(measurement: Measurement) -> Extent:
 
 
 def sample_ground(scene: Scene, extent: Extent, samples: int) -> FloatArray:
-    """(n, n, 3) points of the ground over the extent, rows to the north; NaN up where there is none."""
+    """(n, n, 3) Sample points of the ground over the extent, rows to the north; up is NaN without ground."""
     axes_m = (np.linspace(extent.low_m[k], extent.high_m[k], samples) for k in range(2))
     east_m, north_m = np.meshgrid(*axes_m)
     up_m = scene.height_m(east_m.ravel(), north_m.ravel()).reshape(east_m.shape)
@@ -46,11 +46,11 @@ def sample_ground(scene: Scene, extent: Extent, samples: int) -> FloatArray:
 
 
 def slope_to_sun(ground_m: FloatArray) -> FloatArray:
-    """(n-1, n-1) slope of each quadrilateral toward the north-west, within -1 and 1 for the steepest."""
+    """(n-1, n-1) Slope of each quadrilateral toward the north-west, scaled to the steepest: -1 to 1."""
     east_m, north_m, up_m = np.moveaxis(ground_m, -1, 0)
     rise_east = np.diff(up_m, axis=1)[:-1] / np.diff(east_m, axis=1)[:-1]
     rise_north = np.diff(up_m, axis=0)[:, :-1] / np.diff(north_m, axis=0)[:, :-1]
     facing: FloatArray = rise_east - rise_north
     steepest = np.nanmax(np.abs(facing), initial=0.0)
-    # A slope below a thousandth is rounding on level ground, not relief.
+    # Slopes below one in a thousand are rounding errors on level ground.
     return facing / max(float(steepest), 1e-3)

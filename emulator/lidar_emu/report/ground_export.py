@@ -1,4 +1,4 @@
-"""Generated ground as a file that this tool and others read: .npz, GeoTIFF, ESRI ASCII grid."""
+"""Export of generated ground: `.npz`, GeoTIFF or ESRI ASCII grid, all readable as a scenario's grid."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Elevation = npt.NDArray[np.float32]
 
 
 def check_ground_path(path: Path) -> None:
-    """Raise what `export_ground` would raise for this path, before the ground is made.
+    """Check the path of an export before the ground is generated.
 
     Raises:
-        InputError: another suffix, a missing or read-only folder, or the extra `geo` is absent.
+        InputError: the suffix is unknown, the folder is missing or read-only, or `.tif` lacks the extra `geo`.
     """
     if path.suffix not in _WRITERS:
         raise InputError(str(path), None, path.suffix or "no suffix", f"allowed: {', '.join(_WRITERS)}")
@@ -30,11 +30,11 @@ def check_ground_path(path: Path) -> None:
 
 
 def export_ground(ground: Generated, elevation_m: Elevation, path: Path) -> None:
-    """Write elevations (rows from north to south, columns from west to east) of a ground around the map's origin.
+    """Write the elevations of a ground centred on the map's origin; rows run north to south, columns west to east.
 
     Raises:
-        InputError: as `check_ground_path`.
-        RunError: writing failed on the way.
+        InputError: see `check_ground_path`.
+        RunError: writing failed.
     """
     check_ground_path(path)
     content = _WRITERS[path.suffix](ground, elevation_m)
@@ -58,7 +58,7 @@ def _tif(ground: Generated, elevation_m: Elevation) -> bytes:
     from rasterio import Affine
     from rasterio.io import MemoryFile
 
-    # A sample stands for the centre of its pixel; a GeoTIFF says where the first one's corner is.
+    # Samples are at pixel centres; a GeoTIFF states the corner of the first pixel.
     corner_m = (ground.size_m + ground.spacing_m) / 2
     side = len(elevation_m)
     with MemoryFile() as memory:
@@ -70,7 +70,7 @@ def _tif(ground: Generated, elevation_m: Elevation) -> bytes:
             dtype="float32",
             compress="deflate",
             predictor=3,
-            # In metres around the origin of the site frame; that map is on no body, and has no projection to state.
+            # Metres from the origin of the site frame; the map is not on a body, so it has no projection.
             transform=Affine(ground.spacing_m, 0.0, -corner_m, 0.0, -ground.spacing_m, corner_m),
         ) as file:
             file.write(elevation_m, 1)

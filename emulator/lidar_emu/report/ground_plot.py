@@ -1,4 +1,4 @@
-"""One page about a generated ground: its relief in low sun, and its statistics beside what was asked."""
+"""Plot of a generated ground: shaded relief, and its statistics beside the specified ones."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _ASKED: dict[str, Any] = {"color": "0.35", "linewidth": 1.2, "linestyle": "--"}
 def plot_ground(
     ground: Generated, layers: Layers, comparisons: list[StatisticCheck], title: str, path: Path
 ) -> None:
-    """Draw a ground as a PNG of 1600 by 1100 pixels.
+    """Plot a ground as a PNG of 1600 by 1100 pixels.
 
     Raises:
-        InputError: as `check_plot_path`.
-        RunError: writing failed on the way.
+        InputError: see `check_plot_path`.
+        RunError: writing failed.
     """
     check_plot_path(path)
     from matplotlib.figure import Figure
@@ -58,7 +58,7 @@ def plot_ground(
 
 
 def _add_shade(axes: Axes, ground: Generated, elevation_m: FloatArray) -> None:
-    """As a Lambertian surface in the light of a low sun in the north-west, without shadows cast."""
+    """Draw the ground as a Lambertian surface under a low sun in the north-west, without cast shadows."""
     south, east = np.gradient(elevation_m, ground.spacing_m)
     sun = np.radians(_SUN_ELEVATION_DEG)
     toward = np.cos(sun) * np.sqrt(0.5) * (east + south) + np.sin(sun)
@@ -70,7 +70,8 @@ def _add_shade(axes: Axes, ground: Generated, elevation_m: FloatArray) -> None:
     axes.set(xlabel="east (m)", ylabel="north (m)")
     low_m, high_m = elevation_m.min(), elevation_m.max()
     axes.set_title(
-        f"sun {_SUN_ELEVATION_DEG:g}° high in the north-west; {low_m:.1f} to {high_m:.1f} m", fontsize=10
+        f"sun at {_SUN_ELEVATION_DEG:g}° elevation in the north-west; heights {low_m:.1f} to {high_m:.1f} m",
+        fontsize=10,
     )
 
 
@@ -88,7 +89,7 @@ def _add_structure(
         )
         baseline_m, slope = ground.relief.baseline_m, np.tan(np.radians(ground.relief.rms_slope_deg))
         asked_m = slope * baseline_m * (distance_m / baseline_m) ** ground.relief.hurst
-        axes.loglog(distance_m, asked_m, label="relief as asked", **_ASKED)
+        axes.loglog(distance_m, asked_m, label="specified relief", **_ASKED)
     axes.set(xlabel="distance (m)", ylabel="rms difference\nof height (m)")
     axes.grid(color="0.92")
     axes.legend(frameon=False, fontsize=9)
@@ -98,11 +99,11 @@ def _add_numbers(axes: Axes, ground: Generated, name: str, population: Populatio
     smallest_m, largest_m = diameter_range_m(ground, name)
     own_m = np.sort(population.diameter_m[population.within(ground.size_m)])[::-1]
     diameter_m = np.geomspace(smallest_m, largest_m, 200)[:-1]
-    axes.step(own_m, np.arange(1, len(own_m) + 1), where="post", color="C0", label="found")
+    axes.step(own_m, np.arange(1, len(own_m) + 1), where="post", color="C0", label="generated")
     asked = asked_number(ground, name, diameter_m)
-    axes.plot(diameter_m, asked, label="asked", **_ASKED)
+    axes.plot(diameter_m, asked, label="specified", **_ASKED)
     low, high = np.maximum(np.sqrt(asked) - 2.0, 0.0) ** 2, (np.sqrt(asked) + 2.0) ** 2
-    axes.fill_between(diameter_m, np.maximum(low, 1e-3), high, color="0.9", label="chance")
+    axes.fill_between(diameter_m, np.maximum(low, 1e-3), high, color="0.9", label="Poisson, 4 sigma")
     axes.set(xscale="log", yscale="log", ylim=(0.5, 3.0 * max(len(own_m), asked.max(), 1.0)))
     axes.set(xlabel="diameter D (m)", ylabel=f"{name} larger than D")
     axes.grid(color="0.92")
@@ -112,8 +113,8 @@ def _add_numbers(axes: Axes, ground: Generated, name: str, population: Populatio
 def _add_table(axes: Axes, comparisons: list[StatisticCheck]) -> None:
     axes.set_axis_off()
     lines = [
-        f"{row.quantity}: asked {row.asked:.4g}, found {row.found:.4g}, chance {row.low:.4g} to {row.high:.4g}"
-        + ("" if row.within else " (outside)")
+        f"{row.quantity}: specified {row.asked:.4g}, generated {row.found:.4g}, "
+        f"tolerance {row.low:.4g} to {row.high:.4g}" + ("" if row.within else " (outside)")
         for row in comparisons
     ]
     half = (len(lines) + 1) // 2

@@ -1,8 +1,8 @@
-"""Which boulders, steps and slopes a flight's points tell, held against the points that a perfect instrument gives.
+"""Detection of boulders, steps and slopes in the points of a flight, compared with the points of a perfect instrument.
 
-A point stands out if it lies off the plane through the points around it by more than chance explains. The same plane
-through the true points says by how much it really does: a boulder, a step, the rim of a crater alike. What is between
-the points no method finds: how many boulders of a size have a point on them is counted from the points' places.
+A point is detected as a hazard if its distance from the plane through the surrounding points exceeds the measurement
+noise. The plane through the true points gives its true distance, for a boulder, a step or a crater rim alike. No method
+detects hazards between the points, so the share of boulders with a point on them is counted separately.
 """
 
 from __future__ import annotations
@@ -20,48 +20,49 @@ from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import BLOCK_SHOTS, initial_state, measure
 
 INNER_M, OUTER_M = 2.5, 5.0
-"""The plane goes through the points of this ring around a point: what is as wide as the hole stands out whole."""
+"""Radii of the ring of points for the plane: an obstacle as wide as the hole keeps its full height above the plane."""
 LEAST_POINTS = 4
-"""Of a ring; fewer are no surroundings."""
+"""Least number of points in a ring."""
 _CELL_M = 0.5
-"""Of each cell of this size the last point is taken for rings: what hovering piles up in one place counts once."""
+"""Rings use only the last point in each cell of this size, so that points piled up by hovering count once."""
 _POINTS_AT_ONCE = 2048
 SIGMAS = 4.0
-"""A point that is farther off stands out: chance alone makes one in 16 000 do so, were errors Gaussian."""
+"""Detection threshold in standard deviations; with Gaussian errors one point in 16 000 is a false alarm."""
 _NINE_OF_TEN = 1.2816
-"""Standard deviations below a height at which nine in ten of that height are above the limit."""
+"""Standard deviations above the threshold at which nine in ten are detected."""
 _LEAST_SPREAD = 0.05
-"""Of the points of a ring across their line, over that along it: less tells no slope."""
+"""Least ratio of the spread of a ring's points across and along their line that determines a slope across."""
 BOULDERS_M = (0.5, 1.0, 2.0, 4.0)
 CIRCLES_M = (5.0, 10.0, 25.0, 50.0, 100.0)
 _PLACES = 4000
 
 
 class Cloud(NamedTuple):
-    """Points of a flight that have surroundings, (points,), and the planes through the beams of its shots, (shots,)."""
+    """Points with a ring of others around them, (points,), and planes through the beams of each shot, (shots,)."""
 
     altitude_m: FloatArray
-    """Of the vehicle above the point."""
+    """Height of the vehicle above the point."""
     seen_m: FloatArray
-    """(all, 2) East and north of all measured points, those without surroundings too."""
+    """(all, 2) East and north of all measured points, including points without a ring."""
     off_m: FloatArray
-    """Height above the plane through the surroundings, as measured."""
+    """Measured height above the plane through the ring."""
     true_off_m: FloatArray
+    """True height above the plane through the true points of the ring."""
     sigma_m: FloatArray
-    """Standard deviation of the error of `off_m`, by the instrument's own account."""
+    """Standard deviation of `off_m` from the instrument's stated sigma."""
     spacing_m: FloatArray
-    """On the ground, from the same beam's point in the shot before."""
+    """Distance on the ground to the point of the same beam in the previous shot."""
     slope_altitude_m: FloatArray
     slope_deg: FloatArray
     true_slope_deg: FloatArray
-    """Of the plane through the true points of the same beams."""
+    """Slope of the plane through the true points of the same beams."""
     slope_sigma_deg: FloatArray
     slope_base_m: FloatArray
-    """Diameter of the circle through the beams' points, about."""
+    """Approximate diameter of the circle through the beams' points."""
 
     @property
     def stands_out(self) -> BoolArray:
-        """(points,)"""
+        """(points,) Whether the point is detected as a hazard."""
         return np.asarray(np.abs(self.off_m) > SIGMAS * self.sigma_m)
 
 
@@ -92,10 +93,10 @@ class Band:
 
 
 def cloud_of(model: FlightModel) -> Cloud:
-    """Fly, and judge every measured point by its neighbours.
+    """Fly a scenario, and compare every measured point with its neighbours.
 
     Raises:
-        InputError: nothing was measured that has surroundings.
+        InputError: no measured point has enough neighbours.
     """
     measurement, true_m = _measure(model)
     valid = measurement.range_valid & np.isfinite(true_m[..., 2])
@@ -104,10 +105,8 @@ def cloud_of(model: FlightModel) -> Cloud:
     sigma_m = measurement.sigma_range_m[valid] * above_m[:, 2] / np.linalg.norm(above_m, axis=-1)
     rings = _rings(points_m[:, :2])
     if not rings:
-        allowed = f"allowed: one that measures points less than {OUTER_M:g} m apart"
-        raise InputError(
-            model.scenario.name, None, Finding("a flight of which no point has surroundings"), allowed
-        )
+        allowed = f"allowed: a flight with measured points less than {OUTER_M:g} m apart"
+        raise InputError(model.scenario.name, None, Finding("a flight without neighbouring points"), allowed)
     own = np.array([ring.point for ring in rings])
     planes_m = np.array([_plane(points_m, truth_m, sigma_m, ring) for ring in rings])
     return Cloud(
@@ -122,7 +121,7 @@ def cloud_of(model: FlightModel) -> Cloud:
 
 
 def bands_of(cloud: Cloud) -> list[Band]:
-    """Octaves of altitude, from the highest downward."""
+    """Compute the statistics of each octave of altitude, from the highest down."""
     octave = np.floor(np.log2(np.maximum(cloud.altitude_m, 1.0))).astype(np.int64)
     slope_octave = np.floor(np.log2(np.maximum(cloud.slope_altitude_m, 1.0))).astype(np.int64)
     bands = (_band(cloud, int(k), octave == k, slope_octave == k) for k in np.unique(octave)[::-1])
@@ -130,13 +129,14 @@ def bands_of(cloud: Cloud) -> list[Band]:
 
 
 def touched_shares(cloud: Cloud, centre_m: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
-    """(circles, boulders) Share of the places within a circle at which a boulder would have a point on it.
+    """(circles, boulders) Share of a circle's area in which a boulder would have a point on it.
 
     Args:
-        cloud: of a flight.
-        centre_m: east and north of the circles of `CIRCLES_M`, radii; boulders are of the diameters `BOULDERS_M`.
+        cloud: points of a flight.
+        centre_m: east and north of the circles' centre; their radii are `CIRCLES_M`, the boulders' diameters
+            `BOULDERS_M`.
     """
-    # A sunflower's seeds: even over a disc without chance.
+    # A sunflower lattice covers a disc evenly and deterministically.
     number = np.arange(_PLACES) + 0.5
     radius, turn = np.sqrt(number / _PLACES), np.pi * (1 + np.sqrt(5)) * number
     places = np.stack([radius * np.sin(turn), radius * np.cos(turn)], axis=-1)
@@ -146,7 +146,7 @@ def touched_shares(cloud: Cloud, centre_m: tuple[float, float] = (0.0, 0.0)) -> 
 
 
 def _measure(model: FlightModel) -> tuple[Measurement, FloatArray]:
-    """The flight, and where its beams' true ranges end along the published axes, (shots, beams, 3)."""
+    """Measure the flight; also return the ends of the true ranges along the published axes, (shots, beams, 3)."""
     state, blocks, true_m = initial_state(model), [], []
     for first in range(0, model.shot_count, BLOCK_SHOTS):
         before = state.scanner
@@ -157,22 +157,22 @@ def _measure(model: FlightModel) -> tuple[Measurement, FloatArray]:
 
 
 def _spacing(true_m: FloatArray) -> FloatArray:
-    """(shots, beams)"""
+    """(shots, beams) Distance on the ground from shot to shot."""
     steps_m = np.linalg.norm(np.diff(true_m[..., :2], axis=0), axis=-1)
     return np.concatenate([steps_m[:1], steps_m])
 
 
 class _Ring(NamedTuple):
-    """The points around a point."""
+    """The points in the ring around a point."""
 
     point: int
     others: IntArray
     offset_m: FloatArray
-    """(others, 2) East and north of the point."""
+    """(others, 2) East and north offset from the point."""
 
 
 def _rings(east_north_m: FloatArray) -> list[_Ring]:
-    """The surroundings of those points that have some."""
+    """Find the rings with at least `LEAST_POINTS` points."""
     kept = _last_of_cells(east_north_m)
     tree, rings = cKDTree(east_north_m[kept]), []
     for first in range(0, len(east_north_m), _POINTS_AT_ONCE):
@@ -189,16 +189,16 @@ def _rings(east_north_m: FloatArray) -> list[_Ring]:
 
 
 def _last_of_cells(east_north_m: FloatArray) -> IntArray:
-    """Indices of the points that rings consist of."""
+    """Indices of the last point in each cell."""
     cells = np.floor(east_north_m[::-1] / _CELL_M).astype(np.int64)
     _, from_last = np.unique(cells, axis=0, return_index=True)
     return np.asarray(len(cells) - 1 - from_last)
 
 
 def _plane(points_m: FloatArray, truth_m: FloatArray, sigma_m: FloatArray, ring: _Ring) -> FloatArray:
-    """Height at the point of the plane through its ring, as measured, in truth, and the former's standard deviation.
+    """Evaluate the plane through a ring at its centre: measured height, true height, and sigma of the measured one.
 
-    Points on a line tell no slope across it: none is taken there.
+    Points on a line do not determine the slope across it, which is then taken as zero.
     """
     design = np.column_stack([np.ones(len(ring.others)), ring.offset_m / OUTER_M])
     weight = np.linalg.pinv(design, rcond=_LEAST_SPREAD)[0]
@@ -208,7 +208,7 @@ def _plane(points_m: FloatArray, truth_m: FloatArray, sigma_m: FloatArray, ring:
 
 
 def _slopes(measurement: Measurement, true_m: FloatArray) -> dict[str, FloatArray]:
-    """The plane through all beams of each shot in which three or more have been measured."""
+    """Fit a plane through the beams of each shot with three or more valid ranges."""
     seen = measurement.range_valid & np.isfinite(true_m[..., 2])
     if measurement.beam_count < 3:
         seen = np.zeros_like(seen)

@@ -1,4 +1,4 @@
-"""One picture of lateness: how it is spread, and how it went second by second, beside a control."""
+"""Plot of lateness: its distribution, and its course second by second, for several runs."""
 
 from __future__ import annotations
 
@@ -27,28 +27,28 @@ _LEAST_US = 1.0
 
 @dataclass(frozen=True)
 class LatenessCurve:
-    """One of those compared."""
+    """Lateness of one run."""
 
     label: str
     lateness_ns: IntArray
-    """Of all shots, in any order."""
+    """Lateness of all shots, in any order."""
     at_s: Sequence[int]
-    """Beginning of each window."""
+    """Start of each window."""
     p99_ns: Sequence[int | None]
-    """Of each window."""
+    """99th percentile of each window; None for a window without shots."""
 
 
 def plot_lateness(curves: Sequence[LatenessCurve], title: str, path: Path) -> None:
-    """Draw a PNG of 1600 by 800 pixels.
+    """Plot a PNG of 1600 by 800 pixels.
 
     Args:
-        curves: drawn one over the other.
-        title: stands above.
-        path: a `.png`.
+        curves: runs to overlay.
+        title: title of the figure.
+        path: file, `.png`.
 
     Raises:
-        InputError: as `check_plot_path`.
-        RunError: writing failed on the way.
+        InputError: see `check_plot_path`.
+        RunError: writing failed.
     """
     check_plot_path(path)
     figure = _draw(curves, title)

@@ -1,4 +1,4 @@
-"""One self-contained page about a flight: figures, counts, what was left out, where it comes from."""
+"""The HTML report of a recorded run: summary, figures, events, plan and origin in one self-contained file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lidar_emu.report.page_style import Drawing, as_svg
 from lidar_emu.report.recorded_run import RecordedRun
 
 _LABEL_WIDTH = 11
-"""Of a line of the summary."""
+"""Width of the label in a line of the summary."""
 _ROWS = 50
 _STYLE = """
 :root { color-scheme: light dark; --paper: #fff; --ink: #1f2328; --faint: #6a727d; --rule: #d6dae0; }
@@ -42,7 +42,7 @@ _NOTHING_FROM_OUTSIDE = "default-src 'none'; img-src data:; style-src 'unsafe-in
 
 def write_page(
     path: Path,
-    flown: RecordedRun,
+    run: RecordedRun,
     summary: Sequence[str],
     drawings: Sequence[Drawing],
     notes: Sequence[str],
@@ -51,30 +51,30 @@ def write_page(
     """Write the page.
 
     Args:
-        path: of the page.
-        flown: what it is about.
+        path: file.
+        run: the recorded run.
         summary: lines, each with a label in its first eleven columns.
-        drawings: in their order.
-        notes: what is not shown, and why.
-        plan: what the run computed and left out; None: it is not known here.
+        drawings: figures, in order.
+        notes: missing figures, with the reasons.
+        plan: plan of the run; None: it cannot be determined here.
 
     Raises:
-        InputError: nothing can be written there.
-        RunError: writing failed on the way.
+        InputError: the file cannot be written.
+        RunError: writing failed.
     """
     parts = [
-        f"<h1>{escape(flown.name)}</h1>",
-        f'<p class="note">{escape(flown.recording.path.name)}</p>',
+        f"<h1>{escape(run.name)}</h1>",
+        f'<p class="note">{escape(run.recording.path.name)}</p>',
         _table((), ((line[:_LABEL_WIDTH].strip(), line[_LABEL_WIDTH:]) for line in summary if line)),
         *(_figure(drawing) for drawing in drawings),
         *(f'<p class="note">{escape(note)}</p>' for note in notes),
-        *_happenings(flown),
+        *_events(run),
         *_left_out(plan),
         "<h2>Origin</h2>",
-        _table((), _origin(flown)),
+        _table((), _origin(run)),
     ]
     with whole_file(path) as file:
-        file.write(_document(flown.name, parts).encode())
+        file.write(_document(run.name, parts).encode())
 
 
 def _document(title: str, parts: Iterable[str]) -> str:
@@ -97,29 +97,39 @@ def _document(title: str, parts: Iterable[str]) -> str:
 
 
 def _figure(drawing: Drawing) -> str:
-    svg = as_svg(drawing).replace("<svg", f'<svg role="img" aria-label="{escape(drawing.says)}"', 1)
+    svg = as_svg(drawing).replace("<svg", f'<svg role="img" aria-label="{escape(drawing.description)}"', 1)
     return (
         f'<h2>{escape(drawing.title)}</h2>\n<figure id="{drawing.name}">{svg}'
-        f"<figcaption>{escape(drawing.says)}</figcaption></figure>"
+        f"<figcaption>{escape(drawing.description)}</figcaption></figure>"
     )
 
 
-def _happenings(flown: RecordedRun) -> list[str]:
-    """Commands, faults ordered in flight and events, as they came."""
+def _events(run: RecordedRun) -> list[str]:
+    """List commands, injected faults and events in the order of time."""
     rows: list[tuple[float, str, str]] = [
         *(
-            (told.time_ns, f"command {told.values['command']}", _command(told.values))
-            for told in flown.commands
+            (message.time_ns, f"command {message.values['command']}", _command(message.values))
+            for message in run.commands
         ),
-        *((told.time_ns, "fault ordered", _order(told.values["definition"])) for told in flown.ordered),
-        *((told.time_ns, f"{told.values['of']}", str(told.values["what"])) for told in flown.events),
+        *(
+            (message.time_ns, "fault injected", _fault(message.values["definition"]))
+            for message in run.injected_faults
+        ),
+        *(
+            (message.time_ns, f"{message.values['of']}", str(message.values["what"]))
+            for message in run.events
+        ),
     ]
     if not rows:
         return []
     rows.sort()
     shown = [(f"{time_ns * 1e-9:.3f}", what, how) for time_ns, what, how in rows[:_ROWS]]
     more = [f'<p class="note">and {len(rows) - _ROWS} more</p>'] if len(rows) > _ROWS else []
-    return ["<h2>Commands, orders, events</h2>", _table(("time (s)", "what", "how"), shown), *more]
+    return [
+        "<h2>Commands, injected faults, events</h2>",
+        _table(("time (s)", "event", "details"), shown),
+        *more,
+    ]
 
 
 def _command(values: dict[str, Any]) -> str:
@@ -127,8 +137,8 @@ def _command(values: dict[str, Any]) -> str:
     return f"{arguments} {str(values['verdict']).replace('_', ' ')}".strip()
 
 
-def _order(order: dict[str, Any]) -> str:
-    return " ".join(f"{name}={value}" for name, value in order.items() if value is not None)
+def _fault(definition: dict[str, Any]) -> str:
+    return " ".join(f"{name}={value}" for name, value in definition.items() if value is not None)
 
 
 def _left_out(plan: Plan | None) -> list[str]:
@@ -139,18 +149,18 @@ def _left_out(plan: Plan | None) -> list[str]:
         for d in sorted(plan.decisions, key=lambda d: d.computed)
     )
     heads = ("stage", "computed", "how", "reason", "bound")
-    return ["<h2>What was left out, and what was not</h2>", _table(heads, rows)]
+    return ["<h2>Stages computed and left out</h2>", _table(heads, rows)]
 
 
-def _origin(flown: RecordedRun) -> list[tuple[str, str]]:
-    origin = flown.recording.origin
+def _origin(run: RecordedRun) -> list[tuple[str, str]]:
+    origin = run.recording.origin
     build, named = json.loads(origin["build"]), json.loads(origin["files_sha256"])
     hashes = {name: origin[f"{name}_sha256"] for name in ("scenario", "interface")} | named
     return [*build.items(), *((name, f"SHA-256 {value}") for name, value in hashes.items())]
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """The first cell of each row names it."""
+    """Build a table; the first cell of each row is its heading."""
     head = "".join(f'<th scope="col">{escape(text)}</th>' for text in heads)
     body = "\n".join(
         f'<tr><th scope="row">{escape(first)}</th>'

@@ -1,4 +1,4 @@
-"""How the figures of a page look: drawn once, shown as SVG in the colours of the reader, or written as PNG."""
+"""Style of the report's figures, which are drawn once and saved as SVG in the page's colours or as PNG."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 WIDTH_INCH = 10.0
 _DOTS_PER_INCH = 110
 _INK = "#3b4048"
-"""Of lines and letters: dark enough on white, and exchanged for the reader's own colour in SVG."""
+"""Colour of lines and text; in SVG it is replaced by the page's text colour."""
 GRID = "#8a919c"
-"""Seen on white and on black."""
+"""A grey that is visible on white and on black."""
 _STYLE: Any = {
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), _INK),
     "axes.facecolor": "none",
@@ -39,29 +39,31 @@ _BEAMS_IN_LEGEND = 12
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure of a page."""
+    """A figure of the report with its title and text description."""
 
     name: str
-    """Of its file, without suffix."""
+    """Name of its file without suffix, and of its element in the page."""
     title: str
-    says: str
-    """What it shows, in words: for those who do not see it."""
+    description: str
+    """Caption, and alternative text for screen readers."""
     figure: Figure
 
 
-def draw(name: str, title: str, says: str, height_inch: float, on: Callable[[Figure], None]) -> Drawing:
-    """Have a figure drawn in the style of the pages."""
+def draw_figure(
+    name: str, title: str, description: str, height_inch: float, plot: Callable[[Figure], None]
+) -> Drawing:
+    """Create a figure in the style of the report, and let `plot` fill it."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
     with rc_context(_STYLE):
         figure = Figure(figsize=(WIDTH_INCH, height_inch), layout="constrained")
-        on(figure)
-    return Drawing(name, title, says, figure)
+        plot(figure)
+    return Drawing(name, title, description, figure)
 
 
 def as_svg(drawing: Drawing) -> str:
-    """An `svg` element for a page: letters in the page's colour, its names apart from those of other figures."""
+    """Render an `svg` element with text in the page's colour and identifiers that are unique in the page."""
     from matplotlib import rc_context
 
     buffer = BytesIO()
@@ -74,11 +76,11 @@ def as_svg(drawing: Drawing) -> str:
 
 
 def write_png(drawing: Drawing, path: Path) -> None:
-    """Write a figure on white.
+    """Write a figure on a white background.
 
     Raises:
-        InputError: nothing can be written there.
-        RunError: writing failed on the way.
+        InputError: the file cannot be written.
+        RunError: writing failed.
     """
     from matplotlib import rc_context
 
@@ -87,17 +89,17 @@ def write_png(drawing: Drawing, path: Path) -> None:
 
 
 def points(axes: Axes, x: Any, y: Any, share: float = 1.0, **how: Any) -> None:
-    """Many points: as pixels in SVG, so that an hour of them is no heavier than a minute."""
+    """Plot many points, rasterised in SVG so that the file size does not grow with their number."""
     size = share * (5.0 if len(x) < 400 else 3.5 if len(x) < 4000 else 2.0)
     axes.plot(x, y, ".", markersize=size, markeredgewidth=0.0, rasterized=True, **how)
 
 
 def beam_points(axes: Axes, beam: int, beam_count: int, x: Any, y: Any) -> None:
-    """Those of one beam, smaller from beam to beam: where beams agree, all of them are seen."""
+    """Plot the points of one beam; markers shrink from beam to beam, so that coinciding beams all stay visible."""
     points(axes, x, y, 1.0 - 0.6 * beam / beam_count, color=f"C{beam % 10}", zorder=2)
 
 
 def name_beams(axes: Axes, beam_count: int) -> None:
-    """A legend of the beams beside the axes, where it is of use."""
+    """Add a legend of the beams beside the axes, unless there is one beam or too many."""
     if 1 < beam_count <= _BEAMS_IN_LEGEND:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), handletextpad=0.1, markerscale=3.0)

@@ -1,4 +1,4 @@
-"""The beam of a flight whose light is most evenly shared between two things, and its spectrum sample by sample."""
+"""The beam of a flight whose echo is shared most evenly by two targets, and its spectrum computed from samples."""
 
 from __future__ import annotations
 
@@ -17,57 +17,59 @@ from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import BLOCK_SHOTS
 
 _LEAST_APART_BINS = 8.0
-"""Between two targets that the spectrum keeps apart."""
+"""Least separation of two targets that the spectrum resolves."""
 _LEAST_SHARE = 0.05
 _CONSTANT, _DOWN = 1, 2
 
 
 @dataclass(frozen=True)
 class TwoTargets:
-    """One record of a beam that meets two things one behind the other; powers are over the mean noise of a bin."""
+    """Spectrum of a beam with two targets at different ranges; powers are relative to the mean noise of a bin."""
 
     shot: int
     beam: int
     true_range_m: tuple[float, float]
-    """Of the beamlet that ends nearest, and of the one that ends farthest."""
+    """Range of the nearest and of the farthest beamlet."""
     doppler_bin: float
-    """Where the constant segment has its line, signed: what lies between a line of the chirp and its range."""
+    """Signed Doppler shift from the constant segment: offset between a chirp's peak and its range."""
     range_bin_m: float
     power: FloatArray
-    """(N/2 + 1,) of the down-chirp's bins under the window of detection."""
+    """(N/2 + 1,) Windowed power of the down-chirp's bins."""
     threshold: float
     group_power: float
-    """What a bin has to exceed to belong to a target."""
+    """Least power of a bin that belongs to a target."""
     peak_bin: IntArray
     """(targets,) strongest first."""
 
     @property
     def range_m(self) -> FloatArray:
-        """(targets,) of the peaks."""
+        """(targets,) Ranges of the peaks."""
         return np.asarray(self.peak_bin - self.doppler_bin) * self.range_bin_m
 
 
 def find_two_targets(model: FlightModel) -> TwoTargets:
-    """Look through a flight for the beam whose footprint is shared most evenly, and listen to it.
+    """Find the beam of a flight whose footprint is shared most evenly by two targets, and compute its spectrum.
 
     Raises:
-        InputError: no beam of the flight meets two things.
+        InputError: no beam of the flight has two targets.
     """
     scenario = model.scenario
     receiver = build_receiver(scenario.instrument, scenario.site, scenario.exact)
     number, beam, before = _most_shared(model, _LEAST_APART_BINS * receiver.range_bin_m)
     shot = np.arange(number, number + 1, dtype=np.int64)
     echoes, _ = _echoes(model, shot, before)
-    heard = measure_one_beam(scenario.instrument, receiver, echoes, shot, scenario.seed, 0, beam)
-    assert heard.bins is not None
-    power = np.abs(heard.bins[0, _DOWN]) ** 2 / heard.noise_power
-    peak = heard.targets[_DOWN].peak_bin[0]
+    received = measure_one_beam(scenario.instrument, receiver, echoes, shot, scenario.seed, 0, beam)
+    assert received.bins is not None
+    power = np.abs(received.bins[0, _DOWN]) ** 2 / received.noise_power
+    peak = received.targets[_DOWN].peak_bin[0]
     range_m = echoes.range_m[0, beam]
     return TwoTargets(
         shot=number,
         beam=beam,
         true_range_m=(float(range_m.min()), float(range_m.max())),
-        doppler_bin=float(np.copysign(heard.targets[_CONSTANT].peak_bin[0, 0], heard.closing_speed_mps[0])),
+        doppler_bin=float(
+            np.copysign(received.targets[_CONSTANT].peak_bin[0, 0], received.closing_speed_mps[0])
+        ),
         range_bin_m=receiver.range_bin_m,
         power=power,
         threshold=float(-scenario.instrument.log_false_alarm_per_bin),
@@ -77,7 +79,7 @@ def find_two_targets(model: FlightModel) -> TwoTargets:
 
 
 def _most_shared(model: FlightModel, least_apart_m: float) -> tuple[int, int, ScannerState]:
-    """The shot and the beam, and the scanner's state before that shot."""
+    """Find shot and beam of the most evenly shared footprint; also return the scanner's state before the shot."""
     state, best, found = model.initial_state, _LEAST_SHARE, None
     for first in range(0, model.shot_count, BLOCK_SHOTS):
         before = state
@@ -88,22 +90,24 @@ def _most_shared(model: FlightModel, least_apart_m: float) -> tuple[int, int, Sc
             after, beam = divmod(int(share.argmax()), model.beam_count)
             best, found = share.max(), (first, after, beam, before)
     if found is None:
-        nothing = Finding("a flight of which no beam meets two things")
-        raise InputError(model.scenario.name, None, nothing, "allowed: one over trees, boulders or edges")
+        nothing = Finding("a flight without a beam on two targets")
+        raise InputError(
+            model.scenario.name, None, nothing, "allowed: a flight over trees, boulders or edges"
+        )
     first, after, beam, before = found
     return first + after, beam, model.state_after(first, after, before) if after else before
 
 
 def _echoes(model: FlightModel, shot: NDArray[np.int64], state: ScannerState) -> tuple[Echoes, ScannerState]:
-    """They hold until the next echoes."""
+    """Compute echoes, which are valid until the next call, and the scanner's state after them."""
     pointing, after = model.aim(shot, state)
     return model.echo_model.echoes(pointing, model.flight.cast(pointing)), after
 
 
 def lesser_share(range_m: FloatArray, power_w: FloatArray, least_apart_m: float) -> FloatArray:
-    """Share (...) of the light of beamlets (..., beamlets) that comes from the lesser side of the widest gap in range.
+    """(...) Share of the power of beamlets (..., beamlets) from the weaker side of the widest gap in range.
 
-    0 where there is no gap as wide as that, or no light.
+    It is 0 where the gap is narrower than `least_apart_m`, or there is no power.
     """
     order = np.argsort(range_m, axis=-1)
     sorted_m, sorted_w = (np.take_along_axis(array, order, axis=-1) for array in (range_m, power_w))

@@ -1,4 +1,4 @@
-"""Figures 2 to 5 of Budge et al., drawn again from the shipped scenarios."""
+"""Figures 2 to 5 of Budge et al., reproduced from the shipped scenarios."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from lidar_emu.shots.model import measure_whole
 
 
 def plot_paper_figure(figure: str, path: Path) -> Measurement:
-    """Fly the scenario of figure `2`, `3`, `4` or `5`, and draw it as a PNG.
+    """Fly the scenario of figure `2`, `3`, `4` or `5`, and plot it as a PNG.
 
     Raises:
-        InputError: as `check_plot_path`.
-        RunError: writing failed on the way.
+        InputError: see `check_plot_path`.
+        RunError: writing failed.
     """
     check_plot_path(path)
     model = FlightModel(require_flight(load(f"paper_fig{figure}")))
@@ -34,10 +34,10 @@ def plot_paper_figure(figure: str, path: Path) -> Measurement:
 
 
 class Errors(NamedTuple):
-    """Of the measurements of a flight against the truth of their beams' axes."""
+    """Errors of the measurements of a flight against the ground truth along the beam axes."""
 
     measured: int
-    asked: int
+    fired: int
     range_mean_m: float
     range_deviation_m: float
     speed_mean_mps: float
@@ -45,7 +45,7 @@ class Errors(NamedTuple):
 
 
 def errors_of(measurement: Measurement) -> Errors:
-    """Mean and standard deviation over all beams and shots."""
+    """Compute mean and standard deviation of the errors over all beams and shots."""
     valid = measurement.range_valid & measurement.speed_valid
     range_m = (measurement.range_m - measurement.true_range_m)[valid]
     speed_mps = (measurement.closing_speed_mps - measurement.true_closing_speed_mps)[valid]

@@ -1,4 +1,4 @@
-"""One page after figure 2 of Budge et al.: a spectrum with two targets, and the dense point clouds of a scan."""
+"""Plot after figure 2 of Budge et al.: a spectrum with two targets, and the dense point cloud of a scan."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ _SIZE_INCH = (16.0, 14.5)
 _DOTS_PER_INCH = 100
 _DECIBELS = (-14.0, 44.0)
 _NEAR_BINS = 14
-"""Shown beside the outer targets of the close view."""
+"""Margin beside the outer targets in the close view."""
 _SLICE_M = 2.5
-"""Along track, of the points that are seen from behind."""
+"""Along-track length of the slice shown from behind."""
 _PAIRS_M = 9.0
-"""Across track, of the points of two beams that are seen from above."""
+"""Across-track width of the close view from above."""
 _SPEED_COLOURS = "coolwarm"
 
 
 def plot_scan(measurement: Measurement, spectrum: TwoTargets, title: str, path: Path) -> None:
-    """Draw a scanned flight as a PNG of 1600 by 1450 pixels.
+    """Plot a scanned flight as a PNG of 1600 by 1450 pixels.
 
     Raises:
-        InputError: as `check_plot_path`.
-        RunError: writing failed on the way.
+        InputError: see `check_plot_path`.
+        RunError: writing failed.
     """
     check_plot_path(path)
     from matplotlib.figure import Figure
@@ -55,7 +55,7 @@ def plot_scan(measurement: Measurement, spectrum: TwoTargets, title: str, path: 
 
 
 def _add_spectrum(figure: Figure, spectrum: TwoTargets) -> None:
-    """Over the whole band, and close to the targets."""
+    """Draw the spectrum over the whole band, and close to the targets."""
     bins = np.arange(len(spectrum.power))
     whole = figure.add_axes((0.06, 0.765, 0.44, 0.175))
     close = figure.add_axes((0.56, 0.765, 0.41, 0.175), sharey=whole)
@@ -93,7 +93,7 @@ def _add_cloud(
     colours: str,
     label: str,
 ) -> None:
-    """All points in equal scales."""
+    """Draw all points with equal scales on all axes."""
     valid = measurement.range_valid & measurement.speed_valid
     points_m = measurement.point_site_m[valid]
     axes: Any = figure.add_axes(place, projection="3d")
@@ -118,7 +118,7 @@ def _few_ticks() -> Any:
 
 
 def _add_slice(axes: Axes, measurement: Measurement, range_bin_m: float) -> None:
-    """The points of a few lines from behind, and the ranges of whole bins under the sensor's place there."""
+    """Draw the points of a few scan lines from behind, and arcs at whole range bins below the sensor."""
     shown = slice_of(measurement, _SLICE_M)
     points_m = measurement.point_site_m[shown]
     axes.plot(points_m[:, 0], points_m[:, 2], ".", color="C0", markersize=5, zorder=3)
@@ -132,13 +132,13 @@ def _add_slice(axes: Axes, measurement: Measurement, range_bin_m: float) -> None
     axes.set(xlabel="east (m)", ylabel="up (m)", xlim=(east_m[0] - 1, east_m[-1] + 1))
     axes.set_ylim(points_m[:, 2].min() - margin_m, points_m[:, 2].max() + margin_m)
     axes.set_title(
-        f"{_SLICE_M:g} m of the flight from behind; grey: whole bins of range, {range_bin_m:.4f} m apart",
+        f"{_SLICE_M:g} m of the flight from behind; grey: whole range bins, {range_bin_m:.4f} m apart",
         fontsize=10,
     )
 
 
 def _add_pairs(axes: Axes, measurement: Measurement, speed_mmps: FloatArray) -> None:
-    """Points of a few lines from above: the beams look a little ahead and a little back."""
+    """Draw the points of a few scan lines from above: the beams point slightly forward and aft."""
     seen = measurement.range_valid & measurement.speed_valid
     points_m = measurement.point_site_m
     axes.scatter(
@@ -157,7 +157,7 @@ def _add_pairs(axes: Axes, measurement: Measurement, speed_mmps: FloatArray) -> 
 
 
 def slice_of(measurement: Measurement, length_m: float) -> BoolArray:
-    """(shots, beams) Valid points within half a length of the middle of the flight, along track."""
+    """(shots, beams) Whether a point is valid and within half a length of the middle of the flight, along track."""
     middle_m = measurement.position_site_m[len(measurement) // 2, 1]
     near = np.abs(measurement.point_site_m[..., 1] - middle_m) <= length_m / 2
     return np.asarray(near & measurement.range_valid)

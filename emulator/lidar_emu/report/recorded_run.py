@@ -1,4 +1,4 @@
-"""The contents of a recording, read once for all pages of a report."""
+"""The contents of a recording, read once for all parts of a report."""
 
 from __future__ import annotations
 
@@ -20,45 +20,45 @@ from lidar_emu.runtime.summary import Tally
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """A recording, read."""
+    """The contents of a recording."""
 
     recording: Recording
     measurement: Measurement
     packets: Packets
     faults: list[JsonMessage]
-    """One for each shot and fault that acted."""
-    ordered: list[JsonMessage]
-    """Faults that were ordered in flight."""
+    """Occurrences of faults, one per shot and fault."""
+    injected_faults: list[JsonMessage]
+    """Faults injected in flight."""
     commands: list[JsonMessage]
     events: list[JsonMessage]
-    """Of the link and of the run's processes."""
-    said: int
-    """How often the device told of itself, between the shots."""
+    """Events of the link and of the run's processes."""
+    housekeeping_packets: int
+    """Number of housekeeping packets."""
 
     @property
     def name(self) -> str:
-        """Of the scenario."""
+        """Name of the scenario."""
         return self.recording.scenario.name
 
     @property
     def keeps_time(self) -> bool:
-        """Whether packets had instants to keep: at pace `max` and in lockstep nothing is late."""
+        """Whether packets had deadlines: at pace `max` and in lockstep no packet is late."""
         return self.recording.origin.get("pace") == Pace.WALL
 
     @property
     def is_flight(self) -> bool:
-        """Whether something flew: a bench pattern knows of no place."""
+        """Whether the run was a flight: a bench pattern has no positions."""
         return bool(np.isfinite(self.measurement.position_site_m).any())
 
     @property
     def lateness_us(self) -> FloatArray:
-        """(packets,) Of those that were sent, from due to written."""
+        """(packets,) Time from due to written of each packet sent."""
         sent = self.packets.status == DeliveryStatus.SENT
         late_us: FloatArray = np.maximum(self.packets.sent_ns - self.packets.due_ns, 0)[sent] / 1e3
         return late_us
 
     def tally(self) -> Tally:
-        """The counts of the summary, also of a run that was killed before it could tell them."""
+        """Compute the counts of the summary, which a killed run could not write."""
         tally = Tally(Pace.WALL if self.keeps_time else Pace.MAX)
         tally.measured(self.measurement)
         packets, silent = self.packets, self._silent()
@@ -77,7 +77,7 @@ class RecordedRun:
         return np.asarray(self.measurement.fired.any(axis=1))
 
     def contents(self) -> dict[str, Any]:
-        """What is in the file, under the names of the summary file and a few of its own."""
+        """Summarise the recording as JSON values; keys that the summary file also has carry the same values."""
         recording, scenario, origin = self.recording, self.recording.scenario, self.recording.origin
         time_s = self.measurement.time_ns * 1e-9
         return {
@@ -97,37 +97,42 @@ class RecordedRun:
             "version": origin["version"],
             **self.tally().to_json(),
             "measured": len(self.measurement),
-            "said": self.said,
-            "commanded": [_row(told) for told in self.commands],
-            "ordered": [_row(told) for told in self.ordered],
-            "events": [_row(told) for told in self.events],
+            "housekeeping_packets": self.housekeeping_packets,
+            "commanded": [_row(message) for message in self.commands],
+            "injected": [_row(message) for message in self.injected_faults],
+            "events": [_row(message) for message in self.events],
         }
 
 
 def read_recorded_run(recording: Recording) -> RecordedRun:
-    """Everything in a recording.
+    """Read everything in a recording.
 
     Raises:
-        InputError: no shot was recorded, or a message cannot be read.
+        InputError: the recording has no shots, or a message cannot be read.
     """
     try:
         measurement, packets = recording.measurement(), recording.packets()
-        told = recording.json_messages(
+        messages = recording.json_messages(
             channels.FAULT, channels.INJECTED_FAULT, channels.COMMAND, channels.EVENT
         )
     except KeyError as error:
         found = Finding(f"a message without {error}, of another version of lidar-emu")
-        raise InputError(str(recording.path), None, found, "allowed: one of this version") from None
-    of: dict[str, list[JsonMessage]] = {}
-    for each in told:
-        of.setdefault(each.topic, []).append(each)
-    faults, ordered, commands, events = (
-        of.get(channel.topic, [])
-        for channel in (channels.FAULT, channels.INJECTED_FAULT, channels.COMMAND, channels.EVENT)
+        allowed = "allowed: a recording of this version"
+        raise InputError(str(recording.path), None, found, allowed) from None
+    by_topic: dict[str, list[JsonMessage]] = {}
+    for message in messages:
+        by_topic.setdefault(message.topic, []).append(message)
+    return RecordedRun(
+        recording,
+        measurement,
+        packets,
+        faults=by_topic.get(channels.FAULT.topic, []),
+        injected_faults=by_topic.get(channels.INJECTED_FAULT.topic, []),
+        commands=by_topic.get(channels.COMMAND.topic, []),
+        events=by_topic.get(channels.EVENT.topic, []),
+        housekeeping_packets=len(recording.raw_messages(channels.HOUSEKEEPING)),
     )
-    said = len(recording.raw_messages(channels.HOUSEKEEPING))
-    return RecordedRun(recording, measurement, packets, faults, ordered, commands, events, said)
 
 
-def _row(told: JsonMessage) -> dict[str, Any]:
-    return {"time_s": told.time_ns * 1e-9, **told.values}
+def _row(message: JsonMessage) -> dict[str, Any]:
+    return {"time_s": message.time_ns * 1e-9, **message.values}

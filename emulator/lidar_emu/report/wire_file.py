@@ -1,4 +1,4 @@
-"""What went onto a link, as a file that other tools open: a packet capture, or a log of a CAN bus."""
+"""Export of a link's traffic for other tools: a packet capture, or a log of a CAN bus."""
 
 from __future__ import annotations
 
@@ -27,25 +27,27 @@ WIRE_SUFFIXES = (_CAPTURE, *_LOGS)
 
 
 def check_wire_file(path: Path, option: str = "--to") -> None:
-    """Refuse a name that cannot be written, or whose kind is not known.
+    """Check the path of an export.
 
     Raises:
-        InputError: it is one of them.
+        InputError: the file cannot be written, or its suffix is unknown.
     """
     check_destination(path, option)
     if path.suffix.lower() not in WIRE_SUFFIXES:
         raise InputError(
-            option, None, str(path), f"allowed: a file {_CAPTURE}, and of a CAN bus {', '.join(_LOGS)}"
+            option, None, str(path), f"allowed: a file {_CAPTURE}, and for a CAN bus {', '.join(_LOGS)}"
         )
 
 
 def write_wire_file(traffic: Traffic, path: Path) -> None:
-    """Write packets with their instants in UTC: `.pcap` with nanoseconds, of SocketCAN frames, datagrams or bytes on a
-    serial line; of a CAN bus also `.log`, `.asc` or `.blf`.
+    """Write packets with their times in UTC.
+
+    A `.pcap` has nanosecond times, and holds SocketCAN frames, datagrams or the bytes of a serial line. `.log`, `.asc`
+    and `.blf` hold the frames of a CAN bus.
 
     Raises:
-        InputError: a log of a CAN bus is asked for where there was none.
-        RunError: writing failed on the way.
+        InputError: the file is a log of a CAN bus, and the traffic is not.
+        RunError: writing failed.
     """
     packets = ((traffic.start_ns + time_ns, payload) for time_ns, payload in traffic.packets)
     if path.suffix.lower() == _CAPTURE:
@@ -53,7 +55,7 @@ def write_wire_file(traffic: Traffic, path: Path) -> None:
             _write_capture(traffic, packets, file)
         return
     if not traffic.is_can:
-        found = Finding("a log of a CAN bus, and there was none")
+        found = Finding("a log of a CAN bus for a run without one")
         raise InputError(str(path), None, found, f"allowed: a file {_CAPTURE}")
     write_log(path, packets)
 

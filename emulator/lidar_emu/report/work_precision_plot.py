@@ -1,4 +1,4 @@
-"""One picture of what accuracy costs: error over time, a point per setting, the Pareto front joined."""
+"""Work-precision plot: error over computing time, a point per setting, with the Pareto front."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _MARKERS = "osD^vP"
 
 
 class Mark(NamedTuple):
-    """One setting."""
+    """One setting with its error and computing time."""
 
     family: str
     """Settings of a family share colour and marker."""
     label: str
-    """Stands beside the point if it is on the front."""
+    """Label of the point if it is on the Pareto front."""
     time_s: float
     error: float
     on_front: bool
@@ -35,17 +35,17 @@ class Mark(NamedTuple):
 def plot_work_precision(
     panels: Sequence[tuple[str, Sequence[Mark], float | None]], title: str, path: Path
 ) -> None:
-    """Draw panels side by side as a PNG of 1600 by 1100 pixels.
+    """Plot panels side by side as a PNG of 1600 by 1100 pixels.
 
     Args:
-        panels: the error's name with its unit, the settings, and the error below which nothing can be told from chance.
-            An error of 0, the reference's own, is drawn on the lower edge.
-        title: stands above the panels.
-        path: a `.png`.
+        panels: for each panel, the name and unit of the error, the settings, and the statistical resolution of the
+            comparison. The reference has an error of 0 and is plotted on the lower edge.
+        title: title of the figure.
+        path: file, `.png`.
 
     Raises:
-        InputError: as `check_plot_path`.
-        RunError: writing failed on the way.
+        InputError: see `check_plot_path`.
+        RunError: writing failed.
     """
     check_plot_path(path)
     figure = _draw(panels, title)
@@ -73,7 +73,7 @@ def _add_panel(axes: Axes, marks: Sequence[Mark], floor: float | None) -> None:
     front = sorted((mark.time_s, max(mark.error, lowest)) for mark in marks if mark.on_front)
     axes.plot(*zip(*front, strict=True), color="0.6", linewidth=1.2, zorder=1, label="Pareto front")
     if floor is not None and floor > 0.0:
-        axes.axhline(floor, color="0.6", linestyle=":", zorder=1, label="told from chance down to here")
+        axes.axhline(floor, color="0.6", linestyle=":", zorder=1, label="statistical resolution")
     for number, family in enumerate(dict.fromkeys(mark.family for mark in marks)):
         label: str | None = family
         for size, edge, wanted in ((7.0, "none", False), (11.0, "black", True)):
