@@ -222,7 +222,7 @@ def test_where_there_is_no_ground_nothing_can_stand() -> None:
         ({"kind": "boulder", "diameter_m": 0}, "greater than 0"),
         ({"kind": "boulder", "diameter_m": float("nan")}, "finite"),
         ({"kind": "tree", "height_m": 2, "crown_diameter_m": 1, "crown_base_m": 2}, "below height_m, 2"),
-        ({"kind": "pad", "diameter_m": 1, "scatter": {"count": 3, "radius_m": 1, "scale": [2, 1]}}, "least size first"),
+        ({"kind": "pad", "diameter_m": 1, "scatter": {"count": 3, "radius_m": 1, "scale": [2, 1]}}, "smallest size"),
         ({"kind": "pad", "diameter_m": 1, "scatter": {"count": 10**6, "radius_m": 1}}, "100000"),
         ({"kind": "pad", "diameter_m": 1, "up_m": 1, "scatter": {"count": 3, "radius_m": 1}}, "stand on the ground"),
         ({"kind": "pad", "diameter_m": 1, "motion": {"velocity_mps": [0, 0, 1], "waypoints": [
