@@ -24,7 +24,7 @@ ROWS = 32
 class Here:
     """A pool in this very process; `dies` says of which work its workers die."""
 
-    deaths: tuple[type[BaseException], ...] = (BrokenExecutor,)
+    worker_errors: tuple[type[BaseException], ...] = (BrokenExecutor,)
 
     def __init__(self, slots=1, dies=lambda _work, _args: False):
         self.slots, self.dies = slots, dies
@@ -42,7 +42,7 @@ class Here:
             future.set_exception(error)
         return future
 
-    def mend(self):
+    def replace_workers(self):
         pass
 
     def stop(self):

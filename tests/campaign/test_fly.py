@@ -13,7 +13,7 @@ from pyarrow import parquet
 from small_campaign import ROWS, SMALL, Here, content
 
 import lidar_emu
-from lidar_emu.campaign.batch import fly_batch, measured
+from lidar_emu.campaign.batch import fly_batch, measure_run
 from lidar_emu.campaign.pools import LocalPool
 from lidar_emu.campaign.read import prepare
 from lidar_emu.campaign.run import fly_campaign, runs_per_file
@@ -94,11 +94,11 @@ def test_a_run_that_no_process_survives_is_found_and_kept_as_failed(fly, tmp_pat
     def dies(work, args):
         batch = args[1]
         if work is fly_batch:
-            return 7 in set(batch.runs) - batch.deadly
-        return batch["wire.unit"] == deadly_unit
+            return 7 in set(batch.runs) - batch.crashing
+        return batch["wire.unit"] == crashing_unit
 
     fly("well")
-    deadly_unit = runs_of(tmp_path / "well")[7]["wire.unit"]
+    crashing_unit = runs_of(tmp_path / "well")[7]["wire.unit"]
     fly("ill", Here(slots=4, dies=dies))
     well, ill = runs_of(tmp_path / "well"), runs_of(tmp_path / "ill")
     assert "its process died" in ill[7]["failed"]
@@ -158,9 +158,9 @@ def test_only_some_runs_keep_their_beams(fly, tmp_path):
 
 def test_another_campaign_does_not_get_into_the_folder(fly):
     fly()
-    with pytest.raises(InputError, match=r"holds another campaign \(of another campaign.seed, "):
+    with pytest.raises(InputError, match=r"holds another campaign \(different: campaign.seed, "):
         fly(text=SMALL.replace("seed: 5", "seed: 6"))
-    with pytest.raises(InputError, match=r"holds another campaign \(of another campaign.runs\)"):
+    with pytest.raises(InputError, match=r"holds another campaign \(different: campaign.runs\)"):
         fly(runs=13)
 
 
@@ -176,7 +176,7 @@ def test_one_process_at_a_time(fly, tmp_path):
     fly()
     with (tmp_path / "out" / ".lock").open() as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        with pytest.raises(InputError, match="is worked on"):
+        with pytest.raises(InputError, match="is in use"):
             fly()
 
 
@@ -228,5 +228,5 @@ def test_kept_ground_and_trajectories_are_those_that_would_be_made(campaign_file
     for run in range(24):
         values = prepared.drawn.values(run)
         fresh = lidar_emu.simulate(prepared.base.scenario_of(values)).table()
-        kept = measured(prepared.base, values).table()
+        kept = measure_run(prepared.base, values).table()
         assert all(np.array_equal(kept[name], fresh[name], equal_nan=True) for name in fresh)

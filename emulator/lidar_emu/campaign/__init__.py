@@ -1,1 +1,1 @@
-"""Campaigns: Monte Carlo runs of one scenario, drawn, flown by many processes, stored and summarised."""
+"""Campaigns: Monte Carlo runs of one scenario, simulated by many processes, stored and summarised."""

@@ -1,4 +1,4 @@
-"""Monte Carlo dispersions: sampled shares of each distribution, correlated, turned into values."""
+"""Monte Carlo dispersions: sampled and correlated probabilities, mapped to values by each distribution's quantiles."""
 
 from __future__ import annotations
 
@@ -13,48 +13,48 @@ from lidar_emu.numerics.random_streams import RUN_SEEDS, SHARES, generator
 from lidar_emu.scenario.campaign import Campaign, Distribution, JointNormal, Normal
 
 _NEAREST_END = 2.0**-32
-"""Shares keep away from 0 and 1, where normal distributions have no value: 6.2 sigma, and less than Sobol's step."""
+"""Distance of probabilities from 0 and 1, where normal quantiles are infinite: 6.2 sigma, and below Sobol's step."""
 
 
-class Drawn(NamedTuple):
-    """The runs' differences."""
+class DrawnValues(NamedTuple):
+    """The values in which the runs differ."""
 
     columns: dict[str, list[Any]]
-    """By dotted key, a value per run."""
+    """A value per run, by dotted key."""
     seeds: list[int]
-    """Of each run, unless the key `seed` is drawn."""
+    """Seed of each run, unless the key `seed` is drawn."""
 
     def values(self, run: int) -> dict[str, Any]:
-        """What one run sets."""
+        """Values of one run by dotted key."""
         return {"seed": self.seeds[run]} | {key: column[run] for key, column in self.columns.items()}
 
 
-def draw(campaign: Campaign, path: str) -> Drawn:
-    """All values of all runs, from the campaign alone.
+def draw(campaign: Campaign, path: str) -> DrawnValues:
+    """Draw all values of all runs, from the campaign alone.
 
     Args:
-        campaign: as read.
-        path: of its file, for complaints.
+        campaign: the campaign.
+        path: path of its file, for error messages.
 
     Raises:
         InputError: a matrix is not positive definite.
     """
     distributions = _distributions(campaign)
-    share = _shares(campaign, len(distributions))
-    places = {key: i for i, key in enumerate(distributions)}
+    probability = _sample(campaign, len(distributions))
+    indices = {key: i for i, key in enumerate(distributions)}
     for keys, lower in _triangles(campaign, path):
-        rows = [places[key] for key in keys]
-        share[rows] = _correlated(share[rows], lower)
+        rows = [indices[key] for key in keys]
+        probability[rows] = _correlated(probability[rows], lower)
     columns = {
-        key: values_at(distribution, np.clip(share[i], _NEAREST_END, 1 - _NEAREST_END))
+        key: values_at(distribution, np.clip(probability[i], _NEAREST_END, 1 - _NEAREST_END))
         for i, (key, distribution) in enumerate(distributions.items())
     }
     seeds = generator(campaign.seed, RUN_SEEDS).integers(0, 2**63, size=campaign.runs, dtype=np.int64)
-    return Drawn(columns, [int(seed) for seed in seeds])
+    return DrawnValues(columns, [int(seed) for seed in seeds])
 
 
 def _distributions(campaign: Campaign) -> dict[str, Distribution]:
-    """Of every drawn key; joint normals by their margins."""
+    """Distribution of every drawn key; a joint normal contributes its marginal distributions."""
     margins = {
         key: Normal(kind="normal", mean=mean, sigma=sigma)
         for joint in campaign.joint_normals
@@ -67,13 +67,13 @@ def _sigmas(joint: JointNormal) -> list[float]:
     return [max(row[i], 0.0) ** 0.5 or 1.0 for i, row in enumerate(joint.covariance)]
 
 
-def _shares(campaign: Campaign, count: int) -> FloatArray:
-    """(count, runs) Numbers from 0 to 1."""
+def _sample(campaign: Campaign, count: int) -> FloatArray:
+    """(count, runs) Independent uniform samples from 0 to 1."""
     stream = generator(campaign.seed, SHARES)
     if count == 0:
         return np.empty((0, campaign.runs))
     if campaign.sampling == "random":
-        # Run by run, so that more runs begin with the same ones.
+        # Run by run, so that a campaign with more runs begins with the same runs.
         return stream.random((campaign.runs, count)).T.copy()
     from scipy.stats import qmc
 
@@ -84,7 +84,7 @@ def _shares(campaign: Campaign, count: int) -> FloatArray:
 
 
 def _triangles(campaign: Campaign, path: str) -> list[tuple[list[str], FloatArray]]:
-    """Keys that hang together, and the lower triangle of their correlation matrix."""
+    """Groups of correlated keys, each with the Cholesky factor of its correlation matrix."""
     found = []
     for i, joint in enumerate(campaign.joint_normals):
         sigma = np.array(_sigmas(joint))
@@ -100,18 +100,18 @@ def _triangle(matrix: FloatArray, path: str, key: str) -> FloatArray:
     try:
         return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
     except np.linalg.LinAlgError:
-        least = Finding(f"a least eigenvalue of {np.linalg.eigvalsh(matrix)[0]:.3g} times the variances")
+        least = Finding(f"a smallest eigenvalue of {np.linalg.eigvalsh(matrix)[0]:.3g} times the variances")
         raise InputError(path, key, least, "allowed: a positive definite matrix") from None
 
 
-def _correlated(share: FloatArray, lower: FloatArray) -> FloatArray:
-    """Shares (keys, runs) of correlated normal variables from those of independent ones."""
+def _correlated(probability: FloatArray, lower: FloatArray) -> FloatArray:
+    """(keys, runs) Correlate independent probabilities by a Gaussian copula."""
     from scipy.special import ndtr, ndtri
 
-    alone = ndtri(np.clip(share, _NEAREST_END, 1 - _NEAREST_END))
-    together = np.zeros_like(share)
-    # Term by term: a matrix product adds in an order of its own.
+    independent = ndtri(np.clip(probability, _NEAREST_END, 1 - _NEAREST_END))
+    correlated = np.zeros_like(probability)
+    # Term by term, since the summation order of a matrix product depends on the library.
     for i, row in enumerate(lower):
         for j in range(i + 1):
-            together[i] += row[j] * alone[j]
-    return np.asarray(ndtr(together))
+            correlated[i] += row[j] * independent[j]
+    return np.asarray(ndtr(correlated))

@@ -1,4 +1,4 @@
-"""The folder of a campaign: whose it is, what of it is done, and that one process at a time works on it."""
+"""The folder of a campaign: its description, its finished batches, and a lock that admits one process at a time."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _STATED = "campaign.json"
 
 @contextmanager
 def campaign_folder(folder: Path, prepared: PreparedCampaign, batch_runs: int) -> Iterator[None]:
-    """Make the folder, or go on with one that holds the beginning of the same campaign; ours alone meanwhile.
+    """Create the folder, or continue one that holds part of the same campaign, and lock it meanwhile.
 
     Raises:
-        InputError: it holds something else, cannot be made, or another process works on it.
+        InputError: the folder holds something else, cannot be created, or is in use by another process.
     """
     stated = _statement(prepared, batch_runs)
     try:
@@ -35,13 +35,13 @@ def campaign_folder(folder: Path, prepared: PreparedCampaign, batch_runs: int) -
         lock = (folder / ".lock").open("w")
     except (OSError, ValueError) as error:
         reason = Finding(f"{folder}: {reason_of(error)}")
-        raise InputError("--out", None, reason, "allowed: a folder that you may write") from None
+        raise InputError("--out", None, reason, "allowed: a writable folder") from None
     with lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise InputError(
-                "--out", None, Finding(f"{folder} is worked on"), "allowed: one at a time"
+                "--out", None, Finding(f"{folder} is in use"), "allowed: one campaign command at a time"
             ) from None
         _claim(folder, stated)
         _sweep(folder)
@@ -51,7 +51,7 @@ def campaign_folder(folder: Path, prepared: PreparedCampaign, batch_runs: int) -
             _sweep(folder)
 
 
-_ALLOWED = "allowed: a new or empty folder, or that of the same campaign, which is then continued"
+_ALLOWED = "allowed: a new or empty folder, or the folder of the same campaign, which is then continued"
 
 
 def _claim(folder: Path, stated: dict[str, Any]) -> None:
@@ -71,7 +71,7 @@ def _claim(folder: Path, stated: dict[str, Any]) -> None:
 
 
 def _sweep(folder: Path) -> None:
-    """Away with what those who died have left half written."""
+    """Delete partial files left by processes that died."""
     for table in _TABLES:
         for left_over in (folder / table).glob(".part-*"):
             left_over.unlink(missing_ok=True)
@@ -80,11 +80,11 @@ def _sweep(folder: Path) -> None:
 def _difference(before: Any, stated: dict[str, Any]) -> str:
     if not isinstance(before, dict):
         return f"has a {_STATED} that cannot be read"
-    return f"holds another campaign (of another {', '.join(_differing(before, stated))})"
+    return f"holds another campaign (different: {', '.join(_differing(before, stated))})"
 
 
 def _differing(before: Any, stated: Any) -> Iterator[str]:
-    """Dotted keys of what is stated otherwise, as far down as both are mappings."""
+    """Yield the dotted keys of values that differ, descending where both are mappings."""
     for key in dict.fromkeys((*stated, *before)):
         then, now = before.get(key), stated.get(key)
         if isinstance(then, dict) and isinstance(now, dict):
@@ -94,7 +94,7 @@ def _differing(before: Any, stated: Any) -> Iterator[str]:
 
 
 def _statement(prepared: PreparedCampaign, batch_runs: int) -> dict[str, Any]:
-    """All that decides what the files of the folder hold."""
+    """Describe everything that determines the contents of the folder's files."""
     campaign = json.loads(prepared.campaign.model_dump_json())
     return {
         "lidar_emu": __version__,
@@ -106,6 +106,6 @@ def _statement(prepared: PreparedCampaign, batch_runs: int) -> dict[str, Any]:
     }
 
 
-def finished(folder: Path, batches: int) -> set[int]:
-    """Numbers of the batches whose runs are kept."""
+def finished_batches(folder: Path, batches: int) -> set[int]:
+    """Numbers of the batches with stored runs."""
     return {number for number in range(batches) if part_path(folder, "runs", number).exists()}

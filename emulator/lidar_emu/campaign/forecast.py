@@ -1,4 +1,4 @@
-"""What a campaign will take, from a few of its runs flown here."""
+"""Forecast of a campaign's computing time, memory and disk space from a few of its runs."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.campaign.batch import measured
+from lidar_emu.campaign.batch import measure_run
 from lidar_emu.campaign.read import PreparedCampaign
-from lidar_emu.campaign.tables import FlownRun, beams_table, column_kinds, runs_table, write_table
+from lidar_emu.campaign.tables import RunResult, beams_table, column_kinds, runs_table, write_table
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.clock import Clock
 
@@ -20,35 +20,35 @@ _BYTES_PER_KIB = 1024
 
 
 class Forecast(NamedTuple):
-    """Of a campaign that is yet to be flown."""
+    """Computing time, memory and disk space of a campaign."""
 
     runs: int
     flown: int
-    """Runs that the figures come from; those that cannot be flown are left out."""
+    """Number of runs behind the figures, without failed runs."""
     run_s: float
-    """Of one core, for a run with all that is kept of it: median."""
+    """Median time of one core per run, including storing it."""
     flight_s: float
-    """Length of the flights: median."""
+    """Median duration of the flights."""
     process_bytes: int
-    """Memory of a worker: what this process has needed for the same."""
+    """Memory of a worker: the peak of this process after the same runs."""
     run_bytes: int
-    """On disk, of a run: mean."""
+    """Mean disk space per run."""
 
     def hours(self, workers: int) -> float:
-        """Of all runs."""
+        """Time for all runs on a number of workers."""
         return self.runs * self.run_s / workers / 3600
 
     @property
     def disk_bytes(self) -> int:
-        """Of all runs."""
+        """Disk space of all runs."""
         return self.runs * self.run_bytes
 
 
 def forecast(prepared: PreparedCampaign) -> Forecast:
-    """Fly a few runs, spread over the campaign, and keep them for as long as it takes to see how large they are.
+    """Fly a few runs, spread over the campaign, and store them temporarily to measure their size.
 
     Raises:
-        RunError: none of them can be flown.
+        RunError: all of them failed.
     """
     clock, runs = Clock(), prepared.campaign.runs
     times_s: list[float] = []
@@ -57,10 +57,10 @@ def forecast(prepared: PreparedCampaign) -> Forecast:
         values = prepared.drawn.values(run)
         try:
             if not times_s:
-                measured(prepared.base, values)  # compiles, and reads the ground
+                measure_run(prepared.base, values)  # compiles, and reads the ground
             begun_ns = clock.now_ns()
-            measurement = measured(prepared.base, values)
-            sizes.append(_kept_bytes(prepared, FlownRun(run, values, measurement, None)))
+            measurement = measure_run(prepared.base, values)
+            sizes.append(_kept_bytes(prepared, RunResult(run, values, measurement, None)))
         except (InputError, RunError) as error:
             reason = str(error)
             continue
@@ -68,7 +68,7 @@ def forecast(prepared: PreparedCampaign) -> Forecast:
         period_ns = prepared.base.scenario_of(values).timing.period_ns
         flights_s.append(len(measurement) * period_ns * 1e-9)
     if not times_s:
-        raise RunError(f"none of {min(runs, _SLICE)} runs can be flown: {reason}")
+        raise RunError(f"all of {min(runs, _SLICE)} sample runs failed: {reason}")
     return Forecast(
         runs=runs,
         flown=len(times_s),
@@ -79,8 +79,8 @@ def forecast(prepared: PreparedCampaign) -> Forecast:
     )
 
 
-def _kept_bytes(prepared: PreparedCampaign, flown: FlownRun) -> float:
-    """What a run takes on disk, with its share of the files' own size if every file holds one."""
+def _kept_bytes(prepared: PreparedCampaign, flown: RunResult) -> float:
+    """Disk space of a run, with the overhead of a file for each run."""
     with tempfile.TemporaryDirectory() as folder:
         beams, runs = Path(folder) / "beams", Path(folder) / "runs"
         write_table(beams_table([flown]), beams)

@@ -1,4 +1,4 @@
-"""Pools that fly the batches: processes of this machine, or the workers of a Dask scheduler."""
+"""Pools of workers for batches: processes on this machine, or the workers of a Dask scheduler."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ class Pool(Protocol):
     """An executor that may lose workers."""
 
     slots: int
-    """Batches flown at once."""
-    deaths: tuple[type[BaseException], ...]
+    """Number of batches processed at once."""
+    worker_errors: tuple[type[BaseException], ...]
     """Exceptions that a future raises when its worker died."""
 
     def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
         """As `concurrent.futures.Executor`."""
         ...
 
-    def mend(self) -> None:
+    def replace_workers(self) -> None:
         """Replace workers that died."""
         ...
 
@@ -42,9 +42,9 @@ class Pool(Protocol):
 
 
 class LocalPool:
-    """Processes of this machine, one thread each; they end when this process does, however it does."""
+    """Processes on this machine, one thread each; they exit when this process ends, even if it is killed."""
 
-    deaths: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)
+    worker_errors: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)
 
     def __init__(self, slots: int) -> None:
         self.slots = slots
@@ -55,13 +55,13 @@ class LocalPool:
         with one_thread_each(), _ctrl_c_blocked():
             return self._executor.submit(work, *args)
 
-    def mend(self) -> None:
-        """Start a new executor: one whose process died takes no more work."""
+    def replace_workers(self) -> None:
+        """Start a new executor, since an executor whose process died accepts no more work."""
         self.stop()
         self._start()
 
     def stop(self) -> None:
-        """End the processes at once; files they were writing do not appear."""
+        """End the processes at once; unfinished files do not appear."""
         self._control_pipe.close()
         self._executor.shutdown(wait=True, cancel_futures=True)
 
@@ -75,10 +75,10 @@ class LocalPool:
 
 
 class ClusterPool:
-    """The workers of a Dask scheduler, which itself gives the work of a dead one to another.
+    """The workers of a Dask scheduler, which reassigns the work of a dead worker.
 
     Raises:
-        InputError: there is no scheduler, or it has no workers; or Dask is not installed.
+        InputError: there is no scheduler, it has no workers, or Dask is not installed.
     """
 
     def __init__(self, address: str) -> None:
@@ -89,7 +89,7 @@ class ClusterPool:
             allowed = "allowed after: pip install 'lidar-emu[cluster]'"
             raise InputError("--scheduler", None, Finding("Dask is not installed"), allowed) from None
         try:
-            # A client of no address at all would be half made, and its end waits and prints.
+            # A client with an invalid address is left half built, and prints and waits when it is destroyed.
             resolve_address(address)
             self._client = Client(address, timeout=_CONNECT, set_as_default=False)
         except (OSError, ValueError) as error:
@@ -100,17 +100,17 @@ class ClusterPool:
         self.slots = sum(self._client.nthreads().values())
         if self.slots == 0:
             raise InputError(
-                "--scheduler", None, Finding(f"{address} has no workers"), "allowed: one that has"
+                "--scheduler", None, Finding(f"{address} has no workers"), "allowed: a scheduler with workers"
             )
-        self.deaths: tuple[type[BaseException], ...] = (KilledWorker, CancelledError)
-        # Not pure: a batch writes files, and one that is asked for again is meant to be flown again.
+        self.worker_errors: tuple[type[BaseException], ...] = (KilledWorker, CancelledError)
+        # Not pure: a batch writes files, so a repeated batch must run again.
         self._executor: Executor = self._client.get_executor(pure=False)
 
     def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
         """As `concurrent.futures.Executor`."""
         return self._executor.submit(work, *args)
 
-    def mend(self) -> None:
+    def replace_workers(self) -> None:
         """Nothing to do: the scheduler replaces workers."""
 
     def stop(self) -> None:
@@ -131,7 +131,7 @@ def _begin_worker(control_pipe: Connection) -> None:
 
 @contextmanager
 def one_thread_each() -> Iterator[None]:
-    """Let processes that start now compute with one thread each, since there is one for every core."""
+    """Limit processes started meanwhile to one thread each, since there is a process per core."""
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)
     try:
@@ -143,7 +143,7 @@ def one_thread_each() -> Iterator[None]:
 
 @contextmanager
 def _ctrl_c_blocked() -> Iterator[None]:
-    """Block SIGINT in processes that start now from their first instant; in this one it is delivered afterwards."""
+    """Block SIGINT in processes started meanwhile; this process receives it afterwards."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

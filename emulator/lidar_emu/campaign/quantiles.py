@@ -1,4 +1,4 @@
-"""From a share between 0 and 1 to the value that this share of a distribution lies below."""
+"""Quantile functions of the distributions of a campaign."""
 
 from __future__ import annotations
 
@@ -19,54 +19,55 @@ from lidar_emu.scenario.campaign import (
 )
 
 
-def values_at(distribution: Distribution, share: FloatArray) -> list[Any]:
-    """The values, as a scenario takes them, at shares (n,) within (0, 1)."""
+def values_at(distribution: Distribution, probability: FloatArray) -> list[Any]:
+    """Map probabilities (n,) within (0, 1) to the values of a scenario key."""
     match distribution:
         case Choice():
-            return [distribution.of[i] for i in _chosen(distribution, share)]
+            return [distribution.of[i] for i in _chosen(distribution, probability)]
         case Integer():
             count = distribution.high - distribution.low + 1
-            return [distribution.low + min(int(u * count), count - 1) for u in share.tolist()]
+            return [distribution.low + min(int(u * count), count - 1) for u in probability.tolist()]
         case _:
-            return [float(value) for value in _numbers(distribution, share)]
+            return [float(value) for value in _numbers(distribution, probability)]
 
 
-def _numbers(distribution: Uniform | Normal | Lognormal | Triangular, share: FloatArray) -> FloatArray:
+def _numbers(distribution: Uniform | Normal | Lognormal | Triangular, probability: FloatArray) -> FloatArray:
     from scipy.special import ndtri
 
     match distribution:
         case Uniform():
-            return distribution.low + share * (distribution.high - distribution.low)
+            return distribution.low + probability * (distribution.high - distribution.low)
         case Normal(low=None, high=None):
-            return distribution.mean + distribution.sigma * np.asarray(ndtri(share))
+            return distribution.mean + distribution.sigma * np.asarray(ndtri(probability))
         case Normal():
-            return _truncated(distribution, share)
+            return _truncated(distribution, probability)
         case Lognormal():
-            return distribution.median * np.exp(distribution.sigma_log * np.asarray(ndtri(share)))
-    return _triangular(distribution, share)
+            return distribution.median * np.exp(distribution.sigma_log * np.asarray(ndtri(probability)))
+    return _triangular(distribution, probability)
 
 
-def _truncated(normal: Normal, share: FloatArray) -> FloatArray:
+def _truncated(normal: Normal, probability: FloatArray) -> FloatArray:
     from scipy.stats import truncnorm
 
     low = -math.inf if normal.low is None else normal.low
     high = math.inf if normal.high is None else normal.high
     bounds = (low - normal.mean) / normal.sigma, (high - normal.mean) / normal.sigma
-    values = normal.mean + normal.sigma * np.asarray(truncnorm.ppf(share, *bounds))
-    return np.clip(values, low, high)  # which rounding may pass
+    values = normal.mean + normal.sigma * np.asarray(truncnorm.ppf(probability, *bounds))
+    return np.clip(values, low, high)  # against rounding errors
 
 
-def _triangular(triangular: Triangular, share: FloatArray) -> FloatArray:
+def _triangular(triangular: Triangular, probability: FloatArray) -> FloatArray:
     low, mode, high = triangular.low, triangular.mode, triangular.high
-    rising = low + np.sqrt(share * (high - low) * (mode - low))
-    falling = high - np.sqrt((1 - share) * (high - low) * (high - mode))
-    return np.where(share * (high - low) < mode - low, rising, falling)
+    rising = low + np.sqrt(probability * (high - low) * (mode - low))
+    falling = high - np.sqrt((1 - probability) * (high - low) * (high - mode))
+    return np.where(probability * (high - low) < mode - low, rising, falling)
 
 
-def _chosen(choice: Choice, share: FloatArray) -> list[int]:
+def _chosen(choice: Choice, probability: FloatArray) -> list[int]:
     weights = np.array(choice.weights or [1.0] * len(choice.of))
     ends = np.cumsum(weights) / weights.sum()
-    # The last one's end may fall short of 1 by rounding; what has no weight begins where it ends.
+    # By rounding, the last end may be less than 1; a probability above it belongs to the last value with a weight.
     return [
-        int(i) for i in np.minimum(np.searchsorted(ends, share, side="right"), np.flatnonzero(weights)[-1])
+        int(i)
+        for i in np.minimum(np.searchsorted(ends, probability, side="right"), np.flatnonzero(weights)[-1])
     ]

@@ -1,4 +1,4 @@
-"""Reading a campaign's file, and the scenario that its runs fly."""
+"""Read the file of a campaign, and build the scenarios of its runs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from lidar_emu.campaign.draw import Drawn, draw
+from lidar_emu.campaign.draw import DrawnValues, draw
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.campaign import Campaign
 from lidar_emu.scenario.explain import Source, explained
@@ -24,20 +24,20 @@ _FIRST_RUNS = 16
 
 @dataclass(frozen=True)
 class Base:
-    """What all runs have in common; small enough to be sent to wherever they are flown."""
+    """The part of the scenario that all runs share, small enough to be sent to each worker."""
 
     scenario: str
-    """Path."""
+    """Path of the scenario."""
     fixed: dict[str, Any]
-    """Dotted keys and values that all runs have."""
+    """Values of all runs by dotted key."""
 
     def scenario_of(self, values: Mapping[str, Any]) -> FlightScenario:
-        """The scenario of a run that sets these values.
+        """Build the scenario of a run with these values.
 
         Raises:
-            InputError: one of them is not allowed, or the scenario is no flight that is known beforehand.
+            InputError: a value is not allowed, or the scenario is not a flight, or a flight with live truth.
         """
-        # Parents first, so that a part that is chosen by name can have keys of its own.
+        # Parents first, so that keys can be set within a part that is chosen by name.
         stated = sorted({**self.fixed, **values}.items(), key=lambda item: item[0].count("."))
         scenario = require_flight(load(self.scenario, campaign=dict(stated)))
         require_known_flight(scenario)
@@ -46,24 +46,24 @@ class Base:
 
 @dataclass(frozen=True)
 class PreparedCampaign:
-    """What is to be flown."""
+    """A campaign with its drawn values, ready to be flown."""
 
     campaign: Campaign
     base: Base
-    drawn: Drawn
+    drawn: DrawnValues
     first: FlightScenario
-    """The first run that can be."""
+    """Scenario of the first valid run."""
 
 
 def read_campaign(path: Path, runs: int | None = None) -> tuple[Path, Campaign]:
-    """Where a campaign is, and what it says.
+    """Read a campaign, and return the path of its file as well.
 
     Args:
-        path: of its file, or the name of a shipped one.
-        runs: instead of its own, as `--runs` says.
+        path: path of its file, or the name of a shipped campaign.
+        runs: number of runs from `--runs`; None: as in the file.
 
     Raises:
-        InputError: names the file, key and value that cannot be used, and what is allowed.
+        InputError: names the file, the key, the value that cannot be used, and the allowed values.
     """
     found = find_file(path, "campaigns")
     tree = read_mapping(found)
@@ -78,15 +78,15 @@ def read_campaign(path: Path, runs: int | None = None) -> tuple[Path, Campaign]:
 
 
 def prepare(path: Path, overrides: Mapping[str, str], runs: int | None) -> PreparedCampaign:
-    """A campaign ready to be flown.
+    """Read a campaign and draw its values.
 
     Args:
-        path: of its file, or the name of a shipped one.
-        overrides: dotted keys of the scenario and YAML values, of the command line.
-        runs: instead of the campaign's own.
+        path: path of its file, or the name of a shipped campaign.
+        overrides: YAML values from the command line by dotted scenario key.
+        runs: number of runs from the command line; None: as in the file.
 
     Raises:
-        InputError: the campaign or its scenario cannot be used, or none of the first runs.
+        InputError: the campaign or its scenario cannot be used, or the first runs are all invalid.
     """
     found, campaign = read_campaign(path, runs)
     for key in overrides:
@@ -100,8 +100,12 @@ def prepare(path: Path, overrides: Mapping[str, str], runs: int | None) -> Prepa
     return PreparedCampaign(campaign, base, drawn, _first_flown(base, drawn, campaign.runs))
 
 
-def _first_flown(base: Base, drawn: Drawn, runs: int) -> FlightScenario:
-    """A run that may be drawn too far out is a run that failed; a key that no run can have is a mistake."""
+def _first_flown(base: Base, drawn: DrawnValues, runs: int) -> FlightScenario:
+    """Find the first valid run: a single invalid draw is a failed run, but an invalid key fails every run.
+
+    Raises:
+        InputError: the first runs are all invalid.
+    """
     refusal: InputError | None = None
     for run in range(min(runs, _FIRST_RUNS)):
         try:

@@ -1,4 +1,4 @@
-"""Fly a campaign: send batches to a pool, survive workers that die, store every run."""
+"""Fly a campaign: submit batches to a pool, recover from worker crashes, store every run."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from lidar_emu.campaign.batch import Batch, BatchSettings, fly_batch, probe
-from lidar_emu.campaign.folder import campaign_folder, finished
+from lidar_emu.campaign.folder import campaign_folder, finished_batches
 from lidar_emu.campaign.pools import Pool
 from lidar_emu.campaign.read import PreparedCampaign
 from lidar_emu.campaign.tables import column_kinds
@@ -27,13 +27,13 @@ class CampaignProgress(NamedTuple):
 
     runs: int
     done: int
-    """Stored runs, including failed ones and those of an earlier start."""
+    """Stored runs, including failed runs and runs of earlier invocations."""
     failed: int
-    """Failed runs of this start."""
+    """Failed runs of this invocation."""
 
 
 def runs_per_file(prepared: PreparedCampaign, rows_per_run: int) -> int:
-    """So few that all workers have work, so many that files are of a sane size; of the campaign alone."""
+    """Choose the number of runs per file from the campaign alone: enough files for all workers, of moderate size."""
     rows = max(1, rows_per_run // prepared.campaign.beams_every)
     return max(1, min(prepared.campaign.runs // _LEAST_FILES, _ROWS_PER_FILE // rows, _MOST_RUNS_PER_FILE))
 
@@ -49,21 +49,21 @@ def fly_campaign(
 
     Args:
         prepared: the campaign.
-        rows_per_run: beams of all shots of a run, about.
-        folder: where everything is kept; another start with the same one goes on.
-        make_pool: called if there is something to fly.
+        rows_per_run: approximate number of beams in all shots of a run.
+        folder: folder of the results; a later call with the same folder continues the campaign.
+        make_pool: creates the workers; called only if runs are missing.
         on_progress: called at the start and after each batch.
 
     Raises:
         InputError: the folder cannot be used.
-        RunError: a file could not be written, or workers die whatever they do.
+        RunError: a file could not be written, or too many workers died in a row.
     """
     folder = folder.resolve()
     size = runs_per_file(prepared, rows_per_run)
     with campaign_folder(folder, prepared, size):
         runs = prepared.campaign.runs
         count = -(-runs // size)
-        kept = finished(folder, count)
+        kept = finished_batches(folder, count)
         settings = BatchSettings(
             prepared.base, folder, column_kinds(prepared.campaign), prepared.campaign.beams_every
         )
@@ -74,7 +74,7 @@ def fly_campaign(
         missing = (_batch(prepared, k, size) for k in range(count) if k not in kept)
         pool = make_pool()
         try:
-            for batch, failed in _Flying(pool, settings, missing).results():
+            for batch, failed in _BatchScheduler(pool, settings, missing).results():
                 progress = CampaignProgress(runs, progress.done + len(batch.runs), progress.failed + failed)
                 on_progress(progress)
         finally:
@@ -87,70 +87,73 @@ def _batch(prepared: PreparedCampaign, number: int, size: int) -> Batch:
     return Batch(number, runs.start, [prepared.drawn.values(run) for run in runs])
 
 
-class _Flying:
-    """Batches on their way. Those that were with a process that died are flown again one at a time, to see which."""
+class _BatchScheduler:
+    """Keeps the pool busy with batches.
+
+    When a worker dies, the batches in progress are repeated one at a time, to find the run that crashed it.
+    """
 
     def __init__(self, pool: Pool, settings: BatchSettings, batches: Iterator[Batch]) -> None:
         self._pool, self._settings, self._batches = pool, settings, batches
-        self._flying: dict[Future[int], Batch] = {}
+        self._in_progress: dict[Future[int], Batch] = {}
         self._suspects: list[Batch] = []
         self._deaths_in_a_row = 0
 
     def results(self) -> Iterator[tuple[Batch, int]]:
-        """Batches as they are done, with the number of runs that failed."""
+        """Yield batches as they finish, with the number of failed runs."""
         while True:
             if not self._suspects:
-                self._send()
-            if self._flying:
-                yield from self._landed()
+                self._submit()
+            if self._in_progress:
+                yield from self._wait()
             elif self._suspects:
-                yield self._alone(self._suspects.pop())
+                yield self._fly_alone(self._suspects.pop())
             else:
                 return
 
-    def _send(self) -> None:
-        while len(self._flying) < (1 + _WAITING) * self._pool.slots:
+    def _submit(self) -> None:
+        while len(self._in_progress) < (1 + _WAITING) * self._pool.slots:
             batch = next(self._batches, None)
             if batch is None:
                 return
-            self._flying[self._pool.submit(fly_batch, self._settings, batch)] = batch
+            self._in_progress[self._pool.submit(fly_batch, self._settings, batch)] = batch
 
-    def _landed(self) -> Iterator[tuple[Batch, int]]:
-        for future in wait(self._flying, return_when=FIRST_COMPLETED).done:
-            batch = self._flying.pop(future)
+    def _wait(self) -> Iterator[tuple[Batch, int]]:
+        for future in wait(self._in_progress, return_when=FIRST_COMPLETED).done:
+            batch = self._in_progress.pop(future)
             failed = self._outcome(future)
             if failed is None:
                 self._suspects.append(batch)
             else:
                 yield batch, failed
-        if self._suspects and not self._flying:
-            self._pool.mend()
+        if self._suspects and not self._in_progress:
+            self._pool.replace_workers()
 
-    def _alone(self, batch: Batch) -> tuple[Batch, int]:
-        """A batch with nothing beside it; if that is deadly too, its runs one by one, and then without the deadly."""
-        while (failed := self._by_itself(fly_batch, self._settings, batch)) is None:
+    def _fly_alone(self, batch: Batch) -> tuple[Batch, int]:
+        """Fly a batch with no other in progress; if its worker dies again, find the crashing runs and skip them."""
+        while (failed := self._run_alone(fly_batch, self._settings, batch)) is None:
             tried = zip(batch.runs, batch.values, strict=True)
-            deadly = {
-                run for run, values in tried if self._by_itself(probe, self._settings.base, values) is None
+            crashing = {
+                run for run, values in tried if self._run_alone(probe, self._settings.base, values) is None
             }
-            batch = batch._replace(deadly=batch.deadly | deadly)
+            batch = batch._replace(crashing=batch.crashing | crashing)
         return batch, failed
 
-    def _by_itself(self, work: Callable[..., int], *args: Any) -> int | None:
-        """What comes of some work while there is no other; None: the death of its process."""
+    def _run_alone(self, work: Callable[..., int], *args: Any) -> int | None:
+        """Run some work with no other in progress; return its result, or None if its worker died."""
         outcome = self._outcome(self._pool.submit(work, *args))
         if outcome is None:
-            self._pool.mend()
+            self._pool.replace_workers()
         return outcome
 
     def _outcome(self, future: Future[int]) -> int | None:
         try:
             outcome = future.result()
-        except self._pool.deaths:
+        except self._pool.worker_errors:
             self._deaths_in_a_row += 1
             if self._deaths_in_a_row > max(_DEATHS_IN_A_ROW, 3 * self._pool.slots):
                 raise RunError(
-                    f"{self._deaths_in_a_row} workers died in a row; what is done is kept"
+                    f"{self._deaths_in_a_row} workers died in a row; finished batches are kept"
                 ) from None
             return None
         self._deaths_in_a_row = 0

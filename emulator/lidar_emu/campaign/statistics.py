@@ -1,8 +1,8 @@
-"""Errors and dropouts of a whole campaign, by altitude and by incidence, with confidence intervals.
+"""Errors and dropout rate of a campaign by altitude and incidence angle, with confidence intervals.
 
-Shots of one run are not independent: they share the drawn values. So runs are dealt to groups in turn, each group has
-its own counts, and the scatter of the groups estimates the standard error. Errors are counted in
-narrow bins, so that a million runs need no more memory than ten.
+Shots of one run are not independent, since they share the drawn values. Runs are therefore assigned to groups in turn,
+and the scatter between groups estimates the standard error. Errors are counted in narrow bins, so that memory does not
+grow with the number of runs.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ LEVELS = (0.05, 0.5, 0.95)
 CONFIDENCE = 0.95
 _GROUPS = 50
 _STEP = 0.01
-"""Width of an error's bin, in its area sine: one per cent of the error."""
+"""Width of a bin in the inverse hyperbolic sine of the error: one per cent of the error."""
 _REACH = 20.0
 _BINS = 2 * round(_REACH / _STEP)
 
 
 class Axis(NamedTuple):
-    """A quantity whose bands the errors are sorted into."""
+    """A quantity with bands, by which errors are sorted."""
 
     name: str
     edges: FloatArray
@@ -51,7 +51,7 @@ ERRORS = (Error("range_error_m", "range_m", 1e-3), Error("speed_error_mps", "clo
 
 
 class IntervalEstimate(NamedTuple):
-    """A figure and its confidence interval; NaN where it is not known."""
+    """A value with its confidence interval; NaN where it is unknown."""
 
     value: float
     low: float
@@ -66,20 +66,20 @@ class BandStatistics(NamedTuple):
     high: float
     runs: int
     expected: int
-    """Beams that fired at ground."""
+    """Number of beams that fired at the ground."""
     dropout: IntervalEstimate
-    """Share of these without a valid range."""
+    """Share of expected beams without a valid range."""
     quantiles: dict[str, list[IntervalEstimate]]
-    """By error, at `LEVELS`, of those that are valid."""
+    """Quantiles of valid measurements at `LEVELS`, by the name of the error."""
 
 
 def campaign_statistics(folder: Path) -> list[BandStatistics]:
-    """Statistics of all beams in a campaign's folder, band by band, altitudes first."""
+    """Compute the statistics of all beams in a campaign's folder, band by band, altitudes first."""
     counts = defaultdict[tuple[str, int], _Counts](_Counts)
     for beams in _files(folder):
         for axis in AXES:
             band = np.searchsorted(axis.edges, beams[axis.name], side="right") - 1
-            # The last edge belongs to the last band: a ray may graze at 90 degrees.
+            # The last band includes its upper edge: incidence may be exactly 90 degrees.
             band[beams[axis.name] == axis.edges[-1]] -= 1
             for k in np.unique(band[(band >= 0) & (band < len(axis.edges) - 1)]).tolist():
                 counts[axis.name, k].add({name: column[band == k] for name, column in beams.items()})
@@ -92,8 +92,10 @@ def campaign_statistics(folder: Path) -> list[BandStatistics]:
 
 
 def _files(folder: Path) -> Iterator[dict[str, FloatArray]]:
-    """The beams of each file that fired at ground: bands, errors, NaN where there is no valid value, and the run, as
-    the how manieth of those that are kept: a campaign may keep the beams of every fiftieth alone."""
+    """Yield the expected beams of each file: band quantities, errors (NaN where invalid), and an index of the run.
+
+    The index counts stored runs, since a campaign may store the beams of every fiftieth run only.
+    """
     from pyarrow import parquet
 
     truths = [f"true_{error.quantity}" for error in ERRORS]
@@ -107,14 +109,14 @@ def _files(folder: Path) -> Iterator[dict[str, FloatArray]]:
         runs, place = np.unique(columns["run"], return_inverse=True)
         columns["run"] = (before + place).astype(np.float64)
         before += len(runs)
-        asked = (columns["fired"] == 1.0) & np.isfinite(columns["true_range_m"])
+        expected = (columns["fired"] == 1.0) & np.isfinite(columns["true_range_m"])
         for error, truth in zip(ERRORS, truths, strict=True):
             columns[error.name] = columns[error.quantity] - columns[truth]
-        yield {name: column[asked] for name, column in columns.items()}
+        yield {name: column[expected] for name, column in columns.items()}
 
 
 class _Counts:
-    """Counts of one band, group by group."""
+    """Counts of beams and errors in one band, per group of runs."""
 
     def __init__(self) -> None:
         self.runs = 0
@@ -123,7 +125,7 @@ class _Counts:
         self.errors = {error.name: np.zeros((_GROUPS, _BINS), dtype=np.int64) for error in ERRORS}
 
     def add(self, beams: dict[str, FloatArray]) -> None:
-        """The beams of runs that were not counted before."""
+        """Count the beams of runs that were not counted before."""
         run = beams["run"].astype(np.int64)
         self.runs += len(np.unique(run))
         group = run % _GROUPS
@@ -136,7 +138,7 @@ class _Counts:
             np.add.at(self.errors[error.name], (group[known], np.clip(place, 0, _BINS - 1)), 1)
 
     def statistics(self, axis: str, low: float, high: float) -> BandStatistics:
-        """The figures of the band from `low` to `high`."""
+        """Compute the statistics of the band from `low` to `high`."""
         return BandStatistics(
             axis,
             low,
@@ -149,9 +151,9 @@ class _Counts:
 
 
 def share(part: IntArray, whole: IntArray, runs: int) -> IntervalEstimate:
-    """The ratio of two counts (groups,): Wilson's interval for as many trials as the groups' scatter is worth.
+    """Estimate the ratio of two counts (groups,) with Wilson's interval, its trials from the scatter between groups.
 
-    Where all or none of them are part there is no scatter: then a run counts as one trial.
+    A ratio of 0 or 1 has no scatter; then each run counts as one trial.
     """
     count = int(whole.sum())
     if count == 0:
@@ -168,7 +170,7 @@ def share(part: IntArray, whole: IntArray, runs: int) -> IntervalEstimate:
 
 
 def _scatter(part: FloatArray, whole: IntArray) -> tuple[float, float]:
-    """Standard error of the ratio of two sums over groups, and Student's factor that goes with it."""
+    """Compute the standard error of the ratio of two sums over groups, and Student's factor for its interval."""
     from scipy.stats import t
 
     groups = int((whole > 0).sum())
@@ -180,9 +182,9 @@ def _scatter(part: FloatArray, whole: IntArray) -> tuple[float, float]:
 
 
 def _quantile(counts: IntArray, level: float, scale: float) -> IntervalEstimate:
-    """Of counts (groups, bins); the interval is where the share below may be the level (Woodruff).
+    """Estimate a quantile from counts (groups, bins) with Woodruff's interval.
 
-    An end is not known where that share may be none or all.
+    An end of the interval is NaN where the interval of the probability reaches 0 or 1.
     """
     below = np.concatenate([np.zeros((_GROUPS, 1)), np.cumsum(counts, axis=1)], axis=1)
     whole = counts.sum(axis=1)
@@ -191,7 +193,7 @@ def _quantile(counts: IntArray, level: float, scale: float) -> IntervalEstimate:
     together = below.sum(axis=0) / whole.sum()
 
     def at(wanted: float) -> float:
-        """Place, in bins, below which a share of all errors lies."""
+        """Position, in bins, below which a share of all errors lies."""
         k = int(np.clip(np.searchsorted(together, wanted, side="left"), 1, _BINS))
         step = together[k] - together[k - 1]
         return k - 1 + (float((wanted - together[k - 1]) / step) if step > 0 else 0.0)

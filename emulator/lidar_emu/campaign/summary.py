@@ -17,7 +17,7 @@ from lidar_emu.report.campaign_plot import CampaignColumn
 
 _LABELS = {
     "altitude_m": "altitude (m)",
-    "true_incidence_deg": "incidence (°)",
+    "true_incidence_deg": "incidence angle (°)",
     "range_error_m": "range error (m)",
     "speed_error_mps": "closing speed error (m/s)",
 }
@@ -25,7 +25,7 @@ _ENDS = ("", "_low", "_high")
 
 
 def rows(bands: Sequence[BandStatistics]) -> list[dict[str, float | int | str]]:
-    """A row per band with a column per figure, and two more for its confidence interval."""
+    """Build a row per band, with a column per estimate and two more for its confidence interval."""
     return [_row(band) for band in bands]
 
 
@@ -49,10 +49,10 @@ def _ended(name: str, estimate: IntervalEstimate) -> dict[str, float]:
 
 
 def write_statistics(bands: Sequence[BandStatistics], path: Path) -> None:
-    """A CSV file; an empty cell where nothing is known.
+    """Write a CSV file; unknown values are empty cells.
 
     Raises:
-        RunError: writing failed on the way.
+        RunError: writing failed.
     """
     table = rows(bands)
     text = io.StringIO(newline="")
@@ -67,7 +67,7 @@ def write_statistics(bands: Sequence[BandStatistics], path: Path) -> None:
 
 
 def plot_columns(bands: Sequence[BandStatistics]) -> list[CampaignColumn]:
-    """Columns for `report.campaign_plot`."""
+    """Build the columns for `report.campaign_plot`."""
     return [_column(axis.name, [band for band in bands if band.axis == axis.name]) for axis in AXES]
 
 
@@ -91,7 +91,7 @@ def _estimates(estimates: Sequence[IntervalEstimate]) -> FloatArray:
 
 
 def failures(folder: Path) -> dict[str, int]:
-    """Number of failed runs by reason, the most frequent first."""
+    """Count failed runs by reason, the most frequent first."""
     from pyarrow import parquet
 
     reasons = Counter[str]()

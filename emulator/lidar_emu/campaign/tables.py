@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 _SHARES = {"p50": 0.5, "p95": 0.95}
 
 
-class FlownRun(NamedTuple):
-    """A run that was flown, or the reason why not."""
+class RunResult(NamedTuple):
+    """The measurement of a run, or the reason of its failure."""
 
     run: int
     values: dict[str, Any]
@@ -30,7 +30,7 @@ class FlownRun(NamedTuple):
 
 
 def column_kinds(campaign: Campaign) -> dict[str, str]:
-    """What the column of each drawn key holds: a `number`, a `whole` one, `text`, or `json` where values are mixed."""
+    """Kind of each drawn key's column: `number`, `whole` number, `text`, or `json` for values of mixed types."""
     return {key: _kind(campaign.dispersions.get(key)) for key in campaign.drawn_keys}
 
 
@@ -46,12 +46,12 @@ def _kind(distribution: object) -> str:
 
 
 def expected(measurement: Measurement) -> BoolArray:
-    """(shots, beams) Which beams fired at ground."""
+    """(shots, beams) Whether the beam fired at the ground, so that a valid range is expected."""
     return measurement.fired & np.isfinite(measurement.true_range_m)
 
 
-def runs_table(flown: Sequence[FlownRun], kinds: dict[str, str]) -> pa.Table:
-    """A row per run: what was drawn, why it failed if it did, and what came out."""
+def runs_table(flown: Sequence[RunResult], kinds: dict[str, str]) -> pa.Table:
+    """Build a table with a row per run: drawn values, reason of failure, and statistics."""
     import pyarrow as pa
 
     types = {"number": pa.float64(), "whole": pa.int64(), "text": pa.string(), "json": pa.string()}
@@ -78,23 +78,23 @@ _OUTCOMES = (*_COUNTS, *(f"{error}_abs_{share}" for error in _ERRORS for share i
 
 
 def _outcome(measurement: Measurement) -> dict[str, float]:
-    asked = expected(measurement)
+    at_ground = expected(measurement)
     outcome: dict[str, float] = {
         "shots": len(measurement),
-        "expected": int(asked.sum()),
-        "range_valid": int((asked & measurement.range_valid).sum()),
-        "speed_valid": int((asked & measurement.speed_valid).sum()),
+        "expected": int(at_ground.sum()),
+        "range_valid": int((at_ground & measurement.range_valid).sum()),
+        "speed_valid": int((at_ground & measurement.speed_valid).sum()),
     }
     for error, name in _ERRORS.items():
-        apart = np.abs(getattr(measurement, name) - getattr(measurement, f"true_{name}"))
-        known = apart[asked & np.isfinite(apart)]
+        difference = np.abs(getattr(measurement, name) - getattr(measurement, f"true_{name}"))
+        known = difference[at_ground & np.isfinite(difference)]
         for share, level in _SHARES.items():
             outcome[f"{error}_abs_{share}"] = float(np.quantile(known, level)) if known.size else np.nan
     return outcome
 
 
-def beams_table(flown: Sequence[FlownRun]) -> pa.Table:
-    """A row per shot and beam: `Measurement.table()`, with the run and the altitude above the site's origin."""
+def beams_table(flown: Sequence[RunResult]) -> pa.Table:
+    """Build a table with a row per shot and beam: `Measurement.table()`, run, and altitude above the site's origin."""
     import pyarrow as pa
 
     return pa.concat_tables(
@@ -111,16 +111,16 @@ def _beams(run: int, measurement: Measurement) -> pa.Table:
 
 
 def write_table(table: pa.Table, path: Path) -> None:
-    """A file, whole or not at all; the same bytes for the same table.
+    """Write a table atomically; equal tables have equal bytes.
 
     Raises:
-        InputError: the folder is not there.
-        RunError: writing failed on the way.
+        InputError: the folder is missing.
+        RunError: writing failed.
     """
     import pyarrow.parquet as parquet
 
     with whole_file(path) as file:
-        # Measured values hardly repeat: a dictionary of them costs half of the time and saves nothing.
+        # Measured values rarely repeat: their dictionary would take half of the time and save nothing.
         repeating = [name for name in table.column_names if name in _REPEATING]
         parquet.write_table(table, file, compression="zstd", use_dictionary=repeating)
 

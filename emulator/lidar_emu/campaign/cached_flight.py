@@ -1,4 +1,4 @@
-"""A flight that takes over ground and trajectory from earlier ones of the same: a process reads its ground once."""
+"""A flight that reuses ground and trajectory of earlier flights, so that a process reads its ground once."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _KEPT = 4
 _NOT_OF_THE_GRID = {"name", "surface", "atmosphere", "sunlight_w_per_m2_um", "objects"}
 
 
-class KeptFlight(Flight):
-    """Its whole grids are kept; other ground is quickly made, or cut to what this flight can reach."""
+class CachedFlight(Flight):
+    """A flight with cached trajectory and whole grids; other ground is quick to build or cropped to the flight."""
 
     @cached_property
     def trajectory(self) -> Trajectory:
@@ -39,7 +39,7 @@ class KeptFlight(Flight):
 
 @lru_cache(_KEPT)
 def _grids(_site: str) -> list[GridGround]:
-    """Room for the grid of a site."""
+    """Cache entry for the grid of a site."""
     return []
 
 
