@@ -121,8 +121,8 @@ def _send(
         "far_end": view.counters(),
     }
     _print(summary, replay_lines(summary), summary_file, as_json)
-    if this_replay.error is not None:
-        raise RunError(this_replay.error)
+    if summary["error"] is not None:
+        raise RunError(summary["error"])
     # --loop has no other end than Ctrl-C.
     return int(has_failed(this_replay.tally, summary["interrupted"] and not loop, failures))
 

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from datetime import datetime, timedelta
 from typing import Any
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.feed.base import POLL_NS
-from lidar_emu.runtime.lateness_statistics import steal_ticks
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.child import PortDiedError
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
-from lidar_emu.runtime.port.status import EventLog, events_to_json
-from lidar_emu.runtime.signals import on_signals
+from lidar_emu.runtime.run_status import RunStatus
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.transports.spec import PortSpec
 
@@ -51,14 +48,9 @@ class Replay:
         self._spec, self._pace, self._load = port, pace, load
         self._observers = observers
         self._clock = Clock()
-        self._process_events = EventLog()
         self._in_flight: list[OutgoingPacket] = []
-        self._opening = True
-        self._interrupted = False
-        self._start_utc: datetime | None = None
+        self._status = RunStatus(observers)
         self.tally = Tally(pace)
-        self.error: str | None = None
-        """Why it ended early, if that is an error."""
 
     def play(self) -> dict[str, Any]:
         """Send to the end, or until SIGINT, SIGTERM or SIGHUP; return the summary.
@@ -67,46 +59,39 @@ class Replay:
             InputError: the port cannot be opened.
             RunError: the port process did not start. If it dies later, the replay ends with its summary.
         """
-        stolen = steal_ticks()
-        with on_signals(self._interrupt), PortRunner(_SLOTS, self._longest, self._on_stall) as port:
+        status = self._status
+        with status.interruptible(), PortRunner(_SLOTS, self._longest, status.on_stall) as port:
             with suppress(KeyboardInterrupt):
                 description = port.start(self._spec)
-                self._opening = False
+                status.opening = False
                 try:
                     self._send(port, description)
                 except PortDiedError as death:
-                    self.error = str(death)
+                    status.fail(str(death))
             port.close()
             self._collect_reports(port)
-        stolen_now = steal_ticks()
         shots = self.tally.to_json()["shots"]
         return {
-            "started_utc": None if self._start_utc is None else self._start_utc.isoformat(),
-            "interrupted": self._interrupted,
-            "error": self.error,
-            "port": port.status.description or str(self._spec),
+            **status.to_json(self._spec, port.status, self._load),
             "packets": {name: shots[name] for name in ("due", "sent", "late", "dropped")},
             "lateness": self.tally.to_json()["lateness"],
-            "steal_ticks": None if stolen is None or stolen_now is None else stolen_now - stolen,
-            **port.status.to_json(self._load),
-            **events_to_json("process", self._process_events.count, self._process_events.since(0)),
         }
 
     def _send(self, port: PortRunner, description: str) -> None:
-        start_ns, now = self._clock.now_ns() + _LEAD_NS, self._clock.utc_now()
-        self._start_utc = now + timedelta(microseconds=_LEAD_NS / 1000)
+        start_ns = self._clock.now_ns() + _LEAD_NS
+        start_utc = self._status.begin(start_ns, self._clock)
         for observer in self._observers:
-            observer.on_opened(description, self._start_utc)
+            observer.on_opened(description, start_utc)
         port.begin(start_ns, LATE_AFTER_NS, self._pace)
         for packet in self._packets:
-            while not (self._interrupted or port.push(packet)):
+            while not (self._status.interrupted or port.push(packet)):
                 self._wait_for_reports(port)
-            if self._interrupted:
+            if self._status.interrupted:
                 return
             self._in_flight.append(packet)
             self._collect_reports(port)
         port.end_packets()
-        while not (port.finished or self._interrupted):
+        while not (port.finished or self._status.interrupted):
             self._wait_for_reports(port)
 
     def _wait_for_reports(self, port: PortRunner) -> None:
@@ -126,14 +111,3 @@ class Replay:
         if data := port.far_end():
             for observer in self._observers:
                 observer.on_far_end_data(data)
-
-    def _on_stall(self, time_ns: int, what: str) -> None:
-        self._process_events.add(self._process_events.count + 1, time_ns, what)
-        for observer in self._observers:
-            observer.on_process_event(time_ns, what)
-
-    def _interrupt(self, *_: object) -> None:
-        """Note the interruption; while the port is being opened there is no loop that would check."""
-        self._interrupted = True
-        if self._opening:
-            raise KeyboardInterrupt

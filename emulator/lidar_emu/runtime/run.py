@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.device.constants import TimedEvent
@@ -23,16 +22,14 @@ from lidar_emu.runtime.feed.lockstep import LockstepFeed
 from lidar_emu.runtime.feed.on_command import OnCommandFeed
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
 from lidar_emu.runtime.feed.planned import PlannedFeed
-from lidar_emu.runtime.lateness_statistics import steal_ticks
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions, port_of, start_instant_ns
 from lidar_emu.runtime.port.child import PortDiedError
 from lidar_emu.runtime.port.pacing import Pace, WhenLate
 from lidar_emu.runtime.port.runner import PortRunner
-from lidar_emu.runtime.port.status import EventLog, events_to_json
 from lidar_emu.runtime.prepare import prepare
 from lidar_emu.runtime.realtime_priority import busy_wait_share
-from lidar_emu.runtime.signals import on_signals
+from lidar_emu.runtime.run_status import RunStatus
 from lidar_emu.runtime.summary import Outcome, Tally, planned_summary
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.shots.model import Model
@@ -73,15 +70,11 @@ class Run:
         self._housekeeping: HousekeepingSender | None = None
         self._final_message: FinalMessage | None = None
         self._truth: TruthSource | None = None
-        self._opening = True
-        self._interrupted = False
-        self._error: str | None = None
-        self._start_utc: datetime | None = None
+        self._status = RunStatus(observers)
         self.start_ns: int | None = None
         """Instant of the monotonic clock from which due times count; known once observers receive `on_opened`."""
         self.tally = Tally(options.pace)
         self._planned = planned_summary(scenario, model)
-        self._process_events = EventLog()
 
     @property
     def warnings(self) -> list[str]:
@@ -95,15 +88,14 @@ class Run:
             InputError: the port or the truth's address cannot be opened, or the start lies in the past.
             RunError: the port process did not start. If it dies later, the run ends with its summary.
         """
-        stolen = steal_ticks()
         gc.freeze()  # a collection in mid-flight need not look at all that was built for it
         prepared, live = self._prepared, self._prepared.live
         truth_address = truth_socket(live.listen, self.clock) if live else nullcontext()
         with (
             truth_address as socket,
-            on_signals(self._interrupt),
+            self._status.interruptible(),
             PortRunner(
-                2 * prepared.slots, prepared.room_bytes, self._on_stall, prepared.downlink.has_commands
+                2 * prepared.slots, prepared.room_bytes, self._status.on_stall, prepared.downlink.has_commands
             ) as self._port,
             self._open_injector() as self._injector,
         ):
@@ -112,31 +104,30 @@ class Run:
             changes = ChangeQueue(self._port, self._commands, self._injector)
             with suppress(KeyboardInterrupt):
                 self._port.start(port_of(prepared.scenario, self._options), prepared.port_faults)
-                self._opening = False
+                self._status.opening = False
                 with self._outliving_the_port():
                     self._feed(packets, changes).run()
             self._port.close()
             packets.close()
             changes.close()
-        return Outcome(self.tally, self._details(stolen), self._error)
+        return Outcome(self.tally, self._details(), self._status.error)
 
     def begin(self, start_ns: int) -> None:
         """See `RunControl`."""
-        now_ns, now = self.clock.now_ns(), self.clock.utc_now()
-        self.start_ns, self._start_utc = start_ns, now + timedelta(microseconds=(start_ns - now_ns) / 1000)
+        self.start_ns, start_utc = start_ns, self._status.begin(start_ns, self.clock)
         for observer in self._observers:
-            observer.on_opened(self._port.status.description, self._start_utc)
+            observer.on_opened(self._port.status.description, start_utc)
         timing = self._timing
         self._port.begin(start_ns, timing.late_after_ns, self._options.pace, WhenLate(timing.when_late))
 
     def fail(self, error: str) -> None:
         """See `RunControl`."""
-        self._error = self._error or error
+        self._status.fail(error)
 
     @property
     def stopped(self) -> bool:
         """See `RunControl`."""
-        return self._interrupted or self._error is not None
+        return self._status.stopped
 
     def _open_injector(self) -> AbstractContextManager[FaultInjector | None]:
         """Open the socket on which faults are injected in flight."""
@@ -228,11 +219,6 @@ class Run:
             if self._final_message is not None:
                 self._final_message.send(self._options.port, self.clock)
 
-    def _on_stall(self, time_ns: int, what: str) -> None:
-        self._process_events.add(self._process_events.count + 1, time_ns, what)
-        for observer in self._observers:
-            observer.on_process_event(time_ns, what)
-
     def _notify_waiting(self, what: str) -> None:
         for observer in self._observers:
             observer.on_waiting(self._port.status.description, what)
@@ -241,25 +227,12 @@ class Run:
         for observer in self._observers:
             observer.on_flight_started(waited_ns)
 
-    def _interrupt(self, *_: object) -> None:
-        """Note the interruption; it takes effect between packets, for an exception anywhere could lose reports that
-        were just fetched. While the port is being opened there is nothing to lose, and no loop that would check."""
-        self._interrupted = True
-        if self._opening:
-            raise KeyboardInterrupt
-
-    def _details(self, stolen: int | None) -> dict[str, Any]:
-        stolen_now, status, injector = steal_ticks(), self._port.status, self._injector
+    def _details(self) -> dict[str, Any]:
+        injector = self._injector
         return {
             **self._planned,
-            "started_utc": None if self._start_utc is None else self._start_utc.isoformat(),
-            "interrupted": self._interrupted,
-            "error": self._error,
-            "port": status.description or str(self._options.port),
             "pace": str(self._options.pace),
-            "steal_ticks": None if stolen is None or stolen_now is None else stolen_now - stolen,
-            **status.to_json(self._prepared.wire_load),
-            **events_to_json("process", self._process_events.count, self._process_events.since(0)),
+            **self._status.to_json(self._options.port, self._port.status, self._prepared.wire_load),
             "final_message": None if self._final_message is None else self._final_message.result,
             "commands": None if self._commands is None else self._commands.to_json(),
             "housekeeping": None if self._housekeeping is None else self._housekeeping.to_json(),
