@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.flight.flight import Flight
-from lidar_emu.flight.pointing import ACCELERATION, SENSOR, TRUE, TURNING, VELOCITY, Pointing
+from lidar_emu.flight.pointing import Pointing, beam_vectors
 from lidar_emu.fmcw.link_budget import echo_law, echo_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import FloatArray, IntArray
@@ -168,7 +168,7 @@ def compute_echoes(
 @kernel(outermost=True)
 def _set_echoes(
     laws: NDArray[Any],
-    vectors: FloatArray,
+    stacked: FloatArray,
     time_ns: IntArray,
     axis_range_m: FloatArray,
     footprint_arrays: tuple[Any, ...],
@@ -179,7 +179,7 @@ def _set_echoes(
 
     Args:
         laws: (1,) record of an `EchoLaw`.
-        vectors: (6, shots, beams, 3) of a `Pointing`.
+        stacked: (6, shots, beams, 3) the beams' vectors, of a `Pointing`.
         time_ns: (shots, beams) times of validity.
         axis_range_m: (shots, beams) of the beams' axes.
         footprint_arrays: of a `Footprint` of (shots * beams) beams; like the others a plain tuple, whose type numba
@@ -187,7 +187,7 @@ def _set_echoes(
         hit_arrays: normals, velocities and reflectances of the beamlets' `Hits`, (rays,).
         echo_arrays: of `Echoes`.
     """
-    law = laws[0]
+    law, vectors = laws[0], beam_vectors(stacked)
     footprint, echoes = Footprint(*footprint_arrays), Echoes(*echo_arrays)
     normals, surface_mps, reflectance = hit_arrays
     waist_m, rayleigh_m = law.waist_m, law.rayleigh_m
@@ -197,14 +197,14 @@ def _set_echoes(
     for s in range(shots):
         for b in range(beams):
             beam = s * beams + b
-            axis, first, second = vectors[TRUE, s, b], across[0, beam], across[1, beam]
-            sensor, velocity, away_m = vectors[SENSOR, s, b], vectors[VELOCITY, s, b], axis_range_m[s, b]
-            swing_radps = cross(vectors[TURNING, s, b], axis)
+            axis, first, second = vectors.true[s, b], across[0, beam], across[1, beam]
+            sensor, velocity, away_m = vectors.sensor_m[s, b], vectors.velocity_mps[s, b], axis_range_m[s, b]
+            swing_radps = cross(vectors.turning_radps[s, b], axis)
             on_axis = beam * beamlets
             first_mps = _relative_speed(surface_mps, on_axis, velocity, first)
             second_mps = _relative_speed(surface_mps, on_axis, velocity, second)
             first_radps, second_radps = dot(swing_radps, first), dot(swing_radps, second)
-            along_mps2 = dot(vectors[ACCELERATION, s, b], axis)
+            along_mps2 = dot(vectors.acceleration_mps2[s, b], axis)
             coriolis_mps2 = first_mps * first_radps + second_mps * second_radps
             passing_m2ps2 = first_mps * first_mps + second_mps * second_mps
             squared_radps2 = first_radps * first_radps + second_radps * second_radps

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lidar_emu.echo.echoes import BeamletHits
 from lidar_emu.faults.schedule import FaultInstance
 from lidar_emu.flight.flight import Flight
-from lidar_emu.flight.pointing import TRUE, Pointing
+from lidar_emu.flight.pointing import BeamVectors, Pointing
 from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
@@ -80,7 +80,8 @@ class LightFaults:
         axis_site = rotate(vehicle.site_from_body, rotate(self._body_from_sensor, sensor_rad))
         turn = from_rotation_vector(ramp[..., None] * axis_site.reshape(*affected.shape, 3))
         beams = pointing.beams.copy()
-        beams[TRUE] = np.where(affected[..., None], rotate(turn, pointing.true_site), pointing.true_site)
+        true_site = BeamVectors(*beams).true
+        true_site[:] = np.where(affected[..., None], rotate(turn, true_site), true_site)
         return pointing._replace(beams=beams)
 
     def _cluttered(self, echoes: Echoes, active: _ActiveLightFault) -> Echoes:

@@ -127,16 +127,10 @@ class Flight:
             since_s = instant_s[:, 1:] - gap.start_s
             pointing.in_gap[:] |= (since_s > 0) & (since_s < gap.length_s)
         point_beams(
-            vehicle.position_site_m,
-            vehicle.velocity_site_mps,
-            vehicle.acceleration_site_mps2,
-            vehicle.site_from_body,
-            vehicle.body_rate_radps,
+            tuple(vehicle),
             self._lever_arm_body_m,
             self.scanner.row(pointing.pattern, shot),
-            self.scanner.angle_deg,
-            self._true_body,
-            self._published_body,
+            (self._true_body, self._published_body, self.scanner.angle_deg),
             pointing.fired,
             pointing.angle_deg,
             pointing.beams,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,33 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.rotations import rotate
 from lidar_emu.numerics.vectors import add, cross, dot, nan_to_zero, store
+from lidar_emu.trajectory.state import VehicleState
 
-SENSOR, VELOCITY, ACCELERATION, TURNING, TRUE, PUBLISHED = range(6)
-"""Indices of a beam's vectors in `Pointing.beams`."""
+
+class BeamVectors(NamedTuple):
+    """The vectors of beams in the site frame, (shots, beams, 3) each."""
+
+    sensor_m: FloatArray
+    """Centre of the aperture."""
+    velocity_mps: FloatArray
+    """Velocity of the sensor, including the body's rotation about the lever arm."""
+    acceleration_mps2: FloatArray
+    """Acceleration of the sensor at constant body rate: the angular acceleration's share is neglected."""
+    turning_radps: FloatArray
+    """Angular rate of the body and its beams."""
+    true: FloatArray
+    """Unit vectors along the true beam axes."""
+    published: FloatArray
+    """Unit vectors along the beam axes that packets publish."""
+
+
+_PLACES = {name: place for place, name in enumerate(BeamVectors._fields)}
+
+
+@kernel(forceinline=True)
+def beam_vectors(stacked: FloatArray) -> BeamVectors:
+    """Name the vectors (6, shots, beams, 3) of `Pointing.beams`."""
+    return BeamVectors(stacked[0], stacked[1], stacked[2], stacked[3], stacked[4], stacked[5])
 
 
 class Pointing(NamedTuple):
@@ -29,7 +53,7 @@ class Pointing(NamedTuple):
     fired: BoolArray
     angle_deg: FloatArray
     beams: FloatArray
-    """(6, shots, beams, 3) The vectors of the properties below in one array for kernels; `pointing` has the indices."""
+    """(6, shots, beams, 3) The arrays of `BeamVectors`, stacked: passing one array to a kernel is faster than six."""
     vehicle: FloatArray
     """(2, shots, 3) Position and velocity."""
 
@@ -51,27 +75,27 @@ class Pointing(NamedTuple):
     @property
     def sensor_site_m(self) -> FloatArray:
         """Centre of the aperture."""
-        return self._vectors(SENSOR)
+        return self._vectors("sensor_m")
 
     @property
     def sensor_velocity_site_mps(self) -> FloatArray:
         """Velocity of the sensor, including the body's rotation about the lever arm."""
-        return self._vectors(VELOCITY)
+        return self._vectors("velocity_mps")
 
     @property
     def sensor_acceleration_site_mps2(self) -> FloatArray:
         """Acceleration of the sensor at constant body rate: the angular acceleration's share is neglected."""
-        return self._vectors(ACCELERATION)
+        return self._vectors("acceleration_mps2")
 
     @property
     def turning_site_radps(self) -> FloatArray:
         """Angular rate of the body and its beams."""
-        return self._vectors(TURNING)
+        return self._vectors("turning_radps")
 
     @property
     def true_site(self) -> FloatArray:
         """Unit vectors along the true beam axes."""
-        return self._vectors(TRUE)
+        return self._vectors("true")
 
     @property
     def position_site_m(self) -> FloatArray:
@@ -83,8 +107,8 @@ class Pointing(NamedTuple):
         """(shots, 3) Velocity of the vehicle at the first beam's time of validity."""
         return np.asarray(self.vehicle[1])
 
-    def _vectors(self, index: int) -> FloatArray:
-        vectors: FloatArray = self.beams[index]
+    def _vectors(self, name: str) -> FloatArray:
+        vectors: FloatArray = self.beams[_PLACES[name]]
         return vectors
 
 
@@ -123,45 +147,50 @@ def place_starts(
 
 @kernel(outermost=True)
 def point_beams(
-    position_m: FloatArray,
-    velocity_mps: FloatArray,
-    acceleration_mps2: FloatArray,
-    site_from_body: FloatArray,
-    body_rate_radps: FloatArray,
+    state_arrays: tuple[Any, ...],
     lever_arm_m: FloatArray,
     row: NDArray[np.int64],
-    row_angle_deg: FloatArray,
-    true_body: FloatArray,
-    published_body: FloatArray,
+    directions: tuple[FloatArray, FloatArray, FloatArray],
     fired: BoolArray,
     angle_deg: FloatArray,
-    vectors: FloatArray,
+    stacked: FloatArray,
     vehicle: FloatArray,
 ) -> None:
-    """Fill the arrays of `Pointing` from the vehicle's state at 1 + beams instants of each shot, the first unused.
+    """Fill the arrays of `Pointing` that depend on the motion of the vehicle.
 
     The lever arm r turns with the body: the sensor's position, velocity and acceleration gain r, ω x r and
     ω x (ω x r).
 
     Args:
-        row: (shots,) Row of the directions and angles (rows, beams) that each shot uses.
-        vectors: (6, shots, beams, 3), see `Pointing.beams`.
+        state_arrays: Arrays of a `VehicleState` at 1 + beams instants of each shot, the first unused.
+        lever_arm_m: (3,) Position of the sensor in the body frame.
+        row: (shots,) Row of the directions and angles that each shot uses.
+        directions: True and published unit vectors (rows, beams, 3) in the body frame, published angles (rows, beams).
+        fired, angle_deg: (shots, beams), see `Pointing`.
+        stacked: (6, shots, beams, 3), see `Pointing.beams`.
         vehicle: (2, shots, 3) Position and velocity of the vehicle at the first beam's time of validity.
     """
+    state, vectors = VehicleState(*state_arrays), beam_vectors(stacked)
+    true_body, published_body, row_angle_deg = directions
+    position_m, velocity_mps = state.position_site_m, state.velocity_site_mps
     shots, beams = fired.shape
     for s in range(shots):
         for b in range(beams):
             k = s * (1 + beams) + 1 + b
-            rotation = site_from_body[k]
-            turning = rotate(rotation, body_rate_radps[k])
+            rotation = state.site_from_body[k]
+            turning = rotate(rotation, state.body_rate_radps[k])
             lever_arm = rotate(rotation, lever_arm_m)
             swing = cross(turning, lever_arm)
-            store(vectors[TURNING, s, b], 0, turning)
-            store(vectors[SENSOR, s, b], 0, add(lever_arm, position_m[k]))
-            store(vectors[VELOCITY, s, b], 0, add(swing, velocity_mps[k]))
-            store(vectors[ACCELERATION, s, b], 0, add(cross(turning, swing), acceleration_mps2[k]))
-            store(vectors[TRUE, s, b], 0, rotate(rotation, true_body[row[s], b]))
-            store(vectors[PUBLISHED, s, b], 0, rotate(rotation, published_body[row[s], b]))
+            store(vectors.turning_radps[s, b], 0, turning)
+            store(vectors.sensor_m[s, b], 0, add(lever_arm, position_m[k]))
+            store(vectors.velocity_mps[s, b], 0, add(swing, velocity_mps[k]))
+            store(
+                vectors.acceleration_mps2[s, b],
+                0,
+                add(cross(turning, swing), state.acceleration_site_mps2[k]),
+            )
+            store(vectors.true[s, b], 0, rotate(rotation, true_body[row[s], b]))
+            store(vectors.published[s, b], 0, rotate(rotation, published_body[row[s], b]))
             angle_deg[s, b] = row_angle_deg[row[s], b]
             fired[s, b] = angle_deg[s, b] == angle_deg[s, b]
         for axis in range(3):
@@ -171,7 +200,7 @@ def point_beams(
 
 @kernel(outermost=True)
 def closing_speed_and_incidence(
-    beams: FloatArray,
+    stacked: FloatArray,
     normals: FloatArray,
     surface_mps: FloatArray,
     true_closing_mps: FloatArray,
@@ -182,10 +211,11 @@ def closing_speed_and_incidence(
     The closing speed is the sensor's speed along the true axis minus the hit surface's; a static scene has an empty
     `surface_mps`. The incidence angle is NaN where a beam has no hit.
     """
+    beams = beam_vectors(stacked)
     for s in range(true_closing_mps.shape[0]):
         for b in range(true_closing_mps.shape[1]):
-            axis = beams[TRUE, s, b]
-            true_closing_mps[s, b] = dot(beams[VELOCITY, s, b], axis)
+            axis = beams.true[s, b]
+            true_closing_mps[s, b] = dot(beams.velocity_mps[s, b], axis)
             if surface_mps.size > 0:
                 true_closing_mps[s, b] -= nan_to_zero(dot(surface_mps[s, b], axis))
             # Bounds first: np.minimum passes NaN on, min() may not.
@@ -194,10 +224,11 @@ def closing_speed_and_incidence(
 
 
 @kernel(outermost=True)
-def locate_points(beams: FloatArray, range_m: FloatArray, point_site_m: FloatArray) -> None:
+def locate_points(stacked: FloatArray, range_m: FloatArray, point_site_m: FloatArray) -> None:
     """Set the points at the measured range along the published axes."""
+    beams = beam_vectors(stacked)
     for s in range(range_m.shape[0]):
         for b in range(range_m.shape[1]):
             for axis in range(3):
-                along_m = range_m[s, b] * beams[PUBLISHED, s, b, axis]
-                point_site_m[s, b, axis] = beams[SENSOR, s, b, axis] + along_m
+                along_m = range_m[s, b] * beams.published[s, b, axis]
+                point_site_m[s, b, axis] = beams.sensor_m[s, b, axis] + along_m

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from functools import cache
 from math import hypot, sqrt
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def sample_footprint(
     footprint = footprint or Footprint.unfilled(len(range_m), count)
     offset_w, _ = beamlet_pattern(count)
     rayleigh_m = rayleigh_range_m(waist_radius_m, wavelength_m)
-    _sample(offset_w, waist_radius_m, rayleigh_m, sensor_site_m, axis_site, range_m, *footprint[1:])
+    _sample(offset_w, waist_radius_m, rayleigh_m, sensor_site_m, axis_site, range_m, tuple(footprint))
     return footprint
 
 
@@ -100,13 +100,12 @@ def _sample(
     sensor_m: FloatArray,
     axes: FloatArray,
     range_m: FloatArray,
-    start_m: FloatArray,
-    ray: FloatArray,
-    doppler: FloatArray,
-    across: FloatArray,
-    doppler_start_m: FloatArray,
+    footprint_arrays: tuple[Any, ...],
 ) -> None:
-    """Fill the arrays of a `Footprint`."""
+    """Fill the arrays of a `Footprint` but its weights."""
+    footprint = Footprint(*footprint_arrays)
+    start_m, ray, doppler = footprint.start_site_m, footprint.ray_site, footprint.doppler_site
+    across, doppler_start_m = footprint.across_site, footprint.doppler_start_m
     divergence = waist_radius_m / rayleigh_m
     for b in range(len(axes)):
         axis, first, second = axes[b], across[0, b], across[1, b]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,18 @@ from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vector_arrays import from_rotation_vector, from_yaw_pitch_roll, rotate
 from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.scanner import AltitudeSwitch, Mounting, Pattern, Scan, Scanner, TimeSwitch
+
+
+class Thresholds(NamedTuple):
+    """The switches in the arrays of the kernel, (switches,) each."""
+
+    by_time: BoolArray
+    from_ground: BoolArray
+    """Whether the altitude is counted from the ground, instead of from the origin."""
+    on: FloatArray
+    """Time from which, or altitude below which, it is active."""
+    off: FloatArray
+    """Altitude above which it no longer is."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +89,7 @@ class ScannerModel:
                 leaves a switch as it is.
         """
         chosen, active = np.empty(len(time_s), dtype=np.int64), np.array(state.active, dtype=np.bool_)
-        _choose(*self.thresholds, time_s, altitude_origin_m, altitude_ground_m, active, chosen)
+        _choose(tuple(self.thresholds), time_s, altitude_origin_m, altitude_ground_m, active, chosen)
         if state.commanded is not None:
             chosen[:] = state.commanded
         return chosen, replace(state, active=tuple(active.tolist()))
@@ -85,10 +97,7 @@ class ScannerModel:
 
 @kernel(outermost=True)
 def _choose(
-    by_time: BoolArray,
-    from_ground: BoolArray,
-    on: FloatArray,
-    off: FloatArray,
+    threshold_arrays: tuple[Any, ...],
     time_s: FloatArray,
     altitude_origin_m: FloatArray,
     altitude_ground_m: FloatArray,
@@ -99,30 +108,19 @@ def _choose(
 
     NaN compares false: what was active stays, what was not stays off.
     """
+    thresholds = Thresholds(*threshold_arrays)
     for s in range(len(chosen)):
         chosen[s] = 0
         for k in range(len(active)):
-            altitude_m = altitude_ground_m[s] if from_ground[k] else altitude_origin_m[s]
-            if by_time[k]:
-                active[k] = time_s[s] >= on[k]
-            elif altitude_m < on[k]:
+            altitude_m = altitude_ground_m[s] if thresholds.from_ground[k] else altitude_origin_m[s]
+            if thresholds.by_time[k]:
+                active[k] = time_s[s] >= thresholds.on[k]
+            elif altitude_m < thresholds.on[k]:
                 active[k] = True
-            elif altitude_m > off[k]:
+            elif altitude_m > thresholds.off[k]:
                 active[k] = False
             if active[k]:
                 chosen[s] = k + 1
-
-
-class Thresholds(NamedTuple):
-    """The switches in the arrays of the kernel, (switches,) each."""
-
-    by_time: BoolArray
-    from_ground: BoolArray
-    """Whether the altitude is counted from the ground, instead of from the origin."""
-    on: FloatArray
-    """Time from which, or altitude below which, it is active."""
-    off: FloatArray
-    """Altitude above which it no longer is."""
 
 
 def _thresholds(switches: Sequence[AltitudeSwitch | TimeSwitch]) -> Thresholds:

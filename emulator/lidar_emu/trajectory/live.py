@@ -10,9 +10,10 @@ from math import dist, isfinite, nan
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import with_fields
 from lidar_emu.scenario.schema import LONGEST_S
 from lidar_emu.trajectory.live_datagram import Truth, Verdict
-from lidar_emu.trajectory.live_motion import ROW, follow
+from lidar_emu.trajectory.live_motion import TRUTH, follow
 from lidar_emu.trajectory.state import Gap, VehicleState
 
 LONGEST_STEP_NS = 10_000_000_000
@@ -38,7 +39,7 @@ class LiveTrajectory:
         self._jump_m = jump_m
         self.newest: Truth | None = None
         """The truth that later ones follow."""
-        self._rows = np.empty((_KEPT, ROW))
+        self._truths = with_fields(np.empty(_KEPT, dtype=TRUTH))
         self._count = 0
         self.verdicts: Counter[Verdict] = Counter()
         self.jumped = 0
@@ -67,13 +68,13 @@ class LiveTrajectory:
     @contextmanager
     def pretending(self, truth: Truth) -> Iterator[None]:
         """As if this were all that is known."""
-        kept = self.newest, self._rows.copy(), self._count
+        kept = self.newest, self._truths.copy(), self._count
         self._count = 0
         self._append(truth)
         try:
             yield
         finally:
-            self.newest, self._rows, self._count = kept
+            self.newest, self._truths, self._count = kept
 
     def state(self, time_s: FloatArray) -> VehicleState:
         """The vehicle at scenario times (n,), as near as the truth so far tells.
@@ -84,7 +85,7 @@ class LiveTrajectory:
         if not self._count:
             raise ValueError("there is no truth yet")
         state = VehicleState.unfilled(time_s)
-        follow(self._rows[: self._count], *state)
+        follow(self._truths[: self._count], tuple(state))
         return state
 
     def _judge(self, truth: Truth | None, now_ns: int | None) -> Verdict:
@@ -121,15 +122,15 @@ class LiveTrajectory:
 
     def _append(self, truth: Truth) -> None:
         if self._count == _KEPT:
-            self._rows[:-1] = self._rows[1:]
+            self._truths[:-1] = self._truths[1:]
             self._count -= 1
-        self._rows[self._count] = (
+        self._truths[self._count] = (
             truth.time_ns * 1e-9,
-            *truth.position_site_m,
-            *truth.velocity_site_mps,
-            *(truth.acceleration_site_mps2 or _UNKNOWN),
-            *truth.site_from_body,
-            *truth.body_rate_radps,
+            truth.position_site_m,
+            truth.velocity_site_mps,
+            truth.acceleration_site_mps2 or _UNKNOWN,
+            truth.site_from_body,
+            truth.body_rate_radps,
         )
         self._count += 1
         self.newest = truth

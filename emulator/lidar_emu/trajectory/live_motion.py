@@ -1,108 +1,99 @@
-"""The motion between truths and beyond the newest, compiled."""
+"""The vehicle's motion between truths and beyond the newest."""
 
 from __future__ import annotations
 
 from math import cos, isnan, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.rotations import (
+    Quaternion,
     quaternion_at,
     quaternion_product,
     set_from_quaternion,
     sin_over,
 )
-from lidar_emu.numerics.vectors import Vector
+from lidar_emu.numerics.vectors import Vector, store
 from lidar_emu.trajectory.curve import piece_at
+from lidar_emu.trajectory.state import VehicleState
 
-ROW = 17
-"""Numbers of a truth: time in s, position, velocity, acceleration (NaN where unknown), attitude, body rate."""
-_POSITION, _VELOCITY, _ACCELERATION, _ATTITUDE, _RATE = 1, 4, 7, 10, 14
+TRUTH = np.dtype(
+    [
+        ("time_s", float),
+        ("position_m", float, 3),
+        ("velocity_mps", float, 3),
+        ("acceleration_mps2", float, 3),
+        ("site_from_body", float, 4),
+        ("body_rate_radps", float, 3),
+    ]
+)
+"""A truth in kernels, in the site frame; the acceleration is NaN where it is unknown, the attitude a quaternion."""
 
 
 @kernel(outermost=True)
-def follow(
-    rows: FloatArray,
-    time_s: FloatArray,
-    position_m: FloatArray,
-    velocity_mps: FloatArray,
-    acceleration_mps2: FloatArray,
-    site_from_body: FloatArray,
-    body_rate_radps: FloatArray,
-) -> None:
-    """Fill the fields of a `VehicleState` from truths (n, ROW), oldest first, at least one."""
-    for k in range(len(time_s)):
-        first = piece_at(rows[:, 0], time_s[k])
-        one = position_m[k], velocity_mps[k], acceleration_mps2[k], site_from_body[k], body_rate_radps[k]
-        if time_s[k] < rows[0, 0] or first == len(rows) - 1:
-            _continue(rows, first, time_s[k], *one)
+def follow(truths: NDArray[np.void], state_arrays: tuple[Any, ...]) -> None:
+    """Fill the arrays of a `VehicleState` at its times from truths (n,) of `TRUTH`, oldest first, at least one."""
+    vehicle = VehicleState(*state_arrays)
+    for k in range(len(vehicle.time_s)):
+        time_s = vehicle.time_s[k]
+        first = piece_at(truths.time_s, time_s)  # type: ignore[attr-defined]
+        if time_s < truths[0].time_s or first == len(truths) - 1:
+            _continue(truths, first, vehicle, k)
         else:
-            _interpolate(rows[first], rows[first + 1], time_s[k], *one)
+            _interpolate(truths[first], truths[first + 1], vehicle, k)
 
 
 @kernel
-def _continue(
-    rows: FloatArray,
-    place: int,
-    time_s: float,
-    position_m: FloatArray,
-    velocity_mps: FloatArray,
-    acceleration_mps2: FloatArray,
-    site_from_body: FloatArray,
-    body_rate_radps: FloatArray,
-) -> None:
-    """With acceleration and body rate as they are at a truth; an unknown acceleration is that of the last step."""
-    row = rows[place]
-    since_s = time_s - row[0]
+def _continue(truths: NDArray[np.void], place: int, vehicle: VehicleState, k: int) -> None:
+    """Continue from a truth with its acceleration and body rate.
+
+    An unknown acceleration is the mean over the step from the truth before.
+    """
+    truth = truths[place]
+    since_s = vehicle.time_s[k] - truth.time_s
     for axis in range(3):
-        speed, growth = row[_VELOCITY + axis], row[_ACCELERATION + axis]
-        if isnan(growth):
-            before = rows[place - 1] if place > 0 else row
-            step_s = row[0] - before[0]
-            growth = (speed - before[_VELOCITY + axis]) / step_s if step_s > 0 else 0.0
-        position_m[axis] = row[_POSITION + axis] + (speed + 0.5 * growth * since_s) * since_s
-        velocity_mps[axis] = speed + growth * since_s
-        acceleration_mps2[axis] = growth
-        body_rate_radps[axis] = row[_RATE + axis]
-    x, y, z = (0.5 * since_s * row[_RATE], 0.5 * since_s * row[_RATE + 1], 0.5 * since_s * row[_RATE + 2])
+        speed, acceleration = truth.velocity_mps[axis], truth.acceleration_mps2[axis]
+        if isnan(acceleration):
+            before = truths[place - 1] if place > 0 else truth
+            step_s = truth.time_s - before.time_s
+            acceleration = (speed - before.velocity_mps[axis]) / step_s if step_s > 0 else 0.0
+        moved_m = (speed + 0.5 * acceleration * since_s) * since_s
+        vehicle.position_site_m[k, axis] = truth.position_m[axis] + moved_m
+        vehicle.velocity_site_mps[k, axis] = speed + acceleration * since_s
+        vehicle.acceleration_site_mps2[k, axis] = acceleration
+        vehicle.body_rate_radps[k, axis] = truth.body_rate_radps[axis]
+    rate = truth.body_rate_radps
+    x, y, z = 0.5 * since_s * rate[0], 0.5 * since_s * rate[1], 0.5 * since_s * rate[2]
     half_turn = sqrt(x * x + y * y + z * z)
     shrunk = sin_over(half_turn)
     w, x, y, z = quaternion_product(
-        quaternion_at(row, _ATTITUDE), (cos(half_turn), shrunk * x, shrunk * y, shrunk * z)
+        quaternion_at(truth.site_from_body, 0), (cos(half_turn), shrunk * x, shrunk * y, shrunk * z)
     )
-    _set_unit_matrix(w, x, y, z, site_from_body)
+    _set_unit_matrix(w, x, y, z, vehicle.site_from_body[k])
 
 
 @kernel
-def _interpolate(
-    a: FloatArray,
-    b: FloatArray,
-    time_s: float,
-    position_m: FloatArray,
-    velocity_mps: FloatArray,
-    acceleration_mps2: FloatArray,
-    site_from_body: FloatArray,
-    body_rate_radps: FloatArray,
-) -> None:
-    """Hermite's curves, which meet both truths; the quaternion's is made unit where it is read."""
-    step_s = b[0] - a[0]
-    s = (time_s - a[0]) / step_s
+def _interpolate(a: Any, b: Any, vehicle: VehicleState, k: int) -> None:
+    """Interpolate by Hermite curves, which meet both truths; the quaternion is normalised where it is read."""
+    step_s = b.time_s - a.time_s
+    s = (vehicle.time_s[k] - a.time_s) / step_s
     for axis in range(3):
-        p, v, g = _POSITION + axis, _VELOCITY + axis, _ACCELERATION + axis
-        if isnan(a[g]) or isnan(b[g]):
-            motion = _cubic(a[p], b[p], a[v], b[v], s, step_s)
-        else:
-            motion = _quintic(a[p], b[p], a[v], b[v], a[g], b[g], s, step_s)
-        position_m[axis], velocity_mps[axis], acceleration_mps2[axis] = motion
-    (aw, ax, ay, az), (bw, bx, by, bz) = quaternion_at(a, _ATTITUDE), quaternion_at(b, _ATTITUDE)
+        p, q, v, w = a.position_m[axis], b.position_m[axis], a.velocity_mps[axis], b.velocity_mps[axis]
+        g, h = a.acceleration_mps2[axis], b.acceleration_mps2[axis]
+        bends = not (isnan(g) or isnan(h))
+        motion = _quintic(p, q, v, w, g, h, s, step_s) if bends else _cubic(p, q, v, w, s, step_s)
+        vehicle.position_site_m[k, axis], vehicle.velocity_site_mps[k, axis] = motion[0], motion[1]
+        vehicle.acceleration_site_mps2[k, axis] = motion[2]
+    aw, ax, ay, az = quaternion_at(a.site_from_body, 0)
+    bw, bx, by, bz = quaternion_at(b.site_from_body, 0)
     # q and -q are the same attitude: of the two, the nearer one.
     sign = 1.0 if aw * bw + ax * bx + ay * by + az * bz >= 0 else -1.0
-    aw_, ax_, ay_, az_ = quaternion_product(
-        (aw, ax, ay, az), (0.0, 0.5 * a[_RATE], 0.5 * a[_RATE + 1], 0.5 * a[_RATE + 2])
-    )
-    bw_, bx_, by_, bz_ = quaternion_product(
-        (bw, bx, by, bz), (0.0, 0.5 * b[_RATE], 0.5 * b[_RATE + 1], 0.5 * b[_RATE + 2])
-    )
+    aw_, ax_, ay_, az_ = _rate_of((aw, ax, ay, az), a.body_rate_radps)
+    bw_, bx_, by_, bz_ = _rate_of((bw, bx, by, bz), b.body_rate_radps)
     w, w_, _ = _cubic(aw, sign * bw, aw_, sign * bw_, s, step_s)
     x, x_, _ = _cubic(ax, sign * bx, ax_, sign * bx_, s, step_s)
     y, y_, _ = _cubic(ay, sign * by, ay_, sign * by_, s, step_s)
@@ -110,12 +101,14 @@ def _interpolate(
     # The rate is the vector part of 2 q* dq/dt; the change of the curve's length is in the scalar part.
     _, rate_x, rate_y, rate_z = quaternion_product((w, -x, -y, -z), (w_, x_, y_, z_))
     twice = 2 / (w * w + x * x + y * y + z * z)
-    body_rate_radps[0], body_rate_radps[1], body_rate_radps[2] = (
-        twice * rate_x,
-        twice * rate_y,
-        twice * rate_z,
-    )
-    _set_unit_matrix(w, x, y, z, site_from_body)
+    store(vehicle.body_rate_radps[k], 0, (twice * rate_x, twice * rate_y, twice * rate_z))
+    _set_unit_matrix(w, x, y, z, vehicle.site_from_body[k])
+
+
+@kernel
+def _rate_of(turn: Quaternion, rate_radps: FloatArray) -> Quaternion:
+    """dq/dt of a quaternion at a body rate."""
+    return quaternion_product(turn, (0.0, 0.5 * rate_radps[0], 0.5 * rate_radps[1], 0.5 * rate_radps[2]))
 
 
 @kernel

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
@@ -15,6 +17,16 @@ from lidar_emu.numerics.vector_arrays import (
 from lidar_emu.scenario.trajectory import Profile
 from lidar_emu.trajectory.curve import piece_at
 from lidar_emu.trajectory.state import Gap, VehicleState
+
+
+class _Legs(NamedTuple):
+    """The legs of a path, (legs,) each."""
+
+    start_s: FloatArray
+    start_site_m: FloatArray
+    """(legs, 3)"""
+    start_speed_mps: FloatArray
+    acceleration_mps2: FloatArray
 
 
 class ProfileTrajectory:
@@ -32,9 +44,6 @@ class ProfileTrajectory:
         leg_s = 2 * length_m / (speed_mps[:-1] + speed_mps[1:])
         leg_end_s = np.cumsum(leg_s)
         self.duration_s = float(leg_end_s[-1])
-        self._leg_start_s = np.concatenate([[0.0], leg_end_s[:-1]])
-        self._speed_mps = speed_mps[:-1]
-        self._acceleration_mps2 = (speed_mps[1:] - speed_mps[:-1]) / leg_s
         self._direction_site = np.array(
             [
                 np.cos(path_rad) * np.sin(heading_rad),
@@ -42,7 +51,12 @@ class ProfileTrajectory:
                 -np.sin(path_rad),
             ]
         )
-        self._start_site_m = _on_path(part, altitude_m[:-1], self._direction_site)
+        self._legs = _Legs(
+            start_s=np.concatenate([[0.0], leg_end_s[:-1]]),
+            start_site_m=_on_path(part, altitude_m[:-1], self._direction_site),
+            start_speed_mps=speed_mps[:-1],
+            acceleration_mps2=(speed_mps[1:] - speed_mps[:-1]) / leg_s,
+        )
         angles_deg = part.attitude.yaw_deg, part.attitude.pitch_deg, part.attitude.roll_deg
         self._site_from_start = compose(SITE_FROM_NED, from_yaw_pitch_roll(*np.radians(angles_deg)))
         self._body_rate_radps = np.array(part.attitude.body_rate_radps)
@@ -51,48 +65,42 @@ class ProfileTrajectory:
         """The vehicle at scenario times (n,)."""
         state = VehicleState.unfilled(time_s)
         _fly(
-            self._leg_start_s,
-            self._start_site_m,
-            self._speed_mps,
-            self._acceleration_mps2,
+            tuple(self._legs),
             self._direction_site,
             self._site_from_start,
             self._body_rate_radps,
-            *state,
+            tuple(state),
         )
         return state
 
 
 @kernel(outermost=True)
 def _fly(
-    leg_start_s: FloatArray,
-    start_site_m: FloatArray,
-    start_speed_mps: FloatArray,
-    leg_acceleration_mps2: FloatArray,
+    leg_arrays: tuple[Any, ...],
     direction_site: FloatArray,
     site_from_start: FloatArray,
-    turning_radps: FloatArray,
-    time_s: FloatArray,
-    position_m: FloatArray,
-    velocity_mps: FloatArray,
-    acceleration_mps2: FloatArray,
-    site_from_body: FloatArray,
     body_rate_radps: FloatArray,
+    state_arrays: tuple[Any, ...],
 ) -> None:
-    """Fill the fields of a `VehicleState`. A steady turn about body axes: R(t) = R(0) exp([rate]x t)."""
-    x, y, z = turning_radps[0], turning_radps[1], turning_radps[2]
-    for k in range(len(time_s)):
-        leg = piece_at(leg_start_s, time_s[k])
-        since_s, growth_mps2 = time_s[k] - leg_start_s[leg], leg_acceleration_mps2[leg]
-        speed_mps = start_speed_mps[leg] + growth_mps2 * since_s
-        flown_m = (start_speed_mps[leg] + 0.5 * growth_mps2 * since_s) * since_s
+    """Fill the arrays of a `VehicleState` at its times, from the arrays of `_Legs`.
+
+    The turn about body axes is steady: R(t) = R(0) exp([rate]x t).
+    """
+    legs, vehicle = _Legs(*leg_arrays), VehicleState(*state_arrays)
+    x, y, z = body_rate_radps[0], body_rate_radps[1], body_rate_radps[2]
+    for k in range(len(vehicle.time_s)):
+        time_s = vehicle.time_s[k]
+        leg = piece_at(legs.start_s, time_s)
+        since_s, acceleration_mps2 = time_s - legs.start_s[leg], legs.acceleration_mps2[leg]
+        speed_mps = legs.start_speed_mps[leg] + acceleration_mps2 * since_s
+        flown_m = (legs.start_speed_mps[leg] + 0.5 * acceleration_mps2 * since_s) * since_s
         for axis in range(3):
-            position_m[k, axis] = start_site_m[leg, axis] + flown_m * direction_site[axis]
-            velocity_mps[k, axis] = speed_mps * direction_site[axis]
-            acceleration_mps2[k, axis] = growth_mps2 * direction_site[axis]
-            body_rate_radps[k, axis] = turning_radps[axis]
-        set_from_rotation_vector(time_s[k] * x, time_s[k] * y, time_s[k] * z, site_from_body[k])
-        premultiply(site_from_start, site_from_body[k])
+            vehicle.position_site_m[k, axis] = legs.start_site_m[leg, axis] + flown_m * direction_site[axis]
+            vehicle.velocity_site_mps[k, axis] = speed_mps * direction_site[axis]
+            vehicle.acceleration_site_mps2[k, axis] = acceleration_mps2 * direction_site[axis]
+            vehicle.body_rate_radps[k, axis] = body_rate_radps[axis]
+        set_from_rotation_vector(time_s * x, time_s * y, time_s * z, vehicle.site_from_body[k])
+        premultiply(site_from_start, vehicle.site_from_body[k])
 
 
 def _on_path(part: Profile, altitude_m: FloatArray, direction_site: FloatArray) -> FloatArray:
