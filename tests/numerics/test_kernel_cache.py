@@ -173,6 +173,7 @@ def test_a_user_without_a_home_compiles(
         ("factory(3.0)", "factory(3.5)"),
         ("return x + extra", "return x - extra"),
         ("slope: float\n    start: float", "start: float\n    slope: float"),
+        ("class Line(NamedTuple):", "class Line(NamedTuple):\n    __module__ = 'lidar_emu.moved'"),
         ("@kernel\ndef inner", "@kernel(fastmath={'nnan'})\ndef inner"),
     ],
 )

@@ -96,9 +96,13 @@ def _warn(cause: str, text: str) -> None:
 
 
 def _spelt(numba_type: Any) -> str:
-    """A type's name with the field names of a named tuple, which numba leaves out."""
-    fields = getattr(getattr(numba_type, "instance_class", None), "_fields", ())
-    return f"{numba_type}{fields}" + "".join(map(_spelt, getattr(numba_type, "types", ())))
+    """A type's name with the class of a named tuple and its fields, which numba leaves out.
+
+    The class counts with its module: a file names both, and neither may have gone.
+    """
+    kind = getattr(numba_type, "instance_class", None)
+    named = "" if kind is None else _shown(kind)
+    return f"{numba_type}{named}" + "".join(map(_spelt, getattr(numba_type, "types", ())))
 
 
 def digest(kernel: Dispatcher, target: str = "") -> str:
@@ -158,7 +162,7 @@ def _shown(value: object) -> str:
     if isinstance(value, EnumType):
         return repr(list(value))
     if isinstance(value, type) and hasattr(value, "_fields"):
-        return f"{value.__qualname__} {value._fields}"
+        return f"{value.__module__}.{value.__qualname__} {value._fields}"
     if value is None or isinstance(
         value, bool | int | float | complex | str | np.generic | BuiltinFunctionType
     ):

@@ -4,22 +4,13 @@ from __future__ import annotations
 
 import math
 from decimal import Decimal, localcontext
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.records import as_record
 from lidar_emu.scene.ray_hits import GROUND, NOTHING, Hits, contiguous
-
-
-class _Constants(NamedTuple):
-    """A plane in kernels."""
-
-    normal: tuple[float, float, float]
-    albedo: float
 
 
 @kernel(forceinline=True)
@@ -40,15 +31,15 @@ def plane_stretch(height: float, climb: float) -> tuple[float, float]:
 def _cast(
     origin: FloatArray,
     direction: FloatArray,
-    constants: NDArray[np.void],
+    plane_normal: FloatArray,
+    albedo: float,
     range_m: FloatArray,
     normal: FloatArray,
     inside: BoolArray,
     reflectance: FloatArray,
     object_id: NDArray[np.int16],
 ) -> None:
-    plane_normal, albedo = constants[0].normal, constants[0].albedo
-    a, b, c = plane_normal[0], plane_normal[1], plane_normal[2]
+    a, b, c = plane_normal
     for k in range(origin.shape[0]):
         height = a * origin[k, 0] + b * origin[k, 1] + c * origin[k, 2]
         climb = a * direction[k, 0] + b * direction[k, 1] + c * direction[k, 2]
@@ -88,7 +79,6 @@ class PlaneGround:
                 math.cos(slope_rad),
             ]
         )
-        self._constants = as_record(_Constants(tuple(self.normal_site.tolist()), float(reflectance)))
         self.description = "level plane"
         if slope_rad:
             slope_deg, azimuth_deg = math.degrees(slope_rad), math.degrees(downhill_azimuth_rad)
@@ -107,7 +97,8 @@ class PlaneGround:
         _cast(
             origin,
             direction,
-            self._constants,
+            self.normal_site,
+            self.reflectance,
             hits.range_m,
             hits.normal_site,
             hits.inside,

@@ -7,24 +7,13 @@ small quantity that is computed, not the difference of two body radii.
 from __future__ import annotations
 
 from decimal import Decimal, localcontext
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.records import as_record
 from lidar_emu.scene.ray_hits import GROUND, NOTHING, Hits, contiguous
-
-
-class _Constants(NamedTuple):
-    """A sphere in kernels."""
-
-    radius_m: float
-    origin_altitude_m: float
-    """Height of the origin above the sphere."""
-    albedo: float
 
 
 @kernel(forceinline=True)
@@ -53,17 +42,17 @@ def sphere_stretch(
 def _cast(
     origin: FloatArray,
     direction: FloatArray,
-    constants: NDArray[np.void],
+    radius: float,
+    drop: float,
+    albedo: float,
     range_m: FloatArray,
     normal: FloatArray,
     inside: BoolArray,
     reflectance: FloatArray,
     object_id: NDArray[np.int16],
 ) -> None:
-    sphere = constants[0]
-    radius, albedo = sphere.radius_m, sphere.albedo
     for k in range(origin.shape[0]):
-        x, y, above = origin[k, 0], origin[k, 1], origin[k, 2] + sphere.origin_altitude_m
+        x, y, above = origin[k, 0], origin[k, 1], origin[k, 2] + drop
         dx, dy, dz = direction[k, 0], direction[k, 1], direction[k, 2]
         enter, leave = sphere_stretch(x, y, above, dx, dy, dz, radius)
         inside[k] = enter < 0.0 < leave
@@ -90,7 +79,6 @@ class SphereGround:
         self.radius_m = radius_m
         self.reflectance = reflectance
         self.origin_altitude_m = origin_altitude_m
-        self._constants = as_record(_Constants(float(radius_m), float(origin_altitude_m), float(reflectance)))
         self.description = f"sphere, radius {radius_m / 1e3:.10g} km"
 
     def cast(
@@ -106,7 +94,9 @@ class SphereGround:
         _cast(
             origin,
             direction,
-            self._constants,
+            self.radius_m,
+            self.origin_altitude_m,
+            self.reflectance,
             hits.range_m,
             hits.normal_site,
             hits.inside,

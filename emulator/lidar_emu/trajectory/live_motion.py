@@ -35,13 +35,22 @@ TRUTH = np.dtype(
 
 
 @kernel(outermost=True)
-def follow(truths: NDArray[np.void], state_arrays: tuple[Any, ...]) -> None:
+def follow(
+    truths: NDArray[np.void],
+    time_s: FloatArray,
+    position_m: FloatArray,
+    velocity_mps: FloatArray,
+    acceleration_mps2: FloatArray,
+    site_from_body: FloatArray,
+    body_rate_radps: FloatArray,
+) -> None:
     """Fill the arrays of a `VehicleState` at its times from truths (n,) of `TRUTH`, oldest first, at least one."""
-    vehicle = VehicleState(*state_arrays)
+    vehicle = VehicleState(
+        time_s, position_m, velocity_mps, acceleration_mps2, site_from_body, body_rate_radps
+    )
     for k in range(len(vehicle.time_s)):
-        time_s = vehicle.time_s[k]
-        first = piece_at(truths.time_s, time_s)  # type: ignore[attr-defined]
-        if time_s < truths[0].time_s or first == len(truths) - 1:
+        first = piece_at(truths.time_s, time_s[k])  # type: ignore[attr-defined]
+        if time_s[k] < truths[0].time_s or first == len(truths) - 1:
             _continue(truths, first, vehicle, k)
         else:
             _interpolate(truths[first], truths[first + 1], vehicle, k)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.records import as_record
 from lidar_emu.scene.grid.cell import surface
 from lidar_emu.scene.grid.structures import BILINEAR
 from lidar_emu.scene.ray_hits import GROUND, Hits, Scene, contiguous
@@ -36,17 +34,6 @@ class Albedo:
     """Place in the whole map of the first row that is here."""
 
 
-class _Place(NamedTuple):
-    """Where the samples of an `Albedo` lie, in kernels."""
-
-    west_m: float
-    south_m: float
-    columns_per_m: float
-    rows_per_m: float
-    first_column: float
-    first_row: float
-
-
 @kernel(outermost=True)
 def _paint(
     origin: FloatArray,
@@ -54,16 +41,15 @@ def _paint(
     range_m: FloatArray,
     object_id: NDArray[np.int16],
     share: FloatArray,
-    place: NDArray[np.void],
+    place: FloatArray,
     reflectance: FloatArray,
 ) -> None:
-    """Set the reflectance (n,) of rays that hit the ground where the map has samples."""
-    at = place[0]
+    west, south, columns_per_m, rows_per_m, first_column, first_row = place
     for k in range(range_m.shape[0]):
         if object_id[k] != GROUND:
             continue
-        u = (origin[k, 0] + range_m[k] * direction[k, 0] - at.west_m) * at.columns_per_m - at.first_column
-        v = (origin[k, 1] + range_m[k] * direction[k, 1] - at.south_m) * at.rows_per_m - at.first_row
+        u = (origin[k, 0] + range_m[k] * direction[k, 0] - west) * columns_per_m - first_column
+        v = (origin[k, 1] + range_m[k] * direction[k, 1] - south) * rows_per_m - first_row
         if 0.0 <= u <= share.shape[1] - 1 and 0.0 <= v <= share.shape[0] - 1:
             found = surface(share, BILINEAR, u, v)
             if found == found:
@@ -83,15 +69,15 @@ class PaintedGround:
         self.albedo = albedo
         self.description, self.origin_altitude_m = ground.description, ground.origin_altitude_m
         self.height_m, self.covers = ground.height_m, ground.covers
-        self._place = as_record(
-            _Place(
-                west_m=float(albedo.west_m),
-                south_m=float(albedo.south_m),
-                columns_per_m=float(1 / albedo.pixel_east_m),
-                rows_per_m=float(1 / albedo.pixel_north_m),
-                first_column=float(albedo.first_column),
-                first_row=float(albedo.first_row),
-            )
+        self._place = np.array(
+            [
+                albedo.west_m,
+                albedo.south_m,
+                1 / albedo.pixel_east_m,
+                1 / albedo.pixel_north_m,
+                albedo.first_column,
+                albedo.first_row,
+            ]
         )
 
     def cast(
