@@ -10,7 +10,7 @@ from lidar_emu.plan.detection_forecast import (
     beam_angles_deg,
     forecast_detection,
     mean_straddling_gain,
-    measured,
+    rule_probability,
 )
 from lidar_emu.scenario.load import load
 
@@ -86,7 +86,7 @@ def test_rules_count_segments(rule, needed):
     segment = 0.3
     drawn = np.random.default_rng(1).random((200_000, 3)) < segment
     expected = (drawn.sum(axis=1) >= needed).mean()
-    assert measured(detection, np.array(segment)) == pytest.approx(expected, abs=0.005)
+    assert rule_probability(detection, np.array(segment)) == pytest.approx(expected, abs=0.005)
 
 
 def test_beyond_the_maximum_range_there_is_nothing():

@@ -1,1 +1,1 @@
-"""The plan: what a run computes, what it leaves out with which error bound, and the errors to be expected."""
+"""Plan of a run: stages computed and left out, with error bounds; expected errors and detection forecast."""

@@ -8,7 +8,7 @@ from lidar_emu.scenario.schema import BenchScenario
 
 
 def plan_bench(scenario: BenchScenario) -> Plan:
-    """A bench pattern computes nothing but itself."""
+    """Build the plan of a bench pattern, which needs neither flight nor receiver."""
     beams = len(scenario.bench_pattern.beams)
     return Plan(
         (

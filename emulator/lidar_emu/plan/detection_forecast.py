@@ -1,8 +1,8 @@
-"""What an instrument will detect over a site, before anything is flown.
+"""Forecast of an instrument's detection probability over a site.
 
-The vehicle hangs upright over a level plane of the site's surface. Of the receiver the mean signal-to-noise ratio
-counts (`coherent_power_w`, `build_receiver`), less what window, straddling, poles and the laser's line cost; motion and
-slopes cost more.
+The vehicle hovers upright over a level plane of the site's surface. The forecast follows from the receiver's mean
+signal-to-noise ratio (`coherent_power_w`, `build_receiver`), less the losses by window, straddling, poles and the
+laser's linewidth. Motion and slopes cause further losses.
 """
 
 from __future__ import annotations
@@ -34,45 +34,46 @@ from lidar_emu.scenario.schema import FlightScenario
 class DetectionForecast:
     """Probabilities per beam angle and altitude; arrays are (angles, altitudes) where no shape is given.
 
-    All are NaN where the beam is level or rises, or where the ground is beyond the maximum range. Speckle is
-    exponential and drawn anew for each look.
+    All are NaN where the beam does not point down, or where the ground is beyond the maximum range. Speckle power is
+    exponential and independent from look to look.
     """
 
     altitude_m: FloatArray
     """(altitudes,)"""
     angle_deg: FloatArray
-    """(angles,) From straight down, of all patterns; ascending, each once."""
+    """(angles,) Beam angles from nadir in all patterns, ascending and distinct."""
     range_m: FloatArray
     snr_db: FloatArray
-    """Mean power of the highest windowed bin over the mean noise power there, of one look."""
+    """Mean power of the highest windowed bin over the mean noise power in that bin, for one look."""
     segment_steady: FloatArray
-    """One segment's detection without fading."""
+    """Detection probability of one segment without fading."""
     segment_speckle: FloatArray
-    """One segment's detection in speckle."""
+    """Detection probability of one segment in speckle."""
     measurement_steady: FloatArray
-    """As many segments as the instrument's rule asks for, without fading."""
+    """Probability that the instrument's detection rule is met, without fading."""
     measurement_shared: FloatArray
-    """The same in speckle that the three segments share, as in hover."""
+    """Probability that the rule is met in speckle that the three segments share, as in hover."""
     measurement_independent: FloatArray
-    """The same in speckle of each segment's own, as in fast flight."""
+    """Probability that the rule is met in speckle that is independent between segments, as in fast flight."""
     false_lock_steady: FloatArray
-    """A noise bin is the strongest of a segment and above the threshold."""
+    """Probability that a noise bin is the strongest bin of a segment and above the threshold, without fading."""
     false_lock_speckle: FloatArray
+    """Probability of a false lock of a segment in speckle."""
     false_alarm: float
-    """Noise alone is above the threshold in some bin of a segment."""
+    """Probability that noise alone exceeds the threshold in a segment."""
     minus_log_pfa: float
-    """-ln of the same for a single bin."""
+    """Negative logarithm of the false-alarm probability of a single bin."""
     window_loss_db: float
-    """`snr_db` is so much below that of a tone on its bin without a window."""
+    """Mean loss by window and straddling, relative to a tone centred on a bin without a window."""
     speckle: bool
     """Whether the scenario's echoes fade."""
 
 
 def forecast_detection(scenario: FlightScenario, altitude_m: FloatArray) -> DetectionForecast:
-    """The forecast at altitudes (altitudes,) of the sensor above the plane.
+    """Forecast detection at altitudes (altitudes,) of the sensor above the plane.
 
     Raises:
-        InputError: the instrument's receiver is impossible (`build_receiver`).
+        InputError: the instrument's receiver is not realisable (`build_receiver`).
     """
     instrument, site = scenario.instrument, scenario.site
     detection = instrument.detection
@@ -90,7 +91,7 @@ def forecast_detection(scenario: FlightScenario, altitude_m: FloatArray) -> Dete
     looks = detection.looks
 
     def rule(segment: FloatArray) -> FloatArray:
-        return measured(detection, segment)
+        return rule_probability(detection, segment)
 
     steady = detection_probability("steady", snr, minus_log_pfa, looks)
     speckle = detection_probability("swerling_2", snr, minus_log_pfa, looks)
@@ -116,12 +117,12 @@ def forecast_detection(scenario: FlightScenario, altitude_m: FloatArray) -> Dete
 
 
 def _kept_share(model: ReceiverModel, range_m: float) -> float:
-    """What the laser's line and the poles leave of the SNR, at the beat of the range alone."""
+    """Factor of the SNR by the laser's linewidth and the receiver's poles, at the range's beat frequency alone."""
     beat = model.beat_bin_per_m * range_m
     if not np.isfinite(beat):
         return np.nan
     observed_bin, _, _ = interpreted(fold)(beat, model.fft_length)
-    # Speeds put the three beats anywhere: below the AC coupling a landing lidar's are by chance only.
+    # The Doppler shift moves the three beats, so that a beat below the AC coupling is rare: it is neglected.
     response = model.response._replace(highpass_bin=0.0)
     gain_re, gain_im = interpreted(tone_gain)(response, beat)
     level = interpreted(noise_level)(
@@ -130,17 +131,17 @@ def _kept_share(model: ReceiverModel, range_m: float) -> float:
     return float(interpreted(line_share)(model, range_m) * (gain_re**2 + gain_im**2) / level)
 
 
-def measured(detection: Detection, segment: FloatArray) -> FloatArray:
-    """Probability that the rule is met where each of three segments is detected independently."""
+def rule_probability(detection: Detection, segment: FloatArray) -> FloatArray:
+    """Probability that the detection rule is met if the three segments are detected independently."""
     if detection.rule == "any_two":
         return segment**2 * (3.0 - 2.0 * segment)
     return segment**3
 
 
 def beam_angles_deg(scenario: FlightScenario) -> FloatArray:
-    """Angles of the published beams of all patterns from body z, straight down in an upright vehicle.
+    """List the angles of the published beams of all patterns from body z, which is nadir for an upright vehicle.
 
-    Of a scan its ends and its middle count.
+    A scan contributes its ends and its middle.
     """
     scanner = build_scanner(scenario.scanner)
     sets = scanner.published_sensor.reshape(-1, scanner.steps, scanner.beam_count, 3)
@@ -150,10 +151,10 @@ def beam_angles_deg(scenario: FlightScenario) -> FloatArray:
 
 
 def mean_straddling_gain(window: SpectralWindow) -> float:
-    """Mean power of the highest windowed bin for tones anywhere, over that of a tone on its rectangular bin.
+    """Mean gain of the highest windowed bin over tone positions, relative to a centred tone without a window.
 
-    Both are relative to their own mean noise power. A tone δ bins away has the amplitude sinc(δ) [c - 2 s δ² / (1 -
-    δ²)] under the filter with the centre c and the sides s.
+    Both powers are relative to their mean noise power. A tone δ bins off centre has the amplitude sinc(δ) [c - 2 s δ² /
+    (1 - δ²)] for a window with the centre tap c and the side taps s.
     """
     offset, weight = nodes_and_weights(np.array([0.0, 0.5]))
     amplitude = np.sinc(offset) * (window.centre - 2.0 * window.side * offset**2 / (1.0 - offset**2))

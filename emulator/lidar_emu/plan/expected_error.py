@@ -1,9 +1,9 @@
-"""What errors a flight's measurements will have, from closed forms, before any is measured.
+"""Expected errors of a flight's measurements, from closed forms.
 
-Per shot and beam, at a look along the flight: the mean signal-to-noise ratio, the bias that motion within a
-measurement and a wrong slope bring (the three segments' own beats, combined as the instrument combines them), and the
-variance of each segment's frequency: its bin's width, noise, the laser's drift over the delay, and speckle, whose peak
-wanders within a footprint that spreads over part of a bin. Left out: false locks, what moves between several looks,
+For sampled shots along the flight and each beam, the model computes the mean signal-to-noise ratio; the bias by motion
+within a measurement and by a chirp slope error, from the three segments' beats combined as the instrument does; and the
+variance of each segment's frequency by bin width, noise, laser phase drift over the delay, and speckle, which moves the
+peak within a footprint that spreads over part of a bin. It neglects false locks, motion between several looks, and
 relief within a footprint.
 """
 
@@ -28,38 +28,38 @@ from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.spectrum import WINDOWS, fold
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
-from lidar_emu.plan.detection_forecast import mean_straddling_gain, measured
+from lidar_emu.plan.detection_forecast import mean_straddling_gain, rule_probability
 from lidar_emu.probability.fading import detection_probability, shared_fade_probability
 from lidar_emu.scenario.instrument import Detection, Instrument
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
 
-_LOOKS_ALONG = 128
+_SAMPLED_SHOTS = 128
 _NODES = 33
 
 
 @dataclass(frozen=True)
 class ExpectedError:
-    """Of the valid measurements of a flight, false locks aside."""
+    """Errors of a flight's valid measurements without false locks."""
 
     range_rms_m: float
     range_bias_m: float
     speed_rms_mps: float
     speed_bias_mps: float
     dropout: float
-    """Share of the beams that fire and meet the ground without a valid measurement."""
+    """Share of the beams that fire at the ground without a valid measurement."""
 
     def to_json(self) -> dict[str, float | None]:
-        """With null for what no measurement tells."""
+        """Convert to JSON values, with null for unknown errors."""
         return {name: value if np.isfinite(value) else None for name, value in asdict(self).items()}
 
 
 def expected_error(scenario: FlightScenario, flight: Flight, beamlets: int) -> ExpectedError:
-    """The expectation for a flight of beams with so many beamlets each."""
+    """Compute the expected errors of a flight with this number of beamlets per beam."""
     if scenario.level == "geometric":
         return ExpectedError(0.0, 0.0, 0.0, 0.0, 0.0)
     instrument, site = scenario.instrument, scenario.site
-    count = min(_LOOKS_ALONG, flight.shot_count)
+    count = min(_SAMPLED_SHOTS, flight.shot_count)
     shot = np.unique(np.linspace(0, flight.shot_count - 1, count).astype(np.int64))
     pointing, _ = flight.point(shot, flight.scanner.initial)
     hits = flight.cast(pointing)
@@ -69,17 +69,17 @@ def expected_error(scenario: FlightScenario, flight: Flight, beamlets: int) -> E
 
     beats = _beats_bin(instrument, model, echoes)
     snr = _snr(model, hits, echoes, beats)
-    chance = _chance(instrument, model, echoes, snr, spread)
+    detected = _detection_probability(instrument, model, echoes, snr, spread)
     variance_bin2 = _variances_bin2(instrument, model, hits, echoes, snr, spread)
     bias_bin = _biases_bin(instrument.detection, model, echoes, beats)
     expected = pointing.fired & np.isfinite(hits.range_m) & ~hits.inside
-    weight = np.where(expected, chance, 0.0)
+    weight = np.where(expected, detected, 0.0)
     scale = (model.range_bin_m, model.speed_bin_mps)
     bias, rms = [], []
     for b, v, unit in zip(bias_bin, variance_bin2, scale, strict=True):
         bias.append(unit * _mean(b, weight))
         rms.append(unit * np.sqrt(_mean(b**2 + v, weight)))
-    dropout = 1.0 - _mean(chance, expected.astype(float))
+    dropout = 1.0 - _mean(detected, expected.astype(float))
     return ExpectedError(float(rms[0]), bias[0], float(rms[1]), bias[1], dropout)
 
 
@@ -103,7 +103,7 @@ def _beats_bin(instrument: Instrument, model: ReceiverModel, echoes: Echoes) -> 
 
 
 def _snr(model: ReceiverModel, hits: Hits, echoes: Echoes, beats: FloatArray) -> FloatArray:
-    """Mean power of a tone on its bin over the noise there: geometric mean of the segments."""
+    """Geometric mean over segments of a tone's mean power over the noise at its bin."""
     log_gain = np.full(beats.shape, np.nan)
     for place in zip(*np.nonzero(np.isfinite(beats)), strict=True):
         re, im = interpreted(tone_gain)(model.response, beats[place])
@@ -121,38 +121,38 @@ def _same_fade(instrument: Instrument, echoes: Echoes) -> FloatArray:
     return np.asarray(np.exp(-2.0 * (moved**2).sum(axis=-1)))
 
 
-def _chance(
+def _detection_probability(
     instrument: Instrument, model: ReceiverModel, echoes: Echoes, snr: FloatArray, spread: Spread
 ) -> FloatArray:
     """Probability of a valid measurement.
 
-    Of two segments whose fields have the squared correlation ρ², the chance that both are lost in a fade, each lost
-    with a small p, is p²/(1 - ρ²): the share of losses in common is p/(p + 1 - ρ²).
+    Two segments whose fields have the squared correlation ρ² fade below the threshold together with probability
+    p²/(1 - ρ²), if each does so with a small probability p: the share of common losses is p/(p + 1 - ρ²).
     """
     detection = instrument.detection
-    # The peak of a line of rms width s falls as 1 - π² s²/3, and as 1/s for wide ones.
+    # The peak of a line of rms width s falls as 1 - π² s²/3, and as 1/s for wide lines.
     wide = np.sqrt(1.0 + 2.0 * np.pi * spread.variance(1.0, 1.0))
     seen = np.maximum(np.nan_to_num(snr * mean_straddling_gain(WINDOWS[detection.window]) / wide), 1e-6)
-    segment, own, shared = _chances(instrument, model.speckle, np.log(seen))
+    segment, own, shared = _segment_probabilities(instrument, model.speckle, np.log(seen))
     lost = 1.0 - segment
     common = lost / (lost + 1.0 - _same_fade(instrument, echoes) + 1e-12)
     near: BoolArray = echoes.range_m[..., 0] <= detection.maximum_range_m
     return np.where(near, common * shared + (1.0 - common) * own, 0.0)
 
 
-def _chances(
+def _segment_probabilities(
     instrument: Instrument, speckle: bool, log_snr: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of one segment, of a measurement whose segments fade each for itself, and of one whose segments fade together.
+    """Detection probability of a segment, and of a measurement with independent and with shared fading of its segments.
 
-    Read off a table: they cost a millisecond a value.
+    The probabilities are interpolated in a table, since each takes a millisecond to compute.
     """
     detection, minus_log_pfa = instrument.detection, -instrument.log_false_alarm_per_bin
     nodes = np.linspace(log_snr.min(), log_snr.max() + 1e-9, _NODES)
     snr = np.exp(nodes)
 
     def rule(segment: FloatArray) -> FloatArray:
-        return measured(detection, segment)
+        return rule_probability(detection, segment)
 
     segment = detection_probability(
         "swerling_2" if speckle else "steady", snr, minus_log_pfa, detection.looks
@@ -166,13 +166,13 @@ def _chances(
 def _variances_bin2(
     instrument: Instrument, model: ReceiverModel, hits: Hits, echoes: Echoes, snr: FloatArray, spread: Spread
 ) -> tuple[FloatArray, FloatArray]:
-    """Of range and speed."""
+    """Compute the variances of range and speed, in bins squared."""
     detection, looks = instrument.detection, instrument.detection.looks
     efficiency = EFFICIENCY[METHODS[detection.peak]]
     with np.errstate(divide="ignore", over="ignore"):
         faintest = np.minimum(-instrument.log_false_alarm_per_bin / looks / snr, 50.0)
         noise = efficiency * CRAMER_RAO_BIN2 / snr
-    # A fade in which the noise would hide the line is not detected, and moves a peak by a bin at most.
+    # Deep fades are not detected, and noise moves a detected peak by a bin at most.
     noise = _faded(noise, np.ones_like(noise), faintest, looks) if model.speckle else noise / looks
     delay = hits.range_m * model.delay_per_m
     drift = 6.0 * model.linewidth_bins / np.pi * delay**2 * efficiency / looks if model.homodyne_line else 0.0
@@ -186,7 +186,7 @@ def _variances_bin2(
 
     closing = np.where(echoes.closing_speed_mps[..., 0] >= 0.0, 1.0, -1.0)
     adjacent = _same_fade(instrument, echoes)
-    # Of the three pairs of segments two are neighbours.
+    # Two of the three pairs of segments are neighbours.
     same = (2.0 * adjacent + adjacent**4) / 3.0
     up, constant, down = wander(1.0, -1.0), wander(0.0, 1.0), wander(1.0, 1.0)
     if detection.combine == "least_squares":
@@ -202,10 +202,10 @@ def _variances_bin2(
 
 
 def _faded(at_mean: FloatArray, most: FloatArray, faintest: FloatArray, looks: int) -> FloatArray:
-    """Mean of the lesser of `at_mean` / z and `most` over powers z of mean 1, gamma of order `looks`, above `faintest`.
+    """Mean of min(`at_mean` / z, `most`) over gamma-distributed powers z > `faintest` of mean 1 and order `looks`.
 
-    With one look ∫ exp(-z)/z dz = E1; with M the mean of 1/z is M Γ(M-1, Mx) / Γ(M, Mx), and one over M is left
-    of the variance for each.
+    For one look ∫ exp(-z)/z dz = E1. For M looks the mean of 1/z is M Γ(M-1, Mx) / Γ(M, Mx), and the variance is
+    divided by M.
     """
     if looks > 1:
         inverse: FloatArray = (
@@ -222,7 +222,7 @@ def _faded(at_mean: FloatArray, most: FloatArray, faintest: FloatArray, looks: i
 def _biases_bin(
     detection: Detection, model: ReceiverModel, echoes: Echoes, beats: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Of range and speed: the three segments' beats combined, less the truth."""
+    """Compute the biases of range and speed, in bins: the three beats combined, minus the ground truth."""
     beat, doppler = _combined(detection, *beats)
     range_bin = echoes.range_m[..., 0] / model.range_bin_m
     return beat - range_bin, doppler - echoes.closing_speed_mps[..., 0] / model.speed_bin_mps
@@ -231,7 +231,7 @@ def _biases_bin(
 def _combined(
     detection: Detection, up: FloatArray, constant: FloatArray, down: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """As `fmcw.range_speed_estimation` combines segments of equal variance whose signs are known."""
+    """Combine segments of equal variance and known signs, as `fmcw.range_speed_estimation` does."""
     if detection.combine == "least_squares":
         return 0.5 * (up + down), (down - up + constant) / 3.0
     return np.where(constant >= 0.0, down - constant, up + constant), constant

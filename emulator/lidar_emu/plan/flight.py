@@ -1,4 +1,4 @@
-"""What a flight needs and what it leaves out, each with its reason and the bound on what that costs."""
+"""Plan of a flight: the stages computed and left out, each with its reason and error bound."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ if TYPE_CHECKING:
     from lidar_emu.flight.recorded_file import GeometryFile
 
 ONE_BEAMLET_BELOW_BINS = 0.1
-_LOOK_EVERY_S = 0.1
+_SAMPLE_EVERY_S = 0.1
 
 
 def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
-    """Decide each stage for the whole run, from a look at the flight every tenth of a second."""
+    """Decide each stage for the whole run, from shots sampled along the flight every tenth of a second."""
     if flight.is_live:
         return _plan_unknown(scenario, flight)
-    pointing, hits = _look(flight)
+    pointing, hits = _sample_flight(flight)
     echoes = compute_echoes(scenario.instrument, scenario.site, flight, 1, pointing, hits)
     footprint, beamlets = _footprint(scenario, pointing, hits)
     decisions = (
-        *_flown(scenario, flight, pointing, hits),
+        *_geometry(scenario, flight, pointing, hits),
         _air(scenario),
         *_dust(scenario, float(np.min(sensor_height_m(pointing, hits)))),
         footprint,
@@ -48,9 +48,9 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
 
 
 def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
-    """Of a flight that is yet to be flown nothing is ruled out that depends on it."""
+    """Build the plan of a flight with live truth, which leaves out nothing that depends on the trajectory."""
     beamlets = 1 if scenario.level == "geometric" else scenario.instrument.optics.beamlets
-    kept = "the flight becomes known as it is flown"
+    kept = "the trajectory is unknown before the run"
     return Plan(
         (
             Decision("trajectory", True, "live truth", kept, "as interpolated"),
@@ -59,23 +59,25 @@ def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
             *_dust(scenario, 0.0),
             Decision("footprint", beamlets > 1, f"{beamlets} beamlets", kept, "sampled"),
             *_switching(flight),
-            Decision("receiver", True, scenario.level, f"the scenario asks for level {scenario.level}", kept),
+            Decision(
+                "receiver", True, scenario.level, f"the scenario specifies level {scenario.level}", kept
+            ),
             *planned_faults(scenario),
         ),
         beamlets,
     )
 
 
-def _look(flight: Flight) -> tuple[Pointing, Hits]:
-    """Beams and where they hit along the flight, with every pattern chosen as it will be."""
-    step = max(1, round(_LOOK_EVERY_S * 1e9 / flight.period_ns))
+def _sample_flight(flight: Flight) -> tuple[Pointing, Hits]:
+    """Sample beams and hits along the flight."""
+    step = max(1, round(_SAMPLE_EVERY_S * 1e9 / flight.period_ns))
     shot = np.unique(np.append(np.arange(0, flight.shot_count, step, dtype=np.int64), flight.shot_count - 1))
     pointing, _ = flight.point(shot, flight.scanner.initial)
     return pointing, flight.cast(pointing)
 
 
-def _flown(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
-    """What says where the beams are and what they meet."""
+def _geometry(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
+    """List the decisions on trajectory and ground."""
     if flight.recorded_geometry is not None:
         return [_recorded(flight.recorded_geometry)]
     return [
@@ -108,7 +110,7 @@ def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:
 
 
 def _bridges(flight: Flight) -> list[Decision]:
-    """The gaps of a table that are longer than it allows, of columns that lack the same rows together."""
+    """List the bridged gaps in the trajectory table; columns with the same gap share a line."""
     columns: dict[tuple[float, float], list[str]] = {}
     for gap in flight.trajectory.bridged:
         columns.setdefault((gap.start_s, gap.start_s + gap.length_s), []).append(gap.column)
@@ -121,7 +123,7 @@ def _bridges(flight: Flight) -> list[Decision]:
 
 
 def _powered_descent(flight: Flight, ground_m: float) -> Decision:
-    """With how far the level ground of the touchdown is from the scene's own there."""
+    """Describe a powered descent, and the height of the scene's ground above the touchdown plane."""
     from lidar_emu.trajectory.powered.trajectory import DescentTrajectory
 
     descent = flight.trajectory
@@ -145,70 +147,73 @@ def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: 
         return [Decision("ground", True, flight.scene.description, "the site has a mesh", "exact")]
     if not isinstance(ground, ElevationGrid | Generated | Nested):
         return [
-            Decision("ground", True, flight.scene.description, f"a {ground.kind} is a formula", "exact"),
+            Decision("ground", True, flight.scene.description, f"a {ground.kind} has a closed form", "exact"),
             Decision("grid traversal", False, "-", "the site has no elevation grid", "exact"),
         ]
-    told = Decision("ground", True, flight.scene.description, "the site has an elevation grid", "exact")
+    grid = Decision("ground", True, flight.scene.description, "the site has an elevation grid", "exact")
     parts = list(plan_parts(flight.ground))
     grids = ground.grids if isinstance(ground, Nested) else [ground]
     if not any(isinstance(grid, Generated) or lies_flat(grid) for grid in grids):
         on_body = "by the map's projection"
-        return [told, Decision("curvature of the grid", True, on_body, "the file states it", "exact"), *parts]
+        return [grid, Decision("curvature of the grid", True, on_body, "the file states it", "exact"), *parts]
     horizontal_m = (pointing.sensor_site_m + hits.range_m[..., None] * pointing.true_site)[..., :2]
     away_m = float(np.sqrt(np.nanmax((horizontal_m**2).sum(axis=-1), initial=0.0)))
     fall_m = away_m**2 / (2 * scenario.site.body.radius_m)
     bound = f"{fall_m:.2g} m of height, {away_m:.0f} m from the origin"
-    return [told, Decision("curvature of the grid", False, "map plane", "the grid lies flat", bound), *parts]
+    return [
+        grid,
+        Decision("curvature of the grid", False, "map plane", "the grid has no projection", bound),
+        *parts,
+    ]
 
 
 def _air(scenario: FlightScenario) -> Decision:
     air = scenario.site.atmosphere
     if air is None or air.extinction_per_m == 0:
-        return Decision("extinction", False, "vacuum", f"{scenario.site.name} has none", "exact")
+        return Decision("extinction", False, "vacuum", f"{scenario.site.name} has no atmosphere", "exact")
     loss_db = 20 * np.log10(np.e) * air.extinction_per_m * scenario.instrument.detection.maximum_range_m
     return Decision("extinction", True, "exp(-2αR)", f"up to {loss_db:.2f} dB at maximum range", "exact")
 
 
 def _dust(scenario: FlightScenario, lowest_m: float) -> list[Decision]:
-    """Of a scenario whose plume raises some."""
+    """Decide on dust raised by the plume."""
     plume, level = scenario.plume, scenario.level
     if plume is None:
         return []
     if level == "geometric":
-        return [Decision("dust", False, "-", "not at level geometric", "the truth is reported")]
+        return [Decision("dust", False, "-", "not at level geometric", "the ground truth is reported")]
     if lowest_m >= plume.onset_height_m:
-        reason = f"the sensor stays above {lowest_m:.1f} m, dust begins at {plume.onset_height_m:g} m"
+        reason = f"lowest sensor height {lowest_m:.1f} m, dust onset at {plume.onset_height_m:g} m"
         return [Decision("dust", False, "-", reason, "exact")]
-    reason = f"the sensor comes down to {lowest_m:.1f} m, dust begins at {plume.onset_height_m:g} m"
+    reason = f"lowest sensor height {lowest_m:.1f} m, dust onset at {plume.onset_height_m:g} m"
     if level == "statistical":
-        bound = "the sheet's own echo is missing; of ground and streak the stronger is seen"
-        return [Decision("dust", True, "dimming, streaks", reason, bound)]
-    return [Decision("dust", True, "dimming, sheet in parcels, streaks", reason, "scattered once")]
+        bound = "no echo of the dust sheet; only the stronger of ground and streak is detected"
+        return [Decision("dust", True, "extinction, streaks", reason, bound)]
+    return [Decision("dust", True, "extinction, sheet in parcels, streaks", reason, "single scattering")]
 
 
 def _switching(flight: Flight) -> list[Decision]:
     if flight.scanner.needs_ground_altitude:
         return []
-    return [Decision("ground altitude", False, "-", "no switch counts its altitude from the ground", "exact")]
+    return [Decision("ground altitude", False, "-", "no pattern switch uses it", "exact")]
 
 
 def _footprint(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> tuple[Decision, int]:
-    """How many beamlets stand for the footprint.
+    """Decide how many beamlets represent the footprint.
 
-    One where its spectrum is narrow beside a bin, as far as that can be known before the run: over a plane or a
-    sphere without objects. A spectrum of rms width s bins loses pi² s²/3 of its peak. Elsewhere the facets are unknown
-    until they are hit.
+    One beamlet suffices if the footprint's spectrum is narrow compared with a bin. That is known before the run only
+    over a plane or a sphere without objects. The peak of a spectrum of rms width s bins is lower by pi² s²/3.
     """
-    asked = scenario.instrument.optics.beamlets
+    beamlets = scenario.instrument.optics.beamlets
     if scenario.level == "geometric":
-        return Decision("footprint", False, "1 beamlet", "the beam's axis is reported", "exact"), 1
-    if asked == 1:
-        return Decision("footprint", False, "1 beamlet", "the instrument asks for one", "as asked"), 1
+        return Decision("footprint", False, "1 beamlet", "the beam axis is reported", "exact"), 1
+    if beamlets == 1:
+        return Decision("footprint", False, "1 beamlet", "the instrument has one", "as specified"), 1
     if not scenario.site.is_smooth:
-        return Decision("footprint", True, f"{asked} beamlets", "slopes of the ground vary", "sampled"), asked
+        return Decision("footprint", True, f"{beamlets} beamlets", "ground slopes vary", "sampled"), beamlets
     spread = float(np.nanmax(spread_bins(scenario.instrument, pointing, hits).widest(), initial=0.0))
-    reason = f"rms spread at most {spread:.3f} bin"
+    reason = f"rms spectral spread at most {spread:.3f} bin"
     if spread < ONE_BEAMLET_BELOW_BINS and not scenario.exact:
-        bound = f"{100 * np.pi**2 / 3 * spread**2:.2g} % of the peak's power"
+        bound = f"{100 * np.pi**2 / 3 * spread**2:.2g} % of the peak power"
         return Decision("footprint", False, "1 beamlet", reason, bound), 1
-    return Decision("footprint", True, f"{asked} beamlets", reason, "sampled"), asked
+    return Decision("footprint", True, f"{beamlets} beamlets", reason, "sampled"), beamlets

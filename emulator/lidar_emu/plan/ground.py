@@ -1,4 +1,4 @@
-"""What was joined and what was left out of the elevation grids of a flight's ground, as lines of a plan."""
+"""Seams and cropped parts of a flight's elevation grids, as lines of a plan."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from lidar_emu.scene.mosaic.nested import NestedGround
 from lidar_emu.scene.ray_hits import Scene
 
 _BYTES_PER_SAMPLE = 8 * 4 / 3
-"""A height, and its share of the pyramid of maxima over it."""
+"""Size of a height sample with its share of the pyramid of maxima."""
 
 
 def plan_parts(ground: Scene) -> Iterator[Decision]:
-    """A line for each seam between grids, and for each grid that was cut."""
+    """Yield a line for each seam between grids, and for each cropped grid."""
     if isinstance(ground, CroppedGround):
         yield from (_cut(grid) for grid in ground.kept)
         ground = ground.held
@@ -27,7 +27,7 @@ def plan_parts(ground: Scene) -> Iterator[Decision]:
 
 
 def plan_objects(scene: Scene, ground: Scene) -> Iterator[Decision]:
-    """A line for the objects on a ground that are left out."""
+    """Yield a line for the objects that are left out."""
     if scene is ground:
         return
     from lidar_emu.scene.objects.populated_scene import SceneInMotion
@@ -40,7 +40,7 @@ def plan_objects(scene: Scene, ground: Scene) -> Iterator[Decision]:
             "objects out of reach",
             False,
             f"{cut.held} of {cut.samples} triangles held",
-            "no beam of any pattern comes there on the whole flight",
+            "no beam of any pattern reaches them during the flight",
             "exact",
         )
 
@@ -52,8 +52,8 @@ def _cut(grid: Kept) -> Decision:
         "ground out of reach",
         False,
         f"{grid.held} of {grid.samples} samples held: {east_m - west_m:.0f} m x {north_m - south_m:.0f} m",
-        "no beam of any pattern comes there on the whole flight",
-        f"exact; {saved_mb:.0f} MB are not held, {1 - grid.held / grid.samples:.1%} of the pyramid not built",
+        "no beam of any pattern reaches it during the flight",
+        f"exact; saves {saved_mb:.0f} MB and {1 - grid.held / grid.samples:.1%} of the pyramid",
     )
 
 
@@ -63,7 +63,7 @@ def _seam(nested: NestedGround) -> Decision:
     return Decision(
         "seam",
         True,
-        f"mixed over {seam.feather_m:.3g} m",
-        f"{nested.inner.description}: {offset_m:+.2f} m ± {seam.scatter_m:.2f} m on the ground that it replaces",
+        f"blended over {seam.feather_m:.3g} m",
+        f"{nested.inner.description}: {offset_m:+.2f} m ± {seam.scatter_m:.2f} m from the ground that it replaces",
         f"steps up to {seam.step_m:.2g} m",
     )

@@ -1,4 +1,4 @@
-"""The decisions of a run: what it computes and what it leaves out, each with its reason and the bound on its cost."""
+"""The plan of a run: the stages computed and left out, each with its reason and error bound."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ class Decision:
     """The largest effect of the decision; `exact` where there is none."""
 
     def row(self) -> dict[str, str | bool]:
-        """For JSON."""
+        """Convert to JSON values."""
         return asdict(self)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The decisions of a run, and the one figure that the model takes from them."""
+    """The decisions of a run, and the number of beamlets that the model uses."""
 
     decisions: tuple[Decision, ...]
     beamlets: int = 1
 
     def rows(self) -> list[dict[str, str | bool]]:
-        """The decisions for JSON."""
+        """Convert the decisions to JSON values."""
         return [decision.row() for decision in self.decisions]

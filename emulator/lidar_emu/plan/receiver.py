@@ -1,7 +1,7 @@
-"""What the receiver computes on a flight, what it leaves out, and what that costs at most.
+"""Receiver stages computed and left out on a flight, with error bounds.
 
-Some stages are ruled out for the whole run; others depend on the state of each beam, are compiled with the rest before
-shot 0, and are left out beam by beam.
+Some stages are left out for the whole run. Others depend on the state of each beam: they are compiled before shot 0 and
+left out beam by beam.
 """
 
 from __future__ import annotations
@@ -16,21 +16,23 @@ from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Wavefo
 from lidar_emu.scenario.schema import FlightScenario
 
 SMEAR_BOUND = LEAST_SMEAR_BINS / (2 * np.pi)
-"""Amplitude that the smear left out has beside a line, over the line's."""
+"""Amplitude beside a line of the smear that is left out, relative to the line."""
 
 LINE_BOUND_POWER, LINE_BOUND_BINS = 0.03, 0.03
-"""What the laser's line left out changes in an echo's power and in the frequency of its line: four sigma."""
+"""Change of an echo's power and frequency by the laser linewidth that is left out: four sigma."""
 
 
 def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
-    """The receiver's stages, from a look at the echoes along the flight, one beamlet for each beam."""
+    """Decide the receiver's stages from echoes sampled along the flight, with one beamlet per beam."""
     if scenario.level == "geometric":
-        return [Decision("receiver", False, "truth", "the scenario asks for level geometric", "exact")]
+        return [
+            Decision("receiver", False, "ground truth", "the scenario specifies level geometric", "exact")
+        ]
     level = Decision(
         "receiver",
         True,
         scenario.level,
-        f"the scenario asks for level {scenario.level}",
+        f"the scenario specifies level {scenario.level}",
         _LEVEL[scenario.level],
     )
     return [
@@ -56,10 +58,10 @@ _LEVEL = {
 def _motion(scenario: FlightScenario, echoes: Echoes) -> Decision:
     waveform = scenario.instrument.waveform
     fastest_mps2 = _largest(echoes.closing_acceleration_mps2)
-    # Between up- and down-chirp the speed changes by 2 T a, which reads as range.
+    # Between up- and down-chirp the speed changes by 2 T a, which causes a range error.
     bias_m = SPEED_OF_LIGHT_MPS * waveform.segment_time_s * fastest_mps2
     bias_m /= waveform.wavelength_m * waveform.chirp_slope_hz_per_s
-    reason = f"{fastest_mps2:.3g} m/s² makes {bias_m:.2g} m of range, near when slowing down"
+    reason = f"{fastest_mps2:.3g} m/s² makes {bias_m:.2g} m of range error, short while decelerating"
     half_s = waveform.segment_time_s * (1.5 * scenario.instrument.detection.looks - 0.5)
     curving_m = 0.5 * fastest_mps2 * half_s**2
     return Decision(
@@ -70,7 +72,7 @@ def _motion(scenario: FlightScenario, echoes: Echoes) -> Decision:
 def _smear(scenario: FlightScenario, echoes: Echoes) -> Decision:
     waveform = scenario.instrument.waveform
     smear_bins = largest_smear_bins(waveform, echoes)
-    reason = f"beats change by up to {smear_bins:.2g} bin in a record"
+    reason = f"beats drift by up to {smear_bins:.2g} bin in a record"
     if scenario.exact:
         return Decision("smear and migration", True, "filter over bins", reason, "exact")
     bound = f"{100 * SMEAR_BOUND:.1g} % of a line's amplitude beside it"
@@ -80,7 +82,7 @@ def _smear(scenario: FlightScenario, echoes: Echoes) -> Decision:
 
 
 def largest_smear_bins(waveform: Waveform, echoes: Echoes) -> float:
-    """The largest change of a beat during its record, by acceleration and by migration, in bins."""
+    """Compute the largest drift of a beat during its record by acceleration and range migration, in bins."""
     record_s = waveform.record_time_s
     by_motion = 2 * _largest(echoes.smear_acceleration_mps2) / waveform.wavelength_m
     slope = waveform.chirp_slope_hz_per_s * (1 + waveform.slope_error)
@@ -125,9 +127,9 @@ def _response(instrument: Instrument) -> Decision:
 
 def _clipping(instrument: Instrument) -> Decision:
     if instrument.receiver.adc is None:
-        return Decision("digitiser", False, "-", "the instrument's is ideal", "exact")
+        return Decision("digitiser", False, "-", "the instrument has an ideal digitiser", "exact")
     bits = f"{instrument.receiver.adc.effective_bits:g} effective bits"
-    bound = "harmonics of a clipped tone come as noise, its gain to 12 %"
+    bound = "harmonics of a clipped tone are modelled as noise; its gain is accurate to 12 %"
     return Decision("digitiser", True, "noise, clipping", bits, bound)
 
 
@@ -144,7 +146,7 @@ def _light(scenario: FlightScenario) -> list[Decision]:
     if air is None or air.backscatter_per_m_sr == 0:
         return [sun, Decision("backscatter", False, "-", f"{site.name} has no haze", "exact")]
     if scenario.level != "spectral":
-        missing = "the air's own line is missing"
+        missing = "no line of the air's backscatter"
         return [sun, Decision("backscatter", False, "-", f"not at level {scenario.level}", missing)]
     return [
         sun,
@@ -156,9 +158,9 @@ def _light(scenario: FlightScenario) -> list[Decision]:
 
 def _false_alarms(scenario: FlightScenario) -> Decision:
     if scenario.exact:
-        return Decision("false alarms", True, "highest of all bins", "noise is everywhere", "exact")
+        return Decision("false alarms", True, "highest of all bins", "every bin has noise", "exact")
     bound = f"{LEAST_FALSE_ALARM:g} of the spectra"
-    return Decision("false alarms", True, "unless the echo is too strong", "noise is everywhere", bound)
+    return Decision("false alarms", True, "unless the echo is too strong", "every bin has noise", bound)
 
 
 def _largest(values: FloatArray) -> float:
