@@ -328,7 +328,7 @@ def test_the_map_of_another_body(tmp_path):
     with pytest.raises(InputError) as caught:
         build_scene(Site(ground=ElevationGrid(kind="grid", file=str(path))))
     assert (
-        "site.body.radius_m: 1737400.0 is not usable; allowed: that of the map within 1%, 3396190 m"
+        "site.body.radius_m: 1737400.0 is not usable; allowed: the radius of the map's body within 1%, 3396190 m"
         in str(caught.value)
     )
 

@@ -115,7 +115,7 @@ def fill_complex_normals(
 ) -> None:
     """Fill the first `count` columns, an even number, of `out` with circular complex Gaussians of unit mean power.
 
-    Numbers 2i and 2i + 1 are those of counter `first_pair` + i (Box-Muller): 32 bits each for magnitude and phase, so
+    Numbers 2i and 2i + 1 come from counter `first_pair` + i (Box-Muller): 32 bits each for magnitude and phase, so
     that no power exceeds 22.9, what one in 1e10 does. `words` (4, count/2 or more) is overwritten. In stages without
     branches, which become vector instructions.
     """

@@ -36,7 +36,7 @@ class Footprint(NamedTuple):
     """(beamlets,) Share of the beam's power; sums to 1."""
     start_site_m: FloatArray
     ray_site: FloatArray
-    """Unit vectors: where the light goes."""
+    """Unit vectors along the rays."""
     doppler_site: FloatArray
     """Unit vectors: the gradient of the beam's phase where it meets the ground, which a velocity is seen
     along. In the far field this is `ray_site`'s direction; near the waist the wavefront is flatter."""
@@ -49,7 +49,7 @@ class Footprint(NamedTuple):
 
     @classmethod
     def unfilled(cls, beams: int, count: int) -> Self:
-        """Arrays for a kernel to fill, of beams of so many beamlets each."""
+        """Empty arrays for a kernel to fill, with `count` beamlets per beam."""
         shape = (beams, count, 3)
         return cls(
             weight=beamlet_pattern(count)[1],
@@ -82,7 +82,7 @@ def sample_footprint(
         footprint: to be filled and returned; None: a new one.
 
     A ray joins the points of the aperture and of the footprint with the same share of the beam's power
-    inside. Its slope (w - w0)/R and that of the phase w/Rc, per radius, are written in z/R, as is w (1 - R/Rc) =
+    inside. Its slope (w - w0)/R and the slope of the phase w/Rc, per radius, are written in z/R, as is w (1 - R/Rc) =
     w0²/w: none cancels nor divides by zero, from a range of 0 to infinity.
     """
     footprint = footprint or Footprint.unfilled(len(range_m), count)

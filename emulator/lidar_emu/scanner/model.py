@@ -37,13 +37,13 @@ class ScannerModel:
     """
 
     published_sensor: FloatArray
-    """(rows, beams, 3) Unit vectors in the sensor frame that the flight software believes."""
+    """(rows, beams, 3) Unit vectors in the sensor frame along the published beam axes."""
     true_sensor: FloatArray
-    """(rows, beams, 3) Where the light goes."""
+    """(rows, beams, 3) Unit vectors along the true beam axes."""
     angle_deg: FloatArray
     """(rows, beams) Published off-boresight angle."""
     steps: int
-    """Of a scan; 1 without."""
+    """Steps of a scan; 1 without a scan."""
     firing_cycle: NDArray[np.int64]
     """(beams,) Cycle of the shot in which a beam fires."""
     switches: tuple[AltitudeSwitch | TimeSwitch, ...]

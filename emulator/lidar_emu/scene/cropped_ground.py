@@ -1,4 +1,4 @@
-"""Ground of which only what a run can reach is held; the rest comes back if a ray needs it after all."""
+"""Ground cropped to the part that a run can reach; the whole is built again if a ray needs it after all."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from lidar_emu.scene.ray_reach import Span, strays
 
 
 class Kept(NamedTuple):
-    """What is held of one grid."""
+    """The part of one grid that is kept in memory."""
 
     span: Span
-    """Of the whole grid; its heights are bounds for all grids of the ground."""
+    """Extent of the whole grid; its heights bound all grids of the ground."""
     area: Rectangle
-    """Of what is held."""
+    """Area of the kept part."""
     samples: int
-    """Of the whole grid."""
+    """Samples of the whole grid."""
     held: int
-    """Of these."""
+    """Samples of the kept part."""
 
 
 class CroppedGround:
     """A ground cut to what a run can reach.
 
-    Which rays a run has is known beforehand, but for a fault that is ordered in flight, and for those who use the
-    scene otherwise. So each ray is checked: what may need more than is held is cast onto the whole, which is built
-    for the first of them. A hit is thus never that of a ground with a missing part.
+    The rays of a run are known beforehand, except with faults injected in flight and in other uses of the scene. Each
+    ray is therefore checked: one that may need more than the kept part is cast onto the whole ground, which is built
+    for the first of them. No ray ever meets a ground with a missing part.
 
     Args:
-        held: what is left.
-        kept: of each grid.
+        held: the cropped ground.
+        kept: the part of each grid that is left.
         build_whole: builds the ground uncut.
     """
 
@@ -48,7 +48,7 @@ class CroppedGround:
 
     @cached_property
     def whole(self) -> Scene:
-        """Uncut."""
+        """The ground before cropping."""
         return self._build_whole()
 
     def cast(
@@ -67,7 +67,7 @@ class CroppedGround:
         return hits
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """Onto the whole ground."""
+        """First contact with the whole ground; see `Scene.cast_exact`."""
         return self.whole.cast_exact(origin_site_m, direction_site)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
@@ -80,7 +80,7 @@ class CroppedGround:
         return self.held.height_m(east_m, north_m)
 
     def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """Where the whole ground is."""
+        """(n,) Whether points lie over the whole ground."""
         return self.held.covers(east_m, north_m) | self._cut_away(east_m, north_m)
 
     def _strays(self, origin: FloatArray, direction: FloatArray) -> BoolArray:
@@ -90,7 +90,7 @@ class CroppedGround:
         return stray
 
     def _cut_away(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """(n,) Whether there is a grid of which this place has been cut away."""
+        """(n,) Whether cropping has removed these points from any grid."""
         cut = np.zeros(np.shape(east_m), dtype=np.bool_)
         for grid in self.kept:
             cut |= grid.span.area.holds(east_m, north_m) & ~grid.area.holds(east_m, north_m)

@@ -25,7 +25,7 @@ class Rectangle(NamedTuple):
 
 
 def around(low_m: float, high_m: float, first_m: float, pixel_m: float, count: int, margin: int) -> range:
-    """Rows or columns of a grid from one coordinate to another, and so many more on each side as there are."""
+    """Rows or columns of a grid between two coordinates, extended on each side by `margin` where the grid reaches."""
     first = min(max(math.floor((low_m - first_m) / pixel_m) - margin, 0), count - 2)
     end = min(max(math.ceil((high_m - first_m) / pixel_m) + margin + 1, first + 2), count)
     return range(first, end)

@@ -21,7 +21,7 @@ class Curve(NamedTuple):
 
 
 LEVEL = Curve(np.array([0.0, 1.0]), np.zeros((4, 1)))
-"""Nought at all times."""
+"""Zero at all times."""
 
 
 class Curves:
@@ -34,8 +34,8 @@ class Curves:
         self._pieces = np.concatenate([np.pad(curve.coefficients.T, ((0, 1), (0, 0))) for curve in curves])
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """Value, first and second derivative, (3, n, curves), at times (n,): the derivatives are those of these very
-        curves, so that a speed always belongs to the positions around it."""
+        """Value, first and second derivative, (3, n, curves), at times (n,): the derivatives are exact, so
+        that a speed always agrees with the positions around it."""
         orders = np.empty((3, len(time_s), len(self._first) - 1))
         _read(self._first, self._knot_s, self._pieces, time_s, orders)
         return orders

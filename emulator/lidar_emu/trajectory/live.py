@@ -60,14 +60,14 @@ class LiveTrajectory:
         return verdict
 
     def warm_up(self, truth: Truth) -> None:
-        """What it takes to accept a truth, without any consequence."""
+        """Run the code that accepts a truth, without any effect on the trajectory."""
         with self.pretending(truth):
             self._judge(truth, None)
             self._take(truth)
 
     @contextmanager
     def pretending(self, truth: Truth) -> Iterator[None]:
-        """As if this were all that is known."""
+        """Take this as the only truth, for the duration of the context."""
         kept = self.newest, self._truths.copy(), self._count
         self._count = 0
         self._append(truth)
@@ -77,7 +77,7 @@ class LiveTrajectory:
             self.newest, self._truths, self._count = kept
 
     def state(self, time_s: FloatArray) -> VehicleState:
-        """The vehicle at scenario times (n,), as near as the truth so far tells.
+        """The vehicle at scenario times (n,), interpolated or continued from the truth so far.
 
         Raises:
             ValueError: there is no truth yet.

@@ -27,7 +27,7 @@ TRUTH_BYTES = _TRUTH.size
 
 
 class Verdict(IntEnum):
-    """What became of a truth; the number is the status of the answer."""
+    """Verdict on a truth; the number is the status of the answer."""
 
     ACCEPTED = 0
     MALFORMED = 1
@@ -37,7 +37,7 @@ class Verdict(IntEnum):
     BAD_ATTITUDE = 3
     """The quaternion is not a unit quaternion to a thousandth."""
     DUPLICATE = 4
-    """Its instant is that of the newest truth."""
+    """Same instant as the newest truth."""
     OUT_OF_ORDER = 5
     """Older than the newest truth."""
     IMPLAUSIBLE_TIME = 6
@@ -58,7 +58,7 @@ class Truth(NamedTuple):
     site_from_body: Quaternion
     """Unit quaternion, scalar first."""
     body_rate_radps: Vector
-    """Of the body against the site, about body x, y and z."""
+    """Angular rate of the body against the site, about body x, y and z."""
     last: bool = False
     """The flight ends here."""
 
@@ -112,7 +112,7 @@ class Answer(NamedTuple):
     """How many datagrams of the same answer follow; 255 stands for more."""
     sequence: int
     time_ns: int
-    """Of the truth: all packets due up to then have been sent."""
+    """Time of the truth: all packets due up to then have been sent."""
     packets: tuple[AnsweredPacket, ...]
 
     def to_bytes(self) -> bytes:
@@ -149,14 +149,14 @@ class Answer(NamedTuple):
 def answers(verdict: Verdict, sequence: int, time_ns: int, packets: Iterable[AnsweredPacket]) -> list[Answer]:
     """An answer, cut into datagrams that UDP carries."""
     parts: list[list[AnsweredPacket]] = [[]]
-    room = _LONGEST_ANSWER_BYTES
+    left_bytes = _LONGEST_ANSWER_BYTES
     for packet in packets:
         size = _PACKET.size + len(packet.payload)
-        if size > room and parts[-1]:
+        if size > left_bytes and parts[-1]:
             parts.append([])
-            room = _LONGEST_ANSWER_BYTES
+            left_bytes = _LONGEST_ANSWER_BYTES
         parts[-1].append(packet)
-        room -= size
+        left_bytes -= size
     last = len(parts) - 1
     return [
         Answer(verdict, min(last - k, 255), sequence, time_ns, tuple(part)) for k, part in enumerate(parts)

@@ -1,4 +1,4 @@
-"""What a trajectory says of the vehicle."""
+"""State of the vehicle along a trajectory."""
 
 from __future__ import annotations
 

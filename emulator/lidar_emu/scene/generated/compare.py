@@ -18,7 +18,7 @@ from lidar_emu.scene.generated.rocks import RockField, covered_share, rocks_per_
 from lidar_emu.scene.generated.statistics import hurst_exponent, rms_slope
 
 _SIGMAS = 4.0
-"""Of chance: one ground in ten thousand is outside."""
+"""Tolerance in standard deviations of the random spread: one ground in ten thousand exceeds it."""
 _MEASURED_SAMPLES = 16
 """Across a crater, for its depth to be read off the grid."""
 _FEWEST_MEASURED = 5

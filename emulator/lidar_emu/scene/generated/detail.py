@@ -24,7 +24,7 @@ MARGIN = 4
 _LAGS = np.array([1, 2, 4])
 _ROUGHEST, _SMOOTHEST = 0.05, 0.95
 _TILE = 128
-"""Of chance: points of a level that are drawn together."""
+"""Side of the blocks in which the random points of a level are drawn."""
 _TRIM = 4
 """Rows and columns of a halved grid along each edge whose neighbours are not all there."""
 
@@ -63,7 +63,7 @@ def law_of(height_m: FloatArray, pixel_m: float, hurst: float | None = None) -> 
         hurst: H if it is given.
 
     Returns:
-        None where the grid is too small or too full of holes to tell.
+        None where the grid is too small or has too many holes for an estimate.
     """
     if min(height_m.shape) <= 2 * _LAGS[-1]:
         return None

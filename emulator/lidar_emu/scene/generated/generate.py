@@ -22,15 +22,15 @@ class Layers:
     """A ground taken apart. Layers are (rows from north to south, columns from west to east), in metres."""
 
     relief_m: FloatArray | None
-    """Of mean 0; None: level."""
+    """Zero-mean relief; None: level ground."""
     craters: CraterField | None
-    """Which there are."""
+    """Places and sizes of the craters."""
     crater_m: FloatArray | None
-    """What they add."""
+    """Height that the craters add."""
     rocks: RockField | None
-    """Which there are."""
+    """Places and sizes of the craters."""
     rock_m: FloatArray | None
-    """What they add."""
+    """Height that the craters add."""
 
     def elevation_m(self, ground: Generated) -> npt.NDArray[np.float32]:
         """The sum, rounded as it is kept, so that a ground is the same whether it was just made or read."""

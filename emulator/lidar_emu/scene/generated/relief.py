@@ -15,7 +15,7 @@ import numpy as np
 from lidar_emu.numerics.arrays import FloatArray
 
 _ROWS_AT_ONCE = 64
-"""Of the transform: enough for its speed, and the torus is never held whole."""
+"""Rows transformed at once: enough for speed, and the torus is never held in memory as a whole."""
 _ROUGH_REACH, _SMOOTH_REACH = 1.0, 1.5
 """Where the covariance ends, in sides of the square, for H up to 3/4 and above. Stein has 2 for the latter; from 1.4
 on the spectrum has nothing negative on any grid tried."""

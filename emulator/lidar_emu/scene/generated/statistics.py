@@ -50,7 +50,7 @@ def rms_slope(height_m: FloatArray, spacing_m: float, baseline_m: float, hurst: 
 
 
 def _mean_square(height_m: FloatArray, weights: tuple[int, ...], lag: int) -> float:
-    """Of differences with these weights, `lag` samples from one to the next, along rows and columns; NaN of none."""
+    """Mean square of differences with these weights, `lag` samples apart, along rows and columns; NaN of none."""
     squares, count = 0.0, 0
     for grid in (height_m, height_m.T):
         length = len(grid) - lag * (len(weights) - 1)

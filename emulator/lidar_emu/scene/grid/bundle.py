@@ -1,7 +1,7 @@
-"""How far the rays of a bundle, nearly parallel and close together, are clear of all ground: found once for all.
+"""Clear distance of a bundle of rays that are nearly parallel and close together, found once for all of them.
 
-The bundle is followed as a box that holds all its rays, so what is found is true of each of them, whatever they are;
-of rays that go different ways it is little.
+The bundle is followed as a box that encloses all its rays, so the distance holds for each of them; it is short for rays
+that diverge.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ _MARGIN_CELLS = 1e-6
 """The box is wider than the rays by this, and takes in the blocks that it is as near to as this: where it leaves a
 block, by rounding or not, its rays are still within, and the next block is among those that count."""
 _MARGIN_M = 1e-6
-"""What is called clear is so by this, whatever the rounding: a single ray cannot find anything there."""
+"""A clear ray is clear by this margin: rounding cannot make a single ray meet the ground there."""
 
 
 @kernel
 def clear_way_m(origin: FloatArray, direction: FloatArray, grid: Grid) -> float:
-    """How far all rays of a bundle stay above the ground and come to be over the grid; 0 where nothing can be said.
+    """Distance up to which all rays of a bundle are above the ground; 0 where none can be guaranteed.
 
     A block is passed over where the box stays above its maximum; else the box is taken down to that maximum, and
     smaller blocks are tried, down to those as wide as the box. In a cell it is the surface on the box's way that

@@ -1,4 +1,4 @@
-"""The rays of a bundle onto one cell, all at once: most beamlets of a beam meet the facet that its axis meets."""
+"""Casting of a bundle onto one cell at once: most beamlets of a beam meet the facet that its axis meets."""
 
 from __future__ import annotations
 

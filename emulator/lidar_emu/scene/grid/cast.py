@@ -1,4 +1,4 @@
-"""Rays onto an elevation grid and the ground beyond it, in the order along each ray."""
+"""Casting of rays onto an elevation grid and the ground beyond it, in the order along each ray."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from lidar_emu.scene.sphere import sphere_stretch
 _MOST_PASSES = 6
 """Facets tried for a bundle: more than meet at a vertex, fewer than take longer than the rays one by one."""
 _AHEAD_CELLS = 1e-9
-"""So far beyond an edge a ray is in the cell that it enters there, whatever the rounding."""
+"""At this distance beyond an edge a ray is in the next cell, whatever the rounding."""
 
 MISS = (np.nan, np.nan, np.nan, np.nan, False)
 INSIDE = (np.nan, np.nan, np.nan, np.nan, True)

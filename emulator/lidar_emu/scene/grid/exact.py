@@ -34,7 +34,7 @@ def cast(
     direction_site: FloatArray,
     reflectance: float,
 ) -> Hits:
-    """First contact of n rays, one by one; the meaning is that of `Scene.cast`."""
+    """First contact of n rays, one by one, with the meaning of `Scene.cast`."""
     hits = Hits.none(len(origin_site_m))
     for k, (origin, direction) in enumerate(zip(origin_site_m, direction_site, strict=True)):
         if not np.isfinite([origin, direction]).all():
@@ -167,8 +167,8 @@ def _turning_point(above: Callable[[float], float], start: float, end: float) ->
 
 
 def _normal(samples: Samples, cell: tuple[int, int], point: FloatArray) -> FloatArray:
-    """Normal of the surface, from two straight lines that lie in it: edges of a triangle, or those of a bilinear patch
-    through the point."""
+    """Normal of the surface from two straight lines in it: edges of a triangle, or the two through a point of a
+    bilinear patch."""
     i, j = cell
     west, east = samples.east_m[i : i + 2]
     south, north = samples.north_m[j : j + 2]

@@ -1,4 +1,4 @@
-"""What the kernels of an elevation grid pass to one another."""
+"""Structures that the kernels of an elevation grid share."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class GridConstants(NamedTuple):
     beyond_radius_m: float
     """Radius of the sphere beyond."""
     albedo: float
-    """Of all of the ground."""
+    """Albedo of all of the ground."""
 
 
 class Grid(NamedTuple):

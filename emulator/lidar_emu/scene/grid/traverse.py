@@ -1,4 +1,4 @@
-"""The way of a ray over an elevation grid, block by block and cell by cell."""
+"""Traversal of an elevation grid by a ray, block by block and cell by cell."""
 
 from __future__ import annotations
 

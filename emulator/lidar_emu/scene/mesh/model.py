@@ -56,7 +56,7 @@ class Triangles(NamedTuple):
 
 
 class TriangleMesh:
-    """Triangles in a tree of boxes; any frame, as long as it is that of the rays."""
+    """Triangles in a tree of boxes, in the same frame as the rays."""
 
     def __init__(self, triangles: Triangles) -> None:
         self._tree = build_tree(triangles.corner_m.min(axis=1), triangles.corner_m.max(axis=1))

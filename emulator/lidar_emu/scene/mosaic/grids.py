@@ -123,7 +123,7 @@ def _part(samples: Samples, needed: Rectangle) -> Samples:
 
 
 def _albedo(samples: Samples, share: FloatArray) -> Albedo:
-    """Of the samples that are held."""
+    """The albedo at the samples that are kept."""
     rows, columns = samples.height_m.shape
     first_row, first_column = samples.first_row, samples.first_column
     return Albedo(

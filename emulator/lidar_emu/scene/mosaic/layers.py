@@ -69,7 +69,7 @@ def _layer(part: site.Site, grid: AnyGrid, terrain: Terrain, altitude_m: float) 
 
 
 def _read(part: site.Site, grid: AnyGrid, first: tuple[AnyGrid, Terrain] | None) -> Terrain:
-    """A grid around its own origin; one after the first that has neither origin nor place around that of the first."""
+    """Read a grid around its own origin; a later grid with neither origin nor place takes the origin of the first."""
     if isinstance(grid, Generated):
         return _generated(grid)
     if first is not None and grid.at_m is None and grid.origin == site.Origin():
@@ -98,17 +98,17 @@ def _origin_of(grid: AnyGrid, terrain: Terrain, asker: str) -> site.Origin:
 
 
 def _check_body(body: site.Body, terrain: Terrain) -> None:
-    """Refuse the map of another body, such as Mars on the Moon that a site is on unless it says otherwise."""
+    """Refuse the map of another body, e.g. of Mars for a site on the Moon, which is the default."""
     if terrain.frame is None:
         return
     radius_m = terrain.frame.ellipsoid.equatorial_m
     if abs(radius_m / body.radius_m - 1) > BODY_TOLERANCE:
-        allowed = f"allowed: that of the map within {BODY_TOLERANCE:.0%}, {radius_m:.10g} m"
+        allowed = f"allowed: the radius of the map's body within {BODY_TOLERANCE:.0%}, {radius_m:.10g} m"
         raise InputError(terrain.source, "site.body.radius_m", body.radius_m, allowed)
 
 
 def _generated(ground: Generated) -> Terrain:
-    """What was made is a grid like any other, with the origin at its centre."""
+    """Generate a ground: a grid like any other, with the origin at its centre."""
     from lidar_emu.scene.generated.cache import elevation_m
     from lidar_emu.scene.terrain.flat import FlatMap, placed_flat
 

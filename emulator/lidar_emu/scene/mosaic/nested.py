@@ -25,10 +25,10 @@ class Seam(NamedTuple):
     step_m: float
     """Largest difference of height left along the edge."""
     offset_m: float
-    """How much higher the grid lies than the ground that it replaces, as files give them: the median; NaN where they
-    have nothing in common."""
+    """Median height of the grid above the ground that it replaces, as the files give them; NaN where they do not
+    overlap."""
     scatter_m: float
-    """Of that: half of what the middle 68 % spread over."""
+    """Scatter of this offset: half the spread of the middle 68 %."""
 
 
 class NestedGround:

@@ -15,7 +15,7 @@ from lidar_emu.scene.mosaic.nested import NestedGround, Seam
 from lidar_emu.scene.ray_hits import Scene
 
 _COMPARED = 10_000
-"""Samples, at most, by which two grids are compared: more tell nothing new."""
+"""Largest number of samples at which two grids are compared: more add nothing."""
 _ROWS_AT_ONCE = 256
 _BESIDE_M = 1e-9
 

@@ -27,7 +27,7 @@ _NED_FROM_OBJECT = np.diag([1.0, -1.0, -1.0])
 
 
 CUT_FROM_TRIANGLES = 20_000
-"""Of fewer all are held: there is little to be saved."""
+"""Objects with fewer triangles are not cropped: it would save little."""
 
 
 def populated(ground: Scene, part: Site, reach: Reach | None) -> Scene:

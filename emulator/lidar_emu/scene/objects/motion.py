@@ -15,14 +15,14 @@ from lidar_emu.trajectory.state import seconds
 
 
 class Poses(NamedTuple):
-    """Of an object at m times."""
+    """Pose and velocity of an object at m times."""
 
     place_site_m: FloatArray
     """(m, 3)"""
     velocity_site_mps: FloatArray
-    """(m, 3) of the place."""
+    """(m, 3) Velocity of the place."""
     site_from_object: FloatArray
-    """(m, 3, 3) from the axes that it has at the start."""
+    """(m, 3, 3) Rotation from the axes that the object has at the start."""
 
 
 class MovingObject:

@@ -51,7 +51,7 @@ class PopulatedScene:
 class SceneInMotion:
     """A scene that stays, and objects that move above it.
 
-    Heights and covered places are those of what stays.
+    Heights and coverage come from the static scene.
 
     Args:
         still: the ground and all that stays on it.

@@ -32,7 +32,7 @@ class Standing(NamedTuple):
 
     @property
     def triangle_count(self) -> int:
-        """Of all copies."""
+        """Number of triangles of all copies."""
         return len(self.shape.corner_m) * len(self.place_m)
 
     def near(self, area: Rectangle) -> Self:
@@ -73,7 +73,7 @@ class Standing(NamedTuple):
 
 
 def strewn(scatter: Scatter) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of each copy its place (n, 2) east and north of the centre, size (n,), and turn (n,) about the vertical."""
+    """Draw the copies: places (n, 2) east and north of the centre, sizes (n,), and turns (n,) about the vertical."""
     random = generator(scatter.seed, bit_generator=np.random.PCG64).random((scatter.count, 4))
     away_m, towards = scatter.radius_m * np.sqrt(random[:, 0]), 2 * np.pi * random[:, 1]
     place_m = away_m[:, None] * np.stack([np.sin(towards), np.cos(towards)], axis=-1)

@@ -26,7 +26,7 @@ class Ellipsoid:
 class LocalFrame:
     """The site frame on the body: its origin, with up along the normal of the reference surface.
 
-    North is the direction of the pole, so that at a pole it is that of the opposite of the longitude given.
+    North points to the pole; at a pole it points along the meridian opposite to the given longitude.
     """
 
     ellipsoid: Ellipsoid
@@ -35,7 +35,7 @@ class LocalFrame:
     longitude_rad: float
     """East."""
     altitude_m: float
-    """Of the origin above the reference surface."""
+    """Altitude of the origin above the reference surface."""
 
     def place_m(
         self, latitude_rad: FloatArray, longitude_rad: FloatArray, altitude_m: FloatArray

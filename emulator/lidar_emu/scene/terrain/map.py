@@ -44,7 +44,7 @@ class RasterMap:
     ) -> tuple[FloatArray, FloatArray]:
         """Columns and rows (n,), with fractions, at places on the body; NaN off the map.
 
-        Where the map is a cylinder a column is told as the one, of all that lie a turn apart, next to ``near_column``.
+        On a cylindrical map, columns a full turn apart are equivalent: the one nearest to ``near_column`` is returned.
         """
         column, row = self.sample_at_map(*self.projection.map_xy(latitude_rad, longitude_rad))
         if self.turn:
@@ -67,7 +67,7 @@ class RasterMap:
         if width is None or self._map_of_pixel.b or self._map_of_pixel.d:
             return None
         columns = float(abs(width / self._map_of_pixel.a))
-        # Scales are told with few digits: a map of the whole turn has a whole number of columns.
+        # Files round their scales: a map of the whole turn has a whole number of columns.
         return (
             float(round(columns))
             if abs(columns - round(columns)) < 0.5 and self._closes(columns)
@@ -150,7 +150,7 @@ def window_of(
 
     Args:
         raster: the map.
-        column, row, near_column: places as `RasterMap.sample_at` tells them.
+        column, row, near_column: places as `RasterMap.sample_at` returns them.
         around_pole: whether every meridian of a closed map is among them.
 
     Raises:

@@ -31,7 +31,7 @@ class Terrain:
     pixel_north_m: float
     """From row to row."""
     origin_elevation_m: float
-    """Of the ground at the origin above the datum of the file."""
+    """Elevation of the ground at the origin above the datum of the file."""
     source: str
     """The file."""
     frame: LocalFrame | None = None
@@ -52,13 +52,13 @@ class Terrain:
             pixel = f"{self.pixel_east_m:.6g} m x {self.pixel_north_m:.6g} m"
         missing = np.isnan(self.elevation_m).mean()
         holes = f", {missing:.2%} missing" if missing else ""
-        told = [
+        details = [
             self.placed,
             _range("albedo", self.reflectance),
             _range("rock abundance", self.rock_abundance),
         ]
         grid = f"grid {Path(self.source).name}, {columns} x {rows} samples at {pixel}{holes}"
-        return ", ".join([grid, *filter(None, told)])
+        return ", ".join([grid, *filter(None, details)])
 
 
 def _range(name: str, values: FloatArray | None) -> str:

@@ -44,7 +44,7 @@ class Projection:
         return latitude, np.radians(longitude_deg)
 
     def normal_angle(self, planetocentric_rad: FloatArray) -> FloatArray:
-        """The angle of the normal instead of that of the radius: its tangent is greater by (a/b)²."""
+        """Planetographic from planetocentric latitude: its tangent is greater by (a/b)²."""
         square = (self.ellipsoid.equatorial_m / self.ellipsoid.polar_m) ** 2
         return np.asarray(np.arctan2(square * np.sin(planetocentric_rad), np.cos(planetocentric_rad)))
 
@@ -98,7 +98,7 @@ class Projection:
 
     @cached_property
     def _is_planetocentric(self) -> bool:
-        """Whether the map's latitudes are those of the radius, on a body on which that matters."""
+        """Whether the map has planetocentric latitudes, on a body that is not a sphere."""
         # "Ocentric" is how the IAU's list of coordinate systems names them.
         return self.ellipsoid.square_eccentricity != 0 and "ocentric" in self._base["name"].lower()
 

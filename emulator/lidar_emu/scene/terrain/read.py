@@ -63,7 +63,7 @@ def _is_npz(ground: ElevationGrid) -> bool:
 
 
 def _is_on_body(ground: ElevationGrid, file: Any) -> bool:
-    """Whether the file's coordinates are those of a body and count: a map in metres around a bench has none."""
+    """Whether the file's coordinates lie on a body and are used: a map in metres around a bench has none."""
     return (
         ground.placement == "projected"
         and bool(file.crs)

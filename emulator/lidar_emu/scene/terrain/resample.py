@@ -19,7 +19,7 @@ from lidar_emu.scene.terrain.map import MapSamples, RasterMap
 from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing
 
 _TOLERANCE_M = 0.01
-"""Of the last step; what is left is less than a tenth of it, and near the origin a thousandth."""
+"""Length of the last step; the remaining error is less than a tenth of it, near the origin less than a thousandth."""
 _ROUNDS = 30
 _NODES_AT_ONCE = 200_000
 _PROBES = 20_000
@@ -33,7 +33,7 @@ class MapSurface:
     frame: LocalFrame
     samples: MapSamples
     near_column: float
-    """Of the origin; see `RasterMap.sample_at`."""
+    """Column of the origin; see `RasterMap.sample_at`."""
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(n,) z of the ground, NaN where there is none, and the column and row of the file where it is found."""
@@ -58,7 +58,7 @@ class MapSurface:
 def resampled(
     surface: MapSurface, others: dict[str, MapSamples], east_m: FloatArray, north_m: FloatArray
 ) -> Terrain:
-    """The surface, and what else the file tells of it, at the nodes of a grid."""
+    """Resample the surface and the other bands of its file at the nodes of a grid."""
     shape = len(north_m), len(east_m)
     height_m = np.empty(shape)
     values = {name: np.empty(shape) for name in others}

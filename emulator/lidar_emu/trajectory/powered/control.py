@@ -22,7 +22,7 @@ GIVEN_UP_S = 2.0
 HOLDING_S = 2.0
 """Time constant of the descent from the gate on."""
 LEAST_UPWARD = 0.2
-"""Of gravity: no less thrust upward is ever asked for, so that there is a direction to tilt from."""
+"""Least upward thrust that is commanded, as a share of gravity: it leaves a direction to tilt from."""
 
 
 class Guide(NamedTuple):

@@ -24,7 +24,7 @@ SLOPE = 14
 
 
 class Schedule(NamedTuple):
-    """When things happen."""
+    """Times, heights and limits at which the phases of a flight change."""
 
     control_period_s: float
     cut_off_m: float
@@ -50,7 +50,7 @@ class Record(NamedTuple):
 
 
 class Course(NamedTuple):
-    """What a flight comes to."""
+    """Outcome of a flight."""
 
     outcome: int
     steps: int
@@ -178,7 +178,7 @@ def note_last(
 
 @kernel
 def take(target: FloatArray, source: FloatArray) -> None:
-    """Copy a state; numba would make room for a third array where a slice is assigned."""
+    """Copy a state; assigning a slice would make numba allocate a temporary array."""
     for i in range(SIZE):
         target[i] = source[i]
 

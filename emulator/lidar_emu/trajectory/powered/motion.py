@@ -30,7 +30,7 @@ from lidar_emu.trajectory.powered.vehicle import (
 
 @kernel
 def gravity_at(body: VehicleConstants, position_m: Vector) -> Vector:
-    """Of a central mass below the origin, m/s² in the site frame."""
+    """Gravity of a central mass below the origin, m/s² in the site frame."""
     k = body.curvature_per_m
     x, y, z = k * position_m[0], k * position_m[1], 1.0 + k * position_m[2]
     squared = x * x + y * y + z * z
@@ -60,7 +60,7 @@ def set_derivative(
     state: FloatArray,
     derivative: FloatArray,
 ) -> None:
-    """Of a state (21,), under what the actuators give at that instant."""
+    """Set the derivative of a state (21,) under the thrust and torque at that instant."""
     turn, rate = quaternion_at(state, ATTITUDE), vector_at(state, RATE)
     velocity = vector_at(state, VELOCITY)
     inertia, coupling = inertia_at(body, mass_kg), body.bend_coupling

@@ -136,7 +136,7 @@ def _fly(descent: Descent, record: Record) -> Course:
 
 
 def _record(steps: int) -> Record:
-    """Room for a number of steps; none where there are none."""
+    """Empty arrays for a number of steps; without rows where there are none."""
     knots = steps + 1 if steps else 0
     slopes = np.empty((steps, SLOPE)), np.empty((steps, SLOPE))
     return Record(np.empty(knots), np.empty((knots, SIZE)), np.empty((knots, 2)), *slopes)

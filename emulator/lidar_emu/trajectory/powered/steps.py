@@ -16,7 +16,7 @@ from lidar_emu.trajectory.powered.motion import set_derivative
 from lidar_emu.trajectory.powered.vehicle import SIZE, VehicleConstants
 
 HALVINGS = 52
-"""Of a step, in looking for an event: down to the last bit."""
+"""Halvings of a step in the search for an event: down to the last bit."""
 
 
 class StepSizes(NamedTuple):
@@ -25,7 +25,7 @@ class StepSizes(NamedTuple):
     first_s: float
     """After a command."""
     growth: float
-    """Of the time since the command, how much the next step may be."""
+    """Largest next step, as a share of the time since the command."""
     longest_s: float
     standing_s: float
     """The longest on the ground."""
@@ -60,7 +60,7 @@ def set_stepped(
     slopes: FloatArray,
     stepped: FloatArray,
 ) -> None:
-    """A state (21,) one step later; the first of four slopes (4, 21) is that of the state, known already."""
+    """Set a state (21,) one step later; the first of four slopes (4, 21), at the state itself, is known already."""
     half_s = 0.5 * step_s
     move(state, half_s, slopes[0], stepped)
     set_slope(body, lags, acting, since_s + half_s, stepped, slopes[1])

@@ -1,7 +1,7 @@
 """A powered descent, solved before the run, at any instant.
 
 Between the ends of a step velocity and the derivative of the quaternion are the cubics through their values and
-derivatives there, so that acceleration and rates are those of the equations of motion; position and quaternion are
+derivatives there, so that acceleration and rates follow the equations of motion; position and quaternion are
 their integrals from the step's start. Differences of positions, which a very short step before an event would magnify,
 are not formed. The error is of fourth order in the step, as the integration's.
 """

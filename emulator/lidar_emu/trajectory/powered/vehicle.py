@@ -14,7 +14,7 @@ from lidar_emu.scenario import vehicle as parts
 POSITION, VELOCITY, ATTITUDE, RATE = 0, 3, 6, 10
 """Site frame, m and m/s; unit quaternion site_from_body; rad/s about the body's axes."""
 HANG, SWAY = 13, 16
-"""Of the slosh, site frame: unit vector from the hinge to the mass, and the mass's velocity against the hinge's."""
+"""Slosh in the site frame: unit vector from the hinge to the mass, and the mass's velocity against the hinge's."""
 BEND, BENDING = 19, 20
 """Modal coordinate of the flexible mode, and its derivative."""
 SIZE = 21
