@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 
 
 class Group(Enum):
-    """What a column describes, which decides where it goes."""
+    """Subject of a column, which decides in which outputs it appears."""
 
     TIMING = auto()
     """Number and instants of the shot."""
     POINTING = auto()
     """Which beams fire, and where to."""
     REPORT = auto()
-    """What the instrument reports of a beam."""
+    """Measurements of a beam, as the instrument reports them."""
     TRUTH = auto()
     """Ground truth of a beam."""
     POINT = auto()
-    """Where the measured range ends."""
+    """Point at the end of the measured range."""
     VEHICLE = auto()
     """Ground truth of the vehicle."""
 

@@ -1,1 +1,1 @@
-"""Where the beams point, when that changes, and how a beam's footprint is sampled."""
+"""Beam patterns, their switching, and the sampling of a beam's footprint."""

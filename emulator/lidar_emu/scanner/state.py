@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ScannerState:
-    """What is carried from shot to shot."""
+    """State that passes from shot to shot."""
 
     active: tuple[bool, ...]
     """One per switch."""

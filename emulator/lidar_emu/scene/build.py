@@ -1,4 +1,4 @@
-"""From the site of a scenario to its ground."""
+"""Construction of the ground from the site of a scenario."""
 
 from __future__ import annotations
 

@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 
 NOTHING, GROUND = -1, 0
-"""What a ray hits that hits no object, see `Hits.object_id`."""
+"""Values of `Hits.object_id` for rays that hit nothing or the ground."""
 
 
 class Hits(NamedTuple):
-    """Where n rays meet the ground."""
+    """Hits of n rays."""
 
     range_m: FloatArray
     """(n,) distance along the ray; NaN where nothing is hit."""

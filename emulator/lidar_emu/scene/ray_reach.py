@@ -1,4 +1,4 @@
-"""Which part of the map rays can need, whatever the ground between a lowest and a highest height is like."""
+"""Area of the map that rays can need, for any ground between a lowest and a highest height."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NOWHERE = (np.inf, -np.inf, np.inf, -np.inf)
 
 
 class Span(NamedTuple):
-    """What a ground may fill: an area of the map between two heights."""
+    """Bounds of a ground: an area of the map between two heights."""
 
     area: Rectangle
     floor_m: float

@@ -1,1 +1,1 @@
-"""Where the vehicle is, how it moves and how it is turned, at any instant of a flight."""
+"""Position, motion and attitude of the vehicle at any instant of a flight."""

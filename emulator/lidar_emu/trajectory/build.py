@@ -1,4 +1,4 @@
-"""From the scenario's part to a trajectory."""
+"""Construction of a trajectory from the scenario."""
 
 from __future__ import annotations
 

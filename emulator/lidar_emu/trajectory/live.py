@@ -137,7 +137,7 @@ class LiveTrajectory:
 
 
 def _distance_m(a: Truth, b: Truth) -> float:
-    """From where `a` was heading to where `b` is."""
+    """Distance between the continuation of `a` and the position of `b`."""
     since_s = (b.time_ns - a.time_ns) * 1e-9
     heading_m = (
         p + (v + 0.5 * g * since_s) * since_s

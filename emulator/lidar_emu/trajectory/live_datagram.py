@@ -99,7 +99,7 @@ class AnsweredPacket(NamedTuple):
     shot: int
     due_ns: int
     status: int
-    """What became of it on the link: a `transports.link.DeliveryStatus`."""
+    """Delivery status on the link: a `transports.link.DeliveryStatus`."""
     payload: bytes
     """As on the link; on CAN as frame records."""
 
@@ -109,7 +109,7 @@ class Answer(NamedTuple):
 
     verdict: Verdict
     more: int
-    """How many datagrams of the same answer follow; 255 stands for more."""
+    """Number of datagrams of the same answer that follow; 255 stands for more."""
     sequence: int
     time_ns: int
     """Time of the truth: all packets due up to then have been sent."""

@@ -48,7 +48,7 @@ def keep(ground: Generated, elevation: Elevation) -> Path | None:
 
 
 def kept_path(ground: Generated) -> Path | None:
-    """Where a ground is kept, named after all that it depends on; None for a user without a home."""
+    """Path of a cached ground, named after everything it depends on; None for a user without a home folder."""
     asked = ground.model_dump_json(exclude={"at_m", "beyond", "detail", "interpolation"})
     digest = hashlib.sha256(f"{asked} numpy {version('numpy')} scipy {version('scipy')}".encode())
     for source in (*sorted(Path(__file__).parent.glob("*.py")), Path(generated_ground.__file__)):
@@ -60,7 +60,7 @@ def kept_path(ground: Generated) -> Path | None:
 
 
 def _read(path: Path, side: int) -> Elevation | None:
-    """What is kept; None where there is nothing, or something that is not whole."""
+    """Read a cached ground; None where there is none or it is incomplete."""
     try:
         with path.open("rb") as file:
             kept = np.lib.format.read_array(file, allow_pickle=False)

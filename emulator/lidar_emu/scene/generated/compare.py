@@ -1,4 +1,4 @@
-"""What was asked of a generated ground beside what came out, each with its tolerance."""
+"""Comparison of the requested statistics of a generated ground with the measured ones, each with its tolerance."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class StatisticCheck:
     """One statistic of a ground."""
 
     quantity: str
-    """With its unit."""
+    """Quantity with its unit."""
     asked: float
-    """What the parameters say."""
+    """Value from the parameters."""
     found: float
-    """What the ground has."""
+    """Value measured on the ground."""
     low: float
     """Least that chance explains."""
     high: float
@@ -146,7 +146,7 @@ def _rocks(
 
 
 def _numbers(ground: Generated, name: str, population: Population) -> Iterator[StatisticCheck]:
-    """How many there are above the smallest diameter, twice that, and so on, as long as one is expected."""
+    """Numbers above the smallest diameter, twice this diameter and so on, as long as at least one is expected."""
     smallest_m, largest_m = diameter_range_m(ground, name)
     doublings = np.arange(math.ceil(math.log2(largest_m / smallest_m)))
     diameters_m = smallest_m * np.exp2(doublings.astype(np.float64))

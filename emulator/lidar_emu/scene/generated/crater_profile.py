@@ -15,7 +15,7 @@ import numpy as np
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 
 REACH_RADII = 4.0
-"""From the centre, where a crater's layer ends."""
+"""Distance from the centre at which a crater's layer ends."""
 RIM_SHARE = 0.18
 """Height of a fresh rim over depth."""
 

@@ -175,6 +175,6 @@ def lattice(key: tuple[int, int, int], first: tuple[int, int], count: tuple[int,
 
 
 def _overlap(tile: int, first: int, count: int) -> tuple[slice, slice]:
-    """What a tile and an area have in common: in the area, and in the tile."""
+    """Overlap of a tile and an area: its slices of the area and of the tile."""
     start, end = max(tile, first), min(tile + _TILE, first + count)
     return slice(start - first, end - first), slice(start - tile, end - tile)

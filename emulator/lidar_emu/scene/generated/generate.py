@@ -1,4 +1,4 @@
-"""From the parameters of a generated ground to its elevations."""
+"""Generation of a ground's elevations from its parameters."""
 
 from __future__ import annotations
 

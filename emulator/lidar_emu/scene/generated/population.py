@@ -12,7 +12,7 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.scenario.generated_ground import Generated, diameter_range_m
 
 Law = Callable[[FloatArray], FloatArray]
-"""From diameters in metres to how many larger ones there are per square metre."""
+"""Cumulative number of larger craters or rocks per square metre, as a function of the diameter in metres."""
 
 _BINS_PER_DECADE = 100
 _MOST = 1_000_000

@@ -1,4 +1,4 @@
-"""What an elevation grid is like: structure functions, the Hurst exponent, the rms slope."""
+"""Statistics of an elevation grid: structure functions, Hurst exponent, rms slope."""
 
 from __future__ import annotations
 

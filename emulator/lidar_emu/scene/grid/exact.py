@@ -158,7 +158,7 @@ def _first_zero(above: Callable[[float], float], start: float, end: float) -> fl
 
 
 def _turning_point(above: Callable[[float], float], start: float, end: float) -> float:
-    """Where the parabola through three values turns; NaN for a straight line."""
+    """Vertex of the parabola through three values; NaN for a straight line."""
     first, middle, last = above(start), above((start + end) / 2), above(end)
     curvature = first - 2 * middle + last
     if curvature == 0.0:

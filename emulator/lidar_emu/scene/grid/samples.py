@@ -24,11 +24,11 @@ class Samples:
     south_m: float
     """North coordinate of the whole grid's first row."""
     pixel_east_m: float
-    """From column to column."""
+    """Distance between columns."""
     pixel_north_m: float
-    """From row to row."""
+    """Distance between rows."""
     interpolation: Interpolation = "bilinear"
-    """What spans a cell, see `scenario.site.ElevationGrid`."""
+    """Surface of a cell, see `scenario.site.ElevationGrid`."""
     first_column: int = 0
     """Place in the whole grid of the first column that is here."""
     first_row: int = 0

@@ -8,10 +8,10 @@ from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel
 
 BILINEAR, TRIANGLES = 0, 1
-"""What spans a cell: one bilinear patch, or two triangles that share its diagonal from south-west to north-east."""
+"""Surface of a cell: one bilinear patch, or two triangles that share its diagonal from south-west to north-east."""
 
 NO_GROUND, PLANE, SPHERE = 0, 1, 2
-"""What lies beyond the grid."""
+"""Ground beyond the grid."""
 
 
 class GridConstants(NamedTuple):

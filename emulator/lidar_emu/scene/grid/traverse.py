@@ -9,7 +9,7 @@ from lidar_emu.scene.grid.cell import cell_of, corners, descent, facet
 from lidar_emu.scene.grid.structures import TRIANGLES, CellRay, Grid, Interval
 
 CLEAR, SURFACE, BEYOND, FACE = 0, 1, 2, 3
-"""What a ray meets: nothing, the surface of a cell, the ground beyond the grid, or the upright face where one
+"""First contact of a ray: nothing, the surface of a cell, the ground beyond the grid, or the upright face where one
 of the two ends higher than the other begins."""
 
 FACE_DEPTH_M = 1e-6
@@ -78,7 +78,7 @@ def _meet_facet(
     t_exit: float,
     beyond: Interval,
 ) -> tuple[int, float]:
-    """What a ray meets between t and t_exit, where it is over a facet of cell (i, j).
+    """First contact of a ray between t and t_exit, where it is over a facet of cell (i, j).
 
     The sign at the far end decides wherever it can, not the root: the next facet starts from the same point, so
     that a ray through an edge or a vertex is taken by one of its facets whatever the rounding. The root counts
@@ -102,7 +102,7 @@ def _meet_facet(
 def _meet_cell(
     grid: Grid, cell: tuple[int, int], ray: CellRay, t: float, t_exit: float, beyond: Interval
 ) -> tuple[int, float]:
-    """What a ray meets between t and t_exit, where it is over cell (i, j)."""
+    """First contact of a ray between t and t_exit, where it is over cell (i, j)."""
     i, j = cell
     southeast, t_facet = ray.u - i >= ray.v - j, t_exit
     if grid.constants.interpolation == TRIANGLES and ray.du != ray.dv:

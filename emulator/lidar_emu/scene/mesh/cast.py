@@ -23,10 +23,10 @@ BUNDLE = 128
 """Most rays of a bundle."""
 
 _APART_M, _ASKEW = 0.5, 2e-3
-"""How far rays of a bundle may start apart, and point, along each axis."""
+"""Largest spread of the starts and of the directions of a bundle's rays, along each axis."""
 
 _SLACK = 1.0 + 1e-14
-"""By how much a box is taken longer, for the rounding of where a ray leaves it."""
+"""Margin by which a box is extended for the rounding of the point at which a ray leaves it."""
 
 
 class _Hull(NamedTuple):

@@ -35,7 +35,7 @@ sides; another one that is seen from behind is the end of a solid."""
 NONE = 2**60
 """In place of a triangle's number."""
 _SAME = 1.0 + 1e-12
-"""At a corner seen edge-on the near and the far side of a solid are at one place: it is the near one that is seen."""
+"""At a corner seen edge-on the near and the far side of a solid coincide: the near side counts."""
 
 
 @kernel

@@ -18,7 +18,7 @@ LEAF_TRIANGLES = 4
 """A box of no more is not split."""
 
 MARGIN_M = 1e-9
-"""By how much boxes are larger than what they hold: more than the rounding of a contact up to 1000 km away."""
+"""Margin of the boxes: more than the rounding of a contact up to 1000 km away."""
 
 _BINS = 16
 """Places between which a split is looked for, along each axis."""

@@ -25,9 +25,9 @@ class Albedo:
     south_m: float
     """North coordinate of the whole map's first row."""
     pixel_east_m: float
-    """From column to column."""
+    """Distance between columns."""
     pixel_north_m: float
-    """From row to row."""
+    """Distance between rows."""
     first_column: int = 0
     """Place in the whole map of the first column that is here."""
     first_row: int = 0

@@ -1,4 +1,4 @@
-"""From elevation grids to one ground: cut to what the run can reach, set one into another, and refined."""
+"""One ground from several elevation grids: cropped to the reach of the run, nested, and refined."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Layer:
 
     samples: Samples
     build: Callable[[Samples, Beyond, str], GridGround]
-    """From samples, the ground beyond and a description to a ground of the grid's kind."""
+    """Builds a ground of the grid's kind from samples, the ground beyond and a description."""
     description: str
     """One line for plans."""
     source: str
@@ -103,7 +103,7 @@ def join_grids(
 
 
 def _spans(layers: Sequence[Layer], beyond: Beyond) -> list[Span]:
-    """Where each grid is; heights are bounds for all, since the one is mixed with the other."""
+    """Span of each grid; the heights bound all of them, since neighbouring grids are blended."""
     bounds_m = [layer.samples.bounds_with(beyond) for layer in layers]
     floor_m, ceiling_m = min(low for low, _ in bounds_m), max(high for _, high in bounds_m)
     return [Span(extent(layer.samples), floor_m, ceiling_m) for layer in layers]

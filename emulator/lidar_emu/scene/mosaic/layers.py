@@ -1,4 +1,4 @@
-"""From the grids of a site to their samples in the site frame."""
+"""Reading of a site's grids: their samples in the site frame."""
 
 from __future__ import annotations
 

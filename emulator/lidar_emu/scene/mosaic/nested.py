@@ -142,7 +142,7 @@ class NestedGround:
         return hits
 
     def _crossings_m(self, origin: FloatArray, direction: FloatArray) -> list[float]:
-        """Where a single ray crosses the lines on which the edges lie."""
+        """Points at which a single ray crosses the lines of the edges."""
         lines_m = ((0, self.rectangle[:2]), (1, self.rectangle[2:]))
         with np.errstate(divide="ignore", invalid="ignore"):
             t = [(line_m - origin[axis]) / direction[axis] for axis, pair in lines_m for line_m in pair]

@@ -46,7 +46,7 @@ def nest(
 
 
 def extent(samples: Samples) -> Rectangle:
-    """What the samples span."""
+    """Area that the samples span."""
     east_m, north_m = samples.east_m, samples.north_m
     return Rectangle(float(east_m[0]), float(east_m[-1]), float(north_m[0]), float(north_m[-1]))
 

@@ -1,4 +1,4 @@
-"""From the objects of a site to what rays can hit."""
+"""Scenes of a ground and the objects of its site."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _joined(still: list[Standing]) -> Triangles:
 
 
 def _around(spans: list[Span]) -> Span:
-    """What holds all of them."""
+    """Span that contains all of them."""
     areas = np.array([span.area for span in spans])
     west_m, _, south_m, _ = areas.min(axis=0).tolist()
     _, east_m, _, north_m = areas.max(axis=0).tolist()

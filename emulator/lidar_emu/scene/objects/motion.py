@@ -1,4 +1,4 @@
-"""Where moving objects are, and how fast what belongs to them moves."""
+"""Poses of moving objects, and the velocities of points on them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class MovingObject:
         self._reach_m = float(np.sqrt(np.maximum(mesh.low_m**2, mesh.high_m**2).sum()))
 
     def poses(self, time_s: FloatArray) -> Poses:
-        """At m times since the start."""
+        """Poses at m times since the start."""
         place_m, velocity_mps = self._path(time_s)
         turned_rad = self._rate_site_radps[2] * time_s
         return Poses(place_m, velocity_mps, from_yaw_pitch_roll(turned_rad, 0.0, 0.0))

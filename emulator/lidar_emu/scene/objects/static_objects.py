@@ -59,7 +59,7 @@ class Standing(NamedTuple):
 
     @property
     def span(self) -> Span:
-        """What all copies fill, and somewhat more."""
+        """Space that all copies fill, with a margin."""
         (east_m, north_m, up_m), away_m = self.place_m.T, self._away_m
         z_m = self.shape.corner_m[..., 2]
         across = Rectangle(

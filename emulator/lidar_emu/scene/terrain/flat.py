@@ -26,9 +26,9 @@ class FlatMap:
     first_y_m: float
     """Map northing of the first row."""
     pixel_x_m: float
-    """From column to column."""
+    """Distance between columns."""
     pixel_y_m: float
-    """From row to row."""
+    """Distance between rows."""
     source: str
     """The file."""
     has_map: bool = True

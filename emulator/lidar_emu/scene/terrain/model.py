@@ -27,17 +27,17 @@ class Terrain:
     north_m: float
     """North coordinate of the first row."""
     pixel_east_m: float
-    """From column to column."""
+    """Distance between columns."""
     pixel_north_m: float
-    """From row to row."""
+    """Distance between rows."""
     origin_elevation_m: float
     """Elevation of the ground at the origin above the datum of the file."""
     source: str
     """The file."""
     frame: LocalFrame | None = None
-    """Where on the body the origin lies; None: the grid is flat, as its map is."""
+    """Frame of the origin on the body; None: the grid is flat, as its map is."""
     placed: str = ""
-    """How the samples were taken from the file, for plans; empty: as they are."""
+    """Placement of the samples, for plans; empty: unchanged from the file."""
     reflectance: FloatArray | None = None
     """(rows, columns) albedo, where the file has it; NaN where missing."""
     rock_abundance: FloatArray | None = None
@@ -62,7 +62,7 @@ class Terrain:
 
 
 def _range(name: str, values: FloatArray | None) -> str:
-    """What a band says, in words; empty where there is none."""
+    """Range of a band in words; empty where there is none."""
     if values is None or np.isnan(values).all():
         return ""
     return f"{name} {np.nanmin(values):.3g} to {np.nanmax(values):.3g} (median {np.nanmedian(values):.3g})"

@@ -18,9 +18,9 @@ from lidar_emu.scene.terrain.raster import band_number, elevations_m, other_band
 from lidar_emu.scene.terrain.resample import MapSurface, resampled
 
 SAMPLES_TO_EACH_SIDE = 1000
-"""How far a grid reaches from the origin where the site does not say it."""
+"""Default distance from the origin to the edge of a grid."""
 SHARE_OF_RADIUS = 0.1
-"""How far at most, of the body's radius."""
+"""Largest distance, as a share of the body's radius."""
 
 
 def read_on_body(ground: ElevationGrid, file: Any) -> Terrain:
@@ -97,7 +97,7 @@ def _origin(ground: ElevationGrid, raster: RasterMap) -> tuple[str, FloatArray, 
 
 
 def _area(raster: RasterMap) -> str:
-    """What the corners and edges of a map span, in words."""
+    """Latitudes and longitudes of a map's corners and edges, in words."""
     latitude, longitude = (np.degrees(angle) for angle in raster.geodetic(*_outline(raster)))
     if np.isnan(latitude).any() or raster.is_closed:
         return "a point on the map of the file"
@@ -136,7 +136,7 @@ def _spacing_m(steps_m: FloatArray) -> float:
 
 
 def _extent(ground: ElevationGrid, raster: RasterMap, frame: LocalFrame, spacing_m: float) -> Rectangle:
-    """What is wanted of the file, and what of that it can have."""
+    """Area that the site requests, limited to the part that the file covers."""
     radius_m = frame.ellipsoid.equatorial_m
     half_m = min(SAMPLES_TO_EACH_SIDE * spacing_m, SHARE_OF_RADIUS * radius_m)
     if ground.half_size_m is not None:

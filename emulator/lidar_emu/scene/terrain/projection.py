@@ -1,4 +1,4 @@
-"""From latitudes and longitudes to the map of a raster file and back, by PROJ through rasterio."""
+"""Conversion between latitudes and longitudes and the map of a raster file, by PROJ through rasterio."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def open_raster(path: str) -> Iterator[Any]:
 
 
 def failures() -> tuple[type[Exception], ...]:
-    """What rasterio raises, and GDAL's own errors that pass through it: their base has no public name."""
+    """Errors of rasterio, and of GDAL where they pass through it: their base class has no public name."""
     from rasterio._err import CPLE_BaseError
     from rasterio.errors import CRSError, RasterioError
 
@@ -165,7 +165,7 @@ def _allowed(path: str) -> str:
 
 
 def _metres_per_unit(file: Any, band: int) -> float:
-    """By the unit that the file states; a file that states none is in metres."""
+    """Scale from the unit that the file states; without one, metres."""
     unit = file.units[band - 1] or _unit_of_label(file)
     return _METRES_PER_UNIT.get(unit.strip().lower(), 1.0)
 

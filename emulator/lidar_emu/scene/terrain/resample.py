@@ -94,7 +94,7 @@ def _blocks(rows: int, columns: int) -> Iterator[slice]:
 def _error_in_words(
     surface: MapSurface, height_m: FloatArray, east_m: FloatArray, north_m: FloatArray
 ) -> str:
-    """How far the grid is from the file's own bilinear surface where it is furthest from both: between samples."""
+    """Largest distance between the grid and the file's own bilinear surface, taken midway between samples."""
     step = max(1, int(np.sqrt(height_m.size / _PROBES)))
     row, column = (k.ravel() for k in np.mgrid[0 : len(north_m) - 1 : step, 0 : len(east_m) - 1 : step])
     between = (

@@ -23,7 +23,7 @@ class Lags(NamedTuple):
 
 
 class Acting(NamedTuple):
-    """What acts from the instant of a command on: values then, and those commanded."""
+    """Actuators since a command: values at its instant, and commanded values."""
 
     thrust_n: float
     mass_kg: float

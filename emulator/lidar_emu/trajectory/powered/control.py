@@ -26,7 +26,7 @@ LEAST_UPWARD = 0.2
 
 
 class Guide(NamedTuple):
-    """What guidance and control know of the scenario."""
+    """Constants of guidance and control."""
 
     polynomial: bool
     """Else a gravity turn."""
@@ -88,7 +88,7 @@ def against_velocity(guide: Guide, drop_m: float, velocity_mps: Vector, gravity:
 
 @kernel
 def let_down(guide: Guide, beside_m: Vector, velocity_mps: Vector) -> Vector:
-    """At the descent's speed, and critically damped towards nought beside the target."""
+    """Acceleration towards the descent speed, critically damped to zero beside the target."""
     return (
         -beside_m[0] / (4.0 * HOLDING_S * HOLDING_S) - velocity_mps[0] / HOLDING_S,
         -beside_m[1] / (4.0 * HOLDING_S * HOLDING_S) - velocity_mps[1] / HOLDING_S,

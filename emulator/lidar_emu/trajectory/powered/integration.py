@@ -18,7 +18,7 @@ from lidar_emu.trajectory.powered.vehicle import ATTITUDE, POSITION, RATE, SIZE,
 
 BURNING, FALLING, STANDING = 0, 1, 2
 ENDED, EMPTY, LOST, ALOFT, CROWDED = 0, 1, 2, 3, 4
-"""How a flight ends: as it should, without propellant, no longer finite, not at all, or after too many steps."""
+"""Outcomes of a flight: landed, out of propellant, no longer finite, still aloft, or too many steps."""
 SLOPE = 14
 """Numbers of a slope: first, then second derivatives of position and quaternion."""
 

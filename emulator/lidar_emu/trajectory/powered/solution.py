@@ -1,4 +1,4 @@
-"""From the scenario's part to the flight that it comes to, solved as a whole before the run."""
+"""Solution of a powered descent: the whole flight is integrated before the run."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ STANDARD_GRAVITY_MPS2 = 9.80665
 
 
 class VehicleConstants(NamedTuple):
-    """What the equations of motion need; of parts that are not there the masses are 0."""
+    """Constants of the equations of motion; absent parts have a mass of 0."""
 
     start_kg: float
     inertia_kgm2: Vector
@@ -51,7 +51,7 @@ class VehicleConstants(NamedTuple):
 def vehicle_constants(
     vehicle: parts.Vehicle, gravity_mps2: float, body_radius_m: float, ground_m: float
 ) -> VehicleConstants:
-    """From the scenario's part."""
+    """Convert the part of a scenario."""
     slosh, mode, gear = vehicle.slosh, vehicle.flexible_mode, vehicle.gear
     dry = vehicle.dry_mass_kg / vehicle.mass_kg
     x, y, z = vehicle.inertia_kgm2
