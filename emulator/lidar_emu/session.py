@@ -146,7 +146,7 @@ class Session:
         Args:
             model: model with the faults.
             faulty: encoder with the faults.
-            events: events of the device, including those of faults; None: as before.
+            events: events of the device, including device faults; None: as before.
         """
         if events is not None:
             self.rules = replace(self.rules, events=events)

@@ -1,1 +1,1 @@
-"""What a run leaves behind for people: tables, point clouds and plots."""
+"""Results of a run as tables, point clouds, plots and an HTML report."""
