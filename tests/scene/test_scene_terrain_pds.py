@@ -123,7 +123,7 @@ def test_radii_instead_of_elevations(tmp_path):
 
 def test_the_image_instead_of_its_label(tmp_path):
     path = write_pds(tmp_path, LOLA)
-    with pytest.raises(InputError, match=r"of a PDS image its label, such as map\.lbl"):
+    with pytest.raises(InputError, match=r"the label of the PDS image, such as map\.lbl"):
         elevation_at(path.with_suffix(".img"), 0, 0)
 
 

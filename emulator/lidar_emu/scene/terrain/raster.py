@@ -160,7 +160,7 @@ def _settings(rasterio: Any, path: str) -> dict[str, str]:
 def _allowed(path: str) -> str:
     label = Path(path).with_suffix(".lbl")
     if Path(path).suffix.lower() == ".img":
-        return f"allowed: of a PDS image its label, such as {label.name}"
+        return f"allowed: the label of the PDS image, such as {label.name}"
     return "allowed: an intact GeoTIFF, PDS label or ESRI ASCII grid"
 
 
