@@ -12,6 +12,7 @@ from typing import Any
 
 HEAD = struct.Struct(">HHH7s7sBBBBI")
 BEAM = struct.Struct(">BBhIiIHHhHI")
+SHOT_APID = 0x2A0
 
 
 def unstuffed(stream: bytes | bytearray) -> list[bytes]:
@@ -23,6 +24,13 @@ def unstuffed(stream: bytes | bytearray) -> list[bytes]:
         assert len(packet) == struct.unpack_from(">H", packet, 4)[0] + 7
         assert binascii.crc_hqx(packet, 0xFFFF) == 0
     return packets
+
+
+def shots(stream: bytes | bytearray) -> list[bytes]:
+    """The space packets of shots, of any unit: housekeeping and acknowledgements have other APIDs."""
+    return [
+        packet for packet in unstuffed(stream) if struct.unpack_from(">H", packet)[0] & 0x7F0 == SHOT_APID
+    ]
 
 
 def _unstuff(frame: bytes) -> bytes:
@@ -57,7 +65,7 @@ def decoded(packet: bytes) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 
 def rows(stream: bytes | bytearray) -> list[dict[str, Any]]:
     """All beams of a byte stream."""
-    return [beam for packet in unstuffed(stream) for beam in decoded(packet)[1]]
+    return [beam for packet in shots(stream) for beam in decoded(packet)[1]]
 
 
 def _beam(

@@ -18,8 +18,6 @@ from forked import ForkedProcess
 from waiting import LIMIT_S, eventually
 
 COMMAND = Path(sys.executable).parent / "lidar-emu"
-SHOTS_ALONE = ["--set", "device.housekeeping_rate_hz=0"]
-"""Most tests read the bytes of shots; those of housekeeping ask for it."""
 
 
 class Program:
@@ -31,8 +29,6 @@ class Program:
 
     def __init__(self, arguments: list[str], folder: Path, name: str, started: bool = False) -> None:
         self._files = folder / f"{name}.out", folder / f"{name}.err"
-        if arguments[0] == "run":
-            arguments = ["run", *SHOTS_ALONE, *arguments[1:]]
         for file in self._files:
             file.touch()
         self.process: ForkedProcess | subprocess.Popen[bytes]
@@ -117,6 +113,12 @@ def is_running(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
+
+
+def listened_beams(listener: Program) -> list[dict[str, Any]]:
+    """The whole lines of `listen --json` so far that are beams; the others are housekeeping and acknowledgements."""
+    *lines, _ = listener.out.split("\n")
+    return [row for row in map(json.loads, lines) if "beam" in row]
 
 
 def read_summary(path: Path) -> dict[str, Any]:

@@ -15,6 +15,7 @@ DATABASE: Any = cantools.database.load_file(Path(lidar_protocol.__file__).parent
 FD_LENGTHS = dict(zip("0123456789ABCDEF", (*range(9), 12, 16, 20, 24, 32, 48, 64), strict=True))
 BEAM_SLOTS = 8
 BEAM_MESSAGES = {"Beam", "Quality", "Geometry", "FdBeam"}
+SHOT_MESSAGES = BEAM_MESSAGES | {"Header", "Status", "Shot", "FdHeader"}
 
 
 @dataclass(frozen=True)
@@ -41,14 +42,23 @@ def _frame(line: str) -> Line:
     return Line(line[0], int(line[1:4], 16), data)
 
 
+def of_shots(lines: Iterable[Line], unit: int = 0) -> list[Line]:
+    """The frames of shots: housekeeping and acknowledgements have other identifiers."""
+    return [line for line in lines if _message(line, unit).name.rstrip("0123456789") in SHOT_MESSAGES]
+
+
+def _message(line: Line, unit: int) -> Any:
+    return DATABASE.get_message_by_frame_id(line.can_id - 0x40 * unit)
+
+
 def shots(lines: Iterable[Line], unit: int = 0) -> list[dict[str, Any]]:
     """Shots as the DBC reads them: values of the header messages, and `beams`, one mapping per slot.
 
     A new shot begins with each (FD) header; every frame of a shot carries the same counter.
     """
     result: list[dict[str, Any]] = []
-    for number, line in enumerate(lines):
-        message = DATABASE.get_message_by_frame_id(line.can_id - 0x40 * unit)
+    for number, line in enumerate(of_shots(lines, unit)):
+        message = _message(line, unit)
         values = {name: _plain(value) for name, value in message.decode(line.data).items()}
         counter = values.pop("shot_counter")
         name, slot = message.name.rstrip("0123456789"), (line.can_id % BEAM_SLOTS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import socket
@@ -15,7 +14,7 @@ from typing import Any
 import handwritten
 import pytest
 from comparison import assert_complete, assert_equal
-from programs import FarEnd, Program, read_summary
+from programs import FarEnd, Program, listened_beams, read_summary
 from waiting import eventually
 
 from lidar_emu.measurement import Measurement
@@ -140,10 +139,10 @@ def test_a_descent_over_udp_for_a_listener_and_for_nobody_else(
     listener.word_after("listening on ")
     start("run", "descent.yaml", "--port", port, "--duration", "3", "--summary", "s.json").succeed()
     summary = read_summary(tmp_path / "s.json")
-    eventually(lambda: listener.out.count("\n") >= 4 * summary["shots"]["sent"])
+    eventually(lambda: len(listened_beams(listener)) >= 4 * summary["shots"]["sent"])
     listener.signal(signal.SIGINT)
     assert listener.wait() == 0
-    rows = [json.loads(line) for line in listener.out.splitlines()]
+    rows = listened_beams(listener)
     assert_complete(rows, summary, 4)
     assert_equal(rows, simulated("descent.yaml"))
 
@@ -153,10 +152,11 @@ def test_a_bridge_gets_one_framed_packet_a_datagram(start: Start, tmp_path: Path
         bridge.bind(("127.0.0.1", 0))
         bridge.settimeout(60)
         run = start("run", *RATE[:-4], "--port", f"udp:{bridge.getsockname()[1]}", "--summary", "s.json")
-        for _ in range(50):
-            (packet,) = handwritten.unstuffed(bridge.recv(2000))
-            assert len(packet) == PACKET_BYTES - 2
+        datagrams = [bridge.recv(2000) for _ in range(50)]
         bridge.close()
         run.signal(signal.SIGINT)
         run.succeed()
-    assert read_summary(tmp_path / "s.json")["shots"]["sent"] >= 50
+    assert {len(handwritten.unstuffed(datagram)) for datagram in datagrams} == {1}
+    shots = [packet for datagram in datagrams for packet in handwritten.shots(datagram)]
+    assert {len(packet) for packet in shots} == {PACKET_BYTES - 2}
+    assert read_summary(tmp_path / "s.json")["shots"]["sent"] >= len(shots) > 40

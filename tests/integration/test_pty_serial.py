@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +11,7 @@ import handwritten
 import numpy as np
 import pytest
 from comparison import SERIAL_STEPS, assert_complete, assert_equal
-from programs import FarEnd, Program, PtyReader, read_summary
+from programs import FarEnd, Program, PtyReader, listened_beams, read_summary
 from waiting import eventually
 
 from lidar_emu.measurement import Measurement
@@ -25,13 +24,14 @@ Simulated = Callable[..., Measurement]
 
 def listened(listener: Program, summary: dict[str, Any]) -> list[dict[str, Any]]:
     """The rows of `listen --json` once all have come; the listener is ended as by Ctrl-C."""
-    count = BEAMS * summary["shots"]["sent"]
-    eventually(lambda: listener.out.count("\n") >= count)
+    shots, housekeeping = summary["shots"]["sent"], summary["housekeeping"]["sent"]
+    eventually(lambda: len(listened_beams(listener)) >= BEAMS * shots)
+    eventually(lambda: listener.out.count('"housekeeping"') >= housekeeping)
     listener.signal(signal.SIGINT)
     assert listener.wait() == 0
-    sent = summary["shots"]["sent"]
-    assert f"received: frames {sent}, messages {sent}" in listener.err
-    return [json.loads(line) for line in listener.out.splitlines()]
+    sent = shots + housekeeping
+    assert f"received: frames {sent}, messages {sent}, housekeeping {housekeeping}" in listener.err
+    return listened_beams(listener)
 
 
 def assert_times_equal(rows: list[dict[str, Any]], simulated: Measurement) -> None:
@@ -80,7 +80,7 @@ def test_a_whole_descent_read_by_listen_and_by_hand(
 
 def test_headers_read_by_hand(start: Start, far_end: FarEnd, simulated: Simulated) -> None:
     start("run", "descent.yaml", "--port", far_end.path, "--pace", "max", "--set", "wire.unit=3").succeed()
-    headers = [handwritten.decoded(packet)[0] for packet in handwritten.unstuffed(far_end.data)]
+    headers = [handwritten.decoded(packet)[0] for packet in handwritten.shots(far_end.data)]
     expected = simulated("descent.yaml")
     assert [header["shot"] for header in headers] == expected.shot.tolist()
     for name in ("time_ns", "due_ns"):

@@ -22,7 +22,8 @@ from waiting import eventually
 
 from lidar_emu.measurement import Measurement
 
-TOPICS = {"/truth", "/measurement", "/packet", "/delivery"}
+OF_SHOTS = {"/truth", "/measurement", "/packet", "/delivery"}
+BYTES = {"/packet", "/housekeeping"}
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "recordings.md"
 MAGIC_BYTES = 8
 MESSAGE = 0x05
@@ -54,11 +55,10 @@ def test_a_whole_recording_holds_every_shot(recording: bytes, simulated: Simulat
     by_topic: dict[str, list[Any]] = defaultdict(list)
     log_ns: dict[str, list[int]] = defaultdict(list)
     for _, channel, message in make_reader(io.BytesIO(recording)).iter_messages():
-        is_packet = channel.topic == "/packet"
-        by_topic[channel.topic].append(message.data if is_packet else json.loads(message.data))
+        by_topic[channel.topic].append(message.data if channel.topic in BYTES else json.loads(message.data))
         log_ns[channel.topic].append(message.log_time)
-    assert set(by_topic) == TOPICS
-    for topic in TOPICS - {"/packet"}:
+    assert set(by_topic) == OF_SHOTS | {"/housekeeping"}
+    for topic in OF_SHOTS - BYTES:
         shots = [np.atleast_1d(message["shot"])[0] for message in by_topic[topic]]
         assert shots == expected.shot.tolist(), topic
     epoch_ns = 1_893_456_000 * 10**9  # 2030-01-01, the default of timing.epoch
@@ -85,7 +85,7 @@ def test_a_cut_recording_holds_everything_before_the_cut(recording: bytes, share
         (channel.topic, message.sequence, message.data)
         for _, channel, message in NonSeekingReader(io.BytesIO(recording)).iter_messages(log_time_order=False)
     ]
-    assert len(whole) == 4 * 1008
+    assert sum(topic in OF_SHOTS for topic, _, _ in whole) == 4 * 1008
     read = []
     reader = NonSeekingReader(io.BytesIO(recording[:cut]))
     try:

@@ -19,6 +19,7 @@ from lidar_emu.wire import Encoder
 
 SHOTS = 200
 FAST = ["descent.yaml", "--set", "timing.rate_hz=100", "--duration", "2"]
+SHOTS_ALONE = ["--set", "device.housekeeping_rate_hz=0"]
 STALL_S = 0.5
 
 Start = Callable[..., Program]
@@ -49,11 +50,11 @@ def recorded(file: Path, topic: str) -> list[bytes]:
 
 @pytest.fixture
 def sent_bytes(start: Start, far_end: FarEnd) -> Callable[..., bytes]:
-    """What a run of FAST sends to a serial port."""
+    """The shots that a run of FAST sends to a serial port."""
 
     def run(*options: str) -> bytes:
         far_end.data.clear()
-        start("run", *FAST, "--port", far_end.path, "--baud", "921600", *options).succeed()
+        start("run", *FAST, *SHOTS_ALONE, "--port", far_end.path, "--baud", "921600", *options).succeed()
         return bytes(far_end.data)
 
     return run
@@ -126,7 +127,7 @@ def test_two_units_on_can_differ_in_their_identifiers_alone(fd: bool, can_messag
 
 def test_a_stall_is_counted_and_changes_no_byte(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
     options = ["--record", "stall.mcap", "--summary", "s.json"]
-    run = start("run", *FAST, "--port", far_end.path, "--baud", "921600", *options)
+    run = start("run", *FAST, *SHOTS_ALONE, "--port", far_end.path, "--baud", "921600", *options)
     port = run.port_process()
     far_end.wait_for(20 * 144)
     run.stall(port, STALL_S)

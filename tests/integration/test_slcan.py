@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 import slcan_lines
 from comparison import CODES, FLAGS, SERIAL_HELD, SERIAL_STEPS, assert_complete, assert_equal
-from programs import FarEnd, Program, read_summary
+from programs import FarEnd, Program, listened_beams, read_summary
 from waiting import eventually
 
 from lidar_emu.measurement import Measurement
@@ -78,7 +77,7 @@ def test_the_core_set_at_the_pace_of_the_clock(
 def test_fd_frames(start: Start, far_end: FarEnd, simulated: Simulated) -> None:
     options = slcan(far_end.path, "--fd", "--data-bitrate", "5000000")
     start("run", "descent.yaml", *options, "--pace", "max").succeed()
-    lines = slcan_lines.frames(far_end.data)
+    lines = slcan_lines.of_shots(slcan_lines.frames(far_end.data))
     assert {line.kind for line in lines} == {"b"}
     assert {len(line.data) for line in lines} == {24, 32}
     shots = slcan_lines.shots(lines)
@@ -101,10 +100,10 @@ def test_listen_at_the_other_end_of_the_bus(
     start("run", "descent.yaml", *slcan(far_end.path), *options).succeed()
     summary = read_summary(tmp_path / "s.json")
     count = BEAMS * summary["shots"]["sent"]
-    eventually(lambda: listener.out.count("\n") >= count)
+    eventually(lambda: len(listened_beams(listener)) >= count)
     listener.signal(signal.SIGINT)
     assert listener.wait() == 0
-    rows = [json.loads(line) for line in listener.out.splitlines()]
+    rows = listened_beams(listener)
     if can_set == "full":
         assert_complete(rows, summary, BEAMS)
         assert_equal(rows, simulated("descent.yaml"), FULL_STEPS, FULL_HELD, FULL_EXACT)

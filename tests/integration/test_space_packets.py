@@ -46,9 +46,9 @@ BEAM = [
 
 
 def packets_of(start: Start, far_end: FarEnd, *arguments: str) -> list[bytes]:
-    """Everything that a run sends, at any pace."""
+    """The shots that a run sends."""
     start("run", *arguments, "--port", far_end.path, "--baud", "3000000", "--pace", "max").succeed()
-    return handwritten.unstuffed(far_end.data)
+    return handwritten.shots(far_end.data)
 
 
 def columns_of(packets: list[bytes], beams: int) -> dict[str, Any]:

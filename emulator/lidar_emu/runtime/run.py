@@ -107,6 +107,8 @@ class Run:
                 self._status.opening = False
                 with self._outliving_the_port():
                     self._feed(packets, changes).run()
+            if self._housekeeping is not None:
+                self._housekeeping.end()
             self._port.close()
             packets.close()
             changes.close()

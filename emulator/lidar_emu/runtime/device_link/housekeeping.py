@@ -50,6 +50,7 @@ class HousekeepingSender(Observer):
         self._last_period: tuple[int, int] | None = None
         self._truth_age_s: float | None = None
         self._sent = self._encode_failures = 0
+        self._ended = False
         try:
             encoder.housekeeping(0, self.values(0) | {"mode": self._mode_word(Mode.TRACK)})
         except EncodeError as error:
@@ -59,7 +60,8 @@ class HousekeepingSender(Observer):
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
         """Send what is due by the time of this packet."""
-        self.send_due(packet.due_ns)
+        if not self._ended:
+            self.send_due(packet.due_ns)
 
     def on_truth_used(self, shot: int, age_ns: int, truth_time_ns: int) -> None:  # noqa: ARG002
         """Store the age of the last shot's truth."""
@@ -78,6 +80,10 @@ class HousekeepingSender(Observer):
         if period != self._last_period:
             self._last_period = period
             self._send_at(time_ns)
+
+    def end(self) -> None:
+        """Send nothing more: the last reports arrive after the port is closed."""
+        self._ended = True
 
     def start_flight(self) -> None:
         """Scenario time begins anew."""
