@@ -96,6 +96,20 @@ def test_a_kernel_is_compiled_once_and_found_again(folder: Path, warnings: Calla
     assert warnings() == []
 
 
+def test_a_kernel_whose_named_tuple_has_moved_is_compiled_again(folder: Path) -> None:
+    assert start() == (51.0, 1)
+    (old,) = folder.iterdir()
+    moved = made()
+    moved.Line.__module__ = "lidar_emu.made_elsewhere"
+    sys.modules["lidar_emu.made_elsewhere"] = moved
+    assert moved.outer(moved.Line(4.0, 1.0), 10.0) == 51.0
+    (new,) = set(folder.iterdir()) - {old}
+    # Where a name is the same by chance, a file that names a missing class counts as none.
+    del sys.modules["lidar_emu.made_elsewhere"]
+    old.write_bytes(new.read_bytes())
+    assert start() == (51.0, 1)
+
+
 DAMAGES: dict[str, Callable[[bytes], bytes]] = {
     "empty": lambda _: b"",
     "a byte": lambda data: data[:1],
@@ -289,5 +303,5 @@ def test_a_run_outlives_a_damaged_file(tmp_path: Path) -> None:
     assert len(ran.stderr.splitlines()) == 1
     assert "damaged kernels" in ran.stderr
     assert (tmp_path / "out.csv").read_bytes() == expected
-    assert damaged
-    assert all(file.stat().st_size for file in damaged)
+    # Others are of versions of the kernel that were compiled before.
+    assert any(file.stat().st_size for file in damaged)

@@ -73,7 +73,7 @@ class InAnother:
     """The port process of a run."""
 
     def __init__(self, far: FarEnd) -> None:
-        self._runner = PortRunner(slots=16, packet_bytes=8192)
+        self._runner = PortRunner(slots=16, packet_bytes=8192, keeps_received=True)
         try:
             self.description = self._runner.start(far.spec)
         except BaseException:

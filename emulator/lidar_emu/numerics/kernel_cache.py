@@ -61,7 +61,10 @@ class KernelCache(NullCache):
         if sha256(content).digest() != check_sum:
             _warn("damaged", f"damaged kernels in {_folder()} are compiled again")
             return None
-        return _rebuild(target_context, *pickle.loads(content))
+        try:
+            return _rebuild(target_context, *pickle.loads(content))
+        except (ImportError, AttributeError):  # it names a class that has moved since
+            return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep a kernel that was just compiled; warn once if that fails."""
