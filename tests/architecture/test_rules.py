@@ -1,4 +1,4 @@
-"""DeviceConstants that hold everywhere in the source, read off its syntax trees."""
+"""Rules that hold everywhere in the source, read off its syntax trees."""
 
 from __future__ import annotations
 

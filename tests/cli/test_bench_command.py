@@ -112,8 +112,8 @@ def test_picture(run, tmp_path):
 @pytest.mark.slow
 def test_cheapest_for_a_target(run, report):
     rows = {result.setting.name: result for result in report.results}
-    bound = 1.01 * report.told(rows["spectral 127"]).range_m
-    able = [r for r in report.results if report.told(r).range_m <= bound]
+    bound = 1.01 * report.resolved_error(rows["spectral 127"]).range_m
+    able = [r for r in report.results if report.resolved_error(r).range_m <= bound]
     wanted = min(able, key=lambda r: r.time_s).setting
     lines = run("--target-range-error", repr(bound)).stdout.splitlines()
     assert lines[-1].startswith(f"cheapest: {wanted.name},")
@@ -132,9 +132,9 @@ def test_a_target_that_nothing_meets_fails(run, report):
 def test_settings_of_a_common_draw_are_told_below_the_floor(report):
     for result in report.results:
         if result.setting.shares_draws:
-            assert report.told(result) == result.error
+            assert report.resolved_error(result) == result.error
         else:
-            assert report.told(result).range_m >= report.floor.range_m
+            assert report.resolved_error(result).range_m >= report.floor.range_m
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,7 @@ ALTITUDES = "allowed: LOW:HIGH in metres"
         (["descent", "--altitudes", "1:2:3"], ("--altitudes: '1:2:3'", ALTITUDES)),
         (["descent", "--set", "seed"], ("--set: 'seed'", "KEY=VALUE")),
         (["descent", "--plot", "out.jpg"], ("out.jpg", ".png")),
-        (["descent", "--plot", "out.png", "--altitudes", "2e4:3e4"], ("no beam that has an echo", "maximum_range_m")),
+        (["descent", "--plot", "out.png", "--altitudes", "2e4:3e4"], ("no beam with an echo", "maximum_range_m")),
         (["descent", "--set", "instrument.receiver.responsivity_a_per_w=2"], ("responsivity_a_per_w", "at most 1.25")),
     ],
 )  # fmt: skip

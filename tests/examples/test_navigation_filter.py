@@ -13,7 +13,7 @@ from inertial import TACTICAL, Grade
 from scipy.stats import chi2
 from simulated_inertial import SimulatedInertial, rotation_vectors
 from trials import START_SIGMAS, Log, errors, fly, normalised, start
-from trust import CAREFUL, DeviceConstants, Watch
+from trust import CAREFUL, Rules, Watch
 from truth import Truth
 
 import lidar_emu
@@ -185,7 +185,7 @@ def test_noise_is_judged_by_parity_and_not_by_outliers() -> None:
     for sigma, outliers, factor in ((1.0, 0.2, 1.0), (30.0, 0.2, 900.0), (1.0, 0.0, 1.0)):
         factors = []
         for _ in range(50):
-            watch = Watch(DeviceConstants())
+            watch = Watch(Rules())
             for k in range(60):
                 watch.listen(np.array([1e5 if rng.random() < outliers else sigma * rng.standard_normal()]))
                 assert watch.is_settled == (k >= 19)

@@ -188,5 +188,5 @@ def test_the_plan_tells_of_it():
 
     assert told(landing(None)) == []
     assert told(landing({}))[0].computed
-    assert "own echo is missing" in told(landing({}, level="statistical"))[0].bound
+    assert "no echo of the dust sheet" in told(landing({}, level="statistical"))[0].bound
     assert not told(landing({}, duration_s="2"))[0].computed

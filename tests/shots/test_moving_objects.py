@@ -7,7 +7,7 @@ import pytest
 
 from lidar_emu.echo.echoes import compute_echoes
 from lidar_emu.flight.flight import Flight
-from lidar_emu.flight.pointing import VELOCITY
+from lidar_emu.flight.pointing import BeamVectors
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.plan.flight import plan_flight
@@ -39,7 +39,7 @@ def test_at_one_instant_it_does_not_matter_which_of_the_two_moves(make_flight) -
     pointing, _ = flight.point(shot, flight.scanner.initial)
     at_rest = Flight(make_flight(**descent([moving([0.0, 0.0, 0.0])])))
     beams = pointing.beams.copy()
-    beams[VELOCITY] -= velocity_mps
+    beams[BeamVectors._fields.index("velocity_mps")] -= velocity_mps
     # The first instants lie within a millisecond of the start, when both decks are at one place.
     pointing.time_ns[:] = 0
     seen = []

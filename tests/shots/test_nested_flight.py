@@ -72,7 +72,7 @@ def test_plan_tells_the_offset_between_the_maps(folder):
     rows = {(d.stage, d.how): d for d in plan_flight(flown, Flight(flown)).decisions if d.stage == "seam"}
     detail, fine = rows.values()
     assert "+3.00 m ± 0." in fine.reason
-    assert fine.how == "mixed over 32 m"
+    assert fine.how == "blended over 32 m"
     assert "detail to 0.25 m" in detail.reason
 
 

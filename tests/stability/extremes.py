@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from typing import Any
@@ -48,8 +47,8 @@ def _point(
     rate = -speed_mps if rate_mps is None else rate_mps
     beams = echoes(range_m, speed_mps, _power_w(instrument, snr_db), range_rate_mps=rate)
     acceleration = np.full(beams.fired.shape, acceleration_mps2)
-    return instrument, replace(
-        beams, closing_acceleration_mps2=acceleration, smear_acceleration_mps2=acceleration
+    return instrument, beams._replace(
+        closing_acceleration_mps2=acceleration, smear_acceleration_mps2=acceleration
     )
 
 
@@ -74,7 +73,7 @@ def _line(model: str, width_hz: float) -> Instrument:
 def _altered(**columns: float) -> Beams:
     """A beam of which columns hold something else everywhere."""
     instrument, beams = _point(JOINT, 1000.0, 50.0, shots=3)
-    return instrument, replace(beams, **{k: np.full_like(getattr(beams, k), v) for k, v in columns.items()})
+    return instrument, beams._replace(**{k: np.full_like(getattr(beams, k), v) for k, v in columns.items()})
 
 
 def _around(value: float, steps: int = 2) -> list[float]:
@@ -94,7 +93,7 @@ def _zero_of_up_chirp(waveform: Waveform, range_m: float) -> float:
 
 def _all_nan() -> list[Beams]:
     instrument, beams = _footprint(JOINT, 1.0, 19, 3)
-    return [(instrument, replace(beams, range_m=np.full_like(beams.range_m, np.nan)))]
+    return [(instrument, beams._replace(range_m=np.full_like(beams.range_m, np.nan)))]
 
 
 def _some_nan() -> list[Beams]:

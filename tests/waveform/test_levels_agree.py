@@ -11,7 +11,6 @@ drifts by 0.5 rad within the delay (3 kHz at 2 km), and loses 0.55 dB too much w
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -257,7 +256,7 @@ def test_peaks_of_noise_alone_show_two_percent_of_noise(receiver: dict[str, floa
     detection = {"window": "rect", "false_alarm_probability": 0.5}
     case = _case(-300.0, None, detection, receiver)
     dark = case.echoes(60_000)
-    dark = replace(dark, power_w=np.zeros_like(dark.power_w))
+    dark = dark._replace(power_w=np.zeros_like(dark.power_w))
     spectral = receive(case.model, dark, np.arange(60_000), 1)
     same, louder = (case.waveform(6000, noise_share=share) for share in (1.0, 1.02))
     # Nothing detected is no power.

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from instruments import targets
 from scipy.stats import ncx2
 
-from lidar_emu.fmcw import estimation
+from lidar_emu.fmcw import range_speed_estimation
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.waveform.analog_receiver import Digitiser
 from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, measure_waveform
@@ -256,8 +256,10 @@ def test_everything_combined_is_that_of_the_spectral_level(
         least_squares(np.array([observed]), np.array([variance]), 1024, 400.0),
     )
     theirs = (
-        estimation.chirp_minus_doppler(targets(observed, variance)),
-        estimation.least_squares(estimation.ALL, targets(observed, variance), 1024.0, 400.0),
+        range_speed_estimation.chirp_minus_doppler(targets(observed, variance)),
+        range_speed_estimation.least_squares(
+            range_speed_estimation.ALL, targets(observed, variance), 1024.0, 400.0
+        ),
     )
     for slow, fast in zip(ours, theirs, strict=True):
         assert np.isfinite(slow.range_bin[0]) == fast.found
