@@ -59,7 +59,7 @@ $(VENV)/.ready-dev: $(VENV)/.ready
 	$(INSTALL) '.[dev]'
 	@touch $@
 
-# Which small faults in the core no test would notice: an hour or two; docs/mutants.md has the last result.
+# Which small faults in the core no test notices: an hour or two; the verdicts are in .mutants/verdicts.jsonl.
 mutants: $(VENV)/.ready-dev
 	$(INSTALL) '.[mutants]'
 	$(BIN)/python tools/mutants.py map
