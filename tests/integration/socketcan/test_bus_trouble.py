@@ -35,7 +35,7 @@ def events(summary: dict[str, Any]) -> list[str]:
 
 
 def test_a_slow_bus_drops_whole_shots(start: Start, shape: Shape, tmp_path: Path) -> None:
-    shape("tbf", "rate", "500kbit", "burst", "64", "limit", "160")
+    shape("tbf", "rate", "100kbit", "burst", "64", "limit", "160")
     fast = ["--set", "timing.rate_hz=900", "--set", "wire.can_messages=core", "--duration", "1"]
     with candump(tmp_path) as dump:
         start("run", "descent.yaml", *BUS, *SIMPLE, *fast, "--summary", "s.json").succeed()
