@@ -63,10 +63,12 @@ INTERPRETED = (
     "dynamics",
     "fmcw",
     "ground",
+    "numerics",
     "probability",
     "scanner",
     "scene",
     "shots",
+    "stability",
     "trajectory",
     "waveform",
 )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from threading import Event
 from typing import TYPE_CHECKING
 
 import click
@@ -12,6 +12,7 @@ import click
 from lidar_emu.cli.options import plain_option, require_port, wire_interface_option
 from lidar_emu.cli.output import say, silence
 from lidar_emu.errors import InputError
+from lidar_emu.runtime.signals import on_signals
 from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
@@ -60,29 +61,41 @@ def listen(port: PortSpec, as_json: bool, plain: bool, wire_interface: str, coun
     if port.kind is Kind.CAN and interface.can is None:
         raise InputError("--wire-interface", None, wire_interface, "allowed: one with messages on CAN")
     require_port(port, "listen")
-    # Also print the counts when `timeout` or a closing terminal ends it.
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.default_int_handler)
     host = open_host(port)
-    click.echo(f"listening on {host.description}", err=True)
     decoder = Decoder(interface)
     left = count
-    try:
-        with _view(decoder, as_json, plain) as show:
-            while left != 0:
-                for message in decoder.receive(host.read(_READ_S)):
-                    if left != 0:
-                        show(message)
-                    if left and isinstance(message, Message):
-                        left -= 1
-    except KeyboardInterrupt:
-        pass
-    except BrokenPipeError:
-        silence()  # the reader has closed the pipe: `lidar-emu listen --json | head`
-    finally:
-        host.close()
-        lost = f"; the link broke {host.times_lost} times" if host.times_lost else ""
-        click.echo(f"received: {counter_line(decoder.counters())}{lost}", err=True)
+    with _until_signal() as ended:
+        click.echo(f"listening on {host.description}", err=True)
+        try:
+            with _view(decoder, as_json, plain) as show:
+                while left != 0 and not ended.is_set():
+                    for message in decoder.receive(host.read(_READ_S)):
+                        if left != 0:
+                            show(message)
+                        if left and isinstance(message, Message):
+                            left -= 1
+        except KeyboardInterrupt:
+            pass
+        except BrokenPipeError:
+            silence()  # the reader has closed the pipe: `lidar-emu listen --json | head`
+        finally:
+            host.close()
+            lost = f"; the link broke {host.times_lost} times" if host.times_lost else ""
+            click.echo(f"received: {counter_line(decoder.counters())}{lost}", err=True)
+
+
+@contextmanager
+def _until_signal() -> Iterator[Event]:
+    """An event that a signal sets, so that what is received is shown in full; a second signal interrupts."""
+    ended = Event()
+
+    def end(*_: object) -> None:
+        if ended.is_set():
+            raise KeyboardInterrupt
+        ended.set()
+
+    with on_signals(end):
+        yield ended
 
 
 @contextmanager
