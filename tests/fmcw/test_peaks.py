@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE, METHODS, peak
+from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE, PEAK_METHODS, peak
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, ROWS, TAPS, WINDOWS
 from lidar_emu.numerics.kernels import njit
 from lidar_emu.scenario.instrument import Detection
@@ -74,13 +74,13 @@ def _errors(
 ) -> tuple[float, float]:
     """Root mean square of the errors and of the stated standard deviations, in bins."""
     places, grids, bins, columns = _sampled(snr_db, shots, looks, window, noise_power)
-    results = _peaks(METHODS[method], grids, bins, columns, *WINDOWS[window], float(LENGTH))
+    results = _peaks(PEAK_METHODS[method], grids, bins, columns, *WINDOWS[window], float(LENGTH))
     errors = FIRST + columns + results[:, 0] - places
     return float(np.sqrt(np.mean(errors**2))), float(np.sqrt(np.mean(results[:, 1])))
 
 
 def test_methods_are_those_of_the_scenario() -> None:
-    assert set(METHODS) == set(get_args(Detection.model_fields["peak"].annotation))
+    assert set(PEAK_METHODS) == set(get_args(Detection.model_fields["peak"].annotation))
 
 
 # The published figures; those of the parabola are its bias of 0.01146 bin rms and 0.0663 bin of noise at 20 dB.
@@ -101,7 +101,7 @@ def test_errors(method: str, expected: tuple[float, float, float]) -> None:
         assert stated == pytest.approx(found, rel=0.05)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", PEAK_METHODS)
 def test_looks_are_averaged(method: str) -> None:
     for snr_db in (10, 20):
         found, stated = _errors(method, snr_db, looks=6, shots=2000)
@@ -120,7 +120,7 @@ def test_parabola_states_its_bias_under_each_window(window: str, snr_db: float, 
 
 
 def test_noise_level_is_taken_from_the_grid() -> None:
-    for method in METHODS:
+    for method in PEAK_METHODS:
         found, stated = _errors(method, 25, noise_power=1e4, shots=2000)
         assert stated == pytest.approx(found, rel=0.07)
 
@@ -143,7 +143,7 @@ def test_a_clean_tone_is_found_exactly(method: str, rest: float, length: int) ->
     for columns in (5, 17):  # Aboutanios and Mulgrew's sum takes what there is
         grid, bins = _clean(50 + rest, 50 - columns // 2, columns, length)
         grid[POWER, :TAPS] = grid[POWER, -TAPS:] = 0.0
-        offset, variance = peak(METHODS[method], grid, bins, columns // 2, 0.54, -0.23, float(length))
+        offset, variance = peak(PEAK_METHODS[method], grid, bins, columns // 2, 0.54, -0.23, float(length))
         assert offset == pytest.approx(rest, abs=1e-9)
         assert variance == 1e-12
 
@@ -156,13 +156,15 @@ def test_columns_out_of_use_are_not_read() -> None:
         wide_grid, wide_bins = np.full((ROWS, 20), beyond), np.full((1, 2, 20), beyond)
         wide_grid[:, 3:18], wide_bins[:, :, 3:18] = grid, bins
         wide_grid[BIN, 18:] = [58, 59]
-        results.append(peak(METHODS["aboutanios_mulgrew"], wide_grid, wide_bins, 10, 0.54, -0.23, 4096.0))
+        results.append(
+            peak(PEAK_METHODS["aboutanios_mulgrew"], wide_grid, wide_bins, 10, 0.54, -0.23, 4096.0)
+        )
     assert results[0] == results[1]
 
 
 @settings(deadline=None, max_examples=300)
 @given(
-    method=st.sampled_from(sorted(METHODS.values())),
+    method=st.sampled_from(sorted(PEAK_METHODS.values())),
     scale=st.sampled_from([0.0, 1e-150, 1e-30, 1.0, 1e30, 1e150]),
     noise=st.sampled_from([0.0, 1e-30, 1.0, 1e30]),
     values=st.lists(st.sampled_from([-1.0, -0.5, 0.0, 0.3, 1.0, 2.0]), min_size=34, max_size=34),
@@ -182,7 +184,7 @@ def test_whatever_the_bins_hold(
     assert 1e-12 <= variance <= 1 / 3
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", PEAK_METHODS)
 @pytest.mark.parametrize("number", [1, 2, LENGTH // 2 - 2, LENGTH // 2 - 1])
 def test_a_tone_beside_its_image_is_no_better_than_its_bin(method: str, number: int) -> None:
     n = np.arange(LENGTH)
@@ -196,6 +198,6 @@ def test_a_tone_beside_its_image_is_no_better_than_its_bin(method: str, number: 
             grid[BIN], grid[POWER] = k, 0.0
             grid[POWER, 2] = np.abs(bins[2]) ** 2
             stack = np.array([[bins.real, bins.imag]])
-            offset, variance = peak(METHODS[method], grid, stack, 2, 1.0, 0.0, float(LENGTH))
+            offset, variance = peak(PEAK_METHODS[method], grid, stack, 2, 1.0, 0.0, float(LENGTH))
             assert -1 <= offset <= 1
             assert variance >= BIN_VARIANCE

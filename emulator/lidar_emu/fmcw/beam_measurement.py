@@ -12,7 +12,13 @@ from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, gather_beamlets
 from lidar_emu.fmcw.bin_filter import widest_filter
 from lidar_emu.fmcw.detection import find_targets
 from lidar_emu.fmcw.opposite_sign_fault import with_opposite_sign
-from lidar_emu.fmcw.range_speed_estimation import DOWN, UP, Estimate, chirp_minus_doppler, least_squares
+from lidar_emu.fmcw.range_speed_estimation import (
+    CHIRP_MINUS_DOPPLER,
+    DOWN,
+    UP,
+    Estimate,
+    estimate_range_speed,
+)
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes
@@ -191,11 +197,8 @@ def _conclude(model: ReceiverModel, targets: NDArray[Any], row: Any) -> None:
 @kernel
 def _estimate(model: ReceiverModel, segments: int, targets: NDArray[Any]) -> Estimate:
     """The estimate from one target of each segment, (3,) of TARGET."""
-    if model.joint_estimate:
-        farthest_bin = model.record_edge_range_m / model.range_bin_m
-        estimate = least_squares(segments, targets, model.fft_length, farthest_bin)
-    else:
-        estimate = chirp_minus_doppler(targets)
+    farthest_bin = model.record_edge_range_m / model.range_bin_m
+    estimate = estimate_range_speed(model.combine_method, segments, targets, model.fft_length, farthest_bin)
     if model.opposite_doppler_sign:
         return with_opposite_sign(estimate, segments, targets)
     return estimate
@@ -206,7 +209,9 @@ def _report(model: ReceiverModel, estimate: Estimate, row: Any) -> None:
     """An estimate in SI, if it may be reported, else the reason why not."""
     distance_m = estimate.range_bin * model.range_bin_m
     row.residual_mps = 0.5 * estimate.residual_bin * model.speed_bin_mps
-    gross = model.joint_estimate and abs(estimate.residual_bin) > GROSS_RESIDUAL_BINS
+    # The published detector has no such check.
+    checked = model.combine_method != CHIRP_MINUS_DOPPLER
+    gross = checked and abs(estimate.residual_bin) > GROSS_RESIDUAL_BINS
     # Two chirps alone fit range and Doppler shift either way round.
     swapped = row.segments == UP | DOWN and not estimate.sign_resolved
     if gross or swapped or not (estimate.found and distance_m >= 0.0):

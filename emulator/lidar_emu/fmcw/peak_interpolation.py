@@ -30,7 +30,7 @@ from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.sine import FAST, sin_pi
 
 BIN_CENTRE, PARABOLA, JACOBSEN, HANN, ABOUTANIOS_MULGREW = range(5)
-METHODS = {
+PEAK_METHODS = {
     "bin": BIN_CENTRE,
     "parabola": PARABOLA,
     "jacobsen": JACOBSEN,
@@ -79,7 +79,7 @@ def peak(
     is that of a rounded bin at least.
 
     Args:
-        method: one of METHODS.
+        method: one of PEAK_METHODS.
         grid: (ROWS, capacity) with BIN, NOISE and POWER, the mean over looks; see `spectrum`. The filters' taps are
             written to TOP and LOW.
         bins: (looks, 2, capacity) real and imaginary part of the rectangular bins, referred to the record's centre.

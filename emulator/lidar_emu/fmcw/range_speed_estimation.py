@@ -18,6 +18,21 @@ UP, CONSTANT, DOWN = 1, 2, 4
 """Bits of a mask of segments."""
 ALL = UP | CONSTANT | DOWN
 
+CHIRP_MINUS_DOPPLER, LEAST_SQUARES = range(2)
+COMBINE_METHODS = {"chirp_minus_doppler": CHIRP_MINUS_DOPPLER, "least_squares": LEAST_SQUARES}
+"""Methods by their names in a scenario."""
+
+_LEAST_SQUARES_WEIGHTS = (0.5, 0.0, 0.5), (-1 / 3, 1 / 3, 1 / 3)
+
+BEAT_WEIGHTS = np.array(
+    [
+        [((0.0, -1.0, 1.0), (0.0, 1.0, 0.0)), ((1.0, 1.0, 0.0), (0.0, 1.0, 0.0))],
+        [_LEAST_SQUARES_WEIGHTS, _LEAST_SQUARES_WEIGHTS],
+    ]
+)
+"""(methods, 2, 2, 3) weights of g₊, g₀ and g₋, closing and receding, in b and d: each method's result where the signs
+are known and the variances alike."""
+
 _RESOLVED_COST = 9.0
 """A rival explanation that costs this much more, three standard deviations, is refuted."""
 
@@ -48,6 +63,16 @@ class Estimate(NamedTuple):
     """g₋ - g₊ - 2 g₀ with the chosen signs: 0 for three consistent frequencies, NaN for two."""
     sign_resolved: bool
     """No rival explanation comes near."""
+
+
+@kernel
+def estimate_range_speed(
+    method: int, mask: int, targets: NDArray[Any], length: float, farthest_bin: float
+) -> Estimate:
+    """The estimate by one of COMBINE_METHODS; the other arguments are those of `least_squares`."""
+    if method == CHIRP_MINUS_DOPPLER:
+        return chirp_minus_doppler(targets)
+    return least_squares(mask, targets, length, farthest_bin)
 
 
 @kernel

@@ -9,8 +9,9 @@ from lidar_emu.fmcw.analog_response import Response
 from lidar_emu.fmcw.carrier_to_noise import noise_over_shot, shot_a2_per_hz, snr_per_w
 from lidar_emu.fmcw.false_alarms import neighbour_exceedance, quantile
 from lidar_emu.fmcw.link_budget import haze_w_per_m
-from lidar_emu.fmcw.peak_interpolation import METHODS
+from lidar_emu.fmcw.peak_interpolation import PEAK_METHODS
 from lidar_emu.fmcw.physical_constants import ELEMENTARY_CHARGE_C, PLANCK_J_S
+from lidar_emu.fmcw.range_speed_estimation import COMBINE_METHODS
 from lidar_emu.fmcw.receiver_model import Haze, ReceiverModel
 from lidar_emu.fmcw.skip_limits import (
     LEAST_FALSE_ALARM,
@@ -82,8 +83,8 @@ def build_receiver(
         independent_share=1.0 - neighbour_exceedance(window, threshold) if detection.looks == 1 else 1.0,
         threshold=threshold,
         group_power_share=detection.group_fraction**2,
-        peak_method=METHODS[detection.peak],
-        joint_estimate=detection.combine == "least_squares",
+        peak_method=PEAK_METHODS[detection.peak],
+        combine_method=COMBINE_METHODS[detection.combine],
         least_segments=2 if detection.rule == "any_two" else 3,
         maximum_range_m=detection.maximum_range_m,
         record_edge_range_m=waveform.record_edge_range_m,

@@ -60,7 +60,7 @@ class ReceiverModel(NamedTuple):
     """Least power of a detected bin over its mean noise power."""
     group_power_share: float
     peak_method: int
-    joint_estimate: bool
+    combine_method: int
     least_segments: int
     maximum_range_m: float
     record_edge_range_m: float

@@ -21,7 +21,8 @@ from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.analog_response import noise_level, tone_gain
 from lidar_emu.fmcw.beat_tones import signed_bin
 from lidar_emu.fmcw.laser_phase_noise import line_share
-from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY, METHODS
+from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY
+from lidar_emu.fmcw.range_speed_estimation import BEAT_WEIGHTS
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes
@@ -30,7 +31,7 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.detection_forecast import mean_straddling_gain, rule_probability
 from lidar_emu.probability.fading import detection_probability, shared_fade_probability
-from lidar_emu.scenario.instrument import Detection, Instrument
+from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
 
@@ -71,7 +72,7 @@ def expected_error(scenario: FlightScenario, flight: Flight, beamlets: int) -> E
     snr = _snr(model, hits, echoes, beats)
     detected = _detection_probability(instrument, model, echoes, snr, spread)
     variance_bin2 = _variances_bin2(instrument, model, hits, echoes, snr, spread)
-    bias_bin = _biases_bin(instrument.detection, model, echoes, beats)
+    bias_bin = _biases_bin(model, echoes, beats)
     expected = pointing.fired & np.isfinite(hits.range_m) & ~hits.inside
     weight = np.where(expected, detected, 0.0)
     scale = (model.range_bin_m, model.speed_bin_mps)
@@ -165,10 +166,10 @@ def _segment_probabilities(
 
 def _variances_bin2(
     instrument: Instrument, model: ReceiverModel, hits: Hits, echoes: Echoes, snr: FloatArray, spread: Spread
-) -> tuple[FloatArray, FloatArray]:
-    """Compute the variances of range and speed, in bins squared."""
-    detection, looks = instrument.detection, instrument.detection.looks
-    efficiency = EFFICIENCY[METHODS[detection.peak]]
+) -> FloatArray:
+    """(2, shots, beams) variances of range and speed, in bins squared."""
+    looks = instrument.detection.looks
+    efficiency = EFFICIENCY[model.peak_method]
     with np.errstate(divide="ignore", over="ignore"):
         faintest = np.minimum(-instrument.log_false_alarm_per_bin / looks / snr, 50.0)
         noise = efficiency * CRAMER_RAO_BIN2 / snr
@@ -176,7 +177,7 @@ def _variances_bin2(
     noise = _faded(noise, np.ones_like(noise), faintest, looks) if model.speckle else noise / looks
     delay = hits.range_m * model.delay_per_m
     drift = 6.0 * model.linewidth_bins / np.pi * delay**2 * efficiency / looks if model.homodyne_line else 0.0
-    alike = noise + drift + (BIN_VARIANCE if detection.peak == "bin" else 0.0)
+    alike = noise + drift + (BIN_VARIANCE if model.peak_method == BIN_CENTRE else 0.0)
 
     def wander(beat: float, doppler: float) -> FloatArray:
         if not model.speckle:
@@ -184,21 +185,16 @@ def _variances_bin2(
         variance = spread.variance(beat, doppler)
         return _faded(0.5 * variance, np.maximum(variance, BIN_VARIANCE), faintest, looks)
 
-    closing = np.where(echoes.closing_speed_mps[..., 0] >= 0.0, 1.0, -1.0)
     adjacent = _same_fade(instrument, echoes)
     # Two of the three pairs of segments are neighbours.
     same = (2.0 * adjacent + adjacent**4) / 3.0
-    up, constant, down = wander(1.0, -1.0), wander(0.0, 1.0), wander(1.0, 1.0)
-    if detection.combine == "least_squares":
-        own_range, own_speed = (up + down) / 4.0, (up + constant + down) / 9.0
-        noise_range, noise_speed = alike / 2.0, alike / 3.0
-    else:
-        own_range, own_speed = np.where(closing > 0.0, down, up) + constant, constant
-        noise_range, noise_speed = 2.0 * alike, alike
-    return (
-        noise_range + same * wander(1.0, 0.0) + (1.0 - same) * own_range,
-        noise_speed + same * constant + (1.0 - same) * own_speed,
+    own = np.array([wander(1.0, -1.0), wander(0.0, 1.0), wander(1.0, 1.0)])
+    shared = np.array([wander(1.0, 0.0), wander(0.0, 1.0)])
+    square = _beat_weights(model, echoes) ** 2
+    variances: FloatArray = (
+        alike * square.sum(axis=1) + same * shared + (1.0 - same) * (square * own).sum(axis=1)
     )
+    return variances
 
 
 def _faded(at_mean: FloatArray, most: FloatArray, faintest: FloatArray, looks: int) -> FloatArray:
@@ -219,19 +215,14 @@ def _faded(at_mean: FloatArray, most: FloatArray, faintest: FloatArray, looks: i
     return np.where(at_mean > 0.0, np.minimum(mean, most), 0.0)
 
 
-def _biases_bin(
-    detection: Detection, model: ReceiverModel, echoes: Echoes, beats: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Compute the biases of range and speed, in bins: the three beats combined, minus the ground truth."""
-    beat, doppler = _combined(detection, *beats)
-    range_bin = echoes.range_m[..., 0] / model.range_bin_m
-    return beat - range_bin, doppler - echoes.closing_speed_mps[..., 0] / model.speed_bin_mps
+def _biases_bin(model: ReceiverModel, echoes: Echoes, beats: FloatArray) -> FloatArray:
+    """(2, shots, beams) biases of range and speed, in bins: the three beats combined, minus the ground truth."""
+    true = echoes.range_m[..., 0] / model.range_bin_m, echoes.closing_speed_mps[..., 0] / model.speed_bin_mps
+    biases: FloatArray = (_beat_weights(model, echoes) * beats).sum(axis=1) - np.array(true)
+    return biases
 
 
-def _combined(
-    detection: Detection, up: FloatArray, constant: FloatArray, down: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Combine segments of equal variance and known signs, as `fmcw.range_speed_estimation` does."""
-    if detection.combine == "least_squares":
-        return 0.5 * (up + down), (down - up + constant) / 3.0
-    return np.where(constant >= 0.0, down - constant, up + constant), constant
+def _beat_weights(model: ReceiverModel, echoes: Echoes) -> FloatArray:
+    """(2, 3, shots, beams) weights of the three signed beats in range and speed."""
+    receding = (echoes.closing_speed_mps[..., 0] < 0.0).astype(int)
+    return np.moveaxis(BEAT_WEIGHTS[model.combine_method][receding], (-2, -1), (0, 1))

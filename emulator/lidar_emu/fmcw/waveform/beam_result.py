@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, assert_never
 
 import numpy as np
 
@@ -67,10 +67,12 @@ def _combine(
     there = np.isfinite(observed).all(axis=-1)
     if detection.combine == "chirp_minus_doppler":
         some = chirp_minus_doppler(observed[there], variance[there])
-    else:
+    elif detection.combine == "least_squares":
         edge_hz = waveform.chirp_slope_hz_per_s * 2.0 * waveform.record_edge_range_m / SPEED_OF_LIGHT_MPS
         farthest_bin = edge_hz / waveform.bin_width_hz
         some = least_squares(observed[there], variance[there], waveform.fft_length, farthest_bin)
+    else:
+        assert_never(detection.combine)
 
     columns = np.full((5, len(observed)), np.nan)
     columns[:, there] = some[:5]
