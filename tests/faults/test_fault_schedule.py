@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from lidar_emu.faults.held_values import hold
 from lidar_emu.faults.schedule import FaultSchedule
 from lidar_emu.numerics.random_streams import RandomStream, fault_purpose
-from lidar_emu.scenario.faults import Dropout
+from lidar_emu.scenario.faults.beams import Dropout
 
 PERIOD_NS = 20_000_000
 

@@ -9,7 +9,8 @@ from lidar_emu.device.frequency_noise import FrequencyNoise
 from lidar_emu.device.state import Mode, Settings
 from lidar_emu.device.thermal import ThermalModel
 from lidar_emu.scenario.device import DeviceBehaviour, DeviceClock
-from lidar_emu.scenario.faults import BrownOut, DeviceFault, Fault, Interlock
+from lidar_emu.scenario.faults import DeviceFault, Fault
+from lidar_emu.scenario.faults.device import BrownOut, Interlock
 
 _BEGINS_AND_ENDS: dict[type, tuple[str, str]] = {
     BrownOut: ("power_off", "power_on"),

@@ -15,7 +15,7 @@ from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.returns import REPORT_COLUMNS
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.scenario import faults as kinds
+from lidar_emu.scenario.faults import beams as kinds
 
 Held = dict[str, Row]
 """Values that a fault holds from shot to shot: rows (1, beams) by their names in `Measurement`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any
 
-from lidar_emu.scenario import faults as kinds
+from lidar_emu.scenario.faults import packets as kinds
 from lidar_protocol import CanFrame, DecodeError, Interface
 from lidar_protocol.can_frames import Address, addresses
 from lidar_protocol.framing import Stuffed

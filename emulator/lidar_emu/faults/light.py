@@ -18,7 +18,7 @@ from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.vector_arrays import from_rotation_vector, rotate
 from lidar_emu.scanner.model import mounting_rotation
-from lidar_emu.scenario import faults as kinds
+from lidar_emu.scenario.faults import physics as kinds
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.trajectory.state import seconds
 

@@ -14,7 +14,7 @@ from lidar_emu.faults.schedule import FaultOccurrence, FaultSchedule
 from lidar_emu.fmcw.returns import REPORT_COLUMNS
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.random_streams import RandomStream, fault_purpose
-from lidar_emu.scenario import faults as kinds
+from lidar_emu.scenario.faults import packets as kinds
 
 _IN_METRES = tuple(name for name, column in REPORT_COLUMNS.items() if column.unit in ("m", "m/s"))
 

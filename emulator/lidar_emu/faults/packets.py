@@ -14,7 +14,8 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.interface_mismatch import REWRITING, Rewriter
 from lidar_emu.faults.schedule import FaultOccurrence, FaultSchedule
 from lidar_emu.numerics.random_streams import RandomStream, fault_purpose
-from lidar_emu.scenario import faults as kinds
+from lidar_emu.scenario.faults import DeviceFault, LinkFault
+from lidar_emu.scenario.faults import packets as kinds
 from lidar_emu.wire import Packet
 from lidar_protocol import CanFrame, DecodeError, Interface
 from lidar_protocol.framing import Stuffed
@@ -24,7 +25,7 @@ Piece = bytes | CanFrame
 
 Pieces = tuple[Piece, ...]
 
-_Fault = kinds.PacketFault | kinds.LinkFault | kinds.DeviceFault
+_Fault = kinds.PacketFault | LinkFault | DeviceFault
 
 _CAN_DATA_BYTES = 8
 _CAN_IDS = 0x800

@@ -18,7 +18,7 @@ from lidar_emu.flight.pointing import Pointing
 from lidar_emu.fmcw.fidelity_levels import Level
 from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.numerics.arrays import BoolArray
-from lidar_emu.scenario import faults as kinds
+from lidar_emu.scenario.faults import physics as kinds
 from lidar_emu.scenario.schema import FlightScenario
 
 _RECEIVERS = ("statistical", "spectral")

@@ -17,7 +17,7 @@ from lidar_emu.fmcw.receiver_faults import decimated, noisier, with_opposite_dop
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.numerics.arrays import BoolArray
-from lidar_emu.scenario import faults as kinds
+from lidar_emu.scenario.faults import physics as kinds
 from lidar_emu.scenario.schema import FlightScenario
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.scenario.faults import Misalignment
+from lidar_emu.scenario.faults.physics import Misalignment
 from lidar_emu.scenario.schema import FlightScenario
 
 _OF_LIGHT = ("name", "surface.lommel_seeliger_share", "atmosphere", "sunlight_w_per_m2_um")

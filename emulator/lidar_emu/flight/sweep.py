@@ -10,7 +10,7 @@ from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.scanner.footprint import beamlet_pattern
 from lidar_emu.scanner.model import ScannerModel
-from lidar_emu.scenario.faults import Misalignment
+from lidar_emu.scenario.faults.physics import Misalignment
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_reach import Lines
 from lidar_emu.trajectory.state import Trajectory, seconds

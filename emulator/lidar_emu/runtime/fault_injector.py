@@ -18,8 +18,11 @@ from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port_faults import port_fault
-from lidar_emu.scenario.faults import Dropout, FalseAlarms, LinkFault, Lost, ScheduledFault
+from lidar_emu.scenario.faults import LinkFault, ScheduledFault
+from lidar_emu.scenario.faults.beams import Dropout
 from lidar_emu.scenario.faults.injected import read_fault, shifted
+from lidar_emu.scenario.faults.packets import Lost
+from lidar_emu.scenario.faults.physics import FalseAlarms
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.session import Session
 from lidar_emu.shots.model import Model

@@ -7,7 +7,7 @@ from typing import Any
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.scenario import faults as kinds
+from lidar_emu.scenario.faults import link as kinds
 from lidar_emu.scenario.schema import Scenario
 
 _CAN_ONLY = (kinds.ErrorFrames, kinds.BusOff)
