@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import tty
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -393,3 +394,18 @@ def _all_of(read: Any) -> bytes:
         while piece := read():
             pieces.append(piece)
     return b"".join(pieces)
+
+
+LINES: dict[str, Callable[[Path], FarEnd]] = {
+    "loopback": lambda _: Loopback(),
+    "pty": lambda _: Pty(),
+    "serial": Serial,
+    "socket": lambda _: Socket(),
+    "rfc2217": lambda _: Telnet(),
+    "udp": lambda _: Udp(),
+    "udp6": lambda _: Udp("::1"),
+    "slcan": Slcan,
+    "virtual": lambda _: Virtual(),
+    "remote": lambda _: Remote(),
+}
+"""Every kind of line by its name, made in a folder for its files."""

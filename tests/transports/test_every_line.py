@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,23 +11,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # far_ends.py and lines.py are modules of these tests
 
-import far_ends
-from far_ends import FarEnd
+from far_ends import LINES, FarEnd
 from lines import EveryLine, InAnother, InThisProcess, Place, closing
-
-LINES: dict[str, Callable[[Path], FarEnd]] = {
-    "loopback": lambda _: far_ends.Loopback(),
-    "pty": lambda _: far_ends.Pty(),
-    "serial": far_ends.Serial,
-    "socket": lambda _: far_ends.Socket(),
-    "rfc2217": lambda _: far_ends.Telnet(),
-    "udp": lambda _: far_ends.Udp(),
-    "udp6": lambda _: far_ends.Udp("::1"),
-    "slcan": far_ends.Slcan,
-    "virtual": lambda _: far_ends.Virtual(),
-    "remote": lambda _: far_ends.Remote(),
-}
-
 
 IN_ONE_PROCESS = {"loopback", "virtual"}
 CASES = [(InThisProcess, line) for line in LINES] + [

@@ -7,7 +7,7 @@ import select
 from lidar_emu.errors import InputError
 from lidar_emu.transports.frames import Frame, unpack_frames
 from lidar_emu.transports.link import LinkLostError, PortChannel
-from lidar_emu.transports.opening import Opener, opener
+from lidar_emu.transports.opening import Opener, host_opener
 from lidar_emu.transports.spec import Kind, PortSpec
 
 _POLL_S = 0.01
@@ -98,11 +98,8 @@ def open_host(spec: PortSpec) -> ByteHost | CanHost:
     Raises:
         InputError: it cannot be opened, or `spec` names no port.
     """
-    if spec.kind is Kind.UDP:
-        from lidar_emu.transports.udp_port import open_udp_host
-
-        return ByteHost(lambda: open_udp_host(spec))
-    return CanHost(opener(spec)) if spec.kind is Kind.CAN else ByteHost(opener(spec))
+    end = CanHost if spec.kind is Kind.CAN else ByteHost
+    return end(host_opener(spec))
 
 
 def _pause(duration_s: float) -> None:

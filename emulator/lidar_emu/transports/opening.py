@@ -1,4 +1,4 @@
-"""Opening the port that a `PortSpec` names, at the start and after a break."""
+"""Opening either end of the port that a `PortSpec` names, at the start and after a break."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Opener = Callable[[], PortChannel]
 def opener(
     spec: PortSpec, loopback_descriptor: int | None = None, now_ns: Callable[[], int] | None = None
 ) -> Opener:
-    """A function that opens the port, at the start and after a break.
+    """A function that opens the device's end, at the start and after a break.
 
     Args:
         spec: the port.
@@ -32,6 +32,15 @@ def opener(
     if (spec.path or spec.channel).startswith("/dev/pts/"):
         return _once(lambda: open_port(spec), spec)
     return lambda: open_port(spec)
+
+
+def host_opener(spec: PortSpec) -> Opener:
+    """A function that opens the host's end, which differs from the device's on UDP alone. It raises as `opener`'s."""
+    if spec.kind is Kind.UDP:
+        from lidar_emu.transports.udp_port import open_udp_host
+
+        return lambda: open_udp_host(spec)
+    return opener(spec)
 
 
 def _once(open_channel: Opener, spec: PortSpec) -> Opener:

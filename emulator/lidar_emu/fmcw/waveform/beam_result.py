@@ -40,7 +40,8 @@ def to_beam_result(
     valid = reason == Reason.VALID
     second_m = _combine(waveform, detection, targets, 1).range_bin * range_per_bin_m
     second_m[~((second_m >= 0.0) & (second_m <= detection.maximum_range_m))] = np.nan
-    return Returns(
+    return Returns.with_columns(
+        range_m.shape,
         range_m=np.where(valid, range_m, np.nan),
         closing_speed_mps=np.where(valid, combined.doppler_bin * speed_per_bin_mps, np.nan),
         range_valid=valid,
