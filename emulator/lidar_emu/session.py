@@ -23,6 +23,7 @@ from lidar_emu.wire import Encoder, Packet
 if TYPE_CHECKING:
     from lidar_emu.faults.encoder import FaultyEncoder, WireState
     from lidar_emu.faults.schedule import FaultOccurrence
+    from lidar_emu.flight.flight import Flight
 
 
 _NOT_SETTLING = Settling()
@@ -106,6 +107,12 @@ class Session:
     def device(self) -> DeviceState:
         """State of the device after the last shot, or after the last command that followed it."""
         return self._state.shot_policy.device
+
+    @property
+    def flight(self) -> Flight:
+        """Flight of the model, which is no bench pattern."""
+        assert self._model.flight is not None
+        return self._model.flight
 
     @property
     def period_ns(self) -> int:

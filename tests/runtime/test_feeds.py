@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from lidar_emu.runtime.change_queue import Change, ChangeQueue
-from lidar_emu.runtime.feed.live import LiveFeed
+from lidar_emu.runtime.feed.live import LiveFeed, LiveTiming
 from lidar_emu.runtime.feed.live_truth_source import TruthSource
 from lidar_emu.runtime.feed.planned import PlannedFeed
 from lidar_emu.runtime.port.pacing import Pace
@@ -50,7 +50,7 @@ class World:
         self.finished = True
         self.begun: list[tuple[int, int]] = []
         self.error: str | None = None
-        self.clock = self
+        self.clock = self.port = self.flight = self
 
     # the control
     @property
@@ -194,11 +194,13 @@ class Arriving(ChangeQueue):
             self._pending.append(self._arriving.pop(0)[1])
 
 
-def shared(
-    world: World, changes: list[tuple[int, Change]] | None = None
-) -> tuple[Any, Any, Any, Any, Arriving]:
+def shared(world: World, changes: list[tuple[int, Change]] | None = None) -> tuple[Any, Any, Any, Arriving]:
     """The first arguments of a feed, with changes that arrive at given instants."""
-    return world, world, world, world, Arriving(world, list(changes or ()))
+    return world, world, world, Arriving(world, list(changes or ()))
+
+
+def timing(live: Live, busy_wait_share: float = 0.1) -> LiveTiming:
+    return LiveTiming(START_NS, round(live.lead_s * 1e9), PERIOD_NS, round(busy_wait_share * PERIOD_NS))
 
 
 def fly_live(
@@ -206,9 +208,8 @@ def fly_live(
 ) -> TruthSource:
     socket: Any = Socket(world, truths)
     source = TruthSource(socket, LiveTrajectory(10.0), 100 * MS, [])
-    flight: Any = world
     live = Live(kind="live", **part)
-    LiveFeed(*shared(world), source, flight, live, START_NS, PERIOD_NS, busy_wait_share).run()
+    LiveFeed(*shared(world), source, timing(live, busy_wait_share), live.when_stale).run()
     return source
 
 
@@ -390,9 +391,8 @@ def test_live_shots_follow_what_came_before_they_began() -> None:
     source = TruthSource(socket, LiveTrajectory(10.0), 100 * MS, [])
     times_ns = [START_NS + t * MS for t in (240, 251, 270, 2500)]
     changes = [(START_NS + 200 * MS, to_pattern(k, at_ns, followed)) for k, at_ns in enumerate(times_ns)]
-    flight: Any = world
     at_work = shared(world, changes)
-    LiveFeed(*at_work, source, flight, Live(kind="live"), START_NS, PERIOD_NS, 0.1).run()
+    LiveFeed(*at_work, source, timing(Live(kind="live")), "coast").run()
     assert [(number, shot) for number, shot, _ in followed] == [(0, 5), (1, 6), (2, 6)]
     at_work[-1].close()
     assert followed[-1] == (3, None, None)

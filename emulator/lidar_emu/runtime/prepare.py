@@ -25,7 +25,6 @@ from lidar_emu.wire import Encoder
 
 if TYPE_CHECKING:
     from lidar_emu.faults.encoder import FaultyEncoder
-    from lidar_emu.flight.flight import Flight
 
 _LOOK_AHEAD_S = 2.0
 _BLOCK_S = 0.25
@@ -59,12 +58,6 @@ class PreparedRun:
     """Share of the link's capacity that the shots take."""
     warnings: list[str]
     """Warnings for the user."""
-
-    @property
-    def flight(self) -> Flight:
-        """Flight of the model, which is no bench pattern."""
-        assert self.model.flight is not None
-        return self.model.flight
 
     @property
     def faulty_packet_bytes(self) -> int:

@@ -16,7 +16,7 @@ from lidar_emu.runtime.device_link.final_message import FinalMessage
 from lidar_emu.runtime.device_link.housekeeping import HousekeepingSender
 from lidar_emu.runtime.feed.base import Feed
 from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
-from lidar_emu.runtime.feed.live import LiveFeed
+from lidar_emu.runtime.feed.live import LiveFeed, LiveTiming
 from lidar_emu.runtime.feed.live_truth_source import TruthSource, truth_socket
 from lidar_emu.runtime.feed.lockstep import LockstepFeed
 from lidar_emu.runtime.feed.on_command import OnCommandFeed
@@ -181,28 +181,25 @@ class Run:
             return None
         from lidar_emu.trajectory.live import LiveTrajectory
 
-        trajectory = self._prepared.flight.trajectory
+        trajectory = self._prepared.session.flight.trajectory
         assert isinstance(trajectory, LiveTrajectory)
         return TruthSource(socket, trajectory, round(live.stale_after_s * 1e9), self._observers)
 
     def _feed(self, packets: PacketQueue, changes: ChangeQueue) -> Feed:
         prepared, shots = self._prepared, self._prepared.shots
         start_ns = start_instant_ns(self._options, self.clock)
-        shared = self, prepared.session, self._port, packets, changes
-        if self._truth is not None and prepared.live is not None:
-            self._notify_waiting(f"truth on {prepared.live.listen}")
+        shared = self, prepared.session, packets, changes
+        if self._truth is not None and (live := prepared.live) is not None:
+            self._notify_waiting(f"truth on {live.listen}")
             if self._options.pace is Pace.LOCKSTEP:
-                return LockstepFeed(*shared, self._truth, prepared.flight)
-            late_after_ns = self._timing.late_after_ns
-            return LiveFeed(
-                *shared,
-                self._truth,
-                prepared.flight,
-                prepared.live,
+                return LockstepFeed(*shared, self._truth)
+            timing = LiveTiming(
                 start_ns,
-                late_after_ns,
-                busy_wait_share(),
+                round(live.lead_s * 1e9),
+                self._timing.late_after_ns,
+                round(busy_wait_share() * prepared.session.period_ns),
             )
+            return LiveFeed(*shared, self._truth, timing, live.when_stale)
 
         def ahead(start_ns: int | None) -> Feed:
             return PlannedFeed(*shared, shots.first(), shots.block_shots, start_ns, self._options.pace)

@@ -178,6 +178,9 @@ class Table(Part):
 _ADDRESS = r"^(udp:.+:\d{1,5}|unix:.+)$"
 
 
+WhenStale = Literal["coast", "invalid", "abort"]
+
+
 class Live(Part):
     """Truth from a dynamics simulator, datagram by datagram; see docs/live-truth.md."""
 
@@ -190,7 +193,7 @@ class Live(Part):
     instant."""
     stale_after_s: Annotated[float, Field(gt=0, le=3600)] = 0.1
     """Truth is stale if the newest sample is older than the shot by more than this."""
-    when_stale: Literal["coast", "invalid", "abort"] = "coast"
+    when_stale: WhenStale = "coast"
     """`coast` extrapolates the motion, `invalid` sends beams that did not fire, `abort` ends the run with an error.
     Each is counted."""
     jump_m: Positive = 10.0

@@ -9,7 +9,6 @@ from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
-from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.session import Session
 
 POLL_NS = 20_000_000
@@ -38,22 +37,16 @@ class Feed(ABC):
     Args:
         control: begin and end of the run.
         session: computes the shots.
-        port: where packets are sent.
         packets: packets on their way through the port.
         changes: commands and injected faults that shots have yet to follow.
     """
 
     def __init__(
-        self,
-        control: RunControl,
-        session: Session,
-        port: PortRunner,
-        packets: PacketQueue,
-        changes: ChangeQueue,
+        self, control: RunControl, session: Session, packets: PacketQueue, changes: ChangeQueue
     ) -> None:
         self._control, self._clock = control, control.clock
-        self._session, self._port = session, port
-        self._packets, self._changes = packets, changes
+        self._session, self._changes = session, changes
+        self._packets, self._port = packets, packets.port
 
     @abstractmethod
     def run(self) -> None:

@@ -3,63 +3,65 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.feed.arrival_predictor import ArrivalPredictor
 from lidar_emu.runtime.feed.base import POLL_NS, Feed, RunControl
 from lidar_emu.runtime.feed.live_truth_source import ReceivedTruth, TruthSource
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
-from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.realtime_priority import realtime_priority
-from lidar_emu.scenario.trajectory import Live
+from lidar_emu.scenario.trajectory import WhenStale
 from lidar_emu.session import Session
 from lidar_emu.trajectory.live_datagram import Verdict
 
-if TYPE_CHECKING:
-    from lidar_emu.flight.flight import Flight
-
 _IMMEDIATE_NS = 1_000_000
 """A packet that is due within this time is sent as soon as it is made."""
+
+
+@dataclass(frozen=True)
+class LiveTiming:
+    """When shots with live truth are computed."""
+
+    start_ns: int | None
+    """Instant of the monotonic clock at scenario time 0; None: the first truth defines it, by its own time and its
+    arrival."""
+    lead_ns: int
+    """A shot is computed at the latest this long before its packet is due, with or without truth."""
+    late_after_ns: int
+    """A shot whose packet is overdue by more than this is not computed."""
+    busy_wait_ns: int
+    """Longest busy wait before and after the expected arrival of truth; 0 where simulator, model and port have less
+    than a core each."""
 
 
 class LiveFeed(Feed):
     """Computes shots one by one.
 
     Args:
-        control, session, port, packets, changes: see `Feed`.
+        control, session, packets, changes: see `Feed`.
         source: truth of the simulator.
-        flight: flight of the session.
-        part: the scenario's live trajectory.
-        start_ns: instant of the monotonic clock at scenario time 0; None: the first truth defines it, by its own time
-            and its arrival.
-        late_after_ns: a shot that is later than this before it is computed is not computed.
-        busy_wait_share: share of the shot period that may be spent in a busy wait around the expected arrival of truth;
-            0 where simulator, model and port have less than a core each.
+        timing: when shots are computed.
+        when_stale: what happens to a shot whose truth is stale.
     """
 
     def __init__(
         self,
         control: RunControl,
         session: Session,
-        port: PortRunner,
         packets: PacketQueue,
         changes: ChangeQueue,
         source: TruthSource,
-        flight: Flight,
-        part: Live,
-        start_ns: int | None,
-        late_after_ns: int,
-        busy_wait_share: float,
+        timing: LiveTiming,
+        when_stale: WhenStale,
     ) -> None:
-        super().__init__(control, session, port, packets, changes)
+        super().__init__(control, session, packets, changes)
         self._source = source
-        self._flight = flight
-        self._part = part
-        self._start_ns = start_ns
-        self._late_after_ns = late_after_ns
-        self._may_busy_wait = busy_wait_share > 0
-        self._predictor = ArrivalPredictor(round(busy_wait_share * flight.period_ns))
+        self._flight = session.flight
+        self._timing, self._start_ns = timing, timing.start_ns
+        self._when_stale = when_stale
+        self._may_busy_wait = timing.busy_wait_ns > 0
+        self._predictor = ArrivalPredictor(timing.busy_wait_ns)
 
     def run(self) -> None:
         """See `Feed`."""
@@ -106,7 +108,7 @@ class LiveFeed(Feed):
         """Wait until truth covers the shot, the flight has ended, or the packet cannot wait."""
         source = self._source
         seen_ns = self._flight.seen_ns(shot)
-        latest_ns = self._due_ns(shot) - round(self._part.lead_s * 1e9)
+        latest_ns = self._due_ns(shot) - self._timing.lead_ns
         window = self._predictor.window(self._due_ns(shot))
         is_warm = not self._predictor.has_time_to_warm_up
         # What is left of earlier shots is done first: once truth is there, the shot is computed at once.
@@ -132,18 +134,18 @@ class LiveFeed(Feed):
         source = self._source
         self._apply_changes(shot)
         now_ns = self._clock.now_ns()
-        too_late = now_ns > self._due_ns(shot) + self._late_after_ns
+        too_late = now_ns > self._due_ns(shot) + self._timing.late_after_ns
         if too_late and not self._session.next_is_silent():
             self._session.skip_to(shot + 1)
             self._packets.missed(shot, self._flight.due_ns(shot), now_ns - self._start_ns_known())
             return
         fresh = source.is_fresh_at(self._flight.seen_ns(shot))
-        if not fresh and self._part.when_stale == "abort":
+        if not fresh and self._when_stale == "abort":
             self._control.fail(f"truth is stale at shot {shot}, and trajectory.when_stale is abort")
             return
         if self._may_busy_wait and self._due_ns(shot) - now_ns < _IMMEDIATE_NS:
             self._port.wake_up()
-        block = self._session.shoot(1, fired=fresh or self._part.when_stale == "coast")
+        block = self._session.shoot(1, fired=fresh or self._when_stale == "coast")
         assert block is not None
         for packet in self._packets.announce(block):
             self._push(packet)

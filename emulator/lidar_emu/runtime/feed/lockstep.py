@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
 
 from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.feed.base import POLL_NS, Feed, RunControl
 from lidar_emu.runtime.feed.live_truth_source import ReceivedTruth, TruthSource
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
-from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.session import Session
 from lidar_emu.trajectory.live_datagram import Answer, AnsweredPacket, Truth, Verdict, answers
-
-if TYPE_CHECKING:
-    from lidar_emu.flight.flight import Flight
 
 _LINGER_NS = 200_000_000
 
@@ -26,24 +21,21 @@ class LockstepFeed(Feed):
     A truth that arrives again is answered again, so that a simulator whose answer was lost can continue.
 
     Args:
-        control, session, port, packets, changes: see `Feed`.
+        control, session, packets, changes: see `Feed`.
         source: truth of the simulator.
-        flight: flight of the session.
     """
 
     def __init__(
         self,
         control: RunControl,
         session: Session,
-        port: PortRunner,
         packets: PacketQueue,
         changes: ChangeQueue,
         source: TruthSource,
-        flight: Flight,
     ) -> None:
-        super().__init__(control, session, port, packets, changes)
+        super().__init__(control, session, packets, changes)
         self._source = source
-        self._flight = flight
+        self._flight = session.flight
         self._computed: deque[OutgoingPacket] = deque()
         self._last_answer: list[Answer] = []
         self._begun = False

@@ -13,7 +13,6 @@ from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.device_link.housekeeping import HousekeepingSender
 from lidar_emu.runtime.feed.base import Feed, RunControl
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
-from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.session import Session
 
 _LEAD_NS = 100_000_000
@@ -31,7 +30,7 @@ class OnCommandFeed(Feed):
     """Scenario time 0 follows the command that makes the device acquire.
 
     Args:
-        control, session, port, packets, changes: see `Feed`.
+        control, session, packets, changes: see `Feed`.
         device: see `waiting_device`.
         housekeeping: sends housekeeping; None: the interface has none.
         flight: makes the feed of the shots, from scenario time 0 on the monotonic clock.
@@ -42,7 +41,6 @@ class OnCommandFeed(Feed):
         self,
         control: RunControl,
         session: Session,
-        port: PortRunner,
         packets: PacketQueue,
         changes: ChangeQueue,
         device: DeviceTimeline,
@@ -50,7 +48,7 @@ class OnCommandFeed(Feed):
         flight: Callable[[int], Feed],
         on_flight_started: Callable[[int], None],
     ) -> None:
-        super().__init__(control, session, port, packets, changes)
+        super().__init__(control, session, packets, changes)
         self._device, self._housekeeping = device, housekeeping
         self._flight, self._on_flight_started = flight, on_flight_started
 

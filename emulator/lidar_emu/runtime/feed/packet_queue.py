@@ -30,7 +30,8 @@ class PacketQueue:
     """
 
     def __init__(self, port: PortRunner, observers: Sequence[Observer], tally: Tally, room: int) -> None:
-        self._port = port
+        self.port = port
+        """Sends the packets."""
         self._observers = observers
         self._tally = tally
         self._announced: dict[tuple[int, int], tuple[Block, int]] = {}
@@ -52,7 +53,7 @@ class PacketQueue:
 
     def push(self, packet: OutgoingPacket) -> bool:
         """Hand a packet to the port; False if there is no room before the port has sent some."""
-        if self._left <= 0 or not self._port.push(packet):
+        if self._left <= 0 or not self.port.push(packet):
             return False
         self._left -= 1
         self._is_urgent = self._is_urgent and self._room - self._left < min(_AHEAD, self._room // 2)
@@ -66,7 +67,7 @@ class PacketQueue:
         """
         self._generation += 1
         self._is_urgent = True
-        self._port.supersede(self._generation, from_shot)
+        self.port.supersede(self._generation, from_shot)
         for observer in self._observers:
             observer.on_superseded(self._generation, from_shot)
         self._left = self._room - sum(packet.shot < from_shot for packet, _, _ in self._in_flight)
@@ -77,7 +78,7 @@ class PacketQueue:
 
         While recomputed shots are urgent, observers receive the blocks later.
         """
-        reports = self._port.reports()
+        reports = self.port.reports()
         for report in reports:
             if report.status is DeliveryStatus.SUPERSEDED:
                 for _ in range(report.packets):
@@ -89,10 +90,10 @@ class PacketQueue:
             for observer in self._observers:
                 observer.on_report(packet, report)
             self._add_to_part(block, row)
-        for event in self._port.take_link_events():
+        for event in self.port.take_link_events():
             for observer in self._observers:
                 observer.on_link_event(event.time_ns, event.text)
-        if data := self._port.far_end():
+        if data := self.port.far_end():
             for observer in self._observers:
                 observer.on_far_end_data(data)
         if not self._is_urgent or len(self._finished_parts) > _DEFERRED_PARTS:

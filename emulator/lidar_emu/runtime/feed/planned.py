@@ -10,7 +10,6 @@ from lidar_emu.runtime.feed.base import Feed, RunControl
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import OutgoingPacket
-from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.session import Block, Session
 from lidar_emu.shots.model import Model
 from lidar_emu.trajectory.live_datagram import Truth
@@ -81,7 +80,7 @@ class PlannedFeed(Feed):
     """Computes block after block.
 
     Args:
-        control, session, port, packets, changes: see `Feed`.
+        control, session, packets, changes: see `Feed`.
         first: the block that has been computed already.
         block_shots: shots in the longest further block.
         start_ns: instant of the monotonic clock at scenario time 0; None: once some shots are computed.
@@ -92,7 +91,6 @@ class PlannedFeed(Feed):
         self,
         control: RunControl,
         session: Session,
-        port: PortRunner,
         packets: PacketQueue,
         changes: ChangeQueue,
         first: Block,
@@ -100,7 +98,7 @@ class PlannedFeed(Feed):
         start_ns: int | None,
         pace: Pace,
     ) -> None:
-        super().__init__(control, session, port, packets, changes)
+        super().__init__(control, session, packets, changes)
         self._first = first
         self._longest = self._next_length = block_shots
         self._start_ns = 0 if start_ns is None else start_ns
