@@ -23,8 +23,8 @@ import lidar_emu
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vectors import vector_at
-from lidar_emu.trajectory.powered.actuators import Acting, Lags
-from lidar_emu.trajectory.powered.control import asked_at, throttle, turning_torque
+from lidar_emu.trajectory.powered.actuators import ActuatorState, Lags
+from lidar_emu.trajectory.powered.control import attitude_torque, specific_thrust_at, throttle
 from lidar_emu.trajectory.powered.motion import gravity_at, inertia_at, set_derivative
 from lidar_emu.trajectory.powered.solution import Descent, prepare, solve
 from lidar_emu.trajectory.powered.steps import StepSizes
@@ -89,16 +89,21 @@ def own(flight: Descent, factor: float) -> Measured:
 
 @kernel(outermost=True)
 def set_slope_with_lags(
-    body: VehicleConstants, lags: Lags, acting: Acting, y: FloatArray, state: FloatArray, slope: FloatArray
+    body: VehicleConstants,
+    lags: Lags,
+    actuators: ActuatorState,
+    y: FloatArray,
+    state: FloatArray,
+    slope: FloatArray,
 ) -> None:
     """Derivative of the states with thrust, mass and torque; `state` is a buffer for the first 21."""
     for i in range(SIZE):
         state[i] = y[i]
     set_derivative(body, y[MASS], y[THRUST], vector_at(y, TORQUE), state, slope)
-    slope[THRUST] = (acting.thrust_command_n - y[THRUST]) / lags.valve_s
+    slope[THRUST] = (actuators.thrust_command_n - y[THRUST]) / lags.valve_s
     slope[MASS] = -y[THRUST] / lags.exhaust_mps
     for i in range(3):
-        slope[TORQUE + i] = (acting.torque_command_nm[i] - y[TORQUE + i]) / lags.torque_s
+        slope[TORQUE + i] = (actuators.torque_command_nm[i] - y[TORQUE + i]) / lags.torque_s
 
 
 def scipys(flight: Descent, method: str, tolerance: float) -> Measured:
@@ -108,22 +113,24 @@ def scipys(flight: Descent, method: str, tolerance: float) -> Measured:
 
 
 def begun_anew(flight: Descent, method: str, tolerance: float) -> FloatArray:
-    body, lags, guide, acting = flight.body, flight.lags, flight.guide, flight.acting
-    y = np.concatenate([flight.state, [acting.thrust_n, acting.mass_kg], acting.torque_nm])
+    body, lags, guide, actuators = flight.body, flight.lags, flight.guide, flight.actuators
+    y = np.concatenate([flight.state, [actuators.thrust_n, actuators.mass_kg], actuators.torque_nm])
     states = np.empty((round(FLOWN_S * CONTROL_HZ), SIZE))
     room = np.empty(SIZE)
     for tick in range(len(states)):
         state = y[:SIZE].copy()
-        asked = asked_at(guide, tick / CONTROL_HZ, gravity_at(body, vector_at(state, POSITION)), state)
-        command = Acting(
+        thrust_mps2 = specific_thrust_at(
+            guide, tick / CONTROL_HZ, gravity_at(body, vector_at(state, POSITION)), state
+        )
+        command = ActuatorState(
             y[THRUST],
             y[MASS],
             vector_at(y, TORQUE),
-            throttle(guide, y[MASS], asked, state),
-            turning_torque(guide, inertia_at(body, y[MASS]), asked, state),
+            throttle(guide, y[MASS], thrust_mps2, state),
+            attitude_torque(guide, inertia_at(body, y[MASS]), thrust_mps2, state),
         )
 
-        def slope(_time_s: float, y: FloatArray, command: Acting = command) -> FloatArray:
+        def slope(_time_s: float, y: FloatArray, command: ActuatorState = command) -> FloatArray:
             out = np.empty(len(y))
             set_slope_with_lags(body, lags, command, y, room, out)
             return out

@@ -146,7 +146,7 @@ CASES = [
     ),
     Case(
         "a descent without enough propellant",
-        ("trajectory: vehicle.dry_mass_kg: tanks empty after", "allowed: a flight that lands"),
+        ("trajectory: vehicle.dry_mass_kg: out of propellant after", "allowed: a flight that lands"),
         command="simulate powered_descent.yaml --out out.csv --set trajectory.vehicle.dry_mass_kg=1480",
     ),
     Case(

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lidar_emu.scenario.trajectory import PoweredDescent
-from lidar_emu.trajectory.powered.actuators import Acting, Lags
-from lidar_emu.trajectory.powered.steps import set_slope, set_stepped
+from lidar_emu.trajectory.powered.actuators import ActuatorState, Lags
+from lidar_emu.trajectory.powered.steps import runge_kutta_step, set_slope
 from lidar_emu.trajectory.powered.vehicle import (
     BEND,
     BENDING,
-    HANG,
     SIZE,
-    SWAY,
+    SLOSH_DIRECTION,
+    SLOSH_VELOCITY,
     VehicleConstants,
     vehicle_constants,
 )
@@ -57,7 +57,7 @@ def at_rest(turn: Rotation | None = None) -> Floats:
     state = np.zeros(SIZE)
     turn = turn or Rotation.identity()
     state[6:10] = np.roll(turn.as_quat(), 1)
-    state[HANG : HANG + 3] = turn.apply([0, 0, 1])
+    state[SLOSH_DIRECTION : SLOSH_DIRECTION + 3] = turn.apply([0, 0, 1])
     return state
 
 
@@ -70,12 +70,12 @@ def coast(
     kg: float = 1500.0,
 ) -> Floats:
     """States (steps + 1, 21) without control, at constant thrust and mass."""
-    acting, lags = Acting(thrust_n, kg, NONE, thrust_n, NONE), Lags(0.0, 0.0, np.inf)
+    actuators, lags = ActuatorState(thrust_n, kg, NONE, thrust_n, NONE), Lags(0.0, 0.0, np.inf)
     slopes, path = np.empty((4, SIZE)), np.empty((steps + 1, SIZE))
     path[0] = state
     for k in range(steps):
-        set_slope(of, lags, acting, 0.0, path[k], slopes[0])
-        set_stepped(of, lags, acting, 0.0, duration_s / steps, path[k], slopes, path[k + 1])
+        set_slope(of, lags, actuators, 0.0, path[k], slopes[0])
+        runge_kutta_step(of, lags, actuators, 0.0, duration_s / steps, path[k], slopes, path[k + 1])
     return path
 
 
@@ -94,8 +94,10 @@ def sums(of: VehicleConstants, path: Floats, kg: float = 1500.0) -> Sums:
     rigid_kg, coupling = kg - of.slosh_kg, np.array(of.bend_coupling)
     inertia = np.array(of.inertia_kgm2) * kg / of.start_kg
     hinge = turn.apply(of.hinge_m)
-    place = path[:, :3] + hinge + of.rod_m * path[:, HANG : HANG + 3]
-    velocity = path[:, 3:6] + turn.apply(np.cross(rate, of.hinge_m)) + path[:, SWAY : SWAY + 3]
+    place = path[:, :3] + hinge + of.rod_m * path[:, SLOSH_DIRECTION : SLOSH_DIRECTION + 3]
+    velocity = (
+        path[:, 3:6] + turn.apply(np.cross(rate, of.hinge_m)) + path[:, SLOSH_VELOCITY : SLOSH_VELOCITY + 3]
+    )
     own = turn.apply(inertia * rate + coupling * speed[:, None])
     energy = rigid_kg * np.sum(path[:, 3:6] ** 2, axis=1) + of.slosh_kg * np.sum(velocity**2, axis=1)
     energy += np.sum(inertia * rate**2, axis=1) + 2 * speed * (rate @ coupling)

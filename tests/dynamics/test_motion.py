@@ -10,9 +10,9 @@ import pytest
 from lander import EXHAUST_MPS, MODE, NONE, SLOSH, at_rest, body, coast, sums
 from scipy.spatial.transform import Rotation
 
-from lidar_emu.trajectory.powered.actuators import Acting, Lags, mass_after, thrust_after, torque_after
-from lidar_emu.trajectory.powered.steps import StepSizes, next_step_s, set_slope, set_stepped
-from lidar_emu.trajectory.powered.vehicle import BEND, HANG, SIZE, SWAY
+from lidar_emu.trajectory.powered.actuators import ActuatorState, Lags, mass_after, thrust_after, torque_after
+from lidar_emu.trajectory.powered.steps import StepSizes, next_step_s, runge_kutta_step, set_slope
+from lidar_emu.trajectory.powered.vehicle import BEND, SIZE, SLOSH_DIRECTION, SLOSH_VELOCITY
 
 TUMBLING = Rotation.from_rotvec([0.4, -1.1, 0.7])
 
@@ -30,8 +30,8 @@ def test_free_motion_conserves_momenta_energy_and_lengths(parts: dict[str, objec
     state = at_rest(TUMBLING)
     state[3:6], state[10:13] = (3.0, -2.0, 1.0), (0.6, -0.4, 0.5)
     if "slosh" in parts:
-        across = np.cross(state[HANG : HANG + 3], [0.3, 0.2, 0.9])
-        state[SWAY : SWAY + 3] = 1.5 * across
+        across = np.cross(state[SLOSH_DIRECTION : SLOSH_DIRECTION + 3], [0.3, 0.2, 0.9])
+        state[SLOSH_VELOCITY : SLOSH_VELOCITY + 3] = 1.5 * across
     if "flexible_mode" in parts:
         state[BEND] = 3.0
     path = coast(free, state, 20.0, 10_000)
@@ -42,7 +42,9 @@ def test_free_motion_conserves_momenta_energy_and_lengths(parts: dict[str, objec
             kept, np.broadcast_to(kept[0], kept.shape), rtol=0, atol=1e-8 * np.abs(kept).max()
         )
     np.testing.assert_allclose(np.sum(path[:, 6:10] ** 2, axis=1), 1, atol=1e-10)
-    np.testing.assert_allclose(np.sum(path[:, HANG : HANG + 3] ** 2, axis=1), 1, atol=1e-7)
+    np.testing.assert_allclose(
+        np.sum(path[:, SLOSH_DIRECTION : SLOSH_DIRECTION + 3] ** 2, axis=1), 1, atol=1e-7
+    )
     # and something has moved at all
     assert np.ptp(path[:, 10]) > 0.1
 
@@ -73,10 +75,12 @@ def test_slosh_swings_at_the_pendulums_frequency() -> None:
     """From a hinge at the centre of mass the thrust's acceleration of the rigid part drives it, gravity does not."""
     swinging = body(gravity_mps2=1.62, slosh=SLOSH | {"hinge_body_m": [0, 0, 0]})
     state = at_rest()
-    state[HANG : HANG + 3] = np.sin(1e-4), 0, np.cos(1e-4)
+    state[SLOSH_DIRECTION : SLOSH_DIRECTION + 3] = np.sin(1e-4), 0, np.cos(1e-4)
     path = coast(swinging, state, 10.0, 2000, thrust_n=3000)
     radps = np.sqrt(3000 / (1500 - 120) / 0.5)
-    np.testing.assert_allclose(path[:, HANG], 1e-4 * np.cos(radps * np.linspace(0, 10, 2001)), atol=1e-10)
+    np.testing.assert_allclose(
+        path[:, SLOSH_DIRECTION], 1e-4 * np.cos(radps * np.linspace(0, 10, 2001)), atol=1e-10
+    )
 
 
 def test_mode_bends_at_the_free_bodys_frequency() -> None:
@@ -106,28 +110,28 @@ def test_gravity_keeps_the_energy_of_an_orbit() -> None:
 def test_rocket_equation(lag_s: float) -> None:
     """Speed gained in free space is the exhaust's times the logarithm of the masses, whatever the valve does."""
     free, lags = body(), Lags(lag_s, 0.0, EXHAUST_MPS)
-    acting = Acting(500.0, 1500.0, NONE, 5000.0, NONE)
+    actuators = ActuatorState(500.0, 1500.0, NONE, 5000.0, NONE)
     step_sizes = StepSizes(min(0.01, lag_s / 4) if lag_s else 0.01, 0.5, 0.01, 0.01)
     state, stepped, slopes = at_rest(), np.empty(SIZE), np.empty((4, SIZE))
     since_s = 0.0
     while since_s < 20.0:
         step_s = next_step_s(step_sizes, step_sizes.longest_s, since_s, 20.0 - since_s)
-        set_slope(free, lags, acting, since_s, state, slopes[0])
-        set_stepped(free, lags, acting, since_s, step_s, state, slopes, stepped)
+        set_slope(free, lags, actuators, since_s, state, slopes[0])
+        runge_kutta_step(free, lags, actuators, since_s, step_s, state, slopes, stepped)
         state, since_s = stepped.copy(), since_s + step_s
-    gained = EXHAUST_MPS * np.log(1500.0 / mass_after(acting, lags, since_s))
+    gained = EXHAUST_MPS * np.log(1500.0 / mass_after(actuators, lags, since_s))
     np.testing.assert_allclose(state[3:6], [0, 0, -gained], atol=1e-7)
     assert gained > 60
 
 
 def test_actuators_solve_their_differential_equation() -> None:
     lags = Lags(0.03, 0.05, EXHAUST_MPS)
-    acting = Acting(1000.0, 1200.0, (5.0, 0.0, -7.0), 4000.0, (-50.0, 20.0, 0.0))
+    actuators = ActuatorState(1000.0, 1200.0, (5.0, 0.0, -7.0), 4000.0, (-50.0, 20.0, 0.0))
     time_s, step_s = 0.04, 1e-5
 
     def around(of: Callable[..., Any]) -> tuple[Any, Any]:
-        ahead, behind = (np.array(of(acting, lags, time_s + sign * step_s)) for sign in (1, -1))
-        return (ahead - behind) / (2 * step_s), np.array(of(acting, lags, time_s))
+        ahead, behind = (np.array(of(actuators, lags, time_s + sign * step_s)) for sign in (1, -1))
+        return (ahead - behind) / (2 * step_s), np.array(of(actuators, lags, time_s))
 
     slope, thrust = around(thrust_after)
     assert slope == pytest.approx((4000 - thrust) / 0.03, rel=1e-6)
@@ -135,7 +139,7 @@ def test_actuators_solve_their_differential_equation() -> None:
     assert slope == pytest.approx(-thrust / EXHAUST_MPS, rel=1e-6)
     slope, torque = around(torque_after)
     np.testing.assert_allclose(slope, (np.array([-50.0, 20.0, 0.0]) - torque) / 0.05, rtol=1e-6)
-    assert (thrust_after(acting, lags, 0.0), mass_after(acting, lags, 0.0)) == (1000.0, 1200.0)
+    assert (thrust_after(actuators, lags, 0.0), mass_after(actuators, lags, 0.0)) == (1000.0, 1200.0)
 
 
 def test_feet_give_back_no_more_than_they_took() -> None:

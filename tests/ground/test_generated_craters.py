@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter, label
 from scipy.optimize import brentq
 
 from lidar_emu.scenario.generated_ground import Craters
-from lidar_emu.scene.generated.crater_profile import depth_left, fresh_profile, worn_profiles
+from lidar_emu.scene.generated.crater_profile import degraded_profiles, depth_left, fresh_profile
 from lidar_emu.scene.generated.craters import (
     equilibrium_per_m2,
     produced_per_m2,
@@ -52,9 +52,9 @@ def test_a_worn_profile_is_a_blurred_crater():
     step = 1 / 32
     x = np.arange(-5, 5 + step / 2, step)
     fresh = fresh_profile(np.hypot(x[:, None], x))
-    for wear in (0.125, 0.5, 1.0):
-        radii, heights, level = worn_profiles(np.array([wear]))
-        blurred = gaussian_filter(fresh, 0.62 * wear**0.5 / step)
+    for degradation in (0.125, 0.5, 1.0):
+        radii, heights, level = degraded_profiles(np.array([degradation]))
+        blurred = gaussian_filter(fresh, 0.62 * degradation**0.5 / step)
         middle = len(x) // 2
         near = radii <= 3.0
         expected = np.interp(radii[near], x[middle:], blurred[middle, middle:])
@@ -76,11 +76,11 @@ def test_rare_craters_are_fresh_and_common_ones_of_any_wear(ground):
     diameter_m = field.population.diameter_m
     small = diameter_m < 30
     assert small.sum() > 1000
-    assert np.mean(field.wear[small]) == pytest.approx(0.5, abs=0.03)
-    assert field.wear.max() <= 1
+    assert np.mean(field.degradation[small]) == pytest.approx(0.5, abs=0.03)
+    assert field.degradation.max() <= 1
     share = produced_per_m2(diameter_m, 1.0) / equilibrium_per_m2(diameter_m, asked.craters)
     assert share.min() < 0.7
-    assert (field.wear <= share + 1e-12)[share < 1].all()
+    assert (field.degradation <= share + 1e-12)[share < 1].all()
 
 
 def test_craters_are_found_again_on_the_grid(ground):
@@ -92,7 +92,7 @@ def test_craters_are_found_again_on_the_grid(ground):
     population = layers.craters.population
     half_m = 1000 - population.diameter_m / 2
     inside = np.maximum(np.abs(population.east_m), np.abs(population.north_m)) < half_m
-    assert (layers.craters.wear < 0.1).all()
+    assert (layers.craters.degradation < 0.1).all()
     own = [
         hollows[round(1000 - north), round(1000 + east)]
         for east, north in zip(population.east_m[inside], population.north_m[inside], strict=True)

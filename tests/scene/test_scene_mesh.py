@@ -216,10 +216,7 @@ def test_a_closed_mesh_is_told_and_turned_outward(tmp_path: Path, suffix: str) -
     assert file.is_closed
     assert file.turned
     assert enclosed_m3(file.corner_m) == pytest.approx(48.0)
-    assert (
-        file.description
-        == f"mesh box.{suffix}, 12 triangles, 2 x 4 x 6 m, closed, faced inward and was turned"
-    )
+    assert file.description == f"mesh box.{suffix}, 12 triangles, 2 x 4 x 6 m, closed, faced inward: inverted"
 
 
 def test_an_open_mesh_and_one_at_odds_with_itself_are_told(tmp_path: Path) -> None:
@@ -233,7 +230,7 @@ def test_an_open_mesh_and_one_at_odds_with_itself_are_told(tmp_path: Path) -> No
     )
     assert odd.is_closed
     assert not odd.faces_one_way
-    assert "disagree" in odd.description
+    assert "inconsistent" in odd.description
 
 
 def test_triangles_without_area_are_left_out(tmp_path: Path) -> None:

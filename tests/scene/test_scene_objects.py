@@ -248,5 +248,7 @@ def test_more_triangles_than_fit_into_memory_are_refused_before_they_are_made(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("lidar_emu.scene.objects.build.MAXIMUM_TRIANGLES", 3 * 320 - 1)
-    with pytest.raises(InputError, match=r"site.objects: 960 triangles that beams may come to.*at most 959"):
+    with pytest.raises(
+        InputError, match=r"site.objects: 960 triangles within reach of the beams.*at most 959"
+    ):
         scene(part(kind="boulder", diameter_m=1, scatter={"count": 3, "radius_m": 5}))

@@ -145,7 +145,7 @@ def test_fits_what_is_generated_into_a_map(folder):
         (nested(", detail: {spacing_m: 1, hurst: 2}"), ["detail.hurst", "2"]),
         (
             "{kind: nested, grids: [{kind: grid, file: fine.npz}, {kind: grid, file: wide.npz}]}",
-            ["wide.npz", "no place beside the first grid", "at_m"],
+            ["wide.npz", "no position relative to the first grid", "at_m"],
         ),
         (
             nested(wide="{kind: grid, file: fine.npz, at_m: [0, 0]}"),

@@ -71,7 +71,7 @@ class Flight:
 
     @property
     def recorded_geometry(self) -> GeometryFile | None:
-        """The file that supplies beams and hits; None: they are computed."""
+        """The file that supplies beams and hits; None if they are computed."""
         return None
 
     @cached_property
@@ -112,7 +112,7 @@ class Flight:
         return shot * self.period_ns + self._latency_ns
 
     def seen_ns(self, shot: int) -> int:
-        """Scenario time up to which a shot depends on the vehicle's motion: its last beam's time of validity."""
+        """Scenario time up to which a shot depends on the vehicle's motion: the time of validity of its last beam."""
         return shot * self.period_ns + int(self._validity_ns[-1])
 
     def point(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:

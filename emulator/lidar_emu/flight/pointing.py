@@ -22,7 +22,7 @@ class BeamVectors(NamedTuple):
     velocity_mps: FloatArray
     """Velocity of the sensor, including the body's rotation about the lever arm."""
     acceleration_mps2: FloatArray
-    """Acceleration of the sensor at constant body rate: the angular acceleration's share is neglected."""
+    """Acceleration of the sensor at constant body rate; the contribution of angular acceleration is neglected."""
     turning_radps: FloatArray
     """Angular rate of the body and its beams."""
     true: FloatArray

@@ -128,13 +128,13 @@ def _powered_descent(flight: Flight, ground_m: float) -> Decision:
 
     descent = flight.trajectory
     assert isinstance(descent, DescentTrajectory)
-    course, landed = descent.course, descent.state(np.array([descent.course.touchdown_s]))
+    outcome, landed = descent.outcome, descent.state(np.array([descent.outcome.touchdown_s]))
     east_m, north_m, _ = landed.position_site_m[0]
     apart_m = float(flight.scene.height_m(np.array([east_m]), np.array([north_m]))[0]) - ground_m
     speed_mps = float(np.sqrt(np.sum(landed.velocity_site_mps**2)))
-    how = f"{course.steps} steps in {course.end_s:.3f} s, {flight.shot_count} shots"
+    how = f"{outcome.steps} steps in {outcome.end_s:.3f} s, {flight.shot_count} shots"
     reason = (
-        f"cut-off at {course.cut_off_s:.3f} s, touchdown at {course.touchdown_s:.3f} s with {speed_mps:.2f} m/s, "
+        f"cut-off at {outcome.cut_off_s:.3f} s, touchdown at {outcome.touchdown_s:.3f} s with {speed_mps:.2f} m/s, "
         f"{east_m:.1f} m east, {north_m:.1f} m north; {descent.propellant_kg:.1f} kg burnt"
     )
     bound = f"fourth order in the step; ground there {apart_m:+.2f} m off target.up_m"

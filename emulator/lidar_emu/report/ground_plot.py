@@ -11,7 +11,7 @@ from lidar_emu.files import whole_file
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.descent_plot import check_plot_path
 from lidar_emu.scenario.generated_ground import Generated, diameter_range_m
-from lidar_emu.scene.generated.compare import StatisticCheck, asked_number
+from lidar_emu.scene.generated.compare import StatisticCheck, expected_number
 from lidar_emu.scene.generated.generate import Layers
 from lidar_emu.scene.generated.population import Population
 from lidar_emu.scene.generated.statistics import doubling_lags, structure_function
@@ -100,7 +100,7 @@ def _add_numbers(axes: Axes, ground: Generated, name: str, population: Populatio
     own_m = np.sort(population.diameter_m[population.within(ground.size_m)])[::-1]
     diameter_m = np.geomspace(smallest_m, largest_m, 200)[:-1]
     axes.step(own_m, np.arange(1, len(own_m) + 1), where="post", color="C0", label="generated")
-    asked = asked_number(ground, name, diameter_m)
+    asked = expected_number(ground, name, diameter_m)
     axes.plot(diameter_m, asked, label="specified", **_ASKED)
     low, high = np.maximum(np.sqrt(asked) - 2.0, 0.0) ** 2, (np.sqrt(asked) + 2.0) ** 2
     axes.fill_between(diameter_m, np.maximum(low, 1e-3), high, color="0.9", label="Poisson, 4 sigma")

@@ -1,9 +1,8 @@
 """The footprint of a beam, sampled by beamlets.
 
-A Gaussian beam of waist radius w0 at the sensor, Rayleigh range z = pi w0² / wavelength: at range R its 1/e²
-radius is w = w0 sqrt(1 + (R/z)²), its wavefronts have the radius Rc = R (1 + (z/R)²). Transmitted and
-received modes are the same beam, so that the ground at a distance r from the axis contributes with
-exp(-4 r²/w²).
+A Gaussian beam has the waist radius w0 at the sensor and the Rayleigh range z = pi w0² / wavelength. At range R its
+1/e² radius is w = w0 sqrt(1 + (R/z)²) and its wavefronts have the radius Rc = R (1 + (z/R)²). Transmitted and received
+modes are equal, so that the ground at a distance r from the axis contributes with exp(-4 r²/w²).
 """
 
 from __future__ import annotations
@@ -21,35 +20,35 @@ from lidar_emu.scanner.wavefront import rayleigh_range_m
 
 _OUTERMOST_W = {7: np.sqrt(0.5)}
 _OUTERMOST_OTHERWISE_W = 1.1445706
-"""Distance of the corners of the outermost ring. With 7 and with 19 beamlets it makes the fourth moment exact
-too; more beamlets fill the same disc, which holds 99.5 % of the power, more densely: a spectrum spread over
-many bins needs them close together rather than far out."""
+"""Distance of the corners of the outermost ring. With 7 and 19 beamlets it makes the fourth moment exact. More beamlets
+fill the same disc, which holds 99.5 % of the power, more densely: a spectrum spread over many bins needs a small
+spacing rather than a large disc."""
 
 _LEAST_SIDE = 1e-140
-"""Smallest component whose square still has all its digits."""
+"""Smallest component whose square keeps all its digits."""
 
 
 class Footprint(NamedTuple):
-    """Straight rays from the aperture through the footprint; arrays are (beams, beamlets, 3), site frame."""
+    """Straight rays from the aperture through the footprint, in the site frame; arrays are (beams, beamlets, 3)."""
 
     weight: FloatArray
-    """(beamlets,) Share of the beam's power; sums to 1."""
+    """(beamlets,) Fraction of the beam's power; they sum to 1."""
     start_site_m: FloatArray
     ray_site: FloatArray
     """Unit vectors along the rays."""
     doppler_site: FloatArray
-    """Unit vectors: the gradient of the beam's phase where it meets the ground, which a velocity is seen
-    along. In the far field this is `ray_site`'s direction; near the waist the wavefront is flatter."""
+    """Unit vectors: gradient of the beam's phase at the ground, along which a velocity causes Doppler shift. In the far
+    field this is the direction of `ray_site`; near the waist the wavefront is flatter."""
     across_site: FloatArray
-    """(2, beams, 3) Two unit vectors at right angles to the axis and to each other, which offsets count along."""
+    """(2, beams, 3) Two unit vectors perpendicular to the axis and to each other, the axes of the offsets."""
     doppler_start_m: FloatArray
-    """(2, beams, beamlets) Where a straight line along `doppler_site` left the plane of the aperture, as offsets
-    along `across_site`. When the sensor turns, the phase sees the velocity of this point: of a footprint point at
-    the offset x it is x (1 - R/Rc), x in the near field and 0 in the far."""
+    """(2, beams, beamlets) Offsets along `across_site` of the point in the aperture plane at which a straight line
+    along `doppler_site` starts. When the sensor rotates, the Doppler shift depends on the velocity of this point: for a
+    footprint point at offset x it is x (1 - R/Rc), x in the near field and 0 in the far field."""
 
     @classmethod
     def unfilled(cls, beams: int, count: int) -> Self:
-        """Empty arrays for a kernel to fill, with `count` beamlets per beam."""
+        """Allocate arrays for a kernel to fill, with `count` beamlets per beam."""
         shape = (beams, count, 3)
         return cls(
             weight=beamlet_pattern(count)[1],
@@ -70,7 +69,7 @@ def sample_footprint(
     wavelength_m: float,
     footprint: Footprint | None = None,
 ) -> Footprint:
-    """Beamlets of beams.
+    """Sample the footprints of beams by beamlets.
 
     Args:
         sensor_site_m: (beams, 3) centre of the aperture, in the site frame.
@@ -102,7 +101,7 @@ def _sample(
     range_m: FloatArray,
     footprint_arrays: tuple[Any, ...],
 ) -> None:
-    """Fill the arrays of a `Footprint` but its weights."""
+    """Fill the arrays of a `Footprint` except its weights."""
     footprint = Footprint(*footprint_arrays)
     start_m, ray, doppler = footprint.start_site_m, footprint.ray_site, footprint.doppler_site
     across, doppler_start_m = footprint.across_site, footprint.doppler_start_m
@@ -141,30 +140,30 @@ def _normalise(vector: FloatArray) -> None:
 def beamlet_pattern(count: int) -> tuple[FloatArray, FloatArray]:
     """Offsets (count, 2) in units of the 1/e² radius w, and weights (count,) that sum to 1.
 
-    The centre and whole hexagonal rings: 1, 7, 19, 37, 61, 91 or 127. Weights go as exp(-b r²/w²), with b a
-    little below the beam's 4 so that the mean of r² is the beam's w²/4 exactly, cut off as the pattern is.
-    Sixfold symmetry does the rest up to degree 5 but for the mean of r⁴: exact with 7 and 19 (these are
-    quadratures of degree 5), 3 % to 6 % low with 37 to 127. A single beamlet has no width.
+    The pattern is a centre and complete hexagonal rings: 1, 7, 19, 37, 61, 91 or 127 beamlets. Weights follow exp(-b
+    r²/w²); b is slightly below the beam's 4, so that the mean of r² is the beam's w²/4 exactly although the pattern is
+    truncated. By sixfold symmetry all other moments up to degree 5 are exact except the mean of r⁴, which is exact with
+    7 and 19 beamlets and 3 % to 6 % low with 37 to 127. A single beamlet has no width.
 
     Raises:
-        ValueError: another count.
+        ValueError: the count is not allowed.
     """
     offset_w, weight = _hexagons(count), np.ones(1)
     if count > 1:
         offset_w *= _OUTERMOST_W.get(count, _OUTERMOST_OTHERWISE_W) / np.sqrt(np.max(_squared(offset_w)))
         weight = _weights(_squared(offset_w), mean_square=0.25)
-    # One pattern serves every shot.
+    # The same pattern serves every shot.
     offset_w.flags.writeable = weight.flags.writeable = False
     return offset_w, weight
 
 
 @kernel
 def _set_perpendicular(axis: FloatArray, first: FloatArray, second: FloatArray) -> None:
-    """Set two unit vectors (3,) at right angles to a unit vector (3,) and to each other: x and y carried from
-    straight down to the axis by the shortest turn.
+    """Set two unit vectors (3,) perpendicular to a unit vector (3,) and to each other: x and y, rotated by the shortest
+    rotation from straight down to the axis.
 
-    Smooth but for straight up, where that turn is undetermined (no field of directions covers a sphere
-    without such a point): a landing lidar looks the other way. There the turn is taken in the x-z plane.
+    The vectors vary smoothly except at straight up, where that rotation is undetermined (every tangent field on a
+    sphere has such a point) and which a landing lidar does not use; there the rotation is taken in the x-z plane.
     """
     x, y, z = axis[0], axis[1], axis[2]
     if z > 0 and x * x + y * y < _LEAST_SIDE**2:
@@ -177,7 +176,7 @@ def _set_perpendicular(axis: FloatArray, first: FloatArray, second: FloatArray) 
 
 
 def _hexagons(count: int) -> FloatArray:
-    """Centre and whole rings of a triangular lattice of unit spacing, from the centre outward: (count, 2)."""
+    """Centre and complete rings of a triangular lattice of unit spacing, from the centre outward: (count, 2)."""
     corner = np.array([np.exp(1j * np.pi * k / 3) for k in range(7)])
     points = [0j]
     ring = 0
@@ -198,8 +197,7 @@ def _squared(offset: FloatArray) -> FloatArray:
 
 
 def _weights(squared: FloatArray, mean_square: float) -> FloatArray:
-    """exp(-b r²) normalised, with b such that the weighted mean of r² is `mean_square`, by bisection: the
-    mean falls with b."""
+    """Normalised weights exp(-b r²), with b from a bisection such that the weighted mean of r² is `mean_square`."""
     low, high = 2.0, 5.0
     for _ in range(60):
         middle = 0.5 * (low + high)

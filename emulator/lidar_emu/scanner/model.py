@@ -17,23 +17,23 @@ from lidar_emu.scenario.scanner import AltitudeSwitch, Mounting, Pattern, Scan, 
 
 
 class Thresholds(NamedTuple):
-    """The switches in the arrays of the kernel, (switches,) each."""
+    """The switches as arrays for the kernel, (switches,) each."""
 
     by_time: BoolArray
     from_ground: BoolArray
-    """Whether the altitude is counted from the ground, instead of from the origin."""
+    """Whether altitude is measured from the ground, or from the origin."""
     on: FloatArray
-    """Time from which, or altitude below which, it is active."""
+    """Time from which, or altitude below which, the switch is active."""
     off: FloatArray
-    """Altitude above which it no longer is."""
+    """Altitude above which the switch becomes inactive."""
 
 
 @dataclass(frozen=True)
 class ScannerModel:
-    """The patterns of a scanner: set 0 at the start, set k + 1 of switch k.
+    """The patterns of a scanner: pattern 0 at the start, pattern k + 1 of switch k.
 
-    Arrays are (rows, beams): a row for each step of a scan of each set, one set after another, or one for each set. A
-    set with fewer beams than another is filled up with NaN.
+    Arrays are (rows, beams), with a row for each pattern, or for each scan step of each pattern, one pattern after
+    another. Patterns with fewer beams than the largest are padded with NaN.
     """
 
     published_sensor: FloatArray
@@ -48,26 +48,26 @@ class ScannerModel:
     """(beams,) Cycle of the shot in which a beam fires."""
     switches: tuple[AltitudeSwitch | TimeSwitch, ...]
     thresholds: Thresholds
-    """The same as arrays."""
+    """`cycles` as an array."""
     initial: ScannerState
 
     @property
     def beam_count(self) -> int:
-        """Beams of the largest set."""
+        """Number of beams of the largest pattern."""
         return len(self.firing_cycle)
 
     @property
     def set_count(self) -> int:
-        """Patterns of beams."""
+        """Number of beam patterns."""
         return len(self.angle_deg) // self.steps
 
     def row(self, chosen: IntArray | int, shot: NDArray[np.int64]) -> IntArray:
-        """(n,) Rows of the arrays for the sets of shots (n,), or for one set in all of them."""
+        """Rows (n,) of the arrays for the patterns of shots (n,), or for one pattern in all of them."""
         return chosen * self.steps + shot % self.steps
 
     @property
     def needs_ground_altitude(self) -> bool:
-        """Whether any switch counts its altitude from the ground."""
+        """Whether any switch measures its altitude from the ground."""
         return any(
             isinstance(switch, AltitudeSwitch) and switch.datum == "ground" for switch in self.switches
         )
@@ -79,7 +79,7 @@ class ScannerModel:
         altitude_origin_m: FloatArray,
         altitude_ground_m: FloatArray,
     ) -> tuple[IntArray, ScannerState]:
-        """The sets of beams of consecutive shots (n,), and the state to pass with the next ones.
+        """Choose the patterns of consecutive shots (n,); also returns the state to pass with the next ones.
 
         Args:
             state: of the shot before; `initial` for the first.
@@ -104,9 +104,9 @@ def _choose(
     active: BoolArray,
     chosen: IntArray,
 ) -> None:
-    """Carry `active` (switches,) from shot to shot, and fill `chosen` (shots,).
+    """Update `active` (switches,) from shot to shot, and fill `chosen` (shots,).
 
-    NaN compares false: what was active stays, what was not stays off.
+    Comparisons with NaN are false, so that a switch without an altitude keeps its state.
     """
     thresholds = Thresholds(*threshold_arrays)
     for s in range(len(chosen)):
@@ -140,7 +140,7 @@ def _thresholds(switches: Sequence[AltitudeSwitch | TimeSwitch]) -> Thresholds:
 
 
 def build_scanner(part: Scanner) -> ScannerModel:
-    """Directions of all patterns."""
+    """Build the directions of all patterns."""
     beam_count = max(len(pattern.beams_deg) for pattern in part.patterns)
     misaligned = _misalignment(part, beam_count)
     published = [_directions(pattern, beam_count) for pattern in part.patterns]
@@ -150,7 +150,7 @@ def build_scanner(part: Scanner) -> ScannerModel:
     if part.scan is not None:
         steps = part.scan.steps
         published_sensor, true_sensor = (
-            _swung(part.scan, beams) for beams in (published_sensor, true_sensor)
+            _scan_steps(part.scan, beams) for beams in (published_sensor, true_sensor)
         )
         angle_deg = np.degrees(off_axis_rad(published_sensor))
     return ScannerModel(
@@ -166,13 +166,13 @@ def build_scanner(part: Scanner) -> ScannerModel:
 
 
 def mounting_rotation(part: Mounting) -> FloatArray:
-    """body_from_sensor (3, 3)."""
+    """Rotation body_from_sensor (3, 3)."""
     yaw, pitch, roll = (np.radians(angle) for angle in (part.yaw_deg, part.pitch_deg, part.roll_deg))
     return from_yaw_pitch_roll(yaw, pitch, roll)
 
 
 def _directions(pattern: Pattern, beam_count: int) -> tuple[FloatArray, FloatArray]:
-    """Off-boresight angles in degrees (beams,) and unit vectors (beams, 3); NaN beyond the beams it has."""
+    """Off-boresight angles in degrees (beams,) and unit vectors (beams, 3); NaN for absent beams."""
     beams_deg = np.full((beam_count, 2), np.nan)
     beams_deg[: len(pattern.beams_deg)] = pattern.beams_deg
     angle, azimuth = np.radians(beams_deg).T
@@ -183,21 +183,21 @@ def _directions(pattern: Pattern, beam_count: int) -> tuple[FloatArray, FloatArr
 
 
 def off_axis_rad(direction: FloatArray) -> FloatArray:
-    """Angles (...) of vectors (..., 3) from the z axis of their frame, with all digits of small ones."""
+    """Angles (...) of vectors (..., 3) from the z axis of their frame, accurate for small angles."""
     return np.asarray(np.arctan2(np.hypot(direction[..., 0], direction[..., 1]), direction[..., 2]))
 
 
-def _swung(part: Scan, beams: FloatArray) -> FloatArray:
-    """Beams (sets, beams, 3) at every step of a scan, one set after another: (sets * steps, beams, 3)."""
+def _scan_steps(part: Scan, beams: FloatArray) -> FloatArray:
+    """Beams (patterns, beams, 3) at every step of a scan, one pattern after another: (patterns * steps, beams, 3)."""
     azimuth = np.radians(part.azimuth_deg)
     turn_rad = np.radians(np.linspace(-part.half_angle_deg, part.half_angle_deg, part.steps))
-    # The axis is a quarter turn on from the azimuth, so that z goes towards it.
+    # The axis is 90 degrees ahead of the azimuth, so that z turns towards the azimuth.
     turn = from_rotation_vector(turn_rad[:, None] * np.array([-np.sin(azimuth), np.cos(azimuth), 0.0]))
     return rotate(turn[:, None], beams[:, None]).reshape(-1, *beams.shape[1:])
 
 
 def _misalignment(part: Scanner, beam_count: int) -> FloatArray:
-    """sensor_from_believed rotations (beams, 3, 3)."""
+    """Rotations (beams, 3, 3) from published to true directions."""
     given = part.misalignment_mrad or [(0.0, 0.0)] * beam_count
     vector_rad = np.zeros((beam_count, 3))
     vector_rad[:, :2] = np.array(given) * 1e-3

@@ -1,4 +1,4 @@
-"""Which pattern of beams a scanner uses, carried from shot to shot."""
+"""The state of beam pattern selection, carried from shot to shot."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ScannerState:
-    """State that passes from shot to shot."""
+    """State of the pattern selection that passes from shot to shot."""
 
     active: tuple[bool, ...]
-    """One per switch."""
+    """Whether each switch is active."""
     commanded: int | None = None
-    """The set that a command has chosen, instead of the switches."""
+    """Pattern chosen by a command, which overrides the switches."""

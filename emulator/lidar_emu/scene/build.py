@@ -19,7 +19,7 @@ AnyGrid = site.ElevationGrid | Generated
 
 
 def build_scene(part: site.Site) -> Scene:
-    """The ground of a site with its objects, in the site frame.
+    """Build the ground of a site with its objects, in the site frame.
 
     Raises:
         InputError: an elevation file or a mesh cannot be used as the site asks.
@@ -28,7 +28,7 @@ def build_scene(part: site.Site) -> Scene:
 
 
 def with_objects(ground: Scene, part: site.Site, reach: Reach | None = None) -> Scene:
-    """The ground of a site with what stands on it, as far as the rays of a run may come to it.
+    """Place the objects of a site on its ground, as far as the rays of a run can reach them.
 
     Raises:
         InputError: a mesh cannot be used as the site asks.
@@ -41,7 +41,7 @@ def with_objects(ground: Scene, part: site.Site, reach: Reach | None = None) -> 
 
 
 def build_ground(part: site.Site, reach: Reach | None = None) -> Scene:
-    """The ground of a site without its objects, in the site frame.
+    """Build the ground of a site without its objects, in the site frame.
 
     Args:
         part: the site.
@@ -87,7 +87,7 @@ def _grids(part: site.Site, grids: list[AnyGrid], feather_m: float | None, reach
         around: dict[str, Beyond] = {
             "none": None,
             "plane": _plane(part, site.Plane(kind="plane"), altitude_m),
-            # Through the origin, as the level plane is: the body's sphere at the height of the site.
+            # The sphere of the body at the altitude of the site: it passes through the origin, as the plane does.
             "sphere": _sphere(part, part.body.radius_m + altitude_m, 0.0),
         }
         return layers, around[grids[-1].beyond]

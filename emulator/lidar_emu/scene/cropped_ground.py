@@ -1,4 +1,4 @@
-"""Ground cropped to the part that a run can reach; the whole is built again if a ray needs it after all."""
+"""Ground cropped to the part that a run can reach; a ray that needs more causes the whole ground to be built."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Kept(NamedTuple):
     """The part of one grid that is kept in memory."""
 
     span: Span
-    """Extent of the whole grid; its heights bound all grids of the ground."""
+    """Extent of the whole grid, with heights that bound all grids of the ground."""
     area: Rectangle
     """Area of the kept part."""
     samples: int
@@ -30,14 +30,14 @@ class Kept(NamedTuple):
 class CroppedGround:
     """A ground cut to what a run can reach.
 
-    The rays of a run are known beforehand, except with faults injected in flight and in other uses of the scene. Each
-    ray is therefore checked: one that may need more than the kept part is cast onto the whole ground, which is built
-    for the first of them. No ray ever meets a ground with a missing part.
+    The rays of a run are known in advance, except with faults injected in flight and in other uses of the scene. Each
+    ray is therefore checked: a ray that may need more than the kept part is cast onto the whole ground, which is built
+    on first use. The hits equal those on the whole ground.
 
     Args:
         held: the cropped ground.
-        kept: the part of each grid that is left.
-        build_whole: builds the ground uncut.
+        kept: the kept part of each grid.
+        build_whole: builds the whole ground.
     """
 
     def __init__(self, held: Scene, kept: tuple[Kept, ...], build_whole: Callable[[], Scene]) -> None:

@@ -15,7 +15,7 @@ from lidar_emu.scene.ray_hits import GROUND, NOTHING, Hits, contiguous
 
 @kernel(forceinline=True)
 def plane_stretch(height: float, climb: float) -> tuple[float, float]:
-    """First and last t of the line on which ``height + t * climb <= 0``; (inf, -inf) if there is none."""
+    """First and last t of the interval in which ``height + t * climb <= 0``; (inf, -inf) if there is none."""
     if climb < 0.0:
         return -height / climb, np.inf
     if climb > 0.0:
@@ -54,7 +54,7 @@ def _cast(
 
 
 class PlaneGround:
-    """A plane of any slope short of the vertical.
+    """A plane of any slope below the vertical.
 
     Args:
         slope_rad: inclination.
@@ -108,7 +108,7 @@ class PlaneGround:
         return hits
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """The textbook formula in 50 digits."""
+        """First contact by the textbook formula in 50 digits."""
         hits = Hits.none(len(origin_site_m))
         a, b, c = (Decimal(x) for x in self.normal_site.tolist())
         for k, (origin, direction) in enumerate(zip(origin_site_m, direction_site, strict=True)):

@@ -1,7 +1,7 @@
 """Hits of rays, and the interface of every scene.
 
-The ground is solid: everything at and below its surface. A ray hits the first of its points that lies in the
-ground, so one that starts on the surface hits it at range 0, and one that starts below it is inside.
+The ground is solid and includes its surface. A ray hits the first of its points that lies in the ground, so that a ray
+that starts on the surface hits it at range 0, and one that starts below it is inside.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ class Hits(NamedTuple):
     """Hits of n rays."""
 
     range_m: FloatArray
-    """(n,) distance along the ray; NaN where nothing is hit."""
+    """(n,) Distance along the ray; NaN where nothing is hit."""
     normal_site: FloatArray
-    """(n, 3) unit normal in the site frame, pointing out of the ground; NaN where nothing is hit."""
+    """(n, 3) Unit normal in the site frame, pointing out of the ground; NaN where nothing is hit."""
     inside: BoolArray
-    """(n,) whether the ray starts below the surface; its range is NaN."""
+    """(n,) Whether the ray starts below the surface; its range is NaN."""
     reflectance: FloatArray
-    """(n,) albedo of the place that is hit; NaN where nothing is."""
+    """(n,) Albedo at the hit; NaN where nothing is hit."""
     object_id: NDArray[np.int16]
-    """(n,) what is hit: 0 the ground, 1, 2, ... the site's objects in their order, -1 nothing."""
+    """(n,) What is hit: 0 the ground, 1, 2, ... the site's objects in order, -1 nothing."""
     velocity_site_mps: FloatArray
-    """(n, 3) of the place that is hit, NaN where nothing is; empty in a scene in which nothing moves."""
+    """(n, 3) Velocity of the surface at the hit, NaN where nothing is hit; empty in a static scene."""
 
     @classmethod
     def empty(cls, count: int, moving: bool = False) -> Self:
@@ -47,7 +47,7 @@ class Hits(NamedTuple):
 
     @classmethod
     def none(cls, count: int, moving: bool = False) -> Self:
-        """``count`` rays that hit nothing."""
+        """Hits of ``count`` rays that hit nothing."""
         hits = cls.empty(count, moving)
         for numbers in (hits.range_m, hits.normal_site, hits.reflectance, hits.velocity_site_mps):
             numbers.fill(np.nan)
@@ -57,11 +57,11 @@ class Hits(NamedTuple):
 
     @property
     def moving(self) -> bool:
-        """Whether velocities are kept."""
+        """Whether velocities are present."""
         return self.velocity_site_mps.size > 0
 
     def set_rows(self, rows: IntArray | slice, found: Hits) -> None:
-        """Replace the hits of some rays; velocities where both keep them."""
+        """Replace the hits of some rays, with velocities if both have them."""
         ours: tuple[NDArray[Any], ...] = self
         theirs: tuple[NDArray[Any], ...] = found
         for all_rays, some in zip(ours, theirs, strict=True):
@@ -69,13 +69,13 @@ class Hits(NamedTuple):
                 all_rays[rows] = some
 
     def keep_nearer(self, others: Hits, rows: IntArray | None = None) -> None:
-        """Take over hits on other objects where they come first, or at the same place.
+        """Replace hits by hits on other objects that are nearer, or at the same distance.
 
-        What a ray starts inside of comes before all that it hits.
+        A ray that starts inside an object hits nothing else.
 
         Args:
-            others: (m,) hits of the same rays.
-            rows: (m,) which of the n rays they are; None: all.
+            others: (m,) other hits of the same rays.
+            rows: (m,) indices of these rays among the n; None: all.
         """
         rows = np.arange(len(others.range_m)) if rows is None else rows
         range_m = self.range_m[rows]
@@ -90,7 +90,7 @@ class Hits(NamedTuple):
         return type(self)(*(values[which] if len(values) else values for values in arrays))
 
     def shaped(self, shape: tuple[int, ...]) -> Self:
-        """The same hits, seen as in another arrangement: (n,) becomes ``shape``."""
+        """The same hits, reshaped: (n,) becomes ``shape``."""
         moving_shape = shape if self.moving else (0,) * len(shape)
         return type(self)(
             range_m=self.range_m.reshape(shape),
@@ -111,7 +111,7 @@ class Scene(Protocol):
 
     @property
     def origin_altitude_m(self) -> float:
-        """Height of the site frame's origin above the body's sphere."""
+        """Altitude of the site frame's origin above the body's sphere."""
 
     def cast(
         self,
@@ -125,24 +125,24 @@ class Scene(Protocol):
         Args:
             origin_site_m: (n, 3) starting points.
             direction_site: (n, 3) unit vectors; a row with NaN hits nothing.
-            hits: to be filled and returned; None: new ones.
-            bundle: that many consecutive rays are close together, as a beam's beamlets are. It changes no result,
-                only the time that it takes.
+            hits: filled and returned; None: allocated.
+            bundle: number of consecutive rays that are close together, such as the beamlets of a beam; it affects the
+                run time only.
         """
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """The same as `cast` by a slow and independent path, for checks."""
+        """First contact by a slow, independent path, for verification."""
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        """(n,) site z of the ground straight above or below; NaN where there is none."""
+        """Height z (n,) of the ground straight above or below; NaN where there is none."""
 
     def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """(n,) False where a vehicle has left the ground for good."""
+        """Whether points are within the scene, (n,); False where a vehicle has left the ground for good."""
 
 
 @runtime_checkable
 class MovingScene(Scene, Protocol):
-    """A scene with moving objects; the methods of `Scene` answer for the start of the run."""
+    """A scene with moving objects; the methods of `Scene` refer to the start of the run."""
 
     def cast_at(
         self,
@@ -154,13 +154,13 @@ class MovingScene(Scene, Protocol):
         """First contact of rays at their times.
 
         Args:
-            time_ns: (m,) since the start, each of the next n / m rays.
-            origin_site_m, direction_site, hits: as of `Scene.cast`.
+            time_ns: (m,) times since the start, each for the next n / m rays.
+            origin_site_m, direction_site, hits: see `Scene.cast`.
         """
 
 
 def contiguous(first: ArrayLike, second: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Both arrays as the kernels take them: float64 in C order, so that each is compiled once."""
+    """Both arrays in the layout of the kernels: float64 in C order, so that each kernel is compiled once."""
     return (
         np.ascontiguousarray(first, dtype=np.float64),
         np.ascontiguousarray(second, dtype=np.float64),

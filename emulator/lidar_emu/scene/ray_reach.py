@@ -1,4 +1,4 @@
-"""Area of the map that rays can need, for any ground between a lowest and a highest height."""
+"""Area of the map that rays can reach, for any ground between a lowest and a highest height."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NOWHERE = (np.inf, -np.inf, np.inf, -np.inf)
 
 
 class Span(NamedTuple):
-    """Bounds of a ground: an area of the map between two heights."""
+    """Bounds of a ground: an area of the map, and the lowest and highest height."""
 
     area: Rectangle
     floor_m: float
@@ -32,21 +32,21 @@ class Reach:
     """The rays of a whole run.
 
     Args:
-        lines: the axes of all beams that may ever be cast, block by block.
-        slack_rad: by how much a beamlet's direction may differ from its axis'.
-        spread_m: by how far it may start away from it.
+        lines: axes of all beams that may be cast, block by block.
+        slack_rad: maximum angle between a beamlet and its axis.
+        spread_m: maximum distance between their origins.
     """
 
     def __init__(self, lines: Callable[[], Iterator[Lines]], slack_rad: float, spread_m: float) -> None:
         self._lines, self._slack_rad, self._spread_m = lines, slack_rad, spread_m
 
     def over(self, span: Span, below_m: float = np.inf) -> Rectangle:
-        """What part of an area contains all places at which a ray is between floor and ceiling, and the place of the
-        area nearest to every ray's start; empty if there is none.
+        """Part of an area that contains all positions of rays between floor and ceiling, and the nearest position of
+        the area to each ray's origin; empty if there is none.
 
         Args:
-            span: where the ground is.
-            below_m: of rays that start lower than this.
+            span: bounds of the ground.
+            below_m: only rays that start below this height count.
         """
         needed = np.array(NOWHERE)
         for origin, direction in self._lines():
@@ -56,7 +56,7 @@ class Reach:
 
 
 def strays(origin_site_m: FloatArray, direction_site: FloatArray, span: Span, kept: Rectangle) -> BoolArray:
-    """(n,) Whether rays may need more of a ground than what is kept of it."""
+    """Whether rays may need more of a ground than the kept part, (n,)."""
     stray = np.empty(len(origin_site_m), dtype=np.bool_)
     _find_strays(origin_site_m, direction_site, as_record(span), as_record(kept), stray)
     return stray
@@ -66,11 +66,11 @@ def strays(origin_site_m: FloatArray, direction_site: FloatArray, span: Span, ke
 def _needed(
     start: Vector, way: Vector, span: Span, slack: float, spread: float
 ) -> tuple[float, float, float, float]:
-    """The part of an area over which any ray, turned and moved by no more than this, is between floor and ceiling.
+    """Part of an area over which a ray, rotated and displaced by up to these limits, is between floor and ceiling.
 
-    After t a turned ray is within spread + t slack of the given one, in every direction. It comes to the ceiling
-    at the earliest if it sinks by slack faster, and to the floor at the latest if by slack slower. One that may not
-    sink at all ends where it climbs through the ceiling, or leaves the area.
+    After t a rotated ray is within spread + t slack of the given one, in every direction. It reaches the ceiling at the
+    earliest with a descent rate increased by slack, and the floor at the latest with a rate decreased by slack. A ray
+    that may not descend ends where it rises through the ceiling or leaves the area.
     """
     (x, y, z), (dx, dy, dz) = start, way
     west, east, south, north = span.area.west_m, span.area.east_m, span.area.south_m, span.area.north_m
@@ -109,7 +109,7 @@ def _extend(
     spread: float,
     needed: FloatArray,
 ) -> None:
-    """Extend a rectangle (4,) by what rays need of the ground in a span, the record of a `Span`."""
+    """Extend a rectangle (4,) to the area that rays need of the ground in a span, the record of a `Span`."""
     span = spans[0]
     area = span.area
     for k in range(len(origin)):
@@ -131,7 +131,7 @@ def _find_strays(
     areas: NDArray[np.void],
     stray: BoolArray,
 ) -> None:
-    """Fill `stray` (n,): whether rays may need more of the ground in a span than what is kept of its area."""
+    """Fill `stray` (n,): whether rays may need more of the ground in a span than the kept area."""
     kept = areas[0]
     for k in range(len(origin)):
         w, e, s, n = _needed(vector_at(origin[k], 0), vector_at(direction[k], 0), spans[0], 0.0, 0.0)

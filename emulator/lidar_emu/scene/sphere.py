@@ -1,7 +1,7 @@
 """The body's sphere in the site frame.
 
-All formulas count from the top of the sphere, never from its centre: the distance to the surface is then the
-small quantity that is computed, not the difference of two body radii.
+All formulas are relative to the top of the sphere, never to its centre, so that the distance to the surface is a small
+quantity and not the difference of two body radii.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ def sphere_stretch(
 ) -> tuple[float, float]:
     """First and last t of a line inside the sphere; (inf, -inf) if there is none.
 
-    The line starts at x, y and height ``above`` the top of the sphere; (dx, dy, dz) is a unit vector. Its
-    points in the sphere have t² + 2 b t + power <= 0, where power = |o - centre|² - R² is formed without
-    subtracting radii, and the roots without subtracting b from itself.
+    The line starts at x, y and height ``above`` the top of the sphere; (dx, dy, dz) is a unit vector. Points in the
+    sphere satisfy t² + 2 b t + power <= 0, where power = |o - centre|² - R² is computed without subtracting radii, and
+    the roots without subtracting b from itself.
     """
     power = x * x + y * y + above * (above + 2.0 * radius)
     b = x * dx + y * dy + above * dz + radius * dz
@@ -67,7 +67,7 @@ def _cast(
 
 
 class SphereGround:
-    """The body's sphere; horizontal at the origin of the site frame.
+    """The body's sphere, horizontal at the origin of the site frame.
 
     Args:
         radius_m: radius of the body's reference sphere.
@@ -106,7 +106,7 @@ class SphereGround:
         return hits
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """The textbook formula about the centre, in 50 digits."""
+        """First contact by the textbook formula about the centre, in 50 digits."""
         hits = Hits.none(len(origin_site_m))
         for k, (origin, direction) in enumerate(zip(origin_site_m, direction_site, strict=True)):
             if not np.isfinite([origin, direction]).all():

@@ -1,4 +1,4 @@
-"""Attitude along a flight through rows of Euler angles or of quaternions, with the rates of that same rotation."""
+"""Attitude curves through rows of Euler angles or quaternions, with consistent body rates."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class EulerAttitude:
         self._curves = Curves([curve or LEVEL for curve in (yaw, pitch, roll)])
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `AttitudeCurve`. This way round there is no singularity, not even at a pitch of 90 degrees."""
+        """See `AttitudeCurve`; rates from angles have no singularity, not even at a pitch of 90 degrees."""
         angles, rates, _ = self._curves.at(time_s)
         site_from_body, body_rate = np.empty((len(time_s), 3, 3)), np.empty((len(time_s), 3))
         _from_euler(SITE_FROM_NED, angles, rates, site_from_body, body_rate)
@@ -62,9 +62,9 @@ def _from_euler(
 
 
 class QuaternionAttitude:
-    """Cubic Hermite in the four components, made unit where it is read.
+    """Cubic Hermite curve in the four components, normalised on evaluation.
 
-    The rates at the rows come from the turns between them, so that a steady turn keeps its rate there.
+    The rates at the rows derive from the rotations between them, so that a steady turn keeps its rate.
     """
 
     def __init__(self, knot_s: FloatArray, site_from_body: FloatArray) -> None:
@@ -80,14 +80,14 @@ class QuaternionAttitude:
 
 
 def _of_one_sign(quaternion: FloatArray) -> FloatArray:
-    """q and -q are the same attitude: of the two, the one nearer to the row before."""
+    """Choose between q and -q, which are the same attitude, the one nearer to the preceding row."""
     along, _ = conjugate_product(quaternion[:-1], quaternion[1:])
     sign = np.cumprod(np.where(along < 0, -1.0, 1.0))
     return np.concatenate([quaternion[:1], sign[:, None] * quaternion[1:]])
 
 
 def _derivatives(knot_s: FloatArray, quaternion: FloatArray) -> FloatArray:
-    """dq/dt = q (0, rate) / 2 at the knots: (k, 4)."""
+    """Derivatives (k, 4) at the knots, dq/dt = q (0, rate) / 2."""
     step_s = np.diff(knot_s)
     step_cos, step_sin_axis = conjugate_product(quaternion[:-1], quaternion[1:])
     half_turn = np.arctan2(np.sqrt(dot(step_sin_axis, step_sin_axis)), step_cos)

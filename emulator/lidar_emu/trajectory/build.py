@@ -12,15 +12,15 @@ from lidar_emu.trajectory.table import TableTrajectory
 
 
 def build_trajectory(part: Profile | Table | Live | PoweredDescent, body_radius_m: float = inf) -> Trajectory:
-    """The flight that the scenario describes.
+    """Build the trajectory of a scenario.
 
     Args:
-        part: of the scenario.
-        body_radius_m: of the body landed on, on which a powered descent's gravity depends.
+        part: the scenario's `trajectory`.
+        body_radius_m: radius of the celestial body, on which the gravity of a powered descent depends.
 
     Raises:
-        InputError: the file of a table cannot be used; names the file, the column and the value. Or a powered descent
-            does not land.
+        InputError: the file of a table cannot be used (names file, column and value), or a powered descent does not
+            land.
     """
     if isinstance(part, PoweredDescent):
         from lidar_emu.trajectory.powered.trajectory import DescentTrajectory

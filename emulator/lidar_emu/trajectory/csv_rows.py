@@ -1,4 +1,4 @@
-"""Columns of numbers from a CSV file with a header; whatever cannot be used is refused by line and column."""
+"""Columns of numbers from a CSV file with a header; unusable cells are refused by line and column."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class CsvRows:
     rows: list[list[str]]
 
     def column(self, name: str) -> FloatArray:
-        """The numbers (n,) of a column; NaN where a cell is empty.
+        """Numbers (n,) of a column; NaN where a cell is empty.
 
         Raises:
             InputError: the header has no such column or has it twice, or a cell is not a finite number.
@@ -37,7 +37,7 @@ class CsvRows:
         return np.array([self._number(name, *cell) for cell in zip(self.lines, cells, strict=True)])
 
     def refusal(self, row: int, name: str, value: object, allowed: str) -> InputError:
-        """The error for a cell that cannot be used."""
+        """Error for an unusable cell."""
         return InputError(self.file, f"line {self.lines[row]}, {name}", value, allowed)
 
     def _number(self, name: str, line: int, text: str) -> float:
@@ -56,7 +56,7 @@ class CsvRows:
 
 
 def read_csv(file: str) -> CsvRows:
-    """Header and rows of `file`, blanks around cells stripped and empty lines passed over.
+    """Read the header and rows of a file; blanks around cells are stripped and empty lines skipped.
 
     Raises:
         InputError: the file is unreadable, empty or not CSV text, or a row is longer than the header.

@@ -12,12 +12,12 @@ from lidar_emu.numerics.kernels import kernel
 
 
 class Curve(NamedTuple):
-    """A cubic between each two of k knots; the end pieces continue outside."""
+    """A cubic piece between neighbouring knots; the end pieces continue outside."""
 
     knot_s: FloatArray
     """(k,) Increasing."""
     coefficients: FloatArray
-    """(4, k - 1) Of the powers 0 to 3 of the time since the piece's first knot."""
+    """(4, k - 1) Coefficients of the powers 0 to 3 of the time since the piece's first knot."""
 
 
 LEVEL = Curve(np.array([0.0, 1.0]), np.zeros((4, 1)))
@@ -25,17 +25,17 @@ LEVEL = Curve(np.array([0.0, 1.0]), np.zeros((4, 1)))
 
 
 class Curves:
-    """Curves, each with its own knots, that are read together."""
+    """Curves with their own knots, evaluated together."""
 
     def __init__(self, curves: Sequence[Curve]) -> None:
-        # A knot and the piece that begins there share a place; at the last knot of a curve begins none.
+        # A knot and the piece that begins there share an index; no piece begins at the last knot of a curve.
         self._first = np.cumsum([0, *(len(curve.knot_s) for curve in curves)])
         self._knot_s = np.concatenate([curve.knot_s for curve in curves])
         self._pieces = np.concatenate([np.pad(curve.coefficients.T, ((0, 1), (0, 0))) for curve in curves])
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """Value, first and second derivative, (3, n, curves), at times (n,): the derivatives are exact, so
-        that a speed always agrees with the positions around it."""
+        """Values, first and second derivatives (3, n, curves) at times (n,); the derivatives are exact, so that speeds
+        are consistent with positions."""
         orders = np.empty((3, len(time_s), len(self._first) - 1))
         _read(self._first, self._knot_s, self._pieces, time_s, orders)
         return orders
@@ -57,7 +57,7 @@ def _read(
 
 @kernel
 def piece_at(start_s: FloatArray, time_s: float) -> int:
-    """The last of the pieces with starts (pieces,) that has begun at a time; the first before all of them."""
+    """Index of the last piece that has begun at a time, given their starts (pieces,); 0 before the first."""
     low, high = 0, len(start_s)
     while high - low > 1:
         middle = (low + high) // 2
@@ -69,7 +69,7 @@ def piece_at(start_s: FloatArray, time_s: float) -> int:
 
 
 def hermite(knot_s: FloatArray, value: FloatArray, rate: FloatArray) -> Curve:
-    """The curve through values (k,) with given rates (k,) at knots (k,), k at least 2."""
+    """Curve through values (k,) with given rates (k,) at knots (k,), k at least 2."""
     step_s = np.diff(knot_s)
     slope = np.diff(value) / step_s
     c2 = (3 * slope - 2 * rate[:-1] - rate[1:]) / step_s
@@ -78,19 +78,19 @@ def hermite(knot_s: FloatArray, value: FloatArray, rate: FloatArray) -> Curve:
 
 
 def through(knot_s: FloatArray, value: FloatArray) -> Curve:
-    """The curve through values (k,) at knots (k,), k at least 2, with rates derived from the values."""
+    """Curve through values (k,) at knots (k,), k at least 2, with rates derived from the values."""
     step_s = np.diff(knot_s)
     return hermite(knot_s, value, knot_rates(step_s, np.diff(value) / step_s))
 
 
 def knot_rates(step_s: FloatArray, slope: FloatArray) -> FloatArray:
-    """Rates (k,) at the knots of steps (k - 1,) with mean rates (k - 1,): of the parabola through each knot
-    and its neighbours.
+    """Rates (k,) at the knots, from steps (k - 1,) and their mean rates (k - 1,), by the parabola through each knot and
+    its neighbours.
 
-    Exact for constant acceleration, which is what a landing flies from row to row, and of second order at any
-    spacing. Shape-preserving slopes (PCHIP) are neither: they are zero wherever a value turns back, which
-    costs the speed up to half a row's worth of acceleration. A spline with a continuous second derivative is
-    smoother, but one rough value or one long gap rings through all of its neighbours.
+    The rates are exact for constant acceleration, which approximates a landing from row to row, and of second order at
+    any spacing. Shape-preserving slopes (PCHIP) are neither: they are zero at every extremum, an error in speed of up
+    to half a row's acceleration. A spline with a continuous second derivative is smoother, but one outlier or one long
+    gap makes all of its neighbours oscillate.
     """
     if len(slope) == 1:
         return np.repeat(slope, 2)

@@ -1,4 +1,4 @@
-"""A trajectory that is still being flown: truth as it arrives, interpolated, or continued beyond the newest."""
+"""A trajectory from live truth, interpolated between samples and extrapolated beyond the newest."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ _STILL = (0.0, 0.0, 0.0)
 
 
 class LiveTrajectory:
-    """Truth so far. Between two truths position and velocity (and acceleration, where it is known) are met at both,
-    and so are attitude and body rate; beyond the newest, acceleration and body rate stay as they are.
+    """The truth received so far. Between two truths the curve meets position, velocity, attitude and body rate at both
+    (and acceleration, where it is known); beyond the newest, acceleration and body rate are held constant.
 
     Args:
-        jump_m: a truth further than this from where the last was heading starts anew.
+        jump_m: a truth further than this from the extrapolation of the last one is a jump, across which nothing is
+            interpolated.
     """
 
     duration_s = LONGEST_S
@@ -38,20 +39,20 @@ class LiveTrajectory:
     def __init__(self, jump_m: float) -> None:
         self._jump_m = jump_m
         self.newest: Truth | None = None
-        """The truth that later ones follow."""
+        """Newest truth accepted."""
         self._truths = with_fields(np.empty(_KEPT, dtype=TRUTH))
         self._count = 0
         self.verdicts: Counter[Verdict] = Counter()
         self.jumped = 0
         self.lost = 0
-        """Numbers that never arrived, or arrived out of order."""
+        """Sequence numbers that never arrived, or arrived out of order."""
 
     def accept(self, truth: Truth | None, now_ns: int | None) -> Verdict:
-        """Take a truth into account, or count why not.
+        """Accept a truth, or count the reason for rejecting it.
 
         Args:
-            truth: as decoded; None for bytes that are none.
-            now_ns: scenario time; None where only truth makes it pass, and until it has begun.
+            truth: the decoded datagram; None if it could not be decoded.
+            now_ns: scenario time; None in lockstep, and before scenario time has begun.
         """
         verdict = self._judge(truth, now_ns)
         self.verdicts[verdict] += 1
@@ -67,7 +68,7 @@ class LiveTrajectory:
 
     @contextmanager
     def pretending(self, truth: Truth) -> Iterator[None]:
-        """Take this as the only truth, for the duration of the context."""
+        """Replace all truth by this one, for the duration of the context."""
         kept = self.newest, self._truths.copy(), self._count
         self._count = 0
         self._append(truth)
@@ -77,7 +78,7 @@ class LiveTrajectory:
             self.newest, self._truths, self._count = kept
 
     def state(self, time_s: FloatArray) -> VehicleState:
-        """The vehicle at scenario times (n,), interpolated or continued from the truth so far.
+        """State of the vehicle at scenario times (n,), interpolated or extrapolated from the truth so far.
 
         Raises:
             ValueError: there is no truth yet.
@@ -137,7 +138,7 @@ class LiveTrajectory:
 
 
 def _distance_m(a: Truth, b: Truth) -> float:
-    """Distance between the continuation of `a` and the position of `b`."""
+    """Distance between the extrapolation of `a` and the position of `b`."""
     since_s = (b.time_ns - a.time_ns) * 1e-9
     heading_m = (
         p + (v + 0.5 * g * since_s) * since_s

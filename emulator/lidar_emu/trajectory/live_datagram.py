@@ -1,4 +1,4 @@
-"""Truth from a simulator, and the answer to it, as datagrams: bytes in, values out.
+"""Datagrams of a simulator's truth and of the reply in lockstep: bytes in, values out.
 
 The layout is documented, with a client to copy, in docs/live-truth.md. All numbers are little-endian and lie on
 multiples of their size, so that a packed C structure is the datagram.
@@ -27,7 +27,7 @@ TRUTH_BYTES = _TRUTH.size
 
 
 class Verdict(IntEnum):
-    """Verdict on a truth; the number is the status of the answer."""
+    """Verdict on a truth; its value is the status of the reply."""
 
     ACCEPTED = 0
     MALFORMED = 1
@@ -41,7 +41,7 @@ class Verdict(IntEnum):
     OUT_OF_ORDER = 5
     """Older than the newest truth."""
     IMPLAUSIBLE_TIME = 6
-    """More than 10 s from where it can be: from now, or in lockstep after the newest truth; or a first one before
+    """More than 10 s from now, or in lockstep more than 10 s after the newest truth; for the first truth, before
     scenario time 0 or beyond the longest run."""
 
 
@@ -87,14 +87,14 @@ class Truth(NamedTuple):
 
 
 def sequence_of(datagram: bytes) -> int:
-    """The number that an answer to whatever arrived refers to; 0 where there is none."""
+    """Sequence number to which the reply to a datagram refers; 0 if the datagram has none."""
     if len(datagram) < _HEAD.size or datagram[:4] != _TRUTH_MAGIC:
         return 0
     return int(_HEAD.unpack_from(datagram)[3])
 
 
 class AnsweredPacket(NamedTuple):
-    """A packet that an answer carries."""
+    """A packet in a reply."""
 
     shot: int
     due_ns: int
@@ -105,11 +105,11 @@ class AnsweredPacket(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """A datagram of the answer to a truth, in lockstep."""
+    """A datagram of the reply to a truth, in lockstep."""
 
     verdict: Verdict
     more: int
-    """Number of datagrams of the same answer that follow; 255 stands for more."""
+    """Number of datagrams of the same reply that follow; 255 means 255 or more."""
     sequence: int
     time_ns: int
     """Time of the truth: all packets due up to then have been sent."""
@@ -130,7 +130,7 @@ class Answer(NamedTuple):
         """The inverse of `to_bytes`.
 
         Raises:
-            ValueError: this is no answer.
+            ValueError: the datagram is not a reply of this version.
         """
         try:
             magic, version, verdict, more, sequence, count, time_ns = _ANSWER.unpack_from(datagram)
@@ -147,7 +147,7 @@ class Answer(NamedTuple):
 
 
 def answers(verdict: Verdict, sequence: int, time_ns: int, packets: Iterable[AnsweredPacket]) -> list[Answer]:
-    """An answer, cut into datagrams that UDP carries."""
+    """Build a reply, divided into datagrams of a size that UDP carries."""
     parts: list[list[AnsweredPacket]] = [[]]
     left_bytes = _LONGEST_ANSWER_BYTES
     for packet in packets:

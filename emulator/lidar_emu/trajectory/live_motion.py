@@ -1,4 +1,4 @@
-"""The vehicle's motion between truths and beyond the newest."""
+"""Interpolation of the vehicle's motion between truths, and extrapolation beyond the newest."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TRUTH = np.dtype(
         ("body_rate_radps", float, 3),
     ]
 )
-"""A truth in kernels, in the site frame; the acceleration is NaN where it is unknown, the attitude a quaternion."""
+"""A truth for kernels, in the site frame; attitude is a quaternion, an unknown acceleration NaN."""
 
 
 @kernel(outermost=True)

@@ -30,7 +30,7 @@ class _Legs(NamedTuple):
 
 
 class ProfileTrajectory:
-    """Legs between waypoints, in closed form; the first and the last leg's motion continues outside."""
+    """Legs between waypoints, in closed form; the motion of the first and the last leg continues outside."""
 
     gaps: tuple[Gap, ...] = ()
     bridged: tuple[Gap, ...] = ()
@@ -62,7 +62,7 @@ class ProfileTrajectory:
         self._body_rate_radps = np.array(part.attitude.body_rate_radps)
 
     def state(self, time_s: FloatArray) -> VehicleState:
-        """The vehicle at scenario times (n,)."""
+        """State of the vehicle at scenario times (n,)."""
         state = VehicleState.unfilled(time_s)
         _fly(
             tuple(self._legs),

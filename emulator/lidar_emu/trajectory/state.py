@@ -10,7 +10,7 @@ from lidar_emu.numerics.arrays import FloatArray, IntArray
 
 
 def seconds(time_ns: IntArray) -> FloatArray:
-    """Instants as trajectories take them."""
+    """Convert instants to seconds, the unit of trajectories."""
     return time_ns.astype(np.float64) * 1e-9
 
 
@@ -19,12 +19,12 @@ class Gap(NamedTuple):
 
     column: str
     start_s: float
-    """Scenario time of the first of the two; negative where the gap began before the part flown."""
+    """Scenario time of the first cell; negative where the gap began before the part flown."""
     length_s: float
 
 
 class VehicleState(NamedTuple):
-    """True motion of the vehicle's reference point at n instants; all arrays in C order, as kernels take them.
+    """True motion of the vehicle's reference point at n instants; all arrays are in C order, as kernels require.
 
     Site frame: east, north, up. Body frame: x forward, y right, z down.
     """
@@ -44,7 +44,7 @@ class VehicleState(NamedTuple):
 
     @classmethod
     def unfilled(cls, time_s: FloatArray) -> Self:
-        """Arrays for a kernel to fill."""
+        """Allocate arrays for a kernel to fill."""
         vector, matrix = (len(time_s), 3), (len(time_s), 3, 3)
         moving = np.empty(vector), np.empty(vector), np.empty(vector)
         return cls(time_s, *moving, np.empty(matrix), np.empty(vector))
@@ -60,17 +60,17 @@ class Trajectory(Protocol):
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
-        """The longest gap of each column of a table in the part flown, longest first; empty for profiles."""
+        """Longest gap of each column of a table in the part flown, in descending order; empty for profiles."""
         ...
 
     @property
     def bridged(self) -> tuple[Gap, ...]:
-        """All gaps of a table that are longer than it allows, in their order, and are flown nevertheless."""
+        """Bridged gaps of a table, longer than its maximum, in order."""
         ...
 
     def state(self, time_s: FloatArray) -> VehicleState:
-        """The vehicle at scenario times (n,); a little outside [0, duration] the motion is continued.
+        """State of the vehicle at scenario times (n,); slightly outside [0, duration] the motion is extrapolated.
 
-        The bits of an instant do not depend on the others asked for.
+        The bits at an instant do not depend on the other instants requested.
         """
         ...

@@ -1,4 +1,4 @@
-"""A flight read from a table: which rows are flown, and curves through its columns."""
+"""A trajectory from a table: curves through its columns."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ QUATERNION_TOLERANCE = 1e-3
 
 
 class TableTrajectory:
-    """Curves of position, attitude and, where measured, body rates."""
+    """Curves of position, attitude and, where the table has them, body rates."""
 
     def __init__(self, part: Table) -> None:
-        """Raises InputError where the file, a column or a cell cannot be used."""
+        """Read the table; raises InputError if the file, a column or a cell cannot be used."""
         rows = read_flown(part)
         self._coordinates = Curves(
             [_coordinate(rows, column) or LEVEL for column in (part.east, part.north, part.up)]
@@ -34,7 +34,7 @@ class TableTrajectory:
         self.bridged: tuple[Gap, ...] = tuple(sorted(rows.bridged, key=lambda gap: gap.start_s))
 
     def state(self, time_s: FloatArray) -> VehicleState:
-        """The vehicle at scenario times (n,)."""
+        """State of the vehicle at scenario times (n,)."""
         position_m, velocity_mps, acceleration_mps2 = self._coordinates.at(time_s)
         site_from_body, body_rate_radps = self._attitude.at(time_s)
         if self._body_rates is not None:
@@ -50,7 +50,7 @@ class TableTrajectory:
 
 
 def _coordinate(rows: FlownRows, column: LengthColumn | None) -> Curve | None:
-    """Metres against seconds; with a rate column, through the rows that have both."""
+    """Position in metres over time in seconds; with a rate column, through the rows that have both."""
     if column is None:
         return None
     unit_m = M_PER_UNIT[column.unit]
@@ -68,7 +68,7 @@ def _attitude(rows: FlownRows, part: Table) -> AttitudeCurve:
 
 
 def _angle(rows: FlownRows, column: AngleColumn | None) -> Curve | None:
-    """Radians against seconds, carried on through full turns."""
+    """Angle in radians over time in seconds, unwrapped."""
     if column is None:
         return None
     _, knot_s, (angle,) = rows.filled(column.column)
@@ -88,6 +88,6 @@ def _quaternions(rows: FlownRows, part: QuaternionColumns) -> QuaternionAttitude
 
 
 def _body_rates(rows: FlownRows, part: RateColumns) -> Curves:
-    """Radians per second about body x, y and z, each column against its own rows."""
+    """Body rates in rad/s about x, y and z, each column over its own filled rows."""
     filled = [rows.filled(name) for name in part.columns]
     return Curves([through(one.knot_s, RADPS_PER_UNIT[part.unit] * one.values[0]) for one in filled])

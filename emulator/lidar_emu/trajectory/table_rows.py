@@ -1,4 +1,4 @@
-"""The part of a table that is flown: its time, and the filled cells of each column that is used."""
+"""The part of a table that is flown: its times, and the filled cells of the columns in use."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lidar_emu.trajectory.state import Gap
 
 S_PER_UNIT = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 _ROUNDING = 1 + 1e-9
-"""A gap of just the maximum may come out longer in the last digits."""
+"""Tolerance for rounding: a gap of exactly the maximum length is allowed."""
 
 
 class Filled(NamedTuple):
@@ -32,28 +32,28 @@ class Filled(NamedTuple):
 
 @dataclass(frozen=True)
 class FlownRows:
-    """Rows against scenario time; also those outside the part flown, which shape the curves at its ends."""
+    """Rows over scenario time, including rows outside the part flown, which shape the curves at its ends."""
 
     csv: CsvRows
     file_time: FloatArray
-    """(n,) In the file's own count and unit."""
+    """(n,) Time in the file's own unit and origin."""
     time_s: FloatArray
-    """(n,) From the first instant flown."""
+    """(n,) Time from the first instant flown."""
     duration_s: float
     maximum_gap_s: float
     bridges: bool
     """Whether longer gaps are bridged."""
     gaps: list[Gap] = field(default_factory=list)
-    """The longest inside the part flown of every group of columns read so far."""
+    """Longest gap inside the part flown, for each group of columns read so far."""
     bridged: list[Gap] = field(default_factory=list)
-    """All of them that are longer than `maximum_gap_s`."""
+    """All gaps longer than `maximum_gap_s`."""
 
     def filled(self, *names: str) -> Filled:
         """The rows in which all of `names` have a value.
 
         Raises:
-            InputError: a column or cell cannot be used, fewer than 2 rows are filled, they do not reach over
-                the whole part flown, or leave a gap of more than `maximum_gap_s` in it that is not to be bridged.
+            InputError: a column or cell cannot be used, fewer than 2 rows are filled, they do not cover the whole part
+                flown, or they leave a gap of more than `maximum_gap_s` that must not be bridged.
         """
         values = np.stack([self.csv.column(name) for name in names])
         row = np.flatnonzero(~np.isnan(values).any(axis=0))
@@ -110,7 +110,7 @@ def read_flown(part: Table) -> FlownRows:
     return FlownRows(
         csv=csv,
         file_time=file_time,
-        # Subtracted before scaling: a count of nanoseconds since 1970 keeps what digits it has.
+        # Subtracted before scaling, so that a count of nanoseconds since 1970 loses no digits.
         time_s=(file_time - begin) * unit_s,
         duration_s=(end - begin) * unit_s,
         maximum_gap_s=part.maximum_gap_s,

@@ -1,1 +1,1 @@
-"""Generated terrain: fractal relief, craters and rocks from a few seeded parameters, and its statistics."""
+"""Generated terrain: fractal relief, craters and rocks from a few seeded parameters, with statistics of the result."""

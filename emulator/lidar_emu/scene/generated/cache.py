@@ -1,4 +1,4 @@
-"""Generated ground is made once and kept in the user's cache folder."""
+"""Cache of generated ground in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ Elevation = npt.NDArray[np.float32]
 
 
 def elevation_m(ground: Generated) -> Elevation:
-    """(rows from north to south, columns from west to east) elevations of a ground: as kept, else made now and kept.
+    """Elevations (rows from north to south, columns from west to east) of a ground, read from the cache or generated
+    and cached.
 
-    Any number of processes may ask at once: each that finds nothing makes the same, and the file appears whole.
+    Processes may generate the same ground concurrently: their results are equal, and files are written atomically.
     """
     path = kept_path(ground)
     kept = None if path is None else _read(path, ground.cells + 1)
@@ -34,7 +35,7 @@ def elevation_m(ground: Generated) -> Elevation:
 
 
 def keep(ground: Generated, elevation: Elevation) -> Path | None:
-    """Keep what was made of a ground; where it now lies, None where nothing can be written."""
+    """Write a generated ground to the cache; returns its path, or None if the cache is not writable."""
     path = kept_path(ground)
     if path is None:
         return None
@@ -42,13 +43,17 @@ def keep(ground: Generated, elevation: Elevation) -> Path | None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as file:
             np.save(file, elevation)
-    except (OSError, InputError, RunError):  # a full disk, say: the run goes on with what is in memory
+    except (
+        OSError,
+        InputError,
+        RunError,
+    ):  # For example a full disk: the run continues with the arrays in memory.
         return None
     return path
 
 
 def kept_path(ground: Generated) -> Path | None:
-    """Path of a cached ground, named after everything it depends on; None for a user without a home folder."""
+    """Path of a cached ground, named by a hash of everything it depends on; None for a user without a home folder."""
     asked = ground.model_dump_json(exclude={"at_m", "beyond", "detail", "interpolation"})
     digest = hashlib.sha256(f"{asked} numpy {version('numpy')} scipy {version('scipy')}".encode())
     for source in (*sorted(Path(__file__).parent.glob("*.py")), Path(generated_ground.__file__)):
@@ -60,7 +65,7 @@ def kept_path(ground: Generated) -> Path | None:
 
 
 def _read(path: Path, side: int) -> Elevation | None:
-    """Read a cached ground; None where there is none or it is incomplete."""
+    """Read a cached ground; None if it is missing or incomplete."""
     try:
         with path.open("rb") as file:
             kept = np.lib.format.read_array(file, allow_pickle=False)

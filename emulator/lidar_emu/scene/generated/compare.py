@@ -1,4 +1,4 @@
-"""Comparison of the requested statistics of a generated ground with the measured ones, each with its tolerance."""
+"""Comparison of the requested and the measured statistics of a generated ground, with tolerances."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from lidar_emu.scene.generated.rocks import RockField, covered_share, rocks_per_
 from lidar_emu.scene.generated.statistics import hurst_exponent, rms_slope
 
 _SIGMAS = 4.0
-"""Tolerance in standard deviations of the random spread: one ground in ten thousand exceeds it."""
+"""Tolerance in standard deviations of the sampling scatter: one ground in ten thousand exceeds it."""
 _MEASURED_SAMPLES = 16
-"""Across a crater, for its depth to be read off the grid."""
+"""Minimum diameter of a crater, in samples, for its depth to be measured on the grid."""
 _FEWEST_MEASURED = 5
 
 
 @dataclass(frozen=True)
 class StatisticCheck:
-    """One statistic of a ground."""
+    """One statistic of a ground, requested and measured."""
 
     quantity: str
     """Quantity with its unit."""
@@ -35,18 +35,18 @@ class StatisticCheck:
     found: float
     """Value measured on the ground."""
     low: float
-    """Least that chance explains."""
+    """Lower limit by sampling scatter."""
     high: float
-    """Most that chance explains."""
+    """Upper limit by sampling scatter."""
 
     @property
     def within(self) -> bool:
-        """Whether it came out as asked."""
+        """Whether the measured value is within the limits."""
         return self.low <= self.found <= self.high
 
 
 def compare(ground: Generated, layers: Layers) -> list[StatisticCheck]:
-    """Everything that was asked, measured on the layers of a ground."""
+    """Compare all requested statistics with those measured on the layers of a ground."""
     found: list[StatisticCheck] = []
     if ground.relief is not None and layers.relief_m is not None:
         found += _relief(ground, ground.relief, layers.relief_m)
@@ -57,8 +57,8 @@ def compare(ground: Generated, layers: Layers) -> list[StatisticCheck]:
     return found
 
 
-def asked_number(ground: Generated, name: str, diameter_m: FloatArray) -> FloatArray:
-    """(diameters,) `craters` or `rocks` larger than these that the law wants in the square, none above the largest."""
+def expected_number(ground: Generated, name: str, diameter_m: FloatArray) -> FloatArray:
+    """Expected numbers (diameters,) of `craters` or `rocks` in the square, up to the largest allowed."""
     law = _law(ground, name)
     largest = law(np.array([diameter_range_m(ground, name)[1]]))
     return np.asarray((law(diameter_m) - largest) * ground.size_m**2, dtype=np.float64)
@@ -73,7 +73,7 @@ def _law(ground: Generated, name: str) -> Law:
 
 
 def _relief(ground: Generated, relief: Relief, height_m: FloatArray) -> Iterator[StatisticCheck]:
-    # The scatter of the estimate over many surfaces is 2 by the samples of a side, whatever the exponent.
+    # The estimate scatters over many surfaces by 2 over the samples per side, for any exponent.
     tolerance = 0.005 + _SIGMAS * 2.0 / ground.cells
     yield StatisticCheck(
         "Hurst exponent of the relief",
@@ -106,7 +106,8 @@ def _craters(
 
 
 def _depths_on_the_grid(ground: Generated, height_m: FloatArray, craters: CraterField) -> FloatArray:
-    """(craters,) mean height of the rim's circle less the centre's; NaN for those that are small or near the edge."""
+    """Depths (craters,): mean height of the rim's circle less the centre's; NaN for craters that are small or near the
+    edge."""
     from scipy.ndimage import map_coordinates
 
     population = craters.population
@@ -129,7 +130,7 @@ def _rocks(
     ground: Generated, part: Rocks, rocks: RockField, height_m: FloatArray
 ) -> Iterator[StatisticCheck]:
     yield from _numbers(ground, "rocks", rocks.population)
-    # Rocks overlap: of independent ones with areas a that sum up to a share s, 1 - exp(-s) of the ground is covered.
+    # Rocks overlap: independent rocks whose areas sum to a fraction s cover 1 - exp(-s) of the ground.
     asked = -math.expm1(-covered_share(*diameter_range_m(ground, "rocks"), part))
     area_m2 = np.pi / 4 * rocks.population.diameter_m**2
     spread = (
@@ -146,15 +147,15 @@ def _rocks(
 
 
 def _numbers(ground: Generated, name: str, population: Population) -> Iterator[StatisticCheck]:
-    """Numbers above the smallest diameter, twice this diameter and so on, as long as at least one is expected."""
+    """Compare numbers above the smallest diameter, twice that diameter, and so on while at least one is expected."""
     smallest_m, largest_m = diameter_range_m(ground, name)
     doublings = np.arange(math.ceil(math.log2(largest_m / smallest_m)))
     diameters_m = smallest_m * np.exp2(doublings.astype(np.float64))
     own_m = population.diameter_m[population.within(ground.size_m)]
-    for k, asked in enumerate(asked_number(ground, name, diameters_m).tolist()):
+    for k, asked in enumerate(expected_number(ground, name, diameters_m).tolist()):
         if asked < 1.0 and k > 0:
             return
-        # The root of a Poisson number has a standard deviation of a half, whatever its mean.
+        # The square root of a Poisson number has a standard deviation of a half, for any mean.
         low, high = max(0.0, math.sqrt(asked) - _SIGMAS / 2) ** 2, (math.sqrt(asked) + _SIGMAS / 2) ** 2
         found = float(np.count_nonzero(own_m >= diameters_m[k]))
         yield StatisticCheck(f"{name} larger than {diameters_m[k]:.3g} m", asked, found, low, high)

@@ -1,9 +1,10 @@
-"""The profile of a simple crater, fresh and worn.
+"""The profile of a simple crater, fresh and degraded.
 
-Fresh: a parabolic bowl, a rim, and ejecta that thin out with the cube of the distance (McGetchin et al. 1973); the
-rim has 0.18 of the depth (Pike 1977: 0.036 of the diameter beside 0.196). Worn: the same after diffusion, which is what
-countless small impacts do to a slope (Soderblom 1970; Fassett and Thomson 2014). Diffusion of age t is a blur by a
-Gaussian of variance 2 κ t per axis, so that a crater's state is one number, κ t over its radius squared.
+A fresh crater has a parabolic bowl, a rim, and ejecta whose thickness falls with the cube of the distance (McGetchin et
+al. 1973); the rim's height is 0.18 of the depth (Pike 1977: 0.036 of the diameter with a depth of 0.196). Degradation
+is diffusion, as countless small impacts cause it (Soderblom 1970; Fassett and Thomson 2014). Diffusion over an age t is
+a convolution with a Gaussian of variance 2 κ t per axis, so that the state of a crater is one number, κ t over its
+radius squared.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ import numpy as np
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 
 REACH_RADII = 4.0
-"""Distance from the centre at which a crater's layer ends."""
+"""Distance from the centre at which a crater's layer ends, in radii."""
 RIM_SHARE = 0.18
-"""Height of a fresh rim over depth."""
+"""Height of a fresh rim, as a fraction of the depth."""
 
 _LAST_BLUR_RADII = 0.62
-"""Standard deviation at wear 1: a fifth of the depth is left, and the eye loses the crater."""
+"""Standard deviation of the Gaussian at degradation 1, in radii: a fifth of the depth is left, and the crater is no
+longer visible."""
 _LEVELS = 32
 _STEP = 1 / 32
 _EJECTA_END = 3.0
@@ -34,8 +36,8 @@ def fresh_profile(radii: FloatArray) -> FloatArray:
     return np.where(radii < 1.0, radii**2 - (1.0 - RIM_SHARE), ejecta)
 
 
-def worn_profiles(wear: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Profiles for craters of some wear.
+def degraded_profiles(degradation: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Profiles of craters with given degradation.
 
     Args:
         wear: (craters,) from 0 to 1, the share of a crater's life that is over.
@@ -45,12 +47,12 @@ def worn_profiles(wear: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
         crater (craters,) which of the levels is its own.
     """
     radii, heights = _table()
-    return radii, heights, np.rint(wear * _LEVELS).astype(np.int64)
+    return radii, heights, np.rint(degradation * _LEVELS).astype(np.int64)
 
 
-def depth_left(wear: FloatArray) -> FloatArray:
-    """Height of the circle of the rim above the centre, over the depth of the fresh crater."""
-    radii, heights, level = worn_profiles(wear)
+def depth_left(degradation: FloatArray) -> FloatArray:
+    """Height of the rim's circle above the centre, as a fraction of the fresh depth."""
+    radii, heights, level = degraded_profiles(degradation)
     rim = int(np.argmin(np.abs(radii - 1.0)))
     return np.asarray(heights[level, rim] - heights[level, 0], dtype=np.float64)
 
@@ -60,13 +62,13 @@ def _table() -> tuple[FloatArray, FloatArray]:
     radii = np.arange(0.0, REACH_RADII + _STEP / 2, _STEP)
     blur = _LAST_BLUR_RADII * np.sqrt(np.arange(1, _LEVELS + 1) / _LEVELS)
     heights = np.stack([fresh_profile(radii), *(_blurred(radii, sigma) for sigma in blur)])
-    # What little diffusion carries to the end fades there, lest the ground has a step.
+    # Diffusion reaches slightly beyond the end: the profile is tapered there to avoid a step in the ground.
     inward = np.clip(REACH_RADII - radii, 0.0, 1.0)
     return radii, heights * inward**2 * (3.0 - 2.0 * inward)
 
 
 def _blurred(radii: FloatArray, sigma: float) -> FloatArray:
-    """The fresh crater under a Gaussian of the plane, which for a figure of revolution is an integral with I0."""
+    """Fresh profile convolved with a Gaussian in the plane; for a figure of revolution this is an integral with I0."""
     from scipy.special import i0e
 
     rings = np.arange(_STEP / 8, _EJECTA_END, _STEP / 4)

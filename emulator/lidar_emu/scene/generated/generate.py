@@ -19,21 +19,21 @@ from lidar_emu.scene.generated.statistics import rms_slope
 
 @dataclass(frozen=True)
 class Layers:
-    """A ground taken apart. Layers are (rows from north to south, columns from west to east), in metres."""
+    """A ground and its layers, in metres: (rows from north to south, columns from west to east)."""
 
     relief_m: FloatArray | None
-    """Zero-mean relief; None: level ground."""
+    """Zero-mean relief; None for level ground."""
     craters: CraterField | None
-    """Places and sizes of the craters."""
+    """Positions and sizes of the craters."""
     crater_m: FloatArray | None
     """Height that the craters add."""
     rocks: RockField | None
-    """Places and sizes of the craters."""
+    """Positions and sizes of the rocks."""
     rock_m: FloatArray | None
-    """Height that the craters add."""
+    """Height that the rocks add."""
 
     def elevation_m(self, ground: Generated) -> npt.NDArray[np.float32]:
-        """The sum, rounded as it is kept, so that a ground is the same whether it was just made or read."""
+        """Sum of the layers, rounded as in the cache, so that a generated ground equals one that is read."""
         total = np.zeros((ground.cells + 1, ground.cells + 1))
         for layer in (self.relief_m, self.crater_m, self.rock_m):
             if layer is not None:
@@ -42,7 +42,7 @@ class Layers:
 
 
 def generate(ground: Generated) -> Layers:
-    """Make a ground: the same parameters and seed give the same bits, by the same versions of numpy and scipy."""
+    """Generate a ground; parameters, seed and the versions of numpy and scipy determine its bits."""
     relief_m = None if ground.relief is None else _relief(ground, ground.relief)
     craters = crater_m = rocks = rock_m = None
     if ground.craters is not None:
@@ -55,10 +55,10 @@ def generate(ground: Generated) -> Layers:
 
 
 def _relief(ground: Generated, relief: Relief) -> FloatArray:
-    """The surface, scaled to the slope asked for.
+    """Relief scaled to the requested slope.
 
-    Of a smooth surface much of the slope is in waves as long as the square, and one sample's may be half of the
-    next one's: the slope of *this* ground is what somebody who asks for one means.
+    On a smooth surface much of the slope is in waves as long as the square, and differs by tens of per cent between
+    realisations; therefore the slope of *this* realisation is scaled to the requested one.
     """
     surface = fractional_surface(ground.cells + 1, relief.hurst, generator(ground.seed, RELIEF))
     now = rms_slope(surface, ground.spacing_m, relief.baseline_m, relief.hurst)

@@ -1,4 +1,4 @@
-"""Objects of many sizes (craters, rocks) at random places, as many as a size-frequency law gives."""
+"""Objects of many sizes (craters, rocks) at random positions, their number by a size-frequency law."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.scenario.generated_ground import Generated, diameter_range_m
 
 Law = Callable[[FloatArray], FloatArray]
-"""Cumulative number of larger craters or rocks per square metre, as a function of the diameter in metres."""
+"""Cumulative number of craters or rocks per square metre that are larger than a diameter in metres."""
 
 _BINS_PER_DECADE = 100
 _MOST = 1_000_000
@@ -20,42 +20,42 @@ _MOST = 1_000_000
 
 @dataclass(frozen=True)
 class Population:
-    """Diameters and places, the largest first; some lie outside the square, and reach into it."""
+    """Diameters and positions, the largest first; some lie outside the square and extend into it."""
 
     diameter_m: FloatArray
     """(n,)"""
     east_m: FloatArray
-    """(n,) from the centre of the square."""
+    """(n,) East of the centre of the square."""
     north_m: FloatArray
-    """(n,) from the centre of the square."""
+    """(n,) North of the centre of the square."""
 
     def __len__(self) -> int:
         return len(self.diameter_m)
 
     def within(self, size_m: float) -> BoolArray:
-        """(n,) whether the centre lies in the square."""
+        """Whether each centre lies in the square, (n,)."""
         inside = np.maximum(np.abs(self.east_m), np.abs(self.north_m)) <= size_m / 2
         return np.asarray(inside, dtype=np.bool_)
 
 
 def scatter(ground: Generated, name: str, law: Law, reach: float, rng: np.random.Generator) -> Population:
-    """A Poisson process: numbers and places are independent of one another.
+    """Draw objects as a Poisson process: numbers and positions are independent.
 
     Args:
-        ground: what is asked for.
+        ground: parameters of the ground.
         name: `craters` or `rocks`.
         law: cumulative number per square metre.
-        reach: how far from its centre an object changes the ground, in diameters.
-        rng: source of the chance.
+        reach: distance from its centre up to which an object changes the ground, in diameters.
+        rng: random generator.
 
     Raises:
-        InputError: the law wants more than can be made.
+        InputError: the law gives more objects than the limit.
     """
     smallest_m, largest_m = diameter_range_m(ground, name)
     count = int(np.ceil(_BINS_PER_DECADE * np.log10(largest_m / smallest_m))) + 1
     edge_m = np.geomspace(smallest_m, largest_m, count + 1)
     larger = law(edge_m)
-    # As wide as the square and all from which the largest of the bin reaches in.
+    # The square, widened by the distance from which the largest object of the bin extends into it.
     width_m = ground.size_m + 2 * reach * edge_m[1:]
     expected = (larger[:-1] - larger[1:]) * width_m**2
     if not expected.sum() <= _MOST:
@@ -74,15 +74,15 @@ Stamp = tuple[int, tuple[slice, slice], FloatArray, FloatArray]
 
 
 def stamps(population: Population, reach_radii: FloatArray, ground: Generated) -> Iterator[Stamp]:
-    """For each object its index, the rows and columns of the grid that it changes, and where these lie.
+    """Yield for each object its index, the rows and columns of the grid that it changes, and their positions.
 
     Args:
-        population: of a ground.
-        reach_radii: (n,) distance from the centre up to which it changes the ground, in its radii.
-        ground: what is asked for.
+        population: objects of a ground.
+        reach_radii: (n,) distance from the centre up to which an object changes the ground, in its radii.
+        ground: parameters of the ground.
 
     Yields:
-        index; rows and columns; (columns,) east and (rows, 1) north of the centre in radii of the object.
+        Index; rows and columns; east (columns,) and north (rows, 1) of the object's centre, in its radii.
     """
     side, spacing_m, half_m = ground.cells + 1, ground.spacing_m, ground.size_m / 2
     radius_m = population.diameter_m / 2

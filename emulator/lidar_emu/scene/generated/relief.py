@@ -1,9 +1,9 @@
-"""Fractal relief: an exact sample of a fractional Brownian surface, without the period of the transform that makes it.
+"""Fractal relief: an exact sample of a fractional Brownian surface, without the period of the Fourier transform.
 
-The height differs between points r apart by a Gaussian of variance s² r^2H. Stein (2002), "Fast and exact simulation
-of fractional Brownian surfaces", adds a parabola to that variogram, which makes it the one of a stationary field with
-a compact covariance; such a field is exact on a torus that is large enough, and a random tilt takes the parabola
-away again. Of the torus less than half is kept, so that no edge knows its opposite.
+Heights at points r apart differ by a Gaussian of variance s² r^2H. Stein (2002), "Fast and exact simulation of
+fractional Brownian surfaces", adds a parabola to that variogram, which makes it the variogram of a stationary field
+with compact covariance; such a field is exact on a sufficiently large torus, and a random tilt removes the parabola
+again. Less than half of the torus is kept, so that opposite edges are independent.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ import numpy as np
 from lidar_emu.numerics.arrays import FloatArray
 
 _ROWS_AT_ONCE = 64
-"""Rows transformed at once: enough for speed, and the torus is never held in memory as a whole."""
+"""Rows transformed at once: enough for speed, without holding the whole torus in memory."""
 _ROUGH_REACH, _SMOOTH_REACH = 1.0, 1.5
-"""Where the covariance ends, in sides of the square, for H up to 3/4 and above. Stein has 2 for the latter; from 1.4
-on the spectrum has nothing negative on any grid tried."""
+"""Distance at which the covariance ends, in sides of the square, for H up to 3/4 and above. Stein has 2 for the latter;
+from 1.4 on the spectrum was nonnegative on every grid tried."""
 
 
 def fractional_surface(side: int, hurst: float, rng: np.random.Generator) -> FloatArray:
-    """A fractional Brownian surface on a square grid.
+    """Draw a fractional Brownian surface on a square grid.
 
     Args:
-        side: samples along a side.
+        side: samples per side.
         hurst: H, above 0 and below 1.
-        rng: source of the chance.
+        rng: random generator.
 
     Returns:
-        (side, side) heights of mean 0. Points r apart, in units of the square's side and at most 1, differ by
-        the variance 2 r^2H before the mean is taken away, which does not change differences.
+        Heights (side, side) of mean 0. Points r apart, in units of the square's side and at most 1, differ by the
+        variance 2 r^2H before the mean is subtracted, which does not change differences.
     """
     spectrum, parabola = torus_spectrum(side, hurst)
     height = _field(spectrum, side, rng)
@@ -42,7 +42,7 @@ def fractional_surface(side: int, hurst: float, rng: np.random.Generator) -> Flo
 
 
 def torus_spectrum(side: int, hurst: float) -> tuple[FloatArray, float]:
-    """The eigenvalues of the covariance on the torus, and the coefficient of the parabola added to the variogram.
+    """Eigenvalues of the covariance on the torus, and the coefficient of the parabola added to the variogram.
 
     Returns:
         (m + 1, m + 1) of one quadrant, symmetric, for a torus of 2 m by 2 m samples; and c in 2 r^2H - 2 c r².
@@ -57,7 +57,7 @@ def torus_spectrum(side: int, hurst: float) -> tuple[FloatArray, float]:
 
 
 def _covariance(r: FloatArray, power: float, reach: float) -> tuple[FloatArray, float]:
-    """Stein's covariance, twice differentiable where it joins its tail, and its parabola's coefficient."""
+    """Stein's covariance, twice differentiable where it joins its tail, and the coefficient of its parabola."""
     tail = 0.0 if reach == 1.0 else power * (2 - power) / (3 * reach * (reach**2 - 1))
     parabola = (power - tail * (reach - 1) ** 2 * (reach + 2)) / 2
     constant = tail * (reach - 1) ** 3 + 1 - parabola
@@ -67,7 +67,7 @@ def _covariance(r: FloatArray, power: float, reach: float) -> tuple[FloatArray, 
 
 
 def _field(spectrum: FloatArray, side: int, rng: np.random.Generator) -> FloatArray:
-    """(side, side) corner of a Gaussian field of that spectrum on its torus."""
+    """Corner (side, side) of a Gaussian field with that spectrum on its torus."""
     from scipy import fft
 
     half = len(spectrum) - 1
@@ -79,7 +79,7 @@ def _field(spectrum: FloatArray, side: int, rng: np.random.Generator) -> FloatAr
         noise = rng.standard_normal((2, *amplitude.shape))
         block = fft.fft((noise[0] + 1j * noise[1]) * amplitude, axis=1, overwrite_x=True)
         waves[first : first + _ROWS_AT_ONCE] = block[:, :side] / math.sqrt(2)
-    # The two wave numbers that are their own mirror images are real.
+    # The two wave numbers that are their own mirror images have real coefficients.
     for own in (0, half):
         waves[own] = waves[own].real * math.sqrt(2)
     height = np.empty((side, side))

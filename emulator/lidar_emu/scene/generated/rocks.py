@@ -1,4 +1,4 @@
-"""Rocks: how many there are, and the layer of elevation of those that the grid can show."""
+"""Rocks: their number, and the elevation layer of those that the grid resolves."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from lidar_emu.scenario.generated_ground import Generated, MarsRocks, Rocks
 from lidar_emu.scene.generated.population import Population, scatter, stamps
 
 _LONGEST = 1.6
-"""Greatest ratio of a rock's length to its width."""
+"""Maximum ratio of a rock's length to its width."""
 
 
 @dataclass(frozen=True)
 class RockField:
-    """The rocks of a ground. A diameter is the one of a circle of the same area."""
+    """The rocks of a ground. A diameter is the diameter of a circle of equal area."""
 
     population: Population
-    """Diameters and centres."""
+    """Diameters and positions."""
     elongation: FloatArray
-    """(rocks,) length over width."""
+    """(rocks,) Ratio of length to width."""
     azimuth_rad: FloatArray
-    """(rocks,) of the length, from east to north."""
+    """(rocks,) Direction of the length, from east to north."""
 
 
 def rocks_per_m2(diameter_m: FloatArray, part: Rocks) -> FloatArray:
     """Rocks larger than a diameter, per square metre.
 
-    On Mars the law gives the area covered; a number follows by dividing each rock's share by its own area, which
-    integrates to 4 k q / pi times exp(-q D) / D - q E1(q D).
+    On Mars the law gives the area covered; the number follows by dividing the area of each size by the area of one
+    rock, which integrates to 4 k q / pi times exp(-q D) / D - q E1(q D).
     """
     if not isinstance(part, MarsRocks):
         return np.asarray(part.per_m2_over_1_m * diameter_m**-part.exponent, dtype=np.float64)
@@ -44,7 +44,7 @@ def rocks_per_m2(diameter_m: FloatArray, part: Rocks) -> FloatArray:
 
 
 def covered_share(smallest_m: float, largest_m: float, part: Rocks) -> float:
-    """Sum of the areas of the rocks between two diameters, per area of ground."""
+    """Sum of the areas of rocks between two diameters, per area of ground."""
     if isinstance(part, MarsRocks):
         q = _golombek_q(part.abundance)
         return part.abundance * (math.exp(-q * smallest_m) - math.exp(-q * largest_m))
@@ -58,17 +58,17 @@ def _golombek_q(abundance: float) -> float:
 
 
 def scatter_rocks(ground: Generated, part: Rocks, rng: np.random.Generator) -> RockField:
-    """The rocks of a ground."""
+    """Draw the rocks of a ground."""
     population = scatter(ground, "rocks", partial(rocks_per_m2, part=part), math.sqrt(_LONGEST) / 2, rng)
     count = len(population)
     return RockField(population, rng.uniform(1.0, _LONGEST, count), rng.uniform(0.0, np.pi, count))
 
 
 def rock_layer(ground: Generated, part: Rocks, field: RockField) -> FloatArray:
-    """(rows from north to south, columns) elevation that the rocks add.
+    """Elevation (rows from north to south, columns) that the rocks add.
 
-    Each is the upper half of an ellipsoid, its height over its diameter as asked; where some overlap, the highest
-    counts.
+    Each rock is the upper half of an ellipsoid with the given ratio of height to diameter; where rocks overlap, the
+    higher one counts.
     """
     layer = np.zeros((ground.cells + 1, ground.cells + 1))
     height_m = part.height_to_diameter * field.population.diameter_m

@@ -1,1 +1,1 @@
-"""An elevation grid: its surface, and the casting of rays and of bundles of them onto it."""
+"""An elevation grid: its surface, and the casting of rays and bundles of rays onto it."""

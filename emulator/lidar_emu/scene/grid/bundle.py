@@ -1,7 +1,7 @@
-"""Clear distance of a bundle of rays that are nearly parallel and close together, found once for all of them.
+"""Clear distance of a bundle of nearly parallel, close rays, found once for all of them.
 
-The bundle is followed as a box that encloses all its rays, so the distance holds for each of them; it is short for rays
-that diverge.
+The bundle is followed as a box that encloses all its rays, so that the distance holds for each of them; it is short for
+rays that diverge.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from lidar_emu.scene.grid.structures import BILINEAR, Grid, in_cells
 from lidar_emu.scene.grid.traverse import starting_level
 
 _MARGIN_CELLS = 1e-6
-"""The box is wider than the rays by this, and takes in the blocks that it is as near to as this: where it leaves a
-block, by rounding or not, its rays are still within, and the next block is among those that count."""
+"""Margin by which the box exceeds the rays, and distance within which it includes neighbouring blocks: whether rounding
+takes the box out of a block or not, its rays are still within, and the next block is included."""
 _MARGIN_M = 1e-6
-"""A clear ray is clear by this margin: rounding cannot make a single ray meet the ground there."""
+"""Margin of a clear ray: rounding cannot make a single ray hit the ground within the clear distance."""
 
 
 @kernel
 def clear_way_m(origin: FloatArray, direction: FloatArray, grid: Grid) -> float:
     """Distance up to which all rays of a bundle are above the ground; 0 where none can be guaranteed.
 
-    A block is passed over where the box stays above its maximum; else the box is taken down to that maximum, and
-    smaller blocks are tried, down to those as wide as the box. In a cell it is the surface on the box's way that
-    counts, which is tried again until the box moves by less than its width.
+    A block is skipped where the box stays above its maximum. Otherwise the box advances to that maximum, and smaller
+    blocks are tested, down to the width of the box. In a cell the surface below the box's path is tested, repeatedly
+    until the box advances by less than its width.
 
     Args:
-        origin, direction: (3n,) the rays, x, y, z of one after another.
+        origin, direction: (3n,) rays, as x, y, z of one after another.
         grid: the ground.
     """
     (x, x_far), (y, y_far), (z, _) = _bounds(origin)
@@ -87,7 +87,7 @@ def clear_way_m(origin: FloatArray, direction: FloatArray, grid: Grid) -> float:
 
 @kernel(forceinline=True)
 def _bounds(vectors: FloatArray) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
-    """Least and greatest of each component of vectors (3n,), NaN aside."""
+    """Minimum and maximum of each component of vectors (3n,), ignoring NaN."""
     x, y, z = np.inf, np.inf, np.inf
     x_far, y_far, z_far = -np.inf, -np.inf, -np.inf
     for k in range(vectors.size // 3):
@@ -100,7 +100,7 @@ def _bounds(vectors: FloatArray) -> tuple[tuple[float, float], tuple[float, floa
 
 @kernel(forceinline=True)
 def _leaving(near: float, far: float, near_rate: float, far_rate: float, first: int, end: int) -> float:
-    """t at which an interval that moves and widens leaves the cells first ... end-1."""
+    """Parameter t at which a moving, widening interval leaves the cells first ... end-1."""
     t = np.inf
     if far_rate > 0.0:
         t = (end - far) / far_rate
@@ -113,7 +113,7 @@ def _leaving(near: float, far: float, near_rate: float, far_rate: float, first: 
 def _highest_block(
     maxima: FloatArray, level: IntArray, columns: tuple[int, int], rows: tuple[int, int]
 ) -> float:
-    """Greatest height of some blocks of a level, between the first and the last column and row."""
+    """Greatest height of the blocks of a level between the first and the last column and row."""
     highest = -np.inf
     for j in range(rows[0], rows[1] + 1):
         for i in range(columns[0], columns[1] + 1):
@@ -125,7 +125,7 @@ def _highest_block(
 def _highest_within(
     grid: Grid, columns: tuple[int, int], rows: tuple[int, int], box: tuple[float, float, float, float]
 ) -> float:
-    """Greatest height of some cells within a box (west, south, east, north); NaN where a sample is missing.
+    """Greatest height of the cells within a box (west, south, east, north); NaN where a sample is missing.
 
     A facet, bilinear or plane, is highest in a corner of the box.
     """
@@ -138,7 +138,7 @@ def _highest_within(
             b_first, b_last = max(south - j, 0.0), min(north - j, 1.0)
             for southeast in (False, True):
                 if interpolation == BILINEAR:
-                    needed = southeast  # one of the two, which are the same
+                    needed = southeast  # Both triangles have the same corner there.
                 else:
                     needed = a_last >= b_first if southeast else a_first <= b_last
                 if not needed:

@@ -1,4 +1,4 @@
-"""Casting of a bundle onto one cell at once: most beamlets of a beam meet the facet that its axis meets."""
+"""Casting of a bundle onto one cell at once: most beamlets of a beam hit the same facet as its axis."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lidar_emu.scene.grid.cell import Corners, descent, facet
 from lidar_emu.scene.grid.structures import TRIANGLES, GridConstants, in_cells
 
 _HALF_CELL = 0.5 + 1e-9
-"""On an edge, where one cell is left for the next, rounding may put a ray a little beside both."""
+"""Tolerance at a cell's edge, where rounding may place a ray slightly outside both cells."""
 
 
 @kernel
@@ -24,18 +24,18 @@ def cast_onto_cell(
     range_m: FloatArray,
     normal: FloatArray,
 ) -> None:
-    """Take rays one facet further: those that are over cell (i, j) where their way so far ends.
+    """Advance rays by one facet: the rays whose path so far ends over cell (i, j).
 
-    One loop without branches, of which the compiler makes vector instructions. What it computes, `traverse` computes
-    in the same order: the bits are the same.
+    The loop has no branches, so that the compiler vectorises it. It computes the same expressions as `traverse` in the
+    same order, with the same bits.
 
     Args:
-        origin, direction: (3n,) the rays, x, y, z of one after another.
-        constants: of the grid.
-        samples: of the cell.
-        range_m: (n,) less than 0: the ray is clear of all ground for -range_m. Becomes the range of those that meet
-            the facet, and minus the way past it of those that do not.
-        normal: (3n,) of those that meet it.
+        origin, direction: (3n,) rays, as x, y, z of one after another.
+        constants: constants of the grid.
+        samples: samples of the cell.
+        range_m: (n,) negative: the ray is clear of all ground up to -range_m. Set to the range of rays that hit the
+            facet, and to minus the clear distance of those that do not.
+        normal: (3n,) normals of the rays that hit it.
     """
     east_scale, north_scale = constants.cells_per_m_east, constants.cells_per_m_north
     floor, interpolation = constants.floor_m, constants.interpolation

@@ -1,4 +1,4 @@
-"""Casting of rays onto an elevation grid and the ground beyond it, in the order along each ray."""
+"""Casting of rays onto an elevation grid and the ground beyond it, in order along each ray."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ from lidar_emu.scene.ray_hits import GROUND, NOTHING
 from lidar_emu.scene.sphere import sphere_stretch
 
 _MOST_PASSES = 6
-"""Facets tried for a bundle: more than meet at a vertex, fewer than take longer than the rays one by one."""
+"""Maximum number of facets tried for a bundle: more than join at a vertex, and fewer than would take longer than single
+rays."""
 _AHEAD_CELLS = 1e-9
-"""At this distance beyond an edge a ray is in the next cell, whatever the rounding."""
+"""Distance beyond an edge at which a ray is in the next cell, whatever the rounding."""
 
 MISS = (np.nan, np.nan, np.nan, np.nan, False)
 INSIDE = (np.nan, np.nan, np.nan, np.nan, True)
@@ -49,7 +50,7 @@ def _stretch_beyond(constants: GridConstants, start: Vector, way: Vector) -> Int
 def _cast_one(
     start: Vector, way: Vector, grid: Grid, t_clear: float
 ) -> tuple[float, float, float, float, bool]:
-    """Range, normal and whether the ray starts inside."""
+    """Range and normal of the first hit, and whether the ray starts inside."""
     constants, nodes = grid.constants, grid.nodes
     (x, y, z), (dx, dy, dz) = start, way
     if not (np.isfinite(x + y + z) and 0.0 < dx * dx + dy * dy + dz * dz < np.inf):
@@ -97,7 +98,7 @@ def _cast_one(
     if met == BEYOND:
         radius = constants.beyond_radius_m
         return t, (x + t * dx) / radius, (y + t * dy) / radius, 1.0 + (z + t * dz) / radius, False
-    # With nothing beyond there is no ground for a face to belong to: what the ray met there is unknown.
+    # Without ground beyond, the hit on a face belongs to no surface: it counts as no hit.
     if met == FACE and constants.beyond != NO_GROUND:
         return (t, -np.sign(dx), 0.0, 0.0, False) if face == 0 else (t, 0.0, -np.sign(dy), 0.0, False)
     return MISS
@@ -121,11 +122,11 @@ def cast_rays(
     """Fill the arrays of `Hits` for n rays in the site frame.
 
     Args:
-        origin, direction: (n, 3) the rays.
-        bundle: that many consecutive rays are expected to be close together.
+        origin, direction: (n, 3) rays.
+        bundle: number of consecutive rays that are expected to be close together.
         constants: (1,) the record of `GridConstants`.
-        nodes, maxima, levels: as in `Grid`.
-        range_m, normal, inside, reflectance, object_id: of `Hits`.
+        nodes, maxima, levels: see `Grid`.
+        range_m, normal, inside, reflectance, object_id: see `Hits`.
     """
     grid = Grid(constants[0], nodes, maxima, levels)
     flat_origin, flat_direction, flat_normal = (
@@ -163,6 +164,9 @@ def _cast_bundle(
     inside: BoolArray,
 ) -> None:
     """Fill range_m (n,), normal (3n,) and inside (n,) for n rays, (3n,) each.
+
+    Close rays advance along the clear part of their path together, and then over one cell after another. Remaining
+    rays, at the edges of cells, are cast one by one.
 
     Rays close together go the clear part of their way as one, and then onto one cell after another all at once. What
     is left, at the edges of cells, goes ray by ray.

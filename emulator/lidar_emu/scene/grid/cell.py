@@ -1,7 +1,7 @@
-"""The ground of a single cell: the surface between four samples, and a ray's first contact with it.
+"""The ground of a single cell: the surface between four samples, and a ray's first hit on it.
 
-Grid coordinates u and v count cells to the east and to the north from the south-west sample. All is inlined by
-request: as calls, these few operations each would take a ray half as long again.
+Grid coordinates u and v count cells to the east and to the north from the south-west sample. All functions are inlined
+on purpose: as calls, these few operations would make a ray half as slow again.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ Corners = tuple[float, float, float, float]
 """Heights of a cell's samples: south-west, south-east, north-west, north-east."""
 
 Facet = tuple[float, float, float, float]
-"""corner, east, north, twist: the height at (a, b), in the cell's own coordinates from 0 to 1, is
-``corner + a east + b north + a b twist``. The twist is NaN where one of the four samples is missing."""
+"""corner, east, north, twist: the height at (a, b), in the cell's own coordinates from 0 to 1, is ``corner + a east + b
+north + a b twist``. The twist is NaN where one of the four samples is missing."""
 
 
 Point = tuple[float, float, float]
@@ -37,7 +37,7 @@ def corners(nodes: FloatArray, i: int, j: int) -> Corners:
 
 @kernel(forceinline=True)
 def facet(samples: Corners, interpolation: int, southeast: bool) -> Facet:
-    """The surface of a cell, or the half of it on one side of the diagonal, which goes on beyond it."""
+    """The surface of a cell, or of its half on one side of the diagonal, continued beyond it."""
     z00, z10, z01, z11 = samples
     south, west, north, east = z10 - z00, z01 - z00, z11 - z01, z11 - z10
     twist = north - south
@@ -59,20 +59,20 @@ def surface(nodes: FloatArray, interpolation: int, u: float, v: float) -> float:
 
 @kernel(forceinline=True)
 def slopes(nodes: FloatArray, interpolation: int, i: int, j: int, a: float, b: float) -> tuple[float, float]:
-    """Rise per cell to the east and to the north, at the point (a, b) of cell (i, j)."""
+    """Slopes to the east and to the north, per cell, at the point (a, b) of cell (i, j)."""
     _, east, north, twist = facet(corners(nodes, i, j), interpolation, a >= b)
     return east + b * twist, north + a * twist
 
 
 @kernel(forceinline=True)
 def descent(plane: Facet, at: Point, rate: Point, before: float) -> float:
-    """The s in [-before, 0] at which a ray falls through a facet, NaN where it stays above it.
+    """Parameter s in [-before, 0] at which a ray descends through a facet; NaN where it stays above it.
 
     Args:
         plane: the facet.
-        at: (a, b, z) where the ray passes at s = 0, in the cell's own coordinates, and its height there.
-        rate: what these grow by per unit of s.
-        before: how far back the ray is known to be above the facet.
+        at: (a, b, z) position of the ray at s = 0 in the cell's own coordinates, and its height.
+        rate: derivatives of `at` with respect to s.
+        before: length before s = 0 over which the ray is over the facet.
     """
     corner, east, north, twist = plane
     a, b, z = at
@@ -83,7 +83,7 @@ def descent(plane: Facet, at: Point, rate: Point, before: float) -> float:
     c2 = -twist * du * dv
     square = c1 * c1 - 4.0 * c2 * c0
     dips = (c1 > 0.0) & (c1 < 2.0 * c2 * before) & (square >= 0.0)
-    # Of two roots the falling one, without cancellation.
+    # The root at which the height falls, without cancellation.
     twice = np.sqrt(max(square, 0.0)) + abs(c1)
     s = (2.0 * c0 if c1 < 0.0 else -twice) / (twice if c1 < 0.0 else 2.0 * c2)
     return max(s, -before) if (c0 <= 0.0) | dips else np.nan

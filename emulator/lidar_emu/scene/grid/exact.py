@@ -1,7 +1,7 @@
-"""The slow path onto a grid: every crossing of every grid line, sorted; bisection in each piece.
+"""The slow reference path for a grid: every crossing of every grid line, sorted, and bisection in each interval.
 
-It shares no formula with the fast path: the surface is a weighted mean of four samples, and the height of a
-ray above it is split where it turns, from three of its values, and followed to its zero by bracketing.
+It shares no formula with the fast path: the surface is a weighted mean of four samples, and the height of a ray above
+it is divided at its extremum, found from three of its values, and followed to its zero by bracketing.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _first_contact(samples: Samples, beyond: Beyond, origin: FloatArray, directi
             contact = _meet_beyond(samples, beyond, origin, direction, start, end)
         else:
             if np.isinf(end):
-                # Straight down or up: past the lowest sample there is nothing more to come.
+                # Straight down or up: nothing follows below the lowest sample.
                 end = max(start, (np.nanmin(samples.height_m) - 1.0 - origin[2]) / direction[2])
             contact = _meet_surface(samples, beyond, cell, origin, direction, start, end)
         if contact is not None:
@@ -79,7 +79,7 @@ def _first_contact(samples: Samples, beyond: Beyond, origin: FloatArray, directi
 
 
 def _crossings(position: float, rate: float, lines: FloatArray) -> FloatArray:
-    """All t > 0 at which a coordinate passes a grid line."""
+    """All t > 0 at which a coordinate crosses a grid line."""
     if rate == 0.0:
         return np.empty(0)
     with np.errstate(over="ignore"):
@@ -88,7 +88,7 @@ def _crossings(position: float, rate: float, lines: FloatArray) -> FloatArray:
 
 
 def _diagonal_crossings(samples: Samples, origin: FloatArray, direction: FloatArray) -> FloatArray:
-    """All t > 0 at which a ray passes the diagonal of a cell, where that is an edge."""
+    """All t > 0 at which a ray crosses the diagonal of a cell, where that is an edge."""
     if samples.interpolation == "bilinear":
         return np.empty(0)
     rows, columns = samples.height_m.shape
@@ -101,7 +101,7 @@ def _diagonal_crossings(samples: Samples, origin: FloatArray, direction: FloatAr
 
 
 def _cell_at(samples: Samples, point: FloatArray) -> tuple[int, int] | None:
-    """(i, j) of the cell below or above a point; None outside the grid and where a sample is missing."""
+    """Cell (i, j) below or above a point; None outside the grid and where a sample is missing."""
     east, north = samples.east_m, samples.north_m
     if not (east[0] <= point[0] <= east[-1] and north[0] <= point[1] <= north[-1]):
         return None
@@ -167,7 +167,7 @@ def _turning_point(above: Callable[[float], float], start: float, end: float) ->
 
 
 def _normal(samples: Samples, cell: tuple[int, int], point: FloatArray) -> FloatArray:
-    """Normal of the surface from two straight lines in it: edges of a triangle, or the two through a point of a
+    """Normal of the surface from two straight lines in it: edges of a triangle, or the two lines through a point of a
     bilinear patch."""
     i, j = cell
     west, east = samples.east_m[i : i + 2]

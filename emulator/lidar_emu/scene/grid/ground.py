@@ -1,4 +1,4 @@
-"""An elevation grid: the bilinear surface through its samples, and what lies beyond it."""
+"""An elevation grid: the surface through its samples, and the ground beyond it."""
 
 from __future__ import annotations
 
@@ -19,16 +19,15 @@ from lidar_emu.scene.sphere import SphereGround
 
 
 class GridGround:
-    """An elevation grid over the site's horizontal plane; where the body falls away, its heights do.
+    """An elevation grid over the site's horizontal plane; its heights include the curvature of the body.
 
-    A cell is the bilinear surface between four samples, or two triangles; one with a missing sample counts as
-    beyond the grid.
-    Where the grid ends higher than the ground beyond it, or lower, an upright face joins the two. With
-    nothing beyond, a ray that comes to such an end from below the surface finds nothing.
+    A cell is the bilinear surface between four samples, or two triangles; a cell with a missing sample counts as beyond
+    the grid. Where the edge of the grid is higher or lower than the ground beyond it, a vertical face joins the two.
+    Without ground beyond, a ray that reaches such an edge from below the surface hits nothing.
 
     Args:
         samples: heights in the site frame.
-        beyond: the ground around the grid and in its holes, through the origin; None where there is none.
+        beyond: ground around the grid and in its holes, through the origin; None if there is none.
         description: one line for plans.
         origin_altitude_m: height of the origin above the body's sphere.
         reflectance: albedo, also of the ground beyond.
@@ -47,13 +46,13 @@ class GridGround:
         self.beyond = beyond
         self.description = description
         self.origin_altitude_m = origin_altitude_m
-        # In its holes the ground beyond, level plane or sphere, nowhere rises above the origin.
+        # The ground beyond, a level plane or a sphere, is nowhere higher than the origin.
         hole_m = -np.inf if beyond is None else 0.0
         self._maxima, self._levels = build_pyramid(samples.height_m, hole_m)
         self._constants = self._record()
 
     def with_reflectance(self, reflectance: float) -> GridGround:
-        """The same ground, samples shared, of another albedo."""
+        """The same ground with another albedo; samples are shared."""
         twin = copy(self)
         twin.reflectance = reflectance
         twin._constants = twin._record()
@@ -106,7 +105,7 @@ class GridGround:
         return hits
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """Every cell on the way, and bisection in it; see `exact`."""
+        """First contact by testing every cell along the ray, with bisection in it; see `exact`."""
         return exact.cast(self.samples, self.beyond, origin_site_m, direction_site, self.reflectance)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The greatest height of every block of 2^L x 2^L cells, by which a ray passes over ground far below it."""
+"""The greatest height of every block of 2^L x 2^L cells, by which a ray skips ground far below it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 
 _ROWS_AT_ONCE = 64
-"""An even number."""
+"""Rows of cells processed at a time, an even number."""
 
 
 def cell_maxima(nodes_m: FloatArray, hole_m: float) -> FloatArray:
@@ -21,15 +21,15 @@ def cell_maxima(nodes_m: FloatArray, hole_m: float) -> FloatArray:
 
 
 def build_pyramid(nodes_m: FloatArray, hole_m: float) -> tuple[FloatArray, IntArray]:
-    """All levels in one array, and where each begins.
+    """Build all levels in one array, with the index at which each begins.
 
     Args:
         nodes_m: (rows, columns) heights, NaN where missing.
         hole_m: height that bounds the ground of a cell with a missing corner.
 
     Returns:
-        The maxima, one after another, and for each level L its (first index, blocks per row). Level 0, the
-        cells themselves, is not kept, since a cell's corners are read anyway: its entry is empty.
+        The maxima of all levels, and for each level L its (first index, blocks per row). Level 0, the cells
+        themselves, is not stored, since a cell's corners are read anyway: its entry is empty.
     """
     maxima: list[FloatArray] = [np.empty(0)]
     levels = [(0, 0)]
@@ -45,7 +45,7 @@ def build_pyramid(nodes_m: FloatArray, hole_m: float) -> tuple[FloatArray, IntAr
 
 
 def _blocks_of_four(nodes_m: FloatArray, hole_m: float) -> FloatArray:
-    """Level 1, a few rows at a time: the maxima of all cells would take as much memory as the samples."""
+    """Level 1, computed a few rows at a time: the maxima of all cells would take as much memory as the samples."""
     firsts = range(0, len(nodes_m) - 1, _ROWS_AT_ONCE)
     return np.concatenate(
         [_halved(cell_maxima(nodes_m[first : first + _ROWS_AT_ONCE + 1], hole_m)) for first in firsts]

@@ -14,8 +14,8 @@ from lidar_emu.scene.sphere import SphereGround
 
 @dataclass(frozen=True)
 class Samples:
-    """The samples of a grid in the site frame, or of a part cut from one; some four neighbours are there to span a
-    surface. A part counts its places as the whole does: rays meet it with the same bits."""
+    """Samples of a grid in the site frame, or of a part of it, with at least four neighbouring samples. Coordinates of
+    a part count from the whole grid's first sample: rays hit it with the same bits."""
 
     height_m: FloatArray
     """(rows, columns) site z, rows from south to north, columns from west to east; NaN where missing."""
@@ -30,21 +30,22 @@ class Samples:
     interpolation: Interpolation = "bilinear"
     """Surface of a cell, see `scenario.site.ElevationGrid`."""
     first_column: int = 0
-    """Place in the whole grid of the first column that is here."""
+    """Index in the whole grid of the first column held."""
     first_row: int = 0
-    """Place in the whole grid of the first row that is here."""
+    """Index in the whole grid of the first row held."""
     bounds_m: tuple[float, float] | None = None
-    """Lowest and highest of the whole grid and of what fills its holes, where it is known; the same for each part."""
+    """Lowest and highest height of the whole grid and of the ground that fills its holes, where known; equal for all
+    parts."""
 
     @property
     def east_m(self) -> FloatArray:
-        """(columns,) east coordinates."""
+        """East coordinates (columns,)."""
         columns = np.arange(self.first_column, self.first_column + self.height_m.shape[1], dtype=np.float64)
         return self.west_m + self.pixel_east_m * columns
 
     @property
     def north_m(self) -> FloatArray:
-        """(rows,) north coordinates."""
+        """North coordinates (rows,)."""
         rows = np.arange(self.first_row, self.first_row + self.height_m.shape[0], dtype=np.float64)
         return self.south_m + self.pixel_north_m * rows
 
@@ -56,6 +57,6 @@ class Samples:
         if beyond is None:
             return lowest_m, highest_m
         radius_m = beyond.radius_m if isinstance(beyond, SphereGround) else np.inf
-        # A sphere falls by less than the square of the distance over its radius.
+        # A sphere falls by less than the square of the distance divided by its radius.
         square_m2 = max(np.square(self.east_m)) + max(np.square(self.north_m))
         return min(lowest_m, -float(square_m2) / radius_m), max(highest_m, 0.0)

@@ -15,7 +15,7 @@ NO_GROUND, PLANE, SPHERE = 0, 1, 2
 
 
 class GridConstants(NamedTuple):
-    """The numbers of a grid; kernels take them as a record."""
+    """Constants of a grid; kernels take them as a record."""
 
     west_m: float
     """East coordinate of the whole grid's first column."""
@@ -24,37 +24,37 @@ class GridConstants(NamedTuple):
     cells_per_m_east: float
     cells_per_m_north: float
     ceiling_m: float
-    """Highest of the grid and of what fills its holes."""
+    """Highest of the grid and of the ground that fills its holes."""
     floor_m: float
-    """Below all of the grid and of what fills its holes."""
+    """A height below the whole grid and the ground that fills its holes."""
     first_column: float
-    """Place in the whole grid of the first column that is held."""
+    """Index in the whole grid of the first column held."""
     first_row: float
-    """Place in the whole grid of the first row that is held."""
+    """Index in the whole grid of the first row held."""
     interpolation: int
-    """BILINEAR or TRIANGLES."""
+    """Interpolation: BILINEAR or TRIANGLES."""
     beyond: int
-    """NO_GROUND, PLANE or SPHERE."""
+    """Ground beyond: NO_GROUND, PLANE or SPHERE."""
     beyond_radius_m: float
     """Radius of the sphere beyond."""
     albedo: float
-    """Albedo of all of the ground."""
+    """Albedo of the whole ground."""
 
 
 class Grid(NamedTuple):
-    """A grid in kernels."""
+    """A grid for kernels."""
 
     constants: GridConstants
     nodes: FloatArray
-    """(rows, columns) heights of the samples."""
+    """(rows, columns) Heights of the samples."""
     maxima: FloatArray
     """Maxima of blocks, see `build_pyramid`."""
     levels: IntArray
-    """(levels, 2) where each level of the maxima begins, and its blocks per row."""
+    """(levels, 2) Index at which each level of the maxima begins, and its blocks per row."""
 
 
 class CellRay(NamedTuple):
-    """A ray, horizontally in cells and upward in metres; its parameter t is in metres along it."""
+    """A ray, horizontally in cells and vertically in metres; its parameter t is in metres along it."""
 
     u: float
     v: float
@@ -65,14 +65,15 @@ class CellRay(NamedTuple):
 
 
 Interval = tuple[float, float]
-"""First and last t of a stretch of a ray."""
+"""First and last t of an interval of a ray."""
 
 
 @kernel(forceinline=True)
 def in_cells(constants: GridConstants, x: float, y: float) -> tuple[float, float]:
-    """A place in cells from the first sample that is held.
+    """Position in cells from the first sample held.
 
-    The subtraction of whole cells is exact unless the place is far off: a part of a grid has the bits of the whole.
+    The subtraction of whole cells is exact unless the position is far away, so that a part of a grid gives the bits of
+    the whole.
     """
     u = (x - constants.west_m) * constants.cells_per_m_east
     v = (y - constants.south_m) * constants.cells_per_m_north

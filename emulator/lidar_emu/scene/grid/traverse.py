@@ -9,16 +9,16 @@ from lidar_emu.scene.grid.cell import cell_of, corners, descent, facet
 from lidar_emu.scene.grid.structures import TRIANGLES, CellRay, Grid, Interval
 
 CLEAR, SURFACE, BEYOND, FACE = 0, 1, 2, 3
-"""First contact of a ray: nothing, the surface of a cell, the ground beyond the grid, or the upright face where one
-of the two ends higher than the other begins."""
+"""First contact of a ray: none, the surface of a cell, the ground beyond the grid, or the vertical face that joins the
+two where their heights differ."""
 
 FACE_DEPTH_M = 1e-6
-"""Being this far below the ground on entering it makes a face; less is rounding at a continuous edge."""
+"""A ray that enters this far below the ground hits a face; less is rounding at a continuous edge."""
 
 
 @kernel(forceinline=True)
 def meet_beyond(start: float, end: float, beyond: Interval) -> tuple[int, float]:
-    """First t in [start, end] inside the ground beyond, in which the ray's line is on an interval."""
+    """First t in [start, end] inside the ground beyond, in which the ray's line lies on an interval."""
     enter, leave = beyond
     t = max(start, enter)
     if not t <= min(end, leave):
@@ -37,7 +37,7 @@ def clip(position: float, rate: float, length: float) -> Interval:
 
 @kernel(forceinline=True)
 def _index(position: float, rate: float, index: int, first: int, last: int) -> int:
-    """Cell at a coordinate, kept within its block and never behind ``index`` on the way."""
+    """Cell at a coordinate, limited to its block and never behind ``index`` in the ray's direction."""
     if rate > 0.0:
         first = index
     elif rate < 0.0:
@@ -51,7 +51,7 @@ def _index(position: float, rate: float, index: int, first: int, last: int) -> i
 
 @kernel(forceinline=True)
 def _crossing(position: float, rate: float, first: int, end: int) -> float:
-    """t at which a coordinate leaves the cells first ... end-1."""
+    """Parameter t at which a coordinate leaves the cells first ... end-1."""
     if rate > 0.0:
         return (end - position) / rate
     if rate < 0.0:
@@ -61,7 +61,7 @@ def _crossing(position: float, rate: float, first: int, end: int) -> float:
 
 @kernel(forceinline=True)
 def starting_level(reach: float, top_level: int) -> int:
-    """The level of whose blocks four are as long as the ray's way over the ground."""
+    """Level at which four blocks are as long as the ray's path over the ground."""
     level = 0
     while level < top_level and (4 << level) < reach:
         level += 1
@@ -80,9 +80,9 @@ def _meet_facet(
 ) -> tuple[int, float]:
     """First contact of a ray between t and t_exit, where it is over a facet of cell (i, j).
 
-    The sign at the far end decides wherever it can, not the root: the next facet starts from the same point, so
-    that a ray through an edge or a vertex is taken by one of its facets whatever the rounding. The root counts
-    from there too: it has the same bits from wherever the ray was followed.
+    The sign at the far end decides wherever possible, not the root: the next facet starts from the same point, so that
+    a ray through an edge or a vertex hits one of its facets whatever the rounding. The root is relative to that point
+    too: it has the same bits wherever the ray was followed from.
     """
     (i, j), (u, v, z, du, dv, dz) = cell, ray
     plane = facet(corners(grid.nodes, i, j), grid.constants.interpolation, southeast)
@@ -122,25 +122,25 @@ def traverse(
 ) -> tuple[int, float, int, int, int]:
     """First contact of a ray between t and t_end, where it is over the grid.
 
-    A block is passed over where the ray stays above its maximum; else the ray is taken down to that maximum
-    and the block is opened. Cells are followed by index, from the edge by which the ray left the one before,
-    and never looked up by position alone: none is left out.
+    A block is skipped where the ray stays above its maximum. Otherwise the ray advances to that maximum and the block
+    is opened. Cells are followed by index, from the edge by which the ray left the preceding one, and never looked up
+    by position alone, so that none is left out.
 
     Args:
-        grid, ray: the ground and the ray.
-        t, t_end: where the ray is over the grid.
-        near: whether the ray is known to be close to the surface at t: cells are tried before blocks.
-        face: axis (0 east, 1 north) of the edge by which the ray came in.
-        beyond: where the ray's line is in the ground beyond, which also fills cells without samples.
+        grid, ray: grid and ray.
+        t, t_end: interval in which the ray is over the grid.
+        near: whether the ray is known to be close to the surface at t: cells are tested before blocks.
+        face: axis (0 east, 1 north) of the edge by which the ray entered.
+        beyond: interval in which the ray's line is in the ground beyond, which also fills cells without samples.
 
     Returns:
-        What it meets, t, the cell (i, j), and the axis of the edge by which the ray came into it.
+        Kind of contact, t, cell (i, j), and the axis of the edge by which the ray entered it.
     """
     u, v, z, du, dv, dz = ray
     maxima, levels = grid.maxima, grid.levels
     rows, columns = grid.nodes.shape[0] - 1, grid.nodes.shape[1] - 1
     i, j = cell_of(u + t * du, columns), cell_of(v + t * dv, rows)
-    # The ray never climbs above the level where it begins: few of that level's blocks are on its way.
+    # The ray never rises above the level at which it begins: it crosses few of that level's blocks.
     top_level = starting_level(max(abs(du), abs(dv)) * (t_end - t), levels.shape[0] - 1)
     level = 0 if near else top_level
     while True:

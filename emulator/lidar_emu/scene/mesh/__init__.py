@@ -1,1 +1,1 @@
-"""Meshes: reading them, and the casting of rays onto their triangles."""
+"""Triangle meshes: reading of files, and casting of rays onto triangles."""

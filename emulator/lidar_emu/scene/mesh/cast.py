@@ -1,10 +1,10 @@
-"""Rays onto triangles, in float64, several nearly parallel rays at a time.
+"""Casting of rays onto triangles, in float64, several nearly parallel rays at a time.
 
-The tree is walked once for a bundle of rays: a box is opened where the bundle's hull reaches it, and only the rays that
-reach a leaf's own box meet its triangles. The hull of rays from [o0, o1] along [d0, d1] is at t >= 0 within
-[o0 + t d0, o1 + t d1] on each axis; for a single ray that is the ray itself.
+The tree is traversed once for a bundle of rays: a box is opened where the bundle's hull reaches it, and only rays that
+reach a leaf's own box are tested against its triangles. At t >= 0 the hull of rays from [o0, o1] along [d0, d1] lies
+within [o0 + t d0, o1 + t d1] on each axis; for a single ray it is the ray itself.
 
-Which rays come in one bundle changes nothing that is found.
+Hits do not depend on the division into bundles.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from lidar_emu.numerics.vectors import Vector
 from lidar_emu.scene.mesh.ray import NONE, meet, set_hit, set_ray
 
 BUNDLE = 128
-"""Most rays of a bundle."""
+"""Maximum number of rays in a bundle."""
 
 _APART_M, _ASKEW = 0.5, 2e-3
-"""Largest spread of the starts and of the directions of a bundle's rays, along each axis."""
+"""Maximum spread of the origins and of the directions of a bundle's rays, along each axis."""
 
 _SLACK = 1.0 + 1e-14
-"""Margin by which a box is extended for the rounding of the point at which a ray leaves it."""
+"""Margin of a box for the rounding of the point at which a ray leaves it."""
 
 
 class _Hull(NamedTuple):
-    """Bounds of a bundle's rays: least and greatest start, and one over the least and greatest direction."""
+    """Bounds of a bundle's rays: minimum and maximum origin, and reciprocals of the minimum and maximum direction."""
 
     start: Vector
     far_start: Vector
@@ -56,11 +56,11 @@ def cast_rays(
 
     Args:
         origin, direction: (n, 3).
-        boxes: of the `BoxTree`.
-        triangles: records of `TRIANGLE`, in the order of the tree.
+        boxes: see `BoxTree`.
+        triangles: records of `TRIANGLE` in the order of the tree.
         rays: (BUNDLE,) records of `RAY`, overwritten.
         stack: (depth of the tree + 1,) overwritten.
-        range_m, normal, inside, reflectance, object_id: as in `Hits`.
+        range_m, normal, inside, reflectance, object_id: see `Hits`.
     """
     start = 0
     while start < origin.shape[0]:
@@ -79,7 +79,7 @@ def cast_rays(
 
 @kernel
 def _bundle_end(origin: FloatArray, direction: FloatArray, start: int) -> int:
-    """First ray after `start` that does not go with it; `start` itself where that is no ray."""
+    """First ray after `start` that is not part of the same bundle; `start` itself if it has NaN."""
     length = 0.0
     for axis in range(3):
         length += direction[start, axis] * direction[start, axis] + 0.0 * origin[start, axis]
@@ -122,7 +122,7 @@ def _hull(rays: NDArray[np.void]) -> _Hull:
 def _walk(
     boxes: NDArray[np.void], triangles: NDArray[np.void], rays: NDArray[np.void], stack: IntArray
 ) -> None:
-    """Find the nearest contact of each ray of a bundle."""
+    """Find the nearest hit of each ray of a bundle."""
     hull = _hull(rays)
     farthest = _farthest(rays)
     node, height = 0, 0
@@ -147,7 +147,7 @@ def _walk(
             if t_right <= farthest:
                 node = left + 1
                 continue
-        # Back to a box that was put off, if the rays have not ended before it meanwhile.
+        # Return to a deferred box, unless the rays have ended before it meanwhile.
         while True:
             if height == 0:
                 return
@@ -159,7 +159,7 @@ def _walk(
 
 @kernel
 def _farthest(rays: NDArray[np.void]) -> float:
-    """The greatest of the rays' nearest contacts."""
+    """Greatest of the rays' nearest hits."""
     farthest: float = rays[0].near
     for k in range(1, rays.shape[0]):
         farthest = max(farthest, rays[k].near)
@@ -168,7 +168,7 @@ def _farthest(rays: NDArray[np.void]) -> float:
 
 @kernel(forceinline=True)
 def _entry(box: Any, hull: _Hull) -> float:
-    """t >= 0 at which the hull reaches a box; NaN where it does not."""
+    """Parameter t >= 0 at which the hull reaches a box; NaN if it does not."""
     low, high = box.low_m, box.high_m
     (ox0, oy0, oz0), (ox1, oy1, oz1), (rx0, ry0, rz0), (rx1, ry1, rz1) = hull
     near, far = 0.0, np.inf
@@ -184,9 +184,9 @@ def _entry(box: Any, hull: _Hull) -> float:
 
 @kernel(forceinline=True)
 def _clip(distance: float, per_rate: float, near: float, far: float) -> tuple[float, float]:
-    """The t between near and far at which ``rate * t <= distance``."""
+    """Part of [near, far] in which ``rate * t <= distance``."""
     t = distance * per_rate
-    # NaN, of a ray along the very face of a box, clips nothing.
+    # NaN, for a ray along the face of a box, limits nothing.
     if per_rate > 0.0:
         return near, (t if t < far else far)
     return (t if t > near else near), far
@@ -194,7 +194,7 @@ def _clip(distance: float, per_rate: float, near: float, far: float) -> tuple[fl
 
 @kernel
 def _meet_leaf(box: Any, triangles: NDArray[np.void], rays: NDArray[np.void]) -> None:
-    """Take the contacts of rays with a leaf's triangles where they are nearer than what is known."""
+    """Update rays with their hits on a leaf's triangles where these are nearer than the known ones."""
     for k in range(rays.shape[0]):
         ray = rays[k]
         if rays.shape[0] > 1:

@@ -1,4 +1,4 @@
-"""Reading triangle meshes, and what is found out about them on the way."""
+"""Reading of triangle meshes, with their topology."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ _KINDS = "allowed: an OBJ, PLY or STL file with triangles"
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A mesh as it comes from its file, in metres."""
+    """A mesh from its file, in metres."""
 
     source: str
     corner_m: FloatArray
-    """(triangles, 3, 3) corners, counter-clockwise from outside as far as that is known."""
+    """Corners (triangles, 3, 3), counter-clockwise from outside as far as the orientation is known."""
     is_closed: bool
-    """Every edge joins two triangles."""
+    """Whether every edge joins two triangles."""
     faces_one_way: bool
-    """Neighbours agree on which side is outside."""
+    """Whether neighbouring triangles agree on which side is outside."""
     turned: bool = False
-    """Whether the file had the triangles of a closed mesh face inward."""
+    """Whether the triangles of a closed mesh faced inward in the file."""
     flat: int = 0
-    """Triangles without area that were left out."""
+    """Number of triangles without area, which are left out."""
 
     @property
     def size_m(self) -> FloatArray:
-        """(3,) Extent along the file's axes."""
+        """Extent (3,) along the file's axes."""
         points_m = self.corner_m.reshape(-1, 3)
         return np.asarray(points_m.max(axis=0) - points_m.min(axis=0))
 
@@ -48,20 +48,20 @@ class MeshFile:
         ]
         words.append("closed" if self.is_closed else "open")
         if not self.faces_one_way:
-            words.append("faces disagree on what is outside: taken for a sheet")
+            words.append("inconsistent face orientation: treated as a sheet")
         if self.turned:
-            words.append("faced inward and was turned")
+            words.append("faced inward: inverted")
         if self.flat:
             words.append(f"{self.flat} triangles without area left out")
         return ", ".join(words)
 
 
 def read_mesh(file: str, unit: str) -> MeshFile:
-    """A mesh in metres; a closed one faces outward.
+    """Read a mesh in metres; a closed mesh is made to face outward.
 
     Raises:
-        InputError: the file is not there, damaged, of another kind, without triangles or too large, or trimesh is not
-            there.
+        InputError: the file is missing, damaged, of another format, without triangles or too large, or trimesh is not
+            installed.
     """
     path = Path(file)
     if not path.is_file():
@@ -85,20 +85,20 @@ def read_mesh(file: str, unit: str) -> MeshFile:
 
 
 def enclosed_m3(corner_m: FloatArray) -> float:
-    """Volume between triangles and zero, positive where they face away from it."""
+    """Volume enclosed by triangles around the origin, positive if they face outward."""
     a, b, c = np.moveaxis(corner_m, 1, 0)
     return float((a * np.cross(b, c)).sum() / 6)
 
 
 def turned_over(corner_m: FloatArray) -> FloatArray:
-    """The same triangles facing the other way."""
+    """The same triangles with opposite orientation."""
     return np.ascontiguousarray(corner_m[:, ::-1])
 
 
 def _topology(vertex_m: FloatArray, faces: IntArray) -> tuple[bool, bool]:
-    """Whether every edge joins two triangles, and whether neighbours agree on which side is outside.
+    """Whether every edge joins two triangles, and whether neighbours have consistent orientation.
 
-    Vertices at one place are one: an STL file states the corners of each triangle anew.
+    Vertices at the same position are merged: an STL file repeats the corners for each triangle.
     """
     _, place = np.unique(vertex_m + 0.0, axis=0, return_inverse=True)
     corners = place.reshape(-1)[faces]
@@ -121,7 +121,7 @@ def _load(path: Path) -> Any:
         mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
     except MemoryError:
         raise
-    except Exception as error:  # whatever a parser may stumble over
+    except Exception as error:  # Parsers raise exceptions of many types.
         raise InputError(str(path), None, Finding("unreadable"), f"{_reason(error)}; {_KINDS}") from None
     if isinstance(mesh, trimesh.Scene):
         mesh = mesh.to_mesh() if mesh.geometry else None

@@ -1,4 +1,4 @@
-"""Ground that is a triangle mesh, and the place of the site frame on it."""
+"""Ground from a triangle mesh, placed in the site frame."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from lidar_emu.scene.ray_hits import Hits
 from lidar_emu.scene.terrain.frame import site_from_body_fixed
 
 _ALIKE = 10.0
-"""A body's sphere and the surface of its mesh are this many times as far from its centre as the other, at most."""
+"""Maximum ratio of the radius of a body's sphere to the distance of its mesh from the centre, either way."""
 
 
 class MeshGround:
     """Triangles in the site frame.
 
     Args:
-        mesh: the triangles.
-        closed: whether they are the whole surface of a body, which no vehicle leaves.
+        mesh: triangles in the site frame.
+        closed: whether they form the closed surface of a body, which no vehicle leaves.
         description: one line for plans.
         origin_altitude_m: height of the origin above the body's sphere.
     """
@@ -46,15 +46,15 @@ class MeshGround:
         return self._mesh.cast(origin_site_m, direction_site, hits)
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """Every triangle; see `TriangleMesh.cast_exact`."""
+        """First contact by testing every triangle; see `TriangleMesh.cast_exact`."""
         return self._mesh.cast_exact(origin_site_m, direction_site)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        """(n,) z of the highest place straight above or below; NaN beside the mesh."""
+        """Highest z straight above or below each point, (n,); NaN beside the mesh."""
         return self._mesh.top_m(east_m, north_m)
 
     def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """True around a closed mesh, and within the rectangle that holds an open one."""
+        """True for a closed mesh, and within the bounding rectangle of an open one."""
         east, north = np.broadcast_arrays(east_m, north_m)
         low_m, high_m = self._mesh.low_m, self._mesh.high_m
         within = (low_m[0] <= east) & (east <= high_m[0]) & (low_m[1] <= north) & (north <= high_m[1])
@@ -62,10 +62,10 @@ class MeshGround:
 
 
 def place_mesh(file: MeshFile, origin: MeshOrigin, part: Site) -> MeshGround:
-    """The mesh in the site frame.
+    """Place a mesh in the site frame.
 
     Raises:
-        InputError: there is no surface at the place that the origin is to have, or one of another size than the body.
+        InputError: the mesh has no surface at the origin, or its size contradicts the body's radius.
     """
     corner_m, altitude_m = file.corner_m, 0.0
     if origin.is_body_fixed:
@@ -80,7 +80,7 @@ def place_mesh(file: MeshFile, origin: MeshOrigin, part: Site) -> MeshGround:
 
 
 def _facing_up(corner_m: FloatArray, centre_below_m: float | None) -> FloatArray:
-    """An open mesh that faces away from the body's centre, or where there is none up."""
+    """Orient an open mesh to face away from the body's centre, or upward if it has none."""
     a, b, c = np.moveaxis(corner_m, 1, 0)
     if centre_below_m is None:
         outward = float(np.cross(b - a, c - a)[:, 2].sum())
@@ -90,7 +90,7 @@ def _facing_up(corner_m: FloatArray, centre_below_m: float | None) -> FloatArray
 
 
 def _at_place(file: MeshFile, origin: MeshOrigin, part: Site) -> tuple[FloatArray, float]:
-    """Corners east, north and up of the origin, and how far that is from the body's centre."""
+    """Corners in axes east, north and up at the origin, and the distance from the body's centre to the origin."""
     if origin.body_fixed_m is not None:
         x, y, z = origin.body_fixed_m
         latitude_rad, longitude_rad = math.atan2(z, math.hypot(x, y)), math.atan2(y, x)
@@ -112,7 +112,7 @@ def _at_place(file: MeshFile, origin: MeshOrigin, part: Site) -> tuple[FloatArra
 
 
 def _require_alike(radius_m: float, file: MeshFile, body_radius_m: float) -> None:
-    """A mesh in the wrong unit, or on the body of another site, is not flown."""
+    """Refuse a mesh in the wrong unit, or of a body of another size."""
     if not body_radius_m / _ALIKE <= radius_m <= body_radius_m * _ALIKE:
         allowed = (
             f"allowed: within a factor of {_ALIKE:g} of the mesh's surface, {radius_m:.4g} m from its centre"
@@ -123,7 +123,7 @@ def _require_alike(radius_m: float, file: MeshFile, body_radius_m: float) -> Non
 
 
 def _height_over_centre_m(corner_m: FloatArray) -> float:
-    """Greatest z of the triangles on the z axis; NaN where there is none."""
+    """Greatest z of the triangles on the z axis; NaN if there is none."""
     across = corner_m[..., :2]
     about = (across.min(axis=1) <= 0).all(axis=1) & (across.max(axis=1) >= 0).all(axis=1)
     a, b, c = np.moveaxis(corner_m[about], 1, 0)

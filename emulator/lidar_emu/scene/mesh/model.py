@@ -1,4 +1,4 @@
-"""Triangles ready for rays."""
+"""Triangles prepared for ray casting."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from lidar_emu.scene.ray_hits import GROUND, Hits, contiguous
 
 
 class Triangles(NamedTuple):
-    """n triangles of one or of several objects."""
+    """n triangles of one or several objects."""
 
     corner_m: FloatArray
-    """(n, 3, 3) their corners, counter-clockwise as seen from outside."""
+    """(n, 3, 3) Corners, counter-clockwise as seen from outside."""
     sheet: BoolArray
-    """(n,) whether it is seen from both sides, as part of a sheet; others are the skin of something solid."""
+    """(n,) Whether the triangle belongs to a sheet, seen from both sides; others bound a solid."""
     reflectance: FloatArray
-    """(n,) albedo."""
+    """(n,) Albedo."""
     object_id: NDArray[np.int16]
-    """(n,) what it belongs to, see `Hits.object_id`."""
+    """(n,) Object, see `Hits.object_id`."""
 
     @classmethod
     def alike(
         cls, corner_m: FloatArray, reflectance: float, sheet: bool = False, object_id: int = GROUND
     ) -> Self:
-        """Triangles that differ by their corners alone."""
+        """Triangles that share all attributes but the corners."""
         count = len(corner_m)
         return cls(
             corner_m,
@@ -41,7 +41,7 @@ class Triangles(NamedTuple):
         )
 
     def chosen(self, which: IntArray) -> Self:
-        """Some of them, or some of them several times."""
+        """Selected triangles; an index may repeat."""
         return type(self)(
             np.ascontiguousarray(self.corner_m[which]),
             self.sheet[which],
@@ -51,7 +51,7 @@ class Triangles(NamedTuple):
 
     @classmethod
     def joined(cls, parts: list[Self]) -> Self:
-        """All of several."""
+        """Concatenate several sets of triangles."""
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
@@ -60,19 +60,19 @@ class TriangleMesh:
 
     def __init__(self, triangles: Triangles) -> None:
         self._tree = build_tree(triangles.corner_m.min(axis=1), triangles.corner_m.max(axis=1))
-        # Neighbours in space are neighbours in memory.
+        # Neighbours in space become neighbours in memory.
         self._triangles = _records(triangles, self._tree.order)
         self._rays = with_fields(np.empty(BUNDLE, dtype=RAY))
         self._stack = np.empty(self._tree.depth + 1, dtype=np.int64)
 
     @property
     def low_m(self) -> FloatArray:
-        """(3,) least coordinates."""
+        """Minimum coordinates (3,)."""
         return np.asarray(self._tree.boxes["low_m"][0])
 
     @property
     def high_m(self) -> FloatArray:
-        """(3,) greatest coordinates."""
+        """Maximum coordinates (3,)."""
         return np.asarray(self._tree.boxes["high_m"][0])
 
     def cast(self, origin_m: FloatArray, direction: FloatArray, hits: Hits | None = None) -> Hits:
@@ -95,7 +95,7 @@ class TriangleMesh:
         return hits
 
     def top_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        """(n,) z of the highest place straight above or below, z being up; NaN beside the triangles."""
+        """Highest z straight above or below each point, (n,), with z upward; NaN beside the triangles."""
         east, north = np.broadcast_arrays(east_m, north_m)
         above_m = float(self.high_m[2]) + 1.0
         start_m = np.stack([east, north, np.full(east.shape, above_m)], axis=-1)
@@ -103,7 +103,7 @@ class TriangleMesh:
         return above_m - self.cast(start_m, down).range_m
 
     def cast_exact(self, origin_m: FloatArray, direction: FloatArray) -> Hits:
-        """The same by trying every triangle (Möller and Trumbore 1997), in the longest numbers there are."""
+        """First contact by testing every triangle (Möller and Trumbore 1997), in extended precision."""
         hits = Hits.none(len(origin_m))
         for k, (origin, way) in enumerate(zip(origin_m, direction, strict=True)):
             if np.isfinite([origin, way]).all():
@@ -124,7 +124,7 @@ class TriangleMesh:
             met = (along_b >= 0) & (along_c >= 0) & (along_b + along_c <= 1) & (t >= 0)
         if not met.any():
             return
-        # Of several at one place the one that is seen from before.
+        # At equal ranges the triangle that faces the ray counts.
         nearest = np.flatnonzero(met)[np.lexsort((volume[met] < 0, t[met]))[0]]
         behind = volume[nearest] < 0
         hits.inside[k] = behind and not triangles["sheet"][nearest] and t[nearest] > 0
@@ -140,7 +140,7 @@ class TriangleMesh:
 
 
 def _records(triangles: Triangles, order: IntArray) -> Any:
-    """(n,) The triangles as `TRIANGLE`, in the order of a tree."""
+    """Records (n,) of `TRIANGLE`, in the order of a tree."""
     records = np.empty(len(order), dtype=TRIANGLE)
     records["corner_m"], records["sheet"] = triangles.corner_m[order], triangles.sheet[order]
     records["albedo"], records["object_id"] = triangles.reflectance[order], triangles.object_id[order]

@@ -1,8 +1,8 @@
-"""A ray, the triangles that it meets, and its hit.
+"""A ray, its intersection with triangles, and its hit.
 
-A triangle is met in two coordinates across the ray, of which each corner has one pair whatever triangle it is seen
-from: the areas that an edge spans with the ray are equal and opposite on its two sides, so that a ray at an edge or a
-corner is met by one of the triangles there, whatever the rounding (after Woop, Benthin and Wald 2013).
+A triangle is tested in two coordinates across the ray. Each corner has the same coordinates for every triangle that it
+belongs to, so that the signed areas that an edge spans with the ray are equal and opposite on its two sides: a ray at
+an edge or a corner hits one of the triangles there, whatever the rounding (after Woop, Benthin and Wald 2013).
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ RAY = np.dtype(
     + [(name, np.float64) for name in ("near", "entry", "exit")]
     + [("entered", np.int64), ("left", np.int64)]
 )
-"""A ray: start, direction, one over it, two unit vectors across it; t of the nearest contact of any kind, of the
-nearest with a surface and of the nearest with the end of a solid; the triangles of these two."""
+"""A ray: origin, direction, its reciprocal, two unit vectors across it; t of the nearest contact of any kind, of the
+nearest with a front face and of the nearest with a back face of a solid; the triangles of these two."""
 
 TRIANGLE = np.dtype(
     [("corner_m", np.float64, (3, 3)), ("albedo", np.float64), ("object_id", np.int16), ("sheet", np.bool_)],
     align=True,
 )
-"""A triangle: corners counter-clockwise from outside, what it reflects and belongs to, and whether it is seen from both
-sides; another one that is seen from behind is the end of a solid."""
+"""A triangle: corners counter-clockwise from outside, reflectance, object, and whether it is seen from both sides; a
+triangle of a solid that is seen from behind is where the ray leaves the solid."""
 
 NONE = 2**60
-"""In place of a triangle's number."""
+"""Placeholder for no triangle."""
 _SAME = 1.0 + 1e-12
-"""At a corner seen edge-on the near and the far side of a solid coincide: the near side counts."""
+"""Tolerance at a corner seen edge-on, where front and back of a solid coincide: the front counts."""
 
 
 @kernel
 def set_ray(origin: FloatArray, direction: FloatArray, ray: Any) -> None:
-    """Begin a ray along a unit vector: it has met nothing yet."""
+    """Initialise a ray along a unit vector, without contacts."""
     x, y, z = direction[0], direction[1], direction[2]
     ray.x, ray.y, ray.z = origin[0], origin[1], origin[2]
     ray.dx, ray.dy, ray.dz = x, y, z
     ray.rx, ray.ry, ray.rz = 1.0 / x, 1.0 / y, 1.0 / z
-    # Two vectors across without a case in which they vanish (Duff et al. 2017).
+    # Two perpendicular vectors, defined for every direction (Duff et al. 2017).
     sign = 1.0 if z >= 0.0 else -1.0
     a = -1.0 / (sign + z)
     b = x * y * a
@@ -57,7 +57,7 @@ def set_ray(origin: FloatArray, direction: FloatArray, ray: Any) -> None:
 
 @kernel(forceinline=True)
 def meet(triangle: Any, number: int, ray: Any) -> None:
-    """Note where a ray meets a triangle, if that is nearer than what it has met."""
+    """Record the contact of a ray with a triangle if it is nearer than the known ones."""
     corner_m = triangle.corner_m
     x, y, z = ray.x, ray.y, ray.z
     ax, ay, az = corner_m[0, 0] - x, corner_m[0, 1] - y, corner_m[0, 2] - z
@@ -79,7 +79,7 @@ def meet(triangle: Any, number: int, ray: Any) -> None:
     t = (u * to_a + v * to_b + w * to_c) / area
     if not t >= 0.0:
         return
-    # Of several at one place it is the first, in whatever order they come.
+    # At equal ranges the lowest number counts, in whatever order the triangles come.
     if area > 0.0 or triangle.sheet:
         if t < ray.entry or (t == ray.entry and number < ray.entered):
             ray.entry, ray.entered = t, number
@@ -100,7 +100,7 @@ def set_hit(
     reflectance: FloatArray,
     object_id: NDArray[np.int16],
 ) -> None:
-    """Set hit k to what a ray has met."""
+    """Set hit k from the contacts of a ray."""
     inside[k] = False
     range_m[k], reflectance[k], object_id[k] = np.nan, np.nan, NOTHING
     normal[k, 0], normal[k, 1], normal[k, 2] = np.nan, np.nan, np.nan
@@ -120,6 +120,6 @@ def set_hit(
     z = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
     length = np.sqrt(x * x + y * y + z * z)
     if enters and x * ray.dx + y * ray.dy + z * ray.dz > 0.0:
-        # The other side of a sheet.
+        # The back of a sheet.
         length = -length
     normal[k, 0], normal[k, 1], normal[k, 2] = x / length, y / length, z / length

@@ -1,7 +1,7 @@
-"""A tree of boxes over triangles, by which a ray passes over all but a few of them.
+"""A tree of boxes over triangles, by which a ray skips all but a few of them.
 
-Each box that holds many triangles is split in two across the axis and at the place that make the least work for a ray:
-the least sum of areas times triangles over a few places (the surface area heuristic).
+A box with many triangles is divided along the axis and at the position with the least expected work for a ray: the
+least sum of areas times triangle counts over a few candidate positions (the surface area heuristic).
 """
 
 from __future__ import annotations
@@ -15,46 +15,46 @@ from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel, with_fields
 
 LEAF_TRIANGLES = 4
-"""A box of no more is not split."""
+"""Maximum number of triangles in a leaf."""
 
 MARGIN_M = 1e-9
 """Margin of the boxes: more than the rounding of a contact up to 1000 km away."""
 
 _BINS = 16
-"""Places between which a split is looked for, along each axis."""
+"""Number of candidate positions of a division, along each axis."""
 
 
 BOX = np.dtype(
     [("low_m", np.float64, (3,)), ("high_m", np.float64, (3,)), ("first", np.int64), ("held", np.int64)]
 )
-"""A box: least and greatest x, y and z; the first of its two halves, or of a leaf its first triangle in the tree's
-order; the triangles of a leaf, 0 for a box that is split."""
+"""A box: minimum and maximum x, y and z; index of the first of its two children, or of a leaf's first triangle in the
+order of the tree; number of triangles of a leaf, 0 for an inner box."""
 
 
 class BoxTree(NamedTuple):
-    """Boxes, the root first; the two halves of a box lie side by side."""
+    """Boxes, the root first; the two children of a box are adjacent."""
 
     boxes: NDArray[np.void]
     """(boxes,) records of `BOX`."""
     order: IntArray
-    """(triangles,) the triangles, leaf after leaf."""
+    """(triangles,) Order of the triangles, leaf after leaf."""
     depth: int
-    """Boxes on the longest way down."""
+    """Depth of the tree in boxes."""
 
 
 class _Extents(NamedTuple):
-    """Triangles while the tree is built."""
+    """Extents of triangles while the tree is built."""
 
     low: FloatArray
-    """(triangles, 3) least coordinates."""
+    """(triangles, 3) Minimum coordinates."""
     high: FloatArray
-    """(triangles, 3) greatest coordinates."""
+    """(triangles, 3) Maximum coordinates."""
     order: IntArray
-    """(triangles,)"""
+    """(triangles,) Order of the triangles so far."""
 
 
 def build_tree(low: FloatArray, high: FloatArray) -> BoxTree:
-    """The tree over triangles whose least and greatest corners are (n, 3), n > 0."""
+    """Build the tree over triangles with minimum and maximum coordinates (n, 3), n > 0."""
     count = len(low)
     boxes, order = with_fields(np.zeros(2 * count, dtype=BOX)), np.arange(count, dtype=np.int64)
     depth = np.zeros(2 * count, dtype=np.int64)
@@ -73,7 +73,7 @@ def _split_all(
     bins: FloatArray,
     right: FloatArray,
 ) -> int:
-    """Fill the arrays of a `BoxTree`; the number of boxes."""
+    """Fill the arrays of a `BoxTree`; returns the number of boxes."""
     extents = _Extents(low, high, order)
     used, node = 1, 0
     boxes[0].first, boxes[0].held = 0, order.shape[0]
@@ -117,7 +117,7 @@ def _half_area(low: FloatArray, high: FloatArray) -> float:
 
 @kernel
 def _split(extents: _Extents, start: int, end: int, bins: FloatArray, right: FloatArray) -> int:
-    """Order triangles so that those up to the number returned are one half, and the rest the other."""
+    """Reorder triangles into two halves; returns the index at which the second half begins."""
     low, high, order = extents
     best_axis, best_bin, best_work = -1, 0, np.inf
     best_from, best_scale = 0.0, 0.0
@@ -133,7 +133,7 @@ def _split(extents: _Extents, start: int, end: int, bins: FloatArray, right: Flo
         if work < best_work:
             best_axis, best_bin, best_work, best_from, best_scale = axis, place, work, least, scale
     if best_axis < 0:
-        # They all lie about the same point.
+        # All centres coincide.
         return (start + end) // 2
     i, j = start, end - 1
     while i <= j:
@@ -163,7 +163,7 @@ def _best_place(
     bins: FloatArray,
     right: FloatArray,
 ) -> tuple[int, float]:
-    """The bin after which to split, and the work that is left; the first and the last bin hold triangles."""
+    """Bin after which to divide, and the remaining work; the first and the last bin contain triangles."""
     for b in range(_BINS):
         bins[b, :3], bins[b, 3:6], bins[b, 6] = np.inf, -np.inf, 0.0
     for k in range(start, end):
@@ -172,7 +172,7 @@ def _best_place(
         _widen(bins[b, :3], bins[b, 3:6], extents.low[triangle], extents.high[triangle])
         bins[b, 6] += 1.0
     place, work = 0, np.inf
-    # From the right first, then from the left: the last bin and the first become the boxes that grow.
+    # From the right first, then from the left; the last and the first bin serve as the growing boxes.
     for b in range(_BINS - 1, 0, -1):
         if b < _BINS - 1:
             _widen_by_bin(bins, _BINS - 1, b)

@@ -1,1 +1,1 @@
-"""One ground of several grids: set into one another, refined below their pixels, painted with their albedo."""
+"""One ground from several grids: nested, refined below their pixels, with their albedo."""

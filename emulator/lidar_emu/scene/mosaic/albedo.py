@@ -1,4 +1,4 @@
-"""Ground whose albedo differs from place to place."""
+"""Ground whose albedo varies with position."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Albedo:
     """Samples of the albedo in the site frame, bilinear between them."""
 
     share: FloatArray
-    """(rows, columns) 0 to 1, rows from south to north; NaN where missing."""
+    """(rows, columns) Albedo, 0 to 1, rows from south to north; NaN where missing."""
     west_m: float
     """East coordinate of the whole map's first column."""
     south_m: float
@@ -29,9 +29,9 @@ class Albedo:
     pixel_north_m: float
     """Distance between rows."""
     first_column: int = 0
-    """Place in the whole map of the first column that is here."""
+    """Index in the whole map of the first column held."""
     first_row: int = 0
-    """Place in the whole map of the first row that is here."""
+    """Index in the whole map of the first row held."""
 
 
 @kernel(outermost=True)
@@ -60,8 +60,8 @@ class PaintedGround:
     """A ground with the albedo of a map, and its own where the map has none.
 
     Args:
-        ground: what is hit.
-        albedo: of the places on it.
+        ground: ground that is hit.
+        albedo: its albedo by position.
     """
 
     def __init__(self, ground: Scene, albedo: Albedo) -> None:

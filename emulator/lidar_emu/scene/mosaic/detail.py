@@ -1,4 +1,4 @@
-"""Detail below the pixel of a grid, where the beams of a run come to."""
+"""Detail below the pixel of a grid, where the beams of a run can reach."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from lidar_emu.scenario.ground_detail import Detail
 from lidar_emu.scene.generated.detail import MARGIN, Law, law_of, law_with, refine
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.grid.samples import Samples
-from lidar_emu.scene.map_area import Rectangle, around
+from lidar_emu.scene.map_area import Rectangle, indices_between
 from lidar_emu.scene.mosaic.seam import extent, nest
 from lidar_emu.scene.ray_hits import Scene
 
 MAXIMUM_SAMPLES = 40_000_000
 EDGE = 3
-"""Pixels of the grid around what beams need, over which detail begins: two of them are the seam."""
+"""Margin, in pixels of the grid, between the area that beams need and the edge of the detail; two of them are the seam.
+"""
 SEAM_PIXELS = 2
 
 
@@ -32,27 +33,27 @@ def detailed(
     where: str,
     build: Callable[[Samples, str], GridGround],
 ) -> Scene:
-    """A ground with a finer grid set into one of its grids.
+    """Set a finer grid with detail into one of the grids of a ground.
 
     Args:
-        outer: the ground, of which the grid is the last that was set in.
-        base: of the grid as it is in the ground.
-        whole: of the grid as its file has it, from which the law of its relief is read.
-        needed: where detail is wanted; nothing is done where that is empty.
-        part: what is asked for.
-        where: the grid's file.
-        build: from samples and a description to the finer grid's ground, with nothing beyond.
+        outer: ground in which the grid was nested last.
+        base: samples of the grid as nested.
+        whole: samples of the grid in its file, from which the law of its relief is estimated.
+        needed: area that needs detail; nothing is done if it is empty.
+        part: the scenario's `detail`.
+        where: file of the grid, for refusals.
+        build: builds the finer grid's ground, with nothing beyond, from samples and a description.
 
     Raises:
-        InputError: that would be too much.
+        InputError: the detail would exceed the limit of samples.
     """
     pixel_m = whole.pixel_north_m, whole.pixel_east_m
     halvings = math.ceil(math.log2(max(pixel_m) / part.spacing_m) - 1e-9)
     if halvings <= 0 or not needed.west_m <= needed.east_m:
         return outer
     count = whole.height_m.shape
-    rows = around(needed.south_m, needed.north_m, whole.south_m, pixel_m[0], count[0], EDGE)
-    columns = around(needed.west_m, needed.east_m, whole.west_m, pixel_m[1], count[1], EDGE)
+    rows = indices_between(needed.south_m, needed.north_m, whole.south_m, pixel_m[0], count[0], EDGE)
+    columns = indices_between(needed.west_m, needed.east_m, whole.west_m, pixel_m[1], count[1], EDGE)
     _check_size(where, rows, columns, pixel_m, halvings)
     law = _law(whole, part, where)
     margin_m = _with_margin(base, rows, columns, count)
@@ -89,7 +90,7 @@ def _law(whole: Samples, part: Detail, where: str) -> Law:
         return law_with(part.hurst, math.tan(math.radians(part.rms_slope_deg)), pixel_m)
     law = law_of(whole.height_m, pixel_m, part.hurst)
     if law is None:
-        found = Finding("too few samples to tell the roughness of the grid")
+        found = Finding("too few samples to estimate the roughness of the grid")
         raise InputError(where, "ground.detail", found, "allowed: with hurst and rms_slope_deg")
     if part.rms_slope_deg is None:
         return law
@@ -97,7 +98,8 @@ def _law(whole: Samples, part: Detail, where: str) -> Law:
 
 
 def _with_margin(base: Samples, rows: range, columns: range, count: tuple[int, ...]) -> FloatArray:
-    """The heights of these rows and columns and of those around; beyond the grid's edge they go on turned about it."""
+    """Heights of these rows and columns with a margin; beyond the edge of the grid they continue by point
+    reflection."""
     taken, padding = [], []
     for lines, first, whole in ((rows, base.first_row, count[0]), (columns, base.first_column, count[1])):
         start, end = max(lines.start - MARGIN, 0), min(lines.stop + MARGIN, whole)

@@ -11,7 +11,7 @@ from lidar_emu.scenario.ground_detail import Detail
 from lidar_emu.scene.cropped_ground import CroppedGround, Kept
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.grid.samples import Samples
-from lidar_emu.scene.map_area import Rectangle, around
+from lidar_emu.scene.map_area import Rectangle, indices_between
 from lidar_emu.scene.mosaic.albedo import Albedo, PaintedGround
 from lidar_emu.scene.mosaic.seam import extent, nest
 from lidar_emu.scene.plane import PlaneGround
@@ -20,9 +20,9 @@ from lidar_emu.scene.ray_reach import Reach, Span
 from lidar_emu.scene.sphere import SphereGround
 
 CUT_FROM_SAMPLES = 1_000_000
-"""Smaller grids are held whole: there is little to be saved."""
+"""Grids with fewer samples are held whole: cropping would save little."""
 MARGIN = 12
-"""Rows and columns kept around what rays need: detail and its seam depend on some of them."""
+"""Margin of rows and columns around what rays need, on which detail and its seam depend."""
 FEATHER_PIXELS = 4
 
 Beyond = PlaneGround | SphereGround | None
@@ -30,7 +30,7 @@ Beyond = PlaneGround | SphereGround | None
 
 @dataclass(frozen=True)
 class Layer:
-    """One of the grids of a ground, whole."""
+    """One whole grid of a ground."""
 
     samples: Samples
     build: Callable[[Samples, Beyond, str], GridGround]
@@ -38,18 +38,18 @@ class Layer:
     description: str
     """One line for plans."""
     source: str
-    """The file."""
+    """File of the grid."""
     detail: Detail | None = None
     albedo: FloatArray | None = None
-    """(rows, columns) of the samples, where the file has it; NaN where missing."""
+    """(rows, columns) Albedo of the samples, if the file has it; NaN where missing."""
 
     @property
     def pixel_m(self) -> float:
-        """The longer side of a pixel."""
+        """Longer side of a pixel."""
         return max(self.samples.pixel_east_m, self.samples.pixel_north_m)
 
     def alone(self, samples: Samples, description: str) -> GridGround:
-        """The ground of samples with nothing beyond."""
+        """Ground of samples with nothing beyond."""
         return self.build(samples, None, description)
 
 
@@ -59,17 +59,17 @@ def join_grids(
     reach: Reach | None,
     cut: bool = True,
 ) -> Scene:
-    """The ground of some grids.
+    """Join grids to one ground.
 
     Args:
-        read: reads them, from the finest to the widest, and the ground around all of them. Read once more if a cut
-            ground must be made whole.
-        feather_m: of the strips along their edges; None: as the scenario's reference says.
-        reach: what rays the run has; None: any.
-        cut: whether what they cannot reach is left out.
+        read: reads the grids, from the finest to the widest, and the ground around all of them; called again if a
+            cropped ground must be restored.
+        feather_m: width of the strips along their edges; None: the default of the scenario reference.
+        reach: rays of the run; None: unknown.
+        cut: whether to leave out what they cannot reach.
 
     Raises:
-        InputError: detail is asked for that would not fit into memory.
+        InputError: the requested detail would not fit into memory.
     """
     layers, beyond = read()
     spans = _spans(layers, beyond)
@@ -110,10 +110,14 @@ def _spans(layers: Sequence[Layer], beyond: Beyond) -> list[Span]:
 
 
 def _part(samples: Samples, needed: Rectangle) -> Samples:
-    """The rows and columns that hold a part of the area, with a margin; a copy, so that the rest can go."""
+    """The rows and columns of a part of the area, with a margin, as a copy, so that the rest can be released."""
     count = samples.height_m.shape
-    rows = around(needed.south_m, needed.north_m, samples.south_m, samples.pixel_north_m, count[0], MARGIN)
-    columns = around(needed.west_m, needed.east_m, samples.west_m, samples.pixel_east_m, count[1], MARGIN)
+    rows = indices_between(
+        needed.south_m, needed.north_m, samples.south_m, samples.pixel_north_m, count[0], MARGIN
+    )
+    columns = indices_between(
+        needed.west_m, needed.east_m, samples.west_m, samples.pixel_east_m, count[1], MARGIN
+    )
     return replace(
         samples,
         height_m=samples.height_m[rows.start : rows.stop, columns.start : columns.stop].copy(),
@@ -123,7 +127,7 @@ def _part(samples: Samples, needed: Rectangle) -> Samples:
 
 
 def _albedo(samples: Samples, share: FloatArray) -> Albedo:
-    """The albedo at the samples that are kept."""
+    """Albedo at the samples that are kept."""
     rows, columns = samples.height_m.shape
     first_row, first_column = samples.first_row, samples.first_column
     return Albedo(

@@ -17,16 +17,17 @@ from lidar_emu.scene.mosaic.grids import Beyond, Layer
 from lidar_emu.scene.terrain.model import Terrain
 
 BODY_TOLERANCE = 0.01
-"""Maps of one body are drawn on spheres and ellipsoids that differ by up to 0.6 % (Mars)."""
+"""Maximum relative difference of radius: maps of one body use spheres and ellipsoids that differ by up to 0.6 % (Mars).
+"""
 
 AnyGrid = site.ElevationGrid | Generated
 
 
 def read_layers(part: site.Site, grids: list[AnyGrid]) -> tuple[list[Layer], float]:
-    """The grids of a site, and the height of its origin above the body's sphere.
+    """Read the grids of a site, and the height of its origin above the body's sphere.
 
     Raises:
-        InputError: a file cannot be used as the site asks, or does not say where it lies beside the first one.
+        InputError: a file cannot be used as the site requests, or its position relative to the first one is unknown.
     """
     first = _read(part, grids[0], None)
     altitude_m = first.origin_elevation_m if part.origin_altitude_m is None else part.origin_altitude_m
@@ -38,7 +39,7 @@ def read_layers(part: site.Site, grids: list[AnyGrid]) -> tuple[list[Layer], flo
 
 
 def _refuse_disorder(layers: list[Layer]) -> None:
-    """Refuse a grid that is finer than the one before it, below which it would not be seen."""
+    """Refuse a grid that is finer than the preceding one, which would hide it."""
     for place, (before, layer) in enumerate(pairwise(layers), start=1):
         if layer.pixel_m < before.pixel_m * (1 - 1e-6):
             found = Finding(
@@ -69,7 +70,7 @@ def _layer(part: site.Site, grid: AnyGrid, terrain: Terrain, altitude_m: float) 
 
 
 def _read(part: site.Site, grid: AnyGrid, first: tuple[AnyGrid, Terrain] | None) -> Terrain:
-    """Read a grid around its own origin; a later grid with neither origin nor place takes the origin of the first."""
+    """Read a grid around its own origin; a later grid without origin or position takes the origin of the first."""
     if isinstance(grid, Generated):
         return _generated(grid)
     if first is not None and grid.at_m is None and grid.origin == site.Origin():
@@ -82,14 +83,14 @@ def _read(part: site.Site, grid: AnyGrid, first: tuple[AnyGrid, Terrain] | None)
 
 
 def _origin_of(grid: AnyGrid, terrain: Terrain, asker: str) -> site.Origin:
-    """The origin of the first grid, as another file may have it on its map."""
+    """Origin of the first grid, for the map of another file."""
     if terrain.frame is not None:
         squash = terrain.frame.ellipsoid.polar_m / terrain.frame.ellipsoid.equatorial_m
         centric = math.atan(math.tan(terrain.frame.latitude_rad) * squash**2)
         longitude_deg = math.degrees(terrain.frame.longitude_rad)
         return site.Origin(latitude_deg=math.degrees(centric), longitude_deg=longitude_deg)
     if isinstance(grid, Generated) or grid.origin == site.Origin():
-        found = Finding("no place beside the first grid, which is on no map")
+        found = Finding("no position relative to the first grid, which has no map projection")
         allowed = (
             "allowed: at_m, east and north of the site's origin; or an origin on the map of the first grid"
         )
@@ -98,7 +99,7 @@ def _origin_of(grid: AnyGrid, terrain: Terrain, asker: str) -> site.Origin:
 
 
 def _check_body(body: site.Body, terrain: Terrain) -> None:
-    """Refuse the map of another body, e.g. of Mars for a site on the Moon, which is the default."""
+    """Refuse the map of another body, for example of Mars for a site on the Moon, which is the default."""
     if terrain.frame is None:
         return
     radius_m = terrain.frame.ellipsoid.equatorial_m
@@ -108,7 +109,7 @@ def _check_body(body: site.Body, terrain: Terrain) -> None:
 
 
 def _generated(ground: Generated) -> Terrain:
-    """Generate a ground: a grid like any other, with the origin at its centre."""
+    """Generate a ground as a grid with the origin at its centre."""
     from lidar_emu.scene.generated.cache import elevation_m
     from lidar_emu.scene.terrain.flat import FlatMap, placed_flat
 

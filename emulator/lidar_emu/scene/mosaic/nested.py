@@ -1,4 +1,4 @@
-"""A finer ground within a wider one: a rectangle of the site's map belongs to the one, all around it to the other."""
+"""A finer ground within a wider one, over a rectangle of the site's map."""
 
 from __future__ import annotations
 
@@ -18,31 +18,30 @@ from lidar_emu.scene.ray_hits import Hits, Scene, contiguous
 
 
 class Seam(NamedTuple):
-    """Between a grid and the ground around it."""
+    """Transition between a grid and the ground around it."""
 
     feather_m: float
-    """Width of the strip in which the one changes into the other."""
+    """Width of the strip over which the heights are blended."""
     step_m: float
-    """Largest difference of height left along the edge."""
+    """Maximum remaining difference of height along the edge."""
     offset_m: float
-    """Median height of the grid above the ground that it replaces, as the files give them; NaN where they do not
-    overlap."""
+    """Median height of the grid above the ground that it replaces, from the files; NaN if they do not overlap."""
     scatter_m: float
-    """Scatter of this offset: half the spread of the middle 68 %."""
+    """Scatter of this offset: half the width of the central 68 %."""
 
 
 class NestedGround:
-    """Two grounds, of which the inner one counts over its rectangle.
+    """Two grounds; the inner one replaces the outer one over its rectangle.
 
-    A ray goes through the parts in the order in which it comes over them. At the seam the two surfaces differ by no
-    more than `seam.step_m`: a ray that comes there by less than that below the surface ahead meets it, as if it were
-    continuous; none slips through.
+    A ray is cast onto the parts in the order in which it passes over them. At the seam the two surfaces differ by at
+    most `seam.step_m`: a ray that arrives less than that below the surface ahead hits it, as if the surface were
+    continuous, so that no ray is lost.
 
     Args:
-        outer: the ground around, itself nested as it may be.
-        inner: the ground over the rectangle, with nothing beyond.
-        rectangle: of the inner one.
-        seam: between the two.
+        outer: surrounding ground, which may itself be nested.
+        inner: ground over the rectangle, with nothing beyond.
+        rectangle: extent of the inner ground.
+        seam: transition between the two.
     """
 
     def __init__(self, outer: Scene, inner: GridGround, rectangle: Rectangle, seam: Seam) -> None:
@@ -76,7 +75,7 @@ class NestedGround:
         return hits
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """Stretch by stretch, each by the slow path of its own ground."""
+        """First contact, interval by interval, by the slow path of each ground."""
         hits = Hits.none(len(origin_site_m))
         for k in range(len(origin_site_m)):
             ray = slice(k, k + 1)
@@ -95,12 +94,12 @@ class NestedGround:
         return hits
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        """(n,) z of the ground that counts there."""
+        """Height (n,) of the ground that counts at each point."""
         inner_m = self.inner.height_m(east_m, north_m)
         return np.where(np.isnan(inner_m), self.outer.height_m(east_m, north_m), inner_m)
 
     def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """True where either does."""
+        """True where either ground covers the point."""
         return self.inner.covers(east_m, north_m) | self.outer.covers(east_m, north_m)
 
     def _go_on(
@@ -112,7 +111,7 @@ class NestedGround:
         rays: BoolArray,
         t: FloatArray,
     ) -> None:
-        """Let some rays go on over a ground from t (n,) on, and set their hits."""
+        """Continue rays over a ground from t (n,) on, and set their hits."""
         rows = np.flatnonzero(rays)
         hits.set_rows(rows, self._cast_from(ground.cast, ground, origin[rows], direction[rows], t[rows]))
         hits.range_m[rows] += t[rows]
@@ -125,7 +124,7 @@ class NestedGround:
         direction: FloatArray,
         t: FloatArray,
     ) -> Hits:
-        """Hits of rays on a ground, counted from t (n,). Those that are below it at the seam are set on it."""
+        """Hits of rays on a ground, with ranges relative to t (n,). Rays that are below it at the seam hit it there."""
         start = origin + t[:, None] * direction
         hits = cast(start, direction)
         below = np.flatnonzero(hits.inside & (t > 0.0))
@@ -137,12 +136,12 @@ class NestedGround:
             lifted = below[least_m - start[below, 2] <= self._lift_m]
             start[below, 2] = least_m
             hits.set_rows(lifted, cast(start[lifted], direction[lifted]))
-            # What is lower than the seam's step explains came out of a hole without any ground.
+            # A ray that is lower than the seam's step came out of a hole without ground.
             hits.inside[below] = False
         return hits
 
     def _crossings_m(self, origin: FloatArray, direction: FloatArray) -> list[float]:
-        """Points at which a single ray crosses the lines of the edges."""
+        """Points at which a single ray crosses the grid lines of the edges."""
         lines_m = ((0, self.rectangle[:2]), (1, self.rectangle[2:]))
         with np.errstate(divide="ignore", invalid="ignore"):
             t = [(line_m - origin[axis]) / direction[axis] for axis, pair in lines_m for line_m in pair]
@@ -157,8 +156,8 @@ def _set_stretches(
     t_in: FloatArray,
     t_out: FloatArray,
 ) -> None:
-    """Set the first and the last t >= 0 at which rays are over a rectangle; (inf, -inf) where they never are. A ray
-    with NaN begins over it and is there for no time."""
+    """Set the first and last t >= 0 at which rays are over a rectangle; (inf, -inf) if they never are. A ray with NaN
+    gets an empty interval at its start."""
     area = rectangles[0]
     west, east, south, north = area.west_m, area.east_m, area.south_m, area.north_m
     for k in range(len(t_in)):

@@ -1,4 +1,4 @@
-"""A finer grid brought to the ground around it along its edges and its holes, and how well the two agree."""
+"""Blending of a finer grid into the surrounding ground along its edges and holes, and comparison of the two."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lidar_emu.scene.mosaic.nested import NestedGround, Seam
 from lidar_emu.scene.ray_hits import Scene
 
 _COMPARED = 10_000
-"""Largest number of samples at which two grids are compared: more add nothing."""
+"""Maximum number of samples at which two grids are compared; more would not improve the comparison."""
 _ROWS_AT_ONCE = 256
 _BESIDE_M = 1e-9
 
@@ -27,17 +27,17 @@ def nest(
     feather_m: float,
     build: Callable[[Samples], GridGround],
 ) -> NestedGround:
-    """A grid within a ground.
+    """Nest a grid in a ground.
 
-    Over a strip along its edges, and around missing samples, the grid is mixed with the ground that it lies in; at
-    its edge and where a sample is missing it is that ground's height. Where there is none it is left as it is.
+    Over a strip along its edges, and around missing samples, the grid is blended with the surrounding ground; at its
+    edge and where a sample is missing it has that ground's height. Without ground there, it is unchanged.
 
     Args:
-        samples: of the grid, or of a part cut from it.
-        area: of the whole grid.
-        outer: the ground around.
+        samples: samples of the grid, or of a cropped part.
+        area: extent of the whole grid.
+        outer: surrounding ground.
         feather_m: width of the strip.
-        build: from samples to the grid's ground, with nothing beyond.
+        build: builds the grid's ground, with nothing beyond, from samples.
     """
     offset_m, scatter_m = _compared(samples, outer)
     inner = build(replace(samples, height_m=_feathered(samples, area, outer, feather_m)))
@@ -65,7 +65,7 @@ def _compared(samples: Samples, outer: Scene) -> tuple[float, float]:
 
 
 def _feathered(samples: Samples, area: Rectangle, outer: Scene, feather_m: float) -> FloatArray:
-    """(rows, columns) heights, mixed with the ground around as `nest` says."""
+    """Heights (rows, columns), blended with the surrounding ground as `nest` describes."""
     height_m = samples.height_m.copy()
     away_m = _from_holes_m(samples)
     east_m, north_m = samples.east_m, samples.north_m
@@ -76,7 +76,7 @@ def _feathered(samples: Samples, area: Rectangle, outer: Scene, feather_m: float
         near_m = np.minimum(from_ends_m[rows, None], from_sides_m)
         if away_m is not None:
             near_m = np.minimum(near_m, away_m[rows])
-        # At the very edge also without a strip: nothing else closes the seam.
+        # Also without a strip the edge has the outer heights: nothing else closes the seam.
         row, column = np.nonzero((near_m < feather_m) | (near_m == 0.0))
         part = np.minimum(near_m[row, column] / feather_m, 1.0) if feather_m else np.zeros(len(row))
         share = part * part * (3.0 - 2.0 * part)
@@ -88,7 +88,7 @@ def _feathered(samples: Samples, area: Rectangle, outer: Scene, feather_m: float
 
 
 def _from_holes_m(samples: Samples) -> FloatArray | None:
-    """(rows, columns) distance to the nearest missing sample; None where there is none."""
+    """Distance (rows, columns) to the nearest missing sample; None if there is none."""
     missing = np.isnan(samples.height_m)
     if not missing.any():
         return None
@@ -99,7 +99,7 @@ def _from_holes_m(samples: Samples) -> FloatArray | None:
 
 
 def _step_m(inner: GridGround, outer: Scene, rectangle: Rectangle) -> float:
-    """Largest difference along the edges: at a grid line of either side, just beside it, or half-way between two."""
+    """Maximum difference along the edges: at a grid line of either side, just beside it, or half-way between two."""
     east_lines_m, north_lines_m = grid_lines_m(outer)
     east_m = _places_m(np.append(inner.samples.east_m, east_lines_m), *rectangle[:2])
     north_m = _places_m(np.append(inner.samples.north_m, north_lines_m), *rectangle[2:])
@@ -121,7 +121,7 @@ def _places_m(lines_m: FloatArray, first_m: float, last_m: float) -> FloatArray:
 
 
 def grid_lines_m(ground: Scene) -> tuple[FloatArray, FloatArray]:
-    """East coordinates of the grid lines of a ground from south to north, and north coordinates of the others."""
+    """East coordinates of the grid lines of a ground that run north, and north coordinates of those that run east."""
     if isinstance(ground, NestedGround):
         pairs = zip(grid_lines_m(ground.inner), grid_lines_m(ground.outer), strict=True)
         east_m, north_m = (np.concatenate(pair) for pair in pairs)

@@ -1,1 +1,1 @@
-"""Objects on the ground: their shapes, their places and how they move."""
+"""Objects on the ground: shapes, positions and motion."""

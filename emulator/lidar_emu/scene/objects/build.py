@@ -1,4 +1,4 @@
-"""Scenes of a ground and the objects of its site."""
+"""Construction of a scene from a ground and the objects of its site."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
 from lidar_emu.scene.objects.motion import MovingObject
 from lidar_emu.scene.objects.populated_scene import PopulatedScene, SceneInMotion
 from lidar_emu.scene.objects.shapes import corners_m
-from lidar_emu.scene.objects.static_objects import Standing, strewn
+from lidar_emu.scene.objects.static_objects import Standing, draw_copies
 from lidar_emu.scene.ray_hits import GROUND, Scene
 from lidar_emu.scene.ray_reach import Reach, Span
 
 _NED_FROM_OBJECT = np.diag([1.0, -1.0, -1.0])
-"""Forward-right-down angles, for shapes that are forward-left-up."""
+"""Rotation from forward-right-down, the axes of the angles, to forward-left-up, the axes of the shapes."""
 
 
 CUT_FROM_TRIANGLES = 20_000
@@ -31,15 +31,15 @@ CUT_FROM_TRIANGLES = 20_000
 
 
 def populated(ground: Scene, part: Site, reach: Reach | None) -> Scene:
-    """A ground with the objects of its site.
+    """Place the objects of a site on its ground.
 
     Args:
-        ground: below them.
+        ground: the ground.
         part: the site.
-        reach: the rays of the run, so that objects that they cannot meet are left out; None: all are built.
+        reach: rays of the run; objects that they cannot reach are left out; None: all are built.
 
     Raises:
-        InputError: the file of an object cannot be used, or there is no ground under one that is to stand on it.
+        InputError: the file of an object cannot be used, or there is no ground below an object that stands on it.
     """
     still: list[Standing] = []
     moving: list[MovingObject] = []
@@ -58,7 +58,7 @@ def populated(ground: Scene, part: Site, reach: Reach | None) -> Scene:
 
 
 def _within_reach(ground: Scene, still: list[Standing], part: Site, reach: Reach | None) -> Scene:
-    """The ground with what rays can meet of its objects; the rest comes back if one needs it after all."""
+    """The ground with the objects that rays can reach; the others are built if a ray needs them."""
     count = sum(each.triangle_count for each in still)
     description = _counted(part.objects, count)
 
@@ -79,7 +79,7 @@ def _within_reach(ground: Scene, still: list[Standing], part: Site, reach: Reach
 
 def _require_room(triangles: int, part: Site) -> None:
     if triangles > MAXIMUM_TRIANGLES:
-        found = Finding(f"{triangles} triangles that beams may come to")
+        found = Finding(f"{triangles} triangles within reach of the beams")
         allowed = f"allowed: at most {MAXIMUM_TRIANGLES}; scatter fewer copies, or over less ground"
         raise InputError(part.name, "site.objects", found, allowed)
 
@@ -89,7 +89,7 @@ def _joined(still: list[Standing]) -> Triangles:
 
 
 def _around(spans: list[Span]) -> Span:
-    """Span that contains all of them."""
+    """Span that contains all given ones."""
     areas = np.array([span.area for span in spans])
     west_m, _, south_m, _ = areas.min(axis=0).tolist()
     _, east_m, _, north_m = areas.max(axis=0).tolist()
@@ -98,7 +98,7 @@ def _around(spans: list[Span]) -> Span:
 
 
 def _over(area: Rectangle, triangles: Triangles) -> Triangles:
-    """Those that reach into an area."""
+    """Triangles that reach into an area."""
     east_m, north_m = triangles.corner_m[..., 0], triangles.corner_m[..., 1]
     met = (east_m.min(axis=1) <= area.east_m) & (area.west_m <= east_m.max(axis=1))
     met &= (north_m.min(axis=1) <= area.north_m) & (area.south_m <= north_m.max(axis=1))
@@ -115,7 +115,7 @@ def _counted(parts: list[PlacedObject], triangles: int) -> str:
 
 
 def _triangles(part: PlacedObject, object_id: int, reflectance: float) -> Triangles:
-    """About its place, along the site's axes."""
+    """Triangles of an object about its position, in the site's axes."""
     sheet = False
     if isinstance(part, MeshObject):
         file = read_mesh(part.file, part.unit)
@@ -140,14 +140,14 @@ def _standing(part: PlacedObject, number: int, shape: Triangles, ground: Scene, 
     here = np.array([[part.east_m, part.north_m]])
     if part.scatter is None:
         return Standing(shape, _on_ground(part, number, here, ground, site), np.ones(1), np.zeros(1))
-    away_m, scale, turn_rad = strewn(part.scatter)
+    away_m, scale, turn_rad = draw_copies(part.scatter)
     return Standing(shape, _on_ground(part, number, here + away_m, ground, site), scale, turn_rad)
 
 
 def _on_ground(
     part: PlacedObject, number: int, horizontal_m: FloatArray, ground: Scene, site: Site
 ) -> FloatArray:
-    """Places (n, 3) over horizontal ones (n, 2): at the object's own height, or on the ground."""
+    """Positions (n, 3) from horizontal ones (n, 2): at the object's own height, or on the ground."""
     if part.up_m is not None:
         return np.column_stack([horizontal_m, np.full(len(horizontal_m), part.up_m)])
     up_m = ground.height_m(horizontal_m[:, 0].copy(), horizontal_m[:, 1].copy())

@@ -18,20 +18,20 @@ class Poses(NamedTuple):
     """Pose and velocity of an object at m times."""
 
     place_site_m: FloatArray
-    """(m, 3)"""
+    """(m, 3) Positions."""
     velocity_site_mps: FloatArray
-    """(m, 3) Velocity of the place."""
+    """(m, 3) Velocities of the position."""
     site_from_object: FloatArray
-    """(m, 3, 3) Rotation from the axes that the object has at the start."""
+    """(m, 3, 3) Rotations relative to the start."""
 
 
 class MovingObject:
-    """One object with a motion.
+    """A moving object.
 
     Args:
-        mesh: about its place, along the site's axes at the start.
-        place_site_m: (3,) where it is at the start.
-        motion: from there.
+        mesh: mesh about the object's position, in the site's axes at the start.
+        place_site_m: (3,) position at the start.
+        motion: motion from there.
     """
 
     def __init__(self, mesh: TriangleMesh, place_site_m: FloatArray, motion: Motion) -> None:
@@ -53,7 +53,7 @@ class MovingObject:
             return self._start_site_m + time_s[:, None] * velocity_mps, velocities_mps
         at_s = np.array([point.time_s for point in waypoints])
         at_m = np.array([(point.east_m, point.north_m, point.up_m) for point in waypoints])
-        # At rest before the first and after the last.
+        # At rest before the first and after the last waypoint.
         leg_mps = np.pad(np.diff(at_m, axis=0) / np.diff(at_s)[:, None], ((1, 1), (0, 0)))
         place_m = np.stack([np.interp(time_s, at_s, at_m[:, axis]) for axis in range(3)], axis=-1)
         return place_m, leg_mps[np.searchsorted(at_s, time_s, side="right")]
@@ -66,10 +66,10 @@ class MovingObject:
         hits: Hits,
         exact: bool,
     ) -> None:
-        """Take the hits of rays on this object where they come first; see `MovingScene.cast_at`.
+        """Replace the hits of rays that hit this object first; see `MovingScene.cast_at`.
 
         Args:
-            exact: by the slow path.
+            exact: whether to use the slow path.
         """
         poses = self.poses(seconds(time_ns))
         each = len(origin_site_m) // len(time_ns)
@@ -92,7 +92,7 @@ class MovingObject:
 
 
 def _passes(origin_m: FloatArray, direction: FloatArray, centre_m: FloatArray, reach_m: float) -> FloatArray:
-    """Which rays come within `reach_m` of a point, (n,)."""
+    """Whether rays pass within `reach_m` of a point, (n,)."""
     to_centre_m = centre_m - origin_m
     along_m = np.maximum((to_centre_m * direction).sum(axis=1), 0.0)
     beside_m = to_centre_m - along_m[:, None] * direction

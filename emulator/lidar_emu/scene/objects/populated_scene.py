@@ -1,4 +1,4 @@
-"""A ground with objects on it and above it."""
+"""A ground with static and moving objects."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from lidar_emu.scene.ray_hits import Hits, Scene
 
 
 class PopulatedScene:
-    """A ground and objects that stay where they are.
+    """A ground with static objects.
 
     Args:
-        ground: below them.
+        ground: the ground.
         mesh: all objects, in the site frame.
-        description: of the objects, for plans.
+        description: description of the objects, for plans.
     """
 
     def __init__(self, ground: Scene, mesh: TriangleMesh, description: str) -> None:
@@ -37,26 +37,26 @@ class PopulatedScene:
         return hits
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """Both by their own slow paths."""
+        """First contact with either by their own slow paths."""
         hits = self._ground.cast_exact(origin_site_m, direction_site)
         hits.keep_nearer(self._mesh.cast_exact(origin_site_m, direction_site))
         return hits
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        """(n,) z of the ground, or of the top of the highest object there."""
+        """Height (n,) of the ground, or of the top of the highest object there."""
         ground_m = self._ground.height_m(east_m, north_m)
         return np.fmax(ground_m, self._mesh.top_m(east_m, north_m))
 
 
 class SceneInMotion:
-    """A scene that stays, and objects that move above it.
+    """A static scene with moving objects.
 
     Heights and coverage come from the static scene.
 
     Args:
-        still: the ground and all that stays on it.
-        moving: the others.
-        description: of these, for plans.
+        still: the static scene.
+        moving: the moving objects.
+        description: description of the moving objects, for plans.
     """
 
     def __init__(self, still: Scene, moving: list[MovingObject], description: str) -> None:
@@ -91,7 +91,7 @@ class SceneInMotion:
         return self._with_moving(time_ns, origin_site_m, direction_site, hits, exact=False)
 
     def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """All by their own slow paths, at the start of the run."""
+        """First contact by the slow paths of all parts, at the start of the run."""
         still = self.still.cast_exact(origin_site_m, direction_site)
         hits = still._replace(velocity_site_mps=np.empty((len(origin_site_m), 3)))
         return self._with_moving(np.zeros(1, dtype=np.int64), origin_site_m, direction_site, hits, exact=True)

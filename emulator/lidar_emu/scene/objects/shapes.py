@@ -1,4 +1,5 @@
-"""The shapes of objects as closed meshes: axes forward, left and up, place at zero, corners (triangles, 3, 3)."""
+"""Shapes of objects as closed meshes (triangles, 3, 3): axes forward, left and up, with the object's position at
+zero."""
 
 from __future__ import annotations
 
@@ -11,15 +12,15 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.objects import Boulder, Cliff, MeshObject, Pad, PlacedObject, RampObject, Slab, Tree
 
 _ROUND = 48
-"""Corners of a round pad: 0.2 % of its radius off the circle. Trunks have a quarter of them."""
+"""Corners of a round pad: at most 0.2 % of the radius inside the circle. Trunks have a quarter of them."""
 _HALVINGS = 2
-"""Times that the faces of an icosahedron are divided for an ellipsoid: 320 faces, up to 2 % of its radius inside."""
+"""Subdivisions of an icosahedron for an ellipsoid: 320 faces, at most 2 % of the radius inside it."""
 
 Outline = Sequence[tuple[float, float]]
 
 
 def corners_m(part: PlacedObject) -> FloatArray:
-    """The shape of an object that is not a file."""
+    """Shape of an object that is not read from a file."""
     match part:
         case Boulder():
             height_m = part.diameter_m / 2 if part.height_m is None else part.height_m
@@ -38,11 +39,11 @@ def corners_m(part: PlacedObject) -> FloatArray:
         case Pad():
             return _upright(part.diameter_m / 2, 0.0, part.height_m, _ROUND)
         case MeshObject():
-            raise TypeError("a mesh is read, not made")
+            raise TypeError("a mesh is read from its file")
 
 
 def ellipsoid(diameter_m: float, height_m: float, centre_m: float) -> FloatArray:
-    """An upright ellipsoid whose corners lie on it."""
+    """An upright ellipsoid with its corners on the surface."""
     radii_m = np.array([diameter_m, diameter_m, height_m]) / 2
     return np.asarray(_unit_sphere() * radii_m + np.array([0.0, 0.0, centre_m]))
 
@@ -57,7 +58,7 @@ def _tree(part: Tree) -> FloatArray:
 
 
 def _across(outline: Outline, width_m: float) -> FloatArray:
-    """A prism across, over a convex outline of (forward, up), counter-clockwise as seen from the right."""
+    """A prism across the object, over a convex outline of (forward, up), counter-clockwise as seen from the right."""
     points = np.array(outline, dtype=np.float64)
     return _prism(np.insert(points, 1, -width_m / 2, axis=1), np.insert(points, 1, width_m / 2, axis=1))
 
@@ -69,7 +70,7 @@ def _upright(radius_m: float, from_m: float, to_m: float, corners: int) -> Float
 
 
 def _prism(near: FloatArray, far: FloatArray) -> FloatArray:
-    """Between two like outlines (n, 3), the near one counter-clockwise as seen from outside."""
+    """Prism between two outlines (n, 3) of equal size, the near one counter-clockwise as seen from outside."""
     after_near, after_far = np.roll(near, -1, axis=0), np.roll(far, -1, axis=0)
     sides = [np.stack([near, far, after_far], axis=1), np.stack([near, after_far, after_near], axis=1)]
     ends = [_fan(near), _fan(far[::-1])]
@@ -82,7 +83,7 @@ def _fan(outline: FloatArray) -> FloatArray:
 
 @cache
 def _unit_sphere() -> FloatArray:
-    """An icosahedron, its faces halved along each side and pushed out to the sphere."""
+    """An icosahedron whose faces are subdivided and projected onto the sphere."""
     golden = (1 + 5**0.5) / 2
     vertex = np.array([[0.0, y, z] for y in (-1, 1) for z in (-golden, golden)])
     vertex = np.concatenate([np.roll(vertex, turn, axis=1) for turn in range(3)])

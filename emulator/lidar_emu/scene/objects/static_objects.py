@@ -1,4 +1,4 @@
-"""Objects that stay where they are, before they become triangles: copies are many, and few of them are ever met."""
+"""Static objects before they become triangles: there may be many copies, few of which are ever hit."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from lidar_emu.scene.mesh.model import Triangles
 from lidar_emu.scene.ray_reach import Span
 
 _ROUNDING = 1 + 1e-9
-"""Turned corners may come to lie further out than the widest by so much."""
+"""Margin for rotated corners, which may extend beyond the widest one by rounding."""
 
 
 class Standing(NamedTuple):
-    """n copies of an object, or the one."""
+    """n copies of an object; n is 1 without `scatter`."""
 
     shape: Triangles
-    """About its place, along the site's axes."""
+    """Triangles about the object's position, in the site's axes."""
     place_m: FloatArray
-    """(n, 3) in the site frame."""
+    """(n, 3) Positions in the site frame."""
     scale: FloatArray
-    """(n,) sizes relative to the shape."""
+    """(n,) Sizes relative to the shape."""
     turn_rad: FloatArray
-    """(n,) about the vertical."""
+    """(n,) Rotations about the vertical."""
 
     @property
     def triangle_count(self) -> int:
@@ -43,7 +43,7 @@ class Standing(NamedTuple):
         return self._replace(place_m=self.place_m[near], scale=self.scale[near], turn_rad=self.turn_rad[near])
 
     def triangles(self) -> Triangles:
-        """In the site frame, copy after copy."""
+        """Triangles in the site frame, copy after copy."""
         turn = from_yaw_pitch_roll(self.turn_rad, 0.0, 0.0)[:, None, None]
         corner_m = rotate(turn, self.shape.corner_m[None])
         corner_m *= self.scale[:, None, None, None]
@@ -53,13 +53,13 @@ class Standing(NamedTuple):
 
     @property
     def _away_m(self) -> FloatArray:
-        """(n,) How far a copy reaches from its place, in any horizontal direction."""
+        """Horizontal reach (n,) of each copy from its position."""
         corner_m = self.shape.corner_m
         return np.asarray(self.scale * (_ROUNDING * np.hypot(corner_m[..., 0], corner_m[..., 1]).max()))
 
     @property
     def span(self) -> Span:
-        """Space that all copies fill, with a margin."""
+        """Bounds of all copies, with a margin."""
         (east_m, north_m, up_m), away_m = self.place_m.T, self._away_m
         z_m = self.shape.corner_m[..., 2]
         across = Rectangle(
@@ -72,8 +72,9 @@ class Standing(NamedTuple):
         return Span(across, float(floor_m), float(ceiling_m))
 
 
-def strewn(scatter: Scatter) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Draw the copies: places (n, 2) east and north of the centre, sizes (n,), and turns (n,) about the vertical."""
+def draw_copies(scatter: Scatter) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Draw the copies: positions (n, 2) east and north of the centre, sizes (n,), and rotations (n,) about the
+    vertical."""
     random = generator(scatter.seed, bit_generator=np.random.PCG64).random((scatter.count, 4))
     away_m, towards = scatter.radius_m * np.sqrt(random[:, 0]), 2 * np.pi * random[:, 1]
     place_m = away_m[:, None] * np.stack([np.sin(towards), np.cos(towards)], axis=-1)

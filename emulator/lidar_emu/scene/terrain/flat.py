@@ -1,4 +1,4 @@
-"""Grids that lie flat: their map's plane is the horizontal plane of the site."""
+"""Flat grids, whose map plane is the horizontal plane of the site."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class FlatMap:
     """Elevations on a map in metres, north up."""
 
     elevation_m: FloatArray
-    """(rows, columns) above the datum, rows from north to south; NaN where missing."""
+    """(rows, columns) Elevation above the datum, rows from north to south; NaN where missing."""
     first_x_m: float
     """Map easting of the first column."""
     first_y_m: float
@@ -32,13 +32,13 @@ class FlatMap:
     source: str
     """The file."""
     has_map: bool = True
-    """Whether the file says where on a map it lies."""
+    """Whether the file states its position on a map."""
     projection: str | None = None
     """The map's projection as WKT, where the file states one."""
     reflectance: FloatArray | None = None
     """(rows, columns) albedo."""
     rock_abundance: FloatArray | None = None
-    """(rows, columns) share of the area that rocks cover."""
+    """(rows, columns) Fraction of the area covered by rocks."""
 
     @property
     def last_x_m(self) -> float:
@@ -52,10 +52,10 @@ class FlatMap:
 
 
 def read_flat_raster(ground: ElevationGrid, file: Any) -> FlatMap:
-    """The bands of an open raster file on its map.
+    """Read the bands of an open raster file on its map.
 
     Raises:
-        InputError: it is no map in metres with north up, or holds no such bands.
+        InputError: the file is not a map in metres with north up, or lacks a band.
     """
     from lidar_emu.scene.terrain.raster import (
         band_number,
@@ -84,11 +84,11 @@ def read_flat_raster(ground: ElevationGrid, file: Any) -> FlatMap:
 
 
 def placed_flat(flat: FlatMap, ground: ElevationGrid) -> Terrain:
-    """The map's plane as the site's horizontal plane, the map's north as the site's.
+    """Place a map's plane as the site's horizontal plane, with the map's north as the site's.
 
     Raises:
-        InputError: the origin lies outside the grid or where samples are missing, or the file states no such map,
-            or every sample is missing.
+        InputError: the origin lies outside the grid or where samples are missing, or the file states no map
+            coordinates, or every sample is missing.
     """
     refuse_nothing(flat.source, flat.elevation_m)
     x_m, y_m = _origin(flat, ground)
@@ -117,7 +117,7 @@ def placed_flat(flat: FlatMap, ground: ElevationGrid) -> Terrain:
 
 
 def _check_map(where: str, file: Any) -> None:
-    """Refuse what is no map in metres with north up; ASCII grids mostly state no projection and pass."""
+    """Refuse a file that is not a map in metres with north up; ASCII grids that state no projection are accepted."""
     transform = file.transform
     if transform.is_identity:
         raise InputError(

@@ -1,4 +1,4 @@
-"""East, north and up at a point of a body of revolution, and where that is on the body."""
+"""East, north and up at a point of a body of revolution, and conversion to positions on the body."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Ellipsoid:
 
     @property
     def square_eccentricity(self) -> float:
-        """1 - (b/a)²; 0 of a sphere."""
+        """1 - (b/a)²; 0 for a sphere."""
         return 1.0 - (self.polar_m / self.equatorial_m) ** 2
 
 
@@ -31,16 +31,16 @@ class LocalFrame:
 
     ellipsoid: Ellipsoid
     latitude_rad: float
-    """Angle of the normal (planetographic; on a sphere the planetocentric latitude as well)."""
+    """Planetographic latitude, the angle of the normal; on a sphere the planetocentric latitude as well."""
     longitude_rad: float
-    """East."""
+    """East longitude."""
     altitude_m: float
     """Altitude of the origin above the reference surface."""
 
     def place_m(
         self, latitude_rad: FloatArray, longitude_rad: FloatArray, altitude_m: FloatArray
     ) -> FloatArray:
-        """(n, 3) east, north and up of points (n,)."""
+        """East, north and up (n, 3) of points (n,)."""
         body_m = _body_fixed_m(self.ellipsoid, latitude_rad, longitude_rad, altitude_m)
         offset_m = body_m - self._origin_m
         return np.stack([_along(offset_m, axis) for axis in self._site_from_body_fixed], axis=-1)
@@ -48,16 +48,16 @@ class LocalFrame:
     def geodetic(
         self, east_m: FloatArray, north_m: FloatArray, up_m: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Latitude of the normal, east longitude and altitude of points (n,) of the site frame.
+        """Planetographic latitude, east longitude and altitude of points (n,) of the site frame.
 
-        Bowring's formula, once more with its own result: better than 1e-9 m within the relief of a planet. On a
-        sphere it is exact at once.
+        Bowring's formula, applied twice: better than 1e-9 m within the relief of a planet. On a sphere the first
+        application is exact.
         """
         east, north, up = self._site_from_body_fixed
         x, y, z = (self._origin_m[k] + east_m * east[k] + north_m * north[k] + up_m * up[k] for k in range(3))
         a, b, e2 = self.ellipsoid.equatorial_m, self.ellipsoid.polar_m, self.ellipsoid.square_eccentricity
         from_axis = np.hypot(x, y)
-        # Sines and cosines come of lengths, which is faster than of angles.
+        # Sines and cosines from lengths are faster than from angles.
         sine, cosine = _direction(from_axis * b, z * a)
         for _ in range(2 if e2 else 1):
             up_part, out_part = z + e2 * a**2 / b * sine**3, from_axis - e2 * a * cosine**3
@@ -77,7 +77,8 @@ class LocalFrame:
 
 
 def site_from_body_fixed(latitude_rad: float, longitude_rad: float) -> FloatArray:
-    """(3, 3) East, north and up as rows, along the body's axes: x toward longitude 0, z toward the north pole."""
+    """Rotation (3, 3) from body-fixed axes (x toward longitude 0, z toward the north pole) to east, north and up, as
+    rows."""
     sine, cosine = np.sin(latitude_rad), np.cos(latitude_rad)
     sine_lon, cosine_lon = np.sin(longitude_rad), np.cos(longitude_rad)
     return np.array(

@@ -1,4 +1,4 @@
-"""An open raster file as a map of a body: which sample is where, and windows of samples."""
+"""An open raster file as a map of a body: positions of samples, and windows of samples."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from lidar_emu.scene.terrain.raster import place_in_pixel
 
 
 class RasterMap:
-    """The samples of a file, counted in columns and rows from the first one, on the body of its projection.
+    """Samples of a file, indexed by columns and rows from the first one, on the body of its projection.
 
     Args:
-        ground: the site's words on the file.
+        ground: the scenario's keys of the file.
         file: the open file, which states a projection.
 
     Raises:
-        InputError: it states no place on the map.
+        InputError: the file states no position on a map.
     """
 
     def __init__(self, ground: ElevationGrid, file: Any) -> None:
@@ -42,7 +42,7 @@ class RasterMap:
     def sample_at(
         self, latitude_rad: FloatArray, longitude_rad: FloatArray, near_column: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Columns and rows (n,), with fractions, at places on the body; NaN off the map.
+        """Fractional columns and rows (n,) of positions on the body; NaN off the map.
 
         On a cylindrical map, columns a full turn apart are equivalent: the one nearest to ``near_column`` is returned.
         """
@@ -52,22 +52,22 @@ class RasterMap:
         return column, row
 
     def sample_at_map(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Columns and rows (n,) at places on the map."""
+        """Columns and rows (n,) of positions on the map."""
         column, row = _mapped(~self._map_of_pixel, x, y)
         return column - self._place, row - self._place
 
     def geodetic(self, column: FloatArray, row: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Latitude of the normal and east longitude of places (n,) among the samples; NaN off the body."""
+        """Planetographic latitude and east longitude of fractional columns and rows (n,); NaN off the body."""
         return self.projection.geodetic(*_mapped(self._map_of_pixel, column + self._place, row + self._place))
 
     @cached_property
     def turn(self) -> float | None:
-        """Columns in a full turn, where the map is a cylinder."""
+        """Columns in a full turn of longitude, if the map is cylindrical."""
         width = self.projection.turn
         if width is None or self._map_of_pixel.b or self._map_of_pixel.d:
             return None
         columns = float(abs(width / self._map_of_pixel.a))
-        # Files round their scales: a map of the whole turn has a whole number of columns.
+        # Files round their scales: a map of a full turn has a whole number of columns.
         return (
             float(round(columns))
             if abs(columns - round(columns)) < 0.5 and self._closes(columns)
@@ -94,7 +94,7 @@ class RasterMap:
 
 
 def _mapped(affine: Any, first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """An affine map of pairs (n,)."""
+    """Affine transformation of pairs (n,)."""
     return (
         affine.a * first + affine.b * second + affine.c,
         affine.d * first + affine.e * second + affine.f,
@@ -103,7 +103,7 @@ def _mapped(affine: Any, first: FloatArray, second: FloatArray) -> tuple[FloatAr
 
 @dataclass(frozen=True)
 class MapWindow:
-    """A rectangle of samples: rows and columns that may lie beyond the file where the map goes on."""
+    """A rectangle of samples; rows and columns may lie beyond the file where the map continues."""
 
     first_column: int
     end_column: int
@@ -112,7 +112,7 @@ class MapWindow:
 
 
 Read = Callable[[Any], FloatArray]
-"""Takes a `rasterio.windows.Window`, gives its samples."""
+"""Reads the samples of a `rasterio.windows.Window`."""
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,10 @@ class MapSamples:
     first_row: int
 
     def at(self, column: FloatArray, row: FloatArray) -> FloatArray:
-        """(n,) the surface at columns and rows of the file; NaN outside the window and beside missing samples.
+        """Heights (n,) of the surface at columns and rows of the file; NaN outside the window and beside missing
+        samples.
 
-        The outermost cells go on for half a cell, over the rest of the outermost pixels.
+        The outermost cells extend by half a cell, to the edges of the outermost pixels.
         """
         rows, columns = self.values.shape
         across, down = column - self.first_column, row - self.first_row
@@ -146,15 +147,15 @@ class MapSamples:
 def window_of(
     raster: RasterMap, column: FloatArray, row: FloatArray, near_column: float, around_pole: bool
 ) -> MapWindow:
-    """The window with all samples around places (n,), some of which may be off the map (NaN).
+    """Window with all samples around positions (n,), some of which may be off the map (NaN).
 
     Args:
         raster: the map.
-        column, row, near_column: places as `RasterMap.sample_at` returns them.
+        column, row, near_column: positions, see `RasterMap.sample_at`.
         around_pole: whether every meridian of a closed map is among them.
 
     Raises:
-        InputError: it is too small or too large.
+        InputError: the window is too small or too large.
     """
     margin = 2
     columns = np.nanmin(column) - margin, np.nanmax(column) + margin + 1
@@ -176,9 +177,9 @@ def window_of(
 
 
 def read_window(raster: RasterMap, window: MapWindow, read: Read) -> MapSamples:
-    """The samples of a window, carried on around the body where it leaves a closed map.
+    """Read the samples of a window, continued around the body where it leaves a closed map.
 
-    Beyond the row next to a pole the map goes on with the same row, half a turn away.
+    Beyond the row next to a pole the map continues with the same row, half a turn away.
     """
     first, end = max(window.first_row, 0), min(window.end_row, raster.rows)
     values = _around(raster, window, first, end, read)
@@ -198,7 +199,7 @@ def _beyond_pole(raster: RasterMap, window: MapWindow, row: int, read: Read) -> 
 
 
 def _around(raster: RasterMap, window: MapWindow, first_row: int, end_row: int, read: Read) -> FloatArray:
-    """Rows of the file, in pieces where the columns run over its edge."""
+    """Rows of the file, in parts where the columns cross its edge."""
     from rasterio.windows import Window as Cut
 
     pieces, column = [], window.first_column

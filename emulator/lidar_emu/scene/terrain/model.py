@@ -1,4 +1,4 @@
-"""An elevation grid in the site frame, as it comes from a file or is made."""
+"""An elevation grid in the site frame, from a file or generated."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ MAXIMUM_SAMPLES = 100_000_000
 
 @dataclass(frozen=True)
 class Terrain:
-    """Elevations at places east and north of the origin of the site frame."""
+    """Elevations at positions east and north of the origin of the site frame."""
 
     elevation_m: FloatArray
-    """(rows, columns) height above the level plane that lies `origin_elevation_m` below the ground at the origin;
-    rows from north to south, columns from west to east; NaN where missing."""
+    """(rows, columns) Height above the level plane that lies `origin_elevation_m` below the ground at the origin; rows
+    from north to south, columns from west to east; NaN where missing."""
     west_m: float
     """East coordinate of the first column."""
     north_m: float
@@ -35,13 +35,13 @@ class Terrain:
     source: str
     """The file."""
     frame: LocalFrame | None = None
-    """Frame of the origin on the body; None: the grid is flat, as its map is."""
+    """Frame of the origin on the body; None if the grid is flat, like its map."""
     placed: str = ""
-    """Placement of the samples, for plans; empty: unchanged from the file."""
+    """Placement of the samples, for plans; empty if unchanged from the file."""
     reflectance: FloatArray | None = None
-    """(rows, columns) albedo, where the file has it; NaN where missing."""
+    """(rows, columns) Albedo, if the file has it; NaN where missing."""
     rock_abundance: FloatArray | None = None
-    """(rows, columns) share of the area that rocks cover, where the file has it; NaN where missing."""
+    """(rows, columns) Fraction of the area covered by rocks, if the file has it; NaN where missing."""
 
     @property
     def description(self) -> str:
@@ -62,14 +62,14 @@ class Terrain:
 
 
 def _range(name: str, values: FloatArray | None) -> str:
-    """Range of a band in words; empty where there is none."""
+    """Range of a band as text; empty if there is none."""
     if values is None or np.isnan(values).all():
         return ""
     return f"{name} {np.nanmin(values):.3g} to {np.nanmax(values):.3g} (median {np.nanmedian(values):.3g})"
 
 
 def check_size(where: str, rows: int, columns: int) -> None:
-    """Refuse a grid that is too small to be a surface, or too large to be held."""
+    """Refuse a grid that is too small for a surface, or too large for memory."""
     size = f"{columns} x {rows} samples"
     if rows < 2 or columns < 2:
         raise InputError(where, None, size, "allowed: at least 2 x 2 samples")
@@ -86,9 +86,9 @@ def numbers(
     """Samples as floating-point numbers, NaN where missing.
 
     Args:
-        stored: the file's own numbers.
-        marker: the number that stands for a missing sample, where the site names one.
-        missing: samples that the file itself marks.
+        stored: the file's numbers.
+        marker: number that marks a missing sample, if the site names one.
+        missing: samples that the file itself marks as missing.
     """
     values = stored.astype(np.float64)
     absent = ~np.isfinite(values)
@@ -101,13 +101,13 @@ def numbers(
 
 
 def refuse_nothing(where: str, elevation_m: FloatArray) -> None:
-    """Refuse a grid without a single sample."""
+    """Refuse a grid without any valid sample."""
     if np.isnan(elevation_m).all():
         raise InputError(where, None, Finding("every sample is missing"), "allowed: an elevation grid")
 
 
 def _as_stored(marker: float, dtype: np.dtype[np.generic]) -> float:
-    """A marker in the precision of the file: -3.4028e38 and its like are rounded when they are stored."""
+    """A marker in the precision of the file: numbers such as -3.4028e38 are rounded when they are stored."""
     if dtype.kind != "f":
         return marker
     with np.errstate(over="ignore"):

@@ -1,4 +1,4 @@
-"""Elevation grids in numpy's own container: `elevation_m`, `pixel_m`, and the place of the first sample."""
+"""Elevation grids in numpy's container: `elevation_m`, `pixel_m`, and the position of the first sample."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from lidar_emu.scene.terrain.model import check_size, numbers
 Content = dict[str, npt.NDArray[np.generic]]
 
 _ALLOWED = "allowed: elevation_m (rows from north to south), pixel_m, and as wanted map_x_m and map_y_m"
-# What numpy and zipfile raise for a file that is cut short, altered, encrypted, or no archive at all.
+# Exceptions of numpy and zipfile for a file that is truncated, altered, encrypted, or not an archive.
 _DAMAGE = (OSError, ValueError, EOFError, RuntimeError, BadZipFile, zlib.error)
 
 
 def read_npz(ground: ElevationGrid) -> FlatMap:
-    """An `.npz` file as a map.
+    """Read an `.npz` file as a map.
 
     Raises:
-        InputError: an array is missing, unknown or of another kind, or the file is damaged.
+        InputError: an array is missing, unknown or of another type, or the file is damaged.
     """
     _check_keys(ground)
     content = _load(ground.file)

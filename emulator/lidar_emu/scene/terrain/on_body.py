@@ -20,19 +20,19 @@ from lidar_emu.scene.terrain.resample import MapSurface, resampled
 SAMPLES_TO_EACH_SIDE = 1000
 """Default distance from the origin to the edge of a grid."""
 SHARE_OF_RADIUS = 0.1
-"""Largest distance, as a share of the body's radius."""
+"""Maximum distance, as a fraction of the body's radius."""
 
 
 def read_on_body(ground: ElevationGrid, file: Any) -> Terrain:
-    """The part of an open raster file around the site, in the site frame.
+    """Read the part of an open raster file around the site, in the site frame.
 
     Args:
-        ground: the site's words on the file.
+        ground: the scenario's keys of the file.
         file: the open file, which states a projection.
 
     Raises:
         InputError: the origin lies off the grid or where samples are missing, the grid is too large, or the file
-            holds no such bands.
+            lacks a band.
     """
     raster = RasterMap(ground, file)
     band = band_number(ground.file, file, "band", ground.band)
@@ -42,7 +42,7 @@ def read_on_body(ground: ElevationGrid, file: Any) -> Terrain:
     steps_m = _steps_m(raster, frame, column, row)
     spacing_m = _spacing_m(steps_m)
     extent = _extent(ground, raster, frame, spacing_m)
-    # The sample next to the origin is a node, so that a grid along the meridians of its map stays as it is there.
+    # The sample next to the origin is a node, so that a grid along the meridians is unchanged there.
     east_m = _nodes(float(steps_m[0, 0]), spacing_m, extent.west_m, extent.east_m)
     north_m = _nodes(float(steps_m[0, 1]), spacing_m, extent.south_m, extent.north_m)[::-1]
     check_size(ground.file, len(north_m), len(east_m))
@@ -58,7 +58,7 @@ def read_on_body(ground: ElevationGrid, file: Any) -> Terrain:
 
 
 def _frame(ground: ElevationGrid, raster: RasterMap, file: Any, band: int) -> LocalFrame:
-    """The site frame at the origin that the site names, on the ground of the file."""
+    """Site frame at the origin that the site names, on the ground of the file."""
     found, latitude, longitude = _origin(ground, raster)
     column, row = raster.sample_at(latitude, longitude, raster.columns / 2)
     north, south = raster.pole_rows
@@ -82,7 +82,7 @@ def _frame(ground: ElevationGrid, raster: RasterMap, file: Any, band: int) -> Lo
 
 
 def _origin(ground: ElevationGrid, raster: RasterMap) -> tuple[str, FloatArray, FloatArray]:
-    """The origin of the site frame, in words, and its latitude and longitude (1,); NaN off the body."""
+    """The origin of the site frame, as text, and its latitude and longitude (1,); NaN off the body."""
     origin = ground.origin
     if origin.latitude_deg is not None and origin.longitude_deg is not None:
         found = f"latitude {origin.latitude_deg:g}, longitude {origin.longitude_deg:g}"
@@ -97,7 +97,7 @@ def _origin(ground: ElevationGrid, raster: RasterMap) -> tuple[str, FloatArray, 
 
 
 def _area(raster: RasterMap) -> str:
-    """Latitudes and longitudes of a map's corners and edges, in words."""
+    """Latitudes and longitudes of a map's corners and edges, as text."""
     latitude, longitude = (np.degrees(angle) for angle in raster.geodetic(*_outline(raster)))
     if np.isnan(latitude).any() or raster.is_closed:
         return "a point on the map of the file"
@@ -108,7 +108,7 @@ def _area(raster: RasterMap) -> str:
 
 
 def _outline(raster: RasterMap) -> tuple[FloatArray, FloatArray]:
-    """Columns and rows of places along the edges."""
+    """Columns and rows of points along the edges."""
     way, rest = np.linspace(0.0, 1.0, 65), np.zeros(65)
     column = np.concatenate([way, way, rest, rest + 1]) * (raster.columns - 1)
     row = np.concatenate([rest, rest + 1, way, way]) * (raster.rows - 1)
@@ -116,7 +116,8 @@ def _outline(raster: RasterMap) -> tuple[FloatArray, FloatArray]:
 
 
 def _steps_m(raster: RasterMap, frame: LocalFrame, column: float, row: float) -> FloatArray:
-    """(3, 3) the sample next to a place, its neighbour in the row, and that in the column, in the site frame."""
+    """Positions (3, 3) in the site frame of the sample next to a point, of its neighbour in the row, and of its
+    neighbour in the column."""
     column = float(np.clip(round(column), 0, raster.columns - 1))
     row = float(np.clip(round(row), 0, raster.rows - 1))
     right = 1 if column < raster.columns / 2 else -1
@@ -127,9 +128,9 @@ def _steps_m(raster: RasterMap, frame: LocalFrame, column: float, row: float) ->
 
 
 def _spacing_m(steps_m: FloatArray) -> float:
-    """The lesser of the distances to the next column and row, but no less than half the greater one.
+    """The smaller of the distances to the next column and row, but at least half of the larger one.
 
-    Towards the poles of a cylinder columns crowd without telling more.
+    Towards the poles of a cylindrical map columns converge without carrying more information.
     """
     lengths = np.sqrt(np.sum((steps_m[1:] - steps_m[0]) ** 2, axis=1))
     return float(max(lengths.min(), lengths.max() / 2))
@@ -148,7 +149,7 @@ def _extent(ground: ElevationGrid, raster: RasterMap, frame: LocalFrame, spacing
     latitude, longitude = raster.geodetic(*_outline(raster))
     east, north, up = frame.place_m(latitude, longitude, np.full_like(latitude, frame.altitude_m)).T
     if raster.is_closed or not (up > -radius_m / 2).all():
-        # It runs around the body.
+        # The extent runs around the body.
         return wanted
     return Rectangle(
         max(wanted.west_m, float(east.min())),
@@ -159,8 +160,8 @@ def _extent(ground: ElevationGrid, raster: RasterMap, frame: LocalFrame, spacing
 
 
 def _nodes(through_m: float, spacing_m: float, first_m: float, last_m: float) -> FloatArray:
-    """Coordinates a spacing apart within limits, one of which is, or would be, ``through_m``."""
-    # The sample at the very edge of a file may be moved off it by rounding, and comes back by the same.
+    """Coordinates at a spacing within limits, such that ``through_m`` would be one of them."""
+    # Rounding may move the sample at the edge of a file off it, and back.
     first = np.ceil((first_m - through_m) / spacing_m - 1e-6)
     last = np.floor((last_m - through_m) / spacing_m + 1e-6)
     return np.asarray(through_m + spacing_m * np.arange(first, last + 1))
@@ -169,7 +170,7 @@ def _nodes(through_m: float, spacing_m: float, first_m: float, last_m: float) ->
 def _spread(
     raster: RasterMap, frame: LocalFrame, extent: Rectangle, near_column: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Columns and rows of places all over an extent, at any height that ground may have."""
+    """Columns and rows of points all over an extent, at any height that ground may have."""
     lattice = np.meshgrid(
         np.linspace(extent.west_m, extent.east_m, 17), np.linspace(extent.south_m, extent.north_m, 17)
     )
@@ -185,7 +186,7 @@ def _spread(
 
 
 def _has_pole(frame: LocalFrame, extent: Rectangle) -> bool:
-    """Whether a pole lies in an extent, or so near that the columns of a cylinder fan out over it."""
+    """Whether a pole lies in an extent, or so close that the columns of a cylindrical map diverge over it."""
     poles = frame.place_m(np.radians([90.0, -90.0]), np.zeros(2), np.zeros(2))
     east, north, up = poles[:, 0], poles[:, 1], poles[:, 2]
     width, height = extent.east_m - extent.west_m, extent.north_m - extent.south_m

@@ -19,14 +19,14 @@ _DEGREES = np.arange(-180.0, 180.0)
 class Projection:
     """The map of a file, on the body that the file states.
 
-    Latitudes are here angles of the normal; what the file means by a latitude is its own affair.
+    Latitudes here are planetographic; the convention of the file is converted.
     """
 
     wkt: str
-    """As the file states it."""
+    """Projection as the file states it, WKT."""
 
     def map_xy(self, latitude_rad: FloatArray, longitude_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Map coordinates of points (n,) in the map's unit; NaN where a point is not on the map."""
+        """Map coordinates of points (n,) in the map's unit; NaN where a point is off the map."""
         latitude = np.asarray(latitude_rad)
         if self._is_planetocentric:
             square = (self.ellipsoid.polar_m / self.ellipsoid.equatorial_m) ** 2
@@ -35,7 +35,7 @@ class Projection:
         return _transform(self._body, self._map, turns % 360.0 - 180.0, np.degrees(latitude))
 
     def geodetic(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Latitude and east longitude of places (n,) on the map; NaN off the body."""
+        """Latitude and east longitude of points (n,) on the map; NaN off the body."""
         longitude_deg, latitude_deg = _transform(self._map, self._body, np.asarray(x), np.asarray(y))
         latitude_deg[~(np.abs(latitude_deg) <= 90.0)] = np.nan
         latitude = np.radians(latitude_deg)
@@ -44,7 +44,7 @@ class Projection:
         return latitude, np.radians(longitude_deg)
 
     def normal_angle(self, planetocentric_rad: FloatArray) -> FloatArray:
-        """Planetographic from planetocentric latitude: its tangent is greater by (a/b)²."""
+        """Planetographic from planetocentric latitude: its tangent is larger by (a/b)²."""
         square = (self.ellipsoid.equatorial_m / self.ellipsoid.polar_m) ** 2
         return np.asarray(np.arctan2(square * np.sin(planetocentric_rad), np.cos(planetocentric_rad)))
 
@@ -60,7 +60,7 @@ class Projection:
 
     @cached_property
     def turn(self) -> float | None:
-        """Length of a full turn of longitude in the map's unit, where meridians are straight and evenly apart."""
+        """Length of a full turn of longitude in the map's unit, if meridians are straight and evenly spaced."""
         along, _ = self.map_xy(np.zeros(360), np.radians(_DEGREES))
         higher, _ = self.map_xy(np.full(360, 0.5), np.radians(_DEGREES))
         step = np.diff(along)
@@ -81,7 +81,7 @@ class Projection:
 
     @cached_property
     def _body(self) -> Any:
-        """The body's own latitudes and longitudes in degrees."""
+        """Geographic coordinates of the body in degrees."""
         from rasterio.crs import CRS
 
         axes = f"+a={self.ellipsoid.equatorial_m!r} +b={self.ellipsoid.polar_m!r}"
@@ -90,7 +90,7 @@ class Projection:
     @cached_property
     def _base(self) -> dict[str, Any]:
         definition = self._map.to_dict(projjson=True)
-        # Wrapped where the file also states a vertical system or a shift to another datum.
+        # The system is compound where the file also states a vertical system or a datum shift.
         definition = definition.get("source_crs", definition)
         definition = definition.get("components", [definition])[0]
         base: dict[str, Any] = definition.get("base_crs", definition)
@@ -99,18 +99,18 @@ class Projection:
     @cached_property
     def _is_planetocentric(self) -> bool:
         """Whether the map has planetocentric latitudes, on a body that is not a sphere."""
-        # "Ocentric" is how the IAU's list of coordinate systems names them.
+        # The IAU's list of coordinate systems calls them "Ocentric".
         return self.ellipsoid.square_eccentricity != 0 and "ocentric" in self._base["name"].lower()
 
 
 def _transform(source: Any, target: Any, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Coordinates (n,) in another system; NaN where there are none."""
+    """Transform coordinates (n,) to another system; NaN where there is no image."""
     from rasterio.warp import transform
 
     try:
         there = transform(source, target, x, y)
     except failures():
-        # One point that has no place fails all of them: halve until it stands alone.
+        # A single point without an image makes the whole call fail: halve until it is alone.
         if len(x) == 1:
             return np.array([np.nan]), np.array([np.nan])
         middle = len(x) // 2

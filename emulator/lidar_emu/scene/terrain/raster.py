@@ -1,4 +1,4 @@
-"""Raster files through rasterio: GeoTIFF, PDS images by their labels, ESRI ASCII and whatever else it knows."""
+"""Raster files through rasterio: GeoTIFF, PDS images by their labels, ESRI ASCII and any other format that it reads."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ _METRES_PER_UNIT = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
     **dict.fromkeys(("km", "kilometre", "kilometres", "kilometer", "kilometers"), 1000.0),
 }
-# The labels of the MOLA grids count from a pixel further out than the standard, and all other labels, do; GDAL's
-# page on PDS names this setting for them. Without it the map lies a pixel to the north-west: up to 15 km.
+# The labels of the MOLA grids count from one pixel further out than the standard and all other labels; GDAL's page on
+# PDS names this setting for them. Without it the map lies a pixel to the north-west: up to 15 km.
 _MOLA = {"PDS_SampleProjOffset_Shift": "-0.5", "PDS_LineProjOffset_Shift": "-0.5"}
 
 
 @contextmanager
 def open_raster(path: str) -> Iterator[Any]:
-    """The open file, a `rasterio.DatasetReader`.
+    """Open a raster file as a `rasterio.DatasetReader`.
 
     Raises:
-        InputError: rasterio is absent, or the file is damaged or of another kind.
+        InputError: rasterio is not installed, or the file is damaged or of another format.
     """
     rasterio = _import_rasterio(path)
     try:
         with warnings.catch_warnings():
-            # A file without a place on a map is refused elsewhere, in the project's own words.
+            # A file without a position on a map is refused elsewhere, with the project's own message.
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             with rasterio.Env(**_settings(rasterio, path)), rasterio.open(path) as file:
                 yield file
@@ -42,7 +42,7 @@ def open_raster(path: str) -> Iterator[Any]:
 
 
 def failures() -> tuple[type[Exception], ...]:
-    """Errors of rasterio, and of GDAL where they pass through it: their base class has no public name."""
+    """Exception types of rasterio, and of GDAL where they pass through it: their base class has no public name."""
     from rasterio._err import CPLE_BaseError
     from rasterio.errors import CRSError, RasterioError
 
@@ -50,10 +50,10 @@ def failures() -> tuple[type[Exception], ...]:
 
 
 def band_number(path: str, file: Any, key: str, band: str | int) -> int:
-    """Number of the band asked for under a key of the ground.
+    """Number of the band that a key of the ground names.
 
     Raises:
-        InputError: the file has no such band, or more than one.
+        InputError: the file does not have the band, or has several of that name.
     """
     names = [(name or "").lower() for name in file.descriptions]
     allowed = ", ".join(repr(name) for name in file.descriptions if name)
@@ -71,17 +71,17 @@ def band_number(path: str, file: Any, key: str, band: str | int) -> int:
 
 
 def read_band(path: str, file: Any, band: int, marker: float | None, window: Any = None) -> FloatArray:
-    """(rows, columns) the numbers that a band stands for, in its own unit; NaN where missing.
+    """Read the physical values (rows, columns) of a band, in its own unit; NaN where missing.
 
     Args:
-        path: for refusals.
+        path: path of the file, for refusals.
         file: the open file.
-        band: its number.
-        marker: the number that stands for a missing sample, beside what the file itself marks.
-        window: a `rasterio.windows.Window`; None: all of it.
+        band: number of the band.
+        marker: number that marks a missing sample, in addition to the file's own.
+        window: a `rasterio.windows.Window`; None: the whole band.
 
     Raises:
-        InputError: the band holds no real numbers.
+        InputError: the band does not hold real numbers.
     """
     stored = file.read(band, window=window)
     if stored.dtype.kind not in "fiu":
@@ -91,17 +91,17 @@ def read_band(path: str, file: Any, band: int, marker: float | None, window: Any
 
 
 def elevations_m(ground: ElevationGrid, file: Any, band: int, window: Any = None) -> FloatArray:
-    """(rows, columns) elevations in metres above the site's datum, NaN where missing; see `read_band`."""
+    """Elevations (rows, columns) in metres above the site's datum, NaN where missing; see `read_band`."""
     values = read_band(ground.file, file, band, ground.nodata, window)
     scale = _metres_per_unit(file, band) if ground.elevation_scale is None else ground.elevation_scale
     return values * scale + ground.elevation_offset_m
 
 
 def other_bands(ground: ElevationGrid, file: Any) -> dict[str, int]:
-    """Numbers of the bands beside the elevation that the site names, by their names in a `Terrain`.
+    """Numbers of the other bands that the site names, by their names in a `Terrain`.
 
     Raises:
-        InputError: the file has no such band.
+        InputError: the file does not have the band.
     """
     asked = {"reflectance": ground.reflectance_band, "rock_abundance": ground.rock_abundance_band}
     return {
@@ -112,10 +112,10 @@ def other_bands(ground: ElevationGrid, file: Any) -> dict[str, int]:
 
 
 def shares(ground: ElevationGrid, file: Any, name: str, number: int, window: Any = None) -> FloatArray:
-    """(rows, columns) one of the other bands, NaN where missing; see `read_band`.
+    """Values (rows, columns) of one of the other bands, NaN where missing; see `read_band`.
 
     Raises:
-        InputError: its numbers are no shares of one.
+        InputError: a value is outside 0 to 1.
     """
     values = read_band(ground.file, file, number, ground.nodata, window)
     outside = values[(values < 0) | (values > 1)]
@@ -127,11 +127,11 @@ def shares(ground: ElevationGrid, file: Any, name: str, number: int, window: Any
 
 
 def place_in_pixel(ground: ElevationGrid, file: Any) -> float:
-    """Where in its pixel the sample lies, in pixels from the north-west corner, by rasterio's transform.
+    """Position of the sample within its pixel, in pixels from the north-west corner, by rasterio's transform.
 
-    rasterio reports every file by the corners of its pixels: where the file says that its samples are points
-    (GeoTIFF PixelIsPoint, ESRI xllcenter), the transform is already moved by half a pixel, so that the
-    centre is right for both. Where the site contradicts the file, that half pixel is added or taken away.
+    rasterio describes every file by the corners of its pixels: for files whose samples are points (GeoTIFF
+    PixelIsPoint, ESRI xllcenter) the transform is already shifted by half a pixel, so that the centre is right for
+    both. Where the site contradicts the file, that half pixel is added or subtracted.
     """
     stated = "point" if file.tags().get("AREA_OR_POINT", "Area").lower() == "point" else "area"
     if ground.registration in ("file", stated):
@@ -165,14 +165,14 @@ def _allowed(path: str) -> str:
 
 
 def _metres_per_unit(file: Any, band: int) -> float:
-    """Scale from the unit that the file states; without one, metres."""
+    """Scale from the unit that the file states; metres if it states none."""
     unit = file.units[band - 1] or _unit_of_label(file)
     return _METRES_PER_UNIT.get(unit.strip().lower(), 1.0)
 
 
 def _unit_of_label(file: Any) -> str:
-    """The unit that a PDS label states for its image."""
-    # rasterio takes the label, one text in JSON, for a key and a value, and cuts it at its first equals sign or colon.
+    """Unit that a PDS label states for its image."""
+    # rasterio takes the label, JSON text, for a key and a value, and splits it at its first equals sign or colon.
     text = ":".join(part for pair in file.tags(ns="json:PDS").items() for part in pair)
     image = json.loads(text).get("IMAGE", {}) if text else {}
     return str(image.get("UNIT", ""))

@@ -1,4 +1,4 @@
-"""The elevation file of a site, whatever its kind."""
+"""Reading of a site's elevation file, of any format."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from lidar_emu.scene.terrain.raster import open_raster
 
 
 def read_terrain(ground: ElevationGrid) -> Terrain:
-    """The elevation file of a site, around the origin that the site names.
+    """Read the elevation file of a site, around the origin that the site names.
 
     Args:
-        ground: what the site says of it.
+        ground: the scenario's keys of the file.
 
     Raises:
-        InputError: the file is not there, cannot be read, is no elevation grid, or does not reach the origin.
+        InputError: the file is missing or unreadable, is not an elevation grid, or does not include the origin.
     """
     _check_is_there(ground)
     if _is_npz(ground):
@@ -40,10 +40,10 @@ def _flat(ground: ElevationGrid, flat: FlatMap) -> Terrain:
 
 
 def lies_flat(ground: ElevationGrid) -> bool:
-    """Whether the map's plane of a site's file is the horizontal plane, instead of following the body.
+    """Whether the map plane of a site's file is taken as the horizontal plane.
 
     Raises:
-        InputError: the file is not there or cannot be read.
+        InputError: the file is missing or unreadable.
     """
     _check_is_there(ground)
     if _is_npz(ground):
@@ -63,7 +63,7 @@ def _is_npz(ground: ElevationGrid) -> bool:
 
 
 def _is_on_body(ground: ElevationGrid, file: Any) -> bool:
-    """Whether the file's coordinates lie on a body and are used: a map in metres around a bench has none."""
+    """Whether the file's coordinates lie on a body and are used; a map in metres around a test bench has none."""
     return (
         ground.placement == "projected"
         and bool(file.crs)

@@ -1,9 +1,9 @@
-"""Ground taken anew on a grid of the site frame.
+"""Resampling of ground on a grid of the site frame.
 
-A node of that grid is the height at which the vertical through it meets the ground of the file: the height is
-guessed, its place on the body and on the map is worked out, the file is asked for the elevation there, and the guess
-is put right by the difference. That converges as the slope of the ground times the distance from the origin over
-the body's radius, in two to five rounds.
+The height of a node is where the vertical through it intersects the ground of the file. It is found by iteration: a
+height is assumed, converted to a position on the body and on the map, and corrected by the difference to the file's
+elevation there. The error decreases in each of two to five iterations by the slope of the ground times the distance
+from the origin over the body's radius.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from lidar_emu.scene.terrain.map import MapSamples, RasterMap
 from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing
 
 _TOLERANCE_M = 0.01
-"""Length of the last step; the remaining error is less than a tenth of it, near the origin less than a thousandth."""
+"""Maximum length of the last step; the remaining error is below a tenth of it, near the origin below a thousandth."""
 _ROUNDS = 30
 _NODES_AT_ONCE = 200_000
 _PROBES = 20_000
@@ -36,7 +36,8 @@ class MapSurface:
     """Column of the origin; see `RasterMap.sample_at`."""
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(n,) z of the ground, NaN where there is none, and the column and row of the file where it is found."""
+        """Height z (n,) of the ground, NaN where there is none, and the column and row of the file where it is
+        found."""
         radius_m = self.frame.ellipsoid.equatorial_m
         z = -(east_m**2 + north_m**2) / (2 * radius_m)
         column, row = np.empty_like(z), np.empty_like(z)
@@ -50,7 +51,7 @@ class MapSurface:
             moving = moving[np.abs(step) > _TOLERANCE_M]
             if not len(moving):
                 return z, column, row
-        # A cliff that overhangs the vertical: no one height is the ground's.
+        # A cliff that overhangs the vertical: the height is not unique.
         z[moving] = np.nan
         return z, column, row
 
@@ -94,7 +95,7 @@ def _blocks(rows: int, columns: int) -> Iterator[slice]:
 def _error_in_words(
     surface: MapSurface, height_m: FloatArray, east_m: FloatArray, north_m: FloatArray
 ) -> str:
-    """Largest distance between the grid and the file's own bilinear surface, taken midway between samples."""
+    """Maximum distance between the grid and the file's own bilinear surface, halfway between samples, as text."""
     step = max(1, int(np.sqrt(height_m.size / _PROBES)))
     row, column = (k.ravel() for k in np.mgrid[0 : len(north_m) - 1 : step, 0 : len(east_m) - 1 : step])
     between = (
@@ -113,7 +114,7 @@ def _error_in_words(
 
 
 def _trimmed(terrain: Terrain) -> Terrain:
-    """Without the rows and columns at the edges in which every sample is missing."""
+    """Remove the rows and columns at the edges in which every sample is missing."""
     known = ~np.isnan(terrain.elevation_m)
     rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
     kept = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)

@@ -1,4 +1,4 @@
-"""Feet on level ground: damped springs that push and never pull, with friction."""
+"""Feet on level ground: damped springs without tension, with friction."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SLIDING_MPS = 0.02
 
 @kernel
 def lowest_foot_m(body: VehicleConstants, state: FloatArray) -> float:
-    """Height above the ground; negative while a foot is in it."""
+    """Height of the lowest foot above the ground; negative while the spring is compressed."""
     turn, lowest = quaternion_at(state, ATTITUDE), inf
     for foot in range(len(body.feet_m)):
         lowest = min(lowest, to_parent(turn, vector_at(body.feet_m[foot], 0))[2])
@@ -25,11 +25,11 @@ def lowest_foot_m(body: VehicleConstants, state: FloatArray) -> float:
 
 
 @kernel
-def feet_push(body: VehicleConstants, state: FloatArray) -> tuple[Vector, Vector]:
+def ground_reaction(body: VehicleConstants, state: FloatArray) -> tuple[Vector, Vector]:
     """Force in the site frame and torque about the body's axes.
 
-    A foot's force is k d (1 + c d') with depth d (Hunt and Crossley, 1975): it begins at nought, and what it takes
-    of the energy, k c d d'^2, is never negative.
+    A foot's force is k d (1 + c d') with depth d (Hunt and Crossley, 1975): it starts from 0, and the power that it
+    dissipates, k c d d'^2, is never negative.
     """
     turn, rate = quaternion_at(state, ATTITUDE), vector_at(state, RATE)
     velocity = vector_at(state, VELOCITY)
@@ -41,7 +41,7 @@ def feet_push(body: VehicleConstants, state: FloatArray) -> tuple[Vector, Vector
             moving = add(velocity, to_parent(turn, cross(rate, foot)))
             normal = max(0.0, body.stiffness_npm * depth_m * (1.0 - body.foot_damping_spm * moving[2]))
             sliding = sqrt(moving[0] * moving[0] + moving[1] * moving[1])
-            grip = body.friction * normal / max(sliding, SLIDING_MPS)
-            push = (-grip * moving[0], -grip * moving[1], normal)
+            friction_nspm = body.friction * normal / max(sliding, SLIDING_MPS)
+            push = (-friction_nspm * moving[0], -friction_nspm * moving[1], normal)
             force, torque = add(force, push), add(torque, cross(foot, to_child(turn, push)))
     return force, torque

@@ -19,56 +19,56 @@ from lidar_emu.numerics.vector_arrays import (
 )
 from lidar_emu.numerics.vectors import vector_at
 from lidar_emu.scenario.trajectory import Polynomial, PoweredDescent
-from lidar_emu.trajectory.powered.actuators import Acting, Lags
-from lidar_emu.trajectory.powered.control import GIVEN_UP_S, Guide, asked_at
+from lidar_emu.trajectory.powered.actuators import ActuatorState, Lags
+from lidar_emu.trajectory.powered.control import POLYNOMIAL_END_S, GuidanceConstants, specific_thrust_at
 from lidar_emu.trajectory.powered.integration import (
-    ALOFT,
-    CROWDED,
-    EMPTY,
-    LOST,
-    SLOPE,
-    Course,
-    Record,
+    NOT_FINITE,
+    NOT_LANDED,
+    OUT_OF_PROPELLANT,
+    SLOPE_SIZE,
+    TOO_MANY_STEPS,
+    FlightOutcome,
     Schedule,
+    StepHistory,
     fly,
 )
 from lidar_emu.trajectory.powered.motion import gravity_at
 from lidar_emu.trajectory.powered.steps import StepSizes
 from lidar_emu.trajectory.powered.vehicle import (
     ATTITUDE,
-    HANG,
     POSITION,
     RATE,
     SIZE,
+    SLOSH_DIRECTION,
     STANDARD_GRAVITY_MPS2,
     VELOCITY,
     VehicleConstants,
     vehicle_constants,
 )
 
-MOST_STEPS = 500_000
-"""Kept in memory, 416 bytes each."""
-PER_SWING = 0.2
+MAXIMUM_STEPS = 500_000
+"""Steps are kept in memory, 416 bytes each."""
+PHASE_PER_STEP = 0.2
 """Longest step times the frequency of the slosh, of the bending mode and of the spin at the start, in radians."""
-PER_BOUNCE = 0.1
+BOUNCE_PHASE_PER_STEP = 0.1
 """Longest step on the ground times the frequency of the feet."""
 
 
 class Descent(NamedTuple):
-    """All that the kernel takes: who flies, how, and from where."""
+    """Arguments of the integration: vehicle, guidance, schedule, step sizes and initial state."""
 
     body: VehicleConstants
     lags: Lags
-    guide: Guide
+    guide: GuidanceConstants
     schedule: Schedule
     step_sizes: StepSizes
-    acting: Acting
+    actuators: ActuatorState
     state: FloatArray
-    """(21,) At the start."""
+    """(21,) Initial state."""
 
 
 def prepare(part: PoweredDescent, body_radius_m: float = inf) -> Descent:
-    """The numbers of a scenario's descent over a body of some radius (infinite: uniform gravity)."""
+    """Arguments of the integration for a scenario; an infinite body radius makes gravity uniform."""
     vehicle = part.vehicle
     body = vehicle_constants(vehicle, part.gravity_mps2, body_radius_m, part.target.up_m)
     guide = _guide(part)
@@ -90,59 +90,63 @@ def prepare(part: PoweredDescent, body_radius_m: float = inf) -> Descent:
             part.after_touchdown_s,
             part.longest_s,
             vehicle.dry_mass_kg,
-            MOST_STEPS,
+            MAXIMUM_STEPS,
         ),
         step_sizes=_step_sizes(part, body),
-        acting=Acting(thrust_n, vehicle.mass_kg, none, thrust_n, none),
+        actuators=ActuatorState(thrust_n, vehicle.mass_kg, none, thrust_n, none),
         state=state,
     )
 
 
-def solve(descent: Descent) -> tuple[Course, Record]:
-    """Fly it twice: to count the steps, and to note them."""
+def solve(descent: Descent) -> tuple[FlightOutcome, StepHistory]:
+    """Integrate twice: to count the steps, and to record them."""
     counted = _fly(descent, _record(0))
     record = _record(counted.steps)
     return _fly(descent, record), record
 
 
-def fly_descent(part: PoweredDescent, body_radius_m: float = inf) -> tuple[Course, Record]:
-    """The flight of a scenario.
+def fly_descent(part: PoweredDescent, body_radius_m: float = inf) -> tuple[FlightOutcome, StepHistory]:
+    """Solve the powered descent of a scenario.
 
     Raises:
-        InputError: it runs out of propellant, never lands, or its numbers leave what can be computed.
+        InputError: the vehicle runs out of propellant or does not land, or its motion overflows.
     """
     descent = prepare(part, body_radius_m)
-    course, record = solve(descent)
+    outcome, record = solve(descent)
     refusal = {
-        EMPTY: ("vehicle.dry_mass_kg", "tanks empty", "a flight that lands with propellant left"),
-        ALOFT: ("longest_s", "not on the ground", "a flight that lands before longest_s"),
-        LOST: ("step_s", "motion no longer finite", "a vehicle that step_s can follow"),
-        CROWDED: ("step_s", f"{MOST_STEPS} steps", "a longer step_s, control period or lag"),
-    }.get(course.outcome)
+        OUT_OF_PROPELLANT: (
+            "vehicle.dry_mass_kg",
+            "out of propellant",
+            "a flight that lands with propellant left",
+        ),
+        NOT_LANDED: ("longest_s", "not on the ground", "a flight that lands before longest_s"),
+        NOT_FINITE: ("step_s", "motion no longer finite", "a vehicle that step_s can follow"),
+        TOO_MANY_STEPS: ("step_s", f"{MAXIMUM_STEPS} steps", "a longer step_s, control period or lag"),
+    }.get(outcome.status)
     if refusal is not None:
         key, found, allowed = refusal
         raise InputError(
-            "trajectory", key, Finding(f"{found} after {course.end_s:.2f} s"), f"allowed: {allowed}"
+            "trajectory", key, Finding(f"{found} after {outcome.end_s:.2f} s"), f"allowed: {allowed}"
         )
-    return course, record
+    return outcome, record
 
 
-def _fly(descent: Descent, record: Record) -> Course:
-    body, lags, guide, schedule, step_sizes, acting, state = descent
+def _fly(descent: Descent, record: StepHistory) -> FlightOutcome:
+    body, lags, guide, schedule, step_sizes, actuators, state = descent
     slopes, stepped = np.empty((4, SIZE)), np.empty(SIZE)
-    return Course(
-        *fly(body, lags, guide, schedule, step_sizes, acting, state.copy(), slopes, stepped, record)
+    return FlightOutcome(
+        *fly(body, lags, guide, schedule, step_sizes, actuators, state.copy(), slopes, stepped, record)
     )
 
 
-def _record(steps: int) -> Record:
-    """Empty arrays for a number of steps; without rows where there are none."""
+def _record(steps: int) -> StepHistory:
+    """Allocate arrays for a number of steps; 0 steps: without rows."""
     knots = steps + 1 if steps else 0
-    slopes = np.empty((steps, SLOPE)), np.empty((steps, SLOPE))
-    return Record(np.empty(knots), np.empty((knots, SIZE)), np.empty((knots, 2)), *slopes)
+    slopes = np.empty((steps, SLOPE_SIZE)), np.empty((steps, SLOPE_SIZE))
+    return StepHistory(np.empty(knots), np.empty((knots, SIZE)), np.empty((knots, 2)), *slopes)
 
 
-def _guide(part: PoweredDescent) -> Guide:
+def _guide(part: PoweredDescent) -> GuidanceConstants:
     engine, control, target = part.vehicle.engine, part.vehicle.attitude_control, part.target
     heading = radians(part.heading_deg)
     gate_up_m = target.up_m + part.vehicle.gear.below_m + part.gate_height_m
@@ -151,39 +155,41 @@ def _guide(part: PoweredDescent) -> Guide:
     if isinstance(part.guidance, Polynomial):
         asked_s = part.guidance.time_to_gate_s
         gate_s = _time_to_gate_s(part, gate_m) if asked_s is None else asked_s
-    return Guide(
+    return GuidanceConstants(
         polynomial=isinstance(part.guidance, Polynomial),
         gate_m=gate_m,
         gate_s=gate_s,
         descent_mps=part.descent_speed_mps,
-        steepest=tan(radians(part.maximum_tilt_deg)),
+        tangent_maximum_tilt=tan(radians(part.maximum_tilt_deg)),
         heading=(sin(heading), cos(heading), 0.0),
-        least_n=engine.minimum_thrust_n,
-        most_n=engine.maximum_thrust_n,
+        minimum_thrust_n=engine.minimum_thrust_n,
+        maximum_thrust_n=engine.maximum_thrust_n,
         bandwidth_radps=control.bandwidth_radps,
-        most_torque_nm=control.maximum_torque_nm,
-        most_rate_radps=radians(control.maximum_rate_degps),
+        maximum_torque_nm=control.maximum_torque_nm,
+        maximum_rate_radps=radians(control.maximum_rate_degps),
     )
 
 
 def _time_to_gate_s(part: PoweredDescent, gate_m: tuple[float, float, float]) -> float:
-    """Distance over the mean of the speeds at its ends, and never so short that the polynomial is left at once."""
+    """Default time to the gate: distance over mean speed, but at least twice `POLYNOMIAL_END_S`."""
     (east_m, north_m, up_m), velocity = part.start.position_site_m, part.start.velocity_site_mps
     distance_m = hypot(east_m - gate_m[0], north_m - gate_m[1], up_m - gate_m[2])
-    return max(2 * distance_m / (hypot(*velocity) + part.descent_speed_mps), 2 * GIVEN_UP_S)
+    return max(2 * distance_m / (hypot(*velocity) + part.descent_speed_mps), 2 * POLYNOMIAL_END_S)
 
 
 def _step_sizes(part: PoweredDescent, body: VehicleConstants) -> StepSizes:
-    longest_s = min(part.step_s, 1 / part.control_rate_hz, PER_SWING / max(_swings_radps(part, body)))
+    longest_s = min(
+        part.step_s, 1 / part.control_rate_hz, PHASE_PER_STEP / max(_natural_frequencies_radps(part, body))
+    )
     rigid_kg = part.vehicle.dry_mass_kg - body.slosh_kg
     bounce_radps = sqrt(len(body.feet_m) * body.stiffness_npm / rigid_kg)
     lags = [lag for lag in (part.vehicle.engine.valve_lag_s, part.vehicle.attitude_control.lag_s) if lag > 0]
     first_s = min([longest_s, *(lag / 4 for lag in lags)])
-    return StepSizes(first_s, 0.5, longest_s, min(longest_s, PER_BOUNCE / bounce_radps))
+    return StepSizes(first_s, 0.5, longest_s, min(longest_s, BOUNCE_PHASE_PER_STEP / bounce_radps))
 
 
-def _swings_radps(part: PoweredDescent, body: VehicleConstants) -> list[float]:
-    """Highest frequencies of what steps have to follow in flight; the first is the vehicle's own control."""
+def _natural_frequencies_radps(part: PoweredDescent, body: VehicleConstants) -> list[float]:
+    """Highest frequencies that steps must resolve in flight: attitude control first, then spin, slosh and bending."""
     vehicle, spin = part.vehicle, part.start.attitude
     swings = [vehicle.attitude_control.bandwidth_radps]
     if spin is not None:
@@ -192,28 +198,32 @@ def _swings_radps(part: PoweredDescent, body: VehicleConstants) -> list[float]:
         pushed_mps2 = vehicle.engine.maximum_thrust_n / (vehicle.dry_mass_kg - body.slosh_kg)
         swings.append(sqrt(pushed_mps2 / body.rod_m))
     if vehicle.flexible_mode is not None:
-        # The body swings against the mode, which makes that faster than with the body held.
+        # The free body moves against the mode, whose frequency is therefore higher than with the body clamped.
         swings.append(body.bend_radps / sqrt(1 - sum(vehicle.flexible_mode.inertia_share)))
     return swings
 
 
-def _start(part: PoweredDescent, body: VehicleConstants, guide: Guide) -> FloatArray:
-    """The slosh hangs along the engine, at rest in the body."""
+def _start(part: PoweredDescent, body: VehicleConstants, guide: GuidanceConstants) -> FloatArray:
+    """Initial state; the slosh mass lies along the engine axis, at rest in the body."""
     state = np.zeros(SIZE)
     state[POSITION : POSITION + 3] = part.start.position_site_m
     state[VELOCITY : VELOCITY + 3] = part.start.velocity_site_mps
     attitude = part.start.attitude
     if attitude is None:
         gravity = gravity_at(body, vector_at(state, POSITION))
-        site_from_body = _pointing(np.array(asked_at(guide, 0.0, gravity, state)), np.array(guide.heading))
+        site_from_body = _pointing(
+            np.array(specific_thrust_at(guide, 0.0, gravity, state)), np.array(guide.heading)
+        )
     else:
         angles = np.radians([attitude.yaw_deg, attitude.pitch_deg, attitude.roll_deg])
         site_from_body = compose(SITE_FROM_NED, from_yaw_pitch_roll(*angles))
         state[RATE : RATE + 3] = attitude.body_rate_radps
     state[ATTITUDE : ATTITUDE + 4] = to_quaternion(site_from_body)
-    state[HANG : HANG + 3] = site_from_body[:, 2]
+    state[SLOSH_DIRECTION : SLOSH_DIRECTION + 3] = site_from_body[:, 2]
     rod = np.array([0.0, 0.0, body.rod_m])
-    state[HANG + 3 : HANG + 6] = rotate(site_from_body, cross(state[RATE : RATE + 3], rod))
+    state[SLOSH_DIRECTION + 3 : SLOSH_DIRECTION + 6] = rotate(
+        site_from_body, cross(state[RATE : RATE + 3], rod)
+    )
     return state
 
 

@@ -1,9 +1,9 @@
-"""A powered descent, solved before the run, at any instant.
+"""A powered descent, solved before the run and interpolated at any instant.
 
-Between the ends of a step velocity and the derivative of the quaternion are the cubics through their values and
-derivatives there, so that acceleration and rates follow the equations of motion; position and quaternion are
-their integrals from the step's start. Differences of positions, which a very short step before an event would magnify,
-are not formed. The error is of fourth order in the step, as the integration's.
+Within a step, velocity and the derivative of the quaternion are cubics through their values and derivatives at its
+ends, so that acceleration and rates follow the equations of motion; position and quaternion are their integrals from
+the start of the step. Differences of positions, which a very short step before an event would magnify, are not formed.
+The error is of fourth order in the step, like the integration's.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vector_arrays import from_quaternions
 from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.trajectory.curve import piece_at
-from lidar_emu.trajectory.powered.integration import Record
+from lidar_emu.trajectory.powered.integration import StepHistory
 from lidar_emu.trajectory.powered.solution import fly_descent
 from lidar_emu.trajectory.powered.vehicle import ATTITUDE, POSITION
 from lidar_emu.trajectory.state import Gap, VehicleState
@@ -26,22 +26,22 @@ ORDERS = 5
 
 
 class DescentTrajectory:
-    """The whole flight as polynomials, one after another."""
+    """The whole flight as a polynomial per step."""
 
     gaps: tuple[Gap, ...] = ()
     bridged: tuple[Gap, ...] = ()
 
     def __init__(self, part: PoweredDescent, body_radius_m: float) -> None:
-        """Raises InputError where the flight does not land."""
-        self.course, self.record = fly_descent(part, body_radius_m)
-        self.duration_s = self.course.end_s
+        """Solve the descent; raises InputError if the flight does not land."""
+        self.outcome, self.record = fly_descent(part, body_radius_m)
+        self.duration_s = self.outcome.end_s
         mass_kg = self.record.mass_and_thrust[:, 0]
         self.propellant_kg = float(mass_kg[0] - mass_kg[-1])
-        """Burnt."""
+        """Propellant burnt in the whole flight."""
         self._start_s, self._pieces = self.record.time_s, polynomials(self.record)
 
     def state(self, time_s: FloatArray) -> VehicleState:
-        """The vehicle at scenario times (n,); after the end it goes on with its last acceleration."""
+        """State of the vehicle at scenario times (n,); after the end, it continues with the last acceleration."""
         orders = np.empty((3, len(time_s), COORDINATES))
         _read(self._start_s, self._pieces, time_s, orders)
         site_from_body, body_rate_radps = from_quaternions(orders[0, :, 3:], orders[1, :, 3:])
@@ -51,9 +51,9 @@ class DescentTrajectory:
         )
 
 
-def polynomials(record: Record) -> FloatArray:
-    """(steps + 1, 5, 7) Coefficients of the powers 0 to 4 of the time since each step's start; the last continues
-    the end."""
+def polynomials(record: StepHistory) -> FloatArray:
+    """Coefficients (steps + 1, 5, 7) of the powers 0 to 4 of the time since each step's start; the last polynomial
+    continues the motion after the end."""
     pieces = np.zeros((len(record.time_s), ORDERS, COORDINATES))
     pieces[:, 0, :3] = record.state[:, POSITION : POSITION + 3]
     pieces[:, 0, 3:] = record.state[:, ATTITUDE : ATTITUDE + 4]

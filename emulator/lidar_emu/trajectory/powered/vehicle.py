@@ -1,4 +1,4 @@
-"""The numbers of a vehicle as the kernels take them, and where each quantity lies in the state of motion."""
+"""Constants of a vehicle for the kernels, and the index of each quantity in the state of motion."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from lidar_emu.scenario import vehicle as parts
 
 POSITION, VELOCITY, ATTITUDE, RATE = 0, 3, 6, 10
 """Site frame, m and m/s; unit quaternion site_from_body; rad/s about the body's axes."""
-HANG, SWAY = 13, 16
-"""Slosh in the site frame: unit vector from the hinge to the mass, and the mass's velocity against the hinge's."""
+SLOSH_DIRECTION, SLOSH_VELOCITY = 13, 16
+"""Slosh in the site frame: unit vector from the hinge to the mass, and velocity of the mass relative to the hinge."""
 BEND, BENDING = 19, 20
 """Modal coordinate of the flexible mode, and its derivative."""
 SIZE = 21
@@ -27,10 +27,10 @@ class VehicleConstants(NamedTuple):
 
     start_kg: float
     inertia_kgm2: Vector
-    """At the start."""
+    """At `start_kg`."""
     gravity_mps2: float
     curvature_per_m: float
-    """1 / radius of the body landed on; 0 makes gravity uniform."""
+    """1 / radius of the celestial body; 0 makes gravity uniform."""
     slosh_kg: float
     rod_m: float
     hinge_m: Vector
@@ -39,10 +39,10 @@ class VehicleConstants(NamedTuple):
     bend_damping_radps: float
     """Twice the damping ratio times the frequency."""
     bend_coupling: Vector
-    """Angular momentum of the mode per bending speed, by axes."""
+    """Angular momentum of the mode per bending speed, about each axis."""
     ground_m: float
     feet_m: FloatArray
-    """(feet, 3) VehicleConstants frame."""
+    """(feet, 3) Positions in the body frame."""
     stiffness_npm: float
     foot_damping_spm: float
     friction: float
@@ -51,7 +51,7 @@ class VehicleConstants(NamedTuple):
 def vehicle_constants(
     vehicle: parts.Vehicle, gravity_mps2: float, body_radius_m: float, ground_m: float
 ) -> VehicleConstants:
-    """Convert the part of a scenario."""
+    """Constants of a scenario's vehicle."""
     slosh, mode, gear = vehicle.slosh, vehicle.flexible_mode, vehicle.gear
     dry = vehicle.dry_mass_kg / vehicle.mass_kg
     x, y, z = vehicle.inertia_kgm2
@@ -78,6 +78,6 @@ def vehicle_constants(
 
 
 def _feet(gear: parts.Gear) -> FloatArray:
-    """In a circle, the first between forward and right."""
+    """Feet (n, 3) on a circle in the body frame, the first between forward and right."""
     angles = [2 * pi * (i + 0.5) / gear.feet for i in range(gear.feet)]
     return np.array([(gear.radius_m * cos(a), gear.radius_m * sin(a), gear.below_m) for a in angles])
