@@ -10,7 +10,9 @@ import subprocess
 import sys
 import threading
 import tty
+from collections.abc import Callable
 from contextlib import suppress
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -94,10 +96,11 @@ class Program:
         return int(eventually(child))
 
     @staticmethod
-    def stall(pid: int, duration_s: float) -> None:
-        """Stop a process of the run for a while: here time is what is done, not what is waited for."""
+    def stall(pid: int, duration_s: float, until: Callable[[], bool] = lambda: True) -> None:
+        """Stop a process of the run for at least this long, which is the stimulus, and until an event."""
         os.kill(pid, signal.SIGSTOP)
         threading.Event().wait(duration_s)
+        eventually(until)
         os.kill(pid, signal.SIGCONT)
 
     def end(self) -> None:
@@ -121,6 +124,12 @@ def listened_beams(listener: Program) -> list[dict[str, Any]]:
     return [row for row in map(json.loads, lines) if "beam" in row]
 
 
+def longest_sequence(numbers: list[int]) -> int:
+    """Length of the longest sequence of consecutive numbers in an ascending list."""
+    sequences = groupby(enumerate(numbers), lambda item: item[1] - item[0])
+    return max((len(list(sequence)) for _, sequence in sequences), default=0)
+
+
 def read_summary(path: Path) -> dict[str, Any]:
     """A summary file; NaN and Infinity, which are no JSON, are refused."""
 
@@ -135,7 +144,7 @@ class FarEnd:
     """A cable: what a program writes to the pty `path` is kept in `data`, and passed on where asked."""
 
     def __init__(self) -> None:
-        self.data = bytearray()
+        self._data, self._reading = bytearray(), threading.Lock()
         self._forward_to: int | None = None
         self._opened: int | None = None
         # The slave stays open: without it the master would report a hang-up between two programs.
@@ -145,6 +154,14 @@ class FarEnd:
         self._stop_out, self._stop = os.pipe()
         self._thread = threading.Thread(target=self._carry)
         self._thread.start()
+
+    @property
+    def data(self) -> bytearray:
+        """Everything that was written so far, also by a program that has just ended."""
+        # The reading thread may be behind. What it has not passed on yet is left to it.
+        while self._forward_to is None and self._read():
+            pass
+        return self._data
 
     def forward_to(self, path: str) -> None:
         """From now on pass everything on to another serial port."""
@@ -165,12 +182,19 @@ class FarEnd:
         eventually(lambda: len(self.data) >= count)
 
     def _carry(self) -> None:
-        while self._stop_out not in (ready := select.select([self.master, self._stop_out], [], [])[0]):
-            assert ready
-            data = os.read(self.master, 65536)
-            self.data += data
+        while self._stop_out not in select.select([self.master, self._stop_out], [], [])[0]:
+            data = self._read()
             while self._forward_to is not None and data:
                 data = data[os.write(self._forward_to, data) :]
+
+    def _read(self) -> bytes:
+        """Read what is there; empty if nothing is."""
+        with self._reading:
+            # The system delivers the bytes on their way through a terminal before it states that none are there.
+            is_readable = select.select([self.master], [], [], 0)[0]
+            data = os.read(self.master, 65536) if is_readable else b""
+            self._data += data
+        return data
 
     def close(self) -> None:
         """Stop reading and give everything back."""
