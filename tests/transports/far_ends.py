@@ -20,6 +20,7 @@ from typing import Any
 
 import serial
 from serial.rfc2217 import PortManager
+from waiting import LIMIT_S, eventually
 
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.serial_port import loopback_pair
@@ -167,7 +168,7 @@ class Socket(FarEnd):
         self.spec = PortSpec(Kind.SERIAL, f"socket://127.0.0.1:{self._port}")
 
     def attach(self, description: str) -> None:  # noqa: ARG002
-        self._accept(10.0)
+        self._accept(LIMIT_S)
 
     def read(self) -> bytes:
         self._accept(0.0)
@@ -380,11 +381,13 @@ class Remote(Bus):
         where = ["-H", "127.0.0.1", "-p", str(self._port)]
         command = [sys.executable, "-m", "can_remote", "-i", "virtual", "-c", "bus", *where]
         self._server = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-        for _ in range(1000):
-            with suppress(ConnectionRefusedError):
-                super().come_back()
-                return
-            threading.Event().wait(0.02)
+        eventually(self._joins)
+
+    def _joins(self) -> bool:
+        with suppress(ConnectionRefusedError):  # until the server listens
+            super().come_back()
+            return True
+        return False
 
 
 def _all_of(read: Any) -> bytes:
