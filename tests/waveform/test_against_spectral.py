@@ -140,7 +140,6 @@ def _plain_record(signed_bin: np.ndarray, weight: np.ndarray, length: int) -> np
     return samples
 
 
-@pytest.mark.parametrize("window", WINDOW_NAMES)
 @pytest.mark.parametrize("count", [1, 2, 64, 1024])
 @pytest.mark.parametrize(
     ("centre", "spread"),
@@ -157,12 +156,13 @@ def _plain_record(signed_bin: np.ndarray, weight: np.ndarray, length: int) -> np
         pytest.param(0.0, 3000.0, id="everywhere"),
     ],
 )
-def test_plain_tones(centre: float, spread: float, count: int, window: str) -> None:
+def test_plain_tones(centre: float, spread: float, count: int) -> None:
     rng = np.random.default_rng(count)
     signed_bin = centre + spread * rng.uniform(-1, 1, count)
     weight = rng.standard_normal(count) + 1j * rng.standard_normal(count)
     samples = _plain_record(signed_bin, weight, 4096)
-    assert _error(signed_bin, weight, samples, window) < 1e-9
+    for window in WINDOW_NAMES:
+        assert _error(signed_bin, weight, samples, window) < 1e-9
 
 
 @pytest.mark.parametrize("window", WINDOW_NAMES)
