@@ -20,7 +20,7 @@ WATCHED = {
             *("trajectory.powered", "trajectory.profile", "echo", "echo.dust"),
             *("scene", "scene.generated", "scene.mesh", "scene.objects"),
             *("flight", "flight.recorded", "fmcw.beam_measurement", "fmcw.receiver_faults", "fmcw.waveform"),
-            *("faults.beams", "faults.physics", "plan.flight", "plan.expected_error", "probability"),
+            *("faults.beams", "faults.physics", "plan.flight", "plan.expected_error", "probability.fading"),
         )
     ),
 }
@@ -51,7 +51,7 @@ SIMULATED = {
     "powered_descent": FLIGHT | {"trajectory.powered"},
     "terrain_step_2023": FLIGHT,
 }
-RUN = {"bench": set[str](), "descent": FLIGHT | {"plan.expected_error", "probability"}}
+RUN = {"bench": set[str](), "descent": FLIGHT | {"plan.expected_error", "probability.fading"}}
 PLANNED = {"bench": {"rich"}, "live": FLIGHT | {"rich"}}
 
 CODE = """

@@ -9,7 +9,7 @@ from scipy.special import gammainc, gammaincc
 from scipy.stats import ncx2, rice
 
 from lidar_emu.probability.fading import Fading, detection_probability, shared_fade_probability
-from lidar_emu.probability.noise import threshold_power
+from lidar_emu.probability.noise import threshold_powers
 
 SNR = np.array([0.0, 1e-6, 0.03, 0.8, 3.0, 20.0, 100.0, 1e5])
 PFA = 18.0
@@ -36,7 +36,7 @@ def test_single_look_of_order_two(fading):
 @pytest.mark.parametrize("looks", [2, 5, 64])
 def test_swerling_1_as_in_textbooks(looks):
     snr = SNR[3:]
-    power = threshold_power(PFA, looks)
+    power = threshold_powers(PFA, looks)
     rest = 1 + 1 / (looks * snr)
     expected = gammaincc(looks - 1, power) + (
         rest ** (looks - 1) * gammainc(looks - 1, power / rest) * np.exp(-power / (1 + looks * snr))
@@ -46,7 +46,7 @@ def test_swerling_1_as_in_textbooks(looks):
 
 @pytest.mark.parametrize("looks", [1, 2, 5, 64])
 def test_swerling_2_is_a_wider_gamma(looks):
-    expected = gammaincc(looks, threshold_power(PFA, looks) / (1 + SNR))
+    expected = gammaincc(looks, threshold_powers(PFA, looks) / (1 + SNR))
     np.testing.assert_allclose(detection_probability("swerling_2", SNR, PFA, looks), expected, rtol=1e-13)
 
 
@@ -61,7 +61,7 @@ def test_fades_drawn_by_chance(fading, looks):
     shape = (count, looks)
     noise = np.sqrt(0.5) * (chance.normal(size=shape) + 1j * chance.normal(size=shape))
     total = (np.abs(np.sqrt(signal) + noise) ** 2).sum(axis=1)
-    detected = float((total > threshold_power(minus_log_pfa, looks)).mean())
+    detected = float((total > threshold_powers(minus_log_pfa, looks)).mean())
     expected = float(detection_probability(fading, snr, minus_log_pfa, looks))
     assert detected == pytest.approx(expected, abs=5 * np.sqrt(expected * (1 - expected) / count))
 

@@ -6,7 +6,7 @@ from mpmath import mp, mpf
 
 from lidar_emu.probability.fading import detection_probability
 from lidar_emu.probability.false_lock import false_lock_probability
-from lidar_emu.probability.noise import log_false_alarm, threshold_power
+from lidar_emu.probability.noise import log_false_alarm, threshold_powers
 
 BINS = 2**16
 
@@ -62,7 +62,7 @@ def test_drawn_by_chance(fading, looks, threshold):
     power = np.full(shape, snr) if fading == "steady" else chance.exponential(snr, shape)
     own = np.sqrt(0.5) * (chance.normal(size=shape) + 1j * chance.normal(size=shape))
     signal = (np.abs(np.sqrt(power) + own) ** 2).sum(axis=1)
-    locked = (noise > np.maximum(signal, threshold_power(threshold, looks) if threshold else 0.0)).mean()
+    locked = (noise > np.maximum(signal, threshold_powers(threshold, looks) if threshold else 0.0)).mean()
     expected = float(false_lock_probability(fading, snr, threshold, bins, looks))
     assert locked == pytest.approx(expected, abs=5 * np.sqrt(expected * (1 - expected) / count))
 

@@ -5,7 +5,7 @@ import pytest
 from mpmath import mp, mpf
 from scipy.stats import gamma
 
-from lidar_emu.probability.noise import log_false_alarm, minus_log_exceedance, threshold_power
+from lidar_emu.probability.noise import log_false_alarm, minus_log_exceedance, threshold_powers
 
 LOOKS = [1, 2, 5, 16, 64]
 
@@ -22,14 +22,15 @@ def test_exceedance_in_logarithms(looks, power):
 @pytest.mark.parametrize("looks", LOOKS)
 def test_threshold_is_the_inverse(looks):
     wanted = np.array([1e-6, 0.3, 0.999, 1.001, 3.0, 18.0, 690.0, 5e3, 1e5])
-    power = threshold_power(wanted, looks)
-    np.testing.assert_allclose(minus_log_exceedance(power, looks), wanted, rtol=1e-13)
+    power = threshold_powers(wanted, looks)
+    exceeded = [minus_log_exceedance(each, looks) for each in power.tolist()]
+    np.testing.assert_allclose(exceeded, wanted, rtol=1e-13)
     ordinary = wanted < 690
     np.testing.assert_allclose(power[ordinary], gamma.isf(np.exp(-wanted[ordinary]), looks), rtol=1e-10)
 
 
 def test_threshold_of_one_look_is_the_logarithm():
-    assert threshold_power(18.0) == 18.0
+    assert threshold_powers(18.0) == 18.0
 
 
 @pytest.mark.parametrize("bins", [1, 2, 2**16])

@@ -1,4 +1,4 @@
-"""False alarms: the threshold that noise alone exceeds with P_fa, and its highest peaks where no bins are computed."""
+"""False alarms: the highest peaks of noise where no bins are computed."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from lidar_emu.fmcw.workspace import MAX_TARGETS
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import uniform_pair
 from lidar_emu.numerics.random_streams import FALSE_ALARM
+from lidar_emu.probability.noise import minus_log_exceedance, threshold_power
 
 _VARIANCE_TIMES_SNR = 0.5
 """Variance of a sub-bin estimator times the SNR, for peaks in noise, whose bins are not computed."""
@@ -26,36 +27,7 @@ _VARIANCE_TIMES_SNR = 0.5
 @kernel
 def exceeding_bins(looks: int, power: float, bins: float) -> float:
     """Expected number of bins whose noise, averaged over looks, exceeds `power` times its mean."""
-    return bins * exp(log_exceedance(looks, power))
-
-
-@kernel
-def log_exceedance(looks: int, power: float) -> float:
-    """Logarithm of the probability that the mean of `looks` exponential powers of unit mean exceeds `power`.
-
-    A gamma distribution of whole shape: Q(M, x) = e^-x (1 + x + ... + x^(M-1)/(M-1)!) with x = M power.
-    """
-    x = looks * power
-    term, total = 1.0, 1.0
-    for m in range(1, looks):
-        term *= x / m
-        total += term
-    return log(total) - x
-
-
-@kernel
-def quantile(looks: int, log_probability: float) -> float:
-    """The power whose `log_exceedance` is that; of several looks by bisection."""
-    if looks == 1:
-        return -log_probability
-    low, high = 0.0, 2.0 + 2.0 * looks - log_probability
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if log_exceedance(looks, middle) > log_probability:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
+    return bins * exp(-minus_log_exceedance(looks * power, looks))
 
 
 @kernel
@@ -71,9 +43,9 @@ def noise_peak(
     The largest of B is below p with probability (1 - Q(p))^B; of a single look, p = -log(1 - u^(1/B)).
     """
     u, place = uniform_pair(beam.seed, beam.shot, beam.beam, FALSE_ALARM, index)
-    ceiling = log1p(-exp(log_exceedance(looks, below))) if below < np.inf else 0.0
+    ceiling = log1p(-exp(-minus_log_exceedance(looks * below, looks))) if below < np.inf else 0.0
     exceedance = -expm1(ceiling + log(u) / bins)
-    return quantile(looks, log(exceedance)), place
+    return threshold_power(-log(exceedance), looks) / looks, place
 
 
 @kernel

@@ -7,7 +7,7 @@ import numpy as np
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.analog_response import Response
 from lidar_emu.fmcw.carrier_to_noise import noise_over_shot, shot_a2_per_hz, snr_per_w
-from lidar_emu.fmcw.false_alarms import neighbour_exceedance, quantile
+from lidar_emu.fmcw.false_alarms import neighbour_exceedance
 from lidar_emu.fmcw.link_budget import haze_w_per_m
 from lidar_emu.fmcw.peak_interpolation import PEAK_METHODS
 from lidar_emu.fmcw.physical_constants import ELEMENTARY_CHARGE_C, PLANCK_J_S
@@ -21,6 +21,7 @@ from lidar_emu.fmcw.skip_limits import (
 )
 from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.numerics.kernels import interpreted
+from lidar_emu.probability.noise import threshold_power
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.site import Site
 
@@ -50,11 +51,12 @@ def build_receiver(
     amplifier, digitiser = noise_over_shot(instrument, site)
     per_w = snr_per_w(instrument, site)
     window = WINDOWS[detection.window]
-    threshold = float(interpreted(quantile)(detection.looks, instrument.log_false_alarm_per_bin))
+    looks = detection.looks
+    threshold = interpreted(threshold_power)(-instrument.log_false_alarm_per_bin, looks) / looks
     return ReceiverModel(
         statistical=statistical,
         fft_length=float(waveform.fft_length),
-        looks=detection.looks,
+        looks=looks,
         range_bin_m=SPEED_OF_LIGHT_MPS * bin_hz / (2.0 * waveform.chirp_slope_hz_per_s),
         speed_bin_mps=waveform.wavelength_m * bin_hz / 2.0,
         bin_width_hz=bin_hz,
@@ -80,7 +82,7 @@ def build_receiver(
         window_side=window.side,
         noise_power=window.noise_power,
         # Averaging looks makes a peak's neighbours no likelier than chance, nearly.
-        independent_share=1.0 - neighbour_exceedance(window, threshold) if detection.looks == 1 else 1.0,
+        independent_share=1.0 - neighbour_exceedance(window, threshold) if looks == 1 else 1.0,
         threshold=threshold,
         group_power_share=detection.group_fraction**2,
         peak_method=PEAK_METHODS[detection.peak],

@@ -16,7 +16,7 @@ from scipy.special import gammaincc, gammaln
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.probability.marcum import marcum_q
-from lidar_emu.probability.noise import threshold_power
+from lidar_emu.probability.noise import threshold_powers
 from lidar_emu.probability.quadrature import nodes_and_weights
 
 Fading = Literal["steady", "swerling_1", "swerling_2", "swerling_3", "swerling_4"]
@@ -42,7 +42,7 @@ def detection_probability(
         minus_log_pfa: L of one bin, after the looks were added up. Broadcast with `snr`.
         looks: M, from 1.
     """
-    snr, power = np.broadcast_arrays(np.asarray(snr, dtype=float), threshold_power(minus_log_pfa, looks))
+    snr, power = np.broadcast_arrays(np.asarray(snr, dtype=float), threshold_powers(minus_log_pfa, looks))
     if fading == "steady":
         return marcum_q(looks, np.sqrt(2.0 * looks * snr), np.sqrt(2.0 * power))
     order = {"swerling_1": 1, "swerling_2": looks, "swerling_3": 2, "swerling_4": 2 * looks}[fading]
@@ -67,7 +67,7 @@ def shared_fade_probability(
     mean: FloatArray = np.maximum(np.asarray(snr, dtype=float), _LEAST_SNR)
     # Over the amplitude, of which the detection probability is a smooth step one noise amplitude wide, up to where
     # either every signal is detected or no signal is left.
-    height = np.sqrt(threshold_power(minus_log_pfa, looks))
+    height = np.sqrt(threshold_powers(minus_log_pfa, looks))
     top = np.minimum(height + _BEYOND, np.sqrt(mean * (looks + 8.0 * np.sqrt(looks) + 45.0)))
     amplitude, weight = nodes_and_weights(top[..., None] * _PANELS)
     event = rule(marcum_q(looks, np.sqrt(2.0) * amplitude, np.sqrt(2.0) * height))

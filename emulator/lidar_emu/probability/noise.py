@@ -6,50 +6,64 @@ looks (records averaged), each of unit mean noise power: a sum of noise alone ha
 
 from __future__ import annotations
 
+from math import exp, log, log1p, sqrt
+
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import gammainc, gammaincinv, gammaln
 
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import interpreted, kernel
 
-_STEPS = 50
-_NEWTON_FROM = 1.0
-"""Below this L the probability itself has all digits."""
+_HALVINGS = 60
 
 
-def minus_log_exceedance(power: ArrayLike, looks: int = 1) -> FloatArray:
+@kernel
+def minus_log_exceedance(power: float, looks: int) -> float:
     """L = -ln P of noise alone above a power, with a relative error of 1e-13 at any power.
 
+    P = Γ(M, T)/Γ(M) = e^-T Σ_(k<M) T^k/k!; where that is near 1, its complement e^-T Σ_(k>=M) T^k/k! is the smaller.
+
     Args:
-        power: 0 or more, the sum over looks.
+        power: T, 0 or more, the sum over looks.
         looks: M, from 1.
     """
-    power = np.asarray(power, dtype=float)
-    # Γ(M, T)/Γ(M) = e^-T Σ_(k<M) T^k/k!; where that is near 1, its complement is the smaller.
-    below = gammainc(looks, power)
-    total = np.ones_like(power)
-    for k in range(looks - 1, 0, -1):
-        total = 1.0 + power / k * total
-    exceedance: FloatArray = np.where(below < 0.5, -np.log1p(-np.minimum(below, 0.5)), power - np.log(total))
-    return exceedance
-
-
-def threshold_power(minus_log_pfa: ArrayLike, looks: int = 1) -> FloatArray:
-    """The power that noise exceeds with probability e^-L: the inverse of `minus_log_exceedance`.
-
-    Newton's method: L is a convex function of the power, so that from its right every step lands between the
-    last one and the solution.
-    """
-    wanted = np.asarray(minus_log_pfa, dtype=float)
     if looks == 1:
-        return wanted
-    small = wanted < _NEWTON_FROM
-    power = looks + wanted
-    for _ in range(_STEPS):
-        exceeded = minus_log_exceedance(power, looks)
-        slope = np.exp((looks - 1) * np.log(power) - power - gammaln(looks) + exceeded)
-        power = np.maximum(power + np.where(small, 0.0, (wanted - exceeded) / slope), 1e-3)
-    return np.where(small, gammaincinv(looks, -np.expm1(-np.minimum(wanted, _NEWTON_FROM))), power)
+        return power
+    term, total = 1.0, 1.0
+    for k in range(1, looks):
+        term *= power / k
+        total += term
+    if exp(-power) * total < 0.5:
+        return power - log(total)
+    k, below = looks, 0.0
+    while term > 1e-17 * below:
+        term *= power / k
+        below += term
+        k += 1
+    return -log1p(-exp(-power) * below)
+
+
+@kernel
+def threshold_power(minus_log_pfa: float, looks: int) -> float:
+    """The power that noise exceeds with probability e^-L: the inverse of `minus_log_exceedance`, by bisection.
+
+    It is at most M + sqrt(2ML) + L (Laurent and Massart, Annals of Statistics 28, 2000, lemma 1).
+    """
+    if looks == 1:
+        return minus_log_pfa
+    low, high = 0.0, looks + sqrt(2.0 * looks * minus_log_pfa) + minus_log_pfa
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        if minus_log_exceedance(middle, looks) < minus_log_pfa:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+def threshold_powers(minus_log_pfa: ArrayLike, looks: int = 1) -> FloatArray:
+    """`threshold_power` of each L."""
+    return np.asarray(np.vectorize(interpreted(threshold_power), otypes=[float])(minus_log_pfa, looks))
 
 
 def log_false_alarm(minus_log_pfa: ArrayLike, bins: float) -> FloatArray:

@@ -72,7 +72,7 @@ def find_two_targets(model: FlightModel) -> TwoTargets:
         ),
         range_bin_m=receiver.range_bin_m,
         power=power,
-        threshold=float(-scenario.instrument.log_false_alarm_per_bin),
+        threshold=receiver.threshold,
         group_power=float(scenario.instrument.detection.group_fraction**2 * power[1:-1].max()),
         peak_bin=peak[np.isfinite(peak)].astype(np.int64),
     )

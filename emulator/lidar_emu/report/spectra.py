@@ -94,7 +94,7 @@ def compute_spectra(model: FlightModel, measurement: Measurement, row: int, beam
         range_m=float(measurement.range_m[row, beam]),
         closing_speed_mps=float(measurement.closing_speed_mps[row, beam]),
         power=np.abs(received.bins[0]) ** 2 / np.maximum(noise, np.finfo(float).tiny),
-        threshold=float(-scenario.instrument.log_false_alarm_per_bin),
+        threshold=receiver.threshold,
         bin_hz=scenario.instrument.waveform.bin_width_hz,
     )
 

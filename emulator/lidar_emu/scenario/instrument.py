@@ -157,6 +157,10 @@ class Detection(Part):
     maximum_range_m: Positive = 12_000.0
     """Beyond it a return is reported as invalid."""
 
+    def log_false_alarm_per_bin(self, fft_length: int) -> float:
+        """Logarithm of the probability that noise crosses the threshold in one of the N/2 bins of an FFT."""
+        return log(self.false_alarm_probability) - log(fft_length / 2)
+
     @model_validator(mode="after")
     def _rule_fits(self) -> Self:
         if self.rule == "any_two" and self.combine != "least_squares":
@@ -180,8 +184,8 @@ class Instrument(Part):
 
     @property
     def log_false_alarm_per_bin(self) -> float:
-        """Logarithm of the probability that noise crosses the threshold in one of the N/2 bins of an FFT."""
-        return log(self.detection.false_alarm_probability) - log(self.waveform.fft_length / 2)
+        """See `Detection.log_false_alarm_per_bin`."""
+        return self.detection.log_false_alarm_per_bin(self.waveform.fft_length)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -109,7 +109,7 @@ def measure_waveform(
     weight = np.broadcast_to(weight, (records, 3, footprint.range_m.size))
     level = np.asarray(noise_level, dtype=float)
     windowed_level = level * window_noise_power(detection.window, count)
-    threshold = windowed_level * -np.log(detection.false_alarm_probability / (count / 2))
+    threshold = windowed_level * -detection.log_false_alarm_per_bin(count)
 
     # Of its own, so that what is drawn does not depend on the blocks.
     line_rng = rng.spawn(1)[0] if rng is not None and waveform.linewidth_hz > 0.0 else None
