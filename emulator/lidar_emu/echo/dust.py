@@ -1,9 +1,9 @@
-"""Dust that the plume blows over the ground: it dims the ground behind it, and has an echo of its own.
+"""Dust that the plume raises: it attenuates the ground's echo, and adds its own.
 
-A sheet of even density lies on the ground. A beam that goes through the optical depth τ of it, once, gets back exp(-2τ)
-of the ground's echo and, scattered once, what a surface of albedo π (1 - exp(-2τ))/(2S) would return, S the lidar
-ratio: the integral of backscatter α/S and extinction both ways over the path. That light comes from all along the path,
-in parcels of equal optical depth with places and speeds of their own, or from one streak.
+A sheet of uniform density lies on the ground. A beam whose one-way optical depth through it is τ receives exp(-2τ) of
+the ground's echo. It also receives the dust's single-scattered light, as from a surface of albedo π (1 - exp(-2τ))/(2S)
+with the lidar ratio S: the integral of backscatter α/S and two-way extinction over the path. This light comes from all
+along the path, in parcels of equal optical depth with their own positions and speeds, or from one streak.
 """
 
 from __future__ import annotations
@@ -26,30 +26,31 @@ from lidar_emu.scene.ray_hits import Hits
 
 _PARCELS = 8
 _LEAST_COSINE = 0.05
-"""A beam that grazes the sheet is in it no longer than at 87 degrees."""
+"""Minimum slope of a path through the sheet: 87 degrees off the vertical at most."""
 
 
 class _Paths(NamedTuple):
     """Paths of beams (shots, beams) through the sheet."""
 
     length_m: FloatArray
-    """In the dust, up to the ground."""
+    """Length of the path in the dust, up to the ground."""
     depth: FloatArray
-    """Optical, once through; 0 where there is no dust or no ground."""
+    """One-way optical depth; 0 without dust or without ground."""
     in_streak: BoolArray
 
 
 class Dust:
-    """The dust of a scenario whose plume raises some."""
+    """The dust of a scenario with a plume."""
 
     def __init__(self, scenario: FlightScenario, plume: Plume) -> None:
         self._scenario, self._plume = scenario, plume
         self._stream = RandomStream(scenario.seed, DUST)
-        # One frequency for each segment: of ground and streak the stronger one is seen.
+        # One frequency per segment: only the stronger of ground and streak is detected.
         self._stronger_only = scenario.level == "statistical"
 
     def raised(self, echoes: Echoes, pointing: Pointing, axis_hits: Hits, shot: NDArray[np.int64]) -> Echoes:
-        """Echoes of beams whose axes met the ground at `axis_hits`, as the dust leaves them, and its own."""
+        """Echoes of beams whose axes hit the ground at `axis_hits`, attenuated by the dust, with the dust's own
+        echoes."""
         height_m = sensor_height_m(pointing, axis_hits)
         growth = self._growth(height_m)
         if not growth.any():
@@ -82,7 +83,7 @@ class Dust:
         paths: _Paths,
         shot: NDArray[np.int64],
     ) -> Echoes:
-        """The light of the dust as beamlets: the streak, if there is one, and the sheet's parcels from the top down."""
+        """Light of the dust as beamlets: the streak, if there is one, and the sheet's parcels from the top down."""
         beams = paths.depth.shape[1]
         drawn = np.stack([self._stream.uniforms(shot, beams, 1 + k) for k in range(1 + _PARCELS)], axis=-2)
         share = (np.arange(_PARCELS) + drawn[..., 1:, 0]) / _PARCELS
@@ -110,33 +111,34 @@ class Dust:
         )
 
     def _closing_mps(self, pointing: Pointing, drawn: FloatArray) -> FloatArray:
-        """Closing speed of dust that moves along the ground, from below the sensor in the beam's direction."""
+        """Closing speed of dust that moves outward along the ground from below the sensor."""
         axis, plume = pointing.true_site, self._plume
         sensor_mps = np.asarray(dot(pointing.sensor_velocity_site_mps, axis))
         outward_mps = plume.speed_mps * (1.0 + plume.speed_spread * (2.0 * drawn - 1.0))
         return sensor_mps[..., None] - outward_mps * np.hypot(axis[..., 0], axis[..., 1])[..., None]
 
     def _white_w(self, range_m: FloatArray) -> FloatArray:
-        """Echo of a white surface that faces the beam."""
+        """Echo of a white surface perpendicular to the beam."""
         site = self._scenario.site
         white = site.surface.model_copy(update={"reflectance": 1.0})
         return coherent_power_w(self._scenario.instrument, white, site.atmosphere, range_m, 1.0)
 
 
 def _passed(depth: FloatArray | float) -> FloatArray:
-    """Share of the light that comes there and back through an optical depth."""
+    """Two-way transmission through an optical depth."""
     return np.asarray(np.exp(-2.0 * np.asarray(depth)))
 
 
 def _joined(ground: Echoes, parcels: Echoes) -> Echoes:
-    """Both, as beamlets of the same beams. They share the beam's speckle field and its motion within a measurement."""
+    """Ground and dust as beamlets of the same beams, with the beam's speckle field and its motion within a
+    measurement."""
     names = ("range_m", "closing_speed_mps", "power_w", "range_rate_mps")
     both = {name: np.concatenate([getattr(ground, name), getattr(parcels, name)], axis=-1) for name in names}
     return ground._replace(**both)
 
 
 def _stronger(ground: Echoes, parcels: Echoes) -> Echoes:
-    """The streak alone, where it is stronger than the ground behind it."""
+    """The streak alone where it is stronger than the ground behind it, otherwise the ground."""
     streak_w = parcels.power_w[..., :1]
     wins = streak_w > ground.power_w.sum(axis=-1, keepdims=True)
     first = np.arange(ground.power_w.shape[-1]) == 0

@@ -1,16 +1,16 @@
-"""Echoes of the beamlets of each beam: power, range, closing speed and speckle around the time of validity.
+"""Echoes of the beamlets of each beam: power, range, closing speed and speckle at the time of validity.
 
-A beam leaves the sensor along u, which turns with u' = ω x u, while the sensor moves with v. The phase of the echo from
-a fixed point of the ground, at the distance s along the axis and x across it, is 2k L with L = s + x²/(2 Rc), Rc the
+The sensor moves with v, and a beam points along u, which rotates with u' = ω x u. The echo of a fixed point of the
+ground, at the distance s along the axis and x across it, has the phase 2k L with L = s + x²/(2 Rc), where Rc is the
 radius of the beam's wavefront. Its closing speed -dL/dt is, to first order in x,
 
-    v·u + x·(v/Rc - (1 - R/Rc) u').
+v·u + x·(v/Rc - (1 - R/Rc) u').
 
-Speckle: as the footprint slides by D over the ground its scatterers are exchanged, which gives the echo's field the
-correlation exp(-D²/w²). The beamlets' own closing speeds make it exp(-d²/w0²) for a sensor that moved by d across the
-beam and exp(-(π w0 θ/λ)²) for one that turned by θ, at any range, and the product of both for one that did both.
+Speckle: as the footprint moves by D over the ground, its scatterers are exchanged, which gives the echo field the
+correlation exp(-D²/w²). With the beamlets' own closing speeds the correlation is exp(-d²/w0²) for a sensor that moves
+by d across the beam, exp(-(π w0 θ/λ)²) for one that rotates by θ, at any range, and the product for both.
 
-Where what is hit moves, v is the sensor's velocity past it.
+Where the surface moves, v is the velocity of the sensor relative to it.
 """
 
 from __future__ import annotations
@@ -35,19 +35,20 @@ from lidar_emu.scenario.site import Site
 from lidar_emu.scene.ray_hits import Hits
 
 SPECKLE_PITCH_W = pi / sqrt(8)
-"""Pitch of the speckle's lattice over the beam's radius w, see `fmcw.speckle`."""
+"""Pitch of the speckle lattice as a multiple of the beam's radius w, see `fmcw.speckle`."""
 
 _LEAST_COSINE = 1e-3
-"""A beamlet at 89.94 degrees of incidence or more slides no faster than there: it would leave its facet at once."""
+"""Minimum cosine of incidence (89.94 degrees) in the slide of a beamlet over its facet, which diverges at grazing
+incidence."""
 
 
 class BeamletHits(NamedTuple):
-    """Start, direction and hit of beamlets (shots, beams, beamlets)."""
+    """Origins, directions and hits of beamlets (shots, beams, beamlets)."""
 
     start_site_m: FloatArray
-    """(shots, beams, beamlets, 3)"""
+    """(shots, beams, beamlets, 3) Origins."""
     ray_site: FloatArray
-    """(shots, beams, beamlets, 3)"""
+    """(shots, beams, beamlets, 3) Unit directions."""
     hits: Hits
 
 
@@ -57,19 +58,19 @@ class _Buffers(NamedTuple):
     footprint: Footprint
     starts_site_m: FloatArray
     rays_site: FloatArray
-    """(rays, 3) The same as the footprint's, one beam after another."""
+    """(rays, 3) The directions of the footprint, one beam after another."""
     hits: Hits
-    """(rays,) Of the beamlets."""
+    """(rays,) Hits of the beamlets."""
     echoes: Echoes
 
     @classmethod
     def of(cls, shape: tuple[int, int], beamlets: int, moving: bool) -> Self:
-        """Arrays for (shots, beams).
+        """Allocate arrays for (shots, beams).
 
         Args:
             shape: (shots, beams).
-            beamlets: per beam.
-            moving: whether anything in the scene moves.
+            beamlets: beamlets per beam.
+            moving: whether the scene has moving objects.
         """
         shots, beams = shape
         each = (shots, beams, beamlets)
@@ -96,10 +97,10 @@ class _Buffers(NamedTuple):
 
 
 class EchoModel:
-    """Computes echoes for an instrument over a site.
+    """The echoes of an instrument over a site.
 
     Args:
-        beamlets: per beam.
+        beamlets: beamlets per beam.
     """
 
     def __init__(self, instrument: Instrument, site: Site, flight: Flight, beamlets: int) -> None:
@@ -111,14 +112,14 @@ class EchoModel:
 
     @property
     def beamlet_hits(self) -> BeamletHits:
-        """Hits of the beamlets of the last echoes, valid until the next echoes."""
+        """Hits of the beamlets of the last echoes, valid until the next call."""
         buffers = self._buffers
         shape = buffers.echoes.range_m.shape
         starts, rays = (vectors.reshape(*shape, 3) for vectors in (buffers.starts_site_m, buffers.rays_site))
         return BeamletHits(starts, rays, self._hits.shaped(shape))
 
     def cast_beamlets(self, pointing: Pointing, axis_hits: Hits) -> Hits:
-        """Hits (rays,) of the beamlets around axes that hit at `axis_hits`, valid until the next call."""
+        """Cast the beamlets around axes that hit at `axis_hits`: hits (rays,), valid until the next call."""
         shots, beams = axis_hits.range_m.shape
         if self._buffers.echoes.fired.shape != (shots, beams):
             self._buffers = _Buffers.of((shots, beams), self._beamlets, self._flight.has_moving_objects)
@@ -142,7 +143,7 @@ class EchoModel:
         return self._hits
 
     def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
-        """Echoes of beams (shots, beams) whose axes hit at `axis_hits`, valid until the next call."""
+        """Compute the echoes of beams (shots, beams) whose axes hit at `axis_hits`, valid until the next call."""
         hits = self.cast_beamlets(pointing, axis_hits)
         footprint, echoes = self._buffers.footprint, self._buffers.echoes
         echoes.fired[:], echoes.inside[:] = pointing.fired, axis_hits.inside
@@ -161,7 +162,7 @@ class EchoModel:
 def compute_echoes(
     instrument: Instrument, site: Site, flight: Flight, beamlets: int, pointing: Pointing, axis_hits: Hits
 ) -> Echoes:
-    """Echoes of beams (shots, beams) of `beamlets` beamlets each, whose axes hit at `axis_hits`."""
+    """Compute the echoes of beams (shots, beams) of `beamlets` beamlets each, whose axes hit at `axis_hits`."""
     return EchoModel(instrument, site, flight, beamlets).echoes(pointing, axis_hits)
 
 
@@ -175,17 +176,17 @@ def _set_echoes(
     hit_arrays: tuple[Any, ...],
     echo_arrays: tuple[Any, ...],
 ) -> None:
-    """Set the arrays of `echoes` but its ranges and flags.
+    """Set the arrays of `Echoes` except ranges and flags.
 
     Args:
         laws: (1,) record of an `EchoLaw`.
-        stacked: (6, shots, beams, 3) the beams' vectors, of a `Pointing`.
+        stacked: (6, shots, beams, 3) vectors of the beams, see `Pointing.beams`.
         time_ns: (shots, beams) times of validity.
-        axis_range_m: (shots, beams) of the beams' axes.
-        footprint_arrays: of a `Footprint` of (shots * beams) beams; like the others a plain tuple, whose type numba
-            finds sooner than a named one's.
+        axis_range_m: (shots, beams) range along each beam's axis.
+        footprint_arrays: arrays of a `Footprint` of (shots * beams) beams; a plain tuple like the others, whose type
+            numba resolves faster than a named tuple's.
         hit_arrays: normals, velocities and reflectances of the beamlets' `Hits`, (rays,).
-        echo_arrays: of `Echoes`.
+        echo_arrays: arrays of `Echoes`.
     """
     law, vectors = laws[0], beam_vectors(stacked)
     footprint, echoes = Footprint(*footprint_arrays), Echoes(*echo_arrays)
@@ -212,13 +213,13 @@ def _set_echoes(
             echoes.smear_acceleration_mps2[s, b] = along_mps2 + _point_acceleration_mps2(
                 passing_m2ps2, coriolis_mps2, squared_radps2, away_m, rayleigh_m
             )
-            # Across the beam, in pitches: from shot to shot the echo's field is that of the whole beam. It changes
-            # with exp(-d²/w0²); a turn of the beam changes it too, by the sensor's distance from the origin times the
-            # angle rather than by the Rayleigh range.
+            # Across the beam, in pitches: from shot to shot the echo field is the whole beam's and changes with
+            # exp(-d²/w0²). A rotation of the beam changes it too, by the sensor's distance from the origin times the
+            # angle instead of the Rayleigh range times the angle.
             waist_pitch_m = SPECKLE_PITCH_W * waist_m
             first_m, second_m = dot(sensor, first), dot(sensor, second)
             if surface_mps.size > 0:
-                # The field rides on what moves.
+                # The field moves with the surface.
                 time_s = 1e-9 * time_ns[s, b]
                 first_m -= time_s * nan_to_zero(dot(surface_mps[on_axis], first))
                 second_m -= time_s * nan_to_zero(dot(surface_mps[on_axis], second))
@@ -238,8 +239,9 @@ def _set_echoes(
                     - doppler_start_m[1, beam, i] * second_radps
                 )
                 cos_incidence = -dot(facet, footprint.ray_site[beam, i])
-                # -(n·(v + R u'))/(n·u): of the distance along the moving beam to the plane of its facet. u' is the
-                # axis': the turn of a beamlet, and that of its start, differ by the footprint's radius times the rate.
+                # -(n·(v + R u'))/(n·u) is the rate of the distance along the moving beam to the plane of its facet. u'
+                # is the axis': a beamlet's direction and origin rotate differently by the footprint's radius times the
+                # rate.
                 sinking_mps = _relative_speed(surface_mps, ray_i, velocity, facet) + range_m[s, b, i] * dot(
                     facet, swing_radps
                 )
@@ -251,7 +253,7 @@ def _set_echoes(
 
 @kernel
 def _relative_speed(surface_mps: FloatArray, ray: int, velocity: FloatArray, along: FloatArray) -> float:
-    """Speed of the sensor along a vector, relative to the place that a ray hits."""
+    """Speed of the sensor along a vector, relative to the surface hit."""
     speed_mps = dot(velocity, along)
     if surface_mps.size > 0:
         speed_mps -= nan_to_zero(dot(surface_mps[ray], along))
@@ -262,7 +264,10 @@ def _relative_speed(surface_mps: FloatArray, ray: int, velocity: FloatArray, alo
 def _point_acceleration_mps2(
     passing_m2ps2: float, coriolis_mps2: float, squared_radps2: float, range_m: float, rayleigh_m: float
 ) -> float:
-    """-d²L/dt² of the point of the ground on the axis, less a·u; 0 where the axis meets nothing.
+    """Closing acceleration -d²L/dt² of the point of the ground on the axis, less a·u; 0 where the axis hits nothing.
+
+    The value is (1 - R/Rc) (2 v·u' + R u'²) - v²/Rc, v across the beam. In the far field this is -v²/R for any rotation
+    of the beam, since the distance to a fixed point does not depend on the beam.
 
     (1 - R/Rc) (2 v·u' + R u'²) - v²/Rc, v across the beam. Far away this is -v²/R however the beam turns: the
     distance to a fixed point does not depend on the beam.
@@ -275,10 +280,11 @@ def _point_acceleration_mps2(
 
 @kernel
 def _speckle_scale(beamlets: int, range_m: float, waist_m: float, rayleigh_m: float) -> tuple[float, float]:
-    """Shift of the field per turn of the beam, and pitch of the field's lattice, within a measurement, both in metres.
+    """Shift of the field per rotation of the beam, and pitch of the field's lattice, within a measurement, both in
+    metres.
 
-    Several beamlets have their own Doppler shifts, and only the exchange of scatterers is left to the field; one stands
-    for both.
+    Several beamlets have their own Doppler shifts, so that the field only represents the exchange of scatterers; with a
+    single beamlet it represents both.
     """
     if beamlets == 1:
         return rayleigh_m, SPECKLE_PITCH_W * waist_m

@@ -1,4 +1,4 @@
-"""Spectral spread of a footprint: over range by its slope, over speed by motion across the beam."""
+"""Spectral spread of a footprint: in range by the slope of the ground, in speed by motion across the beam."""
 
 from __future__ import annotations
 
@@ -25,22 +25,25 @@ class Spread(NamedTuple):
         return np.sqrt(np.maximum(self.variance(1.0, 1.0), self.variance(1.0, -1.0)))
 
     def variance(self, beat: float, doppler: float) -> FloatArray:
-        """Variance in bins² of the frequency `beat` times the range's beat plus `doppler` times the Doppler shift."""
+        """Variance in bins² of the frequency composed of `beat` times the beat of range and `doppler` times the Doppler
+        shift."""
         gradient = beat * self.beat + doppler * self.doppler
         return np.asarray(dot(gradient, gradient))
 
 
 def no_spread(hits: Hits) -> Spread:
-    """Spread of a footprint without width: none."""
+    """Spread of a footprint of zero width."""
     return Spread(np.zeros_like(hits.normal_site), np.zeros_like(hits.normal_site))
 
 
 def spread_bins(instrument: Instrument, pointing: Pointing, hits: Hits) -> Spread:
-    """Spread of each beam, (shots, beams), on the facet that its axis hits.
+    """Spread of each beam, (shots, beams), over the facet that its axis hits.
 
     The footprint's weight exp(-4 r²/w²) has the rms radius w/√8 along any axis.
 
-    Range grows by -n/(n·u) across the beam, the closing speed by v/Rc - (1 - R/Rc) u'.
+    The footprint's weight exp(-4 r²/w²) has the rms radius w/√8 along any axis.
+
+    Across the beam the gradient of range is -n/(n·u), and the gradient of closing speed v/Rc - (1 - R/Rc) u'.
     """
     waveform, waist_m = instrument.waveform, instrument.optics.waist_radius_m
     axis = pointing.true_site

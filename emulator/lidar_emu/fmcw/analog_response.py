@@ -1,4 +1,4 @@
-"""Response of amplifier and digitiser to tones and noise: poles, folded noise, clipping."""
+"""Response of amplifier and digitiser to tones and noise: poles, aliased noise, clipping."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from lidar_emu.numerics.sine import FAST
 
 
 class Response(NamedTuple):
-    """The analogue chain; noise powers are shares of the white noise of an ideal receiver's rectangular bin."""
+    """The analog chain; noise powers are fractions of the white noise of an ideal receiver's rectangular bin."""
 
     lowpass_bin: float
-    """Half-power frequency of the amplifier in bins; infinite where it is flat."""
+    """Half-power frequency of the amplifier in bins; infinite if it is flat."""
     highpass_bin: float
-    """Half-power frequency of the AC coupling in bins; 0 where there is none."""
+    """Half-power frequency of the AC coupling in bins; 0 without AC coupling."""
     fold_scale: float
     fold_decay: float
     """(πc/N) (1 - q²) and q, with q = exp(-2πc/N), c the amplifier's half-power frequency."""
     amplifier_noise: float
-    """Share that the poles shape; with `digitiser_noise` it is 1."""
+    """Fraction of the noise that the poles shape; with `digitiser_noise` it sums to 1."""
     digitiser_noise: float
-    """Share that arises after them."""
+    """Fraction of the noise that arises after the poles."""
     mean_noise: float
-    """Mean over all bins of what the poles and the digitiser make of the noise."""
+    """Mean over all bins of the noise behind poles and digitiser."""
     full_scale: float
-    """Largest amplitude that is not clipped, in units of the bin of a tone on its bin; infinite for an
-    ideal digitiser."""
+    """Largest amplitude that is not clipped, relative to a tone's amplitude in its bin; infinite for an ideal
+    digitiser."""
 
 
 @kernel
 def is_flat(response: Response) -> bool:
-    """Whether there is neither of the poles."""
+    """Whether the response has no poles."""
     return response.highpass_bin == 0.0 and response.lowpass_bin == np.inf
 
 
 @kernel(fastmath=FAST, forceinline=True)
 def tone_gain(response: Response, signed_bin: float) -> tuple[float, float]:
-    """Complex gain at a signed frequency, not folded: the gain at -f is the conjugate."""
+    """Complex gain at a signed frequency before folding: the gain at -f is the conjugate."""
     gain_re, gain_im = 1.0, 0.0
     if response.highpass_bin > 0.0:
         below = response.highpass_bin * response.highpass_bin + signed_bin * signed_bin
@@ -67,16 +67,20 @@ def set_noise(response: Response, factor: float, added: float, grid: FloatArray,
 def noise_level(response: Response, factor: float, added: float, k: float, sine: float) -> float:
     """Mean noise power of a rectangular bin.
 
+    Noise from beyond N/2 is aliased as tones are. For a single pole at c the sum over all Nyquist zones has the closed
+    form (πc/N) sinh(2πc/N) / (cosh(2πc/N) - cos(2πk/N)), evaluated here in powers of exp(-2πc/N); the AC coupling
+    matters in the zone at 0 only.
+
     Noise from beyond N/2 folds in as tones do. Of a single pole at c its sum over all zones is closed, (πc/N)
     sinh(2πc/N) / (cosh(2πc/N) - cos(2πk/N)), here in powers of exp(-2πc/N); the AC coupling matters in the zone at 0
     only.
 
     Args:
-        response: the chain.
-        factor: the amplifier's noise over what it is without an echo.
-        added: white noise on top, by clipping.
-        k: the bin.
-        sine: of πk/N.
+        response: response of the receiver.
+        factor: amplifier noise relative to its value without an echo.
+        added: additional white noise, from clipping.
+        k: index of the bin.
+        sine: sine of πk/N.
     """
     level, zone = 1.0, 1.0
     if response.lowpass_bin < np.inf:
@@ -91,10 +95,11 @@ def noise_level(response: Response, factor: float, added: float, k: float, sine:
 
 @kernel
 def clipping(response: Response, tones: FloatArray, length: float) -> tuple[float, float]:
-    """Gain and distortion of a clipping digitiser, tones (4, tones) and noise taken as Gaussian (Bussgang's theorem).
+    """Gain and distortion of a clipping digitiser, for tones (4, tones) and noise that are treated as Gaussian
+    (Bussgang's theorem).
 
     Returns:
-        The gain of everything in the input, and the power per rectangular bin of the distortion, taken as white.
+        Gain of the whole input, and power of the distortion per rectangular bin, treated as white.
     """
     variance = response.mean_noise * length / 4.0
     for i in range(tones.shape[1]):

@@ -1,12 +1,12 @@
 """Tones of one segment: beat frequencies and complex weights of the beamlets.
 
-Frequency plan: the up-chirp ends at the carrier, the constant segment stays there, the down-chirp starts from it. A
-beamlet at range R, delay τ = 2R/c, whose ground closes with v, beats in a record's centre at
+Frequency plan: the up-chirp ends at the carrier, the constant segment stays there, and the down-chirp starts from it.
+For a beamlet at range R, delay τ = 2R/c and closing speed v the beats at a record's centre are
 
-    g₊ = Sτ - (f - Sτ) 2v/c,   g₀ = f 2v/c,   g₋ = Sτ + (f + Sτ) 2v/c,
+g₊ = Sτ - (f - Sτ) 2v/c, g₀ = f 2v/c, g₋ = Sτ + (f + Sτ) 2v/c,
 
-f the optical frequency then; range and speed are those of the record's own time. The sample sequence of a tone is
-Re[w exp(j2πg t)] with t from the record's centre.
+with the optical frequency f at that time; range and speed are the values at the record's own time. The samples of a
+tone are Re[w exp(j2πg t)], with t from the record's centre.
 """
 
 from __future__ import annotations
@@ -26,13 +26,14 @@ from lidar_emu.numerics.philox import unit_phasor
 from lidar_emu.numerics.sine import FAST
 
 RANGE_M, RANGE_RATE_MPS, SPEED_MPS, AMPLITUDE, SHARE = range(5)
-"""Rows of a beam's beamlets: what returns light, square root of its SNR, and SNR over the root of the beam's."""
+"""Rows of a beam's beamlets; echoes that return light, square root of SNR, and SNR over the square root of the beam's.
+"""
 
 _FASTEST_MPS = 2.9e8
-"""Nothing is faster; what claims to be returns no light."""
+"""Speed limit beyond which a beamlet counts as without light."""
 
 _MOST_SNR = 1e30
-"""Echoes are held below it, so that powers stay finite for any input."""
+"""Limit of the echo power, so that powers stay finite for any input."""
 
 _NO_SURFACE = int(Reason.NO_SURFACE)
 _BELOW_THRESHOLD = int(Reason.BELOW_THRESHOLD)
@@ -50,13 +51,13 @@ def gather_beamlets(
     beam: Any,
     beamlets: FloatArray,
 ) -> int:
-    """Fill `beamlets`, whose columns are those of `range_m` and some more, and the beam's light in `beam`.
+    """Fill `beamlets`, whose columns are those of `range_m` and padding, and the beam's light in `beam`.
 
-    A column that returns no light is like the first that does, but for its power of 0: so all of a beam's arrays have
-    the same length, and lie in one piece.
+    A column without light equals the first column with light, except for its power of 0, so that all arrays of a beam
+    have the same length and are contiguous.
 
     Returns:
-        The reason why nothing can be detected, for the case that nothing is.
+        The reason to report if nothing is detected.
     """
     reason = _NO_SURFACE
     beam.lit_beamlets, beam.power_w = 0, 0.0
@@ -68,7 +69,7 @@ def gather_beamlets(
         if distance_m <= 0.0:
             return _INSIDE_GROUND
         if distance_m > model.record_edge_range_m:
-            # The echo arrives when the record has begun; what is left of it is detected, but reported as beyond range.
+            # The echo arrives after the start of the record; the remainder is detected, but reported as beyond range.
             power *= _record_share(model, (distance_m - model.record_edge_range_m) * model.delay_per_m) ** 2
             if reason == _NO_SURFACE:
                 reason = _BEYOND_RANGE
@@ -100,7 +101,7 @@ def gather_beamlets(
 
 @kernel
 def _record_share(model: ReceiverModel, lost: float) -> float:
-    """Ratio of the amplitudes of a windowed bin: of a line that misses the first part of its record, to a whole line.
+    """Amplitude ratio of a windowed bin between a line that misses the first part of its record and a whole line.
 
     The window is centre - 2 side cos(2πx), x over the record.
     """
@@ -111,14 +112,14 @@ def _record_share(model: ReceiverModel, lost: float) -> float:
 
 @kernel(fastmath=FAST, forceinline=True)
 def signed_bin(model: ReceiverModel, segment: int, range_m: float, speed_mps: float) -> float:
-    """The beat in bins, g₊, g₀ or g₋."""
+    """Beat in bins: g₊, g₀ or g₋."""
     per_m, per_mps, per_m_mps = _beat_terms(model, segment)
     return per_m * range_m + (per_mps + per_m_mps * range_m) * speed_mps
 
 
 @kernel(fastmath=FAST)
 def _beat_terms(model: ReceiverModel, segment: int) -> tuple[float, float, float]:
-    """The beat in bins per range, per closing speed, and per product of the two."""
+    """Coefficients of the beat in bins: per range, per closing speed, and per product of the two."""
     per_mps = model.carrier_ratio[segment] / model.speed_bin_mps
     if segment == 1:
         return 0.0, per_mps, 0.0
@@ -130,14 +131,15 @@ def _beat_terms(model: ReceiverModel, segment: int) -> tuple[float, float, float
 def relative_turn(
     model: ReceiverModel, segment: int, time_records: float, range_m: float, ahead_m: float, faster_mps: float
 ) -> float:
-    """Phase of one beamlet's echo relative to another's, in turns, counted from the time of validity.
+    """Phase of one beamlet's echo relative to another's, in turns, from the time of validity.
 
-    With k of the light that returns the phase is that of exp(-2jkL): it turns with the beamlets' own Doppler shifts,
-    and from segment to segment as the optical frequency changes, over a beamlet's range beside the other's.
+    The echo has the phase of exp(-2jkL), with the wave number k of the returning light: it rotates with the difference
+    of the Doppler shifts, and from segment to segment with the optical frequency, in proportion to the difference of
+    the ranges.
 
     Args:
-        time_records: from the time of validity, in records.
-        range_m: of the other, whose delay selects the light that returns.
+        time_records: time from the time of validity, in records.
+        range_m: range of the other beamlet, whose delay selects the returning light.
         ahead_m, faster_mps: range and closing speed minus the other's, at the time of validity.
     """
     carrier = model.carrier_ratio[segment] - 1.0
@@ -161,9 +163,10 @@ def set_segment_tones(
 ) -> None:
     """Tones of a record whose centre lies `time_records` after the time of validity.
 
-    Weights are those of `set_weights`, the field of the echo per beamlet. A beamlet's phase turns with its own Doppler
-    shift beside that of the first, and with the optical frequency of the segment times its range beside that of the
-    first: the part of the speckle's change that is not an exchange of scatterers. Without speckle all add in phase.
+    Weights are the echo field of each beamlet, set by `set_weights`. Relative to the first beamlet, the phase of a
+    beamlet rotates with the difference of their Doppler shifts, and with the segment's optical frequency times the
+    difference of their ranges: the part of the speckle's change that is not an exchange of scatterers. Without speckle
+    all beamlets add in phase.
 
     Args:
         beamlets: (5, n) from `gather_beamlets`.
@@ -185,7 +188,7 @@ def set_segment_tones(
     _fold(model.fft_length, tones)
 
 
-# Each stage is a loop of its own, and reads the model ahead of it: so they become vector instructions.
+# Each stage is a separate loop and reads the model beforehand, so that it is vectorised.
 
 
 @kernel(fastmath=FAST)
@@ -197,7 +200,7 @@ def _set_places(
     beamlets: FloatArray,
     tones: FloatArray,
 ) -> None:
-    """The signed beats at a record's own time, for now in the first row."""
+    """Set the signed beats at a record's own time, temporarily in the first row."""
     per_m, per_mps, per_m_mps = _beat_terms(model, segment)
     range_m, rate_mps, speed_mps = beamlets[RANGE_M], beamlets[RANGE_RATE_MPS], beamlets[SPEED_MPS]
     beat = tones[0]
@@ -216,11 +219,11 @@ def _set_speckled(
     weights: FloatArray,
     tones: FloatArray,
 ) -> None:
-    """The echo's field of each beamlet."""
-    # In the up-chirp the beat rises with the delay: the echo's field enters as its conjugate.
+    """Set the echo field of each beamlet."""
+    # In the up-chirp the beat rises with the delay: the echo field enters as its conjugate.
     sense = -1.0 if segment == 0 else 1.0
     range_m, speed_mps, amplitude = beamlets[RANGE_M], beamlets[SPEED_MPS], beamlets[AMPLITUDE]
-    # The turn is linear in what sets a beamlet apart from the first.
+    # The phase is linear in the differences between a beamlet and the first.
     per_m = sense * relative_turn(model, segment, time_records, range_m[0], 1.0, 0.0)
     per_mps = sense * relative_turn(model, segment, time_records, range_m[0], 0.0, 1.0)
     first_m, first_mps = range_m[0], speed_mps[0]
@@ -239,7 +242,7 @@ def _set_speckled(
 
 @kernel(fastmath=FAST)
 def _fold(length: float, tones: FloatArray) -> None:
-    """Signed beats in the first row to n and δ, and what becomes of the weights; see `fold`."""
+    """Convert signed beats in the first row to n and δ, and fold the weights; see `fold`."""
     whole, rest, tone_re, tone_im = tones[0], tones[1], tones[2], tones[3]
     for i in range(len(whole)):
         observed_bin, factor_re, factor_im = fold(whole[i], length)

@@ -1,4 +1,4 @@
-"""The filter over bins of one beam's record: smear by motion and the laser's line, where they matter.
+"""Filter over the bins of one beam's record: smear by motion and the laser's linewidth, where they matter.
 
 A factor m(t) common to all tones is a filter over rectangular bins, whose taps are the Fourier coefficients of m
 over the record.
@@ -26,15 +26,15 @@ _MOST_TAPS = 512
 _INDICES = 4 * _MOST_TAPS
 
 _MOST_SMEAR_BINS = 128.0
-"""Beats that change by more are spread over this many bins, and scaled to their true strength there."""
+"""Limit of the change of a beat: larger changes are spread over this many bins, and scaled to their true strength."""
 
 _LANES = 4
-"""Numbers in a vector."""
+"""Numbers in a vector register."""
 
 
 @kernel
 def widest_filter(model: ReceiverModel, range_m: float, speed_mps: float, acceleration_mps2: float) -> int:
-    """Taps on each side that the segments of a beam need; 0 where none does."""
+    """Taps on each side that the segments of a beam need; 0 if none does."""
     smear = 0.0
     for segment in range(3):
         smear = max(smear, abs(smear_bins(model, segment, speed_mps, acceleration_mps2)))
@@ -42,7 +42,7 @@ def widest_filter(model: ReceiverModel, range_m: float, speed_mps: float, accele
     if smear > model.least_smear_bins:
         needed = LEAST_TAPS + floor(0.5 * min(smear, _MOST_SMEAR_BINS))
     if line_matters(model, range_m):
-        # Wide lines lose their central tap; what remains is as wide as the line itself.
+        # Wide lines lose their central tap; the rest is as wide as the line itself.
         narrow = model.homodyne_line and phase_drift(model, range_m) < 0.5
         needed = max(needed, LEAST_TAPS + (0.0 if narrow else ceil(2.0 * model.linewidth_bins)))
     return int(min(needed, float(_MOST_TAPS)))
@@ -58,7 +58,7 @@ def filter_beam(
     look: int,
     count: int,
 ) -> None:
-    """Apply smear and the laser's line, where they matter, to the first `count` bins of one record."""
+    """Apply smear and linewidth, where they matter, to the first `count` bins of one record."""
     half = beam.filter_taps
     range_m, speed_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
     by_smear, by_line, both = spectra.taps[0], spectra.taps[1], spectra.taps[2]
@@ -88,7 +88,7 @@ def filter_beam(
 
 @kernel(fastmath=FAST)
 def convolve_taps(first: FloatArray, second: FloatArray, half: int, result: FloatArray) -> None:
-    """The taps of a product of two factors, cut off at `half` on each side; arrays (2, 2 half + 1 or more)."""
+    """Taps of a product of two factors, truncated at `half` on each side; arrays (2, 2 half + 1 or more)."""
     width = 2 * half + 1
     result[:, :width] = 0.0
     for a in range(width):
@@ -113,7 +113,7 @@ def filter_bins(
 ) -> None:
     """Apply a common factor's taps to the first `count` bins; `mirrored` for tones folded at 0 or N/2.
 
-    Bins outside the intervals laid count as empty, and the images of tones within `half` bins of 0 and N/2 are
+    Bins outside the computed intervals count as empty, and the images of tones within `half` bins of 0 and N/2 are
     filtered like the tones themselves.
 
     Args:
@@ -126,14 +126,14 @@ def filter_bins(
         stop = start + 1
         while stop < count and grid[BIN, stop] - grid[BIN, stop - 1] == 1.0:
             stop += 1
-        # Zeros on both sides, and whole vectors: so all taps are one loop each, without ends.
+        # Zeros on both sides and whole vectors: each tap is then one loop without special cases at the ends.
         width = -(-(stop - start) // _LANES) * _LANES
         scratch[:, : width + 2 * half] = 0.0
         for j in range(stop - start):
             from_re[half + j], from_im[half + j] = bins[0, start + j], bins[1, start + j]
         for m in range(-half, half + 1):
-            # A folded tone has the complex conjugate factor, whose taps are conjugate and in reverse order. Bins as
-            # `spectrum` refers them to the centre change sign from one to the next, and so do the taps.
+            # A folded tone has the complex conjugate factor, whose taps are conjugate and in reverse order. Bins
+            # referred to the centre, as in `spectrum`, alternate in sign, and so do the taps.
             turn = -1.0 if m % 2 else 1.0
             re = turn * (taps[0, half - m] if mirrored else taps[0, half + m])
             im = turn * sign * (taps[1, half - m] if mirrored else taps[1, half + m])

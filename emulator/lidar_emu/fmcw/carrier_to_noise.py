@@ -1,4 +1,4 @@
-"""Carrier-to-noise ratio: photons of the echo over the noise of shot, amplifier, digitiser and sun, in a bin."""
+"""Carrier-to-noise ratio: photons of the echo over shot, amplifier, digitiser and sunlight noise, in a bin."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from lidar_emu.scenario.site import Site
 def snr_per_w(instrument: Instrument, site: Site | None) -> float:
     """Carrier-to-noise ratio of an echo in a rectangular bin, per watt of echo.
 
+    It is the number of photons detected coherently in a record, η_h η_q P T_rec / hν, divided by one plus the ratios of
+    all other noise to the local oscillator's shot noise.
+
     The photons detected coherently in a record, η_h η_q P T_rec / hν, over one plus the ratios of all other noise to
     the local oscillator's shot noise.
     """
@@ -21,7 +24,11 @@ def snr_per_w(instrument: Instrument, site: Site | None) -> float:
 
 
 def noise_over_shot(instrument: Instrument, site: Site | None) -> tuple[float, float]:
-    """Ratios to the local oscillator's shot noise: all noise ahead of the amplifier's poles, and the digitiser's.
+    """Ratios to the local oscillator's shot noise: of all noise ahead of the amplifier's poles, and of the digitiser's.
+
+    The current noise densities are: shot noise 2 q R P_LO, dark current 2 q I_d, thermal 4kT/R_f, intensity noise RIN
+    (R P_LO)² after common-mode rejection, sunlight in the receiver's own mode, and the digitiser's (full scale /
+    2^bits)² / 12 spread from 0 to half the sample rate.
 
     Current noise of shot 2 q R P_LO, dark 2 q I_d, thermal 4kT/R_f, intensity RIN (R P_LO)² after common-mode
     rejection, sunlight in the receiver's own mode, and the digitiser's (full scale / 2^bits)² / 12 spread from 0 to

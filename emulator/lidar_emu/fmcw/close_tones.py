@@ -1,11 +1,11 @@
-"""Rectangular bins of tones that lie close together and far from 0 and N/2: the common case, at a third of the cost.
+"""Rectangular bins of tones that are close together and far from 0 and N/2: the common case, at a third of the cost.
 
 The kernel of `spectrum` is split into its pole and a remainder that is a polynomial over the few bins in question,
 
-    csc(πx/N)/N = 1/(πx) + πx/6N² + 7π³x³/360N⁴ + ...,
+csc(πx/N)/N = 1/(πx) + πx/6N² + 7π³x³/360N⁴ + ...,
 
-and the image, a pole far away, is its own Taylor series. Remainder and image then follow from five moments of the
-tones, and only the poles are summed tone by tone: four of them to a division.
+and the image, a distant pole, is expanded in a Taylor series. Remainder and image then follow from five moments of the
+tones, and only the poles are summed tone by tone, with one division for four of them.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.sine import FAST, sin_pi
 
 TONES_PER_DIVISION = 4
-"""Tones come in multiples of it; fill up with tones of no weight."""
+"""Tones are padded to a multiple of it with tones of zero weight."""
 
 _LANES = 4
-"""Numbers in a vector."""
+"""Numbers in a vector register."""
 
 _Five = tuple[float, float, float, float, float]
 
 _TRUNCATION = 3e-13
-"""Largest U⁵/D⁶ for tones and bins within U of their middle, the image D away: π times the first term left out."""
+"""Largest U⁵/D⁶ for tones and bins within U of their middle and the image at D; π times the first neglected term."""
 
 
 @kernel
@@ -56,7 +56,7 @@ def set_close_tones(
         tones: (4, tones) n, δ with |δ| <= 1/2, real and imaginary part of the weight; a multiple of
             TONES_PER_DIVISION.
         length: N.
-        grid: as `lay_bins` leaves it.
+        grid: grid from `lay_bins`.
         count: bins in use.
         bins: (2, capacity) receives real and imaginary parts.
         scratch: (2, tones or more) overwritten.
@@ -69,7 +69,7 @@ def set_close_tones(
         odd = whole[i] - 2.0 * np.floor(0.5 * whole[i])
         share = (1.0 - 2.0 * odd) * sin_pi(_off(rests[i])) / pi
         residue_re[i], residue_im[i] = share * weight_re[i], share * weight_im[i]
-    # In whole vectors, where there are columns enough; columns beyond `count` are never read.
+    # In whole vectors where there are enough columns; columns beyond `count` are never read.
     wide = min(-(-count // _LANES) * _LANES, grid.shape[1], bins.shape[1])
     _sum_poles(tones, residues, grid, wide, bins)
     _add_remainder(tones, residues, length, middle, grid, wide, bins)
@@ -99,7 +99,7 @@ def _sum_poles(
 
 @kernel(fastmath=FAST, forceinline=True)
 def _off(rest: float) -> float:
-    """δ kept off zero, so that a tone on its bin has a pole beside it."""
+    """δ kept away from zero, so that a tone on its bin has a pole beside it."""
     return rest + copysign(1e-18, rest)
 
 
@@ -117,7 +117,7 @@ def _add_remainder(
     residue_re, residue_im = residues[0], residues[1]
     a0 = a1 = a2 = a3 = a4 = 0.0
     b0 = b1 = b2 = b3 = b4 = 0.0
-    # Ten sums at once, since none of them can be taken in another order.
+    # Ten sums at once, since the order of each is fixed.
     for i in range(tones.shape[1]):
         e = (places[i] - middle) + rests[i]
         a, b = residue_re[i], residue_im[i]
@@ -144,7 +144,7 @@ def _add_remainder(
 def _remainder(
     image: _Five, sign: float, length: float, m0: float, m1: float, m2: float, m3: float, m4: float
 ) -> _Five:
-    """Coefficients of the polynomial over bins that follows from the moments of residues."""
+    """Coefficients of the polynomial over bins that follows from the moments."""
     f0, f1, f2, f3, f4 = (sign * image[0], sign * image[1], sign * image[2], sign * image[3], sign * image[4])
     first = pi * pi / (6.0 * length * length)
     third = 7.0 * pi**4 / (360.0 * length**4)

@@ -1,4 +1,4 @@
-"""Detection: groups of strong bins in a spectrum, the targets in them, and peaks of the noise elsewhere."""
+"""Detection: groups of strong bins in a spectrum, their targets, and noise peaks elsewhere."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def find_targets(
     for g in range(groups):
         _set_target(model, spectra, spectra.peaks[g], targets[g])
         if model.peak_method != BIN_CENTRE:
-            # The estimators know of noise only.
+            # The estimators take noise alone into account.
             targets[g].variance_bin2 += line_variance(model, work.beamlets[RANGE_M, 0]) / model.looks
     return insert_alarms(model, work.alarms[:alarms], highest, targets, groups)
 
@@ -81,16 +81,16 @@ def find_groups(
     """Contiguous bins above a floor, with a peak above the threshold.
 
     Args:
-        power: (bins,) with 0 at the end and between intervals that do not touch.
+        power: (bins,) powers, with 0 at the end and between separate intervals.
         noise: (bins,) mean power of the noise, in any unit.
-        threshold: least power of a group's peak over its noise.
-        floor: least power of a group's bins.
+        threshold: minimum power of a group's peak relative to its noise.
+        floor: minimum power of a group's bins.
         peaks: (MAX_TARGETS,) receives the indices of the groups' highest bins, strongest first.
 
     Returns:
-        The number of groups, MAX_TARGETS at most.
+        Number of groups, at most MAX_TARGETS.
     """
-    # No literals, for which numba would compile `_keep` once more.
+    # Variables instead of literals, for which numba would compile `_keep` once more.
     count, peak = int(np.int64(0)), int(np.int64(-1))
     for j in range(len(power)):
         if power[j] > floor:
@@ -105,7 +105,7 @@ def find_groups(
 
 @kernel
 def _keep(power: FloatArray, peak: int, peaks: NDArray[np.int64], count: int) -> int:
-    """Put a peak in its place among the `count` strongest; of equals the first stays before."""
+    """Insert a peak among the `count` strongest; of equal ones the first stays ahead."""
     place = count
     while place > 0 and power[peaks[place - 1]] < power[peak]:
         if place < MAX_TARGETS:

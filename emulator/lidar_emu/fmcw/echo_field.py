@@ -1,4 +1,4 @@
-"""The field of the echo: amplitude and phase of each beamlet in each record, as every level of the receiver has it."""
+"""The echo field: amplitude and phase of each beamlet in each record, common to all levels of the receiver."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ def echo_field(
 ) -> NDArray[np.complex128]:
     """Complex amplitude of each beamlet at the centre of each record, (shots, beams, 3, beamlets).
 
-    Its square is the bin SNR ahead of the receiver's poles, of an echo that fills the record, with one look. With
-    speckle each amplitude has the factor of a circular complex Gaussian number, that of the record's own time; without,
-    the beamlets add in phase, beamlet i with P_i / sqrt(P). A phase common to the beam is uniform in each record. The
-    tone is Re{field exp(j2πgt)} with the segment's signed beat g; in the up-chirp, where g rises with the delay, the
-    echo's own field enters as its conjugate. A beamlet that returns no light has 0.
+    The square of the field is the bin SNR ahead of the receiver's poles, for an echo that fills the record, with one
+    look. With speckle each amplitude is multiplied by a circular complex Gaussian number of the record's own time;
+    without, the beamlets add in phase, beamlet i with P_i / sqrt(P). A phase common to the beam is uniform in each
+    record. The tone is Re{field exp(j2πgt)} with the segment's signed beat g; in the up-chirp, where g rises with the
+    delay, the echo field enters as its conjugate. A beamlet without light has the field 0.
 
     Args:
         model: from `build_receiver`.
-        echoes: shaped (shots, beams, beamlets).
+        echoes: echoes (shots, beams, beamlets).
         shot: (shots,) numbers of the shots.
-        seed: 64 bits, of everything drawn.
+        seed: seed of all random numbers, 64 bits.
     """
     lit = (echoes.range_m > 0.0) & (echoes.power_w > 0.0)
     lit &= np.isfinite(echoes.power_w) & np.isfinite(echoes.closing_speed_mps)

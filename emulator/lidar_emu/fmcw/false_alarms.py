@@ -1,4 +1,4 @@
-"""False alarms: the highest peaks of noise where no bins are computed."""
+"""False alarms: the highest noise peaks in bins that are not computed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from lidar_emu.numerics.random_streams import FALSE_ALARM
 from lidar_emu.probability.noise import minus_log_exceedance, threshold_power
 
 _VARIANCE_TIMES_SNR = 0.5
-"""Variance of a sub-bin estimator times the SNR, for peaks in noise, whose bins are not computed."""
+"""Variance of a sub-bin estimator times the SNR, for noise peaks, whose neighbouring bins are not computed."""
 
 
 @kernel
@@ -38,9 +38,10 @@ def noise_peak(
     beam: Any,
     index: int,
 ) -> tuple[float, float]:
-    """The highest of `bins` powers over their mean, given that none exceeds `below`, and its place from 0 to 1.
+    """The highest of `bins` noise powers over their mean, given that none exceeds `below`, and its position from 0 to
+    1.
 
-    The largest of B is below p with probability (1 - Q(p))^B; of a single look, p = -log(1 - u^(1/B)).
+    The largest of B powers is below p with probability (1 - Q(p))^B; for a single look, p = -log(1 - u^(1/B)).
     """
     u, place = uniform_pair(beam.seed, beam.shot, beam.beam, FALSE_ALARM, index)
     ceiling = log1p(-exp(-minus_log_exceedance(looks * below, looks))) if below < np.inf else 0.0
@@ -58,16 +59,17 @@ def draw_alarms(
     computed: float,
     alarms: NDArray[Any],
 ) -> int:
-    """Peaks of noise above the threshold in bins that are not computed, unless the echo leaves them no chance.
+    """Draw noise peaks above the threshold in bins that are not computed, unless the echo hides them with near
+    certainty.
 
     Args:
         highest: power of the echo's highest bin.
-        noisiest: mean noise power of the rectangular bins there.
-        computed: bins that are computed.
-        alarms: (MAX_TARGETS,) of TARGET, filled strongest first.
+        noisiest: maximum mean noise power of the rectangular bins there.
+        computed: number of bins that are computed.
+        alarms: (MAX_TARGETS,) of TARGET, filled in descending order of power.
 
     Returns:
-        Their number.
+        Number of noise peaks.
     """
     # In units of the mean noise power of a windowed bin; the noise elsewhere may be twice as strong as here.
     floor = max(model.threshold, model.group_power_share * highest / (2.0 * noisiest * model.noise_power))
@@ -95,7 +97,7 @@ def draw_alarms(
 def insert_alarms(
     model: ReceiverModel, alarms: NDArray[Any], highest: float, targets: NDArray[Any], count: int
 ) -> int:
-    """Insert peaks of noise among the `count` targets where they are near the highest power; return the new count."""
+    """Insert noise peaks that are near the highest power among the `count` targets; returns the new count."""
     for a in range(len(alarms)):
         if alarms[a].power > model.group_power_share * highest:
             count = _insert(alarms[a], targets, count)
@@ -104,7 +106,7 @@ def insert_alarms(
 
 @kernel
 def _insert(alarm: Any, targets: NDArray[Any], count: int) -> int:
-    """Insert a peak of noise among the `count` strongest targets, by its power."""
+    """Insert a noise peak among the `count` strongest targets, by its power."""
     place = count
     while place > 0 and targets[place - 1].power < alarm.power:
         if place < MAX_TARGETS:
@@ -118,6 +120,9 @@ def _insert(alarm: Any, targets: NDArray[Any], count: int) -> int:
 @lru_cache(16)
 def neighbour_exceedance(window: SpectralWindow, threshold: float) -> float:
     """Probability that the bin after a noise bin above the threshold exceeds it too: windows correlate neighbours.
+
+    For two circular Gaussians with squared correlation ρ², the power of one, given power p of the other, is noncentral
+    chi-squared; the excess of p over the threshold is exponential.
 
     Of two circular Gaussians with squared correlation ρ² the one's power, given the other's p, is noncentral
     chi-squared; p beyond the threshold is exponential.

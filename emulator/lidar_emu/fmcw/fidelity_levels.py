@@ -1,7 +1,7 @@
 """The levels of the receiver: how much of it is computed between echoes and measurement.
 
-`geometric` reports the truth of each beam's axis, `statistical` draws from the closed-form error model, `spectral`
-computes the bins of the spectra that matter, `waveform` every sample. What a level does not need is not imported.
+`geometric` reports the truth of each beam's axis, `statistical` draws from a closed-form error model, `spectral`
+computes the relevant bins of the spectra, `waveform` every sample. A level imports only the modules that it needs.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Level = Callable[[Echoes, NDArray[np.int64]], Returns]
 
 
 def build_level(scenario: FlightScenario) -> Level:
-    """The level that the scenario asks for.
+    """Build the level that the scenario selects.
 
     Raises:
         InputError: the instrument is impossible.
@@ -42,7 +42,7 @@ def build_level(scenario: FlightScenario) -> Level:
 
 
 def geometric(echoes: Echoes, maximum_range_m: float) -> Returns:
-    """The truth of each beam's axis, its first beamlet, at the time of validity."""
+    """Report the truth of each beam's axis, its first beamlet, at the time of validity."""
     range_m, speed_mps = echoes.range_m[..., 0], echoes.closing_speed_mps[..., 0]
     reason = np.full(echoes.fired.shape, Reason.VALID, dtype=np.int8)
     with np.errstate(invalid="ignore"):

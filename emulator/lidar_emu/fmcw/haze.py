@@ -1,4 +1,4 @@
-"""Light that the air returns: a line of its own in the constant segment, noise along the chirps."""
+"""Backscatter of the atmosphere: a line in the constant segment, additional noise in the chirps."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ def set_haze_tone(
     beam: Any,
     look: int,
 ) -> None:
-    """The air's own line in the constant segment: all of it closes with the sensor's speed. The last of the tones."""
+    """Set the line of the haze in the constant segment, where all of it has the sensor's closing speed, as the last
+    tone."""
     beat = signed_bin(model, 1, work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0])
     gain_re, gain_im = tone_gain(model.response, beat)
     observed_bin, factor_re, factor_im = fold(beat, model.fft_length)
@@ -42,9 +43,9 @@ def set_haze_tone(
 
 @kernel
 def haze_snr(model: ReceiverModel, range_m: float) -> float:
-    """SNR of the air's light from the sensor to a range: ∫ exp(-2αr) / (1 + (r/z)²) dr, by panels of Simpson's rule."""
+    """SNR of the backscatter from the sensor to a range: ∫ exp(-2αr) / (1 + (r/z)²) dr, by panels of Simpson's rule."""
     z = model.haze.rayleigh_range_m
-    # In the variable atan(r/z) the beam's spreading is gone.
+    # The substitution atan(r/z) removes the beam's divergence.
     end = np.arctan(range_m / z)
     total = 0.0
     for i in range(2 * _PANELS + 1):
@@ -59,13 +60,13 @@ def haze_snr(model: ReceiverModel, range_m: float) -> float:
 def add_haze(
     model: ReceiverModel, work: Workspace, grid: FloatArray, segment: int, gain: float, count: int
 ) -> None:
-    """The air's light in a chirp: each range has its own beat, so that it adds to the noise of each bin."""
+    """Add the backscatter in a chirp: each range has its own beat, so that it adds to the noise of each bin."""
     farthest_m, speed_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
     zero = signed_bin(model, segment, 0.0, speed_mps)
     scale = gain * gain * model.haze.snr_per_m / model.beat_bin_per_m
     for j in range(count):
         k = grid[BIN, j]
-        # The signed beats that are seen at bin k: itself, its mirror, and those beyond N/2.
+        # Signed beats that appear in bin k: k itself, its mirror image, and those beyond N/2.
         for beat in (k, -k, model.fft_length - k, k - model.fft_length):
             r = (beat - zero) / model.beat_bin_per_m
             if 0.0 < r < farthest_m:

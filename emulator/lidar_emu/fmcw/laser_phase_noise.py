@@ -1,4 +1,4 @@
-"""Laser phase noise: what the laser's linewidth makes of a beat over the echo's delay, as a filter over bins."""
+"""Laser phase noise: effect of the laser's linewidth on a beat over the echo's delay, as a filter over bins."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from lidar_emu.numerics.random_streams import LINE
 
 @kernel
 def line_variance(model: ReceiverModel, range_m: float) -> float:
-    """Variance in bins² of a beat's frequency by the laser's white frequency noise over the delay, 6Δν τ²/π."""
+    """Variance in bins² of a beat's frequency from the laser's white frequency noise over the delay, 6Δν τ²/π."""
     delay = model.delay_per_m * range_m
     return 6.0 * model.linewidth_bins / pi * delay * delay if model.homodyne_line else 0.0
 
 
 @kernel
 def line_share(model: ReceiverModel, range_m: float) -> float:
-    """Share of the echo's power that the laser's line leaves in its central bin."""
+    """Fraction of the echo's power that the linewidth leaves in its central bin."""
     if model.homodyne_line or model.linewidth_bins == 0.0:
         return exp(-phase_drift(model, range_m))
     return erf(0.5 * sqrt(4.0 * log(2.0)) / model.linewidth_bins)
@@ -29,7 +29,7 @@ def line_share(model: ReceiverModel, range_m: float) -> float:
 
 @kernel
 def phase_drift(model: ReceiverModel, range_m: float) -> float:
-    """Variance of the phase that the laser drifts within the echo's delay."""
+    """Variance of the laser's phase drift within the echo's delay."""
     return 2.0 * pi * model.linewidth_bins * model.delay_per_m * range_m
 
 
@@ -50,7 +50,7 @@ def line_taps(
     half: int,
     taps: FloatArray,
 ) -> None:
-    """Draw taps of exp(jΔφ), Δφ the phase that a Lorentzian laser drifts within the echo's delay.
+    """Draw taps of exp(jΔφ), where Δφ is the phase drift of a Lorentzian laser within the echo's delay.
 
     White frequency noise gives Δφ the variance x = 2π Δν τ and a triangular correlation of length τ. With a = 2πΔν
     the power of tap m and the pseudo-power E[c_m c_-m] are, at ω = 2πm (times and frequencies in records and bins),
@@ -58,21 +58,21 @@ def line_taps(
         P = 2 (a - e^-x (a cos ωτ - ω sin ωτ))/(a² + ω²) - 2 e^-x sin(ωτ)/ω,
         Q = 2 e^-x (a cos ωτ + ω sin ωτ - a e^-x)/(a² + ω²) - 2 e^-x sin(ωτ)/ω,
 
-    the transforms of e^-x (e^±R - 1): P is the pedestal of the self-homodyne line (Richter et al., IEEE J. Quantum
+    the transforms of e^-x (e^±R - 1). P is the pedestal of the self-homodyne line (Richter et al., IEEE J. Quantum
     Electron. 22, 1986). The taps are drawn as Gaussian. Where x is small, Q = -P: phase noise alone.
 
     Args:
         linewidth: Δν in bins.
         delay: τ in records.
         beam: record of the beam, `workspace.BEAM`.
-        first_index: of its random numbers.
+        first_index: index of the first random number.
         half: taps on each side.
         taps: (2, 2 half + 1) receives real and imaginary parts.
     """
     rate = 2.0 * pi * linewidth
     drift = rate * delay
     loss = exp(-drift)
-    # The record ends: correlations over the delay lose a little of it.
+    # The record is finite: correlations over the delay lose a little at its ends.
     overlap = max(0.0, 1.0 - delay / 3.0)
     for m in range(half + 1):
         omega = 2.0 * pi * m
@@ -97,7 +97,7 @@ def line_taps(
 def _line_powers(rate: float, drift: float, loss: float, omega: float, delay: float) -> tuple[float, float]:
     """P and Q of `line_taps` at one angular frequency."""
     if drift < 1e-3:
-        # The triangle's own transform; the two forms below cancel to it.
+        # The transform of the triangle itself; the two forms below cancel to it.
         sinc = 1.0 if omega == 0.0 else sin(0.5 * omega * delay) / (0.5 * omega * delay)
         power = drift * delay * sinc * sinc
         return power * (1.0 - 0.5 * drift), -power * (1.0 - 1.5 * drift)
@@ -117,14 +117,16 @@ def gaussian_line_taps(
     half: int,
     taps: FloatArray,
 ) -> None:
-    """Draw taps of the published simulation's line: its power is spread over bins as a Gaussian, whatever the delay.
+    """Draw taps of the line in the published simulation: its power is spread over bins as a Gaussian, for any delay.
+
+    The fraction in the central bin stays coherent; the other taps are circular Gaussian numbers.
 
     The central bin's share stays coherent; the others' are circular Gaussian numbers.
 
     Args:
         linewidth: full width at half maximum in bins.
         beam: record of the beam, `workspace.BEAM`.
-        first_index: of its random numbers.
+        first_index: index of the first random number.
         half: taps on each side.
         taps: (2, 2 half + 1) receives real and imaginary parts.
     """

@@ -1,4 +1,4 @@
-"""Link budget: how much light of a surface, of the air and of the sun is in the receiver's own spatial mode."""
+"""Link budget: power from a surface, the atmosphere and the sun in the receiver's own spatial mode."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 
 class EchoLaw(NamedTuple):
-    """Constants of the power of an echo as a function of range and incidence."""
+    """Constants of the echo's power as a function of range and incidence."""
 
     emitted_w: float
-    """Power of the laser, less what the optics and depolarisation cost."""
+    """Laser power less the losses of optics and depolarisation."""
     coupling: float
-    """λ²/(π w0²): what the mode of the local oscillator takes of a radiance of 1 W/m² per steradian at the aperture."""
+    """λ²/(π w0²): power that the local oscillator's mode receives from a radiance of 1 W/m² per steradian at the
+    aperture."""
     lommel_seeliger_share: float
     parting_per_m: float
     """Separation of the two modes in radii at the waist, per metre of range."""
@@ -36,7 +37,7 @@ class EchoLaw(NamedTuple):
 
 
 def echo_law(instrument: Instrument, surface: Surface, atmosphere: Atmosphere | None) -> EchoLaw:
-    """The law of `coherent_power_w`, for surfaces of any albedo; its arguments are explained there."""
+    """Constants of `coherent_power_w`, for surfaces of any albedo; its arguments are explained there."""
     wavelength_m, optics = instrument.waveform.wavelength_m, instrument.optics
     efficiency = optics.optical_efficiency * optics.depolarisation
     return EchoLaw(
@@ -68,21 +69,21 @@ def coherent_power_w(
     range_m: ArrayLike,
     cos_incidence: ArrayLike,
 ) -> NDArray[np.float64]:
-    """Power of the echo in the mode of the local oscillator, with the whole beam on such a surface.
+    """Power of the echo in the mode of the local oscillator, with the whole beam on one surface.
 
-    A monostatic transceiver with matched Gaussian modes: P = P_t η (ρ/π) f(θ) T² λ² / (π w(R)²), with w(R)² =
-    w0² [1 + (λR / π w0²)²], valid near and far; far away it is the effective aperture π w0² / R² of the
-    antenna theorem. η is the optics' efficiency, the depolarisation and exp(-(Rγ/w)²): two Gaussian modes whose
-    centres lie Rγ apart on the ground overlap by that (γ is the alignment error). The heterodyne efficiency is *not*
-    in it: the receiver applies it when it turns power into photons detected (`build_receiver`). The surface's
-    f(θ) = L + (1 - L) cos θ runs from Lambert (L = 0) to the Moon's lack of limb darkening at zero phase
+    A monostatic transceiver with matched Gaussian modes receives P = P_t η (ρ/π) f(θ) T² λ² / (π w(R)²), with w(R)² =
+    w0² [1 + (λR / π w0²)²], valid in the near and the far field; in the far field this is the effective aperture π w0²
+    / R² of the antenna theorem. η is the product of the optics' efficiency, the depolarisation and exp(-(Rγ/w)²), the
+    overlap of two Gaussian modes whose centres are Rγ apart on the ground (γ is the alignment error). The heterodyne
+    efficiency is *not* included: the receiver applies it when it converts power to detected photons (`build_receiver`).
+    The surface's f(θ) = L + (1 - L) cos θ runs from Lambert (L = 0) to the Moon's lack of limb darkening at zero phase
     angle (L = 1); T² = exp(-2 α R).
 
     Args:
         instrument: laser power, wavelength and optics.
         surface: albedo ρ and L.
         atmosphere: extinction α; None is vacuum.
-        range_m: any shape, NaN where nothing is met.
+        range_m: any shape, NaN where nothing is hit.
         cos_incidence: same shape; cosine of the angle between the ray back to the sensor and the normal.
 
     Returns:
@@ -95,6 +96,9 @@ def coherent_power_w(
 def haze_w_per_m(instrument: Instrument, atmosphere: Atmosphere) -> float:
     """Power that each metre of air just before the sensor returns in the mode of the local oscillator.
 
+    The value is P_t η β λ²/(π w0²): as for a surface, with the backscatter coefficient β instead of its radiance, and
+    without depolarisation, since the particles are assumed to be spherical.
+
     P_t η β λ²/(π w0²): as of a surface, with the backscatter coefficient β for its radiance, and without
     depolarisation, since the particles are taken for spheres.
     """
@@ -106,10 +110,10 @@ def haze_w_per_m(instrument: Instrument, atmosphere: Atmosphere) -> float:
 def haze_power_w(instrument: Instrument, atmosphere: Atmosphere, range_m: ArrayLike) -> NDArray[np.float64]:
     """Power that the air between the sensor and a range returns in the mode of the local oscillator.
 
-    Light scattered once: the integral of `haze_w_per_m` times exp(-2 α r)/(1 + (r/z)²), which is z arctan(R/z) in air
-    that scatters but does not dim. In φ = arctan(r/z) the spreading is gone; the rest goes by 48 points of Gauss, over
-    no more than 20 optical depths. The alignment error is left out: over the depth from which air returns most, the
-    modes part less than on the ground.
+    Single scattering: the integral of `haze_w_per_m` times exp(-2 α r)/(1 + (r/z)²), which is z arctan(R/z) in air that
+    scatters without extinction. The substitution φ = arctan(r/z) removes the divergence; the rest is integrated by 48
+    Gauss points over at most 20 optical depths. The alignment error is left out: over the depth from which most of the
+    light returns, the modes separate less than on the ground.
 
     Args:
         instrument: laser power, wavelength and optics.
@@ -129,11 +133,12 @@ def haze_power_w(instrument: Instrument, atmosphere: Atmosphere, range_m: ArrayL
 def sunlight_over_shot(instrument: Instrument, site: Site) -> float:
     """Noise of the sunlit ground over the shot noise of the local oscillator.
 
-    The ground's spectral radiance is ρ E/π, per frequency ρ E λ²/(π c). Of it a receiver of one spatial mode (A Ω =
-    λ²) and one polarisation takes N = ½ ρ E λ⁴/(π c) per hertz. Its beats with the local oscillator, from both sides
-    of its frequency, make a current noise of 4 R² P_LO N beside the shot noise 2 q R P_LO: the ratio is 2 R N/q, twice
-    the electrons per mode. An upper bound: all that the receiver sees is taken for ground in full sunlight, and the
-    optics for free of loss. No heterodyne efficiency belongs here, because whatever mode the oscillator has is filled.
+    The ground's spectral radiance is ρ E/π, or ρ E λ²/(π c) per frequency. A receiver with one spatial mode (A Ω = λ²)
+    and one polarisation receives N = ½ ρ E λ⁴/(π c) per hertz. Its beats with the local oscillator, from both sides of
+    its frequency, cause a current noise of 4 R² P_LO N, compared with the shot noise 2 q R P_LO: the ratio is 2 R N/q,
+    twice the electrons per mode. This is an upper bound: the whole field of view is assumed to be ground in full
+    sunlight, and the optics to be lossless. The heterodyne efficiency does not apply, because sunlight fills any mode
+    of the oscillator.
     """
     wavelength_m = instrument.waveform.wavelength_m
     irradiance_w_per_m3 = 1e6 * site.sunlight_w_per_m2_um

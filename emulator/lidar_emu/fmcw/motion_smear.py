@@ -11,7 +11,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 
 LEAST_TAPS = 8
-"""Taps on each side of the central one, before a wide smear or line asks for more."""
+"""Taps on each side of the central one, unless a wide smear or line needs more."""
 
 _SERIES_LIMIT = 2.0
 
@@ -19,7 +19,7 @@ _TERMS = 14
 
 
 def _moments() -> FloatArray:
-    """(terms, taps) π^p/p! times the integral of x^2p cos(2πmx) over the record, x from -1/2 to 1/2."""
+    """π^p/p! times the integral of x^2p cos(2πmx) over the record, x from -1/2 to 1/2: (terms, taps)."""
     node, weight = np.polynomial.legendre.leggauss(64)
     x, weight = 0.5 * node, 0.5 * weight
     taps = np.cos(2 * np.pi * np.arange(LEAST_TAPS + 1)[:, None] * x)
@@ -35,7 +35,10 @@ _NODES, _WEIGHTS = (np.ascontiguousarray(a) for a in np.polynomial.legendre.legg
 
 @kernel
 def smear_bins(model: ReceiverModel, segment: int, speed_mps: float, acceleration_mps2: float) -> float:
-    """Change of a beat during its record, in bins: by acceleration, and in the chirps by range migration.
+    """Change of a beat during its record, in bins: by acceleration, and in the chirps by range-Doppler migration.
+
+    The range of a scatterer changes with its speed, and its Doppler shift with the optical frequency: each contributes
+    half of the chirps' -4Sv/c.
 
     A scatterer's range changes with its speed, and so does its Doppler shift with the optical frequency: each makes
     half of the chirps' -4Sv/c.
@@ -51,7 +54,7 @@ def smear_bins(model: ReceiverModel, segment: int, speed_mps: float, acceleratio
 def smear_taps(smear: float, half: int, taps: FloatArray) -> None:
     """Taps of exp(jπβx²), x from -1/2 to 1/2 over the record: a beat that changes by β bins during it.
 
-    A series in β for small changes, Gauss-Legendre panels for large ones.
+    Computed by a series in β for small changes, and by Gauss-Legendre panels for large ones.
 
     Args:
         smear: β.

@@ -1,4 +1,4 @@
-"""Doppler sign ambiguity of a homodyne receiver: the same beats, explained by the opposite sign of the shift."""
+"""Doppler sign ambiguity of a homodyne receiver: the same beats, interpreted with the opposite sign of the shift."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from lidar_emu.numerics.kernels import kernel
 
 @kernel
 def with_opposite_sign(usual: Estimate, mask: int, targets: NDArray[Any]) -> Estimate:
-    """The estimate of a chirp and the Doppler line if the shift has the opposite sign.
+    """Estimate from a chirp and the Doppler line if the shift has the opposite sign.
 
-    F₀ = |d| has no sign, so that g₊ = b - d or g₋ = b + d has a second solution with -d. For a closing lidar that goes
-    by the down-chirp it is b + 2d: too far by 2 c |v| / (λS), 193 s times the speed with 2 MHz/µs at 1.55 µm. Of
-    three segments the longer chirp is taken; the shorter one would refute it.
+    F₀ = |d| has no sign, so that g₊ = b - d or g₋ = b + d has a second solution with -d. For a closing lidar that uses
+    the down-chirp it is b + 2d: too far by 2 c |v| / (λS), 193 s times the speed with 2 MHz/µs at 1.55 µm. With three
+    segments the chirp with the higher beat is used; the other would contradict the result.
 
     Args:
-        usual: the estimate of the instrument's own estimator.
+        usual: estimate by the instrument's own estimator.
         mask: bits of the segments that have a target.
-        targets: (3,) of TARGET: one of each segment.
+        targets: (3,) of TARGET: one target per segment.
 
     Returns:
-        The least b that is not negative; not found without Doppler line, or where both chirps tell the sign.
+        The solution with the least nonnegative b; not found without Doppler line, or where both chirps determine the
+        sign.
     """
     up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
     up_var, constant_var, down_var = (
