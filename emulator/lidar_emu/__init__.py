@@ -1,4 +1,4 @@
-"""A stand-in for a multi-beam FMCW Doppler landing lidar.
+"""A hardware-in-the-loop emulator of a multi-beam FMCW Doppler landing lidar.
 
 import lidar_emu
 
@@ -21,7 +21,7 @@ _HOMES = {"load": "lidar_emu.scenario.load", "simulate": "lidar_emu.shots.model"
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for when it is asked for: the model needs a second to load, `--help` must not."""
+    """Import attributes on first use: the model takes a second to load, which `--help` must not."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

@@ -6,7 +6,7 @@ import sys
 
 
 def main() -> None:
-    """Run it; Ctrl-C ends it quietly, even while it is being loaded."""
+    """Run the command line; Ctrl-C ends it quietly, even during import."""
     try:
         from lidar_emu.cli import main as command
 

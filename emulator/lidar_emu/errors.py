@@ -35,14 +35,14 @@ class Finding(str):
 
 
 def shown(value: object, limit: int = 60) -> str:
-    """``value`` as a short piece of text for a message, much as an author would write it."""
+    """Short text for a value in a message, much as an author would write it."""
     try:
         text = (
             repr(value)
             if isinstance(value, str | float)
             else json.dumps(value, default=repr, ensure_ascii=False)
         )
-    except (TypeError, ValueError):  # a whole number of thousands of digits, a list within itself
+    except (TypeError, ValueError):  # An integer of thousands of digits, or a list within itself.
         text = f"a value of type {type(value).__name__}"
     return text if len(text) <= limit else text[: limit - 3] + "..."
 

@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and the cache folder."""
+"""Atomic files, and the cache folder."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ def check_destination(path: Path, option: str | None = None) -> None:
     """Refuse, before a long run, a path that cannot be written.
 
     Raises:
-        InputError: the folder is missing or not writable, or `path` is no name of a file; names `option` or `path`.
+        InputError: the folder is missing or not writable, or `path` cannot name a file; the error names `option` or
+            `path`.
     """
     where, name = (str(path), None) if option is None else (option, str(path))
     try:
         exists, has_folder, is_folder = path.exists(), path.parent.is_dir(), path.is_dir()
-    except (OSError, ValueError) as error:  # a name that is too long, or holds a NUL
+    except (OSError, ValueError) as error:  # The name is too long, or contains NUL.
         raise InputError(where, None, name or Finding(str(error)), "allowed: the name of a file") from None
     if not has_folder:
         raise InputError(
@@ -35,10 +36,10 @@ def check_destination(path: Path, option: str | None = None) -> None:
 
 
 def check_extra(path: Path, module: str, extra: str) -> None:
-    """Refuse a path whose kind needs an optional package that is not installed.
+    """Refuse a path whose format needs an optional package that is not installed.
 
     Raises:
-        InputError: `module` is absent; names the extra that brings it.
+        InputError: `module` is not installed; names the extra that provides it.
     """
     if find_spec(module) is None:
         allowed = f"allowed after: pip install 'lidar-emu[{extra}]'"
@@ -47,16 +48,16 @@ def check_extra(path: Path, module: str, extra: str) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[BinaryIO]:
-    """An open file that takes the name `path` once it is complete; an older file stays until then.
+    """Open a file that takes the name `path` once it is complete; an older file stays until then.
 
-    Any number of threads, processes and machines may write the same file at once; the last to finish wins.
+    Any number of threads, processes and machines may write the same file concurrently; the last to finish wins.
 
     Raises:
         InputError: the path cannot be written.
-        RunError: writing failed on the way (a full disk).
+        RunError: writing failed (for example, the disk is full).
     """
     check_destination(path)
-    # A sibling, since a rename is atomic within one file system only.
+    # A temporary file in the same folder, since a rename is atomic within one file system only.
     unfinished = path.with_name(f".{path.name}.{token_hex(4)}")
     try:
         file = unfinished.open("wb")
@@ -75,11 +76,11 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def cache_folder() -> Path:
-    """The folder of compiled kernels and generated ground, which may not exist yet.
+    """Folder of compiled kernels and generated ground, which may not exist yet.
 
-    It is `~/.cache/lidar-emu` unless `XDG_CACHE_HOME` says otherwise.
+    It is `~/.cache/lidar-emu` unless `XDG_CACHE_HOME` is set.
 
     Raises:
-        RuntimeError: for a user without a home.
+        RuntimeError: the user has no home folder.
     """
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lidar-emu"

@@ -37,7 +37,7 @@ class Measurement(BeamReport):
             "i8", "ns", "Time of validity since the epoch, also of beams that did not fire.", Group.TIMING
         ),
     ]
-    """The centre of the constant segment's record; of a bench pattern the start of the shot."""
+    """Centre of the constant segment's record; for a bench pattern, the start of the shot."""
     due_ns: Annotated[
         IntArray,
         Column(

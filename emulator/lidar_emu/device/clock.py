@@ -30,24 +30,24 @@ class OnboardClock(NamedTuple):
     ageing_per_ns: float
     """Change of the frequency error per nanosecond."""
     set_ns: int
-    """When it was set, in true time."""
+    """True time at which the clock was set."""
     shown_ns: int
-    """Its reading then."""
+    """Reading at that time."""
     synced_ns: int | None
-    """When it was synchronised; None: it is not locked."""
+    """True time of the last synchronisation; None: not locked."""
     noise: FrequencyNoise | None = None
-    """Its frequency noise."""
+    """Frequency noise of the oscillator."""
 
     @property
     def is_exact(self) -> bool:
-        """Whether it always reads scenario time."""
+        """Whether the clock always reads scenario time."""
         has_steady_rate = self.rate_error == 0.0 and self.ageing_per_ns == 0.0 and self.noise is None
         return self.set_ns == self.shown_ns and has_steady_rate
 
     def reads_ns(self, time_ns: _Time) -> _Time:
-        """Its reading at a true time; never negative."""
+        """Reading at a true time; never negative."""
         elapsed_ns = time_ns - self.set_ns
-        # Integral of the frequency error since it was set.
+        # Integral of the frequency error since the clock was set.
         middle_ns = (time_ns + self.set_ns) / 2 - self.powered_ns
         gained_ns = elapsed_ns * (self.rate_error + self.ageing_per_ns * middle_ns)
         if self.noise is not None:
@@ -59,7 +59,8 @@ class OnboardClock(NamedTuple):
         return np.maximum(0, self.shown_ns + elapsed_ns + np.rint(gained_ns).astype(np.int64))
 
     def set_to(self, shown_ns: int, at_ns: int) -> OnboardClock:
-        """The clock after synchronisation: at the true time `at_ns` it reads `shown_ns`. Its frequency error stays."""
+        """The clock after synchronisation: at the true time `at_ns` it reads `shown_ns`; its frequency error is
+        unchanged."""
         return self._replace(set_ns=at_ns, shown_ns=shown_ns, synced_ns=at_ns)
 
     def counted_from(self, zero_ns: int) -> OnboardClock:
@@ -81,7 +82,7 @@ def powered_up(
         part: the scenario's clock.
         time_ns: true time of power-up.
         epoch_ns: true time at which a clock without offset reads 0.
-        noise: its frequency noise.
+        noise: frequency noise of the oscillator.
     """
     return OnboardClock(
         epoch_ns=epoch_ns,

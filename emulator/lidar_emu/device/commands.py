@@ -1,4 +1,4 @@
-"""Commands: the state of the device after each, or why it is rejected."""
+"""Commands: the state of the device after each, or the reason for rejecting it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ OUT_OF_STATE = "out_of_state"
 OUT_OF_RANGE = "out_of_range"
 
 PATTERN_OF_SWITCHES = 255
-"""Argument of `set_pattern` for the scanner's own switches."""
+"""Argument of `set_pattern` that returns the choice to the scanner's own switches."""
 _RATE_STEP_HZ = 1e-3
 """Resolution of the command `set_rate_hz`."""
 
@@ -39,10 +39,10 @@ class _RejectedError(Exception):
 
 
 def execute(rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> tuple[DeviceState, str]:
-    """The state after a command, and its verdict. A command that changes nothing returns the same object.
+    """State after a command, and the verdict. A command that changes nothing returns the same object.
 
     Args:
-        state: at the time of the command.
+        state: state at the time of the command.
     """
     handler = _COMMANDS.get(command.name)
     if handler is None or state.mode not in handler.modes:
@@ -86,10 +86,11 @@ def _set_pattern(rules: DeviceConstants, state: DeviceState, command: DeviceComm
 
 
 def _set_rate(rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
-    """Shots stay on the scenario's grid: the rate is the scenario's rate divided by a whole number."""
+    """Set the shot rate; shots stay on the scenario's grid, since the rate must be the scenario's rate divided by an
+    integer."""
     rate_hz = _number(command, "rate_hz")
     divisor = max(1, round(rules.rate_hz / rate_hz)) if rate_hz >= _RATE_STEP_HZ else 1
-    if not abs(rules.rate_hz / divisor - rate_hz) <= _RATE_STEP_HZ:  # NaN is no rate either
+    if not abs(rules.rate_hz / divisor - rate_hz) <= _RATE_STEP_HZ:  # Also rejects NaN.
         raise _RejectedError(OUT_OF_RANGE)
     return _with(state, divisor=divisor)
 
@@ -160,7 +161,7 @@ _TRANSITIONS = {
     Mode.TRACK: _READY,
     Mode.SAFE: _READY,
 }
-"""The modes that can be commanded, each with the modes from which it can."""
+"""Modes that can be commanded, each with the modes from which it can be reached."""
 
 
 class _Handler(NamedTuple):

@@ -1,4 +1,4 @@
-"""DeviceConstants of a device: its part of the scenario in whole nanoseconds, and what it needs of the other parts."""
+"""Constants of a device: its part of the scenario in integer nanoseconds, and values that it needs of other parts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class TimedEvent:
 
     at_ns: int
     what: str
-    """Its name in the scenario."""
+    """Name of the event in the scenario."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class DeviceConstants:
     self_test_ns: int
     warm_restart_ns: int
     waits_for_commands: bool
-    """Whether it stays in standby after a start; otherwise it begins to measure."""
+    """Whether the device stays in standby after a start; otherwise it begins to measure."""
     defaults: Settings
     """Settings after power-up and a cold restart."""
     clock: DeviceClock
@@ -64,7 +64,7 @@ def device_rules(
     faults: Sequence[Fault] = (),
     seed: int = 0,
 ) -> DeviceConstants:
-    """The rules of a scenario's device; `seed` seeds the frequency noise of its clock."""
+    """Constants of a scenario's device; `seed` seeds the frequency noise of its clock."""
     thermal, clock = part.thermal, part.clock
     return DeviceConstants(
         start=Mode(part.start),

@@ -39,14 +39,14 @@ def initial(rules: DeviceConstants) -> DeviceState:
 
 
 def advance(rules: DeviceConstants, state: DeviceState, time_ns: int) -> DeviceState:
-    """The state at a time, if no command arrives until then; an earlier time changes nothing."""
+    """State at a time, if no command arrives until then; an earlier time changes nothing."""
     while state.until_ns is not None and state.until_ns <= time_ns:
         state = timed(rules, _next(rules, state, state.until_ns))
     return state
 
 
 def timed(rules: DeviceConstants, state: DeviceState) -> DeviceState:
-    """The state with the instant of its next change; call it after any change that could have moved that instant."""
+    """State with the instant of its next change; call it after any change that could have moved that instant."""
     instants = (
         state.pending[0].at_ns if state.pending else None,
         _event_ns(rules, state),
@@ -64,7 +64,7 @@ def enter(
     time_ns: int,
     pending: tuple[PendingTransition, ...] = (),
 ) -> DeviceState:
-    """The state in another mode, with the transitions that follow; mode fault if the interlock is open."""
+    """State in another mode, with the transitions that follow; mode fault if the interlock is open."""
     if mode in INTERLOCKED and not state.interlock_closed:
         mode, pending = Mode.FAULT, ()
     thermal = state.thermal.switched(rules.thermal, mode in MEASURING, time_ns)
@@ -72,13 +72,14 @@ def enter(
 
 
 def acquire(rules: DeviceConstants, state: DeviceState, time_ns: int) -> DeviceState:
-    """The state in mode acquire, which mode track follows."""
+    """State in mode acquire, which mode track follows."""
     track = PendingTransition(time_ns + state.settings.acquisition_ns, Mode.TRACK)
     return enter(rules, state, Mode.ACQUIRE, time_ns, (track,))
 
 
 def restart(rules: DeviceConstants, state: DeviceState, time_ns: int, cold: bool) -> DeviceState:
-    """The state after a reset: boot, then standby; a cold one has a self-test, and settings and clock of power-up."""
+    """State after a reset: boot, then standby; after a cold restart with self-test, and with settings and clock of
+    power-up."""
     state = state._replace(restarts=state.restarts + 1, restarted_ns=time_ns)
     if not cold:
         started = _started(rules, time_ns + rules.warm_restart_ns, state.settings.acquisition_ns)
@@ -89,7 +90,7 @@ def restart(rules: DeviceConstants, state: DeviceState, time_ns: int, cold: bool
 
 
 def counted_from(rules: DeviceConstants, state: DeviceState, zero_ns: int) -> DeviceState:
-    """The same state with times counted from another instant, under rules whose events count from there."""
+    """The same state with times counted from another instant, with constants whose events count from there."""
     moved = state._replace(
         pending=tuple(PendingTransition(due.at_ns - zero_ns, due.mode) for due in state.pending),
         clock=state.clock.counted_from(zero_ns),
@@ -112,7 +113,7 @@ def _started(rules: DeviceConstants, time_ns: int, acquisition_ns: int) -> tuple
 
 
 def _next(rules: DeviceConstants, state: DeviceState, time_ns: int) -> DeviceState:
-    """The state after the change that is due at this instant; the order here decides between several."""
+    """State after the change that is due at this instant; the order of the checks decides between several."""
     if _event_ns(rules, state) == time_ns:
         what = rules.events[state.events_passed].what
         return _happened(rules, state._replace(events_passed=state.events_passed + 1), what, time_ns)

@@ -1,4 +1,4 @@
-"""Settling of the beams: after a change of pattern they do not fire for a while."""
+"""Settling of the beams: after a change of pattern they do not fire for the settling time."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ class Settling(NamedTuple):
     """State carried from shot to shot."""
 
     pattern: int | None = None
-    """Pattern of the last shot; None: not known."""
+    """Pattern of the last shot; None: unknown."""
     changed_ns: int | None = None
-    """When the first shot with that pattern began; None: long ago."""
+    """Start of the first shot with that pattern; None: long ago."""
 
     def settled(
         self, patterns: IntArray, first: int, period_ns: int, settling_ns: int
     ) -> tuple[BoolArray, Settling]:
-        """(shots,) Whether the beams have settled in each of consecutive shots; and the state after them.
+        """Whether the beams have settled in each of consecutive shots, (shots,); and the state after them.
 
         Args:
             patterns: (shots,) number of each shot's pattern.

@@ -11,15 +11,15 @@ from lidar_emu.numerics.arrays import BoolArray
 
 
 class ShotPolicy(NamedTuple):
-    """A state of the device, and what it implies for the shots."""
+    """Shot policy in a state of the device."""
 
     device: DeviceState
     status: Status
     """Device status in the packets."""
     fires: BoolArray | None
-    """(1, beams) Whether a beam fires; None: all do."""
+    """(1, beams) Whether each beam fires; None: all do."""
     is_plain: bool
-    """Whether it fires every shot with all beams and an exact clock, without any pending change."""
+    """Whether the device fires every shot with all beams and an exact clock, without any pending change."""
 
     def steady(self, shot: int, most: int, period_ns: int) -> tuple[int, bool]:
         """Number of shots from this one on, at most `most`, with the same policy, and whether they are silent."""

@@ -10,7 +10,7 @@ from lidar_emu.device.thermal import ThermalState
 
 
 class Mode(StrEnum):
-    """Modes, in the words of the interface; it has none for `off` and `boot`, in which nothing is sent."""
+    """Modes, with the names of the interface; it has none for `off` and `boot`, in which nothing is sent."""
 
     OFF = "off"
     BOOT = "boot"
@@ -27,23 +27,23 @@ MEASURING = frozenset({Mode.ACQUIRE, Mode.TRACK})
 SILENT = frozenset({Mode.OFF, Mode.BOOT})
 """Modes in which nothing is sent and commands are ignored."""
 INTERLOCKED = frozenset({Mode.SELF_TEST, Mode.STANDBY, *MEASURING})
-"""Modes that an open interlock turns into mode fault."""
+"""Modes from which an open interlock leads to mode fault."""
 
 
 class Settings(NamedTuple):
-    """Settings by command; a warm restart keeps them."""
+    """Settings that commands change; a warm restart keeps them."""
 
     beams: int
     """Bit k: beam k fires."""
     housekeeping_rate_hz: float
     settling_ns: int
-    """After a change of pattern the beams do not fire for this time."""
+    """Settling time after a change of pattern, during which the beams do not fire."""
     acquisition_ns: int
-    """From mode acquire to mode track."""
+    """Time from mode acquire to mode track."""
     pattern: int | None = None
-    """Beam pattern; None: by the scanner's own switches."""
+    """Beam pattern; None: chosen by the scanner's own switches."""
     divisor: int = 1
-    """Every `divisor`-th of the scenario's shots is fired."""
+    """Every `divisor`-th shot of the scenario is fired."""
 
 
 class Status(NamedTuple):
@@ -53,14 +53,14 @@ class Status(NamedTuple):
     laser_on: bool
     clock_locked: bool
     silent: bool = False
-    """The device sends no measurements, though shots are due."""
+    """Whether the device sends no measurements although shots are due."""
 
 
 TRACKING = Status(Mode.TRACK, laser_on=True, clock_locked=True)
 
 
 class PendingTransition(NamedTuple):
-    """A transition that the device makes by itself."""
+    """A transition without a command."""
 
     at_ns: int
     mode: Mode
@@ -71,18 +71,18 @@ class DeviceState(NamedTuple):
 
     mode: Mode
     pending: tuple[PendingTransition, ...]
-    """The transitions that follow by themselves."""
+    """Transitions that follow without a command."""
     settings: Settings
     clock: OnboardClock
     thermal: ThermalState
     interlock_closed: bool
     restarted_ns: int
-    """Last power-up or restart."""
+    """Time of the last power-up or restart."""
     restarts: int
     events_passed: int
-    """Number of the scenario's events that have happened."""
+    """Number of the scenario's events that have occurred."""
     until_ns: int | None
-    """The next instant at which it changes by itself; None: never."""
+    """Next instant of a change without a command; None: never."""
 
     @property
     def measures(self) -> bool:

@@ -1,4 +1,4 @@
-"""The state of the device over time, by the commands so far: what the link needs to know between the shots."""
+"""State of the device over time by the commands so far, for the link between the shots."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class _Since(NamedTuple):
 
 
 class DeviceTimeline:
-    """The state from each command on. It depends on time and commands alone, never on what was measured."""
+    """State from each command on. It depends on time and commands alone, never on measurements."""
 
     def __init__(self, rules: DeviceConstants, state: DeviceState) -> None:
         self.rules = rules
@@ -28,14 +28,14 @@ class DeviceTimeline:
         self._since: deque[_Since] = deque(maxlen=_STORED)
 
     def at(self, time_ns: int) -> DeviceState:
-        """The state at a scenario time, without later commands."""
+        """State at a scenario time, without later commands."""
         for from_ns, state in reversed(self._since):
             if from_ns <= time_ns:
                 return advance(self.rules, state, time_ns)
         return advance(self.rules, self._first, time_ns)
 
     def execute(self, command: DeviceCommand) -> tuple[DeviceState | None, str]:
-        """Execute a command; commands come in the order of time.
+        """Execute a command; commands must be in order of time.
 
         Returns:
             The state after it, None if nothing changes; and its verdict.
@@ -48,14 +48,14 @@ class DeviceTimeline:
         return after, verdict
 
     def use_events(self, events: tuple[TimedEvent, ...]) -> None:
-        """Replace the events of the device; those up to now are the same as before."""
+        """Replace the events of the device; events up to now must be the same as before."""
         self.rules = replace(self.rules, events=events)
         self._first = timed(self.rules, self._first)
         since = [each._replace(state=timed(self.rules, each.state)) for each in self._since]
         self._since = deque(since, maxlen=_STORED)
 
     def start_flight(self, rules: DeviceConstants, zero_ns: int) -> DeviceState:
-        """Count times from what was `zero_ns`, and use these rules from now on; return the state then."""
+        """Count times from what was `zero_ns`, and use these constants from now on; returns the state then."""
         self.rules, self._first = rules, counted_from(rules, self.at(zero_ns), zero_ns)
         self._since.clear()
         return self._first

@@ -4,7 +4,7 @@ The sensor moves with v, and a beam points along u, which rotates with u' = ω x
 ground, at the distance s along the axis and x across it, has the phase 2k L with L = s + x²/(2 Rc), where Rc is the
 radius of the beam's wavefront. Its closing speed -dL/dt is, to first order in x,
 
-v·u + x·(v/Rc - (1 - R/Rc) u').
+    v·u + x·(v/Rc - (1 - R/Rc) u').
 
 Speckle: as the footprint moves by D over the ground, its scatterers are exchanged, which gives the echo field the
 correlation exp(-D²/w²). With the beamlets' own closing speeds the correlation is exp(-d²/w0²) for a sensor that moves

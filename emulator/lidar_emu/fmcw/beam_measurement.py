@@ -37,7 +37,7 @@ BEAM_RETURN = np.dtype(
 """One row of `Returns`."""
 
 _FASTEST = 1e12
-"""Largest acceleration, place or drift of a beam."""
+"""Limit of the acceleration, position and drift of a beam."""
 
 _VALID = int(Reason.VALID)
 _NOT_FIRED = int(Reason.NOT_FIRED)
@@ -65,7 +65,7 @@ def most_taps(
 
 @kernel
 def _bounded(value: float) -> float:
-    """A number within the limits of the kernels' arithmetic, far beyond any motion; 0 for NaN."""
+    """Limit a number to the range of the kernels' arithmetic, far beyond any motion; 0 for NaN."""
     return 0.0 if np.isnan(value) else min(max(value, -_FASTEST), _FASTEST)
 
 
@@ -81,16 +81,16 @@ def measure_beams(
 ) -> None:
     """Measure every beam that fires.
 
-    Structures of arrays come as plain tuples, whose types numba finds sooner than those of named ones.
+    Structures of arrays are passed as plain tuples, whose types numba resolves faster than those of named tuples.
 
     Args:
-        models: (1,) the receiver's constants.
-        work_arrays: of a `Workspace`, overwritten.
-        spectrum_arrays: of a `SpectrumWorkspace`, overwritten; None draws targets from the statistical model, and
-            numba compiles that branch alone then.
-        echo_arrays: of `Echoes`, in C order.
-        shot: (shots,) their numbers.
-        seed: of the run.
+        models: (1,) constants of the receiver.
+        work_arrays: arrays of a `Workspace`, overwritten.
+        spectrum_arrays: arrays of a `SpectrumWorkspace`, overwritten; with None, targets are drawn from the
+            statistical model, and numba compiles that branch alone.
+        echo_arrays: arrays of `Echoes`, in C order.
+        shot: (shots,) numbers of the shots.
+        seed: seed of the run.
         rows: (shots, beams) of BEAM_RETURN, zeroed.
     """
     model = models[0]
@@ -136,7 +136,7 @@ def measure_beams(
 
 @kernel
 def _set_motion(beam: Any, echoes: Echoes, s: int, b: int) -> None:
-    """Copy a beam's motion and its place in the speckle field."""
+    """Copy a beam's motion and its position in the speckle field."""
     beam.closing_acceleration_mps2 = _bounded(echoes.closing_acceleration_mps2[s, b])
     beam.smear_acceleration_mps2 = _bounded(echoes.smear_acceleration_mps2[s, b])
     for axis in range(2):
@@ -146,7 +146,7 @@ def _set_motion(beam: Any, echoes: Echoes, s: int, b: int) -> None:
 
 @kernel(forceinline=True)
 def _count_targets(model: ReceiverModel, row: Any, segment: int, count: int, targets: NDArray[Any]) -> None:
-    """Count the targets of a segment: none in a lost one, and folded again where samples are missing."""
+    """Number of targets of a segment: none in a lost one; frequencies are folded again where samples are missing."""
     if model.lost_segments & (1 << segment):
         count = 0
     if model.sampled_length < model.fft_length:
@@ -159,7 +159,7 @@ def _count_targets(model: ReceiverModel, row: Any, segment: int, count: int, tar
 
 @kernel
 def _blank(row: Any, fired: bool, inside: bool) -> None:
-    """Set all to NaN, and the reason where the beam does not fire or the sensor is inside the ground."""
+    """Set all values to NaN, and the reason if the beam does not fire or the sensor is inside the ground."""
     row.reason = _VALID if fired and not inside else (_INSIDE_GROUND if fired else _NOT_FIRED)
     row.range_m = np.nan
     row.closing_speed_mps = np.nan
@@ -196,7 +196,7 @@ def _conclude(model: ReceiverModel, targets: NDArray[Any], row: Any) -> None:
 
 @kernel
 def _estimate(model: ReceiverModel, segments: int, targets: NDArray[Any]) -> Estimate:
-    """The estimate from one target of each segment, (3,) of TARGET."""
+    """Estimate from one target of each segment, (3,) of TARGET."""
     farthest_bin = model.record_edge_range_m / model.range_bin_m
     estimate = estimate_range_speed(model.combine_method, segments, targets, model.fft_length, farthest_bin)
     if model.opposite_doppler_sign:
@@ -206,13 +206,13 @@ def _estimate(model: ReceiverModel, segments: int, targets: NDArray[Any]) -> Est
 
 @kernel
 def _report(model: ReceiverModel, estimate: Estimate, row: Any) -> None:
-    """An estimate in SI, if it may be reported, else the reason why not."""
+    """Report an estimate in SI units if it is allowed, otherwise the reason why not."""
     distance_m = estimate.range_bin * model.range_bin_m
     row.residual_mps = 0.5 * estimate.residual_bin * model.speed_bin_mps
     # The published detector has no such check.
     checked = model.combine_method != CHIRP_MINUS_DOPPLER
     gross = checked and abs(estimate.residual_bin) > GROSS_RESIDUAL_BINS
-    # Two chirps alone fit range and Doppler shift either way round.
+    # Two chirps alone fit with range and Doppler shift exchanged.
     swapped = row.segments == UP | DOWN and not estimate.sign_resolved
     if gross or swapped or not (estimate.found and distance_m >= 0.0):
         row.reason = _AMBIGUOUS

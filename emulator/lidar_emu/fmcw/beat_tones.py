@@ -3,7 +3,7 @@
 Frequency plan: the up-chirp ends at the carrier, the constant segment stays there, and the down-chirp starts from it.
 For a beamlet at range R, delay τ = 2R/c and closing speed v the beats at a record's centre are
 
-g₊ = Sτ - (f - Sτ) 2v/c, g₀ = f 2v/c, g₋ = Sτ + (f + Sτ) 2v/c,
+    g₊ = Sτ - (f - Sτ) 2v/c, g₀ = f 2v/c, g₋ = Sτ + (f + Sτ) 2v/c,
 
 with the optical frequency f at that time; range and speed are the values at the record's own time. The samples of a
 tone are Re[w exp(j2πg t)], with t from the record's centre.

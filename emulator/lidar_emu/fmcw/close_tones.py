@@ -2,7 +2,7 @@
 
 The kernel of `spectrum` is split into its pole and a remainder that is a polynomial over the few bins in question,
 
-csc(πx/N)/N = 1/(πx) + πx/6N² + 7π³x³/360N⁴ + ...,
+    csc(πx/N)/N = 1/(πx) + πx/6N² + 7π³x³/360N⁴ + ...,
 
 and the image, a distant pole, is expanded in a Taylor series. Remainder and image then follow from five moments of the
 tones, and only the poles are summed tone by tone, with one division for four of them.

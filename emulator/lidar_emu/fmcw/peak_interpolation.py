@@ -1,20 +1,20 @@
-"""Frequency of a spectrum's peak to a fraction of a bin: five methods, each with an honest variance.
+"""Sub-bin interpolation of a spectrum's peak: five methods, each with its variance.
 
 All but the bin's centre and the parabola are ratios of two filters over the rectangular bins Y around the peak,
 
     q = Σ Re(T conj L) / Σ |L|²,    T = Σ t[m] Y[k+m],    L = Σ l[m] Y[k+m],
 
-summed over looks. Bins referred to the record's centre make it simple: of one tone at offset δ they are one complex
-number times the real kernel sin(πδ) / (N sin(π(δ - m)/N)), so the filters are real, no neighbour needs to be turned,
-and windows are symmetric about the centre. To first order in white noise of power σ²,
+summed over looks. Bins are referred to the record's centre: for one tone at offset δ they are one complex number times
+the real kernel sin(πδ) / (N sin(π(δ - m)/N)), so that the filters are real, no neighbour needs a phase rotation, and
+windows are symmetric about the centre. To first order in white noise of power σ²,
 
     var q = σ²/2 Σ (t[m] - q l[m])² / Σ |L|².
 
-The noise in Σ |L|² would shrink q when there are many looks; what looks beyond the first bring is subtracted (the
-noise of a single look leaves its ratio unbiased).
+The noise in Σ |L|² would bias q towards 0 with many looks; the contribution of looks beyond the first is subtracted
+(the noise of a single look leaves its ratio unbiased).
 
-Over all places in the bin the errors are 1.5 (Jacobsen), 1.8 (Hann) and 1.03 times (Aboutanios-Mulgrew) the least
-possible, 0.3898 bin / sqrt(snr). The tone's own image at negative frequency is in none of the formulas.
+Averaged over positions in the bin, the errors are 1.5 (Jacobsen), 1.8 (Hann) and 1.03 (Aboutanios-Mulgrew) times the
+Cramér-Rao bound, 0.3898 bin / sqrt(snr). No formula includes the tone's own image at negative frequency.
 """
 
 from __future__ import annotations
@@ -40,33 +40,34 @@ PEAK_METHODS = {
 """Methods by their names in a scenario."""
 
 CRAMER_RAO_BIN2 = 0.3898**2
-"""Least variance of a tone's frequency in bins² times its SNR."""
+"""Cramér-Rao bound: least variance of a tone's frequency in bins² times its SNR."""
 
 EFFICIENCY = (1.0, 3.24, 2.4, 3.24, 1.1)
-"""Variance of each method's noise over the least, on average over places in the bin."""
+"""Variance of each method by noise, relative to the bound, averaged over positions in the bin."""
 
 BIN_VARIANCE = 1.0 / 12.0
 """Variance of a frequency rounded to whole bins, in bins²."""
 
 _LEAST_VARIANCE = 1e-12
-"""Below it the estimate is exact to rounding; it keeps weights finite."""
+"""Lower limit of the variance, at which the estimate is exact to rounding; it keeps weights finite."""
 
 _MOST_VARIANCE = 1.0 / 3.0
-"""Variance of an offset that may be anywhere within a bin on either side."""
+"""Variance of an offset that is uniform within a bin on either side."""
 
 _SPAN = 6
-"""Bins on each side of the peak that Aboutanios and Mulgrew's half-bin transforms are made of, where there are."""
+"""Bins on each side of the peak from which Aboutanios and Mulgrew's half-bin transforms are computed, where available.
+"""
 
 _spans: Any = np.arange(1, 3)
 _ONE, _TWO = _spans
-"""Taps on each side; as literals each would have filters of its own compiled."""
+"""Taps on each side; variables, since numba would compile filters for each literal."""
 
 _ITERATIONS = 3
-"""Iterations after Jacobsen's estimate. At 20 dB the last step still moves it by 0.0009 bin rms, and
-further ones by 0.0002."""
+"""Iterations after Jacobsen's estimate. At 20 dB the last step moves it by 0.0009 bin rms, and further ones by 0.0002.
+"""
 
 _BISECTIONS = 10
-"""Steps to the place in the half bin whose tone gives a parabola's vertex."""
+"""Iterations to the position in the half bin whose tone gives a parabola's vertex."""
 
 
 @kernel
@@ -101,10 +102,10 @@ def peak(
         offset, variance = _hann(grid, bins, j)
     else:
         offset, variance = _aboutanios_mulgrew(grid, bins, j, length)
-    if not (abs(offset) <= 1.0 and variance <= _MOST_VARIANCE):  # NaN included: bins without any power
+    if not (abs(offset) <= 1.0 and variance <= _MOST_VARIANCE):  # Also for NaN: bins without any power.
         offset = min(max(offset, -1.0), 1.0) if abs(offset) > 0.0 else 0.0
         variance = _MOST_VARIANCE
-    # Three quarters of a bin away the neighbour would be the highest: the estimate is noise.
+    # Beyond three quarters of a bin the neighbour would be the highest bin: the estimate is noise.
     if abs(offset) > 0.75 or grid[BIN, j] <= 2.0 or grid[BIN, j] >= 0.5 * length - 2.0:
         variance = _MOST_VARIANCE if abs(offset) <= 0.75 else max(variance, BIN_VARIANCE)
     return offset, max(variance, _LEAST_VARIANCE)
@@ -112,7 +113,7 @@ def peak(
 
 @kernel(fastmath=FAST)
 def _jacobsen(grid: FloatArray, bins: FloatArray, j: int, length: float) -> tuple[float, float]:
-    """Three rectangular bins, after Jacobsen; exact at any N in the manner of Candan (2011).
+    """Three rectangular bins, after Jacobsen; exact for any N, after Candan (2011).
 
     The ratio of Y₋ - Y₊ to 2 cos(π/N) Y₀ - Y₋ - Y₊ is sin(2πδ/N) / sin(2π/N), for long records δ itself.
     """
@@ -125,10 +126,10 @@ def _jacobsen(grid: FloatArray, bins: FloatArray, j: int, length: float) -> tupl
 
 @kernel(fastmath=FAST)
 def _hann(grid: FloatArray, bins: FloatArray, j: int) -> tuple[float, float]:
-    """Three Hann-weighted bins H, which are five rectangular ones.
+    """Three Hann-weighted bins H, computed from five rectangular ones.
 
-    The tone lies where q = (H₋ - H₊)/(2 H₀ + H₋ + H₊) = 3δ / (2 (1 - δ²)); the quadratic is solved in the form
-    that has no 0/0 at δ = 0.
+    The tone's offset solves q = (H₋ - H₊)/(2 H₀ + H₋ + H₊) = 3δ / (2 (1 - δ²)); the root of the quadratic is written in
+    the form without 0/0 at δ = 0.
     """
     top, low = (-1.0, 2.0, 0.0, -2.0, 1.0), (-1.0, 0.0, 2.0, 0.0, -1.0)
     for m in range(5):
@@ -144,13 +145,13 @@ def _hann(grid: FloatArray, bins: FloatArray, j: int) -> tuple[float, float]:
 def _aboutanios_mulgrew(grid: FloatArray, bins: FloatArray, j: int, length: float) -> tuple[float, float]:
     """Aboutanios and Mulgrew (2005): iterate on the transform half a bin to either side of the estimate.
 
-    The record's transform between bins is a sum over all bins; here it is one over those that there are, up to
-    _SPAN on each side of the peak. What the others would add is not left out but taken from the estimate: the ratio
-    that a pure tone there has over the same bins is what the measured one is compared with. So a pure tone has no
-    bias, and the bins left out cost some 5 % of the standard deviation.
+    The transform of the record between bins is a sum over all bins; here only the available bins contribute, up to
+    _SPAN on each side of the peak. The missing ones are accounted for by the estimate: the measured ratio is compared
+    with the ratio of a pure tone over the same bins. A pure tone therefore has no bias, and the missing bins cost about
+    5 % of the standard deviation.
     """
     span = TAPS
-    # A column that has a power has its neighbours to ±TAPS.
+    # A column with power has its neighbours up to ±TAPS.
     while span < _SPAN and min(grid[POWER, j - span + TAPS - 1], grid[POWER, j + span - TAPS + 1]) > 0.0:
         span += 1
     offset, _ = _jacobsen(grid, bins, j, length)
@@ -193,7 +194,8 @@ def _ratio(grid: FloatArray, bins: FloatArray, j: int, span: int) -> tuple[float
 
 @kernel(fastmath=FAST)
 def _ratio_of_tone(grid: FloatArray, j: int, span: int, offset: float, length: float) -> tuple[float, float]:
-    """The ratio of the filters' outputs for a pure tone at `offset`, and its derivative with the tone's place."""
+    """Ratio of the filters' outputs for a pure tone at `offset`, and its derivative with respect to the tone's
+    position."""
     top = low = top_slope = low_slope = 0.0
     for m in range(-span, span + 1):
         here = _kernel(offset, m, length)
@@ -207,7 +209,7 @@ def _ratio_of_tone(grid: FloatArray, j: int, span: int, offset: float, length: f
 
 @kernel(fastmath=FAST)
 def _kernel(place: float, m: int, length: float) -> float:
-    """Bin m of a tone of unit weight at `place`, and likewise what bin m has in the transform at `place`."""
+    """Bin m of a tone of unit weight at `place`; equally the coefficient of bin m in the transform at `place`."""
     whole = np.rint(place)
     rest = copysign(max(abs(place - whole), 1e-18), place - whole)
     sign = 1.0 - 2.0 * (int(whole) & 1)
@@ -217,7 +219,7 @@ def _kernel(place: float, m: int, length: float) -> float:
 
 @kernel(fastmath=FAST)
 def _kernel_slope(place: float, m: int, kernel: float) -> float:
-    """Derivative of the kernel with the tone's place, but for terms in 1/N²."""
+    """Derivative of the kernel with respect to the tone's position, except terms in 1/N²."""
     x = place - m
     whole = np.rint(place)
     cosine = (1.0 - 2.0 * (int(whole) & 1)) * sin_pi(0.5 - abs(place - whole))
@@ -228,20 +230,20 @@ def _kernel_slope(place: float, m: int, kernel: float) -> float:
 def _parabola(grid: FloatArray, looks: int, j: int, centre: float, side: float) -> tuple[float, float]:
     """Vertex of the parabola through the log powers of three bins under the window.
 
-    A window's main lobe is not quite a parabola: the vertex is off by up to 0.016 bin under Hann and Hamming (rms
-    0.011) and by up to 0.17 under none (rms 0.12). The variance holds the square of that bias where the estimate
-    lies. To first order in the powers P, the rest follows from
+    A window's main lobe is not exactly a parabola: the vertex is biased by up to 0.016 bin with Hann and Hamming (rms
+    0.011) and by up to 0.17 without a window (rms 0.12). The variance includes the square of that bias at the estimate.
+    To first order in the powers P, the remaining variance follows from
 
         cov(ln P_a, ln P_b) = (2 σ² R A_a A_b + σ⁴ R²) / (looks P_a P_b),
 
     with A the tone's signed amplitudes and R the correlation of noise under the window, a - b bins apart.
-    Without a window a side bin may hold noise alone: at 20 dB the standard deviation is then stated 8 % too large.
+    Without a window a side bin may contain noise alone: at 20 dB the stated standard deviation is then 8 % too large.
     """
     before, here, after = grid[POWER, j - 1], grid[POWER, j], grid[POWER, j + 1]
-    if not min(before, here, after) > 0.0:  # beside the last bin that can hold a target
+    if not min(before, here, after) > 0.0:  # Next to the last bin that can hold a target.
         return 0.0, BIN_VARIANCE
     vertex, _ = _vertex(log(before), log(here), log(after))
-    side = -side  # to go with amplitudes without the bins' alternating sign
+    side = -side  # Consistent with amplitudes without the alternating sign of the bins.
     correlation = (centre * centre + 2.0 * side * side, 2.0 * centre * side, 1.0 * side * side)
     noise = grid[NOISE, j] / here
     floor = noise * correlation[0]
@@ -271,7 +273,7 @@ def _parabola(grid: FloatArray, looks: int, j: int, centre: float, side: float) 
 
 @kernel(fastmath=FAST)
 def _vertex(before: float, here: float, after: float) -> tuple[float, float]:
-    """Place of the extremum of the parabola through values at -1, 0 and 1, and its second difference."""
+    """Position of the extremum of the parabola through values at -1, 0 and 1, and its second difference."""
     curvature = before - 2.0 * here + after
     return 0.5 * (before - after) / curvature, curvature
 

@@ -1,8 +1,7 @@
-"""Estimation of range and closing speed from the three observed frequencies, all in bins.
+"""Estimation of range and closing speed from the three observed beat frequencies, all in bins.
 
-The beats carry signs, g₊ = b - d, g₀ = d, g₋ = b + d with b the beat of range and d the Doppler shift; a
-homodyne receiver shows only where each of them folds to between 0 and N/2. Estimators differ in how they find
-the signs.
+The beats have signs: g₊ = b - d, g₀ = d, g₋ = b + d, with the beat b of range and the Doppler shift d. A homodyne
+receiver observes each of them folded to the range from 0 to N/2. Estimators differ in how they determine the signs.
 """
 
 from __future__ import annotations
@@ -34,16 +33,16 @@ BEAT_WEIGHTS = np.array(
 are known and the variances alike."""
 
 _RESOLVED_COST = 9.0
-"""A rival explanation that costs this much more, three standard deviations, is refuted."""
+"""Additional cost by which an alternative explanation is rejected: three standard deviations, squared."""
 
 _FOLD_COST = 9.0
-"""A fold at N/2 must be worth three standard deviations of the residual."""
+"""Cost of a fold at N/2: three standard deviations of the residual, squared."""
 
 _APART_VARIANCES = 36.0
-"""Explanations nearer than six standard deviations tell the same."""
+"""Explanations closer than six standard deviations, squared, count as equal."""
 
 _AC_COUPLED_BINS = 16.0
-"""A tone so near 0 may have been lost to AC coupling: 73 kHz with the default instrument."""
+"""A tone this close to 0 may have been lost to AC coupling: 73 kHz with the default instrument."""
 
 _ROUNDING = 1.0 + 1e-9
 
@@ -52,17 +51,17 @@ class Estimate(NamedTuple):
     """Range and Doppler shift of one target, in bins and bins²."""
 
     found: bool
-    """Some choice of signs and folds lies within the instrument's range, to three standard deviations."""
+    """Whether a choice of signs and folds lies within the instrument's range, to three standard deviations."""
     range_bin: float
-    """b; slightly negative where noise alone made it so."""
+    """Beat of range b; may be slightly negative by noise."""
     doppler_bin: float
-    """d, positive when closing."""
+    """Doppler shift d, positive when closing."""
     range_variance: float
     doppler_variance: float
     residual_bin: float
-    """g₋ - g₊ - 2 g₀ with the chosen signs: 0 for three consistent frequencies, NaN for two."""
+    """Residual g₋ - g₊ - 2 g₀ with the chosen signs: 0 for three consistent frequencies, NaN for two."""
     sign_resolved: bool
-    """No rival explanation comes near."""
+    """Whether no alternative explanation has a comparable cost."""
 
 
 @kernel
@@ -77,14 +76,14 @@ def estimate_range_speed(
 
 @kernel
 def chirp_minus_doppler(targets: NDArray[Any]) -> Estimate:
-    """The published detector: range from the chirp that holds the sum, less the Doppler line.
+    """The published detector: range from the chirp with the higher beat, less the Doppler line.
 
-    Budge et al.: the up-chirp above the down-chirp means receding. Folds at N/2 are ignored. The sign
-    counts as resolved when the chirps differ by more than three standard deviations of their difference and the
-    residual stays within three of its own: a fold at N/2 shows there.
+    Budge et al.: if the up-chirp's beat is above the down-chirp's, the lidar recedes. Folds at N/2 are ignored. The
+    sign counts as resolved when the chirps differ by more than three standard deviations of their difference and the
+    residual is within three of its own, which excludes a fold at N/2.
 
     Args:
-        targets: (3,) of TARGET: one of each segment.
+        targets: (3,) of TARGET: one target per segment.
     """
     up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
     up_var, constant_var, down_var = (
@@ -94,12 +93,12 @@ def chirp_minus_doppler(targets: NDArray[Any]) -> Estimate:
     )
     closing = not up > down
     longer, shorter = (down, up) if closing else (up, down)
-    # The shorter chirp's tone may have passed zero: its sign is the one that fits better.
+    # The beat of the lower chirp may have passed zero: its sign is the one with the smaller residual.
     excess = longer - 2.0 * constant
     residual = excess - shorter if abs(excess - shorter) <= abs(excess + shorter) else excess + shorter
     apart = (down - up) ** 2 > _RESOLVED_COST * (up_var + down_var)
     scatter = np.sqrt(_RESOLVED_COST * (up_var + 4.0 * constant_var + down_var))
-    # Motion and the chirps' optical frequencies set the segments apart by a part of a bin.
+    # Motion and the chirps' optical frequencies separate the segments' Doppler shifts by a fraction of a bin.
     consistent = abs(residual) <= scatter + 1.0
     return Estimate(
         True,
@@ -114,29 +113,29 @@ def chirp_minus_doppler(targets: NDArray[Any]) -> Estimate:
 
 @kernel
 def least_squares(mask: int, targets: NDArray[Any], length: float, farthest_bin: float) -> Estimate:
-    """Joint least squares over the segments that hold a target, with the signs and folds that explain them best.
+    """Joint least squares over the segments with a target, with the signs and folds of least cost.
 
-    A chirp's signed beat is F, -F, N - F or F - N. The constant segment's is F or -F: a Doppler shift beyond
-    N/2 moves all three tones by N and looks in every way like its alias.
+    The signed beat of a chirp is F, -F, N - F or F - N; the constant segment's is F or -F, since a Doppler shift beyond
+    N/2 moves all three tones by N and cannot be distinguished from its alias.
 
-    Of all three, an explanation puts the residual r = g₋ - g₊ - 2 g₀ to zero by corrections in proportion to the
-    variances, and is admitted where b lies between 0 and `farthest_bin`, give or take three standard deviations.
-    It costs r² over its variance, plus 9 for each fold at N/2 that it assumes. Of equals one with g₀ closing is taken,
-    and of those the first with g₊, then g₋, in the order above.
+    With three segments an explanation (a choice of signs and folds) removes the residual r = g₋ - g₊ - 2 g₀ by
+    corrections in proportion to the variances. It is admitted if b lies between 0 and `farthest_bin`, to three standard
+    deviations. Its cost is r² over its variance, plus 9 for each fold at N/2. At equal cost a closing g₀ takes
+    precedence, then the first g₊ and the first g₋ in the order above.
 
-    The sign counts as resolved when every admitted explanation that lies more than six standard deviations away in b or
-    d costs more by 9, or by 9 times r² over its variance where the residual shows that the variances are too small.
+    The sign counts as resolved when every admitted explanation that differs by more than six standard deviations in b
+    or d costs more by 9, or by 9 times r² over its variance if the residual shows that the variances are too small.
 
-    Two have no residual, and seldom a single explanation; see `_from_two`.
+    Two segments have no residual, and seldom a single explanation; see `_from_two`.
 
     Args:
-        mask: bits of the segments that have a target: UP, CONSTANT, DOWN. The others' are ignored.
-        targets: (3,) of TARGET: one of each segment, with its observed frequency F₊, F₀ or F₋.
+        mask: bits of the segments that have a target: UP, CONSTANT, DOWN. Other targets are ignored.
+        targets: (3,) of TARGET: one target per segment, with its observed frequency F₊, F₀ or F₋.
         length: N.
-        farthest_bin: largest b that the instrument can have observed.
+        farthest_bin: largest b that the instrument can observe.
 
     Returns:
-        The estimate, not found where fewer than two segments are there or none of the explanations is admitted.
+        The estimate; not found with fewer than two segments or without an admitted explanation.
     """
     if mask == ALL:
         return _from_three(targets, length, farthest_bin)
@@ -186,7 +185,7 @@ def _from_three(targets: NDArray[Any], length: float, farthest_bin: float) -> Es
                     g_down = _signed(down, j, length)
                     residual = g_down - g_up - 2.0 * g_constant
                     folding_cost = _FOLD_COST * ((i >> 1) + (j >> 1))
-                    # Most are far too dear, which shows without a division.
+                    # Most cost far too much, which is known without a division.
                     if residual * residual > (limit - folding_cost) * spread * _ROUNDING:
                         continue
                     cost = residual * residual / spread + folding_cost
@@ -217,19 +216,19 @@ def _from_two(
     length: float,
     farthest_bin: float,
 ) -> Estimate:
-    """A chirp and either the other chirp or the constant segment.
+    """Estimate from a chirp and either the other chirp or the constant segment.
 
-    Explanations are admitted where 0 <= b <= `farthest_bin`, give or take three standard deviations, and |d| <=
-    N/2. Of those with the fewest folds at N/2 the choice falls on
+    Explanations are admitted if 0 <= b <= `farthest_bin`, to three standard deviations, and |d| <= N/2. Among those
+    with the fewest folds at N/2 the order of preference is
 
     1. one that is closing;
-    2. one that explains why the third segment has no target: its tone would lie within _AC_COUPLED_BINS of 0, where AC
-       coupling takes it. Two chirps without Doppler line are thus a hovering lidar if their tones lie close together;
-    3. one with |d| > b, the state of nearly all of a landing: time to touchdown is then less than λS/c (97 s for a
-       chirp of 2 MHz/µs at 1.55 µm), and what silenced the third segment is a fade.
+    2. one in which the tone of the third segment lies within _AC_COUPLED_BINS of 0, where AC coupling removes it: two
+       chirps without a Doppler line are a hovering lidar if their tones are close together;
+    3. one with |d| > b, as in nearly all of a landing: time to touchdown is then less than λS/c (97 s for a chirp of
+       2 MHz/µs at 1.55 µm), and the third segment was lost by a fade.
 
-    That is a choice of the likelier: the sign counts as resolved only where no other explanation is admitted, of
-    any number of folds, that lies more than six standard deviations away.
+    This chooses the most likely explanation. The sign counts as resolved only if no other explanation, with any number
+    of folds, is admitted that differs by more than six standard deviations.
     """
     slack = 3.0 * np.sqrt(range_var) if range_var < np.inf else np.nan
     best_cost, best_range, best_doppler = np.inf, np.nan, np.nan
@@ -269,6 +268,6 @@ def _from_two(
 
 @kernel
 def _signed(observed: float, choice: int, length: float) -> float:
-    """The signed beat behind an observed frequency: F, -F, N - F, F - N."""
+    """Signed beat of an observed frequency: F, -F, N - F or F - N."""
     unfolded = observed if choice < 2 else length - observed
     return unfolded if choice % 2 == 0 else -unfolded

@@ -11,12 +11,12 @@ class Reason(IntEnum):
     VALID = 0
     NOT_FIRED = 1
     NO_SURFACE = 2
-    """No beamlet meets anything."""
+    """No beamlet hits a surface."""
     BELOW_THRESHOLD = 3
     """The echo was not detected in all three segments."""
     BEYOND_RANGE = 4
-    """The measured range, or the surface itself, lies beyond what the instrument may report."""
+    """The measured range, or the surface itself, is beyond the instrument's maximum range."""
     INSIDE_GROUND = 5
     """The sensor touches the ground or is below it."""
     AMBIGUOUS = 6
-    """No choice of signs and folds gives a range from 0 to what the instrument can have measured."""
+    """No choice of signs and folds gives a range that the instrument can measure."""

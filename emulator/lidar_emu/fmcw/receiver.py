@@ -18,27 +18,27 @@ from lidar_emu.numerics.records import as_record
 class FmcwReceiver:
     """Measures every beam of every shot: three spectra, their targets, range and closing speed.
 
-    Range, speed and speckle are those of each record's own time. With speckle each beamlet's amplitude is the root
-    of its SNR times a circular complex Gaussian number (`fmcw.speckle`); without, the beamlets of a beam add in
-    phase, beamlet i with the share P_i / sqrt(P) of the beam's P. A phase common to the beam is uniform in each
-    record. Noise is drawn in the bins around the tones, and as peaks elsewhere.
+    Range, speed and speckle are evaluated at each record's own time. With speckle, each beamlet's amplitude is the
+    square root of its SNR times a circular complex Gaussian number (`fmcw.speckle`); without, the beamlets of a beam
+    add in phase, beamlet i with P_i / sqrt(P) of the beam's power P. A phase common to the beam is uniform in each
+    record. Noise is drawn in the bins near the tones, and as peaks elsewhere.
 
-    A beamlet beyond the record edge is received for the part of the record that is left; one at range 0 or less means
-    contact with the ground. What is drawn depends on seed, shot, beam and purpose alone, so that the bits of a shot are
-    the same in any block, and no effect changes another's chance.
+    A beamlet beyond the record edge is received for the remaining part of the record; one at range 0 or less means
+    contact with the ground. Random numbers depend on seed, shot, beam and purpose alone, so that a shot has the same
+    bits in any block, and no effect changes the random numbers of another.
 
-    Two threads need one each: it keeps the arrays that its kernels write to.
+    Each thread needs its own instance, which holds the arrays that the kernels write to.
 
     Args:
         model: from `build_receiver`.
-        seed: 64 bits, of everything drawn.
+        seed: seed of all random numbers, 64 bits.
     """
 
     def __init__(self, model: ReceiverModel, seed: int) -> None:
         self._model = model
         self._records = as_record(model)
         self._seed = np.uint64(seed)
-        # The type checker cannot follow into kernels.
+        # The type checker cannot analyse kernels.
         self._measure: Any = measure_beams
         self._most_taps: Any = most_taps
         self._beamlets, self._taps = 0, -1
@@ -46,7 +46,7 @@ class FmcwReceiver:
         self._spectra: tuple[Any, ...] | None = None
 
     def __call__(self, echoes: Echoes, shot: NDArray[np.int64]) -> Returns:
-        """The returns of echoes (shots, beams, beamlets) of shots with these numbers, (shots,)."""
+        """Returns of echoes (shots, beams, beamlets) of the shots with these numbers, (shots,)."""
         echoes = contiguous_echoes(echoes)
         self._reserve(echoes)
         rows = np.zeros(echoes.fired.shape, dtype=BEAM_RETURN)
@@ -62,7 +62,7 @@ class FmcwReceiver:
         return Returns(*(rows[name] for name in RETURN_COLUMNS))
 
     def _reserve(self, echoes: Echoes) -> None:
-        """Make the workspaces as large as these echoes need them."""
+        """Enlarge the workspaces to the size that these echoes need."""
         model, beamlets = self._model, echoes.range_m.shape[2]
         taps = 0
         if not model.statistical:

@@ -1,4 +1,4 @@
-"""Constants of the receiver's kernels, from the description of an instrument and of the site's light and air."""
+"""Constants of the receiver's kernels, from an instrument and the light and atmosphere of a site."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from lidar_emu.scenario.site import Site
 def build_receiver(
     instrument: Instrument, site: Site | None = None, exact: bool = False, statistical: bool = False
 ) -> ReceiverModel:
-    """Constants of the receiver of an instrument.
+    """Compute the constants of an instrument's receiver.
 
-    The signal of a bin follows from `carrier_to_noise.snr_per_w`. The threshold is the power that the mean of the
-    looks' noise powers exceeds with probability P_fa / (N/2).
+    The signal in a bin follows from `carrier_to_noise.snr_per_w`. The threshold is the power that the noise, averaged
+    over looks, exceeds with probability P_fa / (N/2).
 
     Args:
-        instrument: its description.
-        site: for sunlight and air; None is night in vacuum.
-        exact: leave nothing out.
+        instrument: the instrument.
+        site: site, for sunlight and atmosphere; None: night in vacuum.
+        exact: apply no skip rules.
         statistical: draw from the closed-form error model instead of computing spectra.
 
     Raises:
@@ -81,7 +81,7 @@ def build_receiver(
         window_centre=window.centre,
         window_side=window.side,
         noise_power=window.noise_power,
-        # Averaging looks makes a peak's neighbours no likelier than chance, nearly.
+        # With averaged looks, the neighbours of a noise peak exceed the threshold nearly independently.
         independent_share=1.0 - neighbour_exceedance(window, threshold) if looks == 1 else 1.0,
         threshold=threshold,
         group_power_share=detection.group_fraction**2,
@@ -107,7 +107,8 @@ def _response(instrument: Instrument, amplifier: float, digitiser: float) -> Res
     full_scale = np.inf
     if receiver.adc is not None:
         noise_a2 = (amplifier + digitiser) * shot_a2_per_hz(receiver) * 0.5 * waveform.sample_rate_hz
-        # White noise of unit power per bin has the variance N/4 where a tone of unit weight has the amplitude 1.
+        # White noise of unit power per bin has the variance N/4, on a scale where a tone of unit weight has the
+        # amplitude 1.
         noise_v = receiver.transimpedance_ohm * np.sqrt(noise_a2)
         full_scale = 0.5 * receiver.adc.full_scale_v / noise_v * np.sqrt(length / 4.0)
     turns = lowpass_bin / length
@@ -124,7 +125,7 @@ def _response(instrument: Instrument, amplifier: float, digitiser: float) -> Res
 
 
 def _passed(turns: float) -> float:
-    """Ratio of white noise behind a single pole, all zones together, to the noise from 0 to N/2 ahead of it.
+    """Ratio of white noise behind a single pole, in all Nyquist zones, to the noise from 0 to N/2 ahead of it.
 
     Args:
         turns: half-power frequency over the sample rate.

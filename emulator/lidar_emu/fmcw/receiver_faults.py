@@ -1,4 +1,4 @@
-"""Faulty receivers: changed constants of the same kernels."""
+"""Faulty receivers: the same kernels with modified constants."""
 
 from __future__ import annotations
 
@@ -13,18 +13,21 @@ _SEGMENTS = ("up", "constant", "down")
 
 
 def without_segments(model: ReceiverModel, names: Iterable[str]) -> ReceiverModel:
-    """A receiver that loses these segments: `up`, `constant`, `down`."""
+    """Receiver that loses these segments: `up`, `constant`, `down`."""
     lost = sum(1 << _SEGMENTS.index(name) for name in set(names))
     return model._replace(lost_segments=model.lost_segments | lost)
 
 
 def with_opposite_doppler_sign(model: ReceiverModel) -> ReceiverModel:
-    """A receiver that resolves the Doppler sign ambiguity wrongly, see `with_opposite_sign`."""
+    """Receiver that resolves the Doppler sign ambiguity wrongly, see `with_opposite_sign`."""
     return model._replace(opposite_doppler_sign=True)
 
 
 def decimated(model: ReceiverModel, factor: int) -> ReceiverModel:
-    """A receiver that samples only every Nth time, and estimates as if it sampled every time.
+    """Receiver that samples only every Nth time, and estimates as if it sampled every time.
+
+    The noise of all folds is within the remaining band: the SNR of a tone falls by the factor, and so does the number
+    of bins in which noise can be detected.
 
     The noise of all folds lies in what is left of the band: a tone's SNR falls by the factor, as does the number of
     bins in which noise can be taken for an echo.
@@ -38,7 +41,7 @@ def decimated(model: ReceiverModel, factor: int) -> ReceiverModel:
 
 
 def noisier(model: ReceiverModel, detection: Detection, noise_db: float) -> ReceiverModel:
-    """A receiver with more noise in all bins, and the threshold of the instrument without it."""
+    """Receiver with more noise in all bins, and the instrument's unchanged threshold."""
     ratio = 10.0 ** (noise_db / 10.0)
     threshold = model.threshold / ratio
     single = detection.looks == 1

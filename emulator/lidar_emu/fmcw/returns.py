@@ -14,37 +14,37 @@ from lidar_emu.numerics.columns import Column, columns, missing_columns
 
 
 class Echoes(NamedTuple):
-    """The echoes of all beamlets of all beams, as kernels take them."""
+    """Echoes of all beamlets of all beams, for kernels."""
 
     range_m: FloatArray
-    """(shots, beams, beamlets) At the time of validity; NaN where a beamlet meets nothing."""
+    """(shots, beams, beamlets) Range at the time of validity; NaN where a beamlet has no hit."""
     closing_speed_mps: FloatArray
-    """(shots, beams, beamlets) Of the ground there, at the time of validity; positive toward the sensor."""
+    """(shots, beams, beamlets) Closing speed of the ground at the time of validity; positive toward the sensor."""
     power_w: FloatArray
-    """(shots, beams, beamlets) In the mode of the local oscillator (`coherent_power_w` times the beamlet's
-    share of the footprint); 0 where a beamlet meets nothing."""
+    """(shots, beams, beamlets) Power in the mode of the local oscillator (`coherent_power_w` times the beamlet's
+    weight); 0 where a beamlet has no hit."""
     range_rate_mps: FloatArray
-    """(shots, beams, beamlets) Change of `range_m` as the moving beam slides over the ground: not minus the closing
-    speed, unless the beam stays on its place."""
+    """(shots, beams, beamlets) Rate of `range_m` as the moving beam slides over the ground; it differs from minus the
+    closing speed unless the beam stays at the same point."""
     closing_acceleration_mps2: FloatArray
-    """(shots, beams) Change of the closing speed along the moving beam, from segment to segment."""
+    """(shots, beams) Rate of the closing speed along the moving beam, from segment to segment."""
     smear_acceleration_mps2: FloatArray
-    """(shots, beams) Closing acceleration of a point of the ground, which a record sees."""
+    """(shots, beams) Closing acceleration of a point of the ground, which applies within a record."""
     speckle_place: FloatArray
-    """(shots, beams, 2) Place of the footprint in the speckle's field, in pitches of its lattice."""
+    """(shots, beams, 2) Position of the footprint in the speckle field, in pitches of its lattice."""
     speckle_drift_per_s: FloatArray
-    """(shots, beams, 2) Its motion within a measurement."""
+    """(shots, beams, 2) Motion of that position within a measurement."""
     fired: BoolArray
-    """(shots, beams)"""
+    """(shots, beams) Whether the beam fires."""
     inside: BoolArray
-    """(shots, beams) The sensor is below the ground."""
+    """(shots, beams) Whether the sensor is below the ground."""
 
 
 _FLAGS = ("fired", "inside")
 
 
 def contiguous_echoes(echoes: Echoes) -> Echoes:
-    """The same echoes in C order, float64 but for flags: kernels are compiled for these alone."""
+    """Echoes in C order, float64 except flags: kernels are compiled for this layout alone."""
     arrays: dict[str, Any] = {
         name: np.ascontiguousarray(values, dtype=np.bool_ if name in _FLAGS else np.float64)
         for name, values in zip(Echoes._fields, echoes, strict=True)
@@ -54,7 +54,7 @@ def contiguous_echoes(echoes: Echoes) -> Echoes:
 
 @dataclass(frozen=True)
 class BeamReport:
-    """What the instrument reports of each beam, (shots, beams); NaN where it has nothing to report."""
+    """Report of the instrument on each beam, (shots, beams); NaN where a value is missing."""
 
     range_m: Annotated[FloatArray, Column("f8", "m", "Measured range.")]
     closing_speed_mps: Annotated[
@@ -66,7 +66,7 @@ class BeamReport:
         BoolArray,
         Column("?", "", "Whether the sign of the closing speed and the folds of the beats are beyond doubt."),
     ]
-    """For closing speeds up to λ fs / 4 (232.5 m/s): beyond, every segment looks like an alias. The rules are in
+    """Valid for closing speeds up to λ fs / 4 (232.5 m/s): beyond, every segment equals its alias. The rules are in
     `fmcw.range_speed_estimation`."""
     reason: Annotated[
         NDArray[np.int8],
@@ -84,8 +84,8 @@ class BeamReport:
     snr_db: Annotated[
         FloatArray, Column("f8", "dB", "Signal-to-noise ratio, mean of the segments with a detection.")
     ]
-    """Power of the highest bin over the noise that the poles leave there, referred to a rectangular bin: with a flat
-    receiver the photons detected, for a tone on its bin."""
+    """Power of the highest bin relative to the noise behind the poles, referred to a rectangular bin: with a flat
+    receiver, the number of photons detected for a tone on its bin."""
     residual_mps: Annotated[
         FloatArray, Column("f8", "m/s", "Speed from the two chirps less speed from the constant segment.")
     ]
@@ -93,8 +93,8 @@ class BeamReport:
     sigma_range_m: Annotated[
         FloatArray, Column("f8", "m", "Standard deviation of the range that the instrument states.")
     ]
-    """By the segments' own noise and the laser's line; what speckle moves within a footprint spread over part of a
-    bin, smear and motion come on top. NaN for invalid measurements."""
+    """From the noise of the segments and the laser's linewidth; the wander of speckle within a footprint that spreads
+    over part of a bin, smear and motion are not included. NaN for invalid measurements."""
     sigma_speed_mps: Annotated[
         FloatArray, Column("f8", "m/s", "Standard deviation of the closing speed that the instrument states.")
     ]
@@ -106,7 +106,7 @@ class BeamReport:
 
 @dataclass(frozen=True)
 class Returns(BeamReport):
-    """A beam's report with the peaks that it comes from."""
+    """Report of a beam with the peaks that it derives from."""
 
     segment_peak_hz: Annotated[
         FloatArray,
@@ -120,11 +120,11 @@ class Returns(BeamReport):
 
     @classmethod
     def with_columns(cls, shape: tuple[int, ...], **known: NDArray[Any]) -> Self:
-        """Beams of this shape of which these columns are known; the others have their missing value."""
+        """Build returns of this shape from some columns; the others have their missing value."""
         return cls(**missing_columns(RETURN_COLUMNS, known, shape), **known)
 
     def report(self) -> dict[str, NDArray[Any]]:
-        """The columns of `BeamReport` by name."""
+        """Columns of `BeamReport` by name."""
         arrays = vars(self).copy()
         del arrays["segment_peak_hz"]
         return arrays

@@ -1,4 +1,4 @@
-"""The spectrum of one segment: tones, what motion and the laser's line make of them, noise."""
+"""The spectrum of one segment: tones, their filtering by motion and linewidth, and noise."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from lidar_emu.numerics.philox import uniform_pair
 from lidar_emu.numerics.random_streams import PHASE
 
 SEGMENT_INDICES = 2**24
-"""Indices kept for the bins of each record; N is at most 2**24."""
+"""Random number indices reserved for the bins of each record; N is at most 2**24."""
 
 
 @kernel(inline="always")
 def set_spectrum(
     model: ReceiverModel, work: Workspace, spectra: SpectrumWorkspace, beam: Any, segment: int
 ) -> int:
-    """Fill grid and bins of `spectra` with one segment of one beam, whose beamlets are in `work`.
+    """Fill grid and bins of `spectra` with one segment of the beam in `work`.
 
     Returns:
         The number of bins; 0 without light.
@@ -67,7 +67,7 @@ def set_spectrum(
 
 @kernel(inline="always")
 def set_look_tones(model: ReceiverModel, work: Workspace, beam: Any, segment: int, look: int) -> None:
-    """Tones of one record, with the speckle of its own time and a phase common to the beam."""
+    """Set the tones of one record, with the speckle at its own time and a phase common to the beam."""
     time_records = (segment - 1) * model.segment_records
     time_records += (look - 0.5 * (model.looks - 1)) * model.cycle_records
     time_s = time_records * model.record_time_s

@@ -1,18 +1,18 @@
-"""Below these limits a stage of the receiver is left out, beam by beam."""
+"""Limits below which a stage of the receiver is left out, beam by beam."""
 
 from __future__ import annotations
 
 LEAST_SMEAR_BINS = 0.05
-"""A beat that changes by less during its record is left unsmeared: 0.8 % of the line's amplitude beside it."""
+"""A beat that changes by less during its record is not smeared: an error of 0.8 % of the line's amplitude beside it."""
 
 LEAST_LINE_DRIFT = 0.01
 LEAST_LINE_SCATTER_BINS = 0.005
-"""The laser's line is left out where both its phase variance over the delay and the frequency scatter that it causes,
-σ = τ sqrt(6Δν/π) in bins and records, are smaller: 1 % of the echo's power."""
+"""The laser's linewidth is left out where both its phase variance over the delay and the frequency scatter that it
+causes, σ = τ sqrt(6Δν/π) in bins and records, are smaller: an error of 1 % of the echo's power."""
 
 GROSS_RESIDUAL_BINS = 2048.0
-"""Three frequencies that disagree by more do not belong to one target: even a footprint at grazing incidence is
-narrower, and false locks and surfaces beyond the record disagree by tens of thousands."""
+"""Three frequencies with a larger residual do not belong to one target: even a footprint at grazing incidence spreads
+less, and false locks and surfaces beyond the record have residuals of tens of thousands."""
 
 LEAST_FALSE_ALARM = 1e-9
-"""Peaks of noise that matter with a smaller probability are not drawn."""
+"""Noise peaks that matter with a smaller probability are not drawn."""

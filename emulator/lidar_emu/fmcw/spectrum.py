@@ -1,18 +1,17 @@
 """Bins of the FFT of a record of real tones and white noise, without the FFT.
 
-Everything here is referred to the centre of the record: a tone has its phase there, and bin k is the bin of
-the ordinary transform times exp(-jπk/N). The exact rectangular-window bin of tones of complex weight w at n +
-δ bins, scaled so that a tone on its bin gives w, is then a sum with real kernels (the transform is a
-geometric series):
+All phases are referred to the centre of the record: bin k is the bin of the ordinary transform times exp(-jπk/N). The
+exact rectangular-window bin of tones of complex weight w at n + δ bins, scaled so that a tone on its bin gives w, is
+then a sum with real kernels (the transform is a geometric series):
 
     Y[k] = Σ (-1)^n sin(πδ)/N · ( w / sin(π(n - k + δ)/N)  +  conj(w) / sin(π(n + k + δ)/N) ),
 
-the second term being the image that a real-valued tone has at negative frequency. Beyond the ends Y[-k] =
-conj Y[k] and Y[N/2 + m] = -conj Y[N/2 - m]. A window is a three-tap filter over bins, with neighbours turned
-by exp(±jπ/N), on signal and noise alike.
+the second term being the image that a real-valued tone has at negative frequency. Beyond the ends Y[-k] = conj Y[k] and
+Y[N/2 + m] = -conj Y[N/2 - m]. A window is a three-tap filter over bins, with neighbours rotated by exp(±jπ/N), for
+signal and noise alike.
 
-A spectrum is laid out in two arrays of which the first columns are in use: a grid (ROWS, capacity) of what a
-bin is, and bins (2, capacity) with real and imaginary parts; several looks have a grid in common.
+A spectrum consists of two arrays of which the first columns are in use: a grid (ROWS, capacity) with the attributes of
+bins, and bins (2, capacity) with real and imaginary parts; several looks share a grid.
 """
 
 from __future__ import annotations
@@ -35,23 +34,23 @@ under the window, and taps of a peak's two filters (`peak_interpolation`)."""
 ROWS = 7
 
 TAPS = 2
-"""Rectangular bins beyond the windowed ones: a tap of the window of a neighbour of the highest bin."""
+"""Rectangular bins needed beyond the windowed ones: for the window of a neighbour of the highest bin."""
 REACH = 6 + TAPS
-"""Bins computed on each side of a tone. With fewer than six, noise beside a tone changes its groups."""
+"""Bins computed on each side of a tone. With fewer than six, noise beside a tone would change its groups."""
 
 _ONE_INTERVAL = 48.0
 """Tones no farther apart share one interval without being sorted."""
 
 
 class SpectralWindow(NamedTuple):
-    """A window of the transform as a filter over bins."""
+    """A window as a filter over bins."""
 
     centre: float
     side: float
 
     @property
     def noise_power(self) -> float:
-        """Mean power of white noise that has unit power in a rectangular bin."""
+        """Mean power of windowed noise that has unit power in a rectangular bin."""
         return self.centre**2 + 2 * self.side**2
 
 
@@ -67,9 +66,9 @@ def fold(signed_bin: float, length: float) -> tuple[float, float, float]:
     """The bin at which a real-valued receiver observes a tone of signed frequency, and the factors of its weight.
 
     Returns:
-        The observed bin, 0 to N/2, and factors of ±1 for the real and the imaginary part of the weight: a
-        fold at 0 conjugates it; sampled at whole steps, a shift by N turns the phase at the record's centre,
-        half a step from the nearest sample, by π.
+        The observed bin, 0 to N/2, and factors of ±1 for the real and the imaginary part of the weight: a fold at 0
+        conjugates the weight; a shift by N changes the phase at the record's centre, half a step from the nearest
+        sample, by π.
     """
     shift = np.rint(signed_bin / length)
     nearest = signed_bin - length * shift
@@ -86,11 +85,10 @@ def lay_bins(tone_bin: FloatArray, reach: float, length: float, scratch: FloatAr
         reach: bins on each side of a tone, at least TAPS.
         length: N.
         scratch: (tones,) overwritten.
-        grid: (ROWS, capacity) receives BIN, from -TAPS to N/2 + TAPS, COS and SIN; `grid_capacity` gives
-            its capacity.
+        grid: (ROWS, capacity) receives BIN, from -TAPS to N/2 + TAPS, COS and SIN; see `grid_capacity`.
 
     Returns:
-        The number of bins. Intervals that touch or overlap are one.
+        The number of bins. Adjacent and overlapping intervals are merged.
     """
     lowest, highest = tone_bin[0], tone_bin[0]
     for i in range(1, len(tone_bin)):
@@ -107,14 +105,14 @@ def lay_bins(tone_bin: FloatArray, reach: float, length: float, scratch: FloatAr
                 first = scratch[i]
         count = _lay_interval(first - reach, highest + reach, length, grid, count)
     _set_angles(length, grid, count)
-    # Whole vectors of bins may be computed.
+    # Padding, since whole vectors of bins may be computed.
     for j in range(count, min(count + 3, grid.shape[1])):
         grid[BIN, j] = grid[BIN, j - 1] + 1.0
     return count
 
 
 def grid_capacity(tones: int, reach: int, length: float) -> int:
-    """Largest number of columns of a spectrum of `tones` tones; all bins at most."""
+    """Maximum number of columns of a spectrum of `tones` tones; at most all bins."""
     return min(tones * (2 * reach + 2) + int(_ONE_INTERVAL), int(length) // 2 + 2 * TAPS + 2)
 
 
@@ -148,20 +146,20 @@ def _set_angles(length: float, grid: FloatArray, count: int) -> None:
 
 @kernel(fastmath=FAST)
 def set_tones(tones: FloatArray, length: float, grid: FloatArray, count: int, bins: FloatArray) -> None:
-    """Set the first `count` bins, from 0 to N/2, to the sum of tones, whatever their places.
+    """Set the first `count` bins, from 0 to N/2, to the sum of tones, at any frequency.
 
     With a = π(n + δ)/N and b = πk/N the two terms of a tone (see the module) share their denominator:
 
         1/sin(a - b) + 1/sin(a + b) = 2 sin(a) cos(b) / (sin(a - b) sin(a + b)),
         1/sin(a - b) - 1/sin(a + b) = 2 cos(a) sin(b) / (sin(a - b) sin(a + b)).
 
-    Nothing cancels: a - b keeps the association (n - k) + δ, the sum that makes sin(a + b) has no negative
-    term, and cosines are sines of the distance to N/2.
+    There is no cancellation: a - b is evaluated as (n - k) + δ, the sum for sin(a + b) has no negative term, and
+    cosines are sines of the distance to N/2.
 
     Args:
         tones: (4, tones) n, δ with |δ| <= 1/2, real and imaginary part of the weight.
         length: N.
-        grid: as `lay_bins` leaves it.
+        grid: grid from `lay_bins`.
         count: bins in use.
         bins: (2, capacity) receives real and imaginary parts.
     """
@@ -206,12 +204,12 @@ def add_noise(
         first_index: even; index of bin 0.
         words, scratch: (4, capacity / 2), (2, capacity) overwritten, two columns longer than any interval.
     """
-    start = int(np.int64(0))  # no literal, for which numba would compile `_add` once more
+    start = int(np.int64(0))  # A variable, since numba would compile `_add` once more for a literal.
     while start < count:
         stop = start + 1
         while stop < count and grid[BIN, stop] - grid[BIN, stop - 1] == 1.0:
             stop += 1
-        # Numbers come in pairs, and none for bins below 0.
+        # Numbers come in pairs; bins below 0 have none.
         skipped = max(0, -int(grid[BIN, start]))
         first = int(grid[BIN, start]) + skipped
         needed = stop - start - skipped + first % 2
@@ -245,7 +243,7 @@ def _add(
 
 @kernel
 def mirror_ends(length: float, grid: FloatArray, count: int, bins: FloatArray) -> None:
-    """Set the bins below 0 and above N/2 from those that they mirror."""
+    """Set the bins below 0 and above N/2 from their mirror images."""
     for j in range(count):
         k = grid[BIN, j]
         if k < 0.0:
@@ -262,7 +260,7 @@ def mirror_ends(length: float, grid: FloatArray, count: int, bins: FloatArray) -
 def windowed_bin(
     bins: FloatArray, j: int, centre: float, side: float, cosine: float, sine: float
 ) -> tuple[float, float]:
-    """Column `j` under a window; `cosine` and `sine` are those of π/N."""
+    """Column `j` with a window; `cosine` and `sine` are those of π/N."""
     sum_re = bins[0, j - 1] + bins[0, j + 1]
     sum_im = bins[1, j - 1] + bins[1, j + 1]
     rise_re = bins[0, j + 1] - bins[0, j - 1]
@@ -284,7 +282,7 @@ def set_power(
     count: int,
     bins: FloatArray,
 ) -> None:
-    """Set POWER, the mean over looks, where a target can be.
+    """Set POWER, the mean over looks, of bins that can hold a target.
 
     It is 0 at 0 and N/2, and in the outer TAPS bins of an interval. `bins` is (looks, 2, capacity).
     """

@@ -1,9 +1,8 @@
-"""The statistical level: targets of one segment from the closed-form error model.
+"""The statistical level: targets of one segment from a closed-form error model.
 
-The beam's tones are added up at one frequency, where their sum is strongest to first order, instead of in every bin.
-Speckle, spread, smear and the laser's line take from that sum what they take from the spectrum's peak; one complex
-Gaussian number stands for the noise of the highest bin and decides on detection; the estimator's own error is drawn
-from its variance.
+The beam's tones are summed at one frequency, where their sum is strongest to first order, instead of in every bin.
+Speckle, spread, smear and linewidth reduce that sum as they reduce the spectrum's peak. One complex Gaussian number
+represents the noise of the highest bin and decides on detection; the estimator's error is drawn from its variance.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from lidar_emu.numerics.sine import sin_pi
 
 @kernel(inline="always")
 def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int) -> int:
-    """Fill `work.targets[segment]` as `set_spectrum` and `find_targets` do, with one target of the ground at most."""
+    """Fill `work.targets[segment]`, like `set_spectrum` and `find_targets`, with at most one target of the ground."""
     targets = work.targets[segment]
     if beam.lit_beamlets == 0:
         alarms = draw_alarms(model, beam, segment, 0.0, 1.0, 0.0, work.alarms)
@@ -70,7 +69,7 @@ def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int)
 
 @kernel
 def _sum_at_peak(tones: FloatArray) -> tuple[float, float, float]:
-    """Frequency of the strongest sum of tones, to first order of their spread, and the sum there."""
+    """Frequency of the strongest sum of tones, to first order in their spread, and the sum there."""
     re, im, power, moment = 0.0, 0.0, 0.0, 0.0
     first = tones[0, 0]
     moment_re, moment_im = 0.0, 0.0
@@ -85,7 +84,7 @@ def _sum_at_peak(tones: FloatArray) -> tuple[float, float, float]:
         moment += strength * place
     if power <= 0.0:
         return first, 0.0, 0.0
-    # Where the sum fades, the first order overshoots: a bin around the middle of the power is as far as it holds.
+    # Where the sum fades, the first order overshoots: it is limited to a bin around the centre of power.
     middle = moment / power
     whole = re * re + im * im
     shift = (re * moment_re + im * moment_im) / whole - middle if whole > 0.0 else 0.0
@@ -118,7 +117,7 @@ def _filter_loss(
 ) -> float:
     """Amplitude of the central tap under smear and the laser's line."""
     smear = smear_bins(model, segment, work.beamlets[SPEED_MPS, 0], smear_acceleration_mps2)
-    # Of a chirp of β bins the peak falls as 1 - (πβ)²/360, and as β^-1/2 for many.
+    # For a chirp of β bins the peak falls as 1 - (πβ)²/360, and as β^-1/2 for large β.
     chirped = 1.0 / (1.0 + (pi * smear) ** 2 / 90.0) ** 0.25
     share: float = line_share(model, work.beamlets[RANGE_M, 0])
     loss: float = chirped * sqrt(share)
@@ -135,7 +134,7 @@ def _set_target(
     snr: float,
     target: Any,
 ) -> None:
-    """Frequency and variance: the estimator's error, and the laser's drift over the delay."""
+    """Set frequency and variance: the estimator's error, and the laser's drift over the delay."""
     method = model.peak_method
     efficiency = EFFICIENCY[method]
     line = line_variance(model, work.beamlets[RANGE_M, 0]) * efficiency / model.looks

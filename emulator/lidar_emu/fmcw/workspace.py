@@ -1,4 +1,4 @@
-"""Arrays that the receiver's kernels write to, and the records of a beam and of a target."""
+"""Arrays that the receiver's kernels write to, and the records of a beam and a target."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel, with_fields
 
 MAX_TARGETS = 4
-"""Targets kept of one spectrum, the strongest."""
+"""Maximum number of targets kept per spectrum, the strongest."""
 
 BEAM = np.dtype(
     [
@@ -32,37 +32,37 @@ BEAM = np.dtype(
     ],
     align=True,
 )
-"""The beam being measured: seed, shot and beam number count its random numbers; then its motion and speckle as in
-`Echoes`; then the number of beamlets that return light, their power, and the taps of its filter on each side."""
+"""The beam being measured: seed, shot and beam number for the random numbers; motion and speckle as in `Echoes`; number
+of beamlets with light, their power, and the taps of the filter on each side."""
 
 TARGET = np.dtype(
     [("frequency_bin", "f8"), ("variance_bin2", "f8"), ("power_over_noise", "f8"), ("power", "f8")],
     align=True,
 )
-"""A target of one spectrum: its frequency, the variance of that, and the power of its highest bin."""
+"""A target of one spectrum: frequency, its variance, and power of its highest bin."""
 
 
 class Workspace(NamedTuple):
-    """Arrays for any level; their size bounds beamlets and looks."""
+    """Arrays for any level; their size limits beamlets and looks."""
 
     beam: NDArray[Any]
-    """(1,) of BEAM."""
+    """(1,) Record of BEAM."""
     beamlets: FloatArray
-    """(5, tones) see `gather_beamlets`; columns are beamlets, and at least one more, for the haze."""
+    """(5, tones) See `gather_beamlets`; one column per beamlet, and at least one more for the haze."""
     tones: FloatArray
-    """(looks, 4, tones) see `set_tones`."""
+    """(looks, 4, tones) See `set_tones`."""
     speckle: SpeckleField
     targets: NDArray[Any]
-    """(3, MAX_TARGETS) of TARGET: the targets of each segment, strongest first."""
+    """(3, MAX_TARGETS) Targets of each segment, records of TARGET, strongest first."""
     alarms: NDArray[Any]
-    """(MAX_TARGETS,) of TARGET: peaks in noise, strongest first."""
+    """(MAX_TARGETS,) Noise peaks, records of TARGET, strongest first."""
 
 
 class SpectrumWorkspace(NamedTuple):
-    """Arrays for the bins of spectra; their size bounds beamlets, looks and the widest filter."""
+    """Arrays for the bins of spectra; their size limits beamlets, looks and the widest filter."""
 
     places: FloatArray
-    """(2, looks * tones) whole bins of all tones, one look after another, and room to sort them."""
+    """(2, looks * tones) Nearest bins of all tones, one look after another, and a buffer to sort them."""
     residues: FloatArray
     grid: FloatArray
     bins: FloatArray
@@ -70,12 +70,12 @@ class SpectrumWorkspace(NamedTuple):
     noise: FloatArray
     words: NDArray[np.uint64]
     taps: FloatArray
-    """(3, 2, taps) of smear, of the line, and of both."""
+    """(3, 2, taps) Taps of the smear, of the linewidth, and of both."""
     peaks: NDArray[np.int64]
 
 
 def build_workspace(beamlets: int, looks: int) -> Workspace:
-    """Arrays for beams of up to `beamlets` beamlets."""
+    """Allocate arrays for beams of up to `beamlets` beamlets."""
     tones = _columns(beamlets)
     return Workspace(
         beam=with_fields(np.zeros(1, dtype=BEAM)),
@@ -88,19 +88,19 @@ def build_workspace(beamlets: int, looks: int) -> Workspace:
 
 
 def plain(work: Workspace) -> tuple[Any, ...]:
-    """The arrays of a workspace as plain tuples, for calls from Python."""
+    """Arrays of a workspace as plain tuples, for calls from Python."""
     return tuple(tuple(part) if isinstance(part, tuple) else part for part in work)
 
 
 @kernel
 def as_workspace(arrays: tuple[Any, ...]) -> Workspace:
-    """The workspace of `plain` tuples."""
+    """Workspace from the tuples of `plain`."""
     beam, beamlets, tones, speckle, targets, alarms = arrays
     return Workspace(beam, beamlets, tones, SpeckleField(*speckle), targets, alarms)
 
 
 def build_spectrum_workspace(beamlets: int, looks: int, taps: int, length: float) -> SpectrumWorkspace:
-    """Arrays for beams of up to `beamlets` beamlets, and filters of `taps` taps on each side."""
+    """Allocate arrays for beams of up to `beamlets` beamlets, and filters of `taps` taps on each side."""
     tones = _columns(beamlets)
     reach = REACH + max(0, taps - LEAST_TAPS)
     capacity = grid_capacity(looks * tones, reach, length)
@@ -118,5 +118,5 @@ def build_spectrum_workspace(beamlets: int, looks: int, taps: int, length: float
 
 
 def _columns(beamlets: int) -> int:
-    """Beamlets and the haze, filled up to whole vectors of tones."""
+    """Columns for the beamlets and the haze, padded to whole vectors of tones."""
     return -(-(beamlets + 1) // TONES_PER_DIVISION) * TONES_PER_DIVISION

@@ -22,7 +22,7 @@ class Group(Enum):
     TIMING = auto()
     """Number and instants of the shot."""
     POINTING = auto()
-    """Which beams fire, and where to."""
+    """Which beams fire, and their directions."""
     REPORT = auto()
     """Measurements of a beam, as the instrument reports them."""
     TRUTH = auto()
@@ -40,32 +40,32 @@ class Column:
     dtype: str
     """Type as numpy writes it, e.g. `f8`."""
     unit: str
-    """Empty for a flag, a code or a count."""
+    """Unit; empty for a flag, a code or a count."""
     meaning: str
-    """A sentence."""
+    """Meaning, in one sentence."""
     group: Group = Group.REPORT
     components: tuple[int, ...] = ()
     """Shape of an entry."""
     per_shot: bool = False
-    """One entry per shot instead of one per beam."""
+    """Whether there is one entry per shot instead of one per beam."""
     missing: float | None = None
-    """The entry where nothing is known; None: NaN, or 0 of integers and flags."""
+    """Entry for an unknown value; None: NaN, or 0 for integers and flags."""
 
     @property
     def is_float(self) -> bool:
-        """Whether entries are numbers with a fraction, which can be NaN."""
+        """Whether entries are floating-point numbers, which can be NaN."""
         return self.dtype.startswith("f")
 
     @cached_property
     def missing_value(self) -> float:
-        """The entry where nothing is known."""
+        """Entry for an unknown value."""
         if self.missing is not None:
             return self.missing
         return np.nan if self.is_float else 0
 
 
 def columns(declared: type) -> dict[str, Column]:
-    """The columns of a dataclass by name, in the order of its fields.
+    """Columns of a dataclass by name, in the order of its fields.
 
     Raises:
         TypeError: a field does not have exactly one `Column`.
@@ -107,5 +107,5 @@ def missing_columns(
 
 
 def in_groups(of: Mapping[str, Column], *groups: Group) -> dict[str, Column]:
-    """The columns of these groups, group by group."""
+    """Columns of these groups, group by group."""
     return {name: column for group in groups for name, column in of.items() if column.group is group}

@@ -1,4 +1,11 @@
-"""Compiled kernels on disk: one file per kernel and signature, named by a hash of all inputs of its compilation.
+"""Cache of compiled kernels on disk: one file per kernel and signature, named by a hash of all inputs of its
+compilation.
+
+numba's own cache keeps a compiled function until its file changes, even if the functions that it calls change, and two
+processes that compile concurrently may exchange entries of its index. Here a name is a hash of code, constants and
+options of the kernel and of every kernel that it calls, and each file has a checksum: a file is correct or the kernel
+is compiled again. The files are in `~/.cache/lidar-emu/kernels` unless `XDG_CACHE_HOME` or `NUMBA_CACHE_DIR` is set,
+and may be deleted at any time.
 
 numba's own cache keeps a compiled function until its file changes, whatever changes in the functions that it calls,
 and two processes that compile at once may exchange entries of its index. Here a name is a hash of the code, the
@@ -39,7 +46,7 @@ _UNCACHED = "kernels are compiled at every start, since they cannot be cached"
 _warned = set[str]()
 
 
-# Without types: numba's annotations are partial, and strict checks take them for untyped calls.
+# Without types: numba's annotations are incomplete, and strict checks take them for untyped calls.
 _rebuild: Any = CompileResult._rebuild
 _dumps: Any = dumps
 
@@ -51,11 +58,11 @@ class KernelCache(NullCache):
         self._kernel = kernel
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
-        """The kernel compiled for this signature; None where it has to be compiled."""
+        """The kernel compiled for this signature; None if it must be compiled."""
         target_context.refresh()
         try:
             kept = self._path(signature, target_context.codegen()).read_bytes()
-        except (OSError, RuntimeError):  # not there, not readable, or a user without a home
+        except (OSError, RuntimeError):  # Missing, not readable, or a user without a home folder.
             return None
         check_sum, content = kept[:_CHECK_SUM_BYTES], kept[_CHECK_SUM_BYTES:]
         if sha256(content).digest() != check_sum:
@@ -67,7 +74,7 @@ class KernelCache(NullCache):
             return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
-        """Keep a kernel that was just compiled; warn once if that fails."""
+        """Store a compiled kernel; warn once if that fails."""
         content = _dumps(compiled._reduce())
         try:
             path = self._path(signature, compiled.codegen)
@@ -99,9 +106,9 @@ def _warn(cause: str, text: str) -> None:
 
 
 def _spelt(numba_type: Any) -> str:
-    """A type's name with the class of a named tuple and its fields, which numba leaves out.
+    """Name of a type, with the class and the fields of a named tuple, which numba omits.
 
-    The class counts with its module: a file names both, and neither may have gone.
+    The class is named with its module: a file refers to both, and either may have been removed.
     """
     kind = getattr(numba_type, "instance_class", None)
     named = "" if kind is None else _shown(kind)
@@ -109,7 +116,7 @@ def _spelt(numba_type: Any) -> str:
 
 
 def digest(kernel: Dispatcher, target: str = "") -> str:
-    """A hash of everything a kernel is compiled from: its own code, and the code of the kernels that it calls.
+    """Hash of all inputs of a kernel's compilation: its own code, and the code of the kernels that it calls.
 
     Raises:
         TypeError: one of them uses a global of an unknown kind.
@@ -125,7 +132,7 @@ def digest(kernel: Dispatcher, target: str = "") -> str:
 
 @cache
 def _ingredients(kernel: Dispatcher) -> tuple[bytes, tuple[Dispatcher, ...]]:
-    """A hash of a kernel's own code, constants and options; and the kernels that it calls."""
+    """Hash of a kernel's own code, constants and options; and the kernels that it calls."""
     function, called = kernel.py_func, list[Dispatcher]()
     cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
     scope = function.__globals__ | {name: cell.cell_contents for name, cell in cells.items()}
@@ -153,7 +160,7 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
 
 
 def _shown(value: object) -> str:
-    """A value that is compiled into a kernel, in full."""
+    """Full representation of a value that is compiled into a kernel."""
     if value is np or value is math:
         return "library"
     if isinstance(value, np.ndarray):

@@ -1,4 +1,4 @@
-"""numba's compiler for kernels: functions of arrays and numbers, kept on disk once they are compiled."""
+"""numba's compiler for kernels: functions of arrays and numbers, cached on disk once compiled."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NO_WRAPPERS = {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper"
 
 
 class _Uncollected(event.Listener):
-    """Suspends garbage collection while numba compiles: numba makes millions of objects and keeps most of them."""
+    """Suspends garbage collection while numba compiles: numba creates millions of objects and keeps most of them."""
 
     def __init__(self) -> None:
         self._depth = 0
@@ -52,7 +52,7 @@ class _Decorator(Protocol):
 class _Inner(CPUDispatcher):
     """A kernel compiled without Python wrappers; the first call from Python compiles it again, with them.
 
-    Unpacking Python's arguments is more code than most kernels are, and took a third of the time of compiling.
+    Unpacking Python arguments is more code than most kernels have, and took a third of the compilation time.
     """
 
     def __call__(self, *args: Any) -> Any:
@@ -82,12 +82,13 @@ def kernel(
 def kernel(function: Any = None, *, outermost: bool = False, allocates: bool = False, **options: Any) -> Any:
     """`njit` for kernels that work in their caller's arrays; divisions follow IEEE 754.
 
-    numba counts references to an array's owner wherever the array is passed on, and does so atomically. In code made of
-    short kernels that takes half of the time, both of running and of compiling. Here only kernels that allocate count.
+    numba counts references to an array's owner, atomically, wherever the array is passed on. In code that consists of
+    short kernels this takes half of the run time and of the compilation time. Here only kernels that allocate count
+    references.
 
     Args:
-        outermost: called from Python, and kept in the cache with all that it calls.
-        allocates: makes arrays of its own.
+        outermost: the kernel is called from Python, and cached with all kernels that it calls.
+        allocates: the kernel allocates arrays.
     """
 
     common = {"error_model": "numpy", "_nrt": allocates}
@@ -101,7 +102,7 @@ def kernel(function: Any = None, *, outermost: bool = False, allocates: bool = F
 
 
 def _compiled(function: Any, **options: Any) -> Any:
-    decorate: Any = njit  # whose types do not know of `_nrt`
+    decorate: Any = njit  # Its types have no `_nrt`.
     compiled = decorate(**options)(function)
     if compiled is not function:  # kernels are not interpreted
         compiled._cache = KernelCache(compiled)
@@ -117,6 +118,7 @@ def with_fields(structured: Any) -> Any:
 
 
 def interpreted(compiled: _Function) -> _Function:
-    """The Python function behind a kernel: for a few values, on which a call would spend longer unpacking the model."""
+    """Python function behind a kernel: for a few values, a call of the kernel would spend longer unpacking its
+    arguments."""
     function: _Function = getattr(compiled, "py_func", compiled)
     return function

@@ -1,7 +1,7 @@
-"""Counter-based random numbers: any number of any shot can be drawn alone, whatever was drawn before.
+"""Counter-based random numbers: any number of any shot can be drawn alone.
 
-Philox4x32-10 of Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC11. The key is the run's
-seed; the counter says what the number is for: shot, beam, purpose and index.
+Philox4x32-10 of Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC11. The key is the run's seed; the
+counter consists of shot, beam, purpose and index.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def philox4x32(
 
     All words are below 2**32, held in uint64 since the products need that width.
     """
-    # Written out: vector instructions are found for a loop over counters only if there is no loop within.
+    # Unrolled: a loop over counters is vectorised only if it contains no loop.
     k = k0, k1
     w = _round((c0, c1, c2, c3), k)
     k = _next_key(k)
@@ -115,9 +115,9 @@ def fill_complex_normals(
 ) -> None:
     """Fill the first `count` columns, an even number, of `out` with circular complex Gaussians of unit mean power.
 
-    Numbers 2i and 2i + 1 come from counter `first_pair` + i (Box-Muller): 32 bits each for magnitude and phase, so
-    that no power exceeds 22.9, what one in 1e10 does. `words` (4, count/2 or more) is overwritten. In stages without
-    branches, which become vector instructions.
+    Numbers 2i and 2i + 1 come from counter `first_pair` + i (Box-Muller): 32 bits each for magnitude and phase, so that
+    no power exceeds 22.9, which has a probability of 1e-10. `words` (4, count/2 or more) is overwritten. The stages
+    have no branches, so that they are vectorised.
     """
     number = np.uint64(shot)
     use = (np.uint64(purpose) << _SHIFT_16) | np.uint64(beam)
@@ -137,7 +137,7 @@ def _fill_words(
 ) -> None:
     k0, k1 = seed & _LOW, seed >> _WORD
     low, high = number & _LOW, number >> _WORD
-    # Rows are taken ahead of loops: found within, they keep a loop from becoming vector instructions.
+    # Rows are selected before the loops: selection within a loop prevents vectorisation.
     words_0, words_1, words_2, words_3 = words[0], words[1], words[2], words[3]
     for i in range(count):
         a, b, c, d = philox4x32(low, high, use, (first + np.uint64(i)) & _LOW, k0, k1)
@@ -155,10 +155,10 @@ def _fill_uniforms(words: NDArray[np.uint64], out: FloatArray, count: int) -> No
 
 @kernel(fastmath=FAST)
 def _box_muller(re: FloatArray, im: FloatArray) -> None:
-    """Uniforms for magnitude and phase in, real and imaginary parts out."""
+    """Box-Muller transform: uniforms for magnitude and phase in, real and imaginary parts out."""
     bits = re.view(np.int64)
     for i in range(len(re)):
-        # The exponent counts from sqrt(1/2), so that the mantissa lies around 1.
+        # The exponent counts from sqrt(1/2), so that the mantissa is close to 1.
         exponent = (bits[i] - _ROOT_HALF_BITS) >> 52
         bits[i] -= exponent << 52
         radius = sqrt(-(exponent * _LN_2 + _ln_near_one(re[i])))
@@ -168,7 +168,7 @@ def _box_muller(re: FloatArray, im: FloatArray) -> None:
 
 @kernel(fastmath=FAST, forceinline=True)
 def _ln_near_one(x: float) -> float:
-    """ln x from sqrt(1/2) to sqrt(2), to 2e-16 of itself: 2 artanh s with s = (x - 1)/(x + 1)."""
+    """ln x for x from sqrt(1/2) to sqrt(2), relative error 2e-16: 2 artanh s with s = (x - 1)/(x + 1)."""
     s = (x - 1.0) / (x + 1.0)
     y = s * s
     series = 1 / 13 + y * (1 / 15 + y * (1 / 17 + y * (1 / 19 + y / 21)))

@@ -19,10 +19,9 @@ from lidar_emu.numerics.philox import complex_normal, uniform_pair
 
 _RECEIVER: Any = np.arange(1, 7)
 PHASE, NOISE_BINS, SPECKLE, LINE, HAZE, FALSE_ALARM = _RECEIVER
-"""Purposes in the receiver's kernels. They are variables: numba would compile a kernel anew for each literal that is
-passed to it."""
+"""Purposes in the receiver's kernels. They are variables: numba would compile a kernel again for each literal."""
 FIRST_FAULT = 1024
-"""Purpose of the first fault of a scenario's list; the others follow."""
+"""Purpose of the first fault in a scenario's list; the others follow."""
 DUST = 5120
 """Purpose of the dust raised by the plume."""
 CLOCK_WANDER = 5121
@@ -34,11 +33,11 @@ SHARES, RUN_SEEDS = range(2)
 """Keys of `generator`, after the seed of a campaign: quantiles of the dispersed keys, and the seeds of its runs."""
 
 _WHOLE_SHOT = 0xFFFF
-"""In place of a beam's number."""
+"""Placeholder for the number of a beam."""
 
 
 def fault_purpose(number: int) -> int:
-    """Purpose of a fault by its place in the scenario's list.
+    """Purpose of a fault by its index in the scenario's list.
 
     Raises:
         ValueError: the purposes of faults are used up.
@@ -54,8 +53,8 @@ def generator(
     """A numpy generator for arrays drawn as a whole.
 
     Args:
-        key: seed and what follows it, natural numbers; another key gives an independent stream.
-        bit_generator: Philox unless published results rest on another one.
+        key: seed and further natural numbers; another key gives an independent stream.
+        bit_generator: Philox, unless published results depend on another one.
     """
     return np.random.Generator(bit_generator(np.random.SeedSequence(key)))
 
@@ -71,7 +70,7 @@ class RandomStream:
     def __init__(self, seed: int, purpose: int) -> None:
         self._seed = np.uint64(seed)
         self._purpose = purpose
-        # Kernels are compiled before the run, so that a fault's first shot is not late.
+        # Kernels are compiled before the run, so that the first shot with a fault is not late.
         no_shot = np.empty(0, dtype=np.int64)
         self.uniforms(no_shot, 1, 0)
         self.normals(no_shot, 1, 0)
@@ -79,25 +78,25 @@ class RandomStream:
         self.sequence(0, 0, 0)
 
     def uniforms(self, shot: NDArray[np.int64], beams: int, index: int) -> FloatArray:
-        """(shots, beams, 2) Uniforms between 0 and 1; another `index` gives other numbers."""
+        """Uniforms (shots, beams, 2) between 0 and 1; another `index` gives other numbers."""
         out = np.empty((len(shot), beams, 2))
         _fill_uniforms(self._seed, shot, self._purpose, index, out)
         return out
 
     def normals(self, shot: NDArray[np.int64], beams: int, index: int) -> FloatArray:
-        """(shots, beams, 2) Standard normal numbers; another `index` gives other numbers."""
+        """Standard normal numbers (shots, beams, 2); another `index` gives other numbers."""
         out = np.empty((len(shot), beams, 2))
         _fill_normals(self._seed, shot, self._purpose, index, out)
         return out
 
     def per_shot(self, shot: NDArray[np.int64]) -> FloatArray:
-        """(shots,) One uniform for each shot as a whole."""
+        """One uniform (shots,) per shot as a whole."""
         out = np.empty(len(shot))
         _fill_per_shot(self._seed, shot, self._purpose, out)
         return out
 
     def sequence(self, shot: int, first: int, count: int) -> FloatArray:
-        """(count,) Uniforms from number `first` on of a further sequence that belongs to the shot as a whole."""
+        """Uniforms (count,) from number `first` on, of a further sequence per shot."""
         out = np.empty(count)
         _fill_sequence(self._seed, shot, self._purpose, first, out)
         return out

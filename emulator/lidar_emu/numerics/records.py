@@ -1,10 +1,10 @@
-"""Structures as arguments of kernels: constant numbers as one record, arrays as arguments of their own.
+"""Structures as arguments of kernels: constants as one record, arrays as separate arguments.
 
-A kernel takes the address of a record (a structured array of one element) at the price of an array. Between kernels a
+Passing a record (a structured array of one element) to a kernel costs as much as passing an array. Between kernels a
 named tuple of arrays costs nothing; from Python it costs up to 5 µs more per call than its arrays, longer than many
-kernels take. So the outermost kernel of a model takes such arrays as a plain tuple, for about 0.2 µs more than one by
-one, and makes the named tuple of them in its first line. Kernels that cast single rays within 1 or 2 µs take the arrays
-of `Hits` one by one: a tuple or one more record made them a tenth slower.
+kernels take. The outermost kernel of a model therefore takes such arrays as a plain tuple, which costs about 0.2 µs
+more than separate arguments, and builds the named tuple in its first line. Kernels that cast single rays within 1 or 2
+µs take the arrays of `Hits` as separate arguments: a tuple or one more record made them a tenth slower.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from lidar_emu.numerics.kernels import with_fields
 
 @lru_cache(maxsize=64)
 def as_record(fields: Any) -> Any:
-    """A named tuple of numbers, and of named tuples of numbers, as a structured array of one element."""
+    """Convert a named tuple of numbers, possibly nested, to a structured array of one element."""
     return with_fields(np.array([fields], dtype=_record_type(fields)))
 
 

@@ -17,7 +17,7 @@ Quaternion = tuple[float, float, float, float]
 
 @kernel
 def rotate(target_from_source: FloatArray, source: AnyVector) -> Vector:
-    """A vector of the source frame in the target frame."""
+    """Rotate a vector from the source frame to the target frame."""
     m, x, y, z = target_from_source, source[0], source[1], source[2]
     return (
         m[0, 0] * x + m[0, 1] * y + m[0, 2] * z,
@@ -28,7 +28,7 @@ def rotate(target_from_source: FloatArray, source: AnyVector) -> Vector:
 
 @kernel
 def premultiply(target_from_middle: FloatArray, rotation: FloatArray) -> None:
-    """Turn middle_from_source (3, 3), in place, into target_from_source."""
+    """Compose with a rotation in place: middle_from_source (3, 3) becomes target_from_source."""
     for column in range(3):
         x, y, z = rotation[0, column], rotation[1, column], rotation[2, column]
         for row in range(3):
@@ -38,7 +38,7 @@ def premultiply(target_from_middle: FloatArray, rotation: FloatArray) -> None:
 
 @kernel
 def set_from_yaw_pitch_roll(yaw_rad: float, pitch_rad: float, roll_rad: float, matrix: FloatArray) -> None:
-    """Set parent_from_child (3, 3) of the aerospace sequence: about z, then y, then x."""
+    """Set parent_from_child (3, 3) from the aerospace sequence: about z, then y, then x."""
     sin_yaw, cos_yaw = sin(yaw_rad), cos(yaw_rad)
     sin_pitch, cos_pitch = sin(pitch_rad), cos(pitch_rad)
     sin_roll, cos_roll = sin(roll_rad), cos(roll_rad)
@@ -81,7 +81,7 @@ def sin_over(angle_rad: float) -> float:
 
 @kernel
 def set_from_quaternion(w: float, x: float, y: float, z: float, matrix: FloatArray) -> None:
-    """Set parent_from_child (3, 3) of a unit quaternion parent_from_child."""
+    """Set parent_from_child (3, 3) from a unit quaternion parent_from_child."""
     matrix[0, 0], matrix[0, 1], matrix[0, 2] = (
         1 - 2 * (y * y + z * z),
         2 * (x * y - w * z),
@@ -101,7 +101,7 @@ def set_from_quaternion(w: float, x: float, y: float, z: float, matrix: FloatArr
 
 @kernel
 def quaternion_at(array: FloatArray, place: int) -> Quaternion:
-    """The four numbers of an array (n,) from a place on."""
+    """Quaternion in an array (n,), starting at an index."""
     return array[place], array[place + 1], array[place + 2], array[place + 3]
 
 
@@ -120,7 +120,7 @@ def quaternion_product(a: Quaternion, b: Quaternion) -> Quaternion:
 
 @kernel
 def to_parent(parent_from_child: Quaternion, v: Vector) -> Vector:
-    """A vector of the child frame in the parent frame, by a unit quaternion."""
+    """Rotate a vector from the child frame to the parent frame, by a unit quaternion."""
     q = parent_from_child
     axis = (q[1], q[2], q[3])
     twice = scale(2.0, cross(axis, v))
@@ -129,7 +129,7 @@ def to_parent(parent_from_child: Quaternion, v: Vector) -> Vector:
 
 @kernel
 def to_child(parent_from_child: Quaternion, v: Vector) -> Vector:
-    """A vector of the parent frame in the child frame, by a unit quaternion."""
+    """Rotate a vector from the parent frame to the child frame, by a unit quaternion."""
     q = parent_from_child
     return to_parent((q[0], -q[1], -q[2], -q[3]), v)
 

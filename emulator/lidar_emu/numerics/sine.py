@@ -1,4 +1,4 @@
-"""A sine without branches, so that loops over bins become vector instructions."""
+"""A sine without branches, so that loops over bins are vectorised."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from lidar_emu.numerics.kernels import kernel
 
 FAST = {"nsz"}
 """Fast-math flags of kernels. None changes the order of a sum or the meaning of NaN, and none depends on the code
-around a kernel: a process that compiles runs other copies of kernels than a process that loads them from the cache,
-and with contracted multiplications and additions the two differed in the last digits."""
+around a kernel: a process that compiles uses other copies of kernels than a process that loads them from the cache, and
+with contracted multiplications and additions the two would differ in the last digits."""
 
 _A1, _A3, _A5, _A7, _A9, _A11, _A13, _A15, _A17, _A19, _A21 = (
     (-1) ** (n // 2) * pi**n / factorial(n) for n in range(1, 22, 2)
@@ -18,10 +18,10 @@ _A1, _A3, _A5, _A7, _A9, _A11, _A13, _A15, _A17, _A19, _A21 = (
 
 @kernel(fastmath=FAST, forceinline=True)
 def sin_pi(x: float) -> float:
-    """sin(pi x) for |x| up to a little over 1/2, relative error 3e-16.
+    """sin(pi x) for |x| up to slightly above 1/2, relative error 3e-16.
 
-    The Taylor series: its next term is 2e-18 at x = 1/2. Being odd in form, it keeps its relative error at 0.
-    The two halves of the polynomial do not wait for each other.
+    Taylor series: the next term is 2e-18 at x = 1/2. The odd form keeps the relative error at 0. The two halves of the
+    polynomial are independent of each other.
     """
     y = x * x
     y3 = y * y * y

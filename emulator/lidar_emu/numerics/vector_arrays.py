@@ -22,7 +22,7 @@ from lidar_emu.numerics.rotations import (
 )
 
 SITE_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""East-north-up from the north-east-down in which aerospace angles are counted."""
+"""Rotation to east-north-up from north-east-down, the frame of aerospace angles."""
 
 _NEXT, _AFTER_NEXT = [1, 2, 0], [2, 0, 1]
 
@@ -40,7 +40,7 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def rotate(target_from_source: FloatArray, source: FloatArray) -> FloatArray:
-    """Matrices (..., 3, 3) on vectors (..., 3): (..., 3)."""
+    """Rotate vectors (..., 3) by matrices (..., 3, 3): (..., 3)."""
     x, y, z = source[..., 0, None], source[..., 1, None], source[..., 2, None]
     matrix = target_from_source
     target: FloatArray = matrix[..., 0] * x + matrix[..., 1] * y + matrix[..., 2] * z
@@ -70,7 +70,7 @@ def from_rotation_vector(vector_rad: FloatArray) -> FloatArray:
 
 
 def _matrices(set_matrix: Callable[..., None], triples: FloatArray) -> FloatArray:
-    """The matrices (..., 3, 3) that a kernel sets from triples (..., 3) of numbers."""
+    """Matrices (..., 3, 3) that a kernel sets from triples (..., 3) of numbers."""
     matrices = np.empty((*triples.shape, 3))
     for triple, matrix in zip(triples.reshape(-1, 3), matrices.reshape(-1, 3, 3), strict=True):
         set_matrix(triple[0], triple[1], triple[2], matrix)
@@ -106,7 +106,7 @@ def _set_from_quaternions(
 
 
 def conjugate_product(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """a* b of quaternions (n, 4): its scalar (n,) and its vector (n, 3)."""
+    """Product a* b of quaternions (n, 4): scalars (n,) and vectors (n, 3)."""
     a_scalar, a_vector, b_scalar, b_vector = a[:, 0], a[:, 1:], b[:, 0], b[:, 1:]
     scalar = a_scalar * b_scalar + dot(a_vector, b_vector)
     vector = a_scalar[:, None] * b_vector - b_scalar[:, None] * a_vector - cross(a_vector, b_vector)

@@ -16,13 +16,13 @@ AnyVector = Vector | FloatArray
 
 @kernel
 def vector_at(array: FloatArray, place: int) -> Vector:
-    """The three numbers of an array (n,) from a place on."""
+    """Vector in an array (n,), starting at an index."""
     return array[place], array[place + 1], array[place + 2]
 
 
 @kernel
 def store(array: FloatArray, place: int, v: Vector) -> None:
-    """Store a vector in an array (n,) from a place on."""
+    """Store a vector in an array (n,), starting at an index."""
     array[place], array[place + 1], array[place + 2] = v[0], v[1], v[2]
 
 
@@ -40,13 +40,13 @@ def subtract(a: AnyVector, b: AnyVector) -> Vector:
 
 @kernel
 def scale(factor: float, v: AnyVector) -> Vector:
-    """A number times a vector."""
+    """Product of a number and a vector."""
     return factor * v[0], factor * v[1], factor * v[2]
 
 
 @kernel
 def multiply(a: AnyVector, b: AnyVector) -> Vector:
-    """Product axis by axis: a diagonal matrix on a vector."""
+    """Product axis by axis, as of a diagonal matrix and a vector."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 

@@ -1,1 +1,1 @@
-"""Probabilities of detection, of false alarms and of false locks: closed forms for planning, nothing drawn."""
+"""Probabilities of detection, of false alarms and of false locks, in closed form, for planning."""

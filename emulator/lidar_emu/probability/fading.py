@@ -1,7 +1,7 @@
-"""Detection of a tone that may fade: steady, Swerling's four cases, and several segments in one fade.
+"""Detection of a tone that may fade: steady, Swerling's four cases, and several segments with shared fading.
 
-K is the mean power of the signal in its bin over the mean noise power there. The powers of M looks are added up
-and compared with `threshold_power(L, M)`, where L = -ln P_fa.
+K is the mean power of the signal in its bin divided by the mean noise power there. The powers of M looks are summed and
+compared with `threshold_power(L, M)`, where L = -ln P_fa.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from lidar_emu.probability.noise import threshold_powers
 from lidar_emu.probability.quadrature import nodes_and_weights
 
 Fading = Literal["steady", "swerling_1", "swerling_2", "swerling_3", "swerling_4"]
-"""Fading of the signal's power. Swerling 1 and 2: exponential (Rayleigh amplitude, fully developed speckle), the same
-in all looks or drawn anew for each. Swerling 3 and 4: gamma of order two, likewise. A steady signal is Swerling's
-case 0; its amplitude with noise has Rice's distribution."""
+"""Fading of the signal's power. Swerling 1 and 2: exponential (Rayleigh amplitude, fully developed speckle), equal in
+all looks or independent in each. Swerling 3 and 4: gamma of order two, likewise. A steady signal is Swerling's case 0;
+its amplitude with noise has a Rice distribution."""
 
 _PANELS = np.linspace(0.0, 1.0, 33)
 _BEYOND = 7.0
-"""Noise amplitudes above the threshold at which a signal is detected, but for e^-49."""
+"""Noise amplitudes above the threshold at which a signal is detected, except for a probability of e^-49."""
 _LEAST_SNR = 1e-12
-"""Below it a fade makes no difference."""
+"""SNR below which a fade makes no difference."""
 
 
 def detection_probability(
@@ -37,9 +37,9 @@ def detection_probability(
     """Probability that signal and noise exceed the threshold, to an absolute error of 1e-11.
 
     Args:
-        fading: of the signal.
-        snr: K, of one look; 0 or more.
-        minus_log_pfa: L of one bin, after the looks were added up. Broadcast with `snr`.
+        fading: fading of the signal.
+        snr: K for one look, 0 or more.
+        minus_log_pfa: L of one bin, for the sum over looks. Broadcast with `snr`.
         looks: M, from 1.
     """
     snr, power = np.broadcast_arrays(np.asarray(snr, dtype=float), threshold_powers(minus_log_pfa, looks))
@@ -53,20 +53,21 @@ def detection_probability(
 def shared_fade_probability(
     rule: Callable[[FloatArray], FloatArray], snr: ArrayLike, minus_log_pfa: float, looks: int = 1
 ) -> FloatArray:
-    """Probability of an event that rests on several segments in the same fade, to an absolute error of 1e-10.
+    """Probability of an event that depends on several segments with shared fading, to an absolute error of 1e-10.
 
-    The segments share the signal's power, exponential and drawn anew for each look; their noise is their own.
+    The segments share the signal's power, which is exponential and independent from look to look; their noise is
+    independent.
 
     Args:
         rule: probability of the event where each segment is detected with the probability given, such as
             p -> p³; rising, with rule(1) = 1.
-        snr: K, of one look; any shape.
-        minus_log_pfa: L of one bin, after the looks were added up.
+        snr: K for one look, any shape.
+        minus_log_pfa: L of one bin, for the sum over looks.
         looks: M, from 1.
     """
     mean: FloatArray = np.maximum(np.asarray(snr, dtype=float), _LEAST_SNR)
-    # Over the amplitude, of which the detection probability is a smooth step one noise amplitude wide, up to where
-    # either every signal is detected or no signal is left.
+    # Integrated over the amplitude, in which the detection probability is a smooth step one noise amplitude wide, up to
+    # where every signal is detected or no signal is left.
     height = np.sqrt(threshold_powers(minus_log_pfa, looks))
     top = np.minimum(height + _BEYOND, np.sqrt(mean * (looks + 8.0 * np.sqrt(looks) + 45.0)))
     amplitude, weight = nodes_and_weights(top[..., None] * _PANELS)
@@ -78,10 +79,10 @@ def shared_fade_probability(
 
 
 def _mixture(order: int, looks: int, gain: FloatArray, power: FloatArray) -> FloatArray:
-    """A gamma-distributed signal of order k >= M: the sum with the noise is a mixture of gamma distributions.
+    """Gamma-distributed signal of order k >= M: the sum with the noise is a mixture of gamma distributions.
 
-    Its moment-generating function is (1 + t)^(k - M) / (1 + ct)^k, with c = 1 + MK/k, and 1 + t is ((1 + ct) +
-    (c - 1)) / c.
+    Its moment-generating function is (1 + t)^(k - M) / (1 + ct)^k, with c = 1 + MK/k, and 1 + t is ((1 + ct) + (c - 1))
+    / c.
     """
     spare = order - looks
     total = np.zeros_like(gain)
@@ -92,7 +93,7 @@ def _mixture(order: int, looks: int, gain: FloatArray, power: FloatArray) -> Flo
 
 
 def _beside_noise(order: int, looks: int, gain: FloatArray, power: FloatArray) -> FloatArray:
-    """A gamma-distributed signal of order k < M: the sum of c times a gamma of order k, and of noise of order M - k."""
+    """Gamma-distributed signal of order k < M: the sum of c times a gamma of order k, and of noise of order M - k."""
     idle = looks - order
     noise, weight = nodes_and_weights(power[..., None] * _PANELS)
     density = np.exp((idle - 1) * np.log(noise) - noise - gammaln(idle))

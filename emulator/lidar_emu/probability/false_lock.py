@@ -1,4 +1,4 @@
-"""False locks: the strongest bin of a spectrum is one of noise."""
+"""False locks: the strongest bin of a spectrum is a noise bin."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lidar_emu.probability.fading import Fading, detection_probability
 from lidar_emu.probability.quadrature import nodes_and_weights
 
 _NEGLIGIBLE = 40.0
-"""-ln of what is left out at either end of the integral."""
+"""-ln of the probability left out at either end of the integral."""
 _PANELS = np.linspace(0.0, 1.0, 25)
 
 
@@ -19,18 +19,18 @@ def false_lock_probability(
 ) -> FloatArray:
     """Probability that the highest of N noise bins exceeds both the signal's bin and the threshold.
 
-    Measured by L, the -ln P of noise above it, any bin of noise is exponential with mean 1, whatever the looks. The
-    signal stays below a noise bin at L where a threshold at L would miss it:
+    Expressed as L, the -ln P of noise above it, the power of a noise bin is exponential with mean 1 for any number of
+    looks. The signal is below a noise bin at L with the miss probability of a threshold at L:
 
         ∫ P_miss(L) N (1 - e^-L)^(N-1) e^-L dL   from the threshold's own L,
 
     to an absolute error of 1e-11.
 
     Args:
-        fading: of the signal.
-        snr: mean power of the signal in its bin over the mean noise power, of one look; any shape.
-        minus_log_pfa: L of the threshold; 0 is none.
-        bins: N, independent.
+        fading: fading of the signal.
+        snr: mean power of the signal in its bin over the mean noise power, for one look; any shape.
+        minus_log_pfa: L of the threshold; 0: no threshold.
+        bins: N independent bins.
         looks: M, from 1.
     """
     lowest = max(minus_log_pfa, -np.log(-np.expm1(-_NEGLIGIBLE / bins)))

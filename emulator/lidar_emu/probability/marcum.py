@@ -32,10 +32,10 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray
 
 _TERMS = 50
 _BELL_ABOVE = 25.0
-"""Up to here `_TERMS` of the series hold all digits."""
+"""Up to this z, `_TERMS` terms of the series give full precision."""
 _NODES = 20
 _BELL_EXPONENT = 40.0
-"""The bell is cut off at e^-40 of its height."""
+"""The integrand is truncated at e^-40 of its maximum."""
 
 
 def log_q(a: ArrayLike, b: ArrayLike) -> FloatArray:
@@ -50,13 +50,13 @@ def log_q(a: ArrayLike, b: ArrayLike) -> FloatArray:
 
 
 def log_p(a: ArrayLike, b: ArrayLike) -> FloatArray:
-    """ln(1 - Q_1(a, b)), as `log_q`; minus infinity where b is 0."""
+    """ln(1 - Q_1(a, b)), see `log_q`; minus infinity if b is 0."""
     tail, is_p = _log_tail(a, b)
     return np.where(is_p, tail, _log_complement(tail))
 
 
 def marcum_q(order: int, a: ArrayLike, b: ArrayLike) -> FloatArray:
-    """Q_M(a, b) of a whole order M from 1, to an absolute error of 1e-12.
+    """Q_M(a, b) for an integer order M >= 1, to an absolute error of 1e-12.
 
     Q_M exceeds Q_1 by the terms 1 to M - 1 of the series of P.
     """
@@ -71,7 +71,7 @@ def marcum_q(order: int, a: ArrayLike, b: ArrayLike) -> FloatArray:
 
 
 def _log_tail(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, BoolArray]:
-    """Logarithm of the smaller of P and Q, and where it is P: from 1 down to b = 1 it may be either, never near 1."""
+    """Logarithm of the smaller of P and Q, and whether it is P; from 1 down to b = 1 it may be either, never near 1."""
     a, b = _broadcast(a, b)
     is_p = b < np.maximum(a, 1.0)
     is_bell = a * b > _BELL_ABOVE
@@ -100,7 +100,7 @@ def _series(a: FloatArray, b: FloatArray, is_p: BoolArray) -> FloatArray:
         else:
             first = denominator
     with np.errstate(divide="ignore"):
-        # The logarithm of b itself: its square may underflow.
+        # The logarithm of b itself, since its square may underflow.
         log_terms = np.where(is_p, 2.0 * np.log(b) + np.log(total / first), np.log1p(step / first * total))
     log_probability: FloatArray = -0.5 * np.square(b - a) + np.log(i0e(a * b)) + log_terms
     return log_probability

@@ -1,7 +1,7 @@
-"""Noise alone: what it exceeds, in one bin and in the highest of many.
+"""Noise alone: its exceedance probability, in one bin and in the highest of many.
 
-A false-alarm probability is always given as L = -ln P_fa, which has no smallest value. Powers are sums over M
-looks (records averaged), each of unit mean noise power: a sum of noise alone has a gamma distribution of order M.
+A false-alarm probability is always given as L = -ln P_fa, which cannot underflow. Powers are sums over M looks
+(averaged records), each of unit mean noise power: a sum of noise alone has a gamma distribution of order M.
 """
 
 from __future__ import annotations
@@ -67,9 +67,9 @@ def threshold_powers(minus_log_pfa: ArrayLike, looks: int = 1) -> FloatArray:
 
 
 def log_false_alarm(minus_log_pfa: ArrayLike, bins: float) -> FloatArray:
-    """ln of the probability that the highest of independent noise bins exceeds the threshold of one.
+    """ln of the probability that the highest of independent noise bins exceeds the threshold of one bin.
 
-    1 - (1 - e^-L)^N without cancellation, and without underflow: ln N - L where the union bound is exact.
+    This is 1 - (1 - e^-L)^N without cancellation, and without underflow: ln N - L where the union bound is exact.
     """
     single = np.asarray(minus_log_pfa, dtype=float)
     union: FloatArray = np.log(bins) - single

@@ -1,4 +1,4 @@
-"""Integrals over stretches of which the integrand is smooth."""
+"""Quadrature over panels on which the integrand is smooth."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 def nodes_and_weights(edges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Gauss and Legendre's nodes of every panel.
+    """Gauss-Legendre nodes and weights of every panel.
 
     Args:
-        edges: (..., panels + 1) ascending.
+        edges: (..., panels + 1) edges of the panels, ascending.
 
     Returns:
         Nodes and weights, (..., 16 panels).

@@ -24,7 +24,7 @@ __all__ = ["check_plot_path", "plot_ground"]
 _SIZE_INCH = (16.0, 11.0)
 _DOTS_PER_INCH = 100
 _SUN_ELEVATION_DEG = 15.0
-_ASKED: dict[str, Any] = {"color": "0.35", "linewidth": 1.2, "linestyle": "--"}
+_SPECIFIED: dict[str, Any] = {"color": "0.35", "linewidth": 1.2, "linestyle": "--"}
 
 
 def plot_ground(
@@ -89,7 +89,7 @@ def _add_structure(
         )
         baseline_m, slope = ground.relief.baseline_m, np.tan(np.radians(ground.relief.rms_slope_deg))
         asked_m = slope * baseline_m * (distance_m / baseline_m) ** ground.relief.hurst
-        axes.loglog(distance_m, asked_m, label="specified relief", **_ASKED)
+        axes.loglog(distance_m, asked_m, label="specified relief", **_SPECIFIED)
     axes.set(xlabel="distance (m)", ylabel="rms difference\nof height (m)")
     axes.grid(color="0.92")
     axes.legend(frameon=False, fontsize=9)
@@ -101,7 +101,7 @@ def _add_numbers(axes: Axes, ground: Generated, name: str, population: Populatio
     diameter_m = np.geomspace(smallest_m, largest_m, 200)[:-1]
     axes.step(own_m, np.arange(1, len(own_m) + 1), where="post", color="C0", label="generated")
     asked = expected_number(ground, name, diameter_m)
-    axes.plot(diameter_m, asked, label="specified", **_ASKED)
+    axes.plot(diameter_m, asked, label="specified", **_SPECIFIED)
     low, high = np.maximum(np.sqrt(asked) - 2.0, 0.0) ** 2, (np.sqrt(asked) + 2.0) ** 2
     axes.fill_between(diameter_m, np.maximum(low, 1e-3), high, color="0.9", label="Poisson, 4 sigma")
     axes.set(xscale="log", yscale="log", ylim=(0.5, 3.0 * max(len(own_m), asked.max(), 1.0)))

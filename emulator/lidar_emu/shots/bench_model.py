@@ -112,7 +112,7 @@ class BenchModel:
 def _level(level: Level, time_ns: NDArray[np.int64]) -> FloatArray:
     if not isinstance(level, Ramp):
         return np.full(len(time_ns), level)
-    # Whole nanoseconds, so that a period that starts with a shot starts exactly there.
+    # Integer nanoseconds, so that a ramp period that starts with a shot starts exactly there.
     period_ns = round(level.period_s * 1e9)
     phase = (time_ns % period_ns).astype(np.float64) / period_ns
     return level.start + (level.stop - level.start) * phase

@@ -24,29 +24,29 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.instrument import Waveform
 
 _TIME_CONSTANTS = 25.0
-"""Run-in of the slowest pole: exp(-25) of its transient is left."""
+"""Run-in of the slowest pole, in time constants: a transient of exp(-25) remains."""
 
 _MARGIN = 1024
-"""Samples on both sides of a record in which the ringing of the band's ends dies away."""
+"""Samples on both sides of a record in which the ringing of the band limits decays."""
 
 _USED_BAND = 0.8
-"""Share of the band up to half the rate of synthesis that tones may fill."""
+"""Fraction of the band, up to half the rate of synthesis, that tones may occupy."""
 
 _PROBES = 513
-"""Times at which a beamlet's momentary frequency is looked at before its rate of synthesis is chosen."""
+"""Times at which a beamlet's instantaneous frequency is evaluated to choose its rate of synthesis."""
 
 
 class AnalogResponse(NamedTuple):
     """A single-pole low-pass and a single-pole high-pass."""
 
     bandwidth_hz: float | None = None
-    """Half-power frequency of the low-pass; None is flat."""
+    """Half-power frequency of the low-pass; None: flat."""
     ac_coupling_hz: float = 0.0
-    """Half-power frequency of the high-pass; 0 couples directly."""
+    """Half-power frequency of the high-pass; 0: DC coupling."""
 
     @property
     def flat(self) -> bool:
-        """Neither pole is there."""
+        """Whether the response has no poles."""
         return self.bandwidth_hz is None and self.ac_coupling_hz == 0.0
 
     def gain(self, frequency_hz: FloatArray) -> ComplexArray:
@@ -59,7 +59,7 @@ class AnalogResponse(NamedTuple):
         return gain
 
     def run_in(self, sample_rate_hz: float) -> int:
-        """Samples after which a signal that was switched on is as if it had always been there."""
+        """Number of samples after which the transient of a signal that was switched on has decayed."""
         corners = [corner for corner in (self.bandwidth_hz, self.ac_coupling_hz) if corner]
         if not corners:
             return 0
@@ -70,14 +70,14 @@ FLAT = AnalogResponse()
 
 
 class Digitiser(NamedTuple):
-    """Clipping and rounding, in the unit of the samples."""
+    """Clipping and rounding, in units of the samples."""
 
     full_scale: float
     """Range from the lowest to the highest value."""
     bits: float
 
     def digitise(self, samples: FloatArray) -> FloatArray:
-        """Samples clipped to ± half the full scale and rounded to whole steps, 0 being one of them."""
+        """Samples clipped to ± half the full scale and rounded to whole steps, including 0."""
         step = self.full_scale / 2.0**self.bits
         half = 0.5 * self.full_scale
         digitised: FloatArray = np.rint(np.clip(samples, -half, half) / step) * step
@@ -93,10 +93,10 @@ def receive_record(
 ) -> ComplexArray:
     """The record of one segment behind the receiver's poles, without noise: (..., N), whose real part is sampled.
 
-    The poles act as a product in the frequency domain, at a multiple of the sample rate at which the true
-    frequencies of all beamlets, folded later or not, lie within the band; every Nth sample is then kept. A
-    run-in ahead of the record, within which the waveform goes on as in `phase_cycles`, lets the transients die: the
-    bins of a steady tone come out to some 1e-9 of the peak.
+    The poles are applied as a product in the frequency domain, at a multiple of the sample rate at which the
+    frequencies of all beamlets before folding lie within the band; every Nth sample is then kept. A run-in ahead of the
+    record, in which the waveform continues as in `phase_cycles`, lets the transients decay: the bins of a steady tone
+    are accurate to about 1e-9 of the peak.
     """
     if response.flat:
         return analytic_record(waveform, segment, beamlets, edges)
@@ -124,13 +124,13 @@ def receive_record(
         return np.asarray(fft.ifft(gain * fft.fft(z))[..., kept])
 
     if beamlets.weight.size == beamlets.range_m.size:
-        # Of a single record all light passes the poles at once.
+        # For a single record all light passes the poles at once.
         return filtered(add_beamlets(beamlets, light, time_s.size))
     return add_beamlets(beamlets, lambda i: filtered(light(i)), count)
 
 
 def _taper(band_share: FloatArray) -> FloatArray:
-    """1 in the band in use, from there smoothly to 0: a step at the band's end would ring across the record."""
+    """1 in the used band, decreasing smoothly to 0 beyond: a step at its end would ring across the record."""
     beyond = np.clip((band_share - _USED_BAND) / (1.0 - _USED_BAND), 0.0, 1.0)
     return np.asarray(np.square(np.cos(0.5 * np.pi * beyond)), dtype=float)
 
@@ -157,11 +157,11 @@ def draw_noise(
 ) -> FloatArray:
     """Gaussian noise behind the receiver's poles, (records, N), drawn record by record.
 
-    White ahead of the poles, of unit mean power in a rectangular bin. With a low-pass the noise of all
-    frequencies is there, and what lies beyond half the sample rate folds into the record: the samples are those
-    of the continuous process, exactly, so that bin k has the mean power Σ |H(f_k + m fs)|² over all m, next to what
-    leaks over the record's ends. Without a low-pass white noise would have boundless power, and is limited to
-    half the sample rate ahead of the high-pass.
+    The noise is white ahead of the poles, with unit mean power in a rectangular bin. With a low-pass, noise of all
+    frequencies is included, and noise beyond half the sample rate is aliased into the record: the samples are exact
+    samples of the continuous process, so that bin k has the mean power Σ |H(f_k + m fs)|² over all m, apart from
+    leakage at the record's ends. Without a low-pass the power of white noise would be infinite; it is limited to half
+    the sample rate ahead of the high-pass.
 
     Raises:
         ValueError: the two poles coincide.
@@ -175,10 +175,10 @@ def draw_noise(
 
 
 def noise_level(waveform: Waveform, response: AnalogResponse) -> FloatArray:
-    """Mean power of `draw_noise` in rectangular bins 0 to N/2, without what leaks over the record's ends: (N/2 + 1,).
+    """Mean power (N/2 + 1,) of `draw_noise` in rectangular bins 0 to N/2, without leakage at the record's ends.
 
-    With a low-pass the spectrum of the sampled process from its autocovariance Σ A_i exp(-p_i |k| / fs), in the
-    terms of `_sampled_process`: each has a geometric series.
+    With a low-pass, the spectrum of the sampled process follows from its autocovariance Σ A_i exp(-p_i |k| / fs), in
+    the terms of `_sampled_process`, each of which is a geometric series.
     """
     bins = np.arange(waveform.fft_length // 2 + 1, dtype=float)
     frequency_hz = bins * waveform.bin_width_hz
@@ -208,7 +208,7 @@ def _high_passed(
 def _sampled_process(
     rng: np.random.Generator, records: int, waveform: Waveform, bandwidth_hz: float, ac_coupling_hz: float
 ) -> FloatArray:
-    """White noise through the poles, sampled.
+    """Samples of white noise behind the poles.
 
     In partial fractions the response is Σ c_i / (s + p_i), and each of its terms, driven by the same white noise,
     is a process x' = -p x + n: from one sample to the next it decays by exp(-p/fs) and receives a Gaussian
@@ -241,9 +241,9 @@ def _partial_fractions(bandwidth_hz: float, ac_coupling_hz: float) -> tuple[Floa
 
 
 def _factor(poles: FloatArray, rate_hz: float, from_rest: bool) -> FloatArray:
-    """Lower triangular root of the terms' covariance: after one step from rest, or stationary."""
+    """Lower triangular square root of the terms' covariance: after one step from rest, or stationary."""
     total = poles[:, None] + poles
-    # Intensity 1/fs is unit variance over the band of width fs.
+    # The intensity 1/fs is unit variance over the band of width fs.
     covariance = 1.0 / (total * rate_hz)
     if from_rest:
         covariance *= -np.expm1(-total / rate_hz)

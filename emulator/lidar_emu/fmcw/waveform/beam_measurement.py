@@ -23,29 +23,29 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
 
 _BLOCK_SAMPLES = 2**23
-"""Samples of noise and spectra held at once."""
+"""Samples of noise and spectra that are held in memory at once."""
 
 
 @dataclass(frozen=True)
 class ScattererPatches:
-    """The scatterer patches of one beam, at the measurement's validity."""
+    """The scatterer patches of one beam, at the time of validity."""
 
     range_m: FloatArray
-    """(n,)"""
+    """(n,) Ranges."""
     closing_speed_mps: FloatArray
-    """(n,)"""
+    """(n,) Closing speeds."""
     weight: ComplexArray
-    """Broadcast to (records, 3, n): amplitude and phase of each at the centre of each segment's record. The leading
-    axis is of measurements of the same geometry, each with its own weights and its own noise."""
+    """(records, 3, n) Amplitude and phase of each patch at the centre of each segment's record, broadcast. The leading
+    axis is over measurements of the same geometry, each with its own weights and noise."""
     range_rate_mps: float | FloatArray | None = None
     """Range rate of the beam's axis along the ground, between segments; None: minus the closing speed."""
     closing_acceleration_mps2: float = 0.0
-    """Along the moving beam, from segment to segment."""
+    """Acceleration along the moving beam, from segment to segment."""
     smear_acceleration_mps2: float | None = None
     """Acceleration of a point of the ground, within a record; None: as between segments."""
 
     def beamlets(self, segment: Segment, weight: ComplexArray) -> Beamlets:
-        """The patches at the centre of one segment's record, with weights (..., n) there."""
+        """Patches at the centre of one segment's record, with weights (..., n) there."""
         range_rate_mps = -self.closing_speed_mps if self.range_rate_mps is None else self.range_rate_mps
         smear_mps2 = self.smear_acceleration_mps2
         return Beamlets(
@@ -58,16 +58,16 @@ class ScattererPatches:
 
 @dataclass(frozen=True)
 class WaveformMeasurement(Returns):
-    """The report of one beam, (records,), with the targets and spectra that it comes from."""
+    """Report of one beam, (records,), with the targets and spectra that it derives from."""
 
     targets: tuple[Targets, Targets, Targets]
     """Targets of up-chirp, constant segment and down-chirp."""
     noise_power: FloatArray
-    """() or (N/2 + 1,): mean power of noise in a bin under the window of detection, as the detector knows it."""
+    """() or (N/2 + 1,): mean noise power in a bin with the window of detection, as the detector assumes it."""
     threshold: FloatArray
-    """In the same shape: the power that a detected bin exceeds."""
+    """Power that a detected bin exceeds, in the same shape."""
     bins: ComplexArray | None
-    """(records, 3, N/2 + 1) under the window of detection, if asked for."""
+    """(records, 3, N/2 + 1) Bins with the window of detection, if requested."""
 
 
 def measure_waveform(
@@ -83,24 +83,23 @@ def measure_waveform(
     edges: bool = False,
     keep_bins: bool = False,
 ) -> WaveformMeasurement:
-    """Measure one beam, as many times as the footprint's weights have records.
+    """Measure one beam, once for each record of the footprint's weights.
 
     Args:
-        waveform: the laser's frequency plan, its line and its records.
+        waveform: frequency plan, linewidth and records of the laser.
         detection: window, false alarms, groups, `bin` or `hann` peaks and the combination.
-        footprint: what returns light. Weights are amplitudes whose square is the bin SNR ahead of the poles.
+        footprint: scatterer patches; the squares of their weights are bin SNRs ahead of the poles.
         response: the receiver's poles.
-        rng: draws the noise and the laser's line; None leaves both out.
-        noise_share: power of the noise ahead of the poles, in the unit of the weights' squares.
-        digitiser: None is ideal.
-        noise_level: mean power of the noise in a rectangular bin as the detector knows it, one for all bins or
-            (N/2 + 1,).
-        edges: echoes of the segment before are seen as such; see `phase_cycles`.
-        keep_bins: return the bins.
+        rng: random generator of noise and laser phase; None leaves both out.
+        noise_share: power of the noise ahead of the poles, relative to the squares of the weights.
+        digitiser: None: ideal.
+        noise_level: mean noise power in a rectangular bin as the detector assumes it, one for all bins or (N/2 + 1,).
+        edges: whether echoes of the preceding segment keep their own frequency; see `phase_cycles`.
+        keep_bins: whether to return the bins.
 
     Raises:
-        ValueError: the detection averages spectra, accepts fewer than three segments or has another estimator of
-            peaks, or the line is not that of a homodyne receiver.
+        ValueError: the detection averages spectra, accepts fewer than three segments or uses an unsupported peak
+            estimator, or the linewidth model is not homodyne.
     """
     estimator = _estimator(waveform, detection)
     count = waveform.fft_length
@@ -111,7 +110,7 @@ def measure_waveform(
     windowed_level = level * window_noise_power(detection.window, count)
     threshold = windowed_level * -detection.log_false_alarm_per_bin(count)
 
-    # Of its own, so that what is drawn does not depend on the blocks.
+    # A generator of its own, so that random numbers do not depend on the blocks.
     line_rng = rng.spawn(1)[0] if rng is not None and waveform.linewidth_hz > 0.0 else None
     kept = np.empty((records, 3, count // 2 + 1), dtype=complex) if keep_bins else None
     found: list[Targets] = []
@@ -144,7 +143,7 @@ def measure_waveform(
 
 
 def _estimator(waveform: Waveform, detection: Detection) -> Literal["bin", "hann"]:
-    """Estimator of peaks, for an instrument that this level supports."""
+    """Peak estimator, for an instrument that this level supports."""
     if detection.looks != 1 or detection.rule != "all_three":
         raise ValueError("level waveform: allowed are one look and rule all_three")
     if waveform.linewidth_model != "homodyne" and waveform.linewidth_hz > 0.0:

@@ -20,11 +20,11 @@ def to_beam_result(
     targets: tuple[Targets, Targets, Targets],
     windowed_level: FloatArray,
 ) -> Returns:
-    """(records,) Range and closing speed from the strongest target of each segment, or why there are none.
+    """Range and closing speed (records,) from the strongest target of each segment, or the reason why there are none.
 
     Args:
-        waveform, detection: of the instrument; slope and frequency are the nominal ones.
-        targets: of up-chirp, constant segment and down-chirp.
+        waveform, detection: parts of the instrument; slope and frequency are the nominal ones.
+        targets: targets of up-chirp, constant segment and down-chirp.
         windowed_level: mean noise power of a windowed bin, one for all or (N/2 + 1,).
     """
     range_per_bin_m = waveform.bin_width_hz * SPEED_OF_LIGHT_MPS / (2 * waveform.chirp_slope_hz_per_s)
@@ -62,7 +62,7 @@ def to_beam_result(
 def _combine(
     waveform: Waveform, detection: Detection, targets: tuple[Targets, Targets, Targets], rank: Literal[0, 1]
 ) -> Combined:
-    """The targets of one rank, where all three segments have one; elsewhere NaN."""
+    """Combine the targets of one rank where all three segments have one; NaN elsewhere."""
     observed = np.stack([target.frequency_bin[:, rank] for target in targets], axis=-1)
     variance = np.stack([target.variance_bin2[:, rank] for target in targets], axis=-1)
     there = np.isfinite(observed).all(axis=-1)
@@ -88,7 +88,7 @@ def _snr_db(
     targets: tuple[Targets, Targets, Targets],
     windowed_level: FloatArray,
 ) -> FloatArray:
-    """Mean over the segments with a detection, referred to a rectangular bin before the window."""
+    """Mean SNR over the segments with a detection, referred to a rectangular bin before the window."""
     place = np.stack([target.peak_bin[:, 0] for target in targets])
     detected = np.isfinite(place)
     level = np.broadcast_to(windowed_level, waveform.fft_length // 2 + 1)

@@ -1,4 +1,4 @@
-"""Windowed bins of whole records, the targets in them and the targets' frequencies; the leading axis is of records."""
+"""Windowed bins of whole records, their targets and the targets' frequencies; the leading axis is over records."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _COSINES: dict[WindowName, tuple[float, float]] = {
 }
 
 TARGETS = 4
-"""Targets kept of one spectrum, the strongest."""
+"""Maximum number of targets kept per spectrum, the strongest."""
 
 _BIN_VARIANCE = 1.0 / 12.0
 
 _LEAST_VARIANCE, _MOST_VARIANCE = 1e-12, 1.0 / 3.0
-"""Bounds of the variance; the larger is the variance of a tone anywhere within a bin of this one."""
+"""Limits of the variance; the upper one is the variance of a tone anywhere within a bin of this one."""
 
 
 class Targets(NamedTuple):
@@ -33,9 +33,9 @@ class Targets(NamedTuple):
     variance_bin2: FloatArray
     """Variance of the frequency as the estimator computes it."""
     power: FloatArray
-    """Power of the highest bin under the window."""
+    """Power of the highest bin with the window."""
     peak_bin: FloatArray
-    """The highest bin."""
+    """Index of the highest bin."""
 
 
 def window_samples(window: WindowName, count: int) -> FloatArray:
@@ -54,12 +54,12 @@ def transform(samples: FloatArray, window: WindowName) -> ComplexArray:
 
 
 def window_gain(window: WindowName) -> float:
-    """Amplitude of a tone on its bin over that without a window."""
+    """Amplitude of a tone on its bin, relative to no window."""
     return _COSINES[window][0]
 
 
 def window_noise_power(window: WindowName, count: int) -> float:
-    """Mean power of white noise in a windowed bin over that in a rectangular one."""
+    """Mean power of white noise in a windowed bin, relative to a rectangular one."""
     return float(np.mean(np.square(window_samples(window, count))))
 
 
@@ -72,16 +72,16 @@ def find_peaks(power: FloatArray, threshold: float | FloatArray, group_fraction:
     Args:
         power: (records, N/2 + 1).
         threshold: power, for all bins or (N/2 + 1,) for each.
-        group_fraction: of magnitude, not of power.
+        group_fraction: fraction of magnitude, not of power.
 
     Returns:
-        (records, TARGETS) strongest first, of equals the lowest first; -1 where there are fewer.
+        (records, TARGETS) indices of bins, strongest first, at equal power the lowest first; -1 where there are fewer.
     """
     records = power.shape[0]
     inner = power.copy()
     inner[:, [0, -1]] = 0.0
     strong = inner > group_fraction**2 * inner.max(axis=1, keepdims=True)
-    # The empty ends keep groups of one record apart from those of the next.
+    # Empty ends separate the groups of one record from those of the next.
     flat = strong.ravel()
     first = flat & ~np.concatenate(([False], flat[:-1]))
     group = np.cumsum(first)
@@ -110,13 +110,13 @@ def find_targets(
     estimator: Literal["bin", "hann"],
     noise_level: float | FloatArray = 1.0,
 ) -> Targets:
-    """Targets of records.
+    """Find the targets of records.
 
     Args:
         samples: (records, N).
-        bins: (records, N/2 + 1) their transform under the window of detection.
+        bins: (records, N/2 + 1) transform of the samples with the window of detection.
         threshold, group_fraction: as in `find_peaks`.
-        estimator: the highest bin itself, or the three-bin formula on bins under a Hann window.
+        estimator: the highest bin, or the three-bin formula on Hann-weighted bins.
         noise_level: mean noise power in a rectangular bin, one for all or (N/2 + 1,) for each.
     """
     power = np.square(bins.real) + np.square(bins.imag)
@@ -138,10 +138,10 @@ def _hann_offset(
 ) -> tuple[FloatArray, FloatArray]:
     """Offset from bin `place`, and variance in noise of that level there.
 
-    For a tone δ off the middle bin q = Re[(H₋ - H₊)/(2 H₀ + H₋ + H₊)] is 3δ / (2 (1 - δ²)); the root in the form
-    without 0/0. With θ = 2πn/N the two sums are under the windows j (1 - cos θ) sin θ, of mean square 5/8, and
-    sin²θ, 3/8, and not correlated, so that var q = (5 + 3q²)/16 over the signal to noise of the latter sum. Next to
-    bin 0 and N/2 a tone's own image biases it by up to half a bin.
+    For a tone δ off the middle bin q = Re[(H₋ - H₊)/(2 H₀ + H₋ + H₊)] is 3δ / (2 (1 - δ²)); the root is written in the
+    form without 0/0. With θ = 2πn/N the two sums have the windows j (1 - cos θ) sin θ, of mean square 5/8, and sin²θ,
+    of mean square 3/8, and are uncorrelated, so that var q = (5 + 3q²)/16 over the signal-to-noise ratio of the latter
+    sum. Next to bins 0 and N/2 a tone's own image biases the estimate by up to half a bin.
     """
     before, here, after = bins[row, place - 1], bins[row, place], bins[row, place + 1]
     total = 2.0 * here + before + after

@@ -10,13 +10,13 @@ from lidar_emu.scenario.instrument import Waveform
 
 
 def draw_drift(rng: np.random.Generator, records: int, waveform: Waveform, delay_s: float) -> ComplexArray:
-    """exp(j[φ(t) - φ(t - τ)]) over records of a laser with a Lorentzian line, (records, N).
+    """Draw exp(j[φ(t) - φ(t - τ)]) over records of a laser with a Lorentzian line, (records, N).
 
     White frequency noise makes φ a random walk of variance 2π Δν t. Each step from sample to sample is drawn in two
-    parts, so that the walk is known at the times when the light left, which lie between the samples.
+    parts, so that the walk is known at the times of emission, which lie between the samples.
 
     Args:
-        delay_s: τ; within the record it stays the same.
+        delay_s: delay τ, constant within the record.
     """
     whole, part = divmod(delay_s * waveform.sample_rate_hz, 1.0)
     ahead, count = int(whole) + 1, waveform.fft_length

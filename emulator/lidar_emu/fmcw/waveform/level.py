@@ -1,4 +1,4 @@
-"""The level `waveform`: every beam of every shot from its samples."""
+"""Level `waveform`: every beam of every shot from its samples."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lidar_emu.numerics.random_streams import generator
 from lidar_emu.scenario.instrument import Instrument
 
 _DARK = ScattererPatches(np.ones(1), np.zeros(1), np.zeros(1, dtype=complex))
-"""No light: noise alone is measured."""
+"""Placeholder for no light: noise alone is measured."""
 
 
 def measure_echoes(
@@ -27,19 +27,20 @@ def measure_echoes(
 ) -> Returns:
     """Measure every beam of every shot from samples.
 
-    The field of the echo, its speckle and its phase, is that of the other levels (`echo_field`); noise and the
-    laser's line are drawn by other means, from seed, shot and beam. The threshold follows the noise that each bin has
-    in a receiver that does not clip. Light that the air itself returns is left out.
+    Echo field, speckle and phase are the same as at the other levels (`echo_field`); noise and laser phase are drawn
+    independently, from seed, shot and beam. The threshold follows the noise of each bin in a receiver without clipping.
+    Backscatter of the atmosphere is left out.
 
     Args:
         instrument: one look, all three segments, `bin` or `hann` peaks and a homodyne line.
-        model: of the same instrument, from `build_receiver`: light to SNR, and what noise arises where.
-        echoes: shaped (shots, beams, beamlets).
+        model: constants of the same instrument, from `build_receiver`: SNR per watt, and the noise ahead of and behind
+            the poles.
+        echoes: echoes (shots, beams, beamlets).
         shot: (shots,) numbers of the shots.
-        seed: 64 bits, of everything drawn.
+        seed: seed of all random numbers, 64 bits.
 
     Raises:
-        ValueError: the instrument is another one.
+        ValueError: the instrument is not supported.
     """
     field = echo_field(model, echoes, shot, seed)
     beams = [
@@ -61,7 +62,7 @@ def measure_one_beam(
 ) -> WaveformMeasurement:
     """Measure beam `b` of shot `shot[s]`, which fires, as `measure_echoes` does, and keep its three whole spectra.
 
-    Args and errors are those of `measure_echoes`.
+    Arguments and errors are the same as of `measure_echoes`.
     """
     field = echo_field(model, echoes, shot, seed)[s, b]
     return _measure_records(
@@ -82,7 +83,7 @@ def _measure_beam(
     b: int,
     rng: np.random.Generator,
 ) -> Returns:
-    """One beam of one shot."""
+    """Measure one beam of one shot."""
     if not echoes.fired[s, b]:
         return _nothing(Reason.NOT_FIRED)
     range_m = echoes.range_m[s, b]
@@ -104,7 +105,7 @@ def _measure_records(
     rng: np.random.Generator,
     keep_bins: bool = False,
 ) -> WaveformMeasurement:
-    """The records of a beam, measured."""
+    """Measure the records of a beam."""
     range_m, power_w = echoes.range_m[s, b], echoes.power_w[s, b]
     waveform, receiver = instrument.waveform, instrument.receiver
     lit = np.abs(field).max(axis=0) > 0.0
@@ -120,7 +121,7 @@ def _measure_records(
             float(echoes.smear_acceleration_mps2[s, b]),
         )
     response = AnalogResponse(receiver.bandwidth_hz, receiver.ac_coupling_hz)
-    # The echo makes shot noise of its own; the digitiser's noise arises behind the poles, by rounding.
+    # The echo has shot noise of its own; the digitiser's noise arises behind the poles, by rounding.
     share = model.response.amplifier_noise * (1.0 + model.signal_shot_per_w * float(power_w[lit].sum()))
     level = share * noise_level(waveform, response) + model.response.digitiser_noise
     digitiser = None
@@ -148,5 +149,5 @@ def _unseen(range_m: FloatArray, edge_m: float) -> Reason:
 
 
 def _nothing(reason: Reason) -> Returns:
-    """The report of a beam that is not measured at all."""
+    """Report of a beam that is not measured."""
     return Returns.with_columns((1,), reason=np.array([reason], dtype=np.int8))

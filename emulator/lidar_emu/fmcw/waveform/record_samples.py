@@ -1,15 +1,15 @@
 """Samples of one segment's record: the phase of the laser less that of its echo, without any beat frequency.
 
-Cycles, not radians. With u the time since the segment began, the laser has made φ(u) = f_a u + s u²/2 cycles, and
-before it, in the segment before, φ(u) = f_a u + s' u²/2: its frequency is continuous. The echo of a scatterer
-at range R(t) left at t - τ(t), τ = 2R/c, so that the detector sees φ(u) - φ(u - τ).
+Phases are in cycles, not radians. At the time u since the start of the segment the laser's phase is φ(u) = f_a u + s
+u²/2, and in the preceding segment φ(u) = f_a u + s' u²/2: its frequency is continuous. The echo of a scatterer at range
+R(t) was emitted at t - τ(t), τ = 2R/c, so that the detector receives φ(u) - φ(u - τ).
 
-That is some 1e10 cycles, and its change over the record is wanted to 1e-9. So what is computed is the difference
-from the record's centre, taken apart by hand: with x the time from the centre, u = u_s + x and τ = τ_s + D,
+This is about 1e10 cycles, and its change over the record is needed to 1e-9. Therefore only the difference from the
+record's centre is computed, in expanded form: with the time x from the centre, u = u_s + x and τ = τ_s + D,
 
     f_a D + s [τ_s x + D (u - τ_s) - D²/2],     D = -(2/c) (v x + a x²/2),
 
-exact, and made of terms that start from the displacement: none exceeds some 1e4 cycles.
+which is exact and consists of terms in the displacement: none exceeds about 1e4 cycles.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ ComplexArray = NDArray[np.complex128]
 
 
 class Segment(NamedTuple):
-    """One segment of the laser's frequency plan, with what comes before it."""
+    """One segment of the laser's frequency plan, with the preceding one."""
 
     start_frequency_hz: float
     slope_hz_per_s: float
     previous_slope_hz_per_s: float
     start_to_centre_s: float
-    """From the segment's start to the centre of its record, u_s."""
+    """Time from the segment's start to the centre of its record, u_s."""
     centre_s: float
-    """The record's centre, from the measurement's validity."""
+    """Time of the record's centre, from the time of validity."""
     beat_sign: int
-    """+1 for the up-chirp, else -1: range and closing speed then give positive beats."""
+    """+1 for the up-chirp, -1 otherwise: range and closing speed then give positive beats."""
 
 
 def frequency_plan(waveform: Waveform) -> tuple[Segment, Segment, Segment]:
-    """Up-chirp, constant frequency c/λ, down-chirp, one after another without a jump.
+    """Up-chirp, constant frequency c/λ and down-chirp, one after another without a jump.
 
-    The up-chirp ends at c/λ, the down-chirp starts there and ends where the next up-chirp starts. The slope is
-    the one that the laser really has.
+    The up-chirp ends at c/λ; the down-chirp starts there and ends where the next up-chirp starts. The slope is the
+    laser's actual slope.
     """
     nominal_hz = SPEED_OF_LIGHT_MPS / waveform.wavelength_m
     slope = waveform.chirp_slope_hz_per_s * (1.0 + waveform.slope_error)
@@ -63,16 +63,16 @@ class Beamlets:
     """The scatterer patches of one beam at the centre of one record; each stays fixed to the ground within it."""
 
     range_m: FloatArray
-    """(n,)"""
+    """(n,) Ranges."""
     closing_speed_mps: FloatArray
-    """(n,)"""
+    """(n,) Closing speeds."""
     closing_acceleration_mps2: float
     weight: ComplexArray
-    """(..., n) Amplitude, and phase at the record's centre; leading axes are records of the same geometry."""
+    """(..., n) Amplitude and phase at the record's centre; leading axes are over records of the same geometry."""
 
 
 def record_times(waveform: Waveform) -> FloatArray:
-    """(N,) Times of the samples from the record's centre, s: half a step to each side of it, and so on."""
+    """Times (N,) of the samples from the record's centre, in seconds: half a step to each side of it, and so on."""
     count = waveform.fft_length
     return np.asarray((np.arange(count) - (count - 1) / 2) / waveform.sample_rate_hz, dtype=float)
 
@@ -85,15 +85,15 @@ def phase_cycles(
     time_s: FloatArray,
     edges: bool,
 ) -> FloatArray:
-    """Phase of the laser less that of one scatterer's echo, from what it is at the record's centre, in cycles.
+    """Phase of the laser less the phase of one scatterer's echo, in cycles, relative to the record's centre.
 
     Args:
-        segment: one of the plan's.
-        range_m, closing_speed_mps, closing_acceleration_mps2: at the record's centre.
-        time_s: from the record's centre.
-        edges: light that left before the segment began has the phase of the segment before; otherwise the
-            segment is as if without beginning. The segment before is as if without beginning in any case: more
-            than a whole segment of delay, 45 km with the defaults, is not modelled.
+        segment: segment of the frequency plan.
+        range_m, closing_speed_mps, closing_acceleration_mps2: values at the record's centre.
+        time_s: times from the record's centre.
+        edges: whether light emitted before the start of the segment has the phase of the preceding segment; otherwise
+            the segment is extended backwards. Delays of more than a whole segment, 45 km with the defaults, are not
+            modelled.
 
     Returns:
         In the shape of `time_s`, with the sign of physics: `Segment.beat_sign` is not applied.
@@ -114,7 +114,7 @@ def phase_cycles(
 
 
 def _before(since_start_s: FloatArray) -> FloatArray:
-    """Square of the time still to pass until the segment begins, 0 once it has begun."""
+    """Square of the time until the segment begins, 0 once it has begun."""
     return np.square(np.minimum(since_start_s, 0.0))
 
 
@@ -130,7 +130,7 @@ def phasor(
         time_s,
         edges,
     )
-    # Whole cycles go before the factor 2π rounds them.
+    # Whole cycles are removed before the factor 2π rounds them.
     turn = segment.beat_sign * 2.0 * np.pi * (cycles - np.rint(cycles))
     result: ComplexArray = np.cos(turn) + 1j * np.sin(turn)
     return result
@@ -147,9 +147,9 @@ def add_beamlets(beamlets: Beamlets, phasor_of: Callable[[int], ComplexArray], c
 def analytic_record(
     waveform: Waveform, segment: Segment, beamlets: Beamlets, edges: bool = False
 ) -> ComplexArray:
-    """The record of one segment behind a receiver without poles, (..., N) in the unit of the weights.
+    """Record of one segment behind a receiver without poles, (..., N), in units of the weights.
 
-    Its real part is what is sampled.
+    The samples are its real part.
     """
     time_s = record_times(waveform)
     return add_beamlets(beamlets, lambda i: phasor(segment, beamlets, i, time_s, edges), time_s.size)
@@ -158,5 +158,5 @@ def analytic_record(
 def sample_record(
     waveform: Waveform, segment: Segment, beamlets: Beamlets, edges: bool = False
 ) -> FloatArray:
-    """The real part of `analytic_record`."""
+    """Real part of `analytic_record`."""
     return analytic_record(waveform, segment, beamlets, edges).real

@@ -101,7 +101,7 @@ def _craters(
     ratio = ratio[np.isfinite(ratio)]
     if len(ratio) >= _FEWEST_MEASURED:
         tolerance = 0.05 + 1.0 / math.sqrt(len(ratio))
-        quantity = f"depth of craters on the grid over their own, median of {len(ratio)}"
+        quantity = f"crater depth on the grid over true depth, median of {len(ratio)}"
         yield StatisticCheck(quantity, 1.0, float(np.median(ratio)), 1 - tolerance, 1 + tolerance)
 
 
@@ -138,7 +138,7 @@ def _rocks(
     )
     tolerance = _SIGMAS * spread + (0.0 if len(area_m2) else asked)
     yield StatisticCheck(
-        "share of the ground under rocks",
+        "fraction of the ground under rocks",
         asked,
         float((height_m > 0).mean()),
         max(0.0, asked - tolerance),
