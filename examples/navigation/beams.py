@@ -1,4 +1,4 @@
-"""One shot as a navigator wants it: where each beam points, and what it says, NaN where it says nothing."""
+"""A shot as input of a navigator: direction and measurement of each beam, NaN where a measurement is missing."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ Array = NDArray[np.float64]
 
 UNSTATED_SIGMA_RANGE_M = 0.1
 UNSTATED_SIGMA_SPEED_MPS = 1e-3
-"""Where the link has no room for standard deviations, as a core set on CAN."""
+"""Standard deviations where the link does not carry them, as with the core set on CAN."""
 
 
 class DataSheet(NamedTuple):
-    """What a navigator knows of its lidar beforehand."""
+    """Properties of the lidar that a navigator needs in advance."""
 
     azimuth_deg: Array
-    """(beams,) Around body z, from x to y; no link tells it."""
+    """(beams,) Azimuth about body z, from x to y; no link carries it."""
     angle_deg: Array
-    """(beams,) From body z, where the link does not tell it, as a core set on CAN."""
+    """(beams,) Angle from body z, where the link does not carry it, as with the core set on CAN."""
     acceleration_s2: float
-    """Metres that a range reads too long for each m/s^2 of closing acceleration: speed changes between two chirps."""
+    """Bias of a range in metres per m/s^2 of closing acceleration, because the speed changes between the two chirps."""
 
 
 class Shot(NamedTuple):
@@ -45,20 +45,20 @@ class Shot(NamedTuple):
 
 
 def directions(angle_deg: Any, azimuth_deg: Any) -> Array:
-    """Unit vectors (beams, 3) at angles from body z, and around it from x to y."""
+    """Unit vectors (beams, 3) at angles from body z and azimuths about it from x to y."""
     off, around = np.broadcast_arrays(np.radians(angle_deg), np.radians(azimuth_deg))
     return np.stack([np.sin(off) * np.cos(around), np.sin(off) * np.sin(around), np.cos(off)], axis=-1)
 
 
 def from_message(message: Message, sheet: DataSheet) -> Shot | None:
-    """What a packet says, or a set of CAN frames; None without a time, or with other beams than the data sheet's."""
+    """Shot from a packet or a set of CAN frames; None without a time, or if its beams differ from the data sheet's."""
     beams = message.beams
     if message.time_ns is None or len(beams) != len(sheet.azimuth_deg):
         return None
-    told_deg = _numbers(beams, "beam_angle_deg")
+    stated_deg = _numbers(beams, "beam_angle_deg")
     return Shot(
         message.time_ns,
-        directions(np.where(np.isnan(told_deg), sheet.angle_deg, told_deg), sheet.azimuth_deg),
+        directions(np.where(np.isnan(stated_deg), sheet.angle_deg, stated_deg), sheet.azimuth_deg),
         _numbers(beams, "range_m", "range_valid"),
         _stated(_numbers(beams, "sigma_range_m"), UNSTATED_SIGMA_RANGE_M),
         _numbers(beams, "closing_speed_mps", "speed_valid"),
@@ -67,7 +67,7 @@ def from_message(message: Message, sheet: DataSheet) -> Shot | None:
 
 
 def from_run(run: Measurement, k: int, sheet: DataSheet) -> Shot:
-    """Shot k of `lidar_emu.simulate`: the same values without wire."""
+    """Shot k of `lidar_emu.simulate`: the same values without a link."""
     return Shot(
         int(run.time_ns[k, 0]),
         directions(run.beam_angle_deg[k], sheet.azimuth_deg),

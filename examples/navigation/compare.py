@@ -1,4 +1,4 @@
-"""Algorithm development in batch: other rules, or another idea of the ground, over scenarios and seeds."""
+"""Algorithm development in batch: other rules, or another model of the ground, over scenarios and seeds."""
 
 import argparse
 from collections.abc import Mapping, Sequence
@@ -16,18 +16,18 @@ from truth import Truth
 import lidar_emu
 
 SETTLED_S = 5.0
-"""From then on errors count."""
+"""Time from which errors count."""
 
 
 class Variant(NamedTuple):
-    """A way to navigate."""
+    """Variant of the navigator."""
 
     rules: Rules
     ground: Ground
 
 
 class Study(NamedTuple):
-    """What is compared on what."""
+    """Variants, and the scenarios on which they are compared."""
 
     variants: Mapping[str, Variant]
     scenarios: Sequence[str]
@@ -46,7 +46,7 @@ STUDIES = {
 
 
 def fly_all(scenario_name: str, variants: Mapping[str, Variant], seed: int) -> dict[str, Log]:
-    """The same measurements through each variant."""
+    """Fly the same measurements through each variant."""
     scenario = lidar_emu.load(f"{scenario_name}.yaml")
     truth, run = Truth(scenario), lidar_emu.simulate(scenario, seed=seed)
     first_ns = int(run.time_ns[0, 0])
@@ -56,41 +56,41 @@ def fly_all(scenario_name: str, variants: Mapping[str, Variant], seed: int) -> d
 
 
 def speed_errors(log: Log) -> Array:
-    """(shots,) Length of the velocity's error."""
+    """Magnitudes (shots,) of the velocity error."""
     lengths: Array = np.linalg.norm(log.errors[:, VELOCITY], axis=1)
     return lengths
 
 
 def height_errors(log: Log) -> Array:
-    """(shots,) Without sign."""
+    """Magnitudes (shots,) of the height error."""
     return np.abs(log.errors[:, POSITION][:, 2])
 
 
 def summary(logs: Sequence[Log]) -> str:
-    """A row of the table: what errors of all seeds stay below in 95 % of shots, how large they are at the end, and how
-    much the innovations are larger than expected."""
+    """A row of the table: errors that 95 % of the shots of all seeds do not exceed, errors at the end, and normalised
+    innovations squared."""
     settled = [log.time_s >= SETTLED_S for log in logs]
     figures = []
     for errors_of in (height_errors, speed_errors):
         all_errors = [errors_of(log) for log in logs]
-        usual = np.concatenate([each[late] for each, late in zip(all_errors, settled, strict=True)])
-        figures += [np.quantile(usual, 0.95), rms(np.array([each[-1] for each in all_errors]))]
+        settled_errors = np.concatenate([each[late] for each, late in zip(all_errors, settled, strict=True)])
+        figures += [np.quantile(settled_errors, 0.95), rms(np.array([each[-1] for each in all_errors]))]
     drift_m = rms(np.array([np.linalg.norm(log.errors[-1, :2] - log.errors[0, :2]) for log in logs]))
-    surprise, taken = (
+    nis, accepted = (
         np.sum([values[late].sum() for values, late in zip(column, settled, strict=True)])
-        for column in ([log.surprise for log in logs], [log.taken for log in logs])
+        for column in ([log.nis for log in logs], [log.accepted for log in logs])
     )
-    nis = f"{surprise / taken:9.3g}" if taken else "        -"
-    return "".join(f"{figure:10.3g}" for figure in (*figures, drift_m)) + nis
+    nis_text = f"{nis / accepted:9.3g}" if accepted else "        -"
+    return "".join(f"{figure:10.3g}" for figure in (*figures, drift_m)) + nis_text
 
 
 def rms(values: Array) -> float:
-    """Root of the mean square."""
+    """Root mean square."""
     return float(np.sqrt(np.mean(values**2)))
 
 
 def draw(results: Mapping[str, Mapping[str, Sequence[Log]]], file: Path) -> None:
-    """Errors of height and velocity against time, root mean square over the seeds."""
+    """Plot the rms errors of height and velocity over the seeds against time."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -119,13 +119,13 @@ def draw(results: Mapping[str, Mapping[str, Sequence[Log]]], file: Path) -> None
 
 
 def main() -> None:
-    """Fly, print, draw."""
+    """Fly, print, plot."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("study", choices=STUDIES)
     parser.add_argument("--seeds", type=int, default=8, metavar="N")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="PNG, or what else matplotlib knows")
-    asked = parser.parse_args()
-    study, seeds = STUDIES[asked.study], range(1, asked.seeds + 1)
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="PNG, or another format of matplotlib")
+    arguments = parser.parse_args()
+    study, seeds = STUDIES[arguments.study], range(1, arguments.seeds + 1)
     results: dict[str, dict[str, list[Log]]] = {}
     print(f"{'':34}{'height, m':>20}{'velocity, m/s':>20}{'drift, m':>10}")
     print(f"{'':34}{'95 %':>10}{'end':>10}{'95 %':>10}{'end':>10}{'end':>10}{'NIS':>9}")
@@ -136,8 +136,8 @@ def main() -> None:
             results[scenario] = {name: [logs[name] for logs in by_seed] for name in study.variants}
             for name, logs in results[scenario].items():
                 print(f"{scenario:20}{name:14}{summary(logs)}", flush=True)
-    if asked.plot:
-        draw(results, asked.plot)
+    if arguments.plot:
+        draw(results, arguments.plot)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""An error-state Kalman filter: inertial increments carry the estimate, beams correct it.
+"""An error-state Kalman filter: inertial increments propagate the estimate, beams correct it.
 
-What is estimated, and in which order its errors stand in the covariance: position (east, north, height above the
-ground), velocity, attitude, biases of accelerometers and gyroscopes, slope of the ground to the east and to the north.
-The error psi of the attitude is a small rotation in the site frame, true = exp([psi]x) estimate. East and north are
-dead reckoning: no beam tells them. The ground below is a plane that changes as it is flown over.
+The states are, in the order of the covariance: position (east, north, height above the ground), velocity, attitude,
+biases of accelerometers and gyroscopes, slope of the ground to the east and to the north. The attitude error psi is a
+small rotation in the site frame, true = exp([psi]x) estimate. East and north are dead reckoning: no beam observes them.
+The ground is modelled as a plane that changes as the vehicle flies over it.
 """
 
 from dataclasses import dataclass
@@ -24,25 +24,25 @@ LEAST_HEIGHT_M = 0.5
 
 @dataclass(frozen=True)
 class Ground:
-    """What is expected of the ground. What was seen of it is forgotten over a path as long as the height: by then the
-    beams fall elsewhere."""
+    """Statistics of the ground. Correlation with earlier ground decays over a path as long as the height, after which
+    the beams fall elsewhere."""
 
     slope_sigma: float = 0.05
-    """Of the slope of the plane that the beams see: three degrees."""
+    """Standard deviation of the slope of the plane below the beams: three degrees."""
     relief_sigma: float = 0.002
-    """Of that plane's height, for each metre of height above it."""
+    """Standard deviation of that plane's height, per metre of height above it."""
 
 
 MARE = Ground()
 
 
 class Predicted(NamedTuple):
-    """What beams are expected to say."""
+    """Predicted measurements."""
 
     value: Array
-    """(beams,)"""
+    """(beams,) Predicted values."""
     design: Array
-    """(beams, 17) How it changes with the errors."""
+    """(beams, 17) Derivatives with respect to the errors."""
 
 
 class ErrorState:
@@ -57,15 +57,15 @@ class ErrorState:
         grade: Grade,
         ground: Ground,
     ) -> None:
-        """Begin.
+        """Initialise the filter.
 
         Args:
             position_site_m: (3,) east, north and height above the ground.
-            velocity_site_mps: (3,)
-            site_from_body: (3, 3)
-            sigmas: (9,) of position, velocity and attitude.
-            grade: of the inertial unit.
-            ground: what is below.
+            velocity_site_mps: (3,) velocity.
+            site_from_body: (3, 3) attitude.
+            sigmas: (9,) standard deviations of position, velocity and attitude.
+            grade: errors of the inertial unit.
+            ground: statistics of the ground.
         """
         self.position_site_m, self.velocity_site_mps = position_site_m.copy(), velocity_site_mps.copy()
         self.site_from_body = site_from_body.copy()
@@ -79,25 +79,25 @@ class ErrorState:
 
     @property
     def height_m(self) -> float:
-        """Above the ground; a filter that has lost it may think itself below."""
+        """Estimated height above the ground, at least `LEAST_HEIGHT_M`: a diverged estimate may be below it."""
         return max(float(self.position_site_m[HEIGHT]), LEAST_HEIGHT_M)
 
-    def propagate(self, felt: Increment) -> None:
-        """Carry estimate and covariance over an increment."""
-        step_s = felt.duration_s
-        force = self.site_from_body @ (felt.velocity_body_mps / step_s - self.accelerometer_bias_mps2)
+    def propagate(self, increment: Increment) -> None:
+        """Propagate estimate and covariance over an increment."""
+        step_s = increment.duration_s
+        force = self.site_from_body @ (increment.velocity_body_mps / step_s - self.accelerometer_bias_mps2)
         self.acceleration_site_mps2 = force + GRAVITY_SITE_MPS2
         moved_m = (self.velocity_site_mps + self.acceleration_site_mps2 * step_s / 2) * step_s
-        self._spread(force, moved_m, step_s)
+        self._propagate_covariance(force, moved_m, step_s)
         moved_m[HEIGHT] -= self.slope @ moved_m[:2]
         self.position_site_m += moved_m
         self.velocity_site_mps += self.acceleration_site_mps2 * step_s
         self.site_from_body = self.site_from_body @ rotation(
-            felt.angle_body_rad - self.gyroscope_bias_radps * step_s
+            increment.angle_body_rad - self.gyroscope_bias_radps * step_s
         )
 
-    def _spread(self, force: Array, moved_m: Array, step_s: float) -> None:
-        """Carry the covariance, and forget the ground."""
+    def _propagate_covariance(self, force: Array, moved_m: Array, step_s: float) -> None:
+        """Propagate the covariance, and decorrelate the ground."""
         change = np.eye(ERRORS)
         change[POSITION, VELOCITY] = np.eye(3) * step_s
         change[HEIGHT, 3:5] = -self.slope * step_s
@@ -105,21 +105,21 @@ class ErrorState:
         change[VELOCITY, ATTITUDE] = -skew(force) * step_s
         change[VELOCITY, ACCELEROMETER] = -self.site_from_body * step_s
         change[ATTITUDE, GYROSCOPE] = -self.site_from_body * step_s
-        forgets = np.exp(-np.linalg.norm(moved_m) / self.height_m)
-        change[SLOPE, SLOPE] *= forgets
-        self.slope *= forgets
+        correlation = np.exp(-np.linalg.norm(moved_m) / self.height_m)
+        change[SLOPE, SLOPE] *= correlation
+        self.slope *= correlation
         noise = np.zeros(ERRORS)
         noise[VELOCITY], noise[ATTITUDE] = self._velocity_walk * step_s, self._attitude_walk * step_s
-        noise[SLOPE] = self._ground.slope_sigma**2 * (1 - forgets**2)
-        noise[HEIGHT] = (self._ground.relief_sigma * self.height_m) ** 2 * (1 - forgets**2)
+        noise[SLOPE] = self._ground.slope_sigma**2 * (1 - correlation**2)
+        noise[HEIGHT] = (self._ground.relief_sigma * self.height_m) ** 2 * (1 - correlation**2)
         self.covariance = change @ self.covariance @ change.T + np.diag(noise)
 
     def ranges(self, beams_body: Array, coupling_s2: float) -> Predicted:
-        """Ranges to the plane below; NaN for beams that would not meet it.
+        """Predicted ranges to the plane below; NaN for beams that do not hit it.
 
         Args:
-            beams_body: (n, 3)
-            coupling_s2: metres that a range reads too long for each m/s^2 of closing acceleration.
+            beams_body: (n, 3) unit vectors of the beams
+            coupling_s2: bias of a range in metres per m/s^2 of closing acceleration.
         """
         beams_site = beams_body @ self.site_from_body.T
         fall = np.append(self.slope, -1.0)
@@ -134,31 +134,33 @@ class ErrorState:
         return Predicted(range_m + coupling_s2 * (beams_site @ self.acceleration_site_mps2), design)
 
     def speeds(self, beams_body: Array) -> Predicted:
-        """Closing speeds along beams (n, 3)."""
+        """Predicted closing speeds along beams (n, 3)."""
         beams_site = beams_body @ self.site_from_body.T
         design = np.zeros((len(beams_body), ERRORS))
         design[:, VELOCITY] = beams_site
         design[:, ATTITUDE] = np.cross(beams_site, self.velocity_site_mps)
         return Predicted(beams_site @ self.velocity_site_mps, design)
 
-    def correct(self, innovation: Array, design: Array, spread: Array, variances: Array) -> None:
-        """Take in what n beams said.
+    def correct(
+        self, innovation: Array, design: Array, innovation_covariance: Array, variances: Array
+    ) -> None:
+        """Correct the estimate by n measurements.
 
         Args:
-            innovation: (n,) what was said less what was predicted.
-            design: (n, 17) of the prediction.
-            spread: (n, n) covariance of the innovations.
-            variances: (n,) of the beams themselves.
+            innovation: (n,) measured minus predicted values.
+            design: (n, 17) design matrix of the prediction.
+            innovation_covariance: (n, n) covariance of the innovations.
+            variances: (n,) variances of the measurements.
         """
-        gain = np.linalg.solve(spread, design @ self.covariance).T
+        gain = np.linalg.solve(innovation_covariance, design @ self.covariance).T
         left = np.eye(ERRORS) - gain @ design
         self.covariance = (
             left @ self.covariance @ left.T + (gain * variances) @ gain.T
         )  # Joseph: stays positive
         self._move(gain @ innovation)
 
-    def begin_again(self, rows: NDArray[np.intp], error: Array, covariance: Array) -> None:
-        """Put some errors right, forget what they had to do with the others, and give them a covariance."""
+    def reinitialise(self, rows: NDArray[np.intp], error: Array, covariance: Array) -> None:
+        """Correct some states, remove their correlation with the others, and set their covariance."""
         whole = np.zeros(ERRORS)
         whole[rows] = error
         self._move(whole)
@@ -176,7 +178,7 @@ class ErrorState:
 
 
 def skew(vector: Array) -> Array:
-    """The matrix of the vector product from the left."""
+    """Matrix of the cross product from the left."""
     x, y, z = vector
     return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 

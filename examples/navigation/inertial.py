@@ -1,4 +1,4 @@
-"""What an inertial unit hands to a filter, and how good it is."""
+"""The interface of an inertial unit, and its errors."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,33 +8,33 @@ import numpy as np
 from beams import Array
 
 GRAVITY_SITE_MPS2 = np.array([0.0, 0.0, -1.62])
-"""The Moon's. A simulated unit shares it with the filter: an error of gravity is none of those that are shown."""
+"""Gravity of the Moon. The simulated unit uses the same value as the filter: errors of gravity are not modelled."""
 
 
 @dataclass(frozen=True)
 class Grade:
-    """How good it is."""
+    """Errors of an inertial unit."""
 
     accelerometer_bias_mps2: float = 3e-3
-    """Standard deviation of a bias that stays, as for the gyroscope."""
+    """Standard deviation of a constant bias, as for the gyroscope."""
     accelerometer_noise: float = 5e-4
-    """Of velocity after one second: m/s per square root of s."""
+    """Velocity random walk: m/s per square root of s."""
     gyroscope_bias_radps: float = 5e-6
     gyroscope_noise: float = 2e-5
-    """Of angle after one second: rad per square root of s."""
+    """Angle random walk: rad per square root of s."""
 
 
 TACTICAL = Grade()
 
 
 class Increment(NamedTuple):
-    """What was felt in an interval."""
+    """Measured increments over an interval."""
 
     duration_s: float
     angle_body_rad: Array
     """Rotation vector."""
     velocity_body_mps: Array
-    """Of the forces other than gravity, along the body's axes at the interval's start."""
+    """Velocity increment by forces other than gravity, in the body's axes at the start of the interval."""
 
 
 class Inertial(Protocol):
@@ -42,9 +42,9 @@ class Inertial(Protocol):
 
     @property
     def end_ns(self) -> int:
-        """Up to which it knows what was felt."""
+        """End of the available data."""
         ...
 
     def between(self, start_ns: int, end_ns: int) -> Iterator[Increment]:
-        """What was felt from one instant to another, not after `end_ns`."""
+        """Increments from one instant to another, not after `end_ns`."""
         ...

@@ -1,4 +1,4 @@
-"""Navigates by the packets of `lidar-emu run` in another process, and prints the truth beside the estimate."""
+"""Navigate by the packets of `lidar-emu run` in another process, and print the truth beside the estimate."""
 
 import argparse
 import sys
@@ -8,7 +8,7 @@ from math import acos, degrees
 import numpy as np
 from beams import Array, Shot, from_message
 from error_state import POSITION, VELOCITY
-from navigation import Navigator, Taken
+from navigation import Navigator, UpdateResult
 from ports import from_can, from_serial
 from trials import errors, start
 from trust import NAMED
@@ -19,17 +19,17 @@ from lidar_emu.errors import InputError
 from lidar_protocol import Message
 
 HEADINGS = (
-    "           height, m           error of velocity, mm/s     tilt, deg    beams taken\n"
+    "           height, m           error of velocity, mm/s     tilt, deg    beams used \n"
     "   time     true estimate      east    north       up    true   est.   range  speed\n"
 )
 
 
 def main() -> None:
     """Read the command line, and follow the flight."""
-    asked = options().parse_args()
+    arguments = options().parse_args()
     try:
-        truth = Truth(lidar_emu.load(asked.scenario, overrides(asked.set)))
-        follow(truth, messages(asked, truth.scenario.wire.unit), asked)
+        truth = Truth(lidar_emu.load(arguments.scenario, overrides(arguments.set)))
+        follow(truth, messages(arguments, truth.scenario.wire.unit), arguments)
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         sys.exit(2)
@@ -38,35 +38,33 @@ def main() -> None:
 
 
 def options() -> argparse.ArgumentParser:
-    """Of the command line."""
+    """Options of the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenario", help="the one that lidar-emu run flies")
+    parser.add_argument("scenario", help="the scenario that lidar-emu run flies")
     parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="as given to lidar-emu run"
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="the same as for lidar-emu run"
     )
     parser.add_argument("--port", metavar="PATH", help="serial device, or the pty that lidar-emu prints")
     parser.add_argument("--baud", type=natural, default=921_600)
-    parser.add_argument("-i", "--interface", metavar="NAME", help="CAN interface, in python-can's words")
+    parser.add_argument("-i", "--interface", metavar="NAME", help="python-can interface name, e.g. socketcan")
     parser.add_argument("-c", "--channel", metavar="NAME", help="CAN channel, e.g. vcan0")
     parser.add_argument("--bitrate", type=natural, default=500_000)
     parser.add_argument("--fd", action="store_true", help="CAN FD frames")
-    parser.add_argument("--rules", choices=NAMED, default="careful", help="whom to believe")
-    parser.add_argument("--seed", type=natural, default=1, help="of inertial unit and first guess")
-    parser.add_argument(
-        "--every", type=float, default=1.0, metavar="S", help="seconds of flight between two lines"
-    )
+    parser.add_argument("--rules", choices=NAMED, default="careful", help="rules for accepting measurements")
+    parser.add_argument("--seed", type=natural, default=1, help="seed of inertial unit and initial errors")
+    parser.add_argument("--every", type=float, default=1.0, metavar="S", help="flight time between two lines")
     return parser
 
 
 def natural(text: str) -> int:
-    """A whole number that is not negative, for argparse."""
+    """Nonnegative integer, for argparse."""
     if not (text.isascii() and text.isdigit()):
-        raise argparse.ArgumentTypeError(f"{text!r} is not usable; allowed: a whole number, 0 or more")
+        raise argparse.ArgumentTypeError(f"{text!r} is not usable; allowed: an integer, 0 or more")
     return int(text)
 
 
 def overrides(settings: list[str]) -> dict[str, str]:
-    """Of `--set`."""
+    """Key and value pairs of `--set`."""
     pairs = [each.partition("=") for each in settings]
     for key, equals, value in pairs:
         if not (key and equals and value):
@@ -74,62 +72,68 @@ def overrides(settings: list[str]) -> dict[str, str]:
     return {key: value for key, _, value in pairs}
 
 
-def messages(asked: argparse.Namespace, unit: int) -> Iterator[Message]:
-    """From the port that was asked for."""
-    if asked.port is not None and asked.interface is None:
-        return from_serial(asked.port, asked.baud, unit)
-    if asked.port is not None or None in (asked.interface, asked.channel):
-        raise InputError("--port", None, asked.port, "allowed: either --port, or --interface and --channel")
-    return from_can(asked.interface, asked.channel, asked.bitrate, asked.fd, unit)
+def messages(arguments: argparse.Namespace, unit: int) -> Iterator[Message]:
+    """Messages from the given port."""
+    if arguments.port is not None and arguments.interface is None:
+        return from_serial(arguments.port, arguments.baud, unit)
+    if arguments.port is not None or None in (arguments.interface, arguments.channel):
+        raise InputError(
+            "--port", None, arguments.port, "allowed: either --port, or --interface and --channel"
+        )
+    return from_can(arguments.interface, arguments.channel, arguments.bitrate, arguments.fd, unit)
 
 
-def follow(truth: Truth, arriving: Iterator[Message], asked: argparse.Namespace) -> None:
-    """Navigate to the end of the flight, and say how well that went."""
+def follow(truth: Truth, arriving: Iterator[Message], arguments: argparse.Namespace) -> None:
+    """Navigate to the end of the flight, and print the error there."""
     shots = (shot for message in arriving if (shot := from_message(message, truth.sheet)) is not None)
     first = next(shots, None)
     if first is None:
-        raise OSError("no packet has come")
-    navigator = start(truth, first.time_ns, asked.seed, NAMED[asked.rules])
-    told_ns, used, unused = -1.0, 0, 0
+        raise OSError("no packet received")
+    navigator = start(truth, first.time_ns, arguments.seed, NAMED[arguments.rules])
+    printed_ns, used, unused = -1.0, 0, 0
     print(HEADINGS, end="")
     for shot in shots:
-        became = navigator.take(shot)
-        if became is None:
+        result = navigator.take(shot)
+        if result is None:
             unused += 1
             continue
         used += 1
-        again = [what for what, each in zip(("height", "velocity"), became, strict=True) if each.begun_again]
-        if again or shot.time_ns >= told_ns:
-            told_ns = shot.time_ns + asked.every * 1e9
+        restarted = [
+            what for what, each in zip(("height", "velocity"), result, strict=True) if each.reinitialised
+        ]
+        if restarted or shot.time_ns >= printed_ns:
+            printed_ns = shot.time_ns + arguments.every * 1e9
             print(
-                line(truth, navigator, shot, became), *(f"{what} begins again" for what in again), flush=True
+                line(truth, navigator, shot, result),
+                *(f"{what} reinitialised" for what in restarted),
+                flush=True,
             )
     off = errors(navigator.state, truth.at(navigator.time_ns))
     east_m, north_m, height_m = off[POSITION]
     speed_mmps = np.linalg.norm(off[VELOCITY]) * 1e3
     print(
-        f"off at the end, {navigator.time_ns * 1e-9:.2f} s: {east_m:+.2f} m east, {north_m:+.2f} m north,"
-        f" {height_m:+.2f} m of height, {speed_mmps:.1f} mm/s; {used} shots used, {unused} not"
+        f"error at the end, {navigator.time_ns * 1e-9:.2f} s: {east_m:+.2f} m east, {north_m:+.2f} m north,"
+        f" {height_m:+.2f} m of height, {speed_mmps:.1f} mm/s; {used} shots used, {unused} not used"
     )
 
 
-def line(truth: Truth, navigator: Navigator, shot: Shot, became: tuple[Taken, Taken]) -> str:
-    """Truth and estimate at a shot."""
+def line(truth: Truth, navigator: Navigator, shot: Shot, result: tuple[UpdateResult, UpdateResult]) -> str:
+    """One line of output: truth and estimate at a shot."""
     true, state = truth.at(shot.time_ns), navigator.state
     east, north, up = errors(state, true)[VELOCITY] * 1e3
     reach_m = true.position_site_m[2] * float(np.nanmax(np.hypot(*shot.directions_body[:, :2].T)))
     true_deg = tilt_deg(true.site_from_body, truth.slope(shot.time_ns, reach_m))
-    ranges, speeds = became
+    ranges, speeds = result
     return (
         f"{shot.time_ns * 1e-9:7.2f} {true.position_site_m[2]:8.2f} {state.height_m:8.2f}"
         f"  {east:+8.1f} {north:+8.1f} {up:+8.1f}"
         f"  {true_deg:6.2f} {tilt_deg(state.site_from_body, state.slope):6.2f}"
-        f"   {ranges.taken} of {ranges.told} {speeds.taken} of {speeds.told}"
+        f"   {ranges.accepted} of {ranges.valid} {speeds.accepted} of {speeds.valid}"
     )
 
 
 def tilt_deg(site_from_body: Array, slope: Array) -> float:
-    """Between body z and the line that meets the ground upright."""
+    """Angle between body z and the normal of the ground."""
     down = np.append(slope, -1.0)
     return degrees(acos(min(1.0, float(site_from_body[:, 2] @ down / np.linalg.norm(down)))))
 

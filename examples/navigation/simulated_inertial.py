@@ -1,4 +1,4 @@
-"""An inertial unit on the true flight: increments of angle and velocity with bias and noise, the same for a seed."""
+"""A simulated inertial unit on the true flight: increments of angle and velocity with bias and noise, by seed."""
 
 from collections.abc import Iterator
 
@@ -11,7 +11,7 @@ TICK_NS = 10_000_000
 
 
 class SimulatedInertial:
-    """Increments at 100 Hz, without errors of scale, alignment or coning: those are not what is shown here."""
+    """Increments at 100 Hz, without errors of scale, alignment or coning."""
 
     def __init__(self, truth: Truth, rng: np.random.Generator, grade: Grade) -> None:
         tick_s = TICK_NS * 1e-9
@@ -19,9 +19,9 @@ class SimulatedInertial:
         flown = truth.states(np.arange(ticks + 1, dtype=np.float64) * tick_s)
         before = flown.site_from_body[:-1]
         turned = np.einsum("kji,kjl->kil", before, flown.site_from_body[1:])
-        felt_site = np.diff(flown.velocity_site_mps, axis=0) - GRAVITY_SITE_MPS2 * tick_s
+        increment_site = np.diff(flown.velocity_site_mps, axis=0) - GRAVITY_SITE_MPS2 * tick_s
         angle_rad = rotation_vectors(turned)
-        velocity_mps = np.einsum("kji,kj->ki", before, felt_site)
+        velocity_mps = np.einsum("kji,kj->ki", before, increment_site)
         angle_rad += rng.normal(0, grade.gyroscope_bias_radps, 3) * tick_s
         angle_rad += rng.normal(0, grade.gyroscope_noise * tick_s**0.5, angle_rad.shape)
         velocity_mps += rng.normal(0, grade.accelerometer_bias_mps2, 3) * tick_s
@@ -30,7 +30,7 @@ class SimulatedInertial:
         self.end_ns = ticks * TICK_NS
 
     def between(self, start_ns: int, end_ns: int) -> Iterator[Increment]:
-        """What was felt; a tick that is cut is cut in proportion."""
+        """Increments over an interval; a tick that is divided contributes in proportion."""
         while start_ns < end_ns:
             tick = start_ns // TICK_NS
             until_ns = min(end_ns, (tick + 1) * TICK_NS)
@@ -42,7 +42,7 @@ class SimulatedInertial:
 
 
 def rotation_vectors(rotations: Array) -> Array:
-    """The vectors (k, 3) of rotations (k, 3, 3) that are small: of half a turn at most."""
+    """Rotation vectors (k, 3) of rotations (k, 3, 3) by at most half a turn."""
     twice_sine_axis = np.stack(
         [
             rotations[:, 2, 1] - rotations[:, 1, 2],

@@ -1,4 +1,5 @@
-"""A navigator on a scenario's flight: started with errors, compared with the truth, flown without wire or clock."""
+"""Trials of a navigator on a scenario's flight: initial errors, comparison with the truth, whole flights without link
+or clock."""
 
 from typing import NamedTuple
 
@@ -14,9 +15,9 @@ from truth import TrueState, Truth
 from lidar_emu.measurement import Measurement
 
 START_SIGMAS = np.array([10.0, 10.0, 50.0, 1.0, 1.0, 1.0, 5e-4, 5e-4, 5e-4])
-"""Of position, velocity and attitude before the first shot."""
+"""Standard deviations of position, velocity and attitude before the first shot."""
 KNOWN = 9
-"""Errors that have a truth beside them: those of position, velocity and attitude."""
+"""Number of errors with a known truth: position, velocity and attitude."""
 
 
 def start(
@@ -27,7 +28,8 @@ def start(
     ground: Ground = MARE,
     grade: Grade = TACTICAL,
 ) -> Navigator:
-    """A navigator at an instant of a flight, off by errors as large as it thinks, with an inertial unit of its own."""
+    """Initialise a navigator at an instant of a flight, with initial errors of the stated size and its own inertial
+    unit."""
     rng = np.random.default_rng(seed)
     inertial = SimulatedInertial(truth, rng, grade)
     true, off = truth.at(time_ns), START_SIGMAS * rng.standard_normal(9)
@@ -43,7 +45,7 @@ def start(
 
 
 def errors(state: ErrorState, true: TrueState) -> Array:
-    """(9,) What is to be added to position, velocity and attitude: the first rows of the covariance are about these."""
+    """Errors (9,) of position, velocity and attitude, as true minus estimate, in the order of the covariance."""
     turned = (true.site_from_body @ state.site_from_body.T)[None]
     return np.concatenate(
         [
@@ -55,30 +57,30 @@ def errors(state: ErrorState, true: TrueState) -> Array:
 
 
 class Log(NamedTuple):
-    """Shot by shot."""
+    """Results shot by shot."""
 
     time_s: Array
     """(shots,)"""
     height_m: Array
-    """(shots,) True, above the ground straight below."""
+    """(shots,) True height above the ground straight below."""
     errors: Array
-    """(shots, 9) Of position, velocity and attitude."""
+    """(shots, 9) Errors of position, velocity and attitude."""
     covariance: Array
-    """(shots, 9, 9) That the filter states for them."""
-    surprise: Array
-    """(shots, 2) Of ranges and speeds: innovations squared, over their covariance."""
-    taken: Array
-    """(shots, 2) Beams that went into it."""
-    began_again: Array
-    """(shots, 2)"""
+    """(shots, 9, 9) Covariance that the filter states for them."""
+    nis: Array
+    """(shots, 2) Normalised innovations squared of ranges and speeds."""
+    accepted: Array
+    """(shots, 2) Beams accepted."""
+    reinitialised: Array
+    """(shots, 2) Whether height or velocity was reinitialised."""
 
 
 def fly(truth: Truth, run: Measurement, navigator: Navigator) -> Log:
-    """Hand shot after shot to a navigator."""
+    """Pass the shots of a run to a navigator."""
     rows = []
     for k in range(len(run)):
-        became = navigator.take(from_run(run, k, truth.sheet))
-        if became is None:
+        result = navigator.take(from_run(run, k, truth.sheet))
+        if result is None:
             continue
         true = truth.at(navigator.time_ns)
         covariance = navigator.state.covariance[:KNOWN, :KNOWN].copy()
@@ -88,16 +90,16 @@ def fly(truth: Truth, run: Measurement, navigator: Navigator) -> Log:
                 true.position_site_m[HEIGHT],
                 errors(navigator.state, true),
                 covariance,
-                [each.surprise for each in became],
-                [each.taken for each in became],
-                [each.begun_again for each in became],
+                [each.nis for each in result],
+                [each.accepted for each in result],
+                [each.reinitialised for each in result],
             )
         )
     return Log(*(np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)))
 
 
 def normalised(errors: Array, covariance: Array) -> Array:
-    """(n,) Errors (n, k) squared over their covariance (n, k, k): chi-square of k degrees if that is true."""
+    """Errors (n, k) squared, normalised by their covariances (n, k, k): chi-square of k degrees if correct."""
     solved = np.linalg.solve(covariance, errors[:, :, None])
     squares: Array = np.einsum("ni,ni->n", errors, solved[:, :, 0])
     return squares

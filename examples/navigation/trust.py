@@ -1,4 +1,4 @@
-"""Whom to believe: how noisy the beams really are, which of them are outliers, and when the filter itself is lost."""
+"""Acceptance of measurements: the beams' actual noise, outliers, and divergence of the filter."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -12,74 +12,76 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Rules:
-    """How careful a navigator is."""
+    """Rules by which a navigator accepts measurements."""
 
     gate: float = 10.83
-    """A beam is an outlier if its innovation squared, over its variance, is more: one good beam in a thousand."""
-    weighs: bool = True
-    """Whether standard deviations grow with the noise that parity shows; if not, the packets' are believed."""
-    lost_after: int | None = 20
-    """After so many shots in a row from which fewer than two beams were taken, though they agree with each other, it is
-    the estimate that is wrong, and begins again from the beams; None: never."""
+    """A beam is an outlier if its squared innovation over its variance is larger: one good beam in a thousand."""
+    scales_sigma: bool = True
+    """Whether standard deviations are scaled by the noise that parity shows; otherwise the packets' values are used
+    unchanged."""
+    reinitialise_after: int | None = 20
+    """Number of consecutive shots with fewer than two accepted beams, though the beams agree with each other, after
+    which the estimate has diverged and is reinitialised from the beams; None: never."""
 
 
 CAREFUL = Rules()
-STUBBORN = Rules(weighs=False, lost_after=None)
-"""Has a gate, and never doubts itself."""
-CREDULOUS = Rules(gate=np.inf, weighs=False, lost_after=None)
-"""Takes whatever is flagged valid."""
-BLIND = Rules(gate=0.0, lost_after=None)
-"""Takes nothing: the inertial unit alone."""
+STUBBORN = Rules(scales_sigma=False, reinitialise_after=None)
+"""Uses a gate, but never reinitialises."""
+CREDULOUS = Rules(gate=np.inf, scales_sigma=False, reinitialise_after=None)
+"""Accepts every measurement that is flagged valid."""
+BLIND = Rules(gate=0.0, reinitialise_after=None)
+"""Accepts nothing: the inertial unit alone."""
 NAMED = {"careful": CAREFUL, "stubborn": STUBBORN, "credulous": CREDULOUS, "blind": BLIND}
 
 WINDOW = 40
-"""Shots over which noise is judged: two seconds."""
-NOTICEABLE = 3.0
-"""Less than so many times the variance may be chance: of windows of honest beams one in a thousand or so shows more."""
+"""Shots over which noise is estimated: two seconds."""
+SIGNIFICANT_FACTOR = 3.0
+"""Smaller factors of the variance may be chance: one window in about a thousand of beams with correct sigmas exceeds
+it."""
 
 
-class Watch:
-    """Over the ranges, or over the speeds."""
+class NoiseMonitor:
+    """Estimates the noise and detects divergence, for the ranges or for the speeds."""
 
     def __init__(self, rules: Rules) -> None:
         self._rules = rules
         self._squares: deque[float] = deque(maxlen=WINDOW)
-        self._seen = self._refused = 0
+        self._shots = self._rejected = 0
 
-    def listen(self, parity: Array) -> None:
-        """What a shot's beams say against each other; nothing where there was no beam to spare."""
-        self._seen += 1
+    def add(self, parity: Array) -> None:
+        """Add the parity of a shot; empty without redundant beams."""
+        self._shots += 1
         if len(parity):
             # Wilson and Hilferty (1931): the median of chi-square by its degrees of freedom.
             middle = len(parity) * (1 - 2 / (9 * len(parity))) ** 3
             self._squares.append(float(parity @ parity) / middle)
 
     @property
-    def is_settled(self) -> bool:
-        """Whether enough was heard to judge the noise."""
-        return not self._rules.weighs or 2 * self._seen >= WINDOW
+    def is_ready(self) -> bool:
+        """Whether there are enough shots to estimate the noise."""
+        return not self._rules.scales_sigma or 2 * self._shots >= WINDOW
 
     @property
     def variance_factor(self) -> float:
-        """By how much variances are more than stated. The median stands up to outliers, which are the gate's business;
-        noise that stays is no outlier."""
-        if not (self._rules.weighs and self._squares):
+        """Ratio of the actual variances to the stated ones. The median is insensitive to outliers, which the gate
+        rejects; persistent noise is not an outlier."""
+        if not (self._rules.scales_sigma and self._squares):
             return 1.0
         factor = float(np.median(self._squares))
-        return factor if factor > NOTICEABLE else 1.0
+        return factor if factor > SIGNIFICANT_FACTOR else 1.0
 
     def inliers(self, innovation: Array, variance: Array) -> BoolArray:
-        """Which beams to take; NaN is none."""
+        """Which beams to accept; NaN is rejected."""
         within: BoolArray = innovation**2 <= self._rules.gate * variance
         return within
 
-    def finds_lost(self, taken: int, parity: Array) -> bool:
-        """Count a shot of which so many beams were taken; whether the estimate is to begin again. Beams that cannot
-        contradict each other count for nothing."""
+    def detects_divergence(self, accepted: int, parity: Array) -> bool:
+        """Count a shot by its number of accepted beams; whether the estimate is to be reinitialised. Shots without
+        parity do not count."""
         if len(parity):
             agree = bool(np.all(parity**2 <= self._rules.gate * self.variance_factor))
-            self._refused = self._refused + 1 if agree and taken < 2 else 0
-        if self._rules.lost_after is None or self._refused < self._rules.lost_after:
+            self._rejected = self._rejected + 1 if agree and accepted < 2 else 0
+        if self._rules.reinitialise_after is None or self._rejected < self._rules.reinitialise_after:
             return False
-        self._refused = 0
+        self._rejected = 0
         return True

@@ -1,4 +1,4 @@
-"""The flight that a scenario describes: what an inertial unit feels, and what estimates are compared with."""
+"""The true flight of a scenario, for the simulated inertial unit and for comparison."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ LIGHT_MPS = 299_792_458.0
 
 
 class TrueState(NamedTuple):
-    """Of one instant; site frame: east, north, up."""
+    """True state at one instant; site frame: east, north, up."""
 
     position_site_m: Array
     """(3,) East and north, and height above the ground straight below."""
@@ -27,8 +27,8 @@ class Truth:
     """A scenario's flight over its ground.
 
     Raises:
-        InputError: the scenario has no flight that is known beforehand, or a lidar that does not sit upright at the
-            vehicle's reference point, of which the filter knows nothing.
+        InputError: the scenario has no flight that is known in advance, or its lidar is not mounted upright at the
+            vehicle's reference point, which the filter assumes.
     """
 
     def __init__(self, scenario: FlightScenario | BenchScenario) -> None:
@@ -45,20 +45,20 @@ class Truth:
             self._flight.scanner.angle_deg[0],
             LIGHT_MPS * waveform.segment_time_s / (waveform.wavelength_m * waveform.chirp_slope_hz_per_s),
         )
-        """Of the scenario's lidar."""
+        """Data sheet of the scenario's lidar."""
 
     @property
     def duration_s(self) -> float:
-        """Of the flight, or of what the scenario has flown of it."""
-        asked_s = self.scenario.duration_s
-        return self._flight.trajectory.duration_s if asked_s is None else asked_s
+        """Duration of the flight, or of the part that the scenario flies."""
+        limit_s = self.scenario.duration_s
+        return self._flight.trajectory.duration_s if limit_s is None else limit_s
 
     def states(self, time_s: Array) -> VehicleState:
-        """Motion at instants (n,)."""
+        """True motion at instants (n,)."""
         return self._flight.trajectory.state(time_s)
 
     def at(self, time_ns: int) -> TrueState:
-        """The vehicle at one instant."""
+        """True state at one instant."""
         state = self.states(np.array([time_ns * 1e-9]))
         east_m, north_m, up_m = state.position_site_m[0]
         height_m = up_m - self._flight.scene.height_m(np.array([east_m]), np.array([north_m]))[0]
@@ -66,7 +66,7 @@ class Truth:
         return TrueState(position_m, state.velocity_site_mps[0], state.site_from_body[0])
 
     def slope(self, time_ns: int, reach_m: float) -> Array:
-        """(2,) Of the ground to the east and to the north, from points that far on either side."""
+        """Slope (2,) of the ground to the east and to the north, over a distance of `reach_m` on either side."""
         east_m, north_m, _ = self.states(np.array([time_ns * 1e-9])).position_site_m[0]
         around = reach_m * np.array([[1, -1, 0, 0], [0, 0, 1, -1]])
         up_m = self._flight.scene.height_m(east_m + around[0], north_m + around[1])

@@ -13,7 +13,7 @@ from inertial import TACTICAL, Grade
 from scipy.stats import chi2
 from simulated_inertial import SimulatedInertial, rotation_vectors
 from trials import START_SIGMAS, Log, errors, fly, normalised, start
-from trust import CAREFUL, Rules, Watch
+from trust import CAREFUL, NoiseMonitor, Rules
 from truth import Truth
 
 import lidar_emu
@@ -48,7 +48,7 @@ def some_state() -> ErrorState:
 
 def moved(error: Array) -> ErrorState:
     state = some_state()
-    state.begin_again(np.arange(ERRORS), error, np.eye(ERRORS))
+    state.reinitialise(np.arange(ERRORS), error, np.eye(ERRORS))
     return state
 
 
@@ -78,8 +78,8 @@ def test_the_covariance_is_carried_as_errors_are() -> None:
     def after(error: Array) -> ErrorState:
         state = moved(error)
         state.covariance = np.outer(error, error)
-        for felt in inertial.between(0, 500_000_000):
-            state.propagate(felt)
+        for increment in inertial.between(0, 500_000_000):
+            state.propagate(increment)
         return state
 
     right = after(np.zeros(ERRORS))
@@ -106,8 +106,8 @@ def test_without_errors_the_inertial_unit_finds_the_way() -> None:
     state = ErrorState(
         true.position_site_m, true.velocity_site_mps, true.site_from_body, START_SIGMAS, EXACT, MARE
     )
-    for felt in SimulatedInertial(truth, np.random.default_rng(1), EXACT).between(0, 5_000_000_000):
-        state.propagate(felt)
+    for increment in SimulatedInertial(truth, np.random.default_rng(1), EXACT).between(0, 5_000_000_000):
+        state.propagate(increment)
     off = errors(state, truth.at(5_000_000_000))
     assert np.abs(off).max() < 1e-6
 
@@ -118,8 +118,12 @@ def test_an_inertial_unit_has_the_errors_that_its_grade_states() -> None:
     exact = list(SimulatedInertial(truth, np.random.default_rng(0), EXACT).between(0, 4_000_000_000))
     means, scatters = [], []
     for seed in range(60):
-        felt = list(SimulatedInertial(truth, np.random.default_rng(seed), TACTICAL).between(0, 4_000_000_000))
-        off = np.array([a.velocity_body_mps - b.velocity_body_mps for a, b in zip(felt, exact, strict=True)])
+        increment = list(
+            SimulatedInertial(truth, np.random.default_rng(seed), TACTICAL).between(0, 4_000_000_000)
+        )
+        off = np.array(
+            [a.velocity_body_mps - b.velocity_body_mps for a, b in zip(increment, exact, strict=True)]
+        )
         means.append(off.mean(axis=0) / 0.01)
         scatters.append(off.std(axis=0))
     assert np.mean(scatters) == pytest.approx(TACTICAL.accelerometer_noise * 0.1, rel=0.02)
@@ -128,9 +132,9 @@ def test_an_inertial_unit_has_the_errors_that_its_grade_states() -> None:
 
 def test_increments_add_up_however_they_are_cut() -> None:
     inertial = SimulatedInertial(flown(trajectory=TURNING), np.random.default_rng(3), TACTICAL)
-    whole = sum(felt.velocity_body_mps for felt in inertial.between(3_000_000, 1_003_000_000))
+    whole = sum(increment.velocity_body_mps for increment in inertial.between(3_000_000, 1_003_000_000))
     cut_ns = [3_000_000, 3_500_001, 20_000_000, 777_777_777, 1_003_000_000]
-    parts = [felt.velocity_body_mps for a, b in pairwise(cut_ns) for felt in inertial.between(a, b)]
+    parts = [increment.velocity_body_mps for a, b in pairwise(cut_ns) for increment in inertial.between(a, b)]
     assert sum(parts) == pytest.approx(whole)
 
 
@@ -173,11 +177,11 @@ def test_errors_are_as_large_as_stated(at_s: float) -> None:
 
 def test_innovations_are_as_large_as_expected() -> None:
     for column in (0, 1):
-        surprise = sum(log.surprise[:, column].sum() for log in honest_flights())
-        taken = sum(log.taken[:, column].sum() for log in honest_flights())
-        assert taken > 4000
-        least, most = chi2.ppf([0.001, 0.999], taken) / taken
-        assert least < surprise / taken < most
+        nis = sum(log.nis[:, column].sum() for log in honest_flights())
+        accepted = sum(log.accepted[:, column].sum() for log in honest_flights())
+        assert accepted > 4000
+        least, most = chi2.ppf([0.001, 0.999], accepted) / accepted
+        assert least < nis / accepted < most
 
 
 def test_noise_is_judged_by_parity_and_not_by_outliers() -> None:
@@ -185,11 +189,11 @@ def test_noise_is_judged_by_parity_and_not_by_outliers() -> None:
     for sigma, outliers, factor in ((1.0, 0.2, 1.0), (30.0, 0.2, 900.0), (1.0, 0.0, 1.0)):
         factors = []
         for _ in range(50):
-            watch = Watch(Rules())
+            monitor = NoiseMonitor(Rules())
             for k in range(60):
-                watch.listen(np.array([1e5 if rng.random() < outliers else sigma * rng.standard_normal()]))
-                assert watch.is_settled == (k >= 19)
-            factors.append(watch.variance_factor)
+                monitor.add(np.array([1e5 if rng.random() < outliers else sigma * rng.standard_normal()]))
+                assert monitor.is_ready == (k >= 19)
+            factors.append(monitor.variance_factor)
         assert np.median(factors) == pytest.approx(factor, rel=0.9)
         assert min(factors) >= 1.0
 
@@ -198,16 +202,16 @@ def test_the_estimate_is_given_up_only_against_beams_that_agree() -> None:
     """Twenty shots in a row; beams that contradict each other end the row, beams that cannot count for nothing."""
     agree, contradict, unchecked = np.array([0.1]), np.array([50.0]), np.empty(0)
 
-    def gives_up(*parities: Array, taken: int = 0) -> bool:
-        watch = Watch(CAREFUL)
-        return [watch.finds_lost(taken, parity) for parity in parities][-1]
+    def gives_up(*parities: Array, accepted: int = 0) -> bool:
+        monitor = NoiseMonitor(CAREFUL)
+        return [monitor.detects_divergence(accepted, parity) for parity in parities][-1]
 
     assert gives_up(*[agree] * 20)
     assert not gives_up(*[agree] * 19)
     assert not gives_up(*[agree] * 21)
     assert not gives_up(*[agree] * 10, contradict, *[agree] * 19)
     assert gives_up(*[agree] * 10, unchecked, *[agree] * 10)
-    assert not gives_up(*[agree] * 20, taken=2)
+    assert not gives_up(*[agree] * 20, accepted=2)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,8 @@ HOPPING_CLOCK = """faults=[
     {kind: time_jump, jump_s: 100, from_s: 4, to_s: 5},
     {kind: time_jump, jump_s: -1, from_s: 6, to_s: 7}]"""
 END = re.compile(
-    r"off at the end, (\S+) s: (\S+) m east, (\S+) m north, (\S+) m of height, (\S+) mm/s; (\d+) shots used, (\d+) not"
+    r"error at the end, (\S+) s: (\S+) m east, (\S+) m north, (\S+) m of height, (\S+) mm/s; "
+    r"(\d+) shots used, (\d+) not used"
 )
 
 MORE_THAN_A_PTY_HOLDS = 200_000
@@ -50,7 +51,7 @@ def test_it_navigates_by_a_serial_port(start: Start, far_end: FarEnd, other_end:
         "tilt,",
         "deg",
         "beams",
-        "taken",
+        "used",
     ]
     assert columns.split() == [
         "time",
