@@ -80,7 +80,7 @@ def decimal_text(value: float) -> str:
 
 
 def _entries(interface: Interface) -> Iterator[_Entry]:
-    """Messages of unit 0, those of beams once for each slot."""
+    """Messages of unit 0; messages of beams once for each slot."""
     can = definition(interface)
     for message in can.messages:
         for slot in range(can.beam_slots if message.each_beam else 1):
@@ -100,7 +100,7 @@ def _camel_case(name: str) -> str:
 
 def _comment(interface: Interface) -> str:
     return (
-        f"Interface {interface.name}, version {interface.version}. Identifiers of unit 0; those of unit n "
+        f"Interface {interface.name}, version {interface.version}. Identifiers of unit 0; identifiers of unit n "
         f"are n * {definition(interface).unit_stride:#x} higher, n up to {interface.units - 1}. "
         f"Epoch: {interface.epoch}."
     )

@@ -33,10 +33,11 @@ def interface_markdown(interface: Interface) -> str:
 def _conventions(interface: Interface) -> str:
     order = (
         """* Most significant byte first. In the tables `byte` counts from 0. `bits` counts from 7, the most significant
-  bit of a byte, to 0: from that bit of the first byte to that of the last."""
+  bit of a byte, to 0: from the given bit of the first byte to the given bit of the last."""
         if interface.byte_order == "big"
         else """* Least significant byte first. In the tables `byte` counts from 0. `bits` counts from 0, the least
-  significant bit of a byte, to 7: from that bit of the first byte (the lowest of the number) to that of the last."""
+  significant bit of a byte, to 7: from the given bit of the first byte (the lowest of the number) to the given bit of the
+  last."""
     )
     return f"""{order} `uN` and `iN` are N-bit numbers without and with
   sign (two's complement), `f32` and `f64` IEEE 754. Bits that are in no table are sent as 0; ignore them.
@@ -98,7 +99,7 @@ def _can(interface: Interface, can: CanDefinition) -> str:
     return "\n\n".join([text, *tables])
 
 
-_CAN = """Standard (11-bit) identifiers. Those of unit n are n * $stride higher than those of unit 0
+_CAN = """Standard (11-bit) identifiers. The identifiers of unit n are n * $stride higher than for unit 0
 (n = 0 to $last_unit). Beam k uses slot k of $slots. A shot is sent as one set ($sets): in classic frames, or
 with `fd` in CAN FD frames with bit rate switch. Frames are sent in the order of the table, slot by slot. The DBC file
 describes unit 0.
@@ -159,10 +160,10 @@ def _control(interface: Interface) -> str:
 
 _COMMANDS = """Bytes are counted from the start of the body, after the packet header. The device answers each command
 with one acknowledgement with the same sequence number and a verdict: accepted, unknown (no such code),
-malformed (wrong length), bad_sequence (not the number after that of the last command), out_of_state
+malformed (wrong length), bad_sequence (not the last command's number plus one), out_of_state
 (not allowed in this mode) or out_of_range (an argument is not one of its values). Every verdict except
 bad_sequence advances the number. The first command after a restart may have any number, and `no_op` at
-any time any number but that of the last command: a host that does not know the number starts with it. A
+any time any number but the last command's: a host that does not know the number starts with it. A
 damaged packet is not acknowledged. On CAN the identifier replaces the code."""
 
 
