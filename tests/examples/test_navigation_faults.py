@@ -48,7 +48,7 @@ def test_ground_that_falls_away_is_believed_in_the_end() -> None:
     assert height_m < 15
     assert speed_mps < 0.5
     assert worst("terrain_step_2023", "stubborn", 53)[0] > 2000
-    assert 1 <= flight("terrain_step_2023", "careful").began_again[:, 0].sum() <= 4
+    assert 1 <= flight("terrain_step_2023", "careful").reinitialised[:, 0].sum() <= 4
 
 
 def test_noise_that_is_not_admitted_is_found_out() -> None:

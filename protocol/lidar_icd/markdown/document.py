@@ -36,8 +36,8 @@ def _conventions(interface: Interface) -> str:
   bit of a byte, to 0: from the given bit of the first byte to the given bit of the last."""
         if interface.byte_order == "big"
         else """* Least significant byte first. In the tables `byte` counts from 0. `bits` counts from 0, the least
-  significant bit of a byte, to 7: from the given bit of the first byte (the lowest of the number) to the given bit of the
-  last."""
+  significant bit of a byte, to 7: from the given bit of the first byte (the lowest of the number) to the given bit
+  of the last."""
     )
     return f"""{order} `uN` and `iN` are N-bit numbers without and with
   sign (two's complement), `f32` and `f64` IEEE 754. Bits that are in no table are sent as 0; ignore them.
