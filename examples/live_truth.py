@@ -1,7 +1,7 @@
-"""A dynamics simulator in its simplest form: it flies a descent and tells an emulated lidar where it is.
+"""A minimal dynamics simulator: it flies a descent and sends its true state to an emulated lidar.
 
 Run it beside `lidar-emu run live.yaml`; with the argument `lockstep` beside `lidar-emu run live.yaml --pace lockstep`.
-What a client needs is in `truth`, `tell` and, in lockstep, `packets_of`; the standard library is enough.
+A client needs `truth`, `send` and, in lockstep, `packets_of`; the standard library is sufficient.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ FACING_DOWN = (0.0, 0.5**0.5, 0.5**0.5, 0.0)  # body z down, x north: site_from_
 
 
 def truth(sequence: int, time_s: float, last: bool) -> bytes:
-    """1000 m up, sinking at 40 m/s, slowing down by 0.8 m/s²."""
+    """Truth at 1000 m initial height, descending at 40 m/s, decelerating by 0.8 m/s²."""
     up_m, climb_mps, acceleration_mps2 = 1000 - 40 * time_s + 0.4 * time_s**2, -40 + 0.8 * time_s, 0.8
     return TRUTH.pack(
         b"LETR", 1, ACCELERATION_KNOWN | LAST * last, sequence, round(time_s * 1e9),
@@ -26,14 +26,14 @@ def truth(sequence: int, time_s: float, last: bool) -> bytes:
     )  # fmt: skip
 
 
-def tell(link: socket.socket, datagram: bytes) -> None:
-    """Send truth; nobody may be listening yet."""
+def send(link: socket.socket, datagram: bytes) -> None:
+    """Send truth; the receiver may not be listening yet."""
     with contextlib.suppress(ConnectionRefusedError):
         link.send(datagram)
 
 
 class Packet(NamedTuple):
-    """A packet of the answer."""
+    """A packet of the reply."""
 
     shot: int
     due_ns: int
@@ -42,7 +42,7 @@ class Packet(NamedTuple):
 
 
 def packets_of(link: socket.socket, sequence: int) -> list[Packet] | None:
-    """The answer to a truth in lockstep: the packets that were due since the one before; None if none came."""
+    """Reply to a truth in lockstep: the packets due since the preceding truth; None if it does not arrive."""
     packets, follow = [], None
     while follow != 0:
         try:
@@ -50,10 +50,10 @@ def packets_of(link: socket.socket, sequence: int) -> list[Packet] | None:
         except (TimeoutError, ConnectionRefusedError):
             return None
         _, _, status, more, answered, count, _ = ANSWER.unpack_from(data)
-        if answered != sequence:  # to a truth that was sent twice
+        if answered != sequence:  # Reply to a truth that was sent twice.
             continue
         if follow is not None and more not in (follow - 1, 255):
-            return None  # a part of it got lost
+            return None  # A part of the reply was lost.
         follow = more
         if status:
             raise ValueError(f"truth {sequence} was refused: status {status}")
@@ -66,7 +66,7 @@ def packets_of(link: socket.socket, sequence: int) -> list[Packet] | None:
 
 
 def main(lockstep: bool, rate_hz: int = 100, duration_s: int = 48) -> None:
-    """Send truth at a steady rate, or as fast as the answers come."""
+    """Send truth at a steady rate, or as fast as replies arrive."""
     link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     link.connect(("127.0.0.1", 5600))
     link.settimeout(1)
@@ -74,14 +74,14 @@ def main(lockstep: bool, rate_hz: int = 100, duration_s: int = 48) -> None:
     start_s, received = time.monotonic(), 0
     for step in range(steps + 1):
         datagram = truth(step, step / rate_hz, last=step == steps)
-        tell(link, datagram)
+        send(link, datagram)
         if lockstep:
             asked_s = time.monotonic()
             while (packets := packets_of(link, step)) is None:
                 if step > 0 and time.monotonic() > asked_s + 10:
                     raise TimeoutError("the lidar does not answer any more")
                 time.sleep(0.1)
-                tell(link, datagram)  # a truth that comes twice is answered twice
+                send(link, datagram)  # A repeated truth is answered again.
             received += len(packets)
         else:
             time.sleep(max(0.0, start_s + (step + 1) / rate_hz - time.monotonic()))

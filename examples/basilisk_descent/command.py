@@ -1,4 +1,4 @@
-"""What the navigator tells the vehicle: one datagram for each packet of the lidar."""
+"""The command from the navigator to the vehicle: one datagram for each packet of the lidar."""
 
 import struct
 from typing import NamedTuple, Self
@@ -7,7 +7,7 @@ _LAYOUT = struct.Struct("<4sI3d")  # 32 bytes, little-endian: "NAVC", shot, thru
 
 
 class Command(NamedTuple):
-    """The thrust that is wanted, per mass, along the axes the body had at the shot."""
+    """Commanded thrust per mass, in the body axes at the time of the shot."""
 
     shot: int
     thrust_body_mps2: tuple[float, float, float]
@@ -22,7 +22,7 @@ class Command(NamedTuple):
         """The inverse of `to_bytes`.
 
         Raises:
-            ValueError: this is no command.
+            ValueError: the datagram is not a command.
         """
         if len(datagram) != _LAYOUT.size or datagram[:4] != b"NAVC":
             raise ValueError("not a command of the navigator")

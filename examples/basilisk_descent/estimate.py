@@ -1,4 +1,4 @@
-"""What four beams say of the ground: height above it, its tilt, the velocity against it. Nothing but geometry."""
+"""Estimate from four beams: height above the ground, its slope, and the velocity relative to it. Geometry alone."""
 
 from collections.abc import Sequence
 from math import cos, radians, sin
@@ -11,16 +11,16 @@ from lidar_protocol import Message
 
 Array = NDArray[np.float64]
 AZIMUTHS_DEG = (45.0, 135.0, 225.0, 315.0)
-"""Of the beams around body z, from x to y: what the scanner `square` is; the packets tell the other angle."""
+"""Azimuths of the beams about body z, from x to y, of the scanner `square`; packets carry the other angle."""
 
 
 class Estimate(NamedTuple):
-    """Along the body's axes: x forward, y right, z down."""
+    """Estimate in the body's axes: x forward, y right, z down."""
 
     height_m: float
     """Distance from the plane through the four footprints."""
     up_body: Array
-    """Its normal."""
+    """Unit normal of that plane."""
     velocity_body_mps: Array
 
     @property
@@ -35,12 +35,14 @@ class Estimate(NamedTuple):
 
 
 def solve(message: Message) -> Estimate | None:
-    """Least squares over the beams with valid ranges, and over those with valid speeds; None if either are too few."""
+    """Least squares over the beams with valid ranges, and over the beams with valid speeds; None with too few of
+    either."""
     ranges = _valid(message, "range_valid", "range_m")
     speeds = _valid(message, "speed_valid", "closing_speed_mps")
     if min(len(ranges), len(speeds)) < 3:
         return None
-    # The plane -up · p = height holds the footprints p = range u: for each an equation that is linear in up / height.
+    # The plane -up · p = height contains the footprints p = range u: each gives an equation that is linear in up /
+    # height.
     scaled_up = _least_squares([-range_m * u for u, range_m in ranges], [1.0] * len(ranges))
     velocity_mps = _least_squares(*zip(*speeds, strict=True))
     height_m = 1 / float(np.linalg.norm(scaled_up))
@@ -48,7 +50,7 @@ def solve(message: Message) -> Estimate | None:
 
 
 def _valid(message: Message, flag: str, name: str) -> list[tuple[Array, float]]:
-    """Direction and value of each beam whose value counts."""
+    """Direction and value of each valid beam."""
     found = []
     for beam, azimuth_deg in zip(message.beams, AZIMUTHS_DEG, strict=True):
         angle_deg, value = beam["beam_angle_deg"], beam[name]

@@ -1,4 +1,4 @@
-"""From an estimate to thrust: brake to walking pace, stop the drift, learn what is down."""
+"""Guidance: from an estimate to thrust. It brakes to walking pace, stops the drift and estimates the vertical."""
 
 from math import sqrt
 
@@ -13,10 +13,10 @@ CLIMB_GAIN_PER_S, DRIFT_GAIN_PER_S, TRIM_GAIN_PER_S2 = 0.8, 0.6, 0.15
 
 
 class Guidance:
-    """Thrust against climb that is not wanted, and against drift.
+    """Thrust proportional to the error of the climb rate and to the drift.
 
-    The ground's normal is not the plumb line: whoever takes it for that slides down every slope. What it takes to
-    stay is learned from the drift that remains, and kept as a trim.
+    The ground's normal is not the vertical: thrust along it would accelerate the vehicle down every slope. The
+    correction is integrated from the remaining drift, and kept as a trim.
     """
 
     def __init__(self) -> None:
@@ -34,13 +34,13 @@ class Guidance:
         steepness = float(np.linalg.norm(sideways_mps2)) / (STEEPEST_TILT * upward_mps2)
         if steepness > 1:
             sideways_mps2 /= steepness
-        else:  # at the limit drift remains whatever the slope: there is nothing to learn
+        else:  # At the tilt limit drift remains on any slope, and must not be integrated.
             self._trim_body_mps2 += TRIM_GAIN_PER_S2 * step_s * drift_mps
         return upward_mps2 * estimate.up_body + sideways_mps2
 
 
 def _upward(estimate: Estimate) -> float:
-    """Against gravity, along a descent that brakes at a steady rate."""
+    """Upward thrust against gravity, for a descent with constant deceleration."""
     above_m = max(0.0, estimate.height_m - SLOW_BELOW_M)
     wanted_climb_mps = -sqrt(SLOWEST_MPS**2 + 2 * BRAKING_MPS2 * above_m)
     braking_mps2 = BRAKING_MPS2 if above_m > 0 else 0.0

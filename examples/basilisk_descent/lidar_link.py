@@ -8,21 +8,21 @@ from pathlib import Path
 from command import Command
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from live_truth import Packet, packets_of, tell
+from live_truth import Packet, packets_of, send
 
 Address = tuple[str, int]
-_PATIENCE_S = 60.0
+_TIMEOUT_S = 60.0
 
 
 class LidarLink:
-    """In lockstep nobody has to guess how long the others take. One step is:
+    """In lockstep each process waits for the others. One step is:
 
     1. truth goes to the emulator;
-    2. the emulator writes the packets that are due by then to the port, and then answers with the same packets;
+    2. the emulator writes the packets that are due by then to the port, and then replies with the same packets;
     3. the navigator reads the port and sends one command for each packet;
-    4. the step is over when as many commands have come as the answer had packets.
+    4. the step ends when as many commands have arrived as the reply had packets.
 
-    With the clock truth is sent and nothing waited for: a command counts from the step after it has come.
+    In real time truth is sent without waiting: a command takes effect with the step after its arrival.
     """
 
     def __init__(self, truth_to: Address, commands_at: Address, lockstep: bool) -> None:
@@ -32,17 +32,17 @@ class LidarLink:
         self._truth.settimeout(1.0)
         self._commands = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._commands.bind(commands_at)
-        self._commands.settimeout(_PATIENCE_S if lockstep else 0.0)
+        self._commands.settimeout(_TIMEOUT_S if lockstep else 0.0)
         self.packets = b""
-        """All that went over the port, as the answers say; in lockstep alone."""
+        """Packets that were sent over the port, from the replies; in lockstep only."""
 
     def exchange(self, datagram: bytes, sequence: int, last: bool) -> list[Command]:
-        """Send truth; returns the commands that are new.
+        """Send truth; returns the new commands.
 
         Raises:
             TimeoutError: the emulator or the navigator does not answer.
         """
-        tell(self._truth, datagram)
+        send(self._truth, datagram)
         if not self._lockstep:
             return self._arrived()
         packets = self._answer(datagram, sequence)
@@ -50,12 +50,14 @@ class LidarLink:
         return [] if last else [self._awaited() for _ in packets]
 
     def _answer(self, datagram: bytes, sequence: int) -> list[Packet]:
-        ends_s = time.monotonic() + _PATIENCE_S
+        ends_s = time.monotonic() + _TIMEOUT_S
         while (packets := packets_of(self._truth, sequence)) is None:
             if time.monotonic() > ends_s:
                 raise TimeoutError("no answer to truth: is `lidar-emu run ... --pace lockstep` there?")
             time.sleep(0.05)
-            tell(self._truth, datagram)  # nobody may have listened yet; a truth that comes twice does no harm
+            send(
+                self._truth, datagram
+            )  # The receiver may not be listening yet; a repeated truth has no effect.
         return packets
 
     def _awaited(self) -> Command:
@@ -73,6 +75,6 @@ class LidarLink:
                 return commands
 
     def close(self) -> None:
-        """Give the sockets back."""
+        """Close the sockets."""
         self._truth.close()
         self._commands.close()

@@ -1,6 +1,6 @@
-"""Lands by the lidar alone: reads its packets from a serial port, solves for height and velocity, commands thrust.
+"""Land by the lidar alone: read its packets from a serial port, solve for height and velocity, command thrust.
 
-It knows the lidar's beams, the Moon's gravity and its own commands; of truth it knows nothing.
+The navigator has the lidar's geometry, the Moon's gravity and its own commands, but no truth.
 """
 
 import argparse
@@ -29,7 +29,7 @@ class Navigator:
         self._time_s = 0.0
 
     def take(self, message: Message) -> tuple[Command, Estimate | None]:
-        """The command that follows from a packet, and what it follows from; None before the first good packet."""
+        """Command that follows from a packet, and the estimate behind it; None before the first good packet."""
         time_s = (message.time_ns or 0) * 1e-9
         step_s, self._time_s = time_s - self._time_s, time_s
         self._estimate = solve(message) or self._continued(step_s)
@@ -39,7 +39,7 @@ class Navigator:
         return Command(message.shot or 0, (x, y, z)), self._estimate
 
     def _continued(self, step_s: float) -> Estimate | None:
-        """By gravity and what the engine was asked for, where too few beams saw the ground."""
+        """Propagate the estimate by gravity and commanded thrust, if too few beams hit the ground."""
         if self._estimate is None:
             return None
         height_m, up_body, velocity_mps = self._estimate
@@ -49,14 +49,14 @@ class Navigator:
 
 
 def messages(port: serial.Serial, receiver: SerialReceiver) -> Iterator[Message]:
-    """Packet after packet, until the other side closes the port."""
+    """Yield messages until the other side closes the port."""
     with suppress(serial.SerialException):
         while True:
             yield from receiver.receive(port.read(max(1, port.in_waiting)))
 
 
 def main() -> None:
-    """Land, and say what came over the port."""
+    """Land, and print statistics of the port."""
     options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     options.add_argument("port", help="serial device, or the pty that lidar-emu prints")
     options.add_argument("--baud", type=int, default=921_600)

@@ -1,4 +1,4 @@
-"""Draw a landing: what Basilisk flew, and what the navigator made of the packets."""
+"""Plot a landing: Basilisk's truth and the navigator's estimate."""
 
 import argparse
 import csv
@@ -23,7 +23,7 @@ def columns(file: Path) -> dict[str, Column]:
 
 
 def draw(truth: dict[str, Column], estimate: dict[str, Column], file: Path) -> None:
-    """Height, descent and drift against time."""
+    """Plot height, descent rate and drift against time."""
     drift_mps = np.hypot(truth["east_mps"], truth["north_mps"])
     panels = [
         ("height above ground, m", truth["height_m"], estimate["height_m"]),
@@ -41,7 +41,7 @@ def draw(truth: dict[str, Column], estimate: dict[str, Column], file: Path) -> N
 
 
 def main() -> None:
-    """Draw."""
+    """Plot the files named on the command line."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("truth", type=Path, help="of simulation.py --log")
     options.add_argument("estimate", type=Path, help="of navigator.py --log")

@@ -1,6 +1,6 @@
-"""Basilisk flies a lander down to the Moon; what its engine does is up to a navigator that only knows the lidar.
+"""Basilisk flies a lander down to the Moon; a navigator that receives the lidar's packets alone commands its engine.
 
-Run beside `lidar-emu run descent.yaml` and navigator.py; README.md tells how.
+Run beside `lidar-emu run descent.yaml` and navigator.py, as README.md describes.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from lidar_emu.scene.build import build_scene
 STEP_NS = 10_000_000
 FACING_DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # body x north, y east, z down
 LEG_M = 1.5
-"""From the lidar down to the feet."""
+"""Distance from the lidar down to the feet."""
 LONGEST_S = 200.0
 MOON_RADPS = 2.6617e-6
 LATITUDE_DEG, LONGITUDE_DEG = 0.67, 23.47
@@ -36,7 +36,7 @@ COLUMNS = ["time_s", "height_m", "east_m", "north_m", "up_m", "east_mps", "north
 
 
 class Row(NamedTuple):
-    """The vehicle against the ground at an instant, as truth is told and written down."""
+    """The true state relative to the ground at an instant, as sent and logged."""
 
     time_s: float
     position_site_m: Array
@@ -44,16 +44,16 @@ class Row(NamedTuple):
     site_from_body: Array
     """Unit quaternion, scalar first."""
     rate_body_radps: Array
-    """Against the site."""
+    """Relative to the site."""
     height_m: float
-    """Of the lidar above the ground straight below."""
+    """Height of the lidar above the ground straight below."""
 
 
 class Flight:
     """The vehicle above the scenario's ground.
 
     Args:
-        scenario: its file, for the ground alone.
+        scenario: file of the scenario, for its ground alone.
     """
 
     def __init__(self, scenario: str, with_clock: bool) -> None:
@@ -70,7 +70,7 @@ class Flight:
         self.vehicle = Vehicle(start, STEP_NS, with_clock)
 
     def row(self) -> Row:
-        """Now."""
+        """Present state."""
         time_s, state = self.vehicle.time_ns * 1e-9, self.vehicle.state
         position_m, velocity_mps = self._site.to_site(time_s, state.position_m, state.velocity_mps)
         body_from_site = state.body_from_inertial @ self._site.site_from_inertial(time_s).T
@@ -80,7 +80,8 @@ class Flight:
             time_s,
             position_m,
             velocity_mps,
-            # Basilisk's parameters of the matrix to the body are the quaternion that turns body vectors to the site.
+            # Basilisk's Euler parameters of the matrix to the body are the quaternion that rotates body vectors to the
+            # site frame.
             Rotations.C2EP(body_from_site),
             state.rate_body_radps - ground_rate_radps,
             float(position_m[2] - ground_m),
@@ -88,7 +89,7 @@ class Flight:
 
 
 def truth(row: Row, sequence: int, time_ns: int, last: bool) -> bytes:
-    """The datagram. The thrust changes at every truth, so that there is no one acceleration: it is left unknown."""
+    """The datagram. The thrust changes at every truth, so that the acceleration is not unique: it is left unknown."""
     return TRUTH.pack(
         b"LETR", 1, LAST * last, sequence, time_ns, *row.position_site_m, *row.velocity_site_mps,
         0, 0, 0, *row.site_from_body, *row.rate_body_radps,
@@ -96,7 +97,7 @@ def truth(row: Row, sequence: int, time_ns: int, last: bool) -> bytes:
 
 
 def fly(flight: Flight, link: LidarLink) -> Iterator[Row]:
-    """Until the feet touch the ground."""
+    """Fly until the feet touch the ground."""
     landed, sequence = False, 0
     while not landed:
         row = flight.row()
@@ -104,14 +105,14 @@ def fly(flight: Flight, link: LidarLink) -> Iterator[Row]:
         commands = link.exchange(truth(row, sequence, flight.vehicle.time_ns, landed), sequence, landed)
         yield row
         if commands:
-            flight.vehicle.obey(commands[-1].thrust_body_mps2)
+            flight.vehicle.command_thrust(commands[-1].thrust_body_mps2)
         if not landed:
             flight.vehicle.step()
         sequence += 1
 
 
 def write(rows: list[Row], file: Path) -> None:
-    """One line for each truth."""
+    """Write one line for each truth."""
     with file.open("w", newline="") as opened:
         table = csv.writer(opened)
         table.writerow(COLUMNS)
@@ -127,7 +128,7 @@ def address(text: str) -> tuple[str, int]:
 
 
 def main() -> int:
-    """Fly, and say how it ended."""
+    """Fly, and print the touchdown."""
     here = Path(__file__).parent
     options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     options.add_argument("--pace", choices=["lockstep", "wall"], default="lockstep")
@@ -142,7 +143,7 @@ def main() -> int:
     try:
         with closing(LidarLink(asked.truth, asked.commands, lockstep)) as link:
             rows = list(fly(flight, link))
-    except OSError as error:  # a socket that is taken, or nobody who answers
+    except OSError as error:  # The socket is in use, or there is no reply.
         print(f"simulation: {error}", file=sys.stderr)
         return 1
     if asked.packets:

@@ -1,4 +1,4 @@
-"""From the inertial frame of a dynamics simulator to the site frame, which turns with the ground, and back."""
+"""Conversion between the inertial frame of a dynamics simulator and the site frame, which rotates with the ground."""
 
 from math import cos, radians, sin
 
@@ -9,10 +9,10 @@ Array = NDArray[np.float64]
 
 
 class SiteFrame:
-    """East, north, up at a place on a body whose centre is the inertial origin and whose axis is inertial z.
+    """East, north, up at a point of a body whose centre is the inertial origin and whose axis is inertial z.
 
     Args:
-        latitude_deg, longitude_deg: of the place; longitude 0 lies in the inertial xz plane at time 0.
+        latitude_deg, longitude_deg: position of the site; longitude 0 lies in the inertial xz plane at time 0.
         radius_m: distance of the site's origin from the body's centre.
         turning_radps: angular rate of the body.
     """
@@ -34,7 +34,7 @@ class SiteFrame:
         return np.array([east, north, [cos_lat * c, cos_lat * s, sin_lat]])
 
     def to_site(self, time_s: float, position_m: Array, velocity_mps: Array) -> tuple[Array, Array]:
-        """Position and velocity against the ground; without ω × r the ground would seem to run away."""
+        """Position and velocity relative to the ground, including ω × r."""
         turn = self.site_from_inertial(time_s)
         against_ground_mps = velocity_mps - np.cross(self.rate_inertial_radps, position_m)
         return turn @ position_m - self._origin_site_m, turn @ against_ground_mps

@@ -1,4 +1,4 @@
-"""A lunar lander in Basilisk: gravity of the Moon, one throttled engine, an attitude control that is ideal."""
+"""A lunar lander in Basilisk: gravity of the Moon, one throttled engine, ideal attitude control."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from site_frame import Array
 MASS_KG = 2000.0
 INERTIA_KG_M2 = np.diag([2400.0, 2400.0, 1800.0])
 LARGEST_THRUST_N = 9000.0
-_ENGINE_BODY = np.array([0.0, 0.0, -1.0])  # it pushes upwards; body z points down
+_ENGINE_BODY = np.array([0.0, 0.0, -1.0])  # The engine pushes upward; body z points down.
 _NATURAL_RADPS, _DAMPING = 2.0, 0.9
 
 
@@ -24,7 +24,7 @@ class State(NamedTuple):
     body_from_inertial: Array
     """Rotation matrix (3, 3)."""
     rate_body_radps: Array
-    """Of the body in inertial space, about its own axes."""
+    """Angular rate of the body in inertial space, about its own axes."""
 
 
 class Vehicle:
@@ -51,7 +51,7 @@ class Vehicle:
         self._simulation.CreateNewProcess("flight").addTask(
             self._simulation.CreateNewTask("dynamics", step_ns)
         )
-        # Higher priorities come first: the command is read, the step is flown with it, then time is waited for.
+        # Higher priorities run first: read the command, fly the step, then wait for real time.
         self._simulation.AddModelToTask("dynamics", self._effector, 3)
         self._simulation.AddModelToTask("dynamics", self._hub, 2)
         if with_clock:
@@ -65,17 +65,17 @@ class Vehicle:
 
     @property
     def state(self) -> State:
-        """Now."""
-        told = self._hub.scStateOutMsg.read()
+        """Present state."""
+        state = self._hub.scStateOutMsg.read()
         return State(
-            np.array(told.r_BN_N),
-            np.array(told.v_BN_N),
-            Rotations.MRP2C(told.sigma_BN),
-            np.array(told.omega_BN_B),
+            np.array(state.r_BN_N),
+            np.array(state.v_BN_N),
+            Rotations.MRP2C(state.sigma_BN),
+            np.array(state.omega_BN_B),
         )
 
-    def obey(self, thrust_body_mps2: tuple[float, float, float]) -> None:
-        """From now on thrust into a direction that the body's axes have now, and keep it in inertial space."""
+    def command_thrust(self, thrust_body_mps2: tuple[float, float, float]) -> None:
+        """Thrust from now on in a direction given in the present body axes, fixed in inertial space."""
         self._wanted_inertial_mps2 = self.state.body_from_inertial.T @ np.array(thrust_body_mps2)
 
     def step(self) -> None:

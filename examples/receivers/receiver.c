@@ -163,7 +163,7 @@ static void say(int port, const uint8_t *data, size_t length) {
     while (length > 0u) {
         const ssize_t written = write(port, data, length);
         if (written < 0 && errno != EINTR)
-            return; /* the link is broken: reading will tell */
+            return; /* the link is broken: reading will report it */
         if (written > 0) {
             data += written;
             length -= (size_t)written;

@@ -1,4 +1,4 @@
-"""Follows a lidar on a serial line: a line of JSON for every message, and commands at shots of your choice.
+"""Receiver for a lidar on a serial line: a line of JSON for every message, and commands at chosen shots.
 
     python receiver.py /dev/ttyUSB0 921600
     python receiver.py /dev/ttyUSB0 921600 2000:set_pattern=1 3000:set_pattern=0
@@ -21,10 +21,10 @@ import tty
 from collections.abc import Iterator
 
 UNIT = 0
-PATIENCE_S = 1.0  # a command that is not answered is said again
+TIMEOUT_S = 1.0  # Timeout after which an unacknowledged command is repeated.
 LONGEST_FRAME = 1830  # section 4
 
-# Section 2. The APID's upper bits tell the kind, its lowest four the unit.
+# Section 2. The APID's upper bits are the kind, its lowest four the unit.
 HEADER = struct.Struct(">HHH")
 MEASUREMENT, ACKNOWLEDGE, HOUSEKEEPING, COMMAND = 0x0AA0, 0x0AC0, 0x0AB0, 0x12A0
 INTERFACE_VERSION = 1
@@ -81,7 +81,7 @@ def checked(packet: bytes | None) -> bytes | None:
 
 
 class Frames:
-    """Cuts a stream at its zeros, and keeps a bounded amount of it."""
+    """Divides a stream at its zeros, with a bounded buffer."""
 
     def __init__(self) -> None:
         self.bad = 0
@@ -89,7 +89,7 @@ class Frames:
         self._is_too_long = False
 
     def packets(self, data: bytes) -> Iterator[bytes]:
-        """The good packets that are complete with `data`."""
+        """Good packets that are complete with `data`."""
         *frames, self._rest = (self._rest + data).split(b"\0")
         for frame in frames:
             packet = None if self._is_too_long else checked(unstuffed(frame))
@@ -104,7 +104,7 @@ class Frames:
 
 # --------------------------------------------------------------------------------------------------- messages as lines
 def nanoseconds(code: bytes) -> int:
-    """A time code as nanoseconds from the epoch, halves up (section 1)."""
+    """A time code as nanoseconds from the epoch, half a unit rounded up (section 1)."""
     return (int.from_bytes(code, "big") * 10**9 + (1 << 23)) >> 24
 
 
@@ -113,7 +113,7 @@ def flag(bit: int) -> str:
 
 
 def number(raw: int, lowest: int, highest: int, steps: int) -> str:
-    """A value with as many decimals as it has; a raw value outside the range is none."""
+    """A value with as many decimals as its resolution; a raw value outside the range is none."""
     return f"{raw / steps:.{len(str(steps)) - 1}f}" if lowest <= raw <= highest else "null"
 
 
@@ -139,7 +139,7 @@ def beam_line(beam: int, packet: bytes) -> str:
 
 
 def measurement_line(unit: int, packet: bytes) -> tuple[int, str] | None:
-    """The number of a shot, and its line; None where length or version are not right."""
+    """Shot number and line of a measurement; None if length or version are wrong."""
     if len(packet) < 30:
         return None
     time_code, due, version, mode, flags, beams, shot = SHOT.unpack_from(packet, 6)
@@ -161,12 +161,12 @@ def measurement_line(unit: int, packet: bytes) -> tuple[int, str] | None:
 
 
 def acknowledge_line(unit: int, packet: bytes) -> tuple[int, int, str] | None:
-    """The sequence number of the command that is answered, the verdict, and the answer's line."""
+    """Sequence number of the acknowledged command, its verdict, and the line."""
     if len(packet) != HEADER.size + ANSWER.size + 2:
         return None
     time_code, command, sequence, verdict = ANSWER.unpack_from(packet, 6)
-    told = {"time_ns": nanoseconds(time_code), "command": command, "sequence": sequence, "verdict": verdict}
-    return sequence, verdict, joined({"kind": '"acknowledge"', "unit": unit, **told})
+    values = {"time_ns": nanoseconds(time_code), "command": command, "sequence": sequence, "verdict": verdict}
+    return sequence, verdict, joined({"kind": '"acknowledge"', "unit": unit, **values})
 
 
 def housekeeping_line(unit: int, packet: bytes) -> str | None:
@@ -201,12 +201,12 @@ def housekeeping_line(unit: int, packet: bytes) -> str | None:
 
 # ------------------------------------------------------------------------------------------------------------ commands
 def stuffed(packet: bytes) -> bytes:
-    """The frame of a packet of less than 254 bytes, with a delimiter before it too: each run, and its length."""
+    """Frame of a packet of less than 254 bytes, with a delimiter before it as well: each run with its length."""
     return b"\0" + b"".join(bytes((len(run) + 1,)) + run for run in packet.split(b"\0")) + b"\0"
 
 
 def encoded(name: str, sequence: int, value: float) -> bytes:
-    """A command's bytes. Raises KeyError or struct.error where there is none of that name or value."""
+    """Bytes of a command. Raises KeyError or struct.error if name or value are invalid."""
     code, kind, steps = COMMANDS[name]
     argument = struct.pack(f">{kind}", round(value * steps)) if kind else b""
     body = bytes((code, sequence)) + argument
@@ -215,56 +215,56 @@ def encoded(name: str, sequence: int, value: float) -> bytes:
 
 
 class Commander:
-    """Says what it is to say, one command at a time.
+    """Sends commands, one at a time.
 
-    It is said again until it is answered, for command or answer may get lost; and under the next number while the
-    device is in no state to follow it.
+    A command is repeated until it is acknowledged, since command or acknowledgement may be lost; and with the next
+    sequence number while the device rejects it in its present mode.
     """
 
-    def __init__(self, port: int, orders: list[str]) -> None:
+    def __init__(self, port: int, commands: list[str]) -> None:
         self._port = port
-        self._orders = [self._order(text) for text in orders]
+        self._pending = [self._parse(text) for text in commands]
         self._sequence = 0
-        self._said_s: float | None = None
+        self._sent_s: float | None = None
 
     @property
     def is_waiting(self) -> bool:
-        return self._said_s is not None
+        return self._sent_s is not None
 
     def command(self, newest_shot: int) -> None:
-        """Say what is due. Orders of shot 0 are due at once."""
-        if not self._orders or newest_shot < self._orders[0][0]:
+        """Send what is due. Commands of shot 0 are due at once."""
+        if not self._pending or newest_shot < self._pending[0][0]:
             return
-        if self._said_s is None or time.monotonic() - self._said_s >= PATIENCE_S:
-            _, name, value = self._orders[0]
-            self._said_s = time.monotonic()
+        if self._sent_s is None or time.monotonic() - self._sent_s >= TIMEOUT_S:
+            _, name, value = self._pending[0]
+            self._sent_s = time.monotonic()
             os.write(self._port, encoded(name, self._sequence, value))
 
     def answered(self, sequence: int, verdict: int) -> None:
-        if self._said_s is None or sequence != self._sequence:
+        if self._sent_s is None or sequence != self._sequence:
             return
         self._sequence = (self._sequence + 1) % 256
         if verdict == OUT_OF_STATE:
-            return  # said again once the patience is over
-        self._said_s = None
-        del self._orders[0]
+            return  # Repeated after the timeout.
+        self._sent_s = None
+        del self._pending[0]
 
     @staticmethod
-    def _order(text: str) -> tuple[int, str, float]:
-        """`2000:set_pattern=1`: shot, command, value."""
+    def _parse(text: str) -> tuple[int, str, float]:
+        """Parse `2000:set_pattern=1`: shot, command, value."""
         match = re.fullmatch(r"(\d+):([a-z_]+)(?:=(.+))?", text)
         try:
             assert match is not None
-            order = int(match[1]), match[2], float(match[3] or 0)
-            encoded(match[2], 0, order[2])
+            command = int(match[1]), match[2], float(match[3] or 0)
+            encoded(match[2], 0, command[2])
         except (AssertionError, KeyError, ValueError, struct.error):
             sys.exit(f"{text}: no such command, such as 2000:set_pattern=1")
-        return order
+        return command
 
 
 # ------------------------------------------------------------------------------------------------------------ the whole
 class Follower:
-    """Prints what comes, and counts."""
+    """Prints messages, and counts."""
 
     def __init__(self, commander: Commander) -> None:
         self.newest_shot = 0
@@ -276,7 +276,7 @@ class Follower:
     def follow(self, data: bytes) -> None:
         for packet in self._frames.packets(data):
             if not self._take(packet):
-                self._foreign += 1  # none of ours, or of another version of the interface
+                self._foreign += 1  # Not a known packet, or another version of the interface.
             self._commander.command(self.newest_shot)
 
     def _take(self, packet: bytes) -> bool:
@@ -301,7 +301,8 @@ class Follower:
         return True
 
     def _count(self, shot: int) -> None:
-        """Shots are numbered in 32 bits: what did not go up by one was lost, or came again (or a device restarted)."""
+        """Count gaps: shots are numbered in 32 bits; an increment other than 1 means lost or repeated shots, or a
+        restart."""
         missing = (shot - self.newest_shot - 1) % 2**32
         if self._counts["measurements"] and missing >= 2**31 - 1:
             self._repeats += 1
@@ -317,7 +318,7 @@ class Follower:
 
 
 def opened(path: str, baud: str) -> int:
-    """The port, raw: a terminal passes every byte on as it is only if it is told so."""
+    """Open the port in raw mode, in which a terminal passes every byte unchanged."""
     if path == "-":
         return sys.stdin.fileno()
     port = os.open(path, os.O_RDWR | os.O_NOCTTY)
@@ -341,11 +342,11 @@ def main() -> None:
     follower = Follower(commander)
     while True:
         commander.command(follower.newest_shot)
-        if not select.select([port], [], [], PATIENCE_S / 10 if commander.is_waiting else None)[0]:
+        if not select.select([port], [], [], TIMEOUT_S / 10 if commander.is_waiting else None)[0]:
             continue
         try:
             data = os.read(port, 4096)
-        except OSError:  # the other side hung up
+        except OSError:  # The other side has closed the line.
             break
         if not data:
             break
