@@ -1,4 +1,4 @@
-/* Follows a lidar on a serial line: a line of JSON for every message, and commands at shots of your choice.
+/* Receiver for a lidar on a serial line: a line of JSON for every message, and commands at chosen shots.
  *
  *     cc -std=c99 -I ../../protocol/lidar_protocol receiver.c -o receiver
  *     ./receiver /dev/ttyUSB0 921600
@@ -21,7 +21,7 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { UNIT = 0, MOST_ORDERS = 32, PATIENCE_MS = 1000 };
+enum { UNIT = 0, MAX_COMMANDS = 32, TIMEOUT_MS = 1000 };
 
 /* ---------------------------------------------------------------------------------------- messages as lines */
 
@@ -109,21 +109,21 @@ static void print_housekeeping(unsigned unit, const lidar_housekeeping *health) 
 
 /* -------------------------------------------------------------------------------------------------- commands */
 
-/* "2000:set_pattern=1": what to say, once this shot has come. Those of shot 0 are said at once. */
+/* "2000:set_pattern=1": a command, sent after this shot was received; commands of shot 0 are sent at once. */
 typedef struct {
     uint64_t shot;
     char name[32];
     double value;
-} order;
+} host_command;
 
-/* One command is on its way at a time. It is said again until it is answered, for command or answer may get lost; and
- * under the next number while the device is in no state to follow it. */
+/* Sends one command at a time. It is repeated until it is acknowledged, since command or acknowledgement may be lost,
+ * and with the next sequence number while the device rejects it in its present mode. */
 typedef struct {
-    order orders[MOST_ORDERS];
+    host_command commands[MAX_COMMANDS];
     size_t count, done;
     uint8_t sequence;
     bool is_waiting;
-    int64_t said_ms;
+    int64_t sent_ms;
 } commander;
 
 static int64_t now_ms(void) {
@@ -132,7 +132,7 @@ static int64_t now_ms(void) {
     return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
 }
 
-static bool read_order(const char *text, order *to) {
+static bool parse_command(const char *text, host_command *to) {
     int used = 0;
     to->value = 0.0;
     if (text[0] == '-' || sscanf(text, "%" SCNu64 ":%31[a-z_]%n", &to->shot, to->name, &used) != 2)
@@ -141,25 +141,25 @@ static bool read_order(const char *text, order *to) {
     return *text == '\0' || (sscanf(text, "=%lf%n", &to->value, &used) == 1 && text[used] == '\0');
 }
 
-/* The bytes of a command, and their number; 0 if there is no such command, or its value cannot be sent. */
-static size_t encode(uint8_t *frame, uint8_t sequence, const order *said) {
-    const uint64_t whole = said->value >= 0.0 && said->value < 4294967296.0 ? (uint64_t)said->value : UINT64_MAX;
-    if (strcmp(said->name, "no_op") == 0)
+/* Encode a command; returns the number of bytes, 0 if the command is unknown or its value is out of range. */
+static size_t encode(uint8_t *frame, uint8_t sequence, const host_command *to_send) {
+    const uint64_t whole = to_send->value >= 0.0 && to_send->value < 4294967296.0 ? (uint64_t)to_send->value : UINT64_MAX;
+    if (strcmp(to_send->name, "no_op") == 0)
         return lidar_encode_no_op(frame, UNIT, sequence);
-    if (strcmp(said->name, "set_mode") == 0)
+    if (strcmp(to_send->name, "set_mode") == 0)
         return lidar_encode_set_mode(frame, UNIT, sequence, whole);
-    if (strcmp(said->name, "set_pattern") == 0)
+    if (strcmp(to_send->name, "set_pattern") == 0)
         return lidar_encode_set_pattern(frame, UNIT, sequence, whole);
-    if (strcmp(said->name, "set_rate_hz") == 0)
-        return lidar_encode_set_rate_hz(frame, UNIT, sequence, said->value);
-    if (strcmp(said->name, "enable_beams") == 0)
+    if (strcmp(to_send->name, "set_rate_hz") == 0)
+        return lidar_encode_set_rate_hz(frame, UNIT, sequence, to_send->value);
+    if (strcmp(to_send->name, "enable_beams") == 0)
         return lidar_encode_enable_beams(frame, UNIT, sequence, whole);
-    if (strcmp(said->name, "reset") == 0)
+    if (strcmp(to_send->name, "reset") == 0)
         return lidar_encode_reset(frame, UNIT, sequence, whole);
     return 0u;
 }
 
-static void say(int port, const uint8_t *data, size_t length) {
+static void send_bytes(int port, const uint8_t *data, size_t length) {
     while (length > 0u) {
         const ssize_t written = write(port, data, length);
         if (written < 0 && errno != EINTR)
@@ -171,16 +171,16 @@ static void say(int port, const uint8_t *data, size_t length) {
     }
 }
 
-/* Say what is due, or say it again. */
+/* Send what is due, or repeat it. */
 static void command(commander *host, int port, uint64_t newest_shot) {
-    const order *next = &host->orders[host->done];
+    const host_command *next = &host->commands[host->done];
     uint8_t frame[LIDAR_LONGEST_COMMAND];
     if (host->done == host->count || newest_shot < next->shot)
         return;
-    if (host->is_waiting && now_ms() - host->said_ms < PATIENCE_MS)
+    if (host->is_waiting && now_ms() - host->sent_ms < TIMEOUT_MS)
         return;
-    say(port, frame, encode(frame, host->sequence, next));
-    host->said_ms = now_ms();
+    send_bytes(port, frame, encode(frame, host->sequence, next));
+    host->sent_ms = now_ms();
     host->is_waiting = true;
 }
 
@@ -189,7 +189,7 @@ static void answered(commander *host, const lidar_acknowledge *answer) {
         return;
     host->sequence++; /* 0 after 255 */
     if (answer->verdict == LIDAR_VERDICT_OUT_OF_STATE)
-        return; /* said again once the patience is over */
+        return; /* repeated after the timeout */
     host->is_waiting = false;
     host->done++;
 }
@@ -202,7 +202,7 @@ typedef struct {
     uint32_t newest_shot;
 } counts;
 
-/* Shots are numbered in 32 bits: what did not go up by one was lost, or came again (or the device has started anew). */
+/* Count gaps: shots are numbered in 32 bits; an increment other than 1 means lost or repeated shots, or a restart. */
 static void count_shot(counts *seen, uint32_t shot) {
     const uint32_t missing = shot - seen->newest_shot - 1u;
     if (seen->measurements > 0u && missing >= UINT32_MAX / 2u)
@@ -231,7 +231,7 @@ static void take(const lidar_receiver *receiver, counts *seen, commander *host) 
         seen->housekeeping++;
         print_housekeeping(unit, &health);
     } else {
-        seen->foreign++; /* of another version of the interface */
+        seen->foreign++; /* another version of the interface */
     }
 }
 
@@ -273,7 +273,7 @@ static speed_t speed_of(long baud) {
     }
 }
 
-/* A terminal passes every byte on as it is only if it is told so: not one of them means a newline or the end here. */
+/* Raw mode, in which a terminal passes every byte unchanged. */
 static int open_port(const char *path, long baud) {
     struct termios settings;
     int port;
@@ -289,7 +289,7 @@ static int open_port(const char *path, long baud) {
     return port;
 }
 
-/* Until the other side hangs up. */
+/* Read until the other side closes the line. */
 static void follow(int port, commander *host) {
     static lidar_receiver receiver;
     static counts seen;
@@ -297,7 +297,7 @@ static void follow(int port, commander *host) {
     struct pollfd watched = {.fd = port, .events = POLLIN};
     for (;;) {
         command(host, port, seen.newest_shot);
-        if (poll(&watched, 1, host->is_waiting ? PATIENCE_MS / 10 : -1) <= 0)
+        if (poll(&watched, 1, host->is_waiting ? TIMEOUT_MS / 10 : -1) <= 0)
             continue;
         const ssize_t count = read(port, data, sizeof data);
         if (count < 0 && errno == EINTR)
@@ -319,13 +319,13 @@ int main(int argc, char **argv) {
     static commander host;
     uint8_t frame[LIDAR_LONGEST_COMMAND];
     const long baud = argc > 2 ? strtol(argv[2], NULL, 10) : 0;
-    if (argc < 3 || argc - 3 > MOST_ORDERS || speed_of(baud) == B0) {
+    if (argc < 3 || argc - 3 > MAX_COMMANDS || speed_of(baud) == B0) {
         fprintf(stderr, "usage: receiver PORT BAUD [SHOT:COMMAND[=VALUE]]...\n");
         return 2;
     }
     for (int k = 3; k < argc; k++) {
-        order *next = &host.orders[host.count++];
-        if (!read_order(argv[k], next) || encode(frame, 0u, next) == 0u) {
+        host_command *next = &host.commands[host.count++];
+        if (!parse_command(argv[k], next) || encode(frame, 0u, next) == 0u) {
             fprintf(stderr, "%s: no such command, such as 2000:set_pattern=1\n", argv[k]);
             return 2;
         }

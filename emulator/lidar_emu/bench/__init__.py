@@ -1,1 +1,1 @@
-"""How exact, how fast and how punctual the emulator is, measured by itself."""
+"""Benchmarks of the emulator itself: accuracy, speed and timing."""

@@ -1,9 +1,9 @@
 """Error and time of every setting of a scenario, relative to the waveform level at its finest setting.
 
-The reference is the level `waveform` with the most beamlets, which takes seconds for a beam: its spread of errors
-would need hours. So its fast twin, the level `spectral` with the same echoes and the same draws of speckle and phase,
-stands for it in the comparison of spreads, and what the twin is apart from it is measured measurement by measurement,
-with noise out of the way, and added to the error of every setting but the reference.
+The reference is level `waveform` with the most beamlets, which takes seconds for a beam: a distribution of its errors
+would take hours. Its fast twin, level `spectral` with the same echoes and the same draws of speckle and phase, replaces
+it in the comparison of distributions. The difference between twin and reference is determined measurement by
+measurement, with negligible noise, and added to the error of every setting except the reference.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
     """Compare all settings over `shots` shots spread over the flight.
 
     Raises:
-        InputError: the instrument is one that the level waveform does not have, or no first beam meets the ground.
+        InputError: level waveform does not support the instrument, or no first beam hits the ground.
     """
     flight = Flight(scenario)
     shot = _spaced(flight.shot_count, shots)

@@ -1,7 +1,7 @@
 """The ray caster of elevation grids compared with ray tracers of triangles: times, errors, lost rays, build time.
 
-All on one core, where the system lets a process choose, and in one run: the tools take turns, call by call. Ours takes
-and gives float64, with range, normal, reflectance and what is hit; the peers give distance, normal and triangle.
+All tools run on one core, if the system permits, and alternate call by call. lidar-emu has float64 in and out, with
+range, normal, reflectance and object hit; the peers return distance, normal and triangle.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Ranges in fractions, without any rounding, and in the axes of the body."""
+"""Exact ranges in rational arithmetic, and the axes of the body."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ def lunar_site(latitude_rad: float, longitude_rad: float, radius_m: float) -> Si
 
 
 def exact_range_m(samples: Samples, origin: Point, direction: Point, near_m: float) -> Fraction | None:
-    """Least t at which a ray meets one of the triangles of the nine cells around the one that it is over at `near_m`.
+    """Least t at which a ray hits one of the triangles of the nine cells around its position at `near_m`.
 
-    Independent of how the caster finds it: each triangle is a plane and three sides, all in fractions.
+    Independent of the caster: each triangle is a plane and three sides, in rational arithmetic.
     """
     west, south, east_m, north_m = (
         Fraction(v) for v in (samples.west_m, samples.south_m, samples.pixel_east_m, samples.pixel_north_m)

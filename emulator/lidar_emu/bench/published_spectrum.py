@@ -1,8 +1,8 @@
 """The published method to compute a spectrum, for comparison with the bins of `fmcw.spectrum`.
 
 Budge et al. deposit the beamlets' frequencies on an oversampled grid around the spectrum and convolve it with the
-window's transform by a short FFT. Written for speed: the kernel's transform is made once, many segments go through one
-call, and since only whole bins are wanted the products are folded before the way back, an FFT shorter by the
+window's transform by a short FFT. Optimised for speed: the kernel's transform is computed once, many segments share one
+call, and since only whole bins are needed, the products are folded before an inverse FFT that is shorter by the
 oversampling.
 """
 
@@ -25,7 +25,7 @@ _ComplexArray = NDArray[np.complex128]
 
 
 class PublishedSpectrum(NamedTuple):
-    """A grid of `points`, `oversample` to a bin, and the kernel's transform on it."""
+    """A grid of `points`, `oversample` per bin, and the kernel's transform on it."""
 
     points: int
     oversample: int
@@ -34,7 +34,7 @@ class PublishedSpectrum(NamedTuple):
 
     @property
     def bins(self) -> int:
-        """Whole bins that come out; tones must lie within half as many of each."""
+        """Number of whole bins in the output; tones must lie within half as many of each."""
         return self.points // self.oversample
 
 

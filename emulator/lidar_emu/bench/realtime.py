@@ -45,7 +45,7 @@ class RealtimeOptions:
     """Shots per second."""
     duration_s: float = 10.0
     beamlets: int = 61
-    """Per beam; the four beams are fired together."""
+    """Beamlets per beam; the four beams fire together."""
     recording: bool = False
     """Whether the flight is recorded as well, into a temporary file."""
 
@@ -62,14 +62,15 @@ class RealtimeReport:
     """Ticks stolen by the host in each second of the run; empty if the system does not count them."""
     packet_bytes: int
     summary: dict[str, Any]
-    """The flight's own, as `lidar-emu run --summary` writes it."""
+    """Summary of the flight, as `lidar-emu run --summary` writes it."""
     control_granted: list[str]
     cyclictest: dict[str, int] | None
     """None if it is not installed, or could not run."""
 
 
 def scenario_of(options: RealtimeOptions) -> FlightScenario:
-    """The shipped descent's instrument and ground, on a straight descent that takes the whole duration.
+    """Scenario of the benchmark: the shipped descent's instrument and ground, on a straight descent of the whole
+    duration.
 
     Raises:
         InputError: a rate, duration or number of beamlets that no instrument has.
@@ -144,22 +145,22 @@ class _ReportLog(Observer):
         self._steal: list[tuple[int, int]] = []
 
     def on_opened(self, port: str, start: datetime) -> None:
-        """Pass it on."""
+        """Pass the event to the other observers."""
         for other in self.others:
             other.on_opened(port, start)
 
     def on_block_computed(self, block: Block) -> None:
-        """Pass it on."""
+        """Pass the event to the other observers."""
         for other in self.others:
             other.on_block_computed(block)
 
     def on_block_sent(self, block: Block) -> None:
-        """Pass it on."""
+        """Pass the event to the other observers."""
         for other in self.others:
             other.on_block_sent(block)
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
-        """Record it, and the steal ticks once a second."""
+        """Record the report, and the steal ticks once a second."""
         self._due.append(report.due_ns)
         self._woke.append(report.woke_ns)
         self._sent.append(report.sent_ns)
@@ -174,7 +175,7 @@ class _ReportLog(Observer):
             other.on_report(packet, report)
 
     def side(self, start_ns: int, received_ns: IntArray, delimiters: int) -> Side:
-        """The recorded instants, with those of the reader (monotonic clock, one per delimiter)."""
+        """The recorded instants, and the reader's (monotonic clock, one per delimiter)."""
         sent = np.array(self._sent, dtype=np.int64)
         return Side(
             np.array(self._due, dtype=np.int64),

@@ -1,7 +1,7 @@
 """The control process of `bench realtime`: the same sleep and the same write at the same instants, and nothing else.
 
 A helper process; see `helper_process`. Its lateness is the lateness of any program on this machine that sleeps and
-writes. It sends the path of its pty, and then receives when and what to write.
+writes. It sends the path of its pty, and then receives schedule and payload.
 """
 
 from __future__ import annotations

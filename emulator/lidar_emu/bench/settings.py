@@ -74,7 +74,7 @@ def measure(
     """Errors of shots at a setting, against the truth along the beams' axes.
 
     Args:
-        runs: so many times, each with the next seed.
+        runs: number of runs, each with the next seed.
     """
     pointing, _ = flight.point(shot, flight.scanner.initial)
     hits = flight.cast(pointing)
@@ -97,7 +97,7 @@ def reseeded(scenario: FlightScenario, by: int) -> FlightScenario:
 def quiet(scenario: FlightScenario) -> FlightScenario:
     """The same flight with sixty decibels more light, an ideal digitiser, zero linewidth and sub-bin peaks.
 
-    What is left of a difference between two levels is then theirs, not the noise's.
+    The remaining difference between two levels is then not due to noise.
     """
     instrument = scenario.instrument
     optics = instrument.optics.model_copy(update={"laser_power_w": 1e6 * instrument.optics.laser_power_w})

@@ -64,10 +64,10 @@ class SpectrumMethod:
 
 
 def compare_spectra(scenario: FlightScenario, flight: Flight, rounds: int = 7) -> list[SpectrumMethod]:
-    """Down-chirp spectra of the first beam, 61 beamlets each, all along the flight.
+    """Compute down-chirp spectra of the first beam, 61 beamlets each, along the flight by three methods.
 
-    The FFT's time holds the synthesis of the record's samples, one beamlet after another; the published way and the
-    bins are timed over blocks of segments, so that Python's own overhead is in neither.
+    The FFT's time includes the synthesis of the record's samples, one beamlet after another; the published method and
+    the bins are timed over blocks of segments, which excludes Python's overhead.
     """
     window = WINDOWS[scenario.instrument.detection.window]
     length = scenario.instrument.waveform.fft_length

@@ -33,7 +33,7 @@ from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block
 
 _EARLY = 1000
-"""Messages kept until the file is opened: those of a device that waits for the command to fly."""
+"""Messages kept until the file is opened: from a device that waits for the command to fly."""
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -126,9 +126,9 @@ class Recorder(Observer):
         """Record the age of the live truth with the truth of the shot."""
         self._truth_used[shot] = {"age_s": age_ns * 1e-9, "truth_time_ns": truth_time_ns}
 
-    def on_command(self, heard: ReceivedCommand, shot: int | None) -> None:
+    def on_command(self, command: ReceivedCommand, shot: int | None) -> None:
         """Record the command and its verdict."""
-        command = heard._asdict() | {"values": dict(heard.values), "first_shot": shot}
+        command = command._asdict() | {"values": dict(command.values), "first_shot": shot}
         self._write(channels.COMMAND, command.pop("time_ns"), _json(command), shot or 0)
 
     def on_acknowledgement(self, payload: bytes, time_ns: int) -> None:
