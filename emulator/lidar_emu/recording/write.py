@@ -128,8 +128,8 @@ class Recorder(Observer):
 
     def on_command(self, command: ReceivedCommand, shot: int | None) -> None:
         """Record the command and its verdict."""
-        command = command._asdict() | {"values": dict(command.values), "first_shot": shot}
-        self._write(channels.COMMAND, command.pop("time_ns"), _json(command), shot or 0)
+        message = command._asdict() | {"values": dict(command.values), "first_shot": shot}
+        self._write(channels.COMMAND, message.pop("time_ns"), _json(message), shot or 0)
 
     def on_acknowledgement(self, payload: bytes, time_ns: int) -> None:
         """Record the acknowledgement of a command."""
