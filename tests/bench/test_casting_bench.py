@@ -87,13 +87,13 @@ def small(monkeypatch):
 
 @pytest.mark.usefixtures("small")
 def test_report_for_machines_and_for_people():
-    told = json.loads(CliRunner().invoke(bench, ["casting", "--json"]).stdout)
-    assert told["absent"] == {"embreex": "not installed", "open3d": "not installed"}
-    assert told["lost"] == {"lidar-emu": 0}
-    assert set(told["time_s"]) == set(KINDS)
+    reported = json.loads(CliRunner().invoke(bench, ["casting", "--json"]).stdout)
+    assert reported["absent"] == {"embreex": "not installed", "open3d": "not installed"}
+    assert reported["lost"] == {"lidar-emu": 0}
+    assert set(reported["time_s"]) == set(KINDS)
     for place in ("2 km", "10 km", "2 km, Moon-fixed"):
-        assert 0 < told["error_m"][place]["lidar-emu"][1] < 1e-9
-    assert set(told["built_large"]) == {"time_s", "memory_mb"}
+        assert 0 < reported["error_m"][place]["lidar-emu"][1] < 1e-9
+    assert set(reported["built_large"]) == {"time_s", "memory_mb"}
     shown = CliRunner().invoke(bench, ["casting"]).stdout
     assert "embreex: left out, not installed (pip install 'lidar-emu[peers]')" in shown
     assert "256 unrelated" in shown

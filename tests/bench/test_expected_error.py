@@ -54,5 +54,5 @@ def test_the_dark_expects_nothing_but_dropouts():
 
 def test_a_bench_pattern_has_no_expectation():
     scenario = load("bench.yaml", {})
-    told = planned_summary(scenario, build_model(scenario))
-    assert {value for name, value in told.items() if name.startswith("expected_")} == {None}
+    reported = planned_summary(scenario, build_model(scenario))
+    assert {value for name, value in reported.items() if name.startswith("expected_")} == {None}

@@ -18,10 +18,10 @@ def test_the_exact_path_comes_to_the_same(job: Job) -> None:
     assert job.fast()
 
 
-def test_every_cost_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_cost_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(import_module("lidar_emu.cli.bench.protocol"), "_ROUNDS", 1)
-    told = CliRunner().invoke(cli, ["bench", "protocol", "--json"], standalone_mode=False)
-    costs = json.loads(told.output)
+    reported = CliRunner().invoke(cli, ["bench", "protocol", "--json"], standalone_mode=False)
+    costs = json.loads(reported.output)
     assert [cost["name"] for cost in costs] == [job.name for job in protocol_jobs()]
     assert all(cost["time_s"] > 0.0 < cost["exact_s"] for cost in costs)
     lines = CliRunner().invoke(cli, ["bench", "protocol"], standalone_mode=False).output.splitlines()

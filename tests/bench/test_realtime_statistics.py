@@ -36,10 +36,10 @@ def side(lateness_ns: np.ndarray, rate_hz: int, late: list[int] | None = None) -
 
 @given(VALUES)
 def test_figures_are_numpys_quantiles(values):
-    told = figures(np.array(values))
-    assert told["count"] == len(values)
+    reported = figures(np.array(values))
+    assert reported["count"] == len(values)
     for name, fraction in (("p50_ns", 0.5), ("p99_ns", 0.99), ("p99_9_ns", 0.999), ("max_ns", 1.0)):
-        assert told[name] == sorted(values)[max(0, int(np.ceil(fraction * len(values) - 1e-9)) - 1)]
+        assert reported[name] == sorted(values)[max(0, int(np.ceil(fraction * len(values) - 1e-9)) - 1)]
 
 
 def test_without_values_there_are_no_figures():
@@ -51,11 +51,11 @@ def test_seconds_stand_beside_each_other():
     rng = np.random.default_rng(2)
     emulator = side(rng.integers(20_000, 90_000, 1050), 100, late=[3, 250, 251, 999])
     control = side(rng.integers(10_000, 50_000, 1050), 100, late=[255])
-    told = windows(emulator, control)
-    assert [window.at_s for window in told] == list(range(11))  # half of the last second is there
-    assert [window.late for window in told] == [1, 0, 2, 0, 0, 0, 0, 0, 0, 1, 0]
-    assert [window.control_late for window in told] == [0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0]
-    assert late_without_control(told) == 2
+    reported = windows(emulator, control)
+    assert [window.at_s for window in reported] == list(range(11))  # half of the last second is there
+    assert [window.late for window in reported] == [1, 0, 2, 0, 0, 0, 0, 0, 0, 1, 0]
+    assert [window.control_late for window in reported] == [0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0]
+    assert late_without_control(reported) == 2
     excess = []
     for second in range(11):
         p99 = []
@@ -64,9 +64,9 @@ def test_seconds_stand_beside_each_other():
             written = one.written_ns[part] != NEVER
             lateness = (one.written_ns[part] - one.due_ns[part])[written]
             p99.append(np.quantile(lateness, 0.99, method="inverted_cdf"))
-        assert (told[second].p99_ns, told[second].control_p99_ns) == tuple(p99)
+        assert (reported[second].p99_ns, reported[second].control_p99_ns) == tuple(p99)
         excess.append(p99[0] - p99[1])
-    assert median_excess_ns(told) == np.median(excess)
+    assert median_excess_ns(reported) == np.median(excess)
 
 
 def test_a_second_that_was_cut_off_is_left_out():

@@ -29,9 +29,11 @@ def campaign_file(tmp_path):
 def fly(campaign_file, tmp_path):
     """Fly a small campaign into a folder; its pool."""
 
-    def flown(name="out", pool=None, text=SMALL, runs=12, told=lambda _: None):
+    def flown(name="out", pool=None, text=SMALL, runs=12, reported=lambda _: None):
         pool = pool or Here()
-        fly_campaign(prepare(campaign_file(text, runs), {}, None), ROWS, tmp_path / name, lambda: pool, told)
+        fly_campaign(
+            prepare(campaign_file(text, runs), {}, None), ROWS, tmp_path / name, lambda: pool, reported
+        )
         return pool
 
     return flown

@@ -26,9 +26,9 @@ def run(*arguments):
 
 
 def refusal(*arguments):
-    told = run(*arguments).exception
-    assert isinstance(told, InputError), told
-    return str(told)
+    reported = run(*arguments).exception
+    assert isinstance(reported, InputError), reported
+    return str(reported)
 
 
 @pytest.mark.slow
@@ -36,12 +36,12 @@ def test_tables_statistics_and_picture(campaign_file, tmp_path):
     out, plot = tmp_path / "out", tmp_path / "plot.png"
     done = run(campaign_file(), "--out", out, "--plot", plot, "--workers", 2, "--json")
     assert done.exit_code == 0, done.output
-    told = json.loads(done.stdout)
-    assert (told["runs"], told["failed"], told["reasons"]) == (12, 0, {})
-    bands = [row for row in told["statistics"] if row["axis"] == "altitude_m"]
+    reported = json.loads(done.stdout)
+    assert (reported["runs"], reported["failed"], reported["reasons"]) == (12, 0, {})
+    bands = [row for row in reported["statistics"] if row["axis"] == "altitude_m"]
     assert sum(row["expected"] for row in bands) == 12 * 8 * 4
     written = (out / "statistics.csv").read_text().splitlines()
-    assert len(written) == 1 + len(told["statistics"])
+    assert len(written) == 1 + len(reported["statistics"])
     assert plot.read_bytes().startswith(b"\x89PNG")
     before = content(out)
     again = run(campaign_file(), "--out", out)
@@ -49,14 +49,14 @@ def test_tables_statistics_and_picture(campaign_file, tmp_path):
     assert content(out) == before
 
 
-def test_the_plan_is_told_and_nothing_kept(campaign_file, tmp_path, monkeypatch):
+def test_the_plan_is_reported_and_nothing_kept(campaign_file, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = campaign_file(SMALL, 1000)
-    told = json.loads(run(path, "--plan", "--workers", 5, "--json").output)
-    assert (told["runs"], told["workers"], told["flown"]) == (1000, 5, 8)
-    assert told["hours"] == pytest.approx(1000 * told["run_s"] / 5 / 3600)
-    assert told["flight_s"] == pytest.approx(0.4)
-    assert 1e3 < told["run_bytes"] < 1e5
+    reported = json.loads(run(path, "--plan", "--workers", 5, "--json").output)
+    assert (reported["runs"], reported["workers"], reported["flown"]) == (1000, 5, 8)
+    assert reported["hours"] == pytest.approx(1000 * reported["run_s"] / 5 / 3600)
+    assert reported["flight_s"] == pytest.approx(0.4)
+    assert 1e3 < reported["run_bytes"] < 1e5
     lines = run(path, "--plan").output
     assert "site.surface.reflectance: 0.1" in lines
     assert '"ndl_four_beam"' in lines
@@ -64,7 +64,7 @@ def test_the_plan_is_told_and_nothing_kept(campaign_file, tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "reported"),
     [
         ("runs: 12", "runs: 0", r"campaign.yaml: runs: 0 is not usable; allowed: greater than or equal to 1"),
         ("runs: 12", "", r"campaign.yaml: runs: missing"),
@@ -80,13 +80,13 @@ def test_the_plan_is_told_and_nothing_kept(campaign_file, tmp_path, monkeypatch)
         ("site: flat,", "site.surface.reflectance: 0.2,", "site.surface.reflectance twice"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_with_a_file_is_told(campaign_file, tmp_path, old, new, told):
+def test_what_is_wrong_with_a_file_is_reported(campaign_file, tmp_path, old, new, reported):
     text = SMALL.format(runs=12)
     assert old in text
     path = campaign_file()
     path.write_text(text.replace(old, new))
     line = refusal(path, "--out", tmp_path / "out")
-    assert re.search(told, line), line
+    assert re.search(reported, line), line
     assert "\n" not in line
     assert not (tmp_path / "out").exists()
 
@@ -98,7 +98,7 @@ def test_no_campaign_is_refused(tmp_path, text):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "reported"),
     [
         ([], "no output"),
         (["--out", "x", "--plan"], "--out and --plan"),
@@ -115,15 +115,15 @@ def test_no_campaign_is_refused(tmp_path, text):
         (["--out", "x", "--plot", "x.jpg"], "x.jpg"),
     ],
 )
-def test_wrong_options_are_refused(campaign_file, arguments, told):
-    assert told in refusal(campaign_file(), *arguments)
+def test_wrong_options_are_refused(campaign_file, arguments, reported):
+    assert reported in refusal(campaign_file(), *arguments)
 
 
-def test_a_campaign_none_of_whose_runs_can_be_flown_says_why(campaign_file):
+def test_a_campaign_none_of_whose_runs_can_be_flown_states_why(campaign_file):
     path = campaign_file(SMALL.replace("duration_s: 0.4", "duration_s: 4000"))
-    told = run(path, "--plan").exception
-    assert isinstance(told, RunError)
-    assert "duration_s" in str(told)
+    reported = run(path, "--plan").exception
+    assert isinstance(reported, RunError)
+    assert "duration_s" in str(reported)
 
 
 @pytest.fixture

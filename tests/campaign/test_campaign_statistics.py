@@ -51,10 +51,10 @@ def test_figures_are_those_of_all_beams_together(tmp_path):
         assert (band.runs, band.expected) == (RUNS, RUNS * BEAMS)
         assert band.dropout.value == pytest.approx(1 - columns["range_valid"].mean(), rel=1e-12)
         for name, error in errors.items():
-            for level, told in zip(LEVELS, band.quantiles[name], strict=True):
+            for level, reported in zip(LEVELS, band.quantiles[name], strict=True):
                 exact = np.nanquantile(error, level)
-                assert told.value == pytest.approx(exact, rel=0.01, abs=1e-2 * np.nanstd(error))
-                assert told.low < told.value < told.high
+                assert reported.value == pytest.approx(exact, rel=0.01, abs=1e-2 * np.nanstd(error))
+                assert reported.low < reported.value < reported.high
 
 
 def test_intervals_hold_what_they_promise(tmp_path):
@@ -89,22 +89,24 @@ def test_intervals_are_the_same_of_whichever_runs_are_kept(tmp_path):
 @pytest.mark.parametrize(("part", "value", "high"), [(0, 0.0, 0.0885), (1000, 1.0, 1.0)])
 def test_none_and_all_are_not_certain(part, value, high):
     """Wilson's interval of 0 of 50 runs, with Student's factor of 49 degrees of freedom: t² / (n + t²)."""
-    told = share(np.full(50, part // 50), np.full(50, 20), 50)
+    reported = share(np.full(50, part // 50), np.full(50, 20), 50)
     square = 2.0095752**2
     bound = square / (50 + square)
-    assert told.value == value
-    assert (told.low, told.high) == pytest.approx((0.0, bound) if part == 0 else (1 - bound, 1.0), abs=1e-6)
-    assert high == pytest.approx(told.high, abs=0.02)
+    assert reported.value == value
+    assert (reported.low, reported.high) == pytest.approx(
+        (0.0, bound) if part == 0 else (1 - bound, 1.0), abs=1e-6
+    )
+    assert high == pytest.approx(reported.high, abs=0.02)
 
 
-def test_a_single_run_tells_no_interval(tmp_path):
+def test_a_single_run_reports_no_interval(tmp_path):
     write(tmp_path, np.random.default_rng(3), runs=1)
     band = campaign_statistics(tmp_path)[0]
     assert (band.dropout.low, band.dropout.high) == (0.0, 1.0)
-    for told in band.quantiles["range_error_m"]:
-        assert np.isfinite(told.value)
-        assert np.isnan([told.low, told.high]).all()
+    for reported in band.quantiles["range_error_m"]:
+        assert np.isfinite(reported.value)
+        assert np.isnan([reported.low, reported.high]).all()
 
 
-def test_nothing_kept_is_nothing_told(tmp_path):
+def test_nothing_kept_is_nothing_reported(tmp_path):
     assert campaign_statistics(tmp_path) == []

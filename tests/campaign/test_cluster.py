@@ -24,18 +24,18 @@ def test_a_killed_worker_leaves_no_trace(fly, tmp_path):
     ) as cluster:
         pids = [worker.pid for worker in cluster.workers.values()]
 
-        def told(progress):
+        def reported(progress):
             if progress.done >= 8 and not killed:
                 os.kill(pids[1], signal.SIGKILL)
                 killed.append(pids[1])
 
-        fly("cluster", ClusterPool(cluster.scheduler_address), runs=40, told=told)
+        fly("cluster", ClusterPool(cluster.scheduler_address), runs=40, reported=reported)
     assert killed
     assert content(tmp_path / "cluster") == content(tmp_path / "here")
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense", "", "foo://here:1"])
-def test_no_scheduler_is_told(address, monkeypatch):
+def test_no_scheduler_is_reported(address, monkeypatch):
     monkeypatch.setattr("lidar_emu.campaign.pools._CONNECT", "1s")
     with pytest.raises(InputError, match=r"--scheduler: .*no scheduler"):
         ClusterPool(address)

@@ -76,8 +76,8 @@ def test_a_covariance_comes_out_as_it_went_in():
 def test_correlated_keys_keep_their_own_distributions():
     keys = {name: {"kind": name} | EXPECTED[name][0] for name in ("uniform", "lognormal", "triangular")}
     matrix = [[1.0, 0.8], [0.8, 1.0]]
-    told = [{"keys": ["uniform", "lognormal"], "matrix": matrix}]
-    columns = draw(campaign(keys, correlations=told), "c").columns
+    reported = [{"keys": ["uniform", "lognormal"], "matrix": matrix}]
+    columns = draw(campaign(keys, correlations=reported), "c").columns
     for name, column in columns.items():
         assert stats.kstest(column, EXPECTED[name][1].cdf).pvalue > 0.01
     # Of a Gaussian copula: 6/pi asin(rho/2).

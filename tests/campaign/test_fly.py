@@ -79,13 +79,13 @@ def test_the_death_of_a_process_leaves_no_trace(fly, tmp_path):
     fly("here", runs=40)
     pool, deaths = LocalPool(2), []
 
-    def told(progress):
+    def reported(progress):
         if progress.done == 10:
             victim = multiprocessing.active_children()[0]
             deaths.append(victim.pid)
             victim.kill()
 
-    fly("killed", pool, runs=40, told=told)
+    fly("killed", pool, runs=40, reported=reported)
     assert deaths
     assert content(tmp_path / "killed") == content(tmp_path / "here")
 
@@ -135,8 +135,8 @@ def test_what_was_interrupted_is_gone_on_with_and_no_run_is_flown_twice(fly, tmp
 
 def test_failed_runs_are_kept_with_their_reason_and_others_do_not_suffer(fly, tmp_path):
     text = SMALL.replace("low: 0.1, high: 0.3", "low: 0.5, high: 1.5")
-    told = []
-    fly(text=text, told=told.append)
+    reported = []
+    fly(text=text, reported=reported.append)
     rows = runs_of(tmp_path / "out")
     out_of_range = [row for row in rows if row["site.surface.reflectance"] > 1]
     assert 0 < len(out_of_range) < 12
@@ -146,7 +146,7 @@ def test_failed_runs_are_kept_with_their_reason_and_others_do_not_suffer(fly, tm
         assert (row["shots"] is None) == (row in out_of_range)
     beams = parquet.read_table(tmp_path / "out" / "beams", columns=["run"])["run"].to_pylist()
     assert set(beams) == {row["run"] for row in rows if row not in out_of_range}
-    assert told[-1] == (12, 12, len(out_of_range))
+    assert reported[-1] == (12, 12, len(out_of_range))
 
 
 def test_only_some_runs_keep_their_beams(fly, tmp_path):
@@ -199,7 +199,7 @@ def test_files_are_neither_tiny_nor_huge(campaign_file, runs, rows, every, expec
     )
 
 
-def test_a_full_disk_is_told(campaign_file, tmp_path, monkeypatch):
+def test_a_full_disk_is_reported(campaign_file, tmp_path, monkeypatch):
     def full(*_):
         raise RunError("out: could not be written: No space left on device")
 

@@ -34,8 +34,8 @@ def test_dropouts_and_errors_agree(tmp_path):
     for level in ("statistical", "spectral"):
         prepared = prepare(Path("dispersed_descent.yaml"), {"level": level}, RUNS)
         fly_campaign(prepared, 4032, tmp_path / level, Here, lambda _: None)
-        told = campaign_statistics(tmp_path / level)
-        bands[level] = {(band.axis, band.low): band for band in told if band.expected >= LEAST_BEAMS}
+        reported = campaign_statistics(tmp_path / level)
+        bands[level] = {(band.axis, band.low): band for band in reported if band.expected >= LEAST_BEAMS}
     assert bands["statistical"].keys() == bands["spectral"].keys()
     assert len(bands["spectral"]) >= 15
     for key, spectral in bands["spectral"].items():

@@ -33,9 +33,9 @@ def means(library: str, folder: str) -> dict[int, tuple[int, float]]:
 def test_all_read_the_same(fly, tmp_path):
     fly()
     found = {library: means(library, str(tmp_path / "out")) for library in READERS}
-    for told in found.values():
-        assert sorted(told) == list(range(12))
-        assert {count for count, _ in told.values()} == {32}
+    for reported in found.values():
+        assert sorted(reported) == list(range(12))
+        assert {count for count, _ in reported.values()} == {32}
     for run, (_, mean_m) in found["duckdb"].items():
         assert found["pandas"][run][1] == pytest.approx(mean_m, rel=1e-12)
         assert found["polars"][run][1] == pytest.approx(mean_m, rel=1e-12)

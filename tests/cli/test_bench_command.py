@@ -29,9 +29,9 @@ def report():
 
 @pytest.fixture
 def run(monkeypatch, request):
-    def invoke(*arguments: str, told: AccuracyReport | None = None):
+    def invoke(*arguments: str, reported: AccuracyReport | None = None):
         def measured(*_):
-            return told or request.getfixturevalue("report")
+            return reported or request.getfixturevalue("report")
 
         monkeypatch.setattr("lidar_emu.bench.accuracy.measure_accuracy", measured)
         return CliRunner().invoke(cli, ["bench", "accuracy", *arguments], standalone_mode=False)
@@ -40,34 +40,34 @@ def run(monkeypatch, request):
 
 
 @pytest.fixture
-def told(run):
+def reported(run):
     done = run("--json", "--target-range-error", "1e3")
     assert done.exception is None, done.exception
     return json.loads(done.stdout)
 
 
 @pytest.mark.slow
-def test_every_level_and_dial_is_there(told):
-    found = {(row["level"], row["exact"], row["beamlets"]) for row in told["settings"]}
+def test_every_level_and_dial_is_there(reported):
+    found = {(row["level"], row["exact"], row["beamlets"]) for row in reported["settings"]}
     expected = {("geometric", True, 1)}
     for level, exact in (("statistical", True), ("spectral", False), ("spectral", True), ("waveform", True)):
         expected |= {(level, exact, beamlets) for beamlets in BEAMLETS}
     assert found == expected
-    assert len(told["settings"]) == len(expected)
+    assert len(reported["settings"]) == len(expected)
 
 
 @pytest.mark.slow
-def test_figures_are_complete(told):
-    for row in told["settings"]:
+def test_figures_are_complete(reported):
+    for row in reported["settings"]:
         assert row["time_s"] == pytest.approx(row["front_s"] + row["receiver_s"])
         assert row["time_s"] > 0
         names = ["faster_than_waveform", "range_error_m", "speed_error_mps", "dropout_error"]
         if row["level"] != "waveform":
             names += ["range_bias_m", "range_rms_m", "speed_bias_mps", "speed_rms_mps", "dropout"]
         assert all(math.isfinite(row[name]) for name in names), row
-    every_one_will_do = min(told["settings"], key=lambda row: row["time_s"])
-    assert told["cheapest"] == every_one_will_do["name"]
-    assert [method["name"].split(",")[0] for method in told["spectra"]] == [
+    every_one_will_do = min(reported["settings"], key=lambda row: row["time_s"])
+    assert reported["cheapest"] == every_one_will_do["name"]
+    assert [method["name"].split(",")[0] for method in reported["spectra"]] == [
         "samples and FFT",
         *["published"] * 4,
         "bin by bin",
@@ -75,9 +75,9 @@ def test_figures_are_complete(told):
 
 
 @pytest.mark.slow
-def test_the_reference_is_exact_and_geometric_is_what_it_leaves_out(told):
-    rows = {row["name"]: row for row in told["settings"]}
-    reference = rows[told["reference"]]
+def test_the_reference_is_exact_and_geometric_is_what_it_leaves_out(reported):
+    rows = {row["name"]: row for row in reported["settings"]}
+    reference = rows[reported["reference"]]
     assert (reference["range_error_m"], reference["speed_error_mps"], reference["dropout_error"]) == (0, 0, 0)
     assert reference["pareto"]
     assert rows["geometric"]["range_rms_m"] == 0
@@ -85,7 +85,7 @@ def test_the_reference_is_exact_and_geometric_is_what_it_leaves_out(told):
     assert rows["geometric"]["range_error_m"] == pytest.approx(spectral["range_rms_m"], rel=1e-3)
     # Range bins of 11 m: levels agree to a small part of one.
     assert spectral["range_error_m"] < 0.01 < 0.5 < spectral["range_rms_m"]
-    errors = {method["name"]: method["error"] for method in told["spectra"]}
+    errors = {method["name"]: method["error"] for method in reported["spectra"]}
     assert errors["bin by bin"] < 1e-9
     assert errors["published, nearest, 2048 points"] > 1e-3 > errors["published, cubic, 2048 points"]
 
@@ -123,13 +123,13 @@ def test_cheapest_for_a_target(run, report):
 @pytest.mark.slow
 def test_a_target_that_nothing_meets_fails(run, report):
     without_reference = replace(report, results=report.results[:3])
-    error = run("--target-range-error", "1e-9", told=without_reference).exception
+    error = run("--target-range-error", "1e-9", reported=without_reference).exception
     assert isinstance(error, RunError)
     assert "no setting" in str(error)
 
 
 @pytest.mark.slow
-def test_settings_of_a_common_draw_are_told_below_the_floor(report):
+def test_settings_of_a_common_draw_are_reported_below_the_floor(report):
     for result in report.results:
         if result.setting.shares_draws:
             assert report.resolved_error(result) == result.error

@@ -103,10 +103,10 @@ def test_units_on_one_bus_each_hear_their_own(
     assert hosts[3].send("set_rate_hz", {"rate_hz": 10}).verdict == "accepted"
     assert hosts[0].send("enable_beams", {"beams": 5}).verdict == "accepted"
     assert hosts[3].send("set_pattern", {"pattern": 7}).verdict == "out_of_range"
-    told = {
+    reported = {
         number: [(heard.command, heard.sequence) for heard in each.received] for number, each in units.items()
     }
-    assert told == {
+    assert reported == {
         0: [("no_op", 0), ("enable_beams", 1)],
         3: [("no_op", 0), ("set_rate_hz", 1), ("set_pattern", 2)],
     }

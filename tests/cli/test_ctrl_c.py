@@ -56,20 +56,20 @@ def test_where_ctypes_swallows_it(capfd: pytest.CaptureFixture[str]) -> None:
     assert capfd.readouterr() == ("", "")
 
 
-def test_what_else_goes_wrong_in_a_callback_is_told_as_ever() -> None:
-    told: list[object] = []
+def test_what_else_goes_wrong_in_a_callback_is_reported_as_ever() -> None:
+    reported: list[object] = []
 
     @ctypes.CFUNCTYPE(None)
     def called_back() -> None:
         raise LookupError("lost")
 
-    before, sys.unraisablehook = sys.unraisablehook, lambda unraisable: told.append(unraisable.exc_type)
+    before, sys.unraisablehook = sys.unraisablehook, lambda unraisable: reported.append(unraisable.exc_type)
     try:
         with busy("preparing"):
             called_back()
     finally:
         sys.unraisablehook = before
-    assert told == [LookupError]
+    assert reported == [LookupError]
 
 
 @pytest.mark.parametrize(

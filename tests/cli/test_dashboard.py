@@ -37,7 +37,7 @@ COMMAND = Path(sys.executable).parent / "lidar-emu"
 HIDDEN, SHOWN = b"\x1b[?25l", b"\x1b[?25h"
 
 
-def told(beams: int) -> dict[str, Any]:
+def reported(beams: int) -> dict[str, Any]:
     rows = [(str(k), 12345.678, -123.4567, 31.5, None if k % 2 else "below threshold") for k in range(beams)]
     lines = [
         ("time", "1.000 s, shot 20"),
@@ -51,7 +51,7 @@ def told(beams: int) -> dict[str, Any]:
 @pytest.mark.parametrize("beams", [0, 4, 100])
 def test_it_fits_the_terminal(width: int, height: int, beams: int) -> None:
     console = Console(width=width, file=io.StringIO())
-    console.print(render(told(beams), width, height))
+    console.print(render(reported(beams), width, height))
     assert isinstance(console.file, io.StringIO)
     lines = console.file.getvalue().splitlines()
     assert max(map(len, lines)) <= width
@@ -67,8 +67,8 @@ class Slate:
 
     is_due = True
 
-    def show(self, told: dict[str, Any]) -> None:
-        self.told = json.loads(json.dumps(told))
+    def show(self, reported: dict[str, Any]) -> None:
+        self.reported = json.loads(json.dumps(reported))
 
 
 def test_a_run_shows_what_is_on_the_wire() -> None:
@@ -81,14 +81,14 @@ def test_a_run_shows_what_is_on_the_wire() -> None:
         report = DeliveryReport(shot, shot * 10**8, shot * 10**8 + late_ns, DeliveryStatus.SENT)
         tally.report(report)
         display.on_report(OutgoingPacket(shot, report.due_ns, bytes(packets[shot])), report)
-    lines = dict(slate.told["lines"])
+    lines = dict(slate.reported["lines"])
     assert lines["shots"] == "3 sent, 0 late, 0 dropped"
     assert lines["lateness"] == "2 us, at most 9 us so far"
     assert lines["time"] == "0.200 s of 20 s, shot 2"
-    ranges = [beam[1] for beam in slate.told["beams"][:3]]
+    ranges = [beam[1] for beam in slate.reported["beams"][:3]]
     assert ranges == pytest.approx(measured.range_m[2, :3], abs=1e-3)
-    assert slate.told["beams"][3][1] is None
-    assert slate.told["beams"][3][4] is not None
+    assert slate.reported["beams"][3][1] is None
+    assert slate.reported["beams"][3][4] is not None
 
 
 def test_several_units_and_their_modes() -> None:
@@ -170,7 +170,7 @@ def test_lines_if_asked_for(tmp_path: Path) -> None:
     assert terminal.seen.count(b" shot ") >= 2
 
 
-def test_what_is_said_stays_above_the_display(tmp_path: Path) -> None:
+def test_what_is_reported_stays_above_the_display(tmp_path: Path) -> None:
     with on_terminal(tmp_path, "listen", "--port", "pty") as listener:
         listener.read_until(b"\n")
         (path,) = re.findall(r"/dev/pts/\d+", listener.seen.decode())
@@ -188,8 +188,8 @@ def test_who_flies_does_not_wait_for_who_draws(capfd: pytest.CaptureFixture[str]
     with Dashboard() as dashboard:
         dashboard._process.send_signal(signal.SIGSTOP)
         for _ in range(2000):
-            dashboard.show(told(100))
+            dashboard.show(reported(100))
         dashboard._process.kill()
         dashboard._process.wait()
-        dashboard.say("said all the same")
-    assert "said all the same" in capfd.readouterr().out
+        dashboard.say("stated all the same")
+    assert "stated all the same" in capfd.readouterr().out

@@ -28,10 +28,12 @@ QUIET = values(INTERFACE.housekeeping) | {
 
 def received(can: bool, **news: Any) -> list[Any]:
     """Housekeeping as it arrives."""
-    told = QUIET | news
+    reported = QUIET | news
     if not can:
-        return list(Decoder(INTERFACE).receive(DEVICE.housekeeping(0, told)))
-    return list(Decoder(INTERFACE).receive(Frame(f.can_id, f.data) for f in DEVICE.housekeeping_frames(told)))
+        return list(Decoder(INTERFACE).receive(DEVICE.housekeeping(0, reported)))
+    return list(
+        Decoder(INTERFACE).receive(Frame(f.can_id, f.data) for f in DEVICE.housekeeping_frames(reported))
+    )
 
 
 def shown(lines: DeviceLines, messages: list[Any]) -> list[str]:
@@ -43,14 +45,14 @@ def test_of_housekeeping_the_first_is_shown_and_then_what_does_not_change_by_its
     lines = DeviceLines(INTERFACE)
     first = shown(lines, received(can))
     assert len(first) == (5 if can else 1), "on CAN it comes in frames that stand alone"
-    for told in (
+    for reported in (
         "mode=standby",
         "laser_on=no",
         "temperature_c=20.5",
         "truth_age_s=none",
         "commands_accepted=0",
     ):
-        assert told in " ".join(first).split(" ")
+        assert reported in " ".join(first).split(" ")
     assert shown(lines, received(can)) == []
     assert shown(lines, received(can, temperature_c=31.0, uptime_s=99, time_ns=7)) == []
     news = shown(
@@ -70,13 +72,13 @@ def test_units_have_news_of_their_own() -> None:
 
 @pytest.mark.parametrize("can", [False, True])
 def test_an_acknowledgement_is_a_line(can: bool) -> None:
-    told = {"sequence": 9, "verdict": "out_of_range", "time_ns": 1_250_000_000}
+    reported = {"sequence": 9, "verdict": "out_of_range", "time_ns": 1_250_000_000}
     decoder = Decoder(INTERFACE)
     if can:
-        frame = DEVICE.acknowledge_frame("set_pattern", **told)
+        frame = DEVICE.acknowledge_frame("set_pattern", **reported)
         messages = decoder.receive([Frame(frame.can_id, frame.data)])
     else:
-        messages = decoder.receive(DEVICE.acknowledge(0, "set_pattern", **told))
+        messages = decoder.receive(DEVICE.acknowledge(0, "set_pattern", **reported))
     time = "        - s" if can else "    1.250 s"
     assert shown(DeviceLines(INTERFACE), messages) == [f"{time}  unit 3 command set_pattern 9: out of range"]
     assert decoder.counters()["acknowledgements"] == 1
@@ -91,11 +93,11 @@ def test_housekeeping_as_json_has_every_field_with_words() -> None:
     (message,) = received(can=False)
     row = json.loads(DeviceLines(INTERFACE).json_line(message))
     assert row["unit"] == 3
-    told = row["housekeeping"]
-    assert (told["mode"], told["laser_on"], told["temperature_c"], told["truth_age_s"]) == (
+    reported = row["housekeeping"]
+    assert (reported["mode"], reported["laser_on"], reported["temperature_c"], reported["truth_age_s"]) == (
         "standby",
         False,
         20.5,
         None,
     )
-    assert set(told) == INTERFACE.housekeeping.names  # type: ignore[union-attr]
+    assert set(reported) == INTERFACE.housekeeping.names  # type: ignore[union-attr]

@@ -61,9 +61,9 @@ def test_a_full_disk_ends_the_recording_and_not_the_flight(tmp_path: Path) -> No
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr == "lidar-emu: /dev/full: the recording is incomplete: No space left on device\n"
-    told = json.loads((tmp_path / "s.json").read_text())
-    assert told["shots"]["sent"] == 20
-    assert "incomplete" in told["recording_error"]
+    reported = json.loads((tmp_path / "s.json").read_text())
+    assert reported["shots"]["sent"] == 20
+    assert "incomplete" in reported["recording_error"]
 
 
 def test_an_interrupted_run_proves_nothing(tmp_path: Path) -> None:
@@ -90,17 +90,17 @@ def test_an_interrupted_run_proves_nothing(tmp_path: Path) -> None:
         (["timing.when_process_dies=safe"], "100 ms late is skipped", "sends mode safe, and ends the run"),
     ],
 )
-def test_a_plan_tells_what_a_run_does_when_something_goes_wrong(
+def test_a_plan_reports_what_a_run_does_when_something_goes_wrong(
     settings: list[str], late: str, dies: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = [word for setting in settings for word in ("--set", setting)]
     for as_json in ([], ["--json"]):
         plan.main(["bench.yaml", *options, *as_json], standalone_mode=False)
-        told = capsys.readouterr().out
+        reported = capsys.readouterr().out
         policies = (
-            json.loads(told)["policies"]
+            json.loads(reported)["policies"]
             if as_json
-            else dict(line.split(": ") for line in told.splitlines()[-2:])
+            else dict(line.split(": ") for line in reported.splitlines()[-2:])
         )
         assert policies["timing.when_late"].endswith(late)
         assert policies["timing.when_process_dies"].endswith(dies)

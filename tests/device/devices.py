@@ -25,7 +25,7 @@ def rules(**part: Any) -> DeviceConstants:
 
 
 class Unit:
-    """A device that is told what happens, in the order of time."""
+    """A device that receives commands and events in the order of time."""
 
     def __init__(self, **part: Any) -> None:
         self.rules = rules(**part)

@@ -1,4 +1,4 @@
-"""What a host hears back: verdicts, sequence numbers, housekeeping, and what is told of each command."""
+"""What a host receives: verdicts, sequence numbers, housekeeping, and a record of each command."""
 
 from __future__ import annotations
 
@@ -136,9 +136,9 @@ def test_after_a_restart_any_number_may_come_first(restart: str) -> None:
     line = Line()
     assert line.send(0, "no_op", 3) == "accepted"
     assert line.send(1, "reset", 4, restart=restart) == "accepted"
-    said = len(line.sent)
+    stated = len(line.sent)
     line.receive(line.command("no_op", 5), 100 * MS)
-    assert len(line.sent) == said, "who boots hears nothing"
+    assert len(line.sent) == stated, "who boots hears nothing"
     assert line.handler.to_json()["ignored_bytes"] == len(line.command("no_op", 5))
     assert line.send(4000, "set_mode", 77, mode="track") == "accepted"
 
@@ -149,7 +149,7 @@ def test_what_follows_a_reset_in_one_breath_is_not_heard() -> None:
     assert [message.command for message in line.messages()] == ["reset"]
 
 
-def test_a_change_waits_for_the_shots_and_is_told_with_the_first_that_follows() -> None:
+def test_a_change_waits_for_the_shots_and_is_reported_with_the_first_that_follows() -> None:
     line = Line()
     line.send(10, "no_op", 0)
     line.send(20, "set_pattern", 1, pattern=1)
@@ -181,7 +181,7 @@ def test_answers_are_dated_by_the_device_s_clock() -> None:
     assert [message.values["time_ns"] for message in line.messages()] == [51 * S, 7 * S, 7 * S + S // 2]
 
 
-def test_a_time_that_packets_cannot_tell_is_refused() -> None:
+def test_a_time_that_packets_cannot_report_is_refused() -> None:
     line = Line()
     line.handler._can_encode_time = lambda shown_ns: shown_ns < 100 * S
     assert line.send(0, "time_at_tone", 0, tone_ns=100 * S) == "out_of_range"
@@ -238,13 +238,13 @@ def test_another_rate_counts_at_once_whoever_sets_it() -> None:
     assert [time_ns // MS for _, time_ns in line.kept] == [0, 500, 5000, 6000, 7000]
 
 
-def test_housekeeping_tells_of_its_own_time_not_of_commands_to_come() -> None:
+def test_housekeeping_reports_its_own_time_not_of_commands_to_come() -> None:
     line = Line(start="standby")
     line.send(2000, "set_mode", 0, mode="track")
     line.housekeeping.send_due(1000 * MS)
     line.housekeeping.send_due(3000 * MS)
-    told = [message for message in line.messages() if isinstance(message, Housekeeping)]
-    assert [message.values["mode"] for message in told] == [1, 4]
+    reported = [message for message in line.messages() if isinstance(message, Housekeeping)]
+    assert [message.values["mode"] for message in reported] == [1, 4]
 
 
 def test_housekeeping_on_can_is_five_frames() -> None:
@@ -254,12 +254,12 @@ def test_housekeeping_on_can_is_five_frames() -> None:
     assert all(isinstance(message, Housekeeping) for message in line.messages())
 
 
-def test_an_interface_with_fewer_words_says_the_nearest() -> None:
+def test_an_interface_with_fewer_words_states_the_nearest() -> None:
     altimeter = shipped_interface("altimeter")
     line = Line(altimeter, start="boot", boot_s=0.5, self_test_s=1.0)
     line.housekeeping.send_due(1000 * MS)
-    (told,) = line.messages()
-    assert altimeter.word("state", told.values["mode"]) == "standby"
+    (reported,) = line.messages()
+    assert altimeter.word("state", reported.values["mode"]) == "standby"
 
 
 def test_housekeeping_that_cannot_be_filled_is_refused() -> None:

@@ -167,7 +167,7 @@ def test_a_restart_counts_shots_anew() -> None:
         after(rules, (990, "reset", {"restart": "warm"}), (1300, "set_mode", {"mode": "track"}))
     )
     sent = decoded(all_of(session))
-    # Commanded at 1.3 s, which the state knows from the beginning: the session is told in time in a run.
+    # Commanded at 1.3 s, which the state knows from the beginning: in a run the session learns of it in time.
     assert [message.shot for message in sent.values()] == list(range(len(sent)))
     assert next(iter(sent)) == 20
 

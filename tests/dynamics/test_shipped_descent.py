@@ -30,13 +30,13 @@ def test_speeds_are_those_of_the_flight_at_each_beams_own_time() -> None:
     assert np.ptp(run.true_closing_speed_mps[hit]) > 50
 
 
-def test_plan_tells_of_cut_off_touchdown_and_ground() -> None:
+def test_plan_reports_cut_off_touchdown_and_ground() -> None:
     flown = scenario(**{"trajectory.guidance": "{kind: gravity_turn}"})
     flight = Flight(flown)
-    told = next(d for d in plan_flight(flown, flight).decisions if d.stage == "trajectory")
-    assert "cut-off at 75.4" in told.reason
-    assert "with 1.94 m/s" in told.reason
+    reported = next(d for d in plan_flight(flown, flight).decisions if d.stage == "trajectory")
+    assert "cut-off at 75.4" in reported.reason
+    assert "with 1.94 m/s" in reported.reason
     end = flight.trajectory.state(np.array([flight.trajectory.duration_s])).position_site_m[0]
     apart_m = flight.scene.height_m(end[:1], end[1:2])[0]
     assert abs(apart_m) > 0.02
-    assert f"{apart_m:+.2f} m off" in told.bound
+    assert f"{apart_m:+.2f} m off" in reported.bound

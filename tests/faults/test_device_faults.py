@@ -83,8 +83,8 @@ def test_after_a_brown_out_the_device_boots_and_begins_anew(bench: Any, rules_of
     blocks += up_to(session, SHOTS)
     expected = {k: k for k in range(FIRST)} | {k: k - 40 for k in range(40, SHOTS)}
     assert numbers(blocks) == expected
-    told = [(fault.shot, fault.kind) for block in blocks for fault in block.faults]
-    assert told == [(k, "brown_out") for k in range(FIRST, END)]
+    reported = [(fault.shot, fault.kind) for block in blocks for fault in block.faults]
+    assert reported == [(k, "brown_out") for k in range(FIRST, END)]
 
 
 def test_an_open_interlock_is_mode_fault_until_a_reset(bench: Any, rules_of: Any) -> None:

@@ -76,7 +76,7 @@ def test_times_count_from_when_it_takes_effect() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("dropout", "fault: 'dropout' is not usable; allowed: a mapping such as"),
         ("{kind: dropot}", "fault: kind: 'dropot' is not usable; allowed: laser_fade"),
@@ -90,10 +90,10 @@ def test_times_count_from_when_it_takes_effect() -> None:
         ("\ud800".encode("utf-8", "replace").decode(), "fault"),
     ],
 )
-def test_what_is_no_fault_is_refused(text: str, said: str) -> None:
+def test_what_is_no_fault_is_refused(text: str, message: str) -> None:
     with pytest.raises(InputError) as refused:
         read_fault(text)
-    assert str(refused.value).startswith(said)
+    assert str(refused.value).startswith(message)
 
 
 @given(text=st.text(max_size=60))
@@ -194,7 +194,7 @@ class Controlled:
 
     def __init__(self, scenario: Any, path: Path, pace: Pace = Pace.WALL, room_bytes: int = 8000) -> None:
         encoder = Encoder(scenario.wire, False, False, 4)
-        self.path, self.told = path, Told()
+        self.path, self.reported = path, Told()
         model = build_model(scenario)
         self.session = Session(model, encoder, 10, faulty_encoder(scenario, encoder, False))
         self.device = DeviceTimeline(self.session.rules, initial(self.session.rules))
@@ -208,7 +208,7 @@ class Controlled:
             (200, room_bytes),
             self.port_faults.append,
             self.device.use_events,
-            [self.told],
+            [self.reported],
         )
         port: Any = None
         self.changes = ChangeQueue(port, None, self.injector)
@@ -247,17 +247,17 @@ def test_an_injected_fault_is_answered_applied_and_observed(bench: Any, shoot: A
         500_000_000,
         1_500_000_000,
     )
-    assert [(number, fault.kind, shot) for number, fault, shot in controlled.told.faults] == [
+    assert [(number, fault.kind, shot) for number, fault, shot in controlled.reported.faults] == [
         (1, "dropout", 25), (2, "babble", 25),
     ]  # fmt: skip
-    told = controlled.injector.to_json()
-    assert told["refused"] == 1
-    again = bench(*json.loads(json.dumps([{"kind": "lost", "at_s": 0.1}, *told["injected"]])))
+    reported = controlled.injector.to_json()
+    assert reported["refused"] == 1
+    again = bench(*json.loads(json.dumps([{"kind": "lost", "at_s": 0.1}, *reported["injected"]])))
     assert sent([block for block in blocks if block]) == sent(shoot(again))
 
 
 @pytest.mark.parametrize(
-    ("text", "pace", "room_bytes", "said"),
+    ("text", "pace", "room_bytes", "message"),
     [
         ("{kind: disconnect}", Pace.MAX, 8000, "allowed: --pace wall"),
         ("{kind: bus_off}", Pace.WALL, 8000, "allowed: on a CAN bus"),
@@ -266,12 +266,12 @@ def test_an_injected_fault_is_answered_applied_and_observed(bench: Any, shoot: A
     ],
 )  # fmt: skip
 def test_what_this_run_cannot_do_is_refused(
-    bench: Any, tmp_path: Path, text: str, pace: Pace, room_bytes: int, said: str
+    bench: Any, tmp_path: Path, text: str, pace: Pace, room_bytes: int, message: str
 ) -> None:
     with (controlled := Controlled(bench(), tmp_path, pace, room_bytes)).injector:
         answer = controlled.inject(text)
         assert not answer["accepted"]
-        assert said in answer["reason"]
+        assert message in answer["reason"]
         assert controlled.changes.first is None
 
 
@@ -331,15 +331,15 @@ def test_faults_are_injected_by_command(tmp_path: Path) -> None:
         "reopened",
     ]
     assert not (tmp_path / "c").exists()
-    told, acted = [], []
+    reported, acted = [], []
     with (tmp_path / "r.mcap").open("rb") as file:
         for _, channel, message in make_reader(file).iter_messages(topics=["/injected_fault", "/fault"]):
-            (told if channel.topic == "/injected_fault" else acted).append(json.loads(message.data))
-    assert [(each["fault"], each["definition"]["kind"]) for each in told] == [
+            (reported if channel.topic == "/injected_fault" else acted).append(json.loads(message.data))
+    assert [(each["fault"], each["definition"]["kind"]) for each in reported] == [
         (0, "dropout"),
         (1, "disconnect"),
     ]
-    assert told[0]["first_shot"] == round(first_s * 10) == acted[0]["shot"]
+    assert reported[0]["first_shot"] == round(first_s * 10) == acted[0]["shot"]
     nobody = inject("kind=lost")
     assert nobody.returncode == 2
     assert "allowed: the path of a run's --control" in nobody.stderr

@@ -209,7 +209,7 @@ ORDERED = (
 )
 
 
-def test_summary_recording_and_plan_tell_of_faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_summary_recording_and_plan_report_faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     run = ["bench.yaml", "--set", ORDERED, "--duration", "8"]
     shown = command("run", *run, "--pace", "max", "--summary", "s.json", "--record", "r.mcap")
@@ -221,14 +221,17 @@ def test_summary_recording_and_plan_tell_of_faults(tmp_path: Path, monkeypatch: 
     faults, deliveries = [], {}
     with (tmp_path / "r.mcap").open("rb") as file:
         for _, channel, message in make_reader(file).iter_messages(topics=["/fault", "/delivery"]):
-            told = json.loads(message.data)
+            reported = json.loads(message.data)
             if channel.topic == "/fault":
-                faults.append(told)
+                faults.append(reported)
             else:
-                deliveries[told["shot"]] = told
+                deliveries[reported["shot"]] = reported
     assert faults[0] == {"shot": 10, "fault": 0, "kind": "dropout", "beams": [2]}
     assert len(faults) == 32
-    assert sorted(shot for shot, told in deliveries.items() if told["status"] == "suppressed") == [30, 50]
+    assert sorted(shot for shot, reported in deliveries.items() if reported["status"] == "suppressed") == [
+        30,
+        50,
+    ]
     assert deliveries[60]["due_ns"] - deliveries[59]["due_ns"] == 600_000_000
     planned = json.loads(command("plan", *run, "--json"))["decisions"]
     assert [(row["stage"], row["how"]) for row in planned if row["stage"].startswith("fault")] == [

@@ -274,7 +274,7 @@ def test_other_version(sent: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "interface", "said"),
+    ("fault", "interface", "reported"),
     [
         ({"kind": "other_unit", "unit": 4}, "altimeter", "allowed: units 0 to 3 of the interface"),
         (
@@ -284,9 +284,11 @@ def test_other_version(sent: Any) -> None:
         ),
     ],
 )
-def test_what_an_interface_does_not_say_is_refused(bench: Any, fault: Any, interface: str, said: str) -> None:
+def test_what_an_interface_does_not_say_is_refused(
+    bench: Any, fault: Any, interface: str, reported: str
+) -> None:
     scenario = bench(fault, wire={"interface": interface})
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=reported):
         FaultyEncoder(scenario, Encoder(scenario.wire, False, False, 4), False)
 
 
@@ -326,7 +328,7 @@ PACKET_FAULTS = st.sampled_from(
 
 @given(faults=st.lists(PACKET_FAULTS, min_size=1, max_size=5), fd=st.booleans(), can=st.booleans())
 @settings(deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_no_packet_is_longer_than_was_said(
+def test_no_packet_is_longer_than_was_reported(
     bench: Any, shoot: Any, faults: list[Any], fd: bool, can: bool
 ) -> None:
     from lidar_emu.runtime.port.packets import payload_of

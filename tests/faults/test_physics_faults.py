@@ -246,7 +246,7 @@ def test_the_wrong_branch_is_wrong_in_range_and_speed_alike(instrument: str, los
     assert (bad.sign_resolved[INSIDE] == (not lost)).all()
 
 
-def test_both_chirps_alone_tell_the_sign() -> None:
+def test_both_chirps_alone_report_the_sign() -> None:
     faults = [in_window("kind: wrong_branch"), in_window("kind: missing_segment, segments: [constant]")]
     bad = flown(*faults, instrument__detection__rule="any_two")
     assert (bad.reason[INSIDE] == Reason.AMBIGUOUS).all()
@@ -302,7 +302,7 @@ def test_noise_lowers_the_snr() -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "keys", "said"),
+    ("fault", "keys", "reported"),
     [
         ("kind: laser_fade, loss_db: 1", {"level": "geometric"}, "allowed: level statistical or spectral or waveform"),
         ("kind: clutter, range_m: 3", {"level": "statistical"}, "allowed: level spectral or waveform"),
@@ -315,8 +315,8 @@ def test_noise_lowers_the_snr() -> None:
         ),
     ],
 )  # fmt: skip
-def test_what_a_flight_cannot_do_is_refused(fault: str, keys: dict[str, str], said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_what_a_flight_cannot_do_is_refused(fault: str, keys: dict[str, str], reported: str) -> None:
+    with pytest.raises(InputError, match=reported):
         build_model(scenario(fault, **keys))
 
 

@@ -20,49 +20,51 @@ def flown(name: str, faults: str | None = None) -> Measurement:
 
 def test_the_sign_of_a_homodyne_receiver() -> None:
     waveform = Waveform()
-    told = flown("homodyne_sign")
-    one_lost, mistaken = np.zeros_like(told.fired), np.zeros_like(told.fired)
+    reported = flown("homodyne_sign")
+    one_lost, mistaken = np.zeros_like(reported.fired), np.zeros_like(reported.fired)
     one_lost[80:160, [0, 2]] = True
     mistaken[100:140, [0, 2]] = True
-    valid = told.range_valid
+    valid = reported.range_valid
     assert valid.mean() > 0.95
     sound, wrong = valid & ~mistaken, valid & mistaken
     assert wrong.sum() > 0.9 * mistaken.sum()
-    range_error_m = told.range_m - told.true_range_m
-    speed_mps = told.true_closing_speed_mps
-    np.testing.assert_allclose(told.closing_speed_mps[sound], speed_mps[sound], atol=0.02)
+    range_error_m = reported.range_m - reported.true_range_m
+    speed_mps = reported.true_closing_speed_mps
+    np.testing.assert_allclose(reported.closing_speed_mps[sound], speed_mps[sound], atol=0.02)
     np.testing.assert_allclose(range_error_m[sound], 0, atol=0.5)
-    np.testing.assert_allclose(told.closing_speed_mps[wrong], -speed_mps[wrong], atol=0.02)
+    np.testing.assert_allclose(reported.closing_speed_mps[wrong], -speed_mps[wrong], atol=0.02)
     per_mps = 2 * SPEED_OF_LIGHT_MPS / (waveform.wavelength_m * waveform.chirp_slope_hz_per_s)
     np.testing.assert_allclose(range_error_m[wrong], per_mps * speed_mps[wrong], atol=0.7)
-    # Nothing tells of it but that the receiver does not claim to know the sign, from the loss of the chirp on.
-    assert not told.sign_resolved[one_lost].any()
-    assert told.sign_resolved[valid & ~one_lost].mean() > 0.98
+    # Nothing reports it but that the receiver does not claim to know the sign, from the loss of the chirp on.
+    assert not reported.sign_resolved[one_lost].any()
+    assert reported.sign_resolved[valid & ~one_lost].mean() > 0.98
 
 
 def test_a_true_step_of_the_ground() -> None:
-    told = flown("terrain_step_2023")
-    ahead, down = told.true_range_m[:, 1], told.true_range_m[:, 0]
+    reported = flown("terrain_step_2023")
+    ahead, down = reported.true_range_m[:, 1], reported.true_range_m[:, 0]
     # A beam ahead falls off the edge from one shot to one soon after, the one straight down in twelve seconds.
     assert np.max(ahead[60:] - ahead[:-60]) > 2900
     assert np.max(down[300:] - down[:-300]) > 2300
-    assert np.ptp(told.position_site_m[:, 2]) < 2500
-    assert told.range_valid.mean(axis=0).min() > 0.6
-    np.testing.assert_allclose(told.range_m[told.range_valid], told.true_range_m[told.range_valid], atol=30)
-    good = np.abs(told.range_m - told.true_range_m)[told.range_valid] < 1
+    assert np.ptp(reported.position_site_m[:, 2]) < 2500
+    assert reported.range_valid.mean(axis=0).min() > 0.6
+    np.testing.assert_allclose(
+        reported.range_m[reported.range_valid], reported.true_range_m[reported.range_valid], atol=30
+    )
+    good = np.abs(reported.range_m - reported.true_range_m)[reported.range_valid] < 1
     assert good.mean() > 0.95
     # It is no outlier that passes: the ground stays where it is.
-    assert np.nanmin(told.range_m[900:, 0]) > 3500
+    assert np.nanmin(reported.range_m[900:, 0]) > 3500
     assert not lidar_emu.load("terrain_step_2023.yaml").faults
 
 
 @pytest.mark.parametrize("seconds", [slice(0, 15), slice(30, 45), slice(50, 60)])
 def test_noise_that_never_clears(seconds: slice) -> None:
     shots = slice(20 * seconds.start, 20 * seconds.stop)
-    told, sound = flown("noisy_descent_2025"), flown("noisy_descent_2025", "[]")
-    error_m = np.abs(told.range_m - told.true_range_m)[shots]
+    reported, sound = flown("noisy_descent_2025"), flown("noisy_descent_2025", "[]")
+    error_m = np.abs(reported.range_m - reported.true_range_m)[shots]
     # Of Gaussian errors of 80 m the median is 54 m; near the ground ranges stop at 0.
     assert 40 < np.nanmedian(error_m) < 60
     assert np.nanmedian(np.abs(sound.range_m - sound.true_range_m)[shots]) < 0.1
-    assert told.range_valid[shots].mean() > 0.7
-    assert np.nanmean(sound.snr_db[shots]) - np.nanmean(told.snr_db[shots]) == pytest.approx(6, abs=1.5)
+    assert reported.range_valid[shots].mean() > 0.7
+    assert np.nanmean(sound.snr_db[shots]) - np.nanmean(reported.snr_db[shots]) == pytest.approx(6, abs=1.5)

@@ -68,7 +68,7 @@ def test_published_detector_finds_what_does_not_fold_at_nyquist(beat: float, dop
     assert estimate.doppler_variance == pytest.approx(1 / 12)
 
 
-def test_published_detector_errs_beyond_nyquist_and_its_residual_says_so() -> None:
+def test_published_detector_errs_beyond_nyquist_and_its_residual_states_so() -> None:
     estimate = chirp_minus_doppler(targets(_observed(14_000, 60_000)))
     assert abs(estimate.range_bin - 14_000) > 1000
     assert abs(estimate.residual_bin) > 1000
@@ -82,7 +82,7 @@ def _least_squares(
 
 @settings(deadline=None)
 @given(beat=st.floats(5, FARTHEST), doppler=st.floats(-65_000, 65_000))
-def test_least_squares_is_right_wherever_it_says_that_the_sign_is_resolved(
+def test_least_squares_is_right_wherever_it_states_that_the_sign_is_resolved(
     beat: float, doppler: float
 ) -> None:
     estimate = _least_squares(np.rint(_observed(beat, doppler)))

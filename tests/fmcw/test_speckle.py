@@ -86,7 +86,7 @@ def test_any_place_alone(centre: tuple[float, float]) -> None:
 
 
 def test_places_far_apart_differ() -> None:
-    """Coordinates of either sign, and east and north, are told apart."""
+    """Coordinates of either sign, and east and north, are distinguished."""
     z = [_Field()(x, y) for x, y in [(1.5, 2.5), (2.5, 1.5), (-1.5, 2.5), (1.5, -2.5), (-1.5, -2.5)]]
     for i, a in enumerate(z):
         for b in z[:i]:

@@ -45,7 +45,7 @@ def test_statistics_are_as_asked(ground, name, seed):
         ("rocks", {"per_m2_over_1_m": 3e-2}, "share of the ground"),
     ],
 )
-def test_another_ground_is_told_apart(ground, part, other, quantity):
+def test_another_ground_is_distinguished(ground, part, other, quantity):
     keys = {"relief": RELIEF, "craters": CRATERS, "rocks": MOON_ROCKS, "size_m": 512.0}
     made = generate(ground(**keys))
     believed = ground(**(keys | {part: keys[part] | other}))
@@ -55,7 +55,7 @@ def test_another_ground_is_told_apart(ground, part, other, quantity):
 
 
 @pytest.mark.parametrize("hurst", [0.2, 0.76, 0.95])
-def test_scatter_of_the_estimate_is_what_the_tolerance_says(hurst):
+def test_scatter_of_the_estimate_is_what_the_tolerance_reports(hurst):
     from lidar_emu.scene.generated.relief import fractional_surface
 
     rng = np.random.default_rng(2)

@@ -61,7 +61,7 @@ class Program:
         return self._files[1].read_text()
 
     def word_after(self, text: str) -> str:
-        """Wait until it has said `text`, and return the next word: the path of a pty."""
+        """Wait until it has printed `text`, and return the next word: the path of a pty."""
 
         def word() -> str | None:
             _, _, rest = (self.out + self.err).partition(text)
@@ -136,8 +136,8 @@ def read_summary(path: Path) -> dict[str, Any]:
     def refuse(text: str) -> None:
         raise AssertionError(f"{text} is no JSON")
 
-    told: dict[str, Any] = json.loads(path.read_text(), parse_constant=refuse)
-    return told
+    reported: dict[str, Any] = json.loads(path.read_text(), parse_constant=refuse)
+    return reported
 
 
 class FarEnd:

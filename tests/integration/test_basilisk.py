@@ -68,12 +68,12 @@ def test_beams_on_a_slope_give_height_normal_and_velocity(load: Load, blind: int
                 "closing_speed_mps": float(velocity_mps @ axis) if valid else None,
             }
         )
-    told = estimate.solve(Message(0, {}, tuple(beams)))
-    assert told.height_m == pytest.approx(height_m)
-    assert told.up_body == pytest.approx(up)
-    assert told.velocity_body_mps == pytest.approx(velocity_mps)
-    assert told.climb_mps == pytest.approx(float(up @ velocity_mps))
-    assert told.drift_body_mps @ up == pytest.approx(0, abs=1e-9)
+    reported = estimate.solve(Message(0, {}, tuple(beams)))
+    assert reported.height_m == pytest.approx(height_m)
+    assert reported.up_body == pytest.approx(up)
+    assert reported.velocity_body_mps == pytest.approx(velocity_mps)
+    assert reported.climb_mps == pytest.approx(float(up @ velocity_mps))
+    assert reported.drift_body_mps @ up == pytest.approx(0, abs=1e-9)
     for beam in beams[:2]:
         beam["range_valid"] = False
     assert estimate.solve(Message(0, {}, tuple(beams))) is None
@@ -116,12 +116,12 @@ def land(start: Callable[..., Program], folder: Path) -> None:
             timeout=LIMIT_S,
         )
         run.succeed()
-        said, _ = navigator.communicate(timeout=LIMIT_S)
+        output, _ = navigator.communicate(timeout=LIMIT_S)
     finally:
         navigator.kill()
         navigator.wait()
     assert navigator.returncode == 0
-    assert said.endswith(" 0 lost\n")
+    assert output.endswith(" 0 lost\n")
 
 
 @pytest.mark.slow

@@ -23,10 +23,10 @@ STAGES = ("wake_up", "due_to_written", "due_to_received")
 def test_a_second_at_50_hz_is_measured_on_both_sides(capsys):
     seen = []
     report = measure_realtime(RealtimeOptions(50.0, 1.0, beamlets=7, recording=True), seen.append)
-    told = json.loads(json.dumps(realtime_document(report)))
+    reported = json.loads(json.dumps(realtime_document(report)))
     assert seen[0] == "preparing"
     assert report.emulator.due_ns.tolist() == report.control.due_ns.tolist()
-    for side, measured in ((told["emulator"], report.emulator), (told["control"], report.control)):
+    for side, measured in ((reported["emulator"], report.emulator), (reported["control"], report.control)):
         written = side["due_to_written"]["count"]
         assert side["due"] == side["wake_up"]["count"] == 50
         assert written == side["due_to_received"]["count"] == 50 - side["late"]
@@ -39,19 +39,19 @@ def test_a_second_at_50_hz_is_measured_on_both_sides(capsys):
         for stage in STAGES:
             quantiles = [side[stage][name] for name in ("p50_ns", "p99_ns", "p99_9_ns", "max_ns")]
             assert quantiles == sorted(quantiles)
-    assert told["emulator"]["dropped"] == 0
-    assert told["windows"]["count"] == len(told["windows"]["each"]) == 1
-    assert sum(told["histogram"]["emulator"]) == told["emulator"]["due_to_written"]["count"]
-    assert told["interrupted"] is False
-    assert told["granted"] == told["control_granted"]
-    print_realtime(told)
+    assert reported["emulator"]["dropped"] == 0
+    assert reported["windows"]["count"] == len(reported["windows"]["each"]) == 1
+    assert sum(reported["histogram"]["emulator"]) == reported["emulator"]["due_to_written"]["count"]
+    assert reported["interrupted"] is False
+    assert reported["granted"] == reported["control_granted"]
+    print_realtime(reported)
     shown = capsys.readouterr().out
     assert "emulator, written" in shown
     assert "p99 due to written is" in shown
 
 
-def test_interrupted_it_tells_what_it_has(tmp_path):
-    log = tmp_path / "told.json"
+def test_interrupted_it_reports_what_it_has(tmp_path):
+    log = tmp_path / "reported.json"
     with log.open("w") as out:
         bench = subprocess.Popen(
             [sys.executable, "-c", LIDAR_EMU, "bench", "realtime", "--rate", "50", "--duration", "600",
@@ -63,9 +63,9 @@ def test_interrupted_it_tells_what_it_has(tmp_path):
         bench.send_signal(signal.SIGINT)
         _, errors = bench.communicate(timeout=LIMIT_S)
     assert (bench.returncode, errors) == (0, "")
-    told = json.loads(log.read_text())
-    assert told["interrupted"] is True
-    assert told["emulator"]["due"] < 50 * 600
+    reported = json.loads(log.read_text())
+    assert reported["interrupted"] is True
+    assert reported["emulator"]["due"] < 50 * 600
 
 
 def port_is_open(pid: int) -> bool:

@@ -80,11 +80,11 @@ def test_the_beams_are_drawn_in_at_one_shot(pace: str, start: Start, far_end: Fa
         assert 0.0 < (above_m - below_m) / (m - n) < 0.51, (
             "over a plane the height sinks steadily, at any angle"
         )
-    told = read_summary(tmp_path / "s.json")
-    assert told["commands"]["accepted"] == 2
-    assert told["commands"]["delay"]["count"] == (2 if pace == "wall" else 0)
-    assert told["shots"]["sent"] == len(shots) == told["shots"]["due"] - told["shots"]["late"]
-    assert sum(told["beams"][0].values()) == told["shots"]["due"] == numbers[-1] + 1
+    reported = read_summary(tmp_path / "s.json")
+    assert reported["commands"]["accepted"] == 2
+    assert reported["commands"]["delay"]["count"] == (2 if pace == "wall" else 0)
+    assert reported["shots"]["sent"] == len(shots) == reported["shots"]["due"] - reported["shots"]["late"]
+    assert sum(reported["beams"][0].values()) == reported["shots"]["due"] == numbers[-1] + 1
 
 
 def test_commands_that_cannot_be_followed_are_answered_and_counted(
@@ -107,10 +107,10 @@ def test_commands_that_cannot_be_followed_are_answered_and_counted(
     assert verdicts == ["accepted", "bad_sequence", "out_of_range", "out_of_state", "accepted"]
     run.signal(signal.SIGINT)
     run.succeed()
-    told = read_summary(tmp_path / "s.json")["commands"]
-    assert told["accepted"] == 2
-    assert told["rejected"] == {"bad_sequence": 1, "out_of_range": 1, "out_of_state": 1}
-    assert told["skipped_bytes"] > 10
+    reported = read_summary(tmp_path / "s.json")["commands"]
+    assert reported["accepted"] == 2
+    assert reported["rejected"] == {"bad_sequence": 1, "out_of_range": 1, "out_of_state": 1}
+    assert reported["skipped_bytes"] > 10
     assert "2 accepted, bad sequence 1" in run.out
 
 
@@ -121,8 +121,8 @@ def test_a_flood_of_noise_changes_nothing_that_is_sent(start: Start, far_end: Fa
     run.succeed()
     shots, answered = received(far_end)
     assert answered == []
-    told = read_summary(tmp_path / "s.json")
-    assert len(shots) == told["shots"]["sent"] == 200 - told["shots"]["late"]
-    assert told["wire"]["received_bytes"] == 102400
-    heard = told["commands"]["skipped_bytes"] + told["commands"]["ignored_bytes"]
-    assert heard + told["wire"]["rx_overrun_bytes"] >= 100_000
+    reported = read_summary(tmp_path / "s.json")
+    assert len(shots) == reported["shots"]["sent"] == 200 - reported["shots"]["late"]
+    assert reported["wire"]["received_bytes"] == 102400
+    heard = reported["commands"]["skipped_bytes"] + reported["commands"]["ignored_bytes"]
+    assert heard + reported["wire"]["rx_overrun_bytes"] >= 100_000

@@ -44,8 +44,8 @@ def received(far_end: FarEnd) -> tuple[list[int], list[Housekeeping]]:
 
 
 def assert_safe(words: list[Housekeeping]) -> None:
-    (said,) = words
-    assert (said.values["laser_on"], said.values["laser_power_w"]) == (False, 0.0)
+    (final,) = words
+    assert (final.values["laser_on"], final.values["laser_power_w"]) == (False, 0.0)
 
 
 @pytest.mark.parametrize("port", [[], ["--port", "pty"]])
@@ -58,9 +58,9 @@ def test_the_death_of_the_port_process_is_one_line_and_a_summary(
     os.kill(process, signal.SIGKILL)
     assert run.wait() == 1
     assert run.err == DIED
-    told = read_summary(tmp_path / "s.json")
-    assert f"lidar-emu: {told['error']}\n" == DIED
-    assert told["final_message"] == "not sent: the line ended with the port's process"
+    summary = read_summary(tmp_path / "s.json")
+    assert f"lidar-emu: {summary['error']}\n" == DIED
+    assert summary["final_message"] == "not sent: the line ended with the port's process"
 
 
 def test_a_run_whose_port_process_dies_keeps_what_was_flown(
@@ -70,20 +70,20 @@ def test_a_run_whose_port_process_dies_keeps_what_was_flown(
     far_end.wait_for(10 * PACKET_BYTES)
     os.kill(run.port_process(), signal.SIGKILL)
     assert run.wait() == 1
-    told = read_summary(tmp_path / "s.json")
+    summary = read_summary(tmp_path / "s.json")
     shots, words = received(far_end)
     assert words == []
-    assert told["final_message"] is None
+    assert summary["final_message"] is None
     # Between a write and its report there is a moment, in which a packet is sent of which nobody hears.
-    assert told["shots"]["sent"] in (len(shots), len(shots) - 1)
+    assert summary["shots"]["sent"] in (len(shots), len(shots) - 1)
     assert_equal(handwritten.rows(far_end.data), simulated("descent.yaml"))
     with (tmp_path / "r.mcap").open("rb") as stream:
         deliveries = [m.sequence for _, c, m in make_reader(stream).iter_messages() if c.topic == "/delivery"]
-    assert deliveries == list(range(told["shots"]["due"]))
-    assert sum(told["beams"][0].values()) == told["shots"]["due"]
+    assert deliveries == list(range(summary["shots"]["due"]))
+    assert sum(summary["beams"][0].values()) == summary["shots"]["due"]
 
 
-def test_where_the_port_process_dies_the_model_says_that_the_device_is_safe(
+def test_where_the_port_process_dies_the_model_states_that_the_device_is_safe(
     start: Start, far_end: FarEnd, tmp_path: Path
 ) -> None:
     run = start("run", "descent.yaml", *serial(far_end), *SAFE, *KEPT)
@@ -94,8 +94,8 @@ def test_where_the_port_process_dies_the_model_says_that_the_device_is_safe(
     shots, words = received(far_end)
     assert_safe(words)
     assert words[0].values["time_ns"] == pytest.approx(50_000_000 * shots[-1], abs=60_000_000)
-    told = read_summary(tmp_path / "s.json")
-    assert told["final_message"] == "sent"
+    summary = read_summary(tmp_path / "s.json")
+    assert summary["final_message"] == "sent"
     assert "final message sent" in run.out
 
 
@@ -150,7 +150,7 @@ def test_an_interface_that_cannot_say_so(start: Start, far_end: FarEnd, tmp_path
     assert read_summary(tmp_path / "s.json")["final_message"] == "none"
 
 
-def test_an_orderly_end_says_nothing(start: Start, far_end: FarEnd) -> None:
+def test_an_orderly_end_states_nothing(start: Start, far_end: FarEnd) -> None:
     run = start("run", "descent.yaml", *serial(far_end), *SAFE)
     far_end.wait_for(5 * PACKET_BYTES)
     run.signal(signal.SIGINT)

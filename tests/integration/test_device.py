@@ -69,12 +69,13 @@ class CommandingHost:
 def modes_of(messages: list[Any]) -> list[str]:
     """Without repetitions, in the order of the times that shots and housekeeping state.
 
-    Housekeeping tells of its instant, but waits for its turn: a shot of a later one may be out before it.
+    Housekeeping reports its instant, but waits for its turn: a shot of a later one may be out before it.
     """
-    told = [(m.time_ns, m.header["mode"]) for m in messages if isinstance(m, Message)]
-    told += [(m.values["time_ns"], m.values["mode"]) for m in messages if isinstance(m, Housekeeping)]
+    reported = [(m.time_ns, m.header["mode"]) for m in messages if isinstance(m, Message)]
+    reported += [(m.values["time_ns"], m.values["mode"]) for m in messages if isinstance(m, Housekeeping)]
     return [
-        str(INTERFACE.word("mode", int(number))) for number, _ in groupby(mode for _, mode in sorted(told))
+        str(INTERFACE.word("mode", int(number)))
+        for number, _ in groupby(mode for _, mode in sorted(reported))
     ]
 
 
@@ -108,11 +109,14 @@ def test_from_power_up_to_track_and_back(start: Start, far_end: FarEnd, tmp_path
     assert [shot.shot for shot in shots] == list(range(len(shots))), "the device counts what it fires"
     assert [step for step, _ in groupby(steps_ms(shots)) if step in (10, 40)] == [10, 40]
     assert [beams for beams, _ in groupby(map(fired, shots))] == [(True,) * 4, (False, True, True, False)]
-    told = read_summary(tmp_path / "s.json")
-    assert told["shots"]["sent"] == len(shots)
-    assert told["shots"]["sent"] + told["shots"]["suppressed"] + told["shots"]["late"] == told["shots"]["due"]
-    assert told["faults"]["suppressed"] == 0
-    assert told["housekeeping"]["sent"] == len(host.all(Housekeeping))
+    reported = read_summary(tmp_path / "s.json")
+    assert reported["shots"]["sent"] == len(shots)
+    assert (
+        reported["shots"]["sent"] + reported["shots"]["suppressed"] + reported["shots"]["late"]
+        == reported["shots"]["due"]
+    )
+    assert reported["faults"]["suppressed"] == 0
+    assert reported["housekeeping"]["sent"] == len(host.all(Housekeeping))
     _check_recording(tmp_path / "flight.mcap", host)
 
 
@@ -162,7 +166,7 @@ def by_restart(shots: list[Message]) -> list[list[Message]]:
 def test_send_again_and_again_from_new_processes(start: Start, tmp_path: Path) -> None:
     run = start("run", "descent.yaml", *QUICK, "--port", "pty", *LINK, *settings(device__start="standby"))
     path = run.word_after("descent on ")
-    for words, code, said in (
+    for words, code, answers in (
         (["set_mode", "mode=acquire"], 0, ["set_mode mode=acquire: accepted at "]),
         (["set_rate_hz", "rate_hz=10", "set_pattern", "pattern=1"], 0, ["accepted", "accepted"]),
         (["set_pattern", "pattern=9", "no_op"], 1, ["out of range"]),
@@ -175,15 +179,15 @@ def test_send_again_and_again_from_new_processes(start: Start, tmp_path: Path) -
         send = start("send", "--port", path, *words)
         assert send.wait() == code, send.err
         lines = send.out.splitlines()
-        assert len(lines) == len(said)
-        assert all(part in line for part, line in zip(said, lines, strict=True))
+        assert len(lines) == len(answers)
+        assert all(part in line for part, line in zip(answers, lines, strict=True))
     run.signal(signal.SIGINT)
     run.succeed()
-    told = read_summary(tmp_path / "s.json")["commands"]
-    assert told["rejected"] == {"bad_sequence": 2, "out_of_range": 1}
+    reported = read_summary(tmp_path / "s.json")["commands"]
+    assert reported["rejected"] == {"bad_sequence": 2, "out_of_range": 1}
 
 
-def test_send_says_when_nobody_answers(start: Start, far_end: FarEnd) -> None:
+def test_send_states_when_nobody_answers(start: Start, far_end: FarEnd) -> None:
     send = start("send", "--port", far_end.path, "--timeout", "0.2", "set_mode", "mode=track")
     assert send.wait() == 1
     assert send.out == "no_op: no acknowledgement\n"
@@ -202,8 +206,8 @@ def test_a_flight_on_command(start: Start, far_end: FarEnd, tmp_path: Path) -> N
     assert host.command("set_mode", mode="track") == "accepted"
     run.succeed()
     shots, answers = host.all(Message), host.all(Acknowledge)
-    told = read_summary(tmp_path / "s.json")
-    assert len(shots) == 100 - told["shots"]["late"]
+    reported = read_summary(tmp_path / "s.json")
+    assert len(shots) == 100 - reported["shots"]["late"]
     assert shots[0].beams[0]["range_m"] == pytest.approx(2000 / 0.99144, rel=1e-3), (
         "from where the descent begins"
     )
@@ -231,8 +235,8 @@ def test_a_host_that_commands_without_end(start: Start, far_end: FarEnd, tmp_pat
     for _ in range(40):
         far_end.say(b"".join(commands))
     run.succeed()
-    told = read_summary(tmp_path / "s.json")
-    assert told["commands"]["accepted"] > 0
-    assert told["commands"]["ignored_bytes"] + told["wire"]["rx_overrun_bytes"] > 50_000
-    assert told["shots"]["due"] == 60
-    assert told["shots"]["sent"] > 50
+    reported = read_summary(tmp_path / "s.json")
+    assert reported["commands"]["accepted"] > 0
+    assert reported["commands"]["ignored_bytes"] + reported["wire"]["rx_overrun_bytes"] > 50_000
+    assert reported["shots"]["due"] == 60
+    assert reported["shots"]["sent"] > 50

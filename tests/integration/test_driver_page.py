@@ -67,10 +67,10 @@ def test_the_programs_print_every_valid_range(tmp_path: Path) -> None:
 
 def test_the_pieces_of_c_compile(tmp_path: Path) -> None:
     _, command, can = (block.replace("size_t length", "size_t length_of") for block in blocks("c"))
-    said = subprocess.run(
+    reported = subprocess.run(
         [built(tmp_path, SNIPPETS % indent(command + can, "    "))], capture_output=True, check=True
     )
-    assert said.stdout == b"14 1 1 132\n"
+    assert reported.stdout == b"14 1 1 132\n"
 
 
 def test_the_piece_of_python_runs() -> None:

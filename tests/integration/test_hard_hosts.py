@@ -98,9 +98,9 @@ def test_two_hosts_on_one_line_are_heard_in_turn(start: Start, far_end: FarEnd, 
     ]
     run.signal(signal.SIGINT)
     run.succeed()
-    told = read_summary(tmp_path / "s.json")["commands"]
-    assert (told["accepted"], told["rejected"]) == (2, {"bad_sequence": 1})
-    assert told["skipped_bytes"] > 0
+    reported = read_summary(tmp_path / "s.json")["commands"]
+    assert (reported["accepted"], reported["rejected"]) == (2, {"bad_sequence": 1})
+    assert reported["skipped_bytes"] > 0
 
 
 def test_a_host_that_never_reads_costs_packets_and_no_more(start: Start, tmp_path: Path) -> None:
@@ -124,8 +124,8 @@ def test_a_port_that_another_program_sets_up_anew_is_taken_back(
     run.signal(signal.SIGINT)
     run.succeed()
     summary = read_summary(tmp_path / "s.json")
-    told = [event["what"] for event in summary["link_events"]]
-    assert told == ["another program has changed the settings of the port; they were set again"]
+    reported = [event["what"] for event in summary["link_events"]]
+    assert reported == ["another program has changed the settings of the port; they were set again"]
     assert "low_latency" in summary["missing"], "a pty has no driver that could"
 
 

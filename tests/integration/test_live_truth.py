@@ -81,7 +81,7 @@ def fly_in_lockstep(
     return sent
 
 
-def test_lockstep_reports_what_truth_says(start: Start, simulator: Simulator, tmp_path: Path) -> None:
+def test_lockstep_reports_what_truth_reports(start: Start, simulator: Simulator, tmp_path: Path) -> None:
     """Every shot between the first truth and the last, once; ranges against the cosine of a plane."""
     run = start("run", *FAST, "--pace", "lockstep", "--set", "level=geometric", "--set", "site=flat")
     packets = [
@@ -94,9 +94,9 @@ def test_lockstep_reports_what_truth_says(start: Start, simulator: Simulator, tm
         cosine = math.cos(math.radians(row["beam_angle_deg"]))
         assert row["range_m"] == pytest.approx(up_m / cosine, abs=0.51e-3)
         assert row["closing_speed_mps"] == pytest.approx(30 * cosine, abs=0.51e-4)
-    told = read_summary(tmp_path / "s.json")
-    assert told["shots"]["sent"] == 100
-    assert told["truth"]["age"]["count"] == 0  # every shot lies between two truths
+    reported = read_summary(tmp_path / "s.json")
+    assert reported["shots"]["sent"] == 100
+    assert reported["truth"]["age"]["count"] == 0  # every shot lies between two truths
 
 
 def test_lockstep_answers_with_faulty_packets(start: Start, simulator: Simulator, tmp_path: Path) -> None:
@@ -110,9 +110,9 @@ def test_lockstep_answers_with_faulty_packets(start: Start, simulator: Simulator
     run.succeed()
     shots = [handwritten.decoded(packet)[0]["shot"] for packet in packets]
     assert shots == [*range(20), *range(30, 100)]
-    told = read_summary(tmp_path / "s.json")
-    assert told["faults"] == {"shots": {"delayed": 10, "lost": 10}, "suppressed": 10}
-    assert (told["shots"]["due"], told["shots"]["sent"]) == (100, 90)
+    reported = read_summary(tmp_path / "s.json")
+    assert reported["faults"] == {"shots": {"delayed": 10, "lost": 10}, "suppressed": 10}
+    assert (reported["shots"]["due"], reported["shots"]["sent"]) == (100, 90)
 
 
 def nuisances(step: int) -> list[bytes]:
@@ -133,8 +133,8 @@ def test_same_truth_same_packets_whatever_comes_between(
         run.succeed()
     assert flown[0] == flown[1]
     assert len(handwritten.rows(flown[0])) == 4 * 30
-    told = read_summary(tmp_path / "s.json")["truth"]["datagrams"]
-    assert (told["malformed"], told["not_finite"], told["out_of_order"]) == (48, 16, 14)
+    reported = read_summary(tmp_path / "s.json")["truth"]["datagrams"]
+    assert (reported["malformed"], reported["not_finite"], reported["out_of_order"]) == (48, 16, 14)
 
 
 def test_a_truth_that_comes_twice_is_answered_twice(start: Start, simulator: Simulator) -> None:
@@ -153,19 +153,19 @@ def test_lockstep_starts_where_truth_starts(start: Start, simulator: Simulator) 
 
 
 def test_the_clock_waits_for_no_truth(start: Start, simulator: Simulator, tmp_path: Path) -> None:
-    """Two truths, then silence: the motion goes on, and that is told."""
+    """Two truths, then silence: the motion goes on, and that is reported."""
     run = start("run", *FAST, "--duration", "0.5", "--set", "level=geometric")
     simulator.send(truth(0).to_bytes())
     simulator.send(truth(1).to_bytes())
     run.succeed()
-    told = read_summary(tmp_path / "s.json")
-    shots, age = told["shots"], told["truth"]["age"]
-    assert shots["sent"] + shots["late"] == shots["due"] == told["planned_shots"] == 50
-    assert told["truth"]["stale_shots"] >= 30
+    reported = read_summary(tmp_path / "s.json")
+    shots, age = reported["shots"], reported["truth"]["age"]
+    assert shots["sent"] + shots["late"] == shots["due"] == reported["planned_shots"] == 50
+    assert reported["truth"]["stale_shots"] >= 30
     assert age["max_ns"] == pytest.approx(0.47e9, rel=0.02)
     # Coasting along a straight line is exact: the error is the wire's, and that of the digits of a time.
-    assert told["range_error_m"]["max"] == 0
-    assert told["truth"]["response"]["count"] == shots["sent"]
+    assert reported["range_error_m"]["max"] == 0
+    assert reported["truth"]["response"]["count"] == shots["sent"]
 
 
 def test_stale_truth_can_end_a_run(start: Start, simulator: Simulator, tmp_path: Path) -> None:
@@ -174,9 +174,9 @@ def test_stale_truth_can_end_a_run(start: Start, simulator: Simulator, tmp_path:
     assert run.wait() == 1
     assert "truth is stale" in run.err
     assert len(run.err.splitlines()) == 1
-    told = read_summary(tmp_path / "s.json")
-    assert "truth is stale" in told["error"]
-    assert 5 <= told["shots"]["due"] <= 10
+    reported = read_summary(tmp_path / "s.json")
+    assert "truth is stale" in reported["error"]
+    assert 5 <= reported["shots"]["due"] <= 10
 
 
 def test_stale_truth_can_blind_the_beams(start: Start, simulator: Simulator, tmp_path: Path) -> None:
@@ -192,9 +192,9 @@ def test_stale_truth_can_blind_the_beams(start: Start, simulator: Simulator, tmp
     )
     simulator.send(truth(0).to_bytes())
     run.succeed()
-    told = read_summary(tmp_path / "s.json")
-    for beam in told["beams"]:
-        assert beam["not_fired"] == told["truth"]["stale_shots"] >= 20
+    reported = read_summary(tmp_path / "s.json")
+    for beam in reported["beams"]:
+        assert beam["not_fired"] == reported["truth"]["stale_shots"] >= 20
         assert beam["valid"] >= 5
 
 

@@ -38,9 +38,9 @@ def test_it_navigates_by_a_serial_port(start: Start, far_end: FarEnd, other_end:
         # The line is full until the program reads; what it holds when the port is opened is thrown away: zeros.
         stream = bytes(MORE_THAN_A_PTY_HOLDS) + bytes(far_end.data)
         threading.Thread(target=other_end.say, args=(stream,), daemon=True).start()
-        said, complaint = navigating.communicate(timeout=LIMIT_S)
+        output, complaint = navigating.communicate(timeout=LIMIT_S)
     assert (navigating.returncode, complaint) == (0, "")
-    heading, columns, *lines, end = said.splitlines()
+    heading, columns, *lines, end = output.splitlines()
     assert heading.split() == [
         "height,",
         "m",
@@ -66,9 +66,9 @@ def test_it_navigates_by_a_serial_port(start: Start, far_end: FarEnd, other_end:
         "speed",
     ]
     assert len(lines) >= 4
-    told = END.fullmatch(end)
-    assert told is not None
-    end_s, east_m, north_m, height_m, speed_mmps, used, unused = map(float, told.groups())
+    reported = END.fullmatch(end)
+    assert reported is not None
+    end_s, east_m, north_m, height_m, speed_mmps, used, unused = map(float, reported.groups())
     assert 9 < end_s <= 10
     assert abs(height_m) < 5
     assert speed_mmps < 300
@@ -92,12 +92,12 @@ def test_it_navigates_by_a_can_bus(start: Start, far_end: FarEnd, other_end: Far
             *("--pace", "max", *FOR_TEN_SECONDS),
         )
         run.succeed()
-        said, _ = process.communicate(timeout=LIMIT_S)
+        output, _ = process.communicate(timeout=LIMIT_S)
     finally:
         process.kill()
         process.wait()
-    told = END.fullmatch(said.splitlines()[-1])
+    reported = END.fullmatch(output.splitlines()[-1])
     assert process.returncode == 0
-    assert told is not None
-    assert abs(float(told[4])) < 5
-    assert float(told[5]) < 300
+    assert reported is not None
+    assert abs(float(reported[4])) < 5
+    assert float(reported[5]) < 300

@@ -81,5 +81,5 @@ def test_the_time_is_that_at_the_last_pulse(
         assert since_tone_ns == 0, "the command's arrival, at which it is answered"
     run.process.terminate()
     run.succeed()
-    told = [event["what"] for event in read_summary(driver / "s.json")["link_events"]]
-    assert told == ["modem lines: CTS off, DSR off, CD off"]
+    events = [event["what"] for event in read_summary(driver / "s.json")["link_events"]]
+    assert events == ["modem lines: CTS off, DSR off, CD off"]

@@ -123,8 +123,8 @@ def recorded(path: Path) -> Iterator[Shot]:
     packets: dict[int, bytes] = {}
     for _, channel, message in make_reader(io.BytesIO(path.read_bytes())).iter_messages():
         if channel.topic == "/fault":
-            told = json.loads(message.data)
-            faults[told["shot"]].add(told["kind"])
+            reported = json.loads(message.data)
+            faults[reported["shot"]].add(reported["kind"])
         elif channel.topic == "/packet":
             packets[message.sequence] = message.data
         elif channel.topic in ("/measurement", "/delivery"):
@@ -254,10 +254,10 @@ def test_a_whole_descent_with_commands_and_faults(receiver: list[str], start: St
 
     answers = [(line["command"], line["sequence"], line["verdict"]) for line in by_kind["acknowledge"]]
     assert answers == [(2, 0, 0), (0, 1, 0), (1, 2, 0), (1, 3, 0), (2, 4, 0)]
-    told = read_summary(tmp_path / "s.json")
-    assert told["commands"]["accepted"] == 5
-    assert told["shots"]["due"] == told["planned_shots"] > 1000
-    assert len(told["faults"]["shots"]) == FAULTS.count("kind:")
+    reported = read_summary(tmp_path / "s.json")
+    assert reported["commands"]["accepted"] == 5
+    assert reported["shots"]["due"] == reported["planned_shots"] > 1000
+    assert len(reported["faults"]["shots"]) == FAULTS.count("kind:")
     assert [mode for mode, _ in groupby(line["mode"] for line in logged)] == [4, 3, 4]
     angles = [beam["beam_angle_deg"] for beam in (line["beams"][0] for line in logged)]
     assert [angle for angle, _ in groupby(angles)] == ["22.50", "7.50", "22.50"]
@@ -290,28 +290,28 @@ def test_both_say_the_same_of_anything(in_c: list[str], start: Start, far_end: F
     run.succeed()
     interface = lidar_protocol.default_interface()
     assert interface.housekeeping is not None
-    told = {name: 50 + k for k, name in enumerate(sorted(interface.housekeeping.names))}
-    told |= {
+    reported = {name: 50 + k for k, name in enumerate(sorted(interface.housekeeping.names))}
+    reported |= {
         "temperature_c": -12.34,
         "laser_power_w": None,
         "interlock_closed": True,
         "laser_on": False,
         "clock_locked": True,
     }
-    health = lidar_protocol.Device(interface, 15).housekeeping(9, told)
+    health = lidar_protocol.Device(interface, 15).housekeeping(9, reported)
     stream = bytes(far_end.data) + b"\x55" * 5000 + b"\0" + bytes(range(256)) + health
-    said = [
+    stated = [
         subprocess.run([*command, "-", "9600"], input=stream, capture_output=True, check=True)
         for command in (in_c, IN_PYTHON)
     ]
-    assert said[0].stdout == said[1].stdout
-    *_, health_line, end = map(json.loads, said[0].stdout.splitlines())
+    assert stated[0].stdout == stated[1].stdout
+    *_, health_line, end = map(json.loads, stated[0].stdout.splitlines())
     assert (health_line.pop("kind"), health_line.pop("unit"), health_line.pop("time_ns")) == (
         "housekeeping",
         15,
         60,
     )
-    assert health_line == {name: told[name] for name in health_line}
+    assert health_line == {name: reported[name] for name in health_line}
     assert len(health_line) >= 12
     assert end["bad_frames"] > 10
     assert end["measurements"] > 100

@@ -98,7 +98,7 @@ def test_a_cut_recording_holds_everything_before_the_cut(recording: bytes, share
     assert read == whole[:count]
 
 
-def test_a_recording_that_was_cut_by_kill_9_opens_as_its_page_says(
+def test_a_recording_that_was_cut_by_kill_9_opens_as_its_page_reports(
     start: Start, simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flight = tmp_path / "flight.mcap"
@@ -110,13 +110,13 @@ def test_a_recording_that_was_cut_by_kill_9_opens_as_its_page_says(
         list(make_reader(stream).iter_messages())
     (snippet,) = (code for code in PAGE.read_text().split("```") if "NonSeekingReader" in code)
     monkeypatch.chdir(tmp_path)
-    told: dict[str, Any] = {}
-    exec(snippet.removeprefix("python\n"), told)
-    shots = [message["shot"][0] for message in told["messages"]]
+    reported: dict[str, Any] = {}
+    exec(snippet.removeprefix("python\n"), reported)
+    shots = [message["shot"][0] for message in reported["messages"]]
     assert len(shots) > 20
     expected = simulated("descent.yaml")
     assert shots == expected.shot[: len(shots)].tolist()
-    ranges_m = np.array([message["range_m"] for message in told["messages"]], dtype=np.float64)
+    ranges_m = np.array([message["range_m"] for message in reported["messages"]], dtype=np.float64)
     np.testing.assert_array_equal(ranges_m, expected.range_m[: len(shots)])
 
 

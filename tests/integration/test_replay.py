@@ -50,9 +50,9 @@ def recomputed(start: Start, tmp_path: Path, file: str = "r.mcap", code: int = 0
     """What `replay --recompute` tells."""
     comparing = start("replay", file, "--recompute", "--json", "--summary", "compared.json")
     assert comparing.wait() == code, comparing.err
-    told = read_summary(tmp_path / "compared.json")
-    assert json.loads(comparing.out) == told
-    return told
+    reported = read_summary(tmp_path / "compared.json")
+    assert json.loads(comparing.out) == reported
+    return reported
 
 
 def test_the_same_bytes_again(start: Start, far_ends: Callable[[], FarEnd], tmp_path: Path) -> None:
@@ -63,12 +63,12 @@ def test_the_same_bytes_again(start: Start, far_ends: Callable[[], FarEnd], tmp_
     start(*replay, "--port", again.path, *SERIAL).succeed()
     assert len(first.data) > 40 * 100
     assert bytes(again.data) == bytes(first.data), "shots, housekeeping, and their order"
-    told = read_summary(tmp_path / "s.json")
-    assert told["packets"] == {
+    reported = read_summary(tmp_path / "s.json")
+    assert reported["packets"] == {
         "due": 50, "sent": 50, "late": 0, "dropped": {"full": 0, "nobody_connected": 0, "broken": 0},
     }  # fmt: skip
-    assert told["lateness"]["count"] == 50
-    assert told["wire"]["sent_bytes"] == len(first.data)
+    assert reported["lateness"]["count"] == 50
+    assert reported["wire"]["sent_bytes"] == len(first.data)
 
 
 def test_parts_speeds_and_laps(start: Start, far_ends: Callable[[], FarEnd]) -> None:
@@ -127,9 +127,9 @@ def test_a_kill_loses_at_most_the_last_second(start: Start, tmp_path: Path) -> N
     assert not recording.is_whole
     flown_s = (killed - recording.started_utc).total_seconds()
     assert measurement.due_ns[-1] * 1e-9 > flown_s - 1
-    told = recomputed(start, tmp_path)
-    assert told["different"] == 0
-    assert told["equal"] >= 30
+    reported = recomputed(start, tmp_path)
+    assert reported["different"] == 0
+    assert reported["equal"] >= 30
 
 
 def test_a_change_is_found_and_named(start: Start, tmp_path: Path) -> None:
@@ -140,9 +140,9 @@ def test_a_change_is_found_and_named(start: Start, tmp_path: Path) -> None:
     data = (tmp_path / "r.mcap").read_bytes()
     assert data.count(b'"reflectance":0.2,') + data.count(b'"seed":1,') >= 1
     (tmp_path / "other.mcap").write_bytes(data.replace(b'"seed":1,', b'"seed":2,'))
-    told = recomputed(start, tmp_path, "other.mcap", code=1)
-    assert told["different"] > 50
-    first = told["first"]
+    reported = recomputed(start, tmp_path, "other.mcap", code=1)
+    assert reported["different"] > 50
+    first = reported["first"]
     recorded = read_recording(tmp_path / "r.mcap").measurement()
     value = getattr(recorded, first["field"])[first["shot"], first["beam"]]
     assert first["recorded"] == pytest.approx(value, abs=0.01)
@@ -175,7 +175,7 @@ class Commander:
     def wait_for_standby(self) -> None:
         """Until the last housekeeping says so."""
         standby = INTERFACE.enumerations["mode"]["standby"]
-        eventually(lambda: (told := self.all(Housekeeping)) and told[-1].values["mode"] == standby)
+        eventually(lambda: (reported := self.all(Housekeeping)) and reported[-1].values["mode"] == standby)
 
     def wait_for_shots(self, count: int) -> None:
         before = len(self.all(Message))
@@ -207,10 +207,10 @@ def test_commands_are_followed_again(
     command.wait_for_shots(10)
     run.signal(signal.SIGINT)
     run.succeed()
-    told = recomputed(start, tmp_path)
-    assert told["different"] == 0, told["first"]
-    assert told["equal"] > 100
-    assert told["not_compared"] <= 3
+    reported = recomputed(start, tmp_path)
+    assert reported["different"] == 0, reported["first"]
+    assert reported["equal"] > 100
+    assert reported["not_compared"] <= 3
     start("replay", "r.mcap", "--port", again.path, *SERIAL, "--speed", "max").succeed()
     for kind in (Message, Acknowledge):
         receiver = SerialReceiver(INTERFACE)
@@ -244,11 +244,11 @@ def test_faults_ordered_in_flight_are_had_again(start: Start, tmp_path: Path) ->
     run.signal(signal.SIGINT)
     run.succeed()
     due = read_summary(tmp_path / "s.json")["shots"]["due"]
-    told = recomputed(start, tmp_path)
-    assert told["different"] == 0, told["first"]
+    reported = recomputed(start, tmp_path)
+    assert reported["different"] == 0, reported["first"]
     assert len(read_recording(tmp_path / "r.mcap").json_messages(channels.INJECTED_FAULT)) == 3
-    assert told["equal"] + told["not_compared"] == due
-    assert told["not_compared"] <= 3
+    assert reported["equal"] + reported["not_compared"] == due
+    assert reported["not_compared"] <= 3
 
 
 @pytest.mark.parametrize("pace", ["wall", "lockstep"])
@@ -262,9 +262,9 @@ def test_live_truth_is_used_again(pace: str, start: Start, tmp_path: Path) -> No
         link.settimeout(60)
         _simulate(link, str(tmp_path / "truth.sock"), waits=pace == "lockstep")
     run.succeed()
-    told = recomputed(start, tmp_path)
-    assert told["different"] == 0, told["first"]
-    assert told["equal"] > 100
+    reported = recomputed(start, tmp_path)
+    assert reported["different"] == 0, reported["first"]
+    assert reported["equal"] > 100
 
 
 def _simulate(link: socket.socket, there: str, waits: bool) -> None:
@@ -308,9 +308,9 @@ def test_can_frames_come_again(start: Start, far_ends: Callable[[], FarEnd], tmp
     run = ["run", "descent.yaml", *shots_alone, "--pace", "max", "--duration", "2", "--record", "r.mcap"]
     start(*run, *bus(first)).succeed()
     start("replay", "r.mcap", *bus(second)).succeed()
-    said = start("replay", "r.mcap", "--to", "r.log")
-    said.succeed()
-    assert said.out == "r.log: 40 packets\n"
+    stated = start("replay", "r.mcap", "--to", "r.log")
+    stated.succeed()
+    assert stated.out == "r.log: 40 packets\n"
     start("replay", "r.log", *bus(third), "--speed", "2").succeed()
     frames = slcan_lines.frames(first.data)
     assert len(frames) == 40 * 15

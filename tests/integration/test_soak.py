@@ -33,5 +33,5 @@ def test_memory_stays(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
     late_kb = [resident_kb(pid) for pid in both]
     run.succeed()
     assert all(late - early < ALLOWED_KB for early, late in zip(early_kb, late_kb, strict=True))
-    told = read_summary(tmp_path / "s.json")
-    assert told["shots"]["sent"] + told["shots"]["late"] == packets
+    summary = read_summary(tmp_path / "s.json")
+    assert summary["shots"]["sent"] + summary["shots"]["late"] == packets

@@ -90,11 +90,11 @@ def test_a_wheel_flies_from_an_empty_folder(installed: Path, empty: Path) -> Non
     where = done(installed / "python", "-c", "import lidar_emu; print(lidar_emu.__file__)", folder=empty)
     assert Path(where.strip()).is_relative_to(installed.parent)
     assert "descent.yaml" in done(installed / "lidar-emu", "scenarios", folder=empty)
-    told = json.loads(
+    reported = json.loads(
         done(installed / "lidar-emu", "run", "descent.yaml", "--pace", "max", "--json", folder=empty)
     )
-    assert told["shots"]["sent"] == told["planned_shots"] == 1008
-    assert told["far_end"]["messages"] == 1008 + told["housekeeping"]["sent"]
+    assert reported["shots"]["sent"] == reported["planned_shots"] == 1008
+    assert reported["far_end"]["messages"] == 1008 + reported["housekeeping"]["sent"]
     assert list(empty.iterdir()) == []
 
 

@@ -30,25 +30,25 @@ def run(tmp_path):
 
 
 def test_a_late_packet_ends_a_run_that_wants_it_so(run):
-    done, told = run("--set", "timing.when_late=abort")
+    done, reported = run("--set", "timing.when_late=abort")
     assert isinstance(done.exception, RunError)  # exit code 1
     assert str(done.exception).startswith("shot 0 was ")
     assert "timing.when_late is abort" in str(done.exception)
-    assert told["error"] == str(done.exception)
-    assert (told["shots"]["due"], told["shots"]["late"], told["shots"]["sent"]) == (1, 1, 0)
-    assert told["wire"]["sent_bytes"] == 0
-    assert told["interrupted"] is False
+    assert reported["error"] == str(done.exception)
+    assert (reported["shots"]["due"], reported["shots"]["late"], reported["shots"]["sent"]) == (1, 1, 0)
+    assert reported["wire"]["sent_bytes"] == 0
+    assert reported["interrupted"] is False
 
 
 def test_by_default_the_run_goes_on(run):
-    done, told = run()
+    done, reported = run()
     assert done.exception is None
-    assert told["error"] is None
-    assert told["shots"]["late"] == told["shots"]["due"] == 20
+    assert reported["error"] is None
+    assert reported["shots"]["late"] == reported["shots"]["due"] == 20
 
 
 def test_on_time_nothing_is_aborted(run):
-    done, told = run("--set", "timing.when_late=abort", "--set", "timing.late_after_s=3600")
+    done, reported = run("--set", "timing.when_late=abort", "--set", "timing.late_after_s=3600")
     assert done.exception is None
-    assert told["error"] is None
-    assert told["shots"]["sent"] == 20
+    assert reported["error"] is None
+    assert reported["shots"]["sent"] == 20

@@ -81,12 +81,12 @@ def test_the_other_way_and_the_answers_come_back(tree, data):
     device, receiver = Device(interface, unit), SerialReceiver(interface)
     (answer,) = receiver.receive(device.acknowledge(3, "second", sequence=200, verdict="bad_sequence"))
     assert (type(answer), answer.sequence, answer.verdict) == (Acknowledge, 200, "bad_sequence")
-    told, _ = data.draw(values(tree["housekeeping"]))
-    (health,) = receiver.receive(device.housekeeping(70_000, told))
+    reported, _ = data.draw(values(tree["housekeeping"]))
+    (health,) = receiver.receive(device.housekeeping(70_000, reported))
     assert isinstance(health, Housekeeping)
     for entry in tree["housekeeping"]:
         if "name" in entry:
-            assert same(health.values[entry["name"]], told[entry["name"]], entry), entry
+            assert same(health.values[entry["name"]], reported[entry["name"]], entry), entry
     entries = tree["commands"]["second"]["fields"]
     arguments, _ = data.draw(values(entries))
     if any(value is None for value in arguments.values()):

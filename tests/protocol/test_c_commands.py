@@ -40,7 +40,7 @@ int main(void) {
 """
 
 
-def said(folder, interface, calls):
+def reported(folder, interface, calls):
     """What these encoders write, a line each."""
     lines = "".join(f"    {call}\n" for call in calls)
     (folder / "lidar.h").write_text(lidar_icd.c_header(interface))
@@ -87,7 +87,7 @@ def test_every_command_of_the_default_interface(framing, tmp_path):
     calls = [
         framed(name, 3, k + 190, *arguments.values()) for k, (name, arguments) in enumerate(given_commands)
     ]
-    assert said(tmp_path, interface, calls) == expected
+    assert reported(tmp_path, interface, calls) == expected
 
 
 def test_the_command_of_the_interface_document(tmp_path):
@@ -95,7 +95,7 @@ def test_the_command_of_the_interface_document(tmp_path):
     _, _, rest = document.partition(
         "The command `set_rate_hz` with sequence 7, rate_hz 1, framed:\n\n```text\n"
     )
-    (line,) = said(tmp_path, default_interface(), [framed("set_rate_hz", 0, 7, 1.0)])
+    (line,) = reported(tmp_path, default_interface(), [framed("set_rate_hz", 0, 7, 1.0)])
     assert bytes.fromhex(line) == bytes.fromhex(rest.partition("```")[0])
 
 
@@ -115,7 +115,7 @@ def test_what_cannot_be_sent_has_no_bytes(tmp_path):
         framed("set_parameter", 0, 0, 1, 1e39),
         framed("no_op", 0, 0),
     ]
-    *nothing, something = said(tmp_path, default_interface(), calls)
+    *nothing, something = reported(tmp_path, default_interface(), calls)
     assert (nothing, something[:4]) == ([""] * 12, "0004")
 
 
@@ -135,7 +135,9 @@ def test_commands_on_can(tmp_path):
         f" ? LIDAR_CAN_COMMAND_{name.upper()}_BYTES : 0u);"
         for name, arguments in given_commands
     ]
-    assert said(tmp_path, interface, calls) == [f"{frame.can_id:x} {frame.data.hex()}" for frame in frames]
+    assert reported(tmp_path, interface, calls) == [
+        f"{frame.can_id:x} {frame.data.hex()}" for frame in frames
+    ]
 
 
 @given(trees(), st.data())
@@ -161,7 +163,7 @@ def test_any_interface(tmp_path_factory, tree, data):
             expected.append("")
         words = [as_argument(field, arguments[field.key]) for field in asked]
         calls.append(framed("second", interface.units - 1, k, *words))
-    assert said(tmp_path_factory.mktemp("any"), interface, calls) == expected
+    assert reported(tmp_path_factory.mktemp("any"), interface, calls) == expected
 
 
 def as_argument(field, value):

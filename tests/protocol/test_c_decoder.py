@@ -121,15 +121,15 @@ def test_golden_shots_answers_and_health_between_garbage(framing, tmp_path):
     damaged = bytearray(frames[0])
     damaged[20] ^= 1
     stream = b"\x55" * 3000 + ending + b"".join(frames) + bytes(damaged) + answer + ending + health
-    said = run(stream + bytes(3000)).splitlines()
+    reported = run(stream + bytes(3000)).splitlines()
     for shot in SHOTS:
         (number, count), rows = expected(shot)
-        line = said.pop(0).split()
+        line = reported.pop(0).split()
         assert line[:3] == ["shot", str(shot["unit"]), str(number)]
         assert abs(int(line[3]) - shot["header"]["time_ns"]) <= 30
-        assert (int(line[4]), said[:count]) == (count, rows)
-        del said[:count]
-    assert said == ["answer 15 3 5", "health 15 -12.34 0"]
+        assert (int(line[4]), reported[:count]) == (count, rows)
+        del reported[:count]
+    assert reported == ["answer 15 3 5", "health 15 -12.34 0"]
 
 
 def altimeter_frame(unit, sequence, time_s, flags, range_cm, speeds):
@@ -158,8 +158,8 @@ def test_an_altimeter_in_c_and_by_hand(tmp_path):
     assert Device(interface, 2).serial_bytes(header, beams) == frame
     run = built(tmp_path, interface, ALTIMETER_PRINTER)
     damaged = frame[:-1] + b"\0"
-    said = run(b"\x1a\xcf\xfc" + frame + damaged + frame[:9] + frame + bytes(300))
-    assert said == "2 1.500 1101 2164.78 1 -46.1940 0\n" * 2
+    reported = run(b"\x1a\xcf\xfc" + frame + damaged + frame[:9] + frame + bytes(300))
+    assert reported == "2 1.500 1101 2164.78 1 -46.1940 0\n" * 2
 
 
 def test_can_messages_in_c(tmp_path):

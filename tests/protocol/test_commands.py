@@ -143,7 +143,7 @@ def sealed(body, unit=0):
     ],
 )
 @pytest.mark.parametrize("step", [1, 100])
-def test_undamaged_commands_that_mean_nothing_are_told_apart(body, code, sequence, verdict, step):
+def test_undamaged_commands_that_mean_nothing_are_distinguished(body, code, sequence, verdict, step):
     stream = sealed(body)
     reader = CommandReader(DEFAULT)
     (bad,) = [each for k in range(0, len(stream), step) for each in reader.feed(stream[k : k + step])]
@@ -256,7 +256,7 @@ def test_health_on_can_comes_in_parts():
     assert receiver.counters.messages == len(parts) + 1
 
 
-def test_an_altimeter_tells_how_it_is():
+def test_an_altimeter_reports_how_it_is():
     device = Device(ALTIMETER, 3)
     stream = device.acknowledge(0, "no_op", sequence=3, verdict="accepted")
     stream += device.housekeeping(1, {"mode": "track", "temperature_c": 200, "uptime_s": 1.5})

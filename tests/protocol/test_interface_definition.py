@@ -1,4 +1,4 @@
-"""Interface definitions: what is refused, and how it is said."""
+"""Interface definitions: what is refused, and how it is reported."""
 
 from importlib.resources import files
 

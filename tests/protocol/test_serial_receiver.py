@@ -104,7 +104,7 @@ def test_each_kind_of_bad_frame_has_its_counter():
     assert counters.messages == 0
 
 
-def test_gaps_restarts_and_units_are_told_apart():
+def test_gaps_restarts_and_units_are_distinguished():
     receiver = SerialReceiver(INTERFACE)
     for data in (
         frame(10),

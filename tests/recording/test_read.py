@@ -57,16 +57,16 @@ def test_packets_are_what_a_receiver_decodes(flight: Recording) -> None:
     np.testing.assert_array_equal(packets.due_ns, flight.measurement().due_ns)
 
 
-def test_what_the_device_said_and_what_went_wrong(flight: Recording) -> None:
-    said = flight.raw_messages(channels.HOUSEKEEPING)
+def test_what_the_device_reported_and_what_went_wrong(flight: Recording) -> None:
+    stated = flight.raw_messages(channels.HOUSEKEEPING)
     receiver = SerialReceiver(flight.interface)
-    told = [
-        m for m in receiver.receive(b"".join(payload for _, payload in said)) if isinstance(m, Housekeeping)
+    reported = [
+        m for m in receiver.receive(b"".join(payload for _, payload in stated)) if isinstance(m, Housekeeping)
     ]
     step_ns = 1e9 / 2**24  # of the wire's time code
-    times_ns = [time_ns for time_ns, _ in said]
-    np.testing.assert_allclose([m.values["time_ns"] for m in told], times_ns, rtol=0, atol=step_ns)
-    assert all(round((b.time_ns - a.time_ns) / 1e9) == 1 for a, b in pairwise(said))
+    times_ns = [time_ns for time_ns, _ in stated]
+    np.testing.assert_allclose([m.values["time_ns"] for m in reported], times_ns, rtol=0, atol=step_ns)
+    assert all(round((b.time_ns - a.time_ns) / 1e9) == 1 for a, b in pairwise(stated))
     faults = flight.json_messages(channels.FAULT)
     assert [each.values["shot"] for each in faults] == [*range(20, 40), 60]
     assert {each.values["kind"] for each in faults} == {"dropout", "lost"}
@@ -86,7 +86,7 @@ def test_the_origin_can_be_checked_by_other_means(flight: Recording) -> None:
     assert build["processor"].startswith(platform.machine())
 
 
-def test_every_message_is_what_its_schema_says(flight: Recording) -> None:
+def test_every_message_is_what_its_schema_reports(flight: Recording) -> None:
     """The schemas allow nothing but what they name."""
     checked = set()
     with flight.path.open("rb") as file:

@@ -53,7 +53,7 @@ def test_a_file_has_the_columns_of_the_page_in_order(run, tmp_path):
     assert header == [cells[0].strip(" `") for cells in listed if cells[4].strip() == "yes"]
 
 
-def test_packets_carry_the_columns_that_the_page_says():
+def test_packets_carry_the_columns_that_the_page_reports():
     sent = {placed.field.name for placed in shipped_interface("default").packet.beam.placed}
     listed = [[cell.strip(" `") for cell in line.split("|")] for line in markdown().splitlines()]
     assert {

@@ -46,8 +46,8 @@ def test_level_ground_has_nothing_that_stands_out() -> None:
     assert all(band.detected is None and band.alarms == 0.0 for band in bands if band.level > 0)
 
 
-@pytest.mark.parametrize(("height_m", "told"), [(1.2, True), (0.2, False)])
-def test_slab_in_a_track_stands_out_if_it_is_high_enough(height_m: float, told: bool) -> None:
+@pytest.mark.parametrize(("height_m", "reported"), [(1.2, True), (0.2, False)])
+def test_slab_in_a_track_stands_out_if_it_is_high_enough(height_m: float, reported: bool) -> None:
     # Two metres of the track of the first beam, which runs to the north-east, 60 m out: 145 m up.
     place = 60 * TRACK
     slab = f"{{kind: slab, name: block, east_m: {place}, north_m: {place}, yaw_deg: 45, length_m: 2, width_m: 2, "
@@ -55,7 +55,7 @@ def test_slab_in_a_track_stands_out_if_it_is_high_enough(height_m: float, told: 
     on_top = seen.true_off_m > height_m / 2
     assert on_top.sum() >= 3
     np.testing.assert_allclose(seen.true_off_m[on_top], height_m, atol=0.35 * height_m)
-    assert seen.stands_out[on_top].all() == told
+    assert seen.stands_out[on_top].all() == reported
     assert not seen.stands_out[np.abs(seen.true_off_m) < 0.05].any()
 
 

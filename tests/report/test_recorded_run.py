@@ -1,4 +1,4 @@
-"""What a recording tells afterwards, beside what the run told itself, and whatever has become of the file."""
+"""What a recording shows, compared with the report of the run itself, also if the file was cut."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_it_is_the_summary_of_the_run(tmp_path, monkeypatch):
     ]
     report = ["report", "r.mcap", "--json", "--out", "r.npz", "--out", "r.pcap"]
     monkeypatch.chdir(tmp_path)
-    ran, told = (json.loads(CliRunner().invoke(cli, words).stdout) for words in (run, report))
+    ran, reported = (json.loads(CliRunner().invoke(cli, words).stdout) for words in (run, report))
     same = (
         "scenario",
         "seed",
@@ -53,10 +53,10 @@ def test_it_is_the_summary_of_the_run(tmp_path, monkeypatch):
         "lateness",
         "faults",
     )
-    assert {name: told[name] for name in same} == {name: ran[name] for name in same}
+    assert {name: reported[name] for name in same} == {name: ran[name] for name in same}
     assert ran["faults"]["suppressed"] == 2
     for name in ("range_error_m", "speed_error_mps"):
-        assert told[name] == pytest.approx(ran[name], rel=1e-9)
+        assert reported[name] == pytest.approx(ran[name], rel=1e-9)
     with np.load(tmp_path / "r.npz") as table:
         assert len(table["range_m"]) == 20 * 4
     assert (tmp_path / "r.pcap").stat().st_size > 18 * 100
@@ -113,7 +113,7 @@ def test_lateness_is_drawn_where_time_was_kept(bench_flown):
     )
 
 
-def test_a_bench_pattern_says_why_it_has_no_path(bench_flown):
+def test_a_bench_pattern_states_why_it_has_no_path(bench_flown):
     drawings, notes, plan = draw_figures(bench_flown, ())
     assert {drawing.name for drawing in drawings} == {"truth", "errors", "validity"}
     assert any("bench pattern" in note for note in notes)

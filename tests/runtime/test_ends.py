@@ -123,15 +123,15 @@ def test_a_killed_port_process_ends_the_parent_with_an_error(start: Start) -> No
 @pytest.mark.parametrize("closed", [(0,), (1,), (0, 1), (0, 1, 2)])
 def test_a_run_without_standard_descriptors(closed: tuple[int, ...], tmp_path: Path) -> None:
     """Descriptors made in such a process take the numbers of the missing ones."""
-    script, told = tmp_path / "run.py", tmp_path / "told"
+    script, reported = tmp_path / "run.py", tmp_path / "reported"
     script.write_text(f"import os\nfor fd in {closed}: os.close(fd)\n{RUN_ONCE}")
-    done = subprocess.run([sys.executable, script, told], stdin=subprocess.DEVNULL, capture_output=True)
+    done = subprocess.run([sys.executable, script, reported], stdin=subprocess.DEVNULL, capture_output=True)
     assert (done.returncode, done.stderr) == (0, b"")
-    assert told.read_text() == "packet sent_bytes 6"
+    assert reported.read_text() == "packet sent_bytes 6"
 
 
 def test_a_parent_that_dies_at_once_leaves_nothing() -> None:
-    """The port process finds its lifeline closed before it was told anything."""
+    """The port process finds its control pipe closed before it has received anything."""
     child = subprocess.Popen(
         [sys.executable, "-m", "lidar_emu.runtime.port.process"],
         stdin=subprocess.PIPE,

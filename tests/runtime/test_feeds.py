@@ -372,7 +372,7 @@ def test_no_change_takes_effect_before_one_that_was_heard_earlier(slow: bool) ->
     assert [pattern for _, pattern in world.sent] == [0] * 26 + [2] * 174
 
 
-def test_what_no_shot_follows_any_more_is_told_of_at_the_end() -> None:
+def test_what_no_shot_follows_any_more_is_reported_at_the_end() -> None:
     """The last shot begins at 9950 ms; its packet is due 3 ms later."""
     world, followed = World(200), list[Any]()
     times_ns = [START_NS + t * MS for t in (9951, 9952)]

@@ -58,10 +58,10 @@ def test_they_are_a_housekeeping_packet_with_mode_safe_and_the_laser_off() -> No
     for status in (DeliveryStatus.LATE, DeliveryStatus.LATE, DeliveryStatus.DROPPED_FULL):
         tally.report(DeliveryReport(0, 0, -1, status))
     prepared: list[bytes] = []
-    said = final_message_of(tally, prepared.append)
-    said.on_opened("port", datetime.now(UTC))
+    reported = final_message_of(tally, prepared.append)
+    reported.on_opened("port", datetime.now(UTC))
     for tenth in range(26):
-        said.on_report(
+        reported.on_report(
             OutgoingPacket(tenth, tenth * SECOND_NS // 10, b""),
             DeliveryReport(tenth, tenth * SECOND_NS // 10, 0, DeliveryStatus.SENT),
         )
@@ -87,7 +87,7 @@ def test_on_can_they_are_frames() -> None:
 
 
 @pytest.mark.parametrize("can", [False, True])
-def test_an_interface_without_such_a_mode_says_nothing(can: bool) -> None:
+def test_an_interface_without_such_a_mode_states_nothing(can: bool) -> None:
     assert "no housekeeping" in str(why_no_final_message(shipped_interface("altimeter"), can))
     assert why_no_final_message(default_interface(), can) is None
 
@@ -113,9 +113,11 @@ def begun(path: str, runner: PortRunner) -> None:
         runner.wait(Clock().now_ns() + SECOND_NS)
 
 
-@pytest.mark.parametrize(("error", "said"), [(MemoryError, MESSAGE), (KeyboardInterrupt, b""), (None, b"")])
-def test_a_run_that_fails_by_itself_says_them_too(
-    error: type[BaseException] | None, said: bytes, line: Any
+@pytest.mark.parametrize(
+    ("error", "reported"), [(MemoryError, MESSAGE), (KeyboardInterrupt, b""), (None, b"")]
+)
+def test_a_run_that_fails_by_itself_states_them_too(
+    error: type[BaseException] | None, reported: bytes, line: Any
 ) -> None:
     master, path = line
 
@@ -132,11 +134,11 @@ def test_a_run_that_fails_by_itself_says_them_too(
             run()
     data = b""
     # What was written before the process ended; afterwards nobody writes any more.
-    while len(data) < len(b"now" + said) and select.select([master], [], [], LIMIT_S)[0]:
+    while len(data) < len(b"now" + reported) and select.select([master], [], [], LIMIT_S)[0]:
         data += os.read(master, 100)
     while select.select([master], [], [], 0)[0]:
         data += os.read(master, 100)
-    assert data == b"now" + said
+    assert data == b"now" + reported
 
 
 def open_descriptors() -> list[str]:

@@ -107,7 +107,7 @@ def test_blocks_settle_once_all_their_packets_have_met_their_fate() -> None:
     assert (kept.shots, tally.range_error_m.count) == ([0, 1, 2, 3, 4, 5, 6], 28)
 
 
-def test_shots_that_a_command_changes_are_told_once_as_they_were_sent() -> None:
+def test_shots_that_a_command_changes_are_reported_once_as_they_were_sent() -> None:
     session, port, kept, tally, queue = begun()
     post(session, queue, 5)
     post(session, queue, 5)
@@ -125,13 +125,13 @@ def test_shots_that_a_command_changes_are_told_once_as_they_were_sent() -> None:
     assert tally.range_error_m.count == 28
 
 
-def test_what_is_told_never_keeps_changed_shots_waiting() -> None:
+def test_what_is_reported_never_keeps_changed_shots_waiting() -> None:
     session, port, kept, _, queue = begun()
     for _ in range(4):
         post(session, queue, 10)
     port.deliver(9)
     queue.collect_reports()
-    assert kept.shots == list(range(8)), "a long block is told of in parts"
+    assert kept.shots == list(range(8)), "a long block is reported in parts"
     port.deliver(8)
     queue.collect_reports()
     assert kept.shots == list(range(10))
@@ -158,7 +158,7 @@ def test_going_back_computes_the_same_again() -> None:
         assert again.packets == whole.packets[shot:]
 
 
-def test_a_packet_that_was_sent_before_the_port_heard_of_a_command_is_told_as_it_was_sent() -> None:
+def test_a_packet_that_was_sent_before_the_port_heard_of_a_command_is_reported_as_it_was_sent() -> None:
     session, port, kept, tally, queue = begun()
     post(session, queue, 5)
     port.deliver(4)  # shot 3 goes out while the model is at it

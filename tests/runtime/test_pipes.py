@@ -61,8 +61,8 @@ def test_what_must_arrive_arrives_in_order_though_the_pipe_was_full(pipe: tuple[
     assert status.writable == []
     os.set_blocking(pipe[0], False)
     heard = clock.heard + os.read(pipe[0], 65536)
-    told = [json.loads(line) for line in heard[filled:].splitlines()]
-    assert told == [{"finished": {"sent_bytes": 1}}, {"stopped": {"sent_bytes": 1}}]
+    reported = [json.loads(line) for line in heard[filled:].splitlines()]
+    assert reported == [{"finished": {"sent_bytes": 1}}, {"stopped": {"sent_bytes": 1}}]
 
 
 def test_a_line_longer_than_the_pipe_arrives_in_parts(pipe: tuple[int, int]) -> None:
@@ -78,7 +78,7 @@ def test_a_line_longer_than_the_pipe_arrives_in_parts(pipe: tuple[int, int]) -> 
     assert json.loads(clock.heard) == {"ready": text}
 
 
-def test_with_room_everything_is_said_at_once(pipe: tuple[int, int]) -> None:
+def test_with_room_everything_is_reported_at_once(pipe: tuple[int, int]) -> None:
     status = StatusPipe(pipe[1], ReaderAtLast(None))
     status.send_if_idle(event=[1, 2, "connected"])
     assert status.writable == []
@@ -94,7 +94,7 @@ def test_a_parent_that_never_listens_holds_nobody_up_for_long(pipe: tuple[int, i
     assert clock.time_ns == SECOND_NS
 
 
-def test_a_parent_that_is_gone_is_not_told() -> None:
+def test_a_parent_that_is_gone_is_not_reported() -> None:
     reader, writer = os.pipe()
     status = StatusPipe(writer, ReaderAtLast(None))
     os.close(reader)

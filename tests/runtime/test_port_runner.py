@@ -74,7 +74,7 @@ def test_nothing_goes_out_before_it_is_due(runner: PortRunner) -> None:
     assert runner.far_end() == joined(sent)
 
 
-def test_what_comes_too_late_is_skipped_and_said(runner: PortRunner) -> None:
+def test_what_comes_too_late_is_skipped_and_reported(runner: PortRunner) -> None:
     sent = packets(10)
     runner.start(LOOPBACK)
     runner.begin(Clock().now_ns() - 10 * SECOND_NS, SECOND_NS, Pace.WALL)
@@ -219,7 +219,7 @@ def test_a_killed_port_process_is_a_failed_run(runner: PortRunner) -> None:
     assert runner.status.sent_bytes is None
 
 
-def test_an_error_in_the_port_process_is_told_in_its_own_words(runner: PortRunner) -> None:
+def test_an_error_in_the_port_process_is_reported_in_its_own_words(runner: PortRunner) -> None:
     master, slave = os.openpty()
     runner.start(PortSpec(Kind.CAN, interface="slcan", channel=os.ttyname(slave)))
     with pytest.raises(RunError, match="records end inside"):

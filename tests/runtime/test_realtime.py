@@ -38,23 +38,23 @@ def ask(code: str) -> dict[str, object]:
     if "not allowed to raise maximum limit" in done.stderr:
         pytest.skip("this root may not raise limits")
     assert done.returncode == 0, done.stderr
-    told: dict[str, object] = json.loads(done.stdout)
-    return told
+    reported: dict[str, object] = json.loads(done.stdout)
+    return reported
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="Linux alone tells what it granted")
 def test_what_is_said_to_be_granted_is_had() -> None:
-    told = ask(IMPORTS + REPORT)
-    granted, missing = told["granted"], told["missing"]
+    reported = ask(IMPORTS + REPORT)
+    granted, missing = reported["granted"], reported["missing"]
     assert isinstance(granted, list)
     assert isinstance(missing, dict)
     assert sorted([*granted, *missing]) == WISHES
     assert all(missing.values())
-    assert told["slack_ns"] <= 1  # a FIFO process has none, whatever it asked for
-    assert (told["scheduler"] == os.SCHED_FIFO) == ("fifo" in granted)
-    assert (told["locked_kb"] > 256 << 10) == ("locked_memory" in granted)
-    assert told["limit_kept"]
-    assert told["room"] == 256 << 20
+    assert reported["slack_ns"] <= 1  # a FIFO process has none, whatever it asked for
+    assert (reported["scheduler"] == os.SCHED_FIFO) == ("fifo" in granted)
+    assert (reported["locked_kb"] > 256 << 10) == ("locked_memory" in granted)
+    assert reported["limit_kept"]
+    assert reported["room"] == 256 << 20
 
 
 @pytest.mark.skipif(sys.platform != "linux" or os.getuid() != 0, reason="only root can become somebody else")
@@ -63,14 +63,14 @@ def test_without_privilege_under_a_finite_limit_no_memory_is_locked(limit_bytes:
     """A lock that the limit still allows would make the allocation after it fail."""
     limit = f"resource.setrlimit(resource.RLIMIT_MEMLOCK, ({limit_bytes}, {limit_bytes}))\n"
     no_priority = "resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))\n"
-    told = ask(IMPORTS + limit + no_priority + NOBODY + REPORT)
-    assert told["missing"] == {
+    reported = ask(IMPORTS + limit + no_priority + NOBODY + REPORT)
+    assert reported["missing"] == {
         "fifo": "sudo prlimit --pid $$ --rtprio=10",
         "locked_memory": "sudo prlimit --pid $$ --memlock=unlimited",
-    } | {name: how for name, how in told["missing"].items() if name == "isolated_core"}  # type: ignore[attr-defined]
-    assert told["locked_kb"] == 0
-    assert told["room"] == 256 << 20
-    assert told["limit_kept"]
+    } | {name: how for name, how in reported["missing"].items() if name == "isolated_core"}  # type: ignore[attr-defined]
+    assert reported["locked_kb"] == 0
+    assert reported["room"] == 256 << 20
+    assert reported["limit_kept"]
 
 
 @pytest.mark.skipif(sys.platform != "linux" or os.getuid() != 0, reason="only root can raise limits")
@@ -80,8 +80,8 @@ def test_the_commands_give_what_they_promise() -> None:
         "resource.setrlimit(resource.RLIMIT_RTPRIO, (10, 10))\n"
         "resource.setrlimit(resource.RLIMIT_MEMLOCK, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))\n"
     )
-    told = ask(IMPORTS + raised + NOBODY + REPORT)
-    assert {"timer_slack", "fifo", "locked_memory"} <= set(told["granted"])  # type: ignore[call-overload]
+    reported = ask(IMPORTS + raised + NOBODY + REPORT)
+    assert {"timer_slack", "fifo", "locked_memory"} <= set(reported["granted"])  # type: ignore[call-overload]
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_isolated_cores_are_read(tmp_path: Path, text: str, cores: list[int]) ->
     assert isolated_cores(file) == cores
 
 
-def test_a_system_that_does_not_tell_has_none(tmp_path: Path) -> None:
+def test_a_system_that_does_not_report_has_none(tmp_path: Path) -> None:
     assert isolated_cores(tmp_path / "isolated") == []
 
 
@@ -111,7 +111,7 @@ except KeyError:
     scheduler.append(os.sched_getscheduler(0))
 print(json.dumps({"scheduler": scheduler, "granted": request_realtime().granted}))
 """
-    told = ask(code)
-    assert isinstance(told["granted"], list)
-    meanwhile = os.SCHED_FIFO if "fifo" in told["granted"] else os.SCHED_OTHER
-    assert told["scheduler"] == [os.SCHED_OTHER, meanwhile, os.SCHED_OTHER]
+    reported = ask(code)
+    assert isinstance(reported["granted"], list)
+    meanwhile = os.SCHED_FIFO if "fifo" in reported["granted"] else os.SCHED_OTHER
+    assert reported["scheduler"] == [os.SCHED_OTHER, meanwhile, os.SCHED_OTHER]

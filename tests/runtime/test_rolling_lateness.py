@@ -18,10 +18,10 @@ def test_seconds_of_a_run_with_a_bad_one() -> None:
         for shot, value in enumerate(values.tolist()):
             windows.add(second * SECOND_NS + shot * SECOND_NS // 100, value)
     p99 = [int(np.quantile(values, 0.99, method="inverted_cdf")) for values in lateness]
-    told = windows.summary()
-    assert (told["count"], told["worst_at_s"]) == (41, 17)
+    reported = windows.summary()
+    assert (reported["count"], reported["worst_at_s"]) == (41, 17)
     for name, exact in (("p99_worst_ns", max(p99)), ("p99_median_ns", sorted(p99)[20])):
-        value = told[name]
+        value = reported[name]
         assert value is not None
         assert exact <= value <= exact * (1 + 1 / 128) ** 2
 
@@ -34,5 +34,5 @@ def test_seconds_without_packets_do_not_count() -> None:
 
 
 def test_no_packets_no_figures() -> None:
-    told = RollingLateness().summary()
-    assert told == {"count": 0, "p99_median_ns": None, "p99_worst_ns": None, "worst_at_s": None}
+    reported = RollingLateness().summary()
+    assert reported == {"count": 0, "p99_median_ns": None, "p99_worst_ns": None, "worst_at_s": None}

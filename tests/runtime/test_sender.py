@@ -192,7 +192,7 @@ def test_where_a_late_packet_ends_the_run_it_was_the_last_one() -> None:
     rig.close()
 
 
-def test_reports_tell_when_the_process_had_woken_up(wall: Rig) -> None:
+def test_reports_report_when_the_process_had_woken_up(wall: Rig) -> None:
     wall.push(0, SECOND_NS)
     wall.clock.time_ns = START_NS + SECOND_NS + 700
     wall.line.send_takes(wall.clock, 30)
@@ -255,9 +255,9 @@ def test_full_speed_waits_half_a_minute_in_all_and_then_drops(
     assert [report.status for report in full_speed.seen] == [refusal] * 100
     assert full_speed.clock.time_ns == began_ns + 30 * SECOND_NS
     assert full_speed.sender.sent_bytes == 0
-    told = [(began_ns + 5 * SECOND_NS, "the line has taken nothing for 5 s"),
+    reported = [(began_ns + 5 * SECOND_NS, "the line has taken nothing for 5 s"),
             (began_ns + 30 * SECOND_NS, "the line has taken nothing for 30 s: packets are dropped")]  # fmt: skip
-    assert full_speed.line.notes == (told if refusal is DeliveryStatus.DROPPED_FULL else [])
+    assert full_speed.line.notes == (reported if refusal is DeliveryStatus.DROPPED_FULL else [])
 
 
 def test_a_line_that_moves_again_is_borne_anew(full_speed: Rig) -> None:

@@ -17,9 +17,9 @@ class World:
 
     def __init__(self) -> None:
         self.now, self.computed = START_NS - 100 * MS, 0
-        self.told: list[tuple[int, str]] = []
+        self.events: list[tuple[int, str]] = []
         clock: Any = self
-        self.monitor = StallMonitor(clock, lambda time_ns, text: self.told.append((time_ns // MS, text)))
+        self.monitor = StallMonitor(clock, lambda time_ns, text: self.events.append((time_ns // MS, text)))
 
     def now_ns(self) -> int:
         return self.now
@@ -44,20 +44,20 @@ def world() -> World:
     made.monitor.begin(START_NS)
     made.rest(100, reports=0)
     made.rest(1000, reports=1)
-    assert made.told == []
+    assert made.events == []
     return made
 
 
-def test_silence_is_told_once_at_its_beginning_and_at_its_end(world: World) -> None:
+def test_silence_is_reported_once_at_its_beginning_and_at_its_end(world: World) -> None:
     world.rest(100, reports=0)
-    assert world.told == [], "its packets were due for no more than 100 ms"
+    assert world.events == [], "its packets were due for no more than 100 ms"
     world.rest(500, reports=0)
-    assert world.told == [(1120, "the port process does not respond")]
+    assert world.events == [(1120, "the port process does not respond")]
     world.monitor.reported(60)
     world.rest(10, reports=1)
-    assert world.told[1:] == [(1610, "the port process responds again, after 600 ms")]
+    assert world.events[1:] == [(1610, "the port process responds again, after 600 ms")]
     world.rest(1000, reports=1)
-    assert len(world.told) == 2
+    assert len(world.events) == 2
 
 
 def test_a_packet_that_was_late_already_when_it_was_pushed_is_no_silence(world: World) -> None:
@@ -66,13 +66,13 @@ def test_a_packet_that_was_late_already_when_it_was_pushed_is_no_silence(world: 
         world.monitor.pushed(10 * MS * shot)
         world.rest(50, reports=0)
         world.monitor.reported(1)
-    assert world.told == []
+    assert world.events == []
 
 
 def test_nothing_due_nothing_missed(world: World) -> None:
     world.monitor.reported(899)
     world.rest(5000, reports=0)
-    assert world.told == []
+    assert world.events == []
 
 
 def test_superseded_packets_are_reported_together(world: World) -> None:
@@ -80,7 +80,7 @@ def test_superseded_packets_are_reported_together(world: World) -> None:
     world.monitor.pushed(2000 * MS)
     world.rest(800, reports=0)
     world.rest(10, reports=1)
-    assert world.told == []
+    assert world.events == []
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_time_that_was_neither_slept_nor_computed_in(
     world.monitor.reported(away_ms // 10)
     world.monitor.poll()
     expected = [(1000 + away_ms, f"the model's process stalled for {away_ms} ms")] if noticed else []
-    assert world.told == expected
+    assert world.events == expected
 
 
 def test_without_the_clocks_pace_nobody_is_missed() -> None:
@@ -102,4 +102,4 @@ def test_without_the_clocks_pace_nobody_is_missed() -> None:
     world.monitor.pushed(0)
     world.now += 10_000 * MS
     world.monitor.poll()
-    assert world.told == []
+    assert world.events == []

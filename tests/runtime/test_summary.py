@@ -32,24 +32,24 @@ def test_counts_of_shots_and_of_their_errors():
                 status,
             )
         )
-    told = tally.to_json()
-    assert told["shots"] == {
+    reported = tally.to_json()
+    assert reported["shots"] == {
         "due": 70,
         "sent": 63,
         "late": 7,
         "suppressed": 0,
         "dropped": {"full": 0, "nobody_connected": 0, "broken": 0},
     }
-    assert told["lateness"]["count"] == 63
-    assert told["lateness"]["max_ns"] == 69_000
+    assert reported["lateness"]["count"] == 63
+    assert reported["lateness"]["max_ns"] == 69_000
     # At 20 Hz seconds of 20 shots and one of 10, lateness growing by 1 us a shot: the greatest of each second.
-    assert told["lateness"]["windows"] == {
+    assert reported["lateness"]["windows"] == {
         "count": 4,
         "p99_median_ns": pytest.approx(39_000, rel=1 / 128),
         "p99_worst_ns": 69_000,
         "worst_at_s": 3,
     }
-    assert told["beams"] == [{"valid": 70}] * 4
+    assert reported["beams"] == [{"valid": 70}] * 4
     run = simulate(scenario)
     error = (run.range_m - run.true_range_m)[:70]
     expected = {
@@ -59,7 +59,7 @@ def test_counts_of_shots_and_of_their_errors():
         "max": np.abs(error).max(),
     }
     for name, value in expected.items():
-        np.testing.assert_allclose(told["range_error_m"][name], value, rtol=1e-12, err_msg=name)
+        np.testing.assert_allclose(reported["range_error_m"][name], value, rtol=1e-12, err_msg=name)
 
 
 def test_pace_max_knows_no_lateness():

@@ -50,9 +50,9 @@ def test_of_each_shot_the_last_announcement_is_sent(commands: list[tuple[int, in
     while not sender.step().for_packets:
         pass
     assert line.sent == [bytes(entry) for entry in sorted(wanted.items())]
-    told = [DeliveryReport.from_bytes(entry) for entry in iter(reports.pop, None)]
+    reported = [DeliveryReport.from_bytes(entry) for entry in iter(reports.pop, None)]
     assert (
-        sum(report.sent_ns if report.status is DeliveryStatus.SUPERSEDED else 1 for report in told)
+        sum(report.sent_ns if report.status is DeliveryStatus.SUPERSEDED else 1 for report in reported)
         == packets.written
     )
     packets.close()

@@ -1,4 +1,4 @@
-"""Rehearsals leave no trace: what is computed for nothing changes neither packets nor what truth is told of."""
+"""A warm-up leaves no trace: it changes neither the packets nor the report on the truth."""
 
 from __future__ import annotations
 

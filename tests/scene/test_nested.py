@@ -133,12 +133,12 @@ def test_no_ray_to_a_seam_is_lost(aim):
     assert np.abs(found.range_m - distance)[plain].max() < 1e-9 + 1.1 * ground._lift_m
 
 
-def test_datum_offset_is_told_and_no_cliff_is_left():
+def test_datum_offset_is_reported_and_no_cliff_is_left():
     ground = three_deep(np.random.default_rng(4))
     seam = ground.outer.seam
     assert seam.offset_m == pytest.approx(1.5, abs=0.2)
     assert 0 < seam.step_m < 0.15
-    # Across the seam of the middle grid the height changes no more than where its step is told.
+    # Across the seam of the middle grid the height changes no more than at the reported step.
     middle = ground.outer
     north = np.linspace(middle.rectangle.south_m, middle.rectangle.north_m, 3001)
     for edge in middle.rectangle[:2]:

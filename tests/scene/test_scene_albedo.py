@@ -1,4 +1,4 @@
-"""Albedo from a band: what hits are told, what echoes are made of it, and what is refused."""
+"""Albedo from a band: in the hits, in the echoes, and what is refused."""
 
 import numpy as np
 import pytest
@@ -101,7 +101,7 @@ def test_an_npz_has_elevations_only(tmp_path):
         scene(tmp_path / "a.npz")
 
 
-def test_rock_abundance_is_told(tmp_path):
+def test_rock_abundance_is_reported(tmp_path):
     path = write(tmp_path / "a.tif", LEVEL, LEVEL + 0.02)
     ground = scene(path, reflectance_band=None, rock_abundance_band=2)
     assert "rock abundance 0.02 to 0.02 (median 0.02)" in ground.description

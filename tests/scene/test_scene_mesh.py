@@ -209,7 +209,7 @@ def write(mesh: object, path: Path) -> Path:
 
 
 @pytest.mark.parametrize("suffix", ["obj", "ply", "stl"])
-def test_a_closed_mesh_is_told_and_turned_outward(tmp_path: Path, suffix: str) -> None:
+def test_a_closed_mesh_is_reported_and_turned_outward(tmp_path: Path, suffix: str) -> None:
     box = trimesh.creation.box((2.0, 4.0, 6.0))
     box.invert()
     file = read_mesh(str(write(box, tmp_path / f"box.{suffix}")), "m")
@@ -219,7 +219,7 @@ def test_a_closed_mesh_is_told_and_turned_outward(tmp_path: Path, suffix: str) -
     assert file.description == f"mesh box.{suffix}, 12 triangles, 2 x 4 x 6 m, closed, faced inward: inverted"
 
 
-def test_an_open_mesh_and_one_at_odds_with_itself_are_told(tmp_path: Path) -> None:
+def test_an_open_mesh_and_one_at_odds_with_itself_are_reported(tmp_path: Path) -> None:
     box = trimesh.creation.box((1.0, 1.0, 1.0))
     lidless = trimesh.Trimesh(box.vertices, box.faces[:-2], process=False)
     assert "open" in read_mesh(str(write(lidless, tmp_path / "open.obj")), "m").description

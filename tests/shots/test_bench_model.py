@@ -1,4 +1,4 @@
-"""The bench pattern reports what it was told."""
+"""The bench pattern reports its settings."""
 
 from __future__ import annotations
 

@@ -182,11 +182,11 @@ def test_of_bad_dust_the_key_is_named(plume, key):
     assert key in str(refusal.value)
 
 
-def test_the_plan_tells_of_it():
-    def told(scenario):
+def test_the_plan_reports_it():
+    def reported(scenario):
         return [d for d in build_model(scenario).plan.decisions if d.stage == "dust"]
 
-    assert told(landing(None)) == []
-    assert told(landing({}))[0].computed
-    assert "no echo of the dust sheet" in told(landing({}, level="statistical"))[0].bound
-    assert not told(landing({}, duration_s="2"))[0].computed
+    assert reported(landing(None)) == []
+    assert reported(landing({}))[0].computed
+    assert "no echo of the dust sheet" in reported(landing({}, level="statistical"))[0].bound
+    assert not reported(landing({}, duration_s="2"))[0].computed

@@ -67,7 +67,7 @@ def test_flies_over_both(folder):
     assert scene.height_m(*at)[1] == pytest.approx(wide_m - fine[100, 120])
 
 
-def test_plan_tells_the_offset_between_the_maps(folder):
+def test_plan_reports_the_offset_between_the_maps(folder):
     flown = load(folder, nested(f", {DETAIL}"))
     rows = {(d.stage, d.how): d for d in plan_flight(flown, Flight(flown)).decisions if d.stage == "seam"}
     detail, fine = rows.values()

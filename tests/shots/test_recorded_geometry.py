@@ -226,6 +226,6 @@ def test_neither_ground_nor_trajectory_is_built(recorded, monkeypatch):
         monkeypatch.setattr(f"lidar_emu.flight.flight.{name}", None)
     model = build_model(scenario, recorded)
     next(measure_in_blocks(model))
-    (told,) = [d for d in model.plan.decisions if d.stage == "trajectory, ground, casting"]
-    assert not told.computed
-    assert "300 shots of 4 beams, 7 rays each" in told.how
+    (reported,) = [d for d in model.plan.decisions if d.stage == "trajectory, ground, casting"]
+    assert not reported.computed
+    assert "300 shots of 4 beams, 7 rays each" in reported.how

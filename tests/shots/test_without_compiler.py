@@ -19,7 +19,7 @@ CODE = (
 
 
 def test_interpreted_kernels_measure_what_compiled_ones_do() -> None:
-    told = subprocess.run(
+    reported = subprocess.run(
         [sys.executable, "-c", CODE % SETTINGS],
         env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
         capture_output=True,
@@ -27,6 +27,6 @@ def test_interpreted_kernels_measure_what_compiled_ones_do() -> None:
         check=True,
     )
     compiled = simulate(load("descent", SETTINGS))
-    interpreted = np.array(told.stdout.split(), dtype=float).reshape(2, -1)
+    interpreted = np.array(reported.stdout.split(), dtype=float).reshape(2, -1)
     np.testing.assert_allclose(interpreted[0], compiled.range_m.ravel(), rtol=1e-10)
     np.testing.assert_allclose(interpreted[1], compiled.snr_db.ravel(), rtol=1e-9)

@@ -101,7 +101,7 @@ def compare(
 
     Args:
         tones: (rows, 3) errors in bins.
-        cycle_mps: λ fs/2, by which closing speeds cannot be told apart.
+        cycle_mps: λ fs/2, by which closing speeds cannot be distinguished.
     """
     valid = report.range_valid.ravel()
     range_error = beyond(report.range_m.ravel()[rows], truth.range_m)

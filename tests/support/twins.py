@@ -264,5 +264,5 @@ def write_lidar_flight(path: Path, geometry: Path) -> None:
     np.savetxt(path, rows, fmt=["%.14e", *["%.8f"] * 8], delimiter=",", comments="",
                header=" ,".join(["TIME_NANOSECONDS_TAI", *names]))  # fmt: skip
     noise: dict[str, Any] = {"doppler_robust_sigma_mps": sigma_mps.tolist()}
-    told = {"beam_los_in_CON": beams.tolist(), "observed_in_the_csv": {"noise_436p5_to_447s": noise}}
-    geometry.write_text(json.dumps(told, indent=1))
+    reported = {"beam_los_in_CON": beams.tolist(), "observed_in_the_csv": {"noise_436p5_to_447s": noise}}
+    geometry.write_text(json.dumps(reported, indent=1))

@@ -72,7 +72,7 @@ def test_speed_over_the_gap_stays_between_the_speeds_around_it(file: Path) -> No
     assert speed.max() <= -7.650 + 1e-9
 
 
-def test_flies_as_it_is_and_says_where_it_knows_nothing(file: Path) -> None:
+def test_flies_as_it_is_and_states_where_it_knows_nothing(file: Path) -> None:
     given = {
         **descent(file, maximum_gap_s=10.0).model_dump(mode="json"), "from_time": None, "to_time": 0, "pitch": None,
         "longer_gaps": "bridge",
@@ -89,7 +89,7 @@ def test_flies_as_it_is_and_says_where_it_knows_nothing(file: Path) -> None:
     np.testing.assert_array_equal(run.true_in_gap[:, 0], expected)
     assert len(run) == 755
     assert run.true_in_gap[:, 0].sum() == 322
-    told = [d for d in model.plan.decisions if d.stage == "gap"]
-    assert [d.how for d in told][-1] == "bridged from 564.0 s to 596.0 s"
-    assert len(told) == np.count_nonzero(np.diff(time) > 10) == 9
+    reported = [d for d in model.plan.decisions if d.stage == "gap"]
+    assert [d.how for d in reported][-1] == "bridged from 564.0 s to 596.0 s"
+    assert len(reported) == np.count_nonzero(np.diff(time) > 10) == 9
     assert run.table()["true_in_gap"].sum() == 4 * expected.sum()

@@ -38,7 +38,7 @@ int main(void) {
 """
 
 
-def test_the_fields_lie_where_the_page_says() -> None:
+def test_the_fields_lie_where_the_page_reports() -> None:
     data = WHOLE.to_bytes()
     assert len(data) == 152
     assert data[:4] == b"LETR"

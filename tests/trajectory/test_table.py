@@ -1,4 +1,4 @@
-"""Tables: what is read, what is refused and how it is said."""
+"""Tables: what is read, what is refused and how it is reported."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def test_quotes_blanks_byte_order_mark_and_empty_lines(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "keys", "said"),
+    ("text", "keys", "reported"),
     [
         (b"", {}, ("empty file",)),
         ("\n\n", {}, ("empty file",)),
@@ -198,14 +198,14 @@ def test_quotes_blanks_byte_order_mark_and_empty_lines(tmp_path: Path) -> None:
     ],
 )
 def test_refusals_name_file_place_and_value(
-    tmp_path: Path, text: str | bytes, keys: dict[str, Any], said: tuple[str, ...]
+    tmp_path: Path, text: str | bytes, keys: dict[str, Any], reported: tuple[str, ...]
 ) -> None:
     with pytest.raises(InputError) as refused:
         table(tmp_path, text, **keys)
     message = str(refused.value)
     assert message.startswith(str(tmp_path / "flight.csv"))
     assert "\n" not in message
-    for part in (*said, "allowed:"):
+    for part in (*reported, "allowed:"):
         assert part in message
 
 
@@ -231,7 +231,7 @@ def test_a_gap_of_just_the_maximum_is_bridged(tmp_path: Path) -> None:
     assert flight.gaps[0].length_s == pytest.approx(0.3)
 
 
-def test_longer_gaps_are_bridged_where_that_is_asked_for_and_told(tmp_path: Path) -> None:
+def test_longer_gaps_are_bridged_where_that_is_asked_for_and_reported(tmp_path: Path) -> None:
     text = "t,up,roll\n0,50,0\n4,46,\n5,45,0\n6,44,\n30,20,1\n31,19,2\n"
     keys = {"maximum_gap_s": 5, "roll": {"column": "roll", "unit": "deg"}}
     flight = table(tmp_path, text, longer_gaps="bridge", **keys)

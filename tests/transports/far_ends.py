@@ -1,7 +1,7 @@
 """The other ends of every kind of line, held by the test: what a host is to the device.
 
 A far end names the port that the device opens (`spec`), reads, speaks, leaves without a word and comes back. Packets
-are numbered, and what was read is told as the numbers of whole packets; a torn one stops the test.
+are numbered, and what was read is reported as the numbers of whole packets; a torn one stops the test.
 """
 
 from __future__ import annotations

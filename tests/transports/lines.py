@@ -138,7 +138,7 @@ class EveryLine:
                 assert device.send(far.packet(number)) is DeliveryStatus.SENT
             until(device, lambda: far.numbers() == [0, 1, 2])
 
-    def test_what_the_far_end_says_arrives(self, place: Place, far: FarEnd) -> None:
+    def test_what_the_far_end_states_arrives(self, place: Place, far: FarEnd) -> None:
         with opened(place, far) as device:
             far.attach(device.description)
             until(device, lambda: gets_through(device, far, 0))  # some know their device by what it sends

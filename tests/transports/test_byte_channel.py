@@ -136,7 +136,7 @@ def test_the_next_reader_gets_nothing_stale_and_no_torn_packet(pty: PtyChannel) 
     os.close(reader)
 
 
-def test_a_pty_says_what_its_reader_has_not_fetched(pty: PtyChannel, eventually: Any) -> None:
+def test_a_pty_states_what_its_reader_has_not_fetched(pty: PtyChannel, eventually: Any) -> None:
     reader = reader_of(pty)
     pty.connected()
     pty.send(ALL_BYTES)
@@ -157,7 +157,7 @@ def test_the_loopback_holds_hundreds_of_packets() -> None:
     far.close()
 
 
-def test_a_line_says_what_has_not_arrived_yet(narrow: tuple[DescriptorChannel, socket.socket]) -> None:
+def test_a_line_states_what_has_not_arrived_yet(narrow: tuple[DescriptorChannel, socket.socket]) -> None:
     channel, far = narrow
     assert channel.unread() == 0
     while channel.send(packet(1)):

@@ -97,7 +97,7 @@ def test_a_bus_that_cannot_be_opened_is_named(settings: dict[str, str], option: 
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "reported"),
     [
         (
             NameError("name 'canOpenChannel' is not defined"),
@@ -109,7 +109,7 @@ def test_a_bus_that_cannot_be_opened_is_named(settings: dict[str, str], option: 
     ],
 )
 def test_whatever_an_interface_without_its_driver_raises_is_the_users_to_mend(
-    monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
+    monkeypatch: pytest.MonkeyPatch, error: Exception, reported: str
 ) -> None:
     def fail(**_: object) -> None:
         raise error
@@ -118,7 +118,7 @@ def test_whatever_an_interface_without_its_driver_raises_is_the_users_to_mend(
     with pytest.raises(InputError) as refused:
         open_can(PortSpec(Kind.CAN, interface="kvaser", channel="0"))
     assert refused.value.where == "--channel"
-    assert refused.value.allowed.endswith(told)
+    assert refused.value.allowed.endswith(reported)
 
 
 def test_a_bit_rate_that_the_adapter_cannot_do_is_named(raw_pty: Any) -> None:
@@ -186,7 +186,7 @@ def error_frame(error_class: int, controller: int = 0) -> can.Message:
     return can.Message(arbitration_id=error_class, data=bytes([0, controller]), is_error_frame=True)
 
 
-def test_error_frames_are_no_data_and_tell_when_the_controller_changes() -> None:
+def test_error_frames_are_no_data_and_report_when_the_controller_changes() -> None:
     bus = FailingBus(OSError())
     bus.arrived = [
         error_frame(0x80),
@@ -241,7 +241,7 @@ def test_what_a_slow_reader_loses_is_counted() -> None:
 
 
 @pytest.mark.parametrize(
-    ("flags", "mtu", "fd", "option", "told"),
+    ("flags", "mtu", "fd", "option", "reported"),
     [
         (0x80, 72, False, "--channel", "down: ip link set can7 up"),
         (0x81, 72, False, "--channel", "can7 type can restart"),
@@ -251,7 +251,7 @@ def test_what_a_slow_reader_loses_is_counted() -> None:
     ],
 )
 def test_an_interface_from_which_no_frame_can_leave_is_refused(
-    flags: int, mtu: int, fd: bool, option: str | None, told: str, monkeypatch: pytest.MonkeyPatch
+    flags: int, mtu: int, fd: bool, option: str | None, reported: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     numbers = {0x8913: flags, 0x8921: mtu}
     monkeypatch.setattr(
@@ -262,6 +262,6 @@ def test_an_interface_from_which_no_frame_can_leave_is_refused(
         if option is None:
             prepare_socket(sock, spec)
             return
-        with pytest.raises(InputError, match=told) as refused:
+        with pytest.raises(InputError, match=reported) as refused:
             prepare_socket(sock, spec)
     assert refused.value.where == option

@@ -87,7 +87,7 @@ class Bench:
         self.link.service(self.now_ns)
         return self
 
-    def told(self) -> list[tuple[int, str]]:
+    def reported(self) -> list[tuple[int, str]]:
         return [((time_ns - START_NS) // MS, text) for time_ns, text in self.link.take_events()]
 
 
@@ -103,7 +103,7 @@ def test_a_disconnected_port_is_closed_and_opened_again() -> None:
         bench.at(time_ms).service()
     assert bench.send(b"d") is DeliveryStatus.SENT
     assert (bench.line.sent, bench.line.opened) == ([b"a", b"d"], 2)
-    (broke, why), (again, reopened) = bench.told()
+    (broke, why), (again, reopened) = bench.reported()
     assert (broke, why, reopened) == (100, "link broken: disconnected by an injected fault", "reopened")
     assert 300 <= again <= 2300
 
@@ -128,11 +128,11 @@ def test_what_would_not_come_back_is_kept_and_deaf() -> None:
     assert bench.line.opened == 1
 
 
-def test_bus_off_is_told_as_a_real_one_is_and_the_bus_stays_open() -> None:
+def test_bus_off_is_reported_as_a_real_one_is_and_the_bus_stays_open() -> None:
     bench = Bench(CAN, {"kind": "bus_off"})
     frames = pack_frames([Frame(0x100, b"12345678")])
     assert bench.at(150).send(frames) is DeliveryStatus.DROPPED_BROKEN
-    assert bench.told() == [(150, "link broken: bus off by an injected fault")]
+    assert bench.reported() == [(150, "link broken: bus off by an injected fault")]
     for time_ms in range(300, 2400):
         bench.at(time_ms).service()
     assert bench.send(frames) is DeliveryStatus.SENT
@@ -177,7 +177,7 @@ def test_a_slow_bus_counts_all_bits_of_frames() -> None:
     assert bench.at(100 + wire_ms + 0.1).service().line.sent
 
 
-def test_a_slow_line_tells_of_a_full_one_below() -> None:
+def test_a_slow_line_reports_a_full_one_below() -> None:
     bench = Bench(SERIAL, {"kind": "slow_line", "rate": 1e5, "buffer_bytes": 300})
     bench.line.is_full = True
     bench.at(100).send(b"a" * 200)
@@ -239,7 +239,7 @@ def test_what_comes_at_a_rate_comes_once_though_the_port_is_lost_meanwhile() -> 
     )
     for time_ms in range(3000):
         bench.at(time_ms).service()
-    assert [text for _, text in bench.told()] == ["link broken: bus off by an injected fault", "reopened"]
+    assert [text for _, text in bench.reported()] == ["link broken: bus off by an injected fault", "reopened"]
     assert bench.link.counts["error_frames"] == 10
     frames = [frame for payload in bench.line.sent for frame in unpack_frames(payload)]
     noise = PortFault(1, "babble", 100 * MS, 300 * MS, 0, 800.0).noise(0, 160)

@@ -135,7 +135,7 @@ def test_nobody_connected_is_reported_when_it_changes() -> None:
     assert texts(link) == []
 
 
-def test_what_others_know_about_the_link_is_told_in_its_turn() -> None:
+def test_what_others_know_about_the_link_is_reported_in_its_turn() -> None:
     cable = Cable()
     link = Link(cable.open)
     link.add_event("slow", 3 * MS)
@@ -154,7 +154,7 @@ def test_a_full_line_is_not_a_broken_one() -> None:
     assert texts(link) == []
 
 
-def test_what_the_channel_noticed_is_told_and_added_up_before_a_break_and_after() -> None:
+def test_what_the_channel_noticed_is_reported_and_added_up_before_a_break_and_after() -> None:
     cable = Cable()
     link = Link(cable.open)
     cable.noticed = LinkDiagnostics(["error passive"], Counter(error_frames=2))

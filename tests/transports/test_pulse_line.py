@@ -66,12 +66,12 @@ def opened(path: str, line: str, now_ns: Callable[[], int]) -> Link:
 def test_a_pulse_begins_with_a_rising_edge(line: str, raw_pty: Any, modem: Modem) -> None:
     link = opened(raw_pty.path, line, lambda: modem.now_ns)
     bit = LINES[line]
-    told = []
+    reported = []
     for now_ns, state in ((1000, bit), (1100, 0), (2000, bit), (2100, 0), (3000, bit)):
         modem.change(now_ns, state)
         link.service(0)
-        told.append(link.pulse_ns)
-    assert told == [1000, 1000, 2000, 2000, 3000]
+        reported.append(link.pulse_ns)
+    assert reported == [1000, 1000, 2000, 2000, 3000]
     assert set(modem.waits_for) == {bit}
     link.close()
 
@@ -94,16 +94,16 @@ def test_who_closes_the_port_leaves_it_to_others_though_no_edge_comes(raw_pty: A
     again.close()
 
 
-def test_a_line_that_cannot_be_watched_is_told_once(raw_pty: Any) -> None:
+def test_a_line_that_cannot_be_watched_is_reported_once(raw_pty: Any) -> None:
     link = opened(raw_pty.path, "dsr", lambda: 0)
-    told: list[str] = []
+    reported: list[str] = []
     for _ in range(10_000_000):
         link.service(7)
-        told += [text for _, text in link.take_events()]
-        if told:
+        reported += [text for _, text in link.take_events()]
+        if reported:
             break
     link.service(8)
-    assert told + [text for _, text in link.take_events()] == [
+    assert reported + [text for _, text in link.take_events()] == [
         "no pulses from line dsr: Inappropriate ioctl for device"
     ]
     assert link.pulse_ns is None

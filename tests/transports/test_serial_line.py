@@ -54,7 +54,7 @@ def test_a_driver_that_can_is_asked_for_low_latency_and_for_rs485_where_it_is_wa
     assert driver.done == ["low_latency True", "low_latency True", "rs485, RTS while sending: True"]
 
 
-def test_what_a_driver_cannot_do_is_said_and_no_error(raw_pty: Any) -> None:
+def test_what_a_driver_cannot_do_is_reported_and_no_error(raw_pty: Any) -> None:
     assert list(ask_driver(Driver(), spec("x", rs485=True)).missing) == ["low_latency", "rs485"]
     link = Link(opener(spec(raw_pty.path, rs485=True)))
     assert list(link.driver_features.missing) == ["low_latency", "rs485"]
@@ -65,11 +65,11 @@ def test_what_a_driver_cannot_do_is_said_and_no_error(raw_pty: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("bits", "told"),
+    ("bits", "reported"),
     [(0x20, "modem lines: CTS on, DSR off, CD off"), (0x140, "modem lines: CTS off, DSR on, CD on")],
 )
-def test_modem_lines_are_told_as_they_were_found(
-    bits: int, told: str, raw_pty: Any, monkeypatch: pytest.MonkeyPatch
+def test_modem_lines_are_reported_as_they_were_found(
+    bits: int, reported: str, raw_pty: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert modem_lines(raw_pty.master) == [], "a pty has none"
 
@@ -79,10 +79,10 @@ def test_modem_lines_are_told_as_they_were_found(
         return 0
 
     monkeypatch.setattr("fcntl.ioctl", answer)
-    assert modem_lines(3) == [told]
+    assert modem_lines(3) == [reported]
 
 
-def test_settings_that_another_program_changes_are_set_again_and_told(raw_pty: Any) -> None:
+def test_settings_that_another_program_changes_are_set_again_and_reported(raw_pty: Any) -> None:
     link = Link(opener(spec(raw_pty.path, baud=230_400)))
     before = termios.tcgetattr(raw_pty.master)
     subprocess.run(["stty", "-F", raw_pty.path, "9600", "echo", "icanon", "onlcr"], check=True)

@@ -95,16 +95,16 @@ def fly(scenario: str, port: PortSpec) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "reported"),
     [
         ("descent.yaml", "descent.yaml: in-memory loopback"),
         ("descent.yaml --port pty --baud 9600", "descent.yaml: pty"),
         ("-i socketcan -c vcan0 --bitrate 250000 --fd descent.yaml", "descent.yaml: socketcan vcan0"),
     ],
 )
-def test_a_command_receives_one_port(words: str, said: str) -> None:
+def test_a_command_receives_one_port(words: str, reported: str) -> None:
     result = CliRunner().invoke(fly, words.split())
-    assert (result.exit_code, result.output.strip()) == (0, said)
+    assert (result.exit_code, result.output.strip()) == (0, reported)
 
 
 def test_a_command_passes_the_refusal_on() -> None:

@@ -266,7 +266,7 @@ def test_peaks_of_noise_alone_show_two_percent_of_noise(receiver: dict[str, floa
 
 
 @pytest.mark.slow
-def test_strangers_are_told_apart() -> None:
+def test_strangers_are_distinguished() -> None:
     """The comparison of distributions fails for 0.1 dB of echo."""
     spectral, exact = _case(20.1).spectral(60_000), _case(20.0).waveform(10_000)
     assert _least_p(spectral, exact) < 1e-6

@@ -125,7 +125,7 @@ def test_digitiser_clips_and_adds_a_twelfth_of_a_step_squared() -> None:
     assert digitiser.digitise(np.array([-7.0, 0.0, 1.3])).tolist() == [-1.0, 0.0, 1.0]
 
 
-def test_swept_echo_rings_through_the_poles_as_a_state_equation_says() -> None:
+def test_swept_echo_rings_through_the_poles_as_a_state_equation_reports() -> None:
     """The echo of the segment before sweeps through zero: no single gain describes it."""
     waveform = Waveform(fft_length=2048, sample_rate_hz=RATE_HZ, chirp_slope_hz_per_s=2e10)
     segment = frequency_plan(waveform)[0]

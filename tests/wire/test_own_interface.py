@@ -79,7 +79,7 @@ def test_the_words_of_an_interface_may_have_other_numbers(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "reported"),
     [
         (
             'name = "snr_db"',
@@ -100,19 +100,19 @@ def test_the_words_of_an_interface_may_have_other_numbers(tmp_path: Path) -> Non
     ],
 )
 def test_what_cannot_be_sent_is_refused_before_the_run(
-    tmp_path: Path, old: str, new: str, told: list[str]
+    tmp_path: Path, old: str, new: str, reported: list[str]
 ) -> None:
     assert old in DEFAULT
     (tmp_path / "mine.toml").write_text(DEFAULT.replace(old, new, 1))
     loaded = load(scenario(tmp_path, "mine.toml"))
     with pytest.raises(InputError) as caught:
         Encoder(loaded.wire, can=False, fd=False, beam_count=3)
-    for part in told:
+    for part in reported:
         assert part in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("wire", "can", "beams", "told"),
+    ("wire", "can", "beams", "reported"),
     [
         (Wire(interface="altimeter"), False, 2, ["beams: 2", "at least 3"]),
         (Wire(interface="altimeter", unit=4), False, 3, ["wire.unit: 4", "0 to 3"]),
@@ -122,20 +122,20 @@ def test_what_cannot_be_sent_is_refused_before_the_run(
         (Wire(), True, 9, ["beams: 9", "at most 8"]),
     ],
 )
-def test_what_does_not_fit_is_refused(wire: Wire, can: bool, beams: int, told: list[str]) -> None:
+def test_what_does_not_fit_is_refused(wire: Wire, can: bool, beams: int, reported: list[str]) -> None:
     with pytest.raises(InputError) as caught:
         Encoder(wire, can=can, fd=False, beam_count=beams)
-    for part in told:
+    for part in reported:
         assert part in str(caught.value)
 
 
 def test_a_run_listens_to_itself_with_the_same_interface(tmp_path: Path) -> None:
     path = str(scenario(tmp_path, "altimeter"))
     done = CliRunner().invoke(cli, ["run", path, "--pace", "max", "--json"], catch_exceptions=False)
-    told = json.loads(done.stdout)
-    assert told["shots"]["sent"] == 10
-    assert told["far_end"]["messages"] == 10 + told["housekeeping"]["sent"] == 11
-    assert told["far_end"]["skipped_bytes"] == 0
+    reported = json.loads(done.stdout)
+    assert reported["shots"]["sent"] == 10
+    assert reported["far_end"]["messages"] == 10 + reported["housekeeping"]["sent"] == 11
+    assert reported["far_end"]["skipped_bytes"] == 0
 
 
 def test_the_documents_of_any_interface(tmp_path: Path) -> None:

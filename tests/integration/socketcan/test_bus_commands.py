@@ -30,8 +30,8 @@ Start = Callable[..., Program]
 
 def modes(dump: Candump) -> list[str]:
     """Those that housekeeping tells, without repetitions, as cantools decodes them with the DBC."""
-    told = [frame.data for frame in dump.frames() if frame.can_id == HEALTH]
-    decoded = (slcan_lines.DATABASE.decode_message(HEALTH, data) for data in told)
+    reported = [frame.data for frame in dump.frames() if frame.can_id == HEALTH]
+    decoded = (slcan_lines.DATABASE.decode_message(HEALTH, data) for data in reported)
     return [mode for mode, _ in groupby(str(values["mode"]) for values in decoded)]
 
 
@@ -54,16 +54,16 @@ def test_the_beams_follow_a_command_by_cansend(start: Start, tmp_path: Path) -> 
         run.signal(signal.SIGINT)
         run.succeed()
     answers = [frame for frame in dump.frames() if frame.can_id == 0x138]
-    told = [slcan_lines.DATABASE.decode_message(frame.can_id, frame.data) for frame in answers]
+    reported = [slcan_lines.DATABASE.decode_message(frame.can_id, frame.data) for frame in answers]
     summary = read_summary(tmp_path / "s.json")
-    assert [str(answer["verdict"]) for answer in told] == ["accepted", "malformed", "out_of_range"]
+    assert [str(answer["verdict"]) for answer in reported] == ["accepted", "malformed", "out_of_range"]
     assert summary["commands"]["accepted"] == 1
     assert summary["commands"]["rejected"] == {"malformed": 1, "out_of_range": 1}
     angles = [beam["beam_angle_deg"] for shot in slcan_lines.shots(dump.shots()) for beam in shot["beams"]]
     assert [angle for angle, _ in groupby(angles)] == [22.5, 7.5]
 
 
-def test_a_flood_that_is_not_read_in_time_is_told(start: Start, tmp_path: Path) -> None:
+def test_a_flood_that_is_not_read_in_time_is_reported(start: Start, tmp_path: Path) -> None:
     with candump(tmp_path) as dump:
         run = start("run", "bench.yaml", *BUS, "--summary", "s.json")
         eventually(dump.frames)
@@ -76,13 +76,13 @@ def test_a_flood_that_is_not_read_in_time_is_told(start: Start, tmp_path: Path) 
     run.signal(signal.SIGINT)
     run.succeed()
     summary = read_summary(tmp_path / "s.json")
-    told = [event["what"] for event in summary["link_events"]]
-    lost = [int(match[1]) for text in told if (match := re.match(r"(\d+) received frames lost", text))]
+    reported = [event["what"] for event in summary["link_events"]]
+    lost = [int(match[1]) for text in reported if (match := re.match(r"(\d+) received frames lost", text))]
     assert sum(lost) == summary["wire"]["lost_frames"] > 0
     assert summary["shots"]["sent"] + summary["shots"]["late"] == summary["shots"]["due"]
 
 
-def test_a_device_boots_obeys_restarts_and_tells_how_it_is(start: Start, tmp_path: Path) -> None:
+def test_a_device_boots_obeys_restarts_and_reports_how_it_is(start: Start, tmp_path: Path) -> None:
     host = Host(default_interface())
     device = {"start": "boot", "boot_s": 0.2, "self_test_s": 0.5, "acquisition_s": 0.5, "warm_restart_s": 0.3}
     settings = [word for key, value in device.items() for word in ("--set", f"device.{key}={value}")]
@@ -103,10 +103,10 @@ def test_a_device_boots_obeys_restarts_and_tells_how_it_is(start: Start, tmp_pat
         run.succeed()
     assert modes(dump) == ["self_test", "standby", "acquire", "track", "standby"]
     answers = [frame for frame in dump.frames() if frame.can_id == 0x138]
-    told = [slcan_lines.DATABASE.decode_message(frame.can_id, frame.data) for frame in answers]
+    reported = [slcan_lines.DATABASE.decode_message(frame.can_id, frame.data) for frame in answers]
     expected = [("set_mode", 0), ("set_pattern", 1), ("reset", 2)]
-    assert [(str(answer["command"]), answer["sequence"]) for answer in told] == expected
-    assert {str(answer["verdict"]) for answer in told} == {"accepted"}
+    assert [(str(answer["command"]), answer["sequence"]) for answer in reported] == expected
+    assert {str(answer["verdict"]) for answer in reported} == {"accepted"}
     parts = [frame.can_id for frame in dump.frames() if frame.can_id >= HEALTH]
     assert parts == [*range(HEALTH, HEALTH + 5)] * (len(parts) // 5), "five frames each, in their order"
     summary = read_summary(tmp_path / "s.json")

@@ -88,7 +88,7 @@ def test_an_interface_goes_down_and_comes_back_in_flight(
     assert summary["shots"]["dropped"]["broken"] > 0
 
 
-def test_errors_on_the_bus_are_told(start: Start, tmp_path: Path) -> None:
+def test_errors_on_the_bus_are_reported(start: Start, tmp_path: Path) -> None:
     with candump(tmp_path) as dump:
         run = start("run", "bench.yaml", *BUS, "--summary", "s.json")
         eventually(dump.frames)

@@ -63,18 +63,18 @@ class TestSocketCan(EveryLine):
 
 
 def test_udp_as_tshark_dissects_it(start: Start, tmp_path: Path) -> None:
-    told = tmp_path / "tshark.txt"
+    reported = tmp_path / "tshark.txt"
     fields = ["-T", "fields", "-e", "ip.dst", "-e", "udp.dstport", "-e", "udp.length"]
-    with told.open("wb") as out, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
+    with reported.open("wb") as out, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
         host.bind(("127.0.0.1", PORT))
         command = ["tshark", "-l", "-Q", "-i", "lo", "-f", f"udp dst port {PORT}", *fields]
         process = subprocess.Popen(command, stdout=out, stderr=subprocess.DEVNULL)
         with ended_at_the_end(process):
             run = start("run", "bench.yaml", "--port", f"udp:{PORT}")
             received = [host.recv(2000) for _ in range(60)]
-            eventually(lambda: told.read_text().count("\n") >= 20)
+            eventually(lambda: reported.read_text().count("\n") >= 20)
             run.end()
-    lines = told.read_text().splitlines()[:20]
+    lines = reported.read_text().splitlines()[:20]
     assert {line.split("\t")[0] for line in lines} == {"127.0.0.1"}
     # The length counts the header of 8 bytes.
     assert {int(line.split("\t")[2]) for line in lines} <= {8 + len(data) for data in received}

@@ -54,8 +54,8 @@ def test_the_full_set_as_everybody_reads_it(start: Start, simulated: Simulated, 
     assert summary["wire"]["lost_frames"] == summary["wire"]["error_frames"] == 0
 
     decoded = run_tool(CANTOOLS, "decode", "--single-line", DBC, stdin=dump.log).splitlines()
-    told = [re.search(r"Beam0\(.*?range_m: (\S+)", line) for line in decoded]
-    ranges_m = [match[1] for match in told if match]
+    reported = [re.search(r"Beam0\(.*?range_m: (\S+)", line) for line in decoded]
+    ranges_m = [match[1] for match in reported if match]
     for text, row in zip(ranges_m, rows[::BEAMS], strict=True):
         assert (text[0] == "n") == (row["range_m"] is None)
         assert text[0] == "n" or float(text) == pytest.approx(row["range_m"], abs=1e-9)
