@@ -26,7 +26,7 @@ KEPT = ["--summary", "s.json", "--record", "r.mcap"]
 SAFE = ["--set", "timing.when_process_dies=safe"]
 SAFE_MODE = default_interface().enumerations["mode"]["safe"]
 DIED = "lidar-emu: the port process ended (signal 9)\n"
-ORPHANED = "lidar-emu: the model's process died: the run has ended"
+ORPHANED = "lidar-emu: the model process died: the run has ended"
 
 
 def serial(far_end: FarEnd) -> list[str]:
@@ -163,7 +163,7 @@ def test_an_orderly_end_states_nothing(start: Start, far_end: FarEnd) -> None:
     [
         ("port", 0.5, 0.5, ["the port process does not respond", "the port process responds again"]),
         # The model is two seconds ahead at most.
-        ("model", 3.0, 1.0, ["the model's process stalled"]),
+        ("model", 3.0, 1.0, ["the model process stalled"]),
     ],
 )
 def test_a_stalled_process_is_reported_and_no_burst_follows(

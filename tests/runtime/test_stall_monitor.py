@@ -93,7 +93,7 @@ def test_time_that_was_neither_slept_nor_computed_in(
     world.computed += computed_ms * MS
     world.monitor.reported(away_ms // 10)
     world.monitor.poll()
-    expected = [(1000 + away_ms, f"the model's process stalled for {away_ms} ms")] if noticed else []
+    expected = [(1000 + away_ms, f"the model process stalled for {away_ms} ms")] if noticed else []
     assert world.events == expected
 
 

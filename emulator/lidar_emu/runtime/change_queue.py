@@ -59,7 +59,7 @@ class ChangeQueue:
         self._pending: deque[Change] = deque()
 
     def receive(self, time_ns: int, start_ns: int | None = None) -> None:
-        """Take what has arrived.
+        """Process received commands and faults.
 
         Args:
             time_ns: scenario time.

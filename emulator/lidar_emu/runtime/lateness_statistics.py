@@ -1,4 +1,4 @@
-"""Lateness of packets, over a run and second by second, in constant memory; and the time that a host machine took."""
+"""Lateness of packets, over a run and second by second, in constant memory; and the time that a host machine stole."""
 
 from __future__ import annotations
 

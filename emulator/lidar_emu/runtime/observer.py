@@ -22,7 +22,8 @@ class Observer:
         """The port is open under this name; scenario time 0 is at `start`, in UTC."""
 
     def on_flight_started(self, waited_ns: int) -> None:
-        """The command to fly has arrived: times so far counted from power-up, `waited_ns` before scenario time 0."""
+        """The command that starts the flight was executed: times so far counted from power-up, `waited_ns` before
+        scenario time 0."""
 
     def on_truth(self, datagram: bytes, time_ns: int, counted: bool) -> None:
         """A simulator's datagram arrived at this scenario time; it was accepted (`counted`) or refused."""

@@ -1,4 +1,4 @@
-"""Faults of the port, from the scenario to the port process."""
+"""Faults of the port, passed from the scenario to the port process."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ _ISOLATED = Path("/sys/devices/system/cpu/isolated")
 
 @dataclass(frozen=True)
 class RealtimePrivileges:
-    """What a process asked for."""
+    """Result of a process's requests."""
 
     granted: list[str]
     """Names of the privileges that the system granted."""

@@ -23,7 +23,7 @@ class DescriptorChannel:
     Args:
         descriptor: open for reading and writing; set non-blocking here.
         description: how to name the link to the user.
-        close: gives the descriptor back.
+        close: closes the descriptor.
         input_descriptor: where to read, if it is another one.
     """
 
@@ -81,7 +81,7 @@ class DescriptorChannel:
         return not self._rest
 
     def receive(self) -> bytes:
-        """What has arrived; empty if nothing."""
+        """Received bytes; empty if none."""
         for _, happened in self._poll.poll(0):
             data = self._read() if happened & select.POLLIN else b""
             if not data:
@@ -100,7 +100,7 @@ class DescriptorChannel:
         return len(self._rest) + queued_bytes(self._descriptor)
 
     def close(self) -> None:
-        """Give the descriptor back; never raises."""
+        """Close the descriptor; never raises."""
         with suppress(OSError, termios.error):
             self._close()
 
@@ -150,7 +150,7 @@ class PtyChannel(DescriptorChannel):
         return (self._had_reader or self.connected()) and super().send(payload)
 
     def receive(self) -> bytes:
-        """What has arrived; empty if nothing, or if there is no reader."""
+        """Received bytes; empty if none, or if there is no reader."""
         ready = self._poll.poll(0)
         if not any(happened & select.POLLIN for _, happened in ready):
             return b""

@@ -81,7 +81,7 @@ class CanChannel:
         return not self._rest and (self._lines is None or self._lines.flush())
 
     def receive(self) -> bytes:
-        """What has arrived, as frame records; empty if nothing."""
+        """Received frames as frame records; empty if none."""
         frames: list[Frame] = []
         for _ in range(_RECEIVE_AT_MOST):
             if self._descriptor is not None and not _is_readable(self._descriptor):
@@ -110,7 +110,7 @@ class CanChannel:
         return 0 if self._lines is None else self._lines.unread()
 
     def close(self) -> None:
-        """Give the bus back; never raises."""
+        """Close the bus; never raises."""
         try:
             self._bus.shutdown()
         except Exception:

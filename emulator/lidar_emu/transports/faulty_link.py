@@ -185,7 +185,7 @@ class FaultyChannel:
         return self._channel.flush() and not self._buffer
 
     def receive(self) -> bytes:
-        """What has arrived (CAN: frame records); empty if nothing."""
+        """Received bytes (CAN: frame records); empty if none."""
         self._raise_if_broken()
         return self._channel.receive()
 
@@ -209,7 +209,7 @@ class FaultyChannel:
         return self._channel.unread() + sum(len(packet) for _, packet in self._buffer)
 
     def close(self) -> None:
-        """Give the port back; never raises."""
+        """Close the port; never raises."""
         self._port.give_back(self._channel)
 
     def __getattr__(self, name: str) -> Any:

@@ -25,7 +25,7 @@ class _Host:
         """Number of breaks of the link."""
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         if self._channel is not None:
             self._channel.close()
             self._channel = None
@@ -43,7 +43,7 @@ class _Host:
             return False
 
     def _receive(self, timeout_s: float) -> bytes:
-        """What has arrived within `timeout_s`; empty where nothing came or the link is broken."""
+        """Bytes received within `timeout_s`; empty if none, or if the link is broken."""
         if self._channel is None and not self._reopen():
             _pause(timeout_s)
             return b""

@@ -97,7 +97,7 @@ class PortChannel(Protocol):
         """Complete a packet that was partly written; True if none is left."""
 
     def receive(self) -> bytes:
-        """What has arrived (CAN: frame records), even if its sender has closed its end since; empty if nothing."""
+        """Received bytes (CAN: frame records), even if the sender has closed its end since; empty if none."""
 
     def take_diagnostics(self) -> LinkDiagnostics:
         """Events and counts since the last call; does not raise."""
@@ -106,7 +106,7 @@ class PortChannel(Protocol):
         """Bytes taken that have not left the line or, on a pty, were not fetched by its reader."""
 
     def close(self) -> None:
-        """Give the port back; never raises."""
+        """Close the port; never raises."""
 
 
 class Link:
@@ -147,7 +147,7 @@ class Link:
         return DeliveryStatus.SENT
 
     def receive(self, now_ns: int) -> bytes:
-        """What has arrived (CAN: frame records); empty if nothing, or while the link is broken."""
+        """Received bytes (CAN: frame records); empty if none, or while the link is broken."""
         if self._channel is None:
             return b""
         try:
@@ -221,7 +221,7 @@ class Link:
         return events
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         if self._channel is not None:
             self._channel.close()
             self._channel = None

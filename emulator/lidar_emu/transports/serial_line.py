@@ -63,7 +63,7 @@ class SerialChannel(DescriptorChannel):
         return diagnostics
 
     def close(self) -> None:
-        """Give the device back and unlock it; never raises."""
+        """Close and unlock the device; never raises."""
         if self._marked:
             _ask(self._tty, termios.TIOCNXCL)
         if self._pulses is not None:

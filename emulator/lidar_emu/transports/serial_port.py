@@ -118,7 +118,7 @@ class TelnetChannel(DescriptorChannel):
         return super().send(payload.replace(_IAC, 2 * _IAC))
 
     def receive(self) -> bytes:
-        """What has arrived, a bounded number of bytes; empty if nothing."""
+        """A bounded number of received bytes; empty if none."""
         data = b""
         try:
             # Without blocking it returns one byte at a time.
@@ -175,7 +175,7 @@ class UrlChannel:
         return True
 
     def receive(self) -> bytes:
-        """What has arrived; empty if nothing."""
+        """Received bytes; empty if none."""
         try:
             return bytes(self._port.read(self._port.in_waiting))
         except (OSError, termios.error) as error:
@@ -190,6 +190,6 @@ class UrlChannel:
         return 0
 
     def close(self) -> None:
-        """Give the port back; never raises."""
+        """Close the port; never raises."""
         with suppress(OSError, termios.error):
             self._port.close()

@@ -36,7 +36,7 @@ class TtyReader:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop reading, and give the pipe back."""
+        """Stop reading, and close the pipe."""
         os.close(self.descriptor)  # releases a thread that waits for room
         os.close(self._stop)
         self._thread.join(_STOP_LIMIT_S)

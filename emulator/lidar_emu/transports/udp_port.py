@@ -74,7 +74,7 @@ class UdpChannel:
         return True
 
     def receive(self) -> bytes:
-        """What has arrived, a bounded number of datagrams; empty if nothing."""
+        """A bounded number of received datagrams; empty if none."""
         arrived: list[bytes] = []
         for _ in range(_AT_ONCE):
             try:
@@ -98,7 +98,7 @@ class UdpChannel:
         return queued_bytes(self._socket.fileno())
 
     def close(self) -> None:
-        """Give the address back."""
+        """Release the address."""
         self._socket.close()
 
     def _count_losses(self) -> None:

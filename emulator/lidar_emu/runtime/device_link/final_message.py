@@ -1,4 +1,4 @@
-"""The final message: if one of the emulator's processes dies, the host still learns that the device is safe."""
+"""The final message: if one of the emulator's processes dies, the host is still informed that the device is safe."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def why_no_final_message(interface: Interface, can: bool) -> str | None:
 
 
 class FinalMessage(Observer):
-    """Housekeeping with mode safe, prepared every second: a process that needs it cannot ask the dead one.
+    """Housekeeping with mode safe, prepared every second, because it cannot be composed once a process has died.
 
     Args:
         encoder: encoder of the downlink.

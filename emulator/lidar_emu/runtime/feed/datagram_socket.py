@@ -69,7 +69,7 @@ class DatagramSocket:
         return True
 
     def close(self) -> None:
-        """Give the address back."""
+        """Release the address."""
         self._socket.close()
         if self._path is not None:
             with suppress(OSError):

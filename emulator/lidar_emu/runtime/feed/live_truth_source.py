@@ -35,13 +35,13 @@ def truth_socket(address: str, clock: Clock) -> DatagramSocket:
 
 
 class ReceivedTruth(NamedTuple):
-    """A datagram of truth, or what claims to be one."""
+    """A datagram of truth, valid or not."""
 
     truth: Truth | None
     """None: the datagram is malformed."""
     verdict: Verdict
     sequence: int
-    """Sequence number, as far as there is one."""
+    """Sequence number, if there is one."""
     arrived_ns: int
     """Instant of the monotonic clock."""
     sender: Any

@@ -55,7 +55,7 @@ class LockstepFeed(Feed):
             self._finish()
 
     def _linger(self) -> None:
-        """The last answer may have been lost, too."""
+        """Answer repeated truths for a while, since the last answer may have been lost."""
         ends_ns = self._clock.now_ns() + _LINGER_NS
         while self._clock.now_ns() < ends_ns and not self._control.stopped:
             self._port.wait(ends_ns, [self._source.fileno()])

@@ -1,4 +1,4 @@
-"""What becomes of a packet that a full line refuses: it is tried again for a while, or dropped."""
+"""Backpressure policy: whether a packet that a full line refuses is retried or dropped."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class PacketLink(Protocol):
 
     @property
     def unread(self) -> int:
-        """Bytes that the other end has yet to fetch."""
+        """Bytes that the other end has not fetched yet."""
 
     def send(self, payload: bytes, now_ns: int) -> DeliveryStatus:
         """Take the whole packet or drop it."""

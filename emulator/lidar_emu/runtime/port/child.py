@@ -1,4 +1,4 @@
-"""The port process as a child of the model's process: its start, its pipes and its end."""
+"""The port process as a child of the model process: its start, its pipes and its end."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class PortChild:
         self._control.close()
 
     def kill(self) -> None:
-        """Make sure that it has ended, and give everything back."""
+        """Kill the process if it still runs, and release all resources."""
         self._process.kill()
         self._process.wait()
         self._control.close()
@@ -116,7 +116,7 @@ class PortChild:
 
 
 def standard_error() -> dict[str, int]:
-    """Standard error, if there is one: the port process reports there if it survives the model's process."""
+    """Standard error, if there is one: the port process reports there if it survives the model process."""
     try:
         os.fstat(_STANDARD_ERROR)
     except OSError:

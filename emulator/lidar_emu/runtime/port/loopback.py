@@ -1,4 +1,4 @@
-"""The far end of the in-memory loopback, read in the model's process as a host would read it."""
+"""The far end of the in-memory loopback, read in the model process as a host would read it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class LoopbackEnd:
         return self._socket.fileno()
 
     def drain(self) -> None:
-        """Read what has arrived."""
+        """Read the received bytes."""
         try:
             while data := self._socket.recv(_READ_BYTES):
                 self._data += data
@@ -34,5 +34,5 @@ class LoopbackEnd:
         return data
 
     def close(self) -> None:
-        """Give the socket back; what was read can still be taken."""
+        """Close the socket; bytes already read can still be taken."""
         self._socket.close()

@@ -1,4 +1,4 @@
-"""Pacing: when a packet goes out. A pure decision."""
+"""Pacing: when a packet is sent, as a pure decision."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Records that pass between the model's process and the port process."""
+"""Records that pass between the model process and the port process."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _REPORT = struct.Struct("<qqqBq")
 
 @dataclass(frozen=True)
 class OutgoingPacket:
-    """A finished packet, from the model's process to the port process."""
+    """A finished packet, from the model process to the port process."""
 
     shot: int
     due_ns: int
@@ -59,7 +59,7 @@ class OutgoingPacket:
 
 @dataclass(frozen=True)
 class DeliveryReport:
-    """The delivery status of a packet, from the port process to the model's process."""
+    """The delivery status of a packet, from the port process to the model process."""
 
     shot: int
     due_ns: int

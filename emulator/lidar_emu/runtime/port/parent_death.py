@@ -1,4 +1,4 @@
-"""What the port process does when the model's process dies: a final message on the link, and a line for the user."""
+"""What the port process does when the model process dies: a final message on the link, and a line for the user."""
 
 from __future__ import annotations
 

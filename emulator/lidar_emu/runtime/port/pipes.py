@@ -1,6 +1,6 @@
-"""The two pipes between the model's process and the port process: one JSON object per line.
+"""The two pipes between the model process and the port process: one JSON object per line.
 
-The model's process sends commands through the control pipe; its end of file means that the process has closed it or
+The model process sends commands through the control pipe; its end of file means that the process has closed it or
 died. The port process sends its status through the other pipe, and never waits for a reader.
 """
 

@@ -1,8 +1,8 @@
 """The port process: it owns the port, sends packets when they are due, and counts what arrives. It imports little.
 
 `PortRunner` starts it with the control pipe as standard input: at its end of file the process closes the port and ends,
-however the model's process ended; in mid-run the other end has half a second to fetch what was sent. Unless the
-model's process has closed the pipe in order, no further packet is sent but the final message, if there is one.
+however the model process ended; in mid-run the other end has half a second to fetch what was sent. Unless the
+model process has closed the pipe in order, no further packet is sent but the final message, if there is one.
 Both pipes carry one JSON object per line:
 
     in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "faults": [a PortFault] or null}
@@ -12,14 +12,14 @@ Both pipes carry one JSON object per line:
          {"finish": true}                            no more packets will follow
          {"supersede": [generation, shot, number]}   do not send older packets from this shot, before that entry
          {"send": hex}                               send at once; not a shot
-         {"final_message": hex}                      to be sent if the model's process dies
-         {"end": in order}                           before the end of file, unless the model's process died
+         {"final_message": hex}                      to be sent if the model process dies
+         {"end": in order}                           before the end of file, unless the model process died
     out  {"ready": description} or {"refused": [where, key, value, allowed]}
          {"granted": [name], "missing": {name: command}}     real-time privileges
          {"received": [time_ns, hex, pulse_ns]}      arrived on the port, and when the last pulse came, or null; lost
-                                                     while the model's process does not read
+                                                     while the model process does not read
          {"completed": count}                        in lockstep: number of packets whose delivery status is final
-         {"event": [number, time_ns, text]}          counted from 1; lost while the model's process does not read
+         {"event": [number, time_ns, text]}          counted from 1; lost while the model process does not read
          {"finished": counts}                        every packet has its report
          {"stopped": counts}                         last line
 """
@@ -63,7 +63,7 @@ _READ_NS_PER_BYTE = 4_000
 
 def main() -> None:
     """Run until the control pipe ends."""
-    # Ctrl-C in a terminal goes to the whole process group; the model's process handles it.
+    # Ctrl-C in a terminal goes to the whole process group; the model process handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     control = ControlPipe(_CONTROL)
     settings = control.receive_first()
@@ -133,7 +133,7 @@ class _PortLoop:
         self._ends_in_order: bool | None = None
 
     def run(self) -> str | None:
-        """Run until the control pipe ends; return an error message if the model's process died."""
+        """Run until the control pipe ends; return an error message if the model process died."""
         is_open = True
         while is_open:
             # First what the process woke up for. Whether a reader is connected was checked before it slept, and a
@@ -148,7 +148,7 @@ class _PortLoop:
         return self._end()
 
     def _end(self) -> str | None:
-        error = "the model's process died: the run has ended" if self._ends_in_order is None else None
+        error = "the model process died: the run has ended" if self._ends_in_order is None else None
         if self._final_message and not self._ends_in_order:
             status = send_final_message(self._link, self._final_message, self._clock)
             error = error and f"{error}, final message {result_text(status)}"
@@ -263,7 +263,7 @@ class _PortLoop:
             self._status.send_if_idle(event=[self._event_count, time_ns, text])
 
     def _report_completed(self) -> None:
-        """In lockstep the model's process waits for the packets as well, for the simulator does."""
+        """In lockstep the model process waits for the packets as well, for the simulator does."""
         if (
             self._is_lockstep
             and self._sender is not None

@@ -148,7 +148,7 @@ class PortRunner:
         self._running().send(send=payload.hex())
 
     def set_final_message(self, message: bytes) -> None:
-        """Set the message that the process sends, instead of the pending packets, if the model's process dies."""
+        """Set the message that the process sends, instead of the pending packets, if the model process dies."""
         self._running().send(final_message=message.hex())
 
     def inject_fault(self, fault: dict[str, Any]) -> None:
@@ -233,7 +233,7 @@ class PortRunner:
             self.wait(self._clock.now_ns() + _POLL_NS)
 
     def close(self, in_order: bool = True) -> None:
-        """End the process and give everything back; may be called again.
+        """End the process and release all resources; may be called again.
 
         In mid-run the other end still has half a second to fetch what counts as sent.
 

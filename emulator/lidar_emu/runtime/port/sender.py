@@ -28,7 +28,7 @@ class Wait:
 class Sender:
     """Moves each packet from the ring to the link, and its report to the ring of reports.
 
-    The ring of reports must hold a report for every packet that the model's process has not collected yet.
+    The ring of reports must hold a report for every packet that the model process has not collected yet.
     """
 
     def __init__(

@@ -15,13 +15,13 @@ OnStall = Callable[[int, str], None]
 
 
 class StallMonitor:
-    """Runs in the model's process, which polls it several times in `STALL_NS` unless it computes.
+    """Runs in the model process, which polls it several times in `STALL_NS` unless it computes.
 
-    The port process reports every packet as soon as it is due, sent or not. The model's process computes or sleeps for
+    The port process reports every packet as soon as it is due, sent or not. The model process computes or sleeps for
     short times only: time between two polls in which it had no processor time is a stall of its own.
 
     Args:
-        on_stall: called when the port process stalls, when it resumes, and after a stall of the model's process.
+        on_stall: called when the port process stalls, when it resumes, and after a stall of the model process.
     """
 
     def __init__(self, clock: Clock, on_stall: OnStall | None) -> None:
@@ -80,7 +80,7 @@ class StallMonitor:
         stalled_ns = now_ns - self._polled_ns - (computed_ns - self._computed_ns)
         self._polled_ns, self._computed_ns = now_ns, computed_ns
         if stalled_ns > STALL_NS:
-            self._on_stall(now_ns, f"the model's process stalled for {stalled_ns / 1e6:.0f} ms")
+            self._on_stall(now_ns, f"the model process stalled for {stalled_ns / 1e6:.0f} ms")
 
 
 def _ignore(time_ns: int, text: str) -> None:
