@@ -23,8 +23,3 @@ def ticks_from_ns(time_ns: int) -> int:
     if 0 <= ticks < 1 << BITS:
         return ticks
     raise EncodeError(f"time {time_ns} ns is outside the range of the time code, 2**32 s from the epoch")
-
-
-def ns_from_ticks(ticks: int) -> int:
-    """Convert a tick to the nearest nanosecond; `ticks_from_ns` is the inverse."""
-    return (ticks * NS_PER_S + HALF_TICK) >> FRACTION_BITS

@@ -185,10 +185,6 @@ class CanDefinition:
     acknowledge: CanBlock | None
     housekeeping: tuple[CanBlock, ...]
 
-    def shot_counter(self, data: bytes) -> int:
-        """Shot counter at the start of a message of a shot."""
-        return data[0] >> self.counter_shift & self.counter_mask
-
     def can_id(self, unit: int, message: CanMessage | CanBlock, slot: int = 0) -> int:
         """Identifier of a message of a unit."""
         return self.id_base + unit * self.unit_stride + message.id + slot

@@ -39,10 +39,6 @@ class Codec(Protocol):
     def absent_raw(self) -> int:
         """Bit pattern of "absent", without sign."""
 
-    @property
-    def is_optional(self) -> bool:
-        """Whether None can be sent."""
-
     def raw(self, value: str, bind: Bind) -> str:
         """Expression of the raw number for the expression `value`. It may use the variables v and s."""
 
@@ -57,7 +53,6 @@ class Flag:
     bits: ClassVar[int] = 1
     signed: ClassVar[bool] = False
     absent_raw: ClassVar[int] = 0
-    is_optional: ClassVar[bool] = True
 
     def raw(self, value: str, bind: Bind) -> str:  # noqa: ARG002
         return f"1 if {value} else 0"
@@ -73,7 +68,6 @@ class Constant:
     bits: int
     code: int
     signed: ClassVar[bool] = False
-    is_optional: ClassVar[bool] = True
 
     @property
     def absent_raw(self) -> int:
@@ -93,7 +87,6 @@ class Counter:
     bits: int
     signed: ClassVar[bool] = False
     absent_raw: ClassVar[int] = 0
-    is_optional: ClassVar[bool] = False
 
     def raw(self, value: str, bind: Bind) -> str:
         return f"(v if (v := {value}).__class__ is int else {bind(_required)}(v)) & {(1 << self.bits) - 1}"
@@ -109,7 +102,6 @@ class Time:
     bits: ClassVar[int] = cuc.BITS
     signed: ClassVar[bool] = False
     absent_raw: ClassVar[int] = 0
-    is_optional: ClassVar[bool] = False
 
     def raw(self, value: str, bind: Bind) -> str:
         ticks = f"((v << {cuc.FRACTION_BITS}) + {cuc.NS_PER_S // 2}) // {cuc.NS_PER_S}"
@@ -151,10 +143,6 @@ class Number:
     def absent_raw(self) -> int:
         code = self.absent if self.absent is not None else self.none
         return (code or 0) % (1 << self.bits)
-
-    @property
-    def is_optional(self) -> bool:
-        return self.none is not None
 
     def raw(self, value: str, bind: Bind) -> str:
         if self.whole:
@@ -215,7 +203,6 @@ class Real:
     highest: float
     nearest: bool = False
     signed: ClassVar[bool] = False
-    is_optional: ClassVar[bool] = True
 
     @property
     def code(self) -> str:

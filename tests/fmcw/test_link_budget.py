@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
-from scipy.integrate import dblquad, quad
+from scipy.integrate import dblquad
 
 from lidar_emu.errors import InputError
-from lidar_emu.fmcw.link_budget import coherent_power_w, haze_power_w, haze_w_per_m, sunlight_over_shot
+from lidar_emu.fmcw.link_budget import coherent_power_w, haze_w_per_m, sunlight_over_shot
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.scenario.instrument import Detection, Instrument, Optics, Receiver, Waveform
 from lidar_emu.scenario.site import Atmosphere, Plane, Site, Surface
@@ -64,39 +62,14 @@ def test_two_modes_at_an_angle_overlap_less(range_m: float) -> None:
 RAYLEIGH_M = np.pi * 0.017**2 / 1550e-9
 
 
-@pytest.mark.parametrize("extinction_per_m", [0.0, 1e-5, 1e-3, 0.1, 10.0])
-def test_light_of_the_air_is_the_sum_over_its_layers(extinction_per_m: float) -> None:
-    air = Atmosphere(extinction_per_m=extinction_per_m, backscatter_per_m_sr=1e-7)
-    range_m = np.array([0.0, 0.3, 30.0, 600.0, 3000.0, 12_000.0])
-
-    def layer(r: float) -> float:
-        return float(np.exp(-2 * extinction_per_m * r) / (1 + (r / RAYLEIGH_M) ** 2))
-
-    # 30 optical depths are all that returns.
-    ends = np.minimum(range_m, 30 / extinction_per_m if extinction_per_m else np.inf)
-    layers = [(near, far) for near, far in pairwise(ends) if far > near]
-    parts = [quad(layer, near, far, epsabs=0, epsrel=1e-12, limit=500)[0] for near, far in layers]
-    expected_m = np.concatenate([[0.0], np.cumsum(parts)])
-    power_w = haze_power_w(INSTRUMENT, air, range_m)[: len(expected_m)]
-    np.testing.assert_allclose(power_w, haze_w_per_m(INSTRUMENT, air) * expected_m, rtol=1e-9)
-
-
-def test_air_that_does_not_dim_is_an_arctangent() -> None:
-    air = Atmosphere(extinction_per_m=0.0, backscatter_per_m_sr=1e-7)
-    per_m_w = 0.6 * 1e-7 * 1550e-9**2 / (np.pi * 0.017**2)
-    range_m = np.array([[0.0, 10.0], [1e4, np.inf]])
-    expected_w = per_m_w * RAYLEIGH_M * np.arctan(range_m / RAYLEIGH_M)
-    np.testing.assert_allclose(haze_power_w(INSTRUMENT, air, range_m), expected_w, rtol=1e-12)
-    assert np.isnan(haze_power_w(INSTRUMENT, air, np.nan))
-
-
 def test_air_beside_the_ground_of_mars() -> None:
     """At 1.5 km, straight down: the air's 1e-7 * 585.8 m * 1.1985 = 7.02e-5 /sr over the beam's area at the sensor, the
     ground's 0.5 * 0.25/π = 0.0398 over 7.557 times it: 0.0133, -18.7 dB.
     """
     air = Atmosphere(extinction_per_m=0.0, backscatter_per_m_sr=1e-7)
     mars = Surface(reflectance=0.25)
-    ratio = haze_power_w(INSTRUMENT, air, 1500.0) / coherent_power_w(INSTRUMENT, mars, None, 1500.0, 1.0)
+    haze_w = haze_w_per_m(INSTRUMENT, air) * RAYLEIGH_M * np.arctan(1500.0 / RAYLEIGH_M)
+    ratio = haze_w / coherent_power_w(INSTRUMENT, mars, None, 1500.0, 1.0)
     assert 10 * np.log10(ratio) == pytest.approx(-18.75, abs=0.02)
 
 

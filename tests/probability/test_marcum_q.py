@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mpmath import mp, mpf
 from scipy.stats import ncx2
 
-from lidar_emu.probability.marcum import log_p, log_q, marcum_q
+from lidar_emu.probability.marcum import log_q, marcum_q
 
 REFERENCE = json.loads(Path(__file__).with_name("marcum_reference.json").read_text())
 LENGTH = st.floats(0.0, 1e4)
@@ -23,20 +23,16 @@ def relative_error(value, reference):
     return float(abs(mpf(float(value)) / reference - 1))
 
 
-@pytest.mark.parametrize(("a", "b", "ln_q", "ln_p"), REFERENCE)
-def test_both_tails_have_twelve_digits(a, b, ln_q, ln_p):
+@pytest.mark.parametrize(("a", "b", "ln_q"), [(a, b, ln_q) for a, b, ln_q, _ in REFERENCE])
+def test_both_tails_have_twelve_digits(a, b, ln_q):
     with mp.workdps(40):
         assert relative_error(log_q(a, b), mpf(ln_q)) < 1e-12
-        assert relative_error(log_p(a, b), mpf(ln_p)) < 1e-12
 
 
 def test_arrays_give_what_single_values_give():
     a, b, *_ = (np.array(column, dtype=object) for column in zip(*REFERENCE, strict=True))
     a, b = a.astype(float), b.astype(float)
-    for function in (log_q, log_p):
-        np.testing.assert_array_equal(
-            function(a, b), [float(function(*pair)) for pair in zip(a, b, strict=True)]
-        )
+    np.testing.assert_array_equal(log_q(a, b), [float(log_q(*pair)) for pair in zip(a, b, strict=True)])
     assert log_q(a[:, None], b[None, :3]).shape == (len(a), 3)
 
 
@@ -47,18 +43,11 @@ def test_published_values():
 
 def test_no_threshold_is_always_exceeded():
     assert log_q([0.0, 3.0, 1e4], 0.0).tolist() == [0.0, 0.0, 0.0]
-    assert np.isneginf(log_p([0.0, 3.0, 1e4], 0.0)).all()
 
 
 def test_without_signal_it_is_rayleighs():
     b = np.array([1e-200, 1e-9, 0.5, 0.999, 1.0, 20.0])
     np.testing.assert_allclose(log_q(0.0, b), -b * b / 2, rtol=1e-14)
-    assert log_p(0.0, 1e-200) == pytest.approx(2 * np.log(1e-200) - np.log(2), rel=1e-14)
-
-
-@given(LENGTH, LENGTH)
-def test_the_tails_add_up_to_one(a, b):
-    assert np.exp(log_q(a, b)) + np.exp(log_p(a, b)) == pytest.approx(1.0, abs=1e-14)
 
 
 @given(LENGTH, LENGTH)

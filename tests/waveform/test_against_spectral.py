@@ -21,7 +21,7 @@ from lidar_emu.fmcw.spectrum import (
     set_tones,
 )
 from lidar_emu.fmcw.waveform.detection import transform
-from lidar_emu.fmcw.waveform.record_samples import Beamlets, Segment, frequency_plan, sample_record
+from lidar_emu.fmcw.waveform.record_samples import Beamlets, Segment, analytic_record, frequency_plan
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
 
 WINDOW_NAMES = ["rect", "hann", "hamming"]
@@ -87,7 +87,7 @@ def _footprint(kind: str, count: int, speed_mps: float) -> Beamlets:
 def test_footprint_at_rest(kind: str, count: int) -> None:
     beamlets = _footprint(kind, count, 2e-4)
     for segment in frequency_plan(SHORT):
-        samples = sample_record(SHORT, segment, beamlets)
+        samples = analytic_record(SHORT, segment, beamlets).real
         signed_bin = _signed_bins(SHORT, segment, beamlets)
         for window in WINDOW_NAMES:
             assert _error(signed_bin, beamlets.weight, samples, window) < 1e-6
@@ -98,7 +98,7 @@ def test_footprint_at_rest(kind: str, count: int) -> None:
 def test_constant_segment_in_motion(kind: str, speed_mps: float) -> None:
     segment = frequency_plan(SHORT)[1]
     beamlets = _footprint(kind, 64, speed_mps)
-    samples = sample_record(SHORT, segment, beamlets)
+    samples = analytic_record(SHORT, segment, beamlets).real
     for window in WINDOW_NAMES:
         assert _error(_signed_bins(SHORT, segment, beamlets), beamlets.weight, samples, window) < 1e-8
 
@@ -109,7 +109,7 @@ def test_what_limits_the_chirps_is_migration(index: int, speed_mps: float) -> No
     segment = frequency_plan(SHORT)[index]
     beamlets = _footprint("flat", 1, speed_mps)
     signed_bin = _signed_bins(SHORT, segment, beamlets)
-    error = _error(signed_bin, beamlets.weight, sample_record(SHORT, segment, beamlets), "hann")
+    error = _error(signed_bin, beamlets.weight, analytic_record(SHORT, segment, beamlets).real, "hann")
     # To first order a phase of π rate x², in the bins around the tone.
     x = (np.arange(4096) - 4095 / 2) / SHORT.sample_rate_hz
     turn = np.pi * 4 * SHORT.chirp_slope_hz_per_s * speed_mps / SPEED_OF_LIGHT_MPS * x**2
@@ -126,7 +126,7 @@ def test_full_length_in_motion(kind: str) -> None:
     waveform = Waveform()
     beamlets = _footprint(kind, 19, 1.0)
     for segment, limit in zip(frequency_plan(waveform), (1e-3, 1e-8, 1e-3), strict=True):
-        samples = sample_record(waveform, segment, beamlets)
+        samples = analytic_record(waveform, segment, beamlets).real
         signed_bin = _signed_bins(waveform, segment, beamlets)
         assert _error(signed_bin, beamlets.weight, samples, "hamming") < limit
 

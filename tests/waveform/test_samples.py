@@ -9,10 +9,10 @@ from mpmath import mp, mpf
 from lidar_emu.fmcw.waveform.record_samples import (
     Beamlets,
     Segment,
+    analytic_record,
     frequency_plan,
     phase_cycles,
     record_times,
-    sample_record,
 )
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
 
@@ -74,7 +74,8 @@ def test_record_against_forty_digits(index: int) -> None:
     scatterers = [(2164.784, 92.388, 100.0), (2171.5, 90.1, 100.0)]
     weight = np.array([2.0 - 1.0j, 0.5 + 0.25j])
     range_m, speed_mps, _ = np.array(scatterers).T
-    ours = sample_record(SHORT, frequency_plan(SHORT)[index], Beamlets(range_m, speed_mps, 100.0, weight))
+    beamlets = Beamlets(range_m, speed_mps, 100.0, weight)
+    ours = analytic_record(SHORT, frequency_plan(SHORT)[index], beamlets).real
     sign = 1 if index == 0 else -1
     for n in range(0, 256, 5):
         time_s = float(record_times(SHORT)[n])
@@ -136,8 +137,8 @@ def test_beyond_the_record_edge_the_line_loses_its_share(index: int, excess: flo
     range_m = waveform.record_edge_range_m + SPEED_OF_LIGHT_MPS / 2 * late_s
     beamlets = Beamlets(np.array([range_m]), np.zeros(1), 0.0, np.ones(1, dtype=complex))
     segment = frequency_plan(waveform)[index]
-    with_edges = sample_record(waveform, segment, beamlets, edges=True)
-    without = sample_record(waveform, segment, beamlets)
+    with_edges = analytic_record(waveform, segment, beamlets, edges=True).real
+    without = analytic_record(waveform, segment, beamlets).real
     late = record_times(waveform) < late_s - waveform.record_time_s / 2
     # The edge lies between two samples that may both be near it.
     unlike = abs(with_edges - without) > 1e-6

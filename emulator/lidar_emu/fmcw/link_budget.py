@@ -14,11 +14,6 @@ from lidar_emu.numerics.kernels import interpreted, kernel
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.site import Atmosphere, Site, Surface
 
-_OPAQUE = 20.0
-"""Optical depth beyond which nothing returns: exp(-40) of the light."""
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
-
 
 class EchoLaw(NamedTuple):
     """Constants of the echo's power as a function of range and incidence."""
@@ -105,29 +100,6 @@ def haze_w_per_m(instrument: Instrument, atmosphere: Atmosphere) -> float:
     optics = instrument.optics
     coupling = instrument.waveform.wavelength_m**2 / (np.pi * optics.waist_radius_m**2)
     return optics.laser_power_w * optics.optical_efficiency * atmosphere.backscatter_per_m_sr * coupling
-
-
-def haze_power_w(instrument: Instrument, atmosphere: Atmosphere, range_m: ArrayLike) -> NDArray[np.float64]:
-    """Power that the air between the sensor and a range returns in the mode of the local oscillator.
-
-    Single scattering: the integral of `haze_w_per_m` times exp(-2 α r)/(1 + (r/z)²), which is z arctan(R/z) in air that
-    scatters without extinction. The substitution φ = arctan(r/z) removes the divergence; the rest is integrated by 48
-    Gauss points over at most 20 optical depths. The alignment error is left out: over the depth from which most of the
-    light returns, the modes separate less than on the ground.
-
-    Args:
-        instrument: laser power, wavelength and optics.
-        atmosphere: extinction α and backscatter coefficient β.
-        range_m: any shape; NaN gives NaN.
-    """
-    optics, extinction_per_m = instrument.optics, atmosphere.extinction_per_m
-    rayleigh_m = np.pi * optics.waist_radius_m**2 / instrument.waveform.wavelength_m
-    reach_m = np.inf if extinction_per_m == 0.0 else _OPAQUE / extinction_per_m
-    end = np.arctan(np.minimum(range_m, reach_m) / rayleigh_m)
-    integral_m = np.zeros_like(end)
-    for node, weight in zip(_NODES, _WEIGHTS, strict=True):
-        integral_m += weight * np.exp(-2.0 * extinction_per_m * rayleigh_m * np.tan(0.5 * (1.0 + node) * end))
-    return np.asarray(0.5 * rayleigh_m * haze_w_per_m(instrument, atmosphere) * end * integral_m)
 
 
 def sunlight_over_shot(instrument: Instrument, site: Site) -> float:

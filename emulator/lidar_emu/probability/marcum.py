@@ -46,13 +46,7 @@ def log_q(a: ArrayLike, b: ArrayLike) -> FloatArray:
         b: length of the threshold, 0 or more; sqrt(2 T), with T in mean noise powers. Broadcast with a.
     """
     tail, is_p = _log_tail(a, b)
-    return np.where(is_p, _log_complement(tail), tail)
-
-
-def log_p(a: ArrayLike, b: ArrayLike) -> FloatArray:
-    """ln(1 - Q_1(a, b)), see `log_q`; minus infinity if b is 0."""
-    tail, is_p = _log_tail(a, b)
-    return np.where(is_p, tail, _log_complement(tail))
+    return np.where(is_p, np.log1p(-np.exp(tail)), tail)
 
 
 def marcum_q(order: int, a: ArrayLike, b: ArrayLike) -> FloatArray:
@@ -79,10 +73,6 @@ def _log_tail(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, BoolArray]:
     tail[is_bell] = _bell(a[is_bell], b[is_bell])
     tail[~is_bell] = _series(a[~is_bell], b[~is_bell], is_p[~is_bell])
     return tail, is_p
-
-
-def _log_complement(log_probability: FloatArray) -> FloatArray:
-    return np.log1p(-np.exp(log_probability))
 
 
 def _broadcast(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:

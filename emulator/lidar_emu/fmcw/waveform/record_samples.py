@@ -153,10 +153,3 @@ def analytic_record(
     """
     time_s = record_times(waveform)
     return add_beamlets(beamlets, lambda i: phasor(segment, beamlets, i, time_s, edges), time_s.size)
-
-
-def sample_record(
-    waveform: Waveform, segment: Segment, beamlets: Beamlets, edges: bool = False
-) -> FloatArray:
-    """Real part of `analytic_record`."""
-    return analytic_record(waveform, segment, beamlets, edges).real
