@@ -12,8 +12,8 @@ from lidar_emu.faults.build import beam_faults, refuse_physics
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.plan.bench import plan_bench
-from lidar_emu.plan.plan import Plan
+from lidar_emu.plan.faults import planned_faults
+from lidar_emu.plan.plan import Decision, Plan
 from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.bench_pattern import Level, Ramp
 from lidar_emu.scenario.faults import Fault
@@ -35,7 +35,7 @@ class BenchModel:
         self.beam_count = len(self.pattern.beams)
         self._valid = np.array([beam.valid for beam in self.pattern.beams])
         self._snr_db = np.array([beam.snr_db for beam in self.pattern.beams])
-        self.plan: Plan = plan_bench(scenario)
+        self.plan = _plan(scenario)
         self.initial_state = ScannerState(())
         self.pattern_count = 0
         self.physics: PhysicsFaults | None = None
@@ -107,6 +107,18 @@ class BenchModel:
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:  # noqa: ARG002
         """Return the state unchanged."""
         return state
+
+
+def _plan(scenario: BenchScenario) -> Plan:
+    """Build the plan, which needs neither flight nor receiver."""
+    beams = len(scenario.bench_pattern.beams)
+    return Plan(
+        (
+            Decision("pattern", True, f"{beams} beams", "the scenario gives bench_pattern", "exact"),
+            Decision("flight, ground, receiver", False, "-", "a pattern needs none of them", "exact"),
+            *planned_faults(scenario),
+        )
+    )
 
 
 def _level(level: Level, time_ns: NDArray[np.int64]) -> FloatArray:
