@@ -3,8 +3,9 @@
 Passing a record (a structured array of one element) to a kernel costs as much as passing an array. Between kernels a
 named tuple of arrays costs nothing; from Python it costs up to 5 µs more per call than its arrays, longer than many
 kernels take. The outermost kernel of a model therefore takes such arrays as a plain tuple, which costs about 0.2 µs
-more than separate arguments, and builds the named tuple in its first line. Kernels that cast single rays within 1 or 2
-µs take the arrays of `Hits` as separate arguments: a tuple or one more record made them a tenth slower.
+more than separate arguments, and builds the named tuple in its first line. Kernels that cast a few rays within 1 or 2
+µs take the arrays of `Hits` as separate arguments, nine to twelve in all: for a plane and four rays a call takes
+0.66 µs, with a record of the plane's constants 0.80 µs, with a tuple of the arrays 0.84 µs.
 """
 
 from __future__ import annotations

@@ -167,9 +167,6 @@ def _cast_bundle(
 
     Close rays advance along the clear part of their path together, and then over one cell after another. Remaining
     rays, at the edges of cells, are cast one by one.
-
-    Rays close together go the clear part of their way as one, and then onto one cell after another all at once. What
-    is left, at the edges of cells, goes ray by ray.
     """
     constants, nodes = grid.constants, grid.nodes
     clear_m = clear_way_m(origin, direction, grid) if close else 0.0

@@ -45,6 +45,19 @@ class Schedule(NamedTuple):
     maximum_steps: int
 
 
+class Descent(NamedTuple):
+    """Arguments of the integration: vehicle, guidance, schedule, step sizes and initial state."""
+
+    body: VehicleConstants
+    lags: Lags
+    guide: GuidanceConstants
+    schedule: Schedule
+    step_sizes: StepSizes
+    actuators: ActuatorState
+    state: FloatArray
+    """(21,) Initial state."""
+
+
 class StepHistory(NamedTuple):
     """Recorded steps of a flight; arrays without rows are not written."""
 
@@ -71,19 +84,9 @@ class FlightOutcome(NamedTuple):
 
 
 @kernel(outermost=True)
-def fly(
-    body: VehicleConstants,
-    lags: Lags,
-    guide: GuidanceConstants,
-    schedule: Schedule,
-    step_sizes: StepSizes,
-    actuators: ActuatorState,
-    state: FloatArray,
-    slopes: FloatArray,
-    stepped: FloatArray,
-    record: StepHistory,
-) -> FlightOutcome:
-    """Integrate a state (21,) to the end of the flight, with buffers (4, 21) and (21,)."""
+def fly(descent: Descent, slopes: FloatArray, stepped: FloatArray, record: StepHistory) -> FlightOutcome:
+    """Integrate the initial state, which is overwritten, to the end of the flight, with buffers (4, 21) and (21,)."""
+    body, lags, guide, schedule, step_sizes, actuators, state = descent
     phase, tick, steps = BURNING, 0, 0
     now_s, since_s, end_s = 0.0, 0.0, schedule.longest_s
     cut_off_s = touchdown_s = nan

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from math import cos, hypot, inf, radians, sin, sqrt, tan
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from lidar_emu.trajectory.powered.integration import (
     OUT_OF_PROPELLANT,
     SLOPE_SIZE,
     TOO_MANY_STEPS,
+    Descent,
     FlightOutcome,
     Schedule,
     StepHistory,
@@ -52,19 +52,6 @@ PHASE_PER_STEP = 0.2
 """Longest step times the frequency of the slosh, of the bending mode and of the spin at the start, in radians."""
 BOUNCE_PHASE_PER_STEP = 0.1
 """Longest step on the ground times the frequency of the feet."""
-
-
-class Descent(NamedTuple):
-    """Arguments of the integration: vehicle, guidance, schedule, step sizes and initial state."""
-
-    body: VehicleConstants
-    lags: Lags
-    guide: GuidanceConstants
-    schedule: Schedule
-    step_sizes: StepSizes
-    actuators: ActuatorState
-    state: FloatArray
-    """(21,) Initial state."""
 
 
 def prepare(part: PoweredDescent, body_radius_m: float = inf) -> Descent:
@@ -132,11 +119,8 @@ def fly_descent(part: PoweredDescent, body_radius_m: float = inf) -> tuple[Fligh
 
 
 def _fly(descent: Descent, record: StepHistory) -> FlightOutcome:
-    body, lags, guide, schedule, step_sizes, actuators, state = descent
-    slopes, stepped = np.empty((4, SIZE)), np.empty(SIZE)
-    return FlightOutcome(
-        *fly(body, lags, guide, schedule, step_sizes, actuators, state.copy(), slopes, stepped, record)
-    )
+    descent = descent._replace(state=descent.state.copy())
+    return FlightOutcome(*fly(descent, np.empty((4, SIZE)), np.empty(SIZE), record))
 
 
 def _record(steps: int) -> StepHistory:
