@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -33,6 +33,16 @@ def check_destination(path: Path, option: str | None = None) -> None:
         raise InputError(where, None, name or Finding("a folder"), "allowed: the name of a file")
     if not os.access(path if exists else path.parent, os.W_OK):
         raise InputError(where, None, name or Finding("not writable"), "allowed: a file that you may write")
+
+
+def check_suffix(path: Path, allowed: Collection[str]) -> None:
+    """Refuse a path whose suffix names no format.
+
+    Raises:
+        InputError: the suffix is not one of those allowed.
+    """
+    if path.suffix not in allowed:
+        raise InputError(str(path), None, path.suffix or "no suffix", f"allowed: {', '.join(allowed)}")
 
 
 def check_extra(path: Path, module: str, extra: str) -> None:

@@ -9,7 +9,8 @@ from matplotlib.image import imread
 
 from lidar_emu import files
 from lidar_emu.errors import InputError
-from lidar_emu.report.descent_plot import check_plot_path, plot_descent
+from lidar_emu.report.descent_plot import plot_descent
+from lidar_emu.report.png_file import check_plot_path
 from lidar_emu.scene.plane import PlaneGround
 
 LEFT, RIGHT = np.s_[60:680, 0:690], np.s_[60:680, 800:1490]

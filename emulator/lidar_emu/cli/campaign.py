@@ -89,7 +89,7 @@ def _check_extras(plot: str | None) -> None:
         allowed = "allowed after: pip install 'lidar-emu[tables]'"
         raise InputError("campaign", None, Finding("no pyarrow"), allowed)
     if plot is not None:
-        from lidar_emu.report.campaign_plot import check_plot_path
+        from lidar_emu.report.png_file import check_plot_path
 
         check_plot_path(Path(plot))
 

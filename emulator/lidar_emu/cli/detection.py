@@ -56,7 +56,7 @@ def detection(
     """
     low_m, high_m = _altitudes(altitudes)
     if plot is not None:
-        from lidar_emu.report.detection_plot import check_plot_path
+        from lidar_emu.report.png_file import check_plot_path
 
         check_plot_path(Path(plot))
     flown = load_scenario(scenario, None, None, settings)

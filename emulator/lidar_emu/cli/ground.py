@@ -74,7 +74,7 @@ def ground(
 
 def _check_paths(plot: str | None, out: str | None) -> None:
     if plot is not None:
-        from lidar_emu.report.ground_plot import check_plot_path
+        from lidar_emu.report.png_file import check_plot_path
 
         check_plot_path(Path(plot))
     if out is not None:

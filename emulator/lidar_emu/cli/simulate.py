@@ -52,7 +52,8 @@ def simulate(
     if out is not None:
         check_export_path(Path(out))
     if plot is not None:
-        from lidar_emu.report.descent_plot import check_plot_path, plot_descent
+        from lidar_emu.report.descent_plot import plot_descent
+        from lidar_emu.report.png_file import check_plot_path
 
         check_plot_path(Path(plot))
     flown = load_scenario(scenario, duration, seed, settings, exact)

@@ -9,14 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidar_emu.files import whole_file
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.report.descent_plot import check_plot_path
+from lidar_emu.report.png_file import check_plot_path, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = ["CampaignColumn", "check_plot_path", "plot_campaign"]
 
 _SIZE_INCH = (16.0, 12.0)
 _DOTS_PER_INCH = 100
@@ -55,8 +52,7 @@ def plot_campaign(columns: Sequence[CampaignColumn], levels: Sequence[str], titl
         for axes, (label, quantiles) in zip(panels[1:, j], column.quantiles.items(), strict=True):
             _draw_errors(axes, column, label, quantiles, levels)
         panels[-1, j].set_xlabel(column.label)
-    with whole_file(path) as file:
-        figure.savefig(file, format="png")
+    write_png(figure, path)
 
 
 def _draw_dropout(axes: Axes, column: CampaignColumn) -> None:

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import check_destination, check_extra, whole_file
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.ground_below import Extent, extent_of, sample_ground, slope_to_sun
+from lidar_emu.report.png_file import check_plot_path, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,18 +30,6 @@ _GROUND_SAMPLES = 80
 _BEAMS_IN_LEGEND = 12
 _PATH_COLOUR = "#b22222"
 _BRIDGE_COLOUR = "#e0a030"
-
-
-def check_plot_path(path: Path) -> None:
-    """Check the path of a plot before a long run.
-
-    Raises:
-        InputError: the suffix is not `.png`, the folder is missing or read-only, or the extra `plots` is missing.
-    """
-    if path.suffix != ".png":
-        raise InputError(str(path), None, path.suffix or "no suffix", "allowed: .png")
-    check_extra(path, "matplotlib", "plots")
-    check_destination(path)
 
 
 def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path: Path) -> None:
@@ -69,9 +57,7 @@ def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path
         raise InputError(
             title, None, Finding("a run without a valid range"), "allowed: a flight with a valid range"
         )
-    figure = _draw(measurement, scene, title)
-    with whole_file(path) as file:
-        figure.savefig(file, format="png")
+    write_png(_draw(measurement, scene, title), path)
 
 
 def _draw(measurement: Measurement, scene: Scene | None, title: str) -> Figure:

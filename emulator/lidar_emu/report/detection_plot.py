@@ -8,16 +8,13 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import whole_file
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.detection_forecast import DetectionForecast
-from lidar_emu.report.descent_plot import check_plot_path
+from lidar_emu.report.png_file import check_plot_path, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = ["check_plot_path", "plot_detection"]
 
 _SIZE_INCH = (16.0, 11.0)
 _DOTS_PER_INCH = 100
@@ -43,9 +40,7 @@ def plot_detection(forecast: DetectionForecast, title: str, path: Path) -> None:
             Finding("no beam with an echo"),
             "allowed: altitudes from which the ground is within detection.maximum_range_m",
         )
-    figure = _draw(forecast, title)
-    with whole_file(path) as file:
-        figure.savefig(file, format="png")
+    write_png(_draw(forecast, title), path)
 
 
 def _draw(forecast: DetectionForecast, title: str) -> Figure:

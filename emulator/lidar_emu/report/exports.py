@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import check_destination, check_extra, whole_file
+from lidar_emu.files import check_destination, check_extra, check_suffix, whole_file
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
 
@@ -53,8 +53,7 @@ def check_export_path(path: Path) -> None:
     Raises:
         InputError: the suffix is unknown, the folder is missing or read-only, or `.parquet` lacks the extra `tables`.
     """
-    if path.suffix not in _WRITERS:
-        raise InputError(str(path), None, path.suffix or "no suffix", f"allowed: {', '.join(_WRITERS)}")
+    check_suffix(path, _WRITERS)
     if path.suffix == ".parquet":
         check_extra(path, "pyarrow", "tables")
     check_destination(path)

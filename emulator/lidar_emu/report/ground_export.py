@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from lidar_emu.errors import InputError
-from lidar_emu.files import check_destination, check_extra, whole_file
+from lidar_emu.files import check_destination, check_extra, check_suffix, whole_file
 from lidar_emu.scenario.generated_ground import Generated
 
 Elevation = npt.NDArray[np.float32]
@@ -22,8 +21,7 @@ def check_ground_path(path: Path) -> None:
     Raises:
         InputError: the suffix is unknown, the folder is missing or read-only, or `.tif` lacks the extra `geo`.
     """
-    if path.suffix not in _WRITERS:
-        raise InputError(str(path), None, path.suffix or "no suffix", f"allowed: {', '.join(_WRITERS)}")
+    check_suffix(path, _WRITERS)
     if path.suffix == ".tif":
         check_extra(path, "rasterio", "geo")
     check_destination(path)

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lidar_emu.files import whole_file
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.report.descent_plot import check_plot_path
+from lidar_emu.report.png_file import check_plot_path, write_png
 from lidar_emu.scenario.generated_ground import Generated, diameter_range_m
 from lidar_emu.scene.generated.compare import StatisticCheck, expected_number
 from lidar_emu.scene.generated.generate import Layers
@@ -18,8 +17,6 @@ from lidar_emu.scene.generated.statistics import doubling_lags, structure_functi
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = ["check_plot_path", "plot_ground"]
 
 _SIZE_INCH = (16.0, 11.0)
 _DOTS_PER_INCH = 100
@@ -53,8 +50,7 @@ def plot_ground(
             axes.set_axis_off()
         else:
             _add_numbers(axes, ground, name, field.population)
-    with whole_file(path) as file:
-        figure.savefig(file, format="png")
+    write_png(figure, path)
 
 
 def _add_shade(axes: Axes, ground: Generated, elevation_m: FloatArray) -> None:

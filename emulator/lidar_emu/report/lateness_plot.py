@@ -9,15 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidar_emu.files import whole_file
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.report.descent_plot import check_plot_path
+from lidar_emu.report.png_file import check_plot_path, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = ["LatenessCurve", "check_plot_path", "plot_lateness"]
 
 _SIZE_INCH = (16.0, 8.0)
 _DOTS_PER_INCH = 100
@@ -51,9 +48,7 @@ def plot_lateness(curves: Sequence[LatenessCurve], title: str, path: Path) -> No
         RunError: writing failed.
     """
     check_plot_path(path)
-    figure = _draw(curves, title)
-    with whole_file(path) as file:
-        figure.savefig(file, format="png")
+    write_png(_draw(curves, title), path)
 
 
 def _draw(curves: Sequence[LatenessCurve], title: str) -> Figure:

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from lidar_emu.measurement import Measurement
-from lidar_emu.report.descent_plot import check_plot_path, plot_descent
+from lidar_emu.report.descent_plot import plot_descent
 from lidar_emu.report.paper_echoes import find_two_targets
 from lidar_emu.report.paper_scan import plot_scan
+from lidar_emu.report.png_file import check_plot_path
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.required import require_flight
 from lidar_emu.shots.flight_model import FlightModel

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lidar_emu.files import whole_file
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.report.descent_plot import check_plot_path
 from lidar_emu.report.paper_echoes import TwoTargets
+from lidar_emu.report.png_file import check_plot_path, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,8 +49,7 @@ def plot_scan(measurement: Measurement, spectrum: TwoTargets, title: str, path: 
         _add_cloud(figure, (left, 0.27, 0.43, 0.44), measurement, values, colours, label)
     _add_slice(figure.add_axes((0.06, 0.05, 0.55, 0.2)), measurement, spectrum.range_bin_m)
     _add_pairs(figure.add_axes((0.68, 0.05, 0.29, 0.2)), measurement, speed_mmps)
-    with whole_file(path) as file:
-        figure.savefig(file, format="png")
+    write_png(figure, path)
 
 
 def _add_spectrum(figure: Figure, spectrum: TwoTargets) -> None:

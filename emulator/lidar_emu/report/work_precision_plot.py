@@ -6,14 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from lidar_emu.files import whole_file
-from lidar_emu.report.descent_plot import check_plot_path
+from lidar_emu.report.png_file import check_plot_path, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = ["Mark", "check_plot_path", "plot_work_precision"]
 
 _SIZE_INCH = (16.0, 11.0)
 _DOTS_PER_INCH = 100
@@ -48,9 +45,7 @@ def plot_work_precision(
         RunError: writing failed.
     """
     check_plot_path(path)
-    figure = _draw(panels, title)
-    with whole_file(path) as file:
-        figure.savefig(file, format="png")
+    write_png(_draw(panels, title), path)
 
 
 def _draw(panels: Sequence[tuple[str, Sequence[Mark], float | None]], title: str) -> Figure:

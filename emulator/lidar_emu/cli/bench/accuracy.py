@@ -60,7 +60,7 @@ def accuracy(
         )
     )
     if plot is not None:
-        from lidar_emu.report.work_precision_plot import check_plot_path
+        from lidar_emu.report.png_file import check_plot_path
 
         check_plot_path(Path(plot))
     flown = load_scenario(scenario, None, None, settings)

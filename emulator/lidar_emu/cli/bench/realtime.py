@@ -54,7 +54,7 @@ def realtime(rate: str, duration: str, beamlets: str, record: bool, plot: str | 
     lidar-emu bench realtime --json
     """
     if plot is not None:
-        from lidar_emu.report.lateness_plot import check_plot_path
+        from lidar_emu.report.png_file import check_plot_path
 
         check_plot_path(Path(plot))
     rate_hz, duration_s = as_number("--rate", rate), as_number("--duration", duration)
