@@ -153,7 +153,9 @@ class EchoModel:
             pointing.time_ns,
             axis_hits.range_m,
             tuple(footprint),
-            (hits.normal_site, hits.velocity_site_mps, hits.reflectance),
+            hits.normal_site,
+            hits.velocity_site_mps,
+            hits.reflectance,
             tuple(echoes),
         )
         return echoes
@@ -173,7 +175,9 @@ def _set_echoes(
     time_ns: IntArray,
     axis_range_m: FloatArray,
     footprint_arrays: tuple[Any, ...],
-    hit_arrays: tuple[Any, ...],
+    normals: FloatArray,
+    surface_mps: FloatArray,
+    reflectance: FloatArray,
     echo_arrays: tuple[Any, ...],
 ) -> None:
     """Set the arrays of `Echoes` except ranges and flags.
@@ -183,14 +187,13 @@ def _set_echoes(
         stacked: (6, shots, beams, 3) vectors of the beams, see `Pointing.beams`.
         time_ns: (shots, beams) times of validity.
         axis_range_m: (shots, beams) range along each beam's axis.
-        footprint_arrays: arrays of a `Footprint` of (shots * beams) beams; a plain tuple like the others, whose type
+        footprint_arrays: arrays of a `Footprint` of (shots * beams) beams; a plain tuple like `echo_arrays`, whose type
             numba resolves faster than a named tuple's.
-        hit_arrays: normals, velocities and reflectances of the beamlets' `Hits`, (rays,).
+        normals, surface_mps, reflectance: arrays of the beamlets' `Hits`, (rays,).
         echo_arrays: arrays of `Echoes`.
     """
     law, vectors = laws[0], beam_vectors(stacked)
     footprint, echoes = Footprint(*footprint_arrays), Echoes(*echo_arrays)
-    normals, surface_mps, reflectance = hit_arrays
     waist_m, rayleigh_m = law.waist_m, law.rayleigh_m
     range_m, across = echoes.range_m, footprint.across_site
     doppler_start_m = footprint.doppler_start_m

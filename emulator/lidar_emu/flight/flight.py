@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lidar_emu.errors import InputError
 from lidar_emu.flight.ground_coverage import may_leave_its_ground, refuse_to_leave
 from lidar_emu.flight.pointing import (
+    DIRECTION,
     Pointing,
     place_starts,
     point_beams,
@@ -18,6 +19,7 @@ from lidar_emu.flight.pointing import (
 )
 from lidar_emu.flight.sweep import MOST_SHOTS, beamlet_margins, sweep
 from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.kernels import with_fields
 from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.scanner.model import build_scanner, mounting_rotation
 from lidar_emu.scanner.state import ScannerState
@@ -63,7 +65,10 @@ class Flight:
         self._latency_ns = round((scenario.cycle_time_s + timing.processing_latency_s) * 1e9)
         body_from_sensor = mounting_rotation(scenario.mounting)
         self._true_body = rotate(body_from_sensor, self.scanner.true_sensor)
-        self._published_body = rotate(body_from_sensor, self.scanner.published_sensor)
+        self._directions = with_fields(np.empty(self.scanner.angle_deg.shape, dtype=DIRECTION))
+        self._directions["true_body"] = self._true_body
+        self._directions["published_body"] = rotate(body_from_sensor, self.scanner.published_sensor)
+        self._directions["angle_deg"] = self.scanner.angle_deg
         self._needs_ground_altitude = self.scanner.needs_ground_altitude
         self._lever_arm_body_m = np.array(scenario.mounting.lever_arm_m)
         self.shot_count = self._count_shots()
@@ -130,7 +135,7 @@ class Flight:
             tuple(vehicle),
             self._lever_arm_body_m,
             self.scanner.row(pointing.pattern, shot),
-            (self._true_body, self._published_body, self.scanner.angle_deg),
+            self._directions,
             pointing.fired,
             pointing.angle_deg,
             pointing.beams,

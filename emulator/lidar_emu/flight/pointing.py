@@ -13,6 +13,9 @@ from lidar_emu.numerics.rotations import rotate
 from lidar_emu.numerics.vectors import add, cross, dot, nan_to_zero, store
 from lidar_emu.trajectory.state import VehicleState
 
+DIRECTION = np.dtype([("true_body", float, 3), ("published_body", float, 3), ("angle_deg", float)])
+"""A beam of a pattern: true and published unit vectors in the body frame, and its published off-boresight angle."""
+
 
 class BeamVectors(NamedTuple):
     """The vectors of beams in the site frame, (shots, beams, 3) each."""
@@ -150,7 +153,7 @@ def point_beams(
     state_arrays: tuple[Any, ...],
     lever_arm_m: FloatArray,
     row: NDArray[np.int64],
-    directions: tuple[FloatArray, FloatArray, FloatArray],
+    directions: Any,
     fired: BoolArray,
     angle_deg: FloatArray,
     stacked: FloatArray,
@@ -164,19 +167,18 @@ def point_beams(
     Args:
         state_arrays: Arrays of a `VehicleState` at 1 + beams instants of each shot, the first unused.
         lever_arm_m: (3,) Position of the sensor in the body frame.
-        row: (shots,) Row of the directions and angles that each shot uses.
-        directions: True and published unit vectors (rows, beams, 3) in the body frame, published angles (rows, beams).
+        row: (shots,) Row of the directions that each shot uses.
+        directions: (rows, beams) of `DIRECTION`.
         fired, angle_deg: (shots, beams), see `Pointing`.
         stacked: (6, shots, beams, 3), see `Pointing.beams`.
         vehicle: (2, shots, 3) Position and velocity of the vehicle at the first beam's time of validity.
     """
     state, vectors = VehicleState(*state_arrays), beam_vectors(stacked)
-    true_body, published_body, row_angle_deg = directions
     position_m, velocity_mps = state.position_site_m, state.velocity_site_mps
     shots, beams = fired.shape
     for s in range(shots):
         for b in range(beams):
-            k = s * (1 + beams) + 1 + b
+            k, direction = s * (1 + beams) + 1 + b, directions[row[s], b]
             rotation = state.site_from_body[k]
             turning = rotate(rotation, state.body_rate_radps[k])
             lever_arm = rotate(rotation, lever_arm_m)
@@ -189,9 +191,9 @@ def point_beams(
                 0,
                 add(cross(turning, swing), state.acceleration_site_mps2[k]),
             )
-            store(vectors.true[s, b], 0, rotate(rotation, true_body[row[s], b]))
-            store(vectors.published[s, b], 0, rotate(rotation, published_body[row[s], b]))
-            angle_deg[s, b] = row_angle_deg[row[s], b]
+            store(vectors.true[s, b], 0, rotate(rotation, direction.true_body))
+            store(vectors.published[s, b], 0, rotate(rotation, direction.published_body))
+            angle_deg[s, b] = direction.angle_deg
             fired[s, b] = angle_deg[s, b] == angle_deg[s, b]
         for axis in range(3):
             vehicle[0, s, axis] = position_m[s * (1 + beams) + 1, axis]

@@ -18,6 +18,13 @@ from lidar_emu.scenario.schema import FlightScenario
 Level = Callable[[Echoes, NDArray[np.int64]], Returns]
 """Measures beams (shots, beams) of shots (shots,)."""
 
+# Plain numbers: numpy takes microseconds to convert a member of an enumeration.
+_VALID = int(Reason.VALID)
+_NOT_FIRED = int(Reason.NOT_FIRED)
+_NO_SURFACE = int(Reason.NO_SURFACE)
+_BEYOND_RANGE = int(Reason.BEYOND_RANGE)
+_INSIDE_GROUND = int(Reason.INSIDE_GROUND)
+
 
 def build_level(scenario: FlightScenario) -> Level:
     """Build the level that the scenario selects.
@@ -44,13 +51,13 @@ def build_level(scenario: FlightScenario) -> Level:
 def geometric(echoes: Echoes, maximum_range_m: float) -> Returns:
     """Report the truth of each beam's axis, its first beamlet, at the time of validity."""
     range_m, speed_mps = echoes.range_m[..., 0], echoes.closing_speed_mps[..., 0]
-    reason = np.full(echoes.fired.shape, Reason.VALID, dtype=np.int8)
+    reason = np.full(echoes.fired.shape, _VALID, dtype=np.int8)
     with np.errstate(invalid="ignore"):
-        reason[range_m > maximum_range_m] = Reason.BEYOND_RANGE
-        reason[np.isnan(range_m)] = Reason.NO_SURFACE
-        reason[echoes.inside | (range_m <= 0)] = Reason.INSIDE_GROUND
-    reason[~echoes.fired] = Reason.NOT_FIRED
-    valid = reason == Reason.VALID
+        reason[range_m > maximum_range_m] = _BEYOND_RANGE
+        reason[np.isnan(range_m)] = _NO_SURFACE
+        reason[echoes.inside | (range_m <= 0)] = _INSIDE_GROUND
+    reason[~echoes.fired] = _NOT_FIRED
+    valid = reason == _VALID
     exact = np.where(valid, 0.0, np.nan)
     return Returns.with_columns(
         valid.shape,

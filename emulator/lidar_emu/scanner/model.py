@@ -4,28 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.kernels import kernel, with_fields
 from lidar_emu.numerics.vector_arrays import from_rotation_vector, from_yaw_pitch_roll, rotate
 from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.scanner import AltitudeSwitch, Mounting, Pattern, Scan, Scanner, TimeSwitch
 
+THRESHOLD = np.dtype([("by_time", bool), ("from_ground", bool), ("on", float), ("off", float)], align=True)
+"""A switch in the kernel: active from time `on`, or below altitude `on` and up to altitude `off`.
 
-class Thresholds(NamedTuple):
-    """The switches as arrays for the kernel, (switches,) each."""
-
-    by_time: BoolArray
-    from_ground: BoolArray
-    """Whether altitude is measured from the ground, or from the origin."""
-    on: FloatArray
-    """Time from which, or altitude below which, the switch is active."""
-    off: FloatArray
-    """Altitude above which the switch becomes inactive."""
+`from_ground`: whether altitude is measured from the ground, or from the origin.
+"""
 
 
 @dataclass(frozen=True)
@@ -47,8 +41,8 @@ class ScannerModel:
     firing_cycle: NDArray[np.int64]
     """(beams,) Cycle of the shot in which a beam fires."""
     switches: tuple[AltitudeSwitch | TimeSwitch, ...]
-    thresholds: Thresholds
-    """`cycles` as an array."""
+    thresholds: NDArray[np.void]
+    """(switches,) `switches` as `THRESHOLD` records."""
     initial: ScannerState
 
     @property
@@ -89,7 +83,7 @@ class ScannerModel:
                 leaves a switch as it is.
         """
         chosen, active = np.empty(len(time_s), dtype=np.int64), np.array(state.active, dtype=np.bool_)
-        _choose(tuple(self.thresholds), time_s, altitude_origin_m, altitude_ground_m, active, chosen)
+        _choose(self.thresholds, time_s, altitude_origin_m, altitude_ground_m, active, chosen)
         if state.commanded is not None:
             chosen[:] = state.commanded
         return chosen, replace(state, active=tuple(active.tolist()))
@@ -97,7 +91,7 @@ class ScannerModel:
 
 @kernel(outermost=True)
 def _choose(
-    threshold_arrays: tuple[Any, ...],
+    thresholds: Any,
     time_s: FloatArray,
     altitude_origin_m: FloatArray,
     altitude_ground_m: FloatArray,
@@ -108,22 +102,22 @@ def _choose(
 
     Comparisons with NaN are false, so that a switch without an altitude keeps its state.
     """
-    thresholds = Thresholds(*threshold_arrays)
     for s in range(len(chosen)):
         chosen[s] = 0
         for k in range(len(active)):
-            altitude_m = altitude_ground_m[s] if thresholds.from_ground[k] else altitude_origin_m[s]
-            if thresholds.by_time[k]:
-                active[k] = time_s[s] >= thresholds.on[k]
-            elif altitude_m < thresholds.on[k]:
+            switch = thresholds[k]
+            altitude_m = altitude_ground_m[s] if switch.from_ground else altitude_origin_m[s]
+            if switch.by_time:
+                active[k] = time_s[s] >= switch.on
+            elif altitude_m < switch.on:
                 active[k] = True
-            elif altitude_m > thresholds.off[k]:
+            elif altitude_m > switch.off:
                 active[k] = False
             if active[k]:
                 chosen[s] = k + 1
 
 
-def _thresholds(switches: Sequence[AltitudeSwitch | TimeSwitch]) -> Thresholds:
+def _thresholds(switches: Sequence[AltitudeSwitch | TimeSwitch]) -> NDArray[np.void]:
     rows = [
         (True, False, switch.at_s, np.inf)
         if isinstance(switch, TimeSwitch)
@@ -135,8 +129,8 @@ def _thresholds(switches: Sequence[AltitudeSwitch | TimeSwitch]) -> Thresholds:
         )
         for switch in switches
     ]
-    by_time, from_ground, on, off = np.array(rows, dtype=np.float64).reshape(-1, 4).T.copy()
-    return Thresholds(by_time.astype(np.bool_), from_ground.astype(np.bool_), on, off)
+    thresholds: NDArray[np.void] = with_fields(np.array(rows, dtype=THRESHOLD))
+    return thresholds
 
 
 def build_scanner(part: Scanner) -> ScannerModel:

@@ -93,12 +93,12 @@ class Hits(NamedTuple):
         """The same hits, reshaped: (n,) becomes ``shape``."""
         moving_shape = shape if self.moving else (0,) * len(shape)
         return type(self)(
-            range_m=self.range_m.reshape(shape),
-            normal_site=self.normal_site.reshape(*shape, 3),
-            inside=self.inside.reshape(shape),
-            reflectance=self.reflectance.reshape(shape),
-            object_id=self.object_id.reshape(shape),
-            velocity_site_mps=self.velocity_site_mps.reshape(*moving_shape, 3),
+            self.range_m.reshape(shape),
+            self.normal_site.reshape(*shape, 3),
+            self.inside.reshape(shape),
+            self.reflectance.reshape(shape),
+            self.object_id.reshape(shape),
+            self.velocity_site_mps.reshape(*moving_shape, 3),
         )
 
 

@@ -34,7 +34,8 @@ class BenchModel:
         self.shot_count = scenario.timing.shots_within(duration_s)
         self.beam_count = len(self.pattern.beams)
         self._valid = np.array([beam.valid for beam in self.pattern.beams])
-        self._snr_db = np.array([beam.snr_db for beam in self.pattern.beams])
+        self._reason = np.where(self._valid, Reason.VALID, Reason.NO_SURFACE).astype(np.int8)
+        self._snr_db = np.array([beam.snr_db if beam.valid else np.nan for beam in self.pattern.beams])
         self.plan = _plan(scenario)
         self.initial_state = ScannerState(())
         self.pattern_count = 0
@@ -69,9 +70,9 @@ class BenchModel:
             range_valid=valid,
             speed_valid=valid,
             sign_resolved=valid,
-            reason=np.where(valid, Reason.VALID, Reason.NO_SURFACE).astype(np.int8),
+            reason=np.tile(self._reason, (count, 1)),
             segments=np.where(valid, 7, 0).astype(np.uint8),
-            snr_db=np.where(valid, self._snr_db, np.nan),
+            snr_db=np.tile(self._snr_db, (count, 1)),
             returns=valid.astype(np.uint8),
         )
         return measurement, state

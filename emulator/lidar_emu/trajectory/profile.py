@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.kernels import kernel, with_fields
 from lidar_emu.numerics.rotations import premultiply, set_from_rotation_vector
 from lidar_emu.numerics.vector_arrays import (
     SITE_FROM_NED,
@@ -18,15 +17,18 @@ from lidar_emu.scenario.trajectory import Profile
 from lidar_emu.trajectory.curve import piece_at
 from lidar_emu.trajectory.state import Gap, VehicleState
 
-
-class _Legs(NamedTuple):
-    """The legs of a path, (legs,) each."""
-
-    start_s: FloatArray
-    start_site_m: FloatArray
-    """(legs, 3)"""
-    start_speed_mps: FloatArray
-    acceleration_mps2: FloatArray
+LEG = np.dtype(
+    [
+        ("start_s", float),
+        ("start_site_m", float, 3),
+        ("start_speed_mps", float),
+        ("acceleration_mps2", float),
+        ("direction_site", float, 3),
+        ("site_from_start", float, (3, 3)),
+        ("body_rate_radps", float, 3),
+    ]
+)
+"""A leg in kernels. Direction, attitude at scenario time 0 and body rate are the same in all legs of a path."""
 
 
 class ProfileTrajectory:
@@ -44,63 +46,58 @@ class ProfileTrajectory:
         leg_s = 2 * length_m / (speed_mps[:-1] + speed_mps[1:])
         leg_end_s = np.cumsum(leg_s)
         self.duration_s = float(leg_end_s[-1])
-        self._direction_site = np.array(
+        direction_site = np.array(
             [
                 np.cos(path_rad) * np.sin(heading_rad),
                 np.cos(path_rad) * np.cos(heading_rad),
                 -np.sin(path_rad),
             ]
         )
-        self._legs = _Legs(
-            start_s=np.concatenate([[0.0], leg_end_s[:-1]]),
-            start_site_m=_on_path(part, altitude_m[:-1], self._direction_site),
-            start_speed_mps=speed_mps[:-1],
-            acceleration_mps2=(speed_mps[1:] - speed_mps[:-1]) / leg_s,
-        )
         angles_deg = part.attitude.yaw_deg, part.attitude.pitch_deg, part.attitude.roll_deg
-        self._site_from_start = compose(SITE_FROM_NED, from_yaw_pitch_roll(*np.radians(angles_deg)))
-        self._body_rate_radps = np.array(part.attitude.body_rate_radps)
+        self._legs = with_fields(np.empty(len(leg_s), dtype=LEG))
+        self._legs["start_s"] = np.concatenate([[0.0], leg_end_s[:-1]])
+        self._legs["start_site_m"] = _on_path(part, altitude_m[:-1], direction_site)
+        self._legs["start_speed_mps"] = speed_mps[:-1]
+        self._legs["acceleration_mps2"] = (speed_mps[1:] - speed_mps[:-1]) / leg_s
+        self._legs["direction_site"] = direction_site
+        self._legs["site_from_start"] = compose(SITE_FROM_NED, from_yaw_pitch_roll(*np.radians(angles_deg)))
+        self._legs["body_rate_radps"] = part.attitude.body_rate_radps
 
     def state(self, time_s: FloatArray) -> VehicleState:
         """State of the vehicle at scenario times (n,)."""
         state = VehicleState.unfilled(time_s)
-        _fly(
-            tuple(self._legs),
-            self._direction_site,
-            self._site_from_start,
-            self._body_rate_radps,
-            tuple(state),
-        )
+        _fly(self._legs, *state)
         return state
 
 
 @kernel(outermost=True)
 def _fly(
-    leg_arrays: tuple[Any, ...],
-    direction_site: FloatArray,
-    site_from_start: FloatArray,
+    legs: NDArray[np.void],
+    time_s: FloatArray,
+    position_m: FloatArray,
+    velocity_mps: FloatArray,
+    acceleration_mps2: FloatArray,
+    site_from_body: FloatArray,
     body_rate_radps: FloatArray,
-    state_arrays: tuple[Any, ...],
 ) -> None:
-    """Fill the arrays of a `VehicleState` at its times, from the arrays of `_Legs`.
+    """Fill the arrays of a `VehicleState` at its times from legs (n,) of `LEG`.
 
     The turn about body axes is steady: R(t) = R(0) exp([rate]x t).
     """
-    legs, vehicle = _Legs(*leg_arrays), VehicleState(*state_arrays)
-    x, y, z = body_rate_radps[0], body_rate_radps[1], body_rate_radps[2]
-    for k in range(len(vehicle.time_s)):
-        time_s = vehicle.time_s[k]
-        leg = piece_at(legs.start_s, time_s)
-        since_s, acceleration_mps2 = time_s - legs.start_s[leg], legs.acceleration_mps2[leg]
-        speed_mps = legs.start_speed_mps[leg] + acceleration_mps2 * since_s
-        flown_m = (legs.start_speed_mps[leg] + 0.5 * acceleration_mps2 * since_s) * since_s
+    for k in range(len(time_s)):
+        leg = legs[piece_at(legs.start_s, time_s[k])]  # type: ignore[attr-defined]
+        since_s, growth_mps2 = time_s[k] - leg.start_s, leg.acceleration_mps2
+        speed_mps = leg.start_speed_mps + growth_mps2 * since_s
+        flown_m = (leg.start_speed_mps + 0.5 * growth_mps2 * since_s) * since_s
+        direction, rate = leg.direction_site, leg.body_rate_radps
         for axis in range(3):
-            vehicle.position_site_m[k, axis] = legs.start_site_m[leg, axis] + flown_m * direction_site[axis]
-            vehicle.velocity_site_mps[k, axis] = speed_mps * direction_site[axis]
-            vehicle.acceleration_site_mps2[k, axis] = acceleration_mps2 * direction_site[axis]
-            vehicle.body_rate_radps[k, axis] = body_rate_radps[axis]
-        set_from_rotation_vector(time_s * x, time_s * y, time_s * z, vehicle.site_from_body[k])
-        premultiply(site_from_start, vehicle.site_from_body[k])
+            position_m[k, axis] = leg.start_site_m[axis] + flown_m * direction[axis]
+            velocity_mps[k, axis] = speed_mps * direction[axis]
+            acceleration_mps2[k, axis] = growth_mps2 * direction[axis]
+            body_rate_radps[k, axis] = rate[axis]
+        x_rad, y_rad, z_rad = time_s[k] * rate[0], time_s[k] * rate[1], time_s[k] * rate[2]
+        set_from_rotation_vector(x_rad, y_rad, z_rad, site_from_body[k])
+        premultiply(leg.site_from_start, site_from_body[k])
 
 
 def _on_path(part: Profile, altitude_m: FloatArray, direction_site: FloatArray) -> FloatArray:
