@@ -56,50 +56,58 @@ PLANNED = {"bench": {"rich"}, "live": FLIGHT | {"rich"}}
 
 CODE = """
 import json, os, sys
+from contextlib import redirect_stdout
 from lidar_emu.cli import cli
 
-def loads(command):
-    "The modules that a command loads, in a process of its own so that the next one does not have them."
+watched, patterns, base, flights = map(json.loads, sys.argv[1:])
+
+def load(command):
+    with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+        assert not cli(command, standalone_mode=False)
+    return sorted(set(watched) & set(sys.modules))
+
+def loaded_by_fork(command):
+    "The modules that a command loads besides those of this process, which does not load them."
     read, write = os.pipe()
     if not os.fork():
-        sys.stdout = open(os.devnull, "w")
         try:
-            assert not cli(command, standalone_mode=False)
-            os.write(write, json.dumps(sorted(watched & set(sys.modules))).encode())
+            os.write(write, json.dumps(load(command)).encode())
         finally:
             os._exit(0)
     os.close(write)
     with open(read) as pipe:
         return json.loads(pipe.read() or '["nothing: it failed"]')
 
-watched, commands = map(json.loads, sys.argv[1:])
-watched = set(watched)
-print(json.dumps([loads(command) for command in commands]))
+print(json.dumps([*map(loaded_by_fork, patterns), load(base), *map(loaded_by_fork, flights)]))
 """
 
 
 def test_a_command_loads_what_its_scenario_needs(tmp_path: Path) -> None:
+    """Bench patterns and a plain descent start from the bare command line.
+
+    To load numba and scipy takes seconds, and every flight needs them: the others start from the plain descent.
+    """
     short = ["--duration", "0.05"]
-    commands = [
-        *(["simulate", name, *short, "--out", str(tmp_path / "out.csv")] for name in SIMULATED),
-        *(["run", name, *short, "--pace", "max", "--plain"] for name in RUN),
-        *(["plan", name, *short] for name in PLANNED),
+    simulate = {name: ["simulate", name, *short, "--out", str(tmp_path / "out.csv")] for name in SIMULATED}
+    run = {name: ["run", name, *short, "--pace", "max", "--plain"] for name in RUN}
+    plan = {name: ["plan", name, *short] for name in PLANNED}
+    patterns = [commands["bench"] for commands in (simulate, run, plan)]
+    base = simulate.pop("descent")
+    flights = [
+        command for commands in (simulate, run, plan) for name, command in commands.items() if name != "bench"
     ]
     done = subprocess.run(
-        [sys.executable, "-c", CODE, json.dumps(sorted(WATCHED)), json.dumps(commands)],
+        [sys.executable, "-c", CODE, *map(json.dumps, (sorted(WATCHED), patterns, base, flights))],
         capture_output=True,
         text=True,
         check=True,
     )
-    loaded = [
-        {name.removeprefix("lidar_emu.") for name in names}
-        for names in json.loads(done.stdout.splitlines()[-1])
-    ]
-    expected = [*SIMULATED.values(), *RUN.values(), *PLANNED.values()]
+    loaded = [{name.removeprefix("lidar_emu.") for name in names} for names in json.loads(done.stdout)]
+    tables = {"simulate": SIMULATED, "run": RUN, "plan": PLANNED}
     differences = {
-        " ".join(command[:2]): {"more": sorted(found - named), "less": sorted(named - found)}
-        for command, found, named in zip(commands, loaded, expected, strict=True)
-        if found != named
+        " ".join(command[:2]): {"more": sorted(found - expected), "less": sorted(expected - found)}
+        for command, found in zip([*patterns, base, *flights], loaded, strict=True)
+        if found != (expected := tables[command[0]][command[1]])
     }
     assert differences == {}, done.stderr
 
