@@ -86,7 +86,7 @@ OPERATORS = (
     *("AddNot", "NumberReplacer", "ReplaceTrueWithFalse", "ReplaceFalseWithTrue"),
     *("ReplaceAndWithOr", "ReplaceOrWithAnd", "ReplaceBreakWithContinue", "ReplaceContinueWithBreak"),
 )
-TEST_LIMIT_S = 60
+TEST_LIMIT_S = 10
 """A test that takes longer interpreted maps no lines."""
 BUDGET_S = 90.0
 """Of tests that a mutant is given, shortest first, by the times of the map."""
@@ -189,6 +189,17 @@ def _typed_lines_and_columns(source: str) -> list[tuple[tuple[int, int], tuple[i
     return [((p.lineno, p.col_offset), (p.end_lineno, p.end_col_offset)) for p in parts if p is not None]
 
 
+def _statement_lines(source: str, line: int) -> range:
+    """Lines of the statement at a line, without its body: an operand on a line of its own may not be traced."""
+    spans = [
+        range(node.lineno, max(node.lineno, body[0].lineno - 1 if body else node.end_lineno) + 1)
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.stmt)
+        for body in [getattr(node, "body", None)]
+    ]
+    return min((span for span in spans if line in span), key=len, default=range(line, line + 1))
+
+
 class TestMap:
     """Tests by the lines that they execute, and how long each took."""
 
@@ -207,8 +218,15 @@ class TestMap:
                     self._seconds[test] = seconds
 
     def of(self, mutant: Mutant, mode: str) -> list[str]:
-        """Tests of a mode that execute the mutant's line, the shortest first, within the budget."""
-        contexts = self._modes[mode].contexts_by_lineno(str(ROOT / mutant.path)).get(mutant.line, [])
+        """Tests of a mode that execute the mutant's line, the shortest first, within the budget.
+
+        A line that runs at import, e.g. a constant, is left to the tests that execute any line of its module.
+        """
+        by_line = self._modes[mode].contexts_by_lineno(str(ROOT / mutant.path))
+        lines = _statement_lines((ROOT / mutant.path).read_text(), mutant.line)
+        contexts = [each for line in lines for each in by_line.get(line, [])]
+        if set(contexts) == {""}:
+            contexts = [each for contexts in by_line.values() for each in contexts]
         tests = {context.partition("|")[0] for context in contexts} & self._seconds.keys()
         chosen, total_s = [], 0.0
         for test in sorted(tests, key=self._seconds.__getitem__):
@@ -260,8 +278,8 @@ def _pytest(tree: Path, mode: str, arguments: list[str], limit_s: float | None =
     if mode == "interpreted":
         environment["NUMBA_DISABLE_JIT"] = "1"
     elif tree != ROOT:
-        # Each set of kernel sources has a cache of its own: that of a mutant goes with its tree.
-        environment["XDG_CACHE_HOME"] = str(tree.parent / "cache")
+        # Mutants share a cache, which holds each kernel by its sources, and leave that of the user alone.
+        environment["XDG_CACHE_HOME"] = str(KEPT / "cache")
     limit = TEST_LIMIT_S if tree == ROOT else 5 * TEST_LIMIT_S
     command = [sys.executable, "-m", "pytest", "-q", "--no-header", "-p", "no:cacheprovider", "-p", "mutants"]
     command += [f"--timeout={limit}", *arguments]
