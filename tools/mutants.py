@@ -247,7 +247,7 @@ def judge(mutant: Mutant, tests: TestMap) -> Verdict:
     change = mutated.splitlines()[mutant.line - 1].strip()
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder) / "tree"
-        shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(".*", "__pycache__", "docs"), symlinks=True)
+        shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(".*", "__pycache__"), symlinks=True)
         (tree / mutant.path).write_text(mutated)
         runs = [(mode, tests.of(mutant, mode)) for mode in ("interpreted", "compiled")]
         runs = [run for run in runs if run[1]] or [("compiled", list(BY_PROCESSES))]
