@@ -280,9 +280,9 @@ def _pytest(tree: Path, mode: str, arguments: list[str], limit_s: float | None =
     elif tree != ROOT:
         # Mutants share a cache, which holds each kernel by its sources, and leave that of the user alone.
         environment["XDG_CACHE_HOME"] = str(KEPT / "cache")
-    limit = TEST_LIMIT_S if tree == ROOT else 5 * TEST_LIMIT_S
-    command = [sys.executable, "-m", "pytest", "-q", "--no-header", "-p", "no:cacheprovider", "-p", "mutants"]
-    command += [f"--timeout={limit}", *arguments]
+    environment["MUTANTS_LIMIT_S"] = str(TEST_LIMIT_S if tree == ROOT else 5 * TEST_LIMIT_S)
+    command = [sys.executable, "-m", "pytest", "-q", "--no-header", "-p", "no:cacheprovider"]
+    command += ["-p", "mutants_plugin", *arguments]
     return subprocess.run(
         command, cwd=tree, env=environment, timeout=limit_s, check=False, text=True, capture_output=True
     )
@@ -301,14 +301,6 @@ def _map_lines(jobs: int) -> None:
         ]
         done = _pytest(ROOT, mode, ["-n", str(jobs), *covered, "--cov-context=test", "--cov-report=", *paths])
         print(mode, *done.stdout.splitlines()[-1:], flush=True)
-
-
-def pytest_runtest_logreport(report: Any) -> None:
-    """Note the time of each test, where the map asks for it; pytest loads this file as a plugin."""
-    file = os.environ.get("MUTANTS_SECONDS")
-    if file and report.when == "call":
-        with Path(file).open("a") as seconds:
-            seconds.write(json.dumps([report.nodeid, report.duration, report.passed]) + "\n")
 
 
 if __name__ == "__main__":
