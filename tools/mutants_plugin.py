@@ -36,6 +36,7 @@ def _end(_: int, frame: FrameType | None) -> None:
         if "/coverage/" in frame.f_code.co_filename:
             return
         frame = frame.f_back
+    signal.setitimer(signal.ITIMER_REAL, 0)
     raise TimeIsUpError
 
 
