@@ -41,6 +41,11 @@ def test_windows(when: dict[str, float], expected: object) -> None:
     assert np.flatnonzero(schedule(**when).active_shots(shots(0, 100))).tolist() == list(expected)  # type: ignore[call-overload]
 
 
+def test_a_time_after_many_shots_is_resolved_to_the_nanosecond() -> None:
+    assert schedule(from_s=2000.0).active_shots(shots(99_999, 3)).tolist() == [False, True, True]
+    assert schedule(from_s=2000.0 + 1e-9).active_shots(shots(99_999, 3)).tolist() == [False, False, True]
+
+
 @given(
     first=st.integers(0, 60),
     count=st.integers(1, 60),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import socket
 import stat
@@ -254,6 +255,17 @@ def test_an_injected_fault_is_answered_applied_and_observed(bench: Any, shoot: A
     assert reported["refused"] == 1
     again = bench(*json.loads(json.dumps([{"kind": "lost", "at_s": 0.1}, *reported["injected"]])))
     assert sent([block for block in blocks if block]) == sent(shoot(again))
+
+
+def test_a_fault_is_applied_once_there_was_time_to_build_it_again(
+    bench: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read_ns = itertools.count(1_000_000_000, 5_000_000)
+    monkeypatch.setattr(Clock, "now_ns", lambda _: next(read_ns))
+    with (controlled := Controlled(bench(), tmp_path)).injector:
+        controlled.inject(EACH[0])
+        assert controlled.changes.first is not None
+        assert controlled.changes.first.arrived_ns == next(read_ns) - 5_000_000 + 2 * 5_000_000
 
 
 @pytest.mark.parametrize(

@@ -107,6 +107,8 @@ def test_map_origin_and_its_refusals(tmp_path):
     ground = scene(with_map, origin={"map_x_m": 1002.0, "map_y_m": 496.0})
     assert ground.origin_altitude_m == RAMP[2, 1]
     assert (ground.samples.west_m, ground.samples.south_m) == (-2.0, -2.0)
+    between = scene(with_map, origin={"map_x_m": 1003.0, "map_y_m": 495.5})
+    assert between.origin_altitude_m == RAMP[2, 1] + 0.5 * 10 + 0.25 * 50
     line = refusal(scene, with_map, origin={"map_x_m": 1009.0, "map_y_m": 496.0})
     assert "off the grid" in line
     assert "x from 1000 to 1008 m, y from 494 to 500 m" in line
@@ -174,6 +176,8 @@ def test_markers_of_floating_point_rasters(tmp_path, nodata):
         ({"pixel_m": np.array([1.0, 2.0])}, "pixel_m"),
         ({"pixel_m": np.nan}, "pixel_m"),
         ({"map_x_m": 1.0}, "map_y_m: 'nothing'"),
+        ({"map_x_m": np.nan, "map_y_m": 0.0}, "map_x_m: 'float64 of shape ()'"),
+        ({"map_x_m": np.array("east"), "map_y_m": 0.0}, "map_x_m: '<U4 of shape ()'"),
         ({"elevations": np.zeros(2)}, "elevations: 'an unknown array'"),
     ],
 )
