@@ -167,6 +167,14 @@ def _of_two(mask: int, observed: np.ndarray, farthest: float = FARTHEST) -> Esti
     return least_squares(mask, targets(frequencies, variances), LENGTH, farthest)
 
 
+@pytest.mark.parametrize("mask", PAIRS)
+def test_two_segments_admit_ranges_to_three_standard_deviations(mask: int) -> None:
+    observed = _observed(1000.0, 3000.0)
+    sigma = np.sqrt(_of_two(mask, observed).range_variance)
+    assert _of_two(mask, observed, 1000.0 - 2.9 * sigma).range_bin == pytest.approx(1000.0)
+    assert _of_two(mask, observed, 1000.0 - 3.1 * sigma).range_bin != pytest.approx(1000.0)
+
+
 def _slow_explanations(mask: int, observed: np.ndarray) -> list[tuple[int, bool, bool, bool, float, float]]:
     """All explanations, best first: folds, receding, third segment audible, b not below |d|; b and d."""
     signs = [(1, 0), (-1, 0), (-1, 1), (1, -1)]  # of F, and how many N come with it

@@ -10,6 +10,7 @@ import pytest
 from twins import ITOKAWA
 
 from lidar_emu.errors import InputError
+from lidar_emu.numerics.kernels import with_fields
 from lidar_emu.scenario.mesh_ground import Mesh as MeshPart
 from lidar_emu.scenario.mesh_ground import MeshOrigin
 from lidar_emu.scenario.site import Body, Site, Sphere
@@ -17,6 +18,7 @@ from lidar_emu.scene.build import build_scene
 from lidar_emu.scene.mesh.file import enclosed_m3, read_mesh
 from lidar_emu.scene.mesh.ground import place_mesh
 from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
+from lidar_emu.scene.mesh.ray import RAY, set_ray
 from lidar_emu.scene.objects.shapes import ellipsoid
 from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.ray_hits import Hits
@@ -47,6 +49,16 @@ def hills(count: int, seed: int = 1, height_m: float = 2.0) -> np.ndarray:
     a, b, c, d = vertex[:-1, :-1], vertex[:-1, 1:], vertex[1:, 1:], vertex[1:, :-1]
     both = [np.stack(three, axis=-2).reshape(-1, 3, 3) for three in ((a, b, c), (a, c, d))]
     return np.concatenate(both)
+
+
+@pytest.mark.parametrize("z", [1.0, 1.0 - 1e-12, 0.5, 0.0, -0.0, -0.5, -1.0 + 1e-12, -1.0])
+def test_a_ray_has_two_unit_vectors_across_it(z: float) -> None:
+    direction = np.array([0.6 * math.sqrt(1 - z * z), 0.8 * math.sqrt(1 - z * z), z])
+    rays = with_fields(np.empty(1, dtype=RAY))
+    with np.errstate(divide="ignore"):
+        set_ray(np.zeros(3), direction, rays[0])
+    across = np.array([[rays[name + axis][0] for axis in "xyz"] for name in ("e1", "e2", "d")])
+    np.testing.assert_allclose(across @ across.T, np.eye(3), atol=1e-11)
 
 
 def test_of_triangles_anywhere_the_nearest_is_found() -> None:
