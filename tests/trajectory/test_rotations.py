@@ -13,6 +13,7 @@ from lidar_emu.numerics.vector_arrays import (
     from_rotation_vector,
     from_yaw_pitch_roll,
     rotate,
+    to_quaternion,
 )
 
 RNG = np.random.default_rng(5)
@@ -52,3 +53,13 @@ def test_bits_do_not_depend_on_the_block() -> None:
     ]
     assert np.array_equal(whole, np.concatenate(single))
     assert np.array_equal(rotate(whole, vector)[7], rotate(whole[7], vector[7]))
+
+
+@pytest.mark.parametrize("largest", range(4))
+def test_quaternion_of_a_matrix_from_each_component(largest: int) -> None:
+    for _ in range(50):
+        quaternion = RNG.uniform(-0.9, 0.9, 4)
+        quaternion[largest] = RNG.choice([-1.0, 1.0])
+        quaternion /= np.linalg.norm(quaternion)
+        found = to_quaternion(Rotation.from_quat(quaternion, scalar_first=True).as_matrix())
+        np.testing.assert_allclose(found * np.sign(found @ quaternion), quaternion, atol=1e-14)

@@ -97,7 +97,7 @@ def _craters(
     ground: Generated, part: Craters, craters: CraterField, height_m: FloatArray
 ) -> Iterator[StatisticCheck]:
     yield from _numbers(ground, "craters", craters.population)
-    ratio = _depths_on_the_grid(ground, height_m, craters) / craters.depth_m(part)
+    ratio = depths_on_the_grid(ground, height_m, craters) / craters.depth_m(part)
     ratio = ratio[np.isfinite(ratio)]
     if len(ratio) >= _FEWEST_MEASURED:
         tolerance = 0.05 + 1.0 / math.sqrt(len(ratio))
@@ -105,7 +105,7 @@ def _craters(
         yield StatisticCheck(quantity, 1.0, float(np.median(ratio)), 1 - tolerance, 1 + tolerance)
 
 
-def _depths_on_the_grid(ground: Generated, height_m: FloatArray, craters: CraterField) -> FloatArray:
+def depths_on_the_grid(ground: Generated, height_m: FloatArray, craters: CraterField) -> FloatArray:
     """Depths (craters,): mean height of the rim's circle less the centre's; NaN for craters that are small or near the
     edge."""
     from scipy.ndimage import map_coordinates
