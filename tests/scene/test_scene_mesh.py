@@ -308,6 +308,13 @@ def test_the_origin_is_on_the_surface_with_up_away_from_the_centre(
     assert scene.covers(np.array([500.0]), np.zeros(1))[0]
 
 
+@pytest.mark.parametrize("order", ["1 2 3", "2 3 1", "3 1 2", "1 3 2", "3 2 1", "2 1 3"])
+def test_the_origin_is_on_a_triangle_whichever_way_it_faces(tmp_path: Path, order: str) -> None:
+    path = tmp_path / "patch.obj"
+    path.write_text(f"v -5 -4 100\nv 7 1 100\nv -3 6 100\nf {order}\n")
+    assert build_scene(site(path, latitude_deg=90, longitude_deg=0)).origin_altitude_m == pytest.approx(10.0)
+
+
 def test_east_north_and_up_point_where_they_should(tmp_path: Path) -> None:
     # A body with a hill to the north pole and a pit... simply: three boxes along the axes of a small body.
     markers = [
