@@ -20,6 +20,8 @@ from forked import ForkedProcess
 from waiting import LIMIT_S, eventually
 
 COMMAND = Path(sys.executable).parent / "lidar-emu"
+LONG_BENCH = ["bench.yaml", "--set", "bench_pattern.duration_s=1000"]
+"""A run that lasts until the test ends it, on the slowest machine too."""
 
 
 class Program:

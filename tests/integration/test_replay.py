@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 import slcan_lines
-from programs import FarEnd, Program, read_summary
+from programs import LONG_BENCH, FarEnd, Program, read_summary
 from waiting import eventually
 
 from lidar_emu.recording import channels
@@ -228,7 +228,7 @@ ORDERS = (
 def test_faults_ordered_in_flight_are_had_again(start: Start, tmp_path: Path) -> None:
     run = start(
         "run",
-        "bench.yaml",
+        *LONG_BENCH,
         "--set",
         "timing.rate_hz=100",
         "--control",

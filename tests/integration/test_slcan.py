@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import slcan_lines
 from comparison import CODES, FLAGS, SERIAL_HELD, SERIAL_STEPS, assert_complete, assert_equal
-from programs import FarEnd, Program, listened_beams, read_summary
+from programs import LONG_BENCH, FarEnd, Program, listened_beams, read_summary
 from waiting import eventually
 
 from lidar_emu.measurement import Measurement
@@ -126,7 +126,7 @@ def test_listen_and_send_by_slcan(start: Start, far_end: FarEnd, other_end: FarE
         "--set",
         "device.housekeeping_rate_hz=10",
     ]
-    run = start("run", "bench.yaml", *slcan(far_end.path), *unit, "--summary", "s.json")
+    run = start("run", *LONG_BENCH, *slcan(far_end.path), *unit, "--summary", "s.json")
     eventually(lambda: b"t1F9" in far_end.data)
     send = start(
         "send", *slcan(other_end.path), "--unit", "3", "set_mode", "mode=track", "set_mode", "mode=fault"

@@ -13,7 +13,7 @@ from typing import Any
 
 import slcan_lines
 from can_tools import CANTOOLS, Candump, candump, run_tool, send, send_command
-from programs import Program, read_summary
+from programs import LONG_BENCH, Program, read_summary
 from waiting import eventually
 
 import lidar_protocol
@@ -65,7 +65,7 @@ def test_the_beams_follow_a_command_by_cansend(start: Start, tmp_path: Path) -> 
 
 def test_a_flood_that_is_not_read_in_time_is_reported(start: Start, tmp_path: Path) -> None:
     with candump(tmp_path) as dump:
-        run = start("run", "bench.yaml", *BUS, "--summary", "s.json")
+        run = start("run", *LONG_BENCH, *BUS, "--summary", "s.json")
         eventually(dump.frames)
     port = run.port_process()
     os.kill(port, signal.SIGSTOP)
@@ -129,7 +129,7 @@ def test_a_device_boots_obeys_restarts_and_reports_how_it_is(start: Start, tmp_p
 def test_two_units_each_follow_their_own_commands_by_send(start: Start, tmp_path: Path) -> None:
     with candump(tmp_path) as dump:
         runs = [
-            start("run", "bench.yaml", *BUS, "--set", f"wire.unit={unit}", "--summary", f"{unit}.json")
+            start("run", *LONG_BENCH, *BUS, "--set", f"wire.unit={unit}", "--summary", f"{unit}.json")
             for unit in (0, 3)
         ]
         eventually(lambda: {0x100, 0x1C0} <= {frame.can_id for frame in dump.frames()})

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import slcan_lines
 from can_tools import candump, send
-from programs import Program, read_summary
+from programs import LONG_BENCH, Program, read_summary
 from waiting import eventually
 
 from lidar_emu.errors import InputError
@@ -73,7 +73,7 @@ def test_an_interface_goes_down_and_comes_back_in_flight(
     start: Start, set_interface: SetInterface, tmp_path: Path
 ) -> None:
     with candump(tmp_path) as dump:
-        run = start("run", "bench.yaml", *BUS, "--summary", "s.json")
+        run = start("run", *LONG_BENCH, *BUS, "--summary", "s.json")
         eventually(dump.frames)
         set_interface("vcan0", "down")
         threading.Event().wait(0.5)
@@ -89,7 +89,7 @@ def test_an_interface_goes_down_and_comes_back_in_flight(
 
 def test_errors_on_the_bus_are_reported(start: Start, tmp_path: Path) -> None:
     with candump(tmp_path) as dump:
-        run = start("run", "bench.yaml", *BUS, "--summary", "s.json")
+        run = start("run", *LONG_BENCH, *BUS, "--summary", "s.json")
         eventually(dump.frames)
         for error_class, controller in ((0x4, 0x08), (0x8, 0), (0x4, 0x20), (0x40, 0)):
             send(0x20000000 | error_class, bytes([0, controller, 0, 0, 0, 0, 0, 0]))
@@ -121,7 +121,7 @@ def test_errors_and_bus_off_on_order(start: Start, tmp_path: Path) -> None:
     with candump(tmp_path) as dump:
         run = start(
             "run",
-            "bench.yaml",
+            *LONG_BENCH,
             *BUS,
             "--set",
             f"faults={faults}",
