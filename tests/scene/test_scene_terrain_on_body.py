@@ -343,10 +343,22 @@ def test_the_map_of_another_body(tmp_path):
         ({"origin": {"latitude_deg": -25.0, "longitude_deg": 134.0}}, "latitude -25, longitude 134"),
         ({"origin": {"map_x_m": 1e9, "map_y_m": 0.0}}, "map x 1e+09 m"),
         # The grid ends half a pixel of 400 m beyond its outermost samples, 16 km from the origin of its map.
-        ({"origin": {"map_x_m": 16_201.0, "map_y_m": 0.0}}, "map x 16201 m, y 0 m"),
-        ({"origin": {"map_x_m": -16_201.0, "map_y_m": 0.0}}, "map x -16201 m, y 0 m"),
-        ({"origin": {"map_x_m": 0.0, "map_y_m": 16_201.0}}, "map x 0 m, y 16201 m"),
-        ({"origin": {"map_x_m": 0.0, "map_y_m": -16_201.0}}, "map x 0 m, y -16201 m"),
+        (
+            {"origin": {"map_x_m": 16_201.0, "map_y_m": 0.0}},
+            "map x 16201 m, y 0 m' is not usable; it is off the grid",
+        ),
+        (
+            {"origin": {"map_x_m": -16_201.0, "map_y_m": 0.0}},
+            "map x -16201 m, y 0 m' is not usable; it is off the grid",
+        ),
+        (
+            {"origin": {"map_x_m": 0.0, "map_y_m": 16_201.0}},
+            "map x 0 m, y 16201 m' is not usable; it is off the grid",
+        ),
+        (
+            {"origin": {"map_x_m": 0.0, "map_y_m": -16_201.0}},
+            "map x 0 m, y -16201 m' is not usable; it is off the grid",
+        ),
         ({"half_size_m": 1e6}, "ground.half_size_m: 1000000.0 is not usable; allowed: at most 868700"),
         ({"half_size_m": 10.0}, "1 x 1 samples"),
     ],
