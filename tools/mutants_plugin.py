@@ -43,6 +43,6 @@ def _end(_: int, frame: FrameType | None) -> None:
 def pytest_runtest_logreport(report: Any) -> None:
     """Note the time of each test."""
     file = os.environ.get("MUTANTS_SECONDS")
-    if file and report.when == "call" and "PYTEST_XDIST_WORKER" not in os.environ:
+    if file and report.when == "call":
         with Path(file).open("a") as seconds:
             seconds.write(json.dumps([report.nodeid, report.duration, report.passed]) + "\n")
