@@ -91,6 +91,17 @@ def test_a_level_descent_along_the_beam_is_seen_the_same_by_range_and_doppler(ma
     np.testing.assert_allclose(echoes.range_rate_mps, -echoes.closing_speed_mps, rtol=1e-14)
 
 
+def test_a_beamlet_is_lit_down_to_the_ground(make_flight) -> None:
+    profile = {
+        "kind": "profile",
+        "path_angle_deg": 90,
+        "waypoints": [{"altitude_m": 0.9, "speed_mps": 1}, {"altitude_m": 0.1, "speed_mps": 1}],
+    }
+    _, _, echoes = look(make_flight(trajectory=profile, scanner=NADIR), [0], beamlets=1)
+    assert 0.1 < echoes.range_m[0, 0, 0] < 0.95
+    assert echoes.power_w[0, 0, 0] > 0
+
+
 def test_range_rate_stays_finite_at_grazing_incidence(make_flight) -> None:
     scanner = {"pattern": {"kind": "ring", "count": 1, "angle_deg": 89.9999}}
     _, _, echoes = look(make_flight(scanner=scanner), [0])
