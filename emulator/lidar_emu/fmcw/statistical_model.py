@@ -44,7 +44,7 @@ def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int)
         centre, re, im = _sum_at_peak(work.tones[look])
         k = min(max(np.rint(centre), 1.0), 0.5 * model.fft_length - 1.0)
         level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
-        straddled = loss * _window_gain(model, centre - k)
+        straddled = loss * window_gain(model, centre - k)
         index = (segment + 3 * look) * SEGMENT_INDICES
         x, y = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, index)
         scale = sqrt(level * model.noise_power)
@@ -104,7 +104,7 @@ def _sinc(x: float) -> float:
 
 
 @kernel
-def _window_gain(model: ReceiverModel, offset: float) -> float:
+def window_gain(model: ReceiverModel, offset: float) -> float:
     """Magnitude of a windowed bin beside a tone of unit weight."""
     sides = _sinc(offset - 1.0) + _sinc(offset + 1.0)
     gain: float = model.window_centre * _sinc(offset) - model.window_side * sides
