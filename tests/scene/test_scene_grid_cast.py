@@ -258,6 +258,19 @@ def test_nonsense_rays_hit_nothing():
     hits = scene.cast(origin, direction)
     assert np.isnan(hits.range_m).all()
     assert not hits.inside.any()
+    direction[2], direction[4] = np.nan, DOWN
+    np.testing.assert_array_equal(scene.cast_exact(origin, direction).range_m, [np.nan] * 4 + [1.0])
+
+
+@pytest.mark.parametrize("interpolation", ["bilinear", "triangles"])
+def test_edges_of_the_grid_are_ground(interpolation):
+    scene = ground(np.full((11, 11), 10.0), 10.0, interpolation=interpolation)
+    along = np.array([0.0, 35.0, 100.0])
+    edges = [(along, 0 * along), (along, 0 * along + 100), (0 * along, along), (0 * along + 100, along)]
+    origin = np.concatenate([np.column_stack([east, north, 0 * east + 30]) for east, north in edges])
+    down = np.tile(DOWN, (len(origin), 1))
+    np.testing.assert_array_equal(scene.cast_exact(origin, down).range_m, 20.0)
+    np.testing.assert_array_equal(scene.cast(origin, down).range_m, 20.0)
 
 
 def test_far_away_and_close_by():

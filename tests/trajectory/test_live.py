@@ -141,6 +141,13 @@ def test_a_jump_is_not_interpolated_across() -> None:
     assert flown(truth(0), truth(100 * MS, position_site_m=(9.0, 0.0, 0.0))).jumped == 0
 
 
+@pytest.mark.parametrize("acceleration_mps2", [None, STILL])
+def test_a_steady_flight_is_no_jump(acceleration_mps2: tuple[float, float, float] | None) -> None:
+    flight = {"velocity_site_mps": (3.0, -2.0, -1.0), "acceleration_site_mps2": acceleration_mps2}
+    later = truth(1000 * MS, 1, position_site_m=(3.0, -2.0, -1.0), **flight)
+    assert flown(truth(0, **flight), later, jump_m=1e-6).jumped == 0
+
+
 def test_missing_numbers_are_counted() -> None:
     assert flown(truth(0, 5), truth(MS, 6), truth(2 * MS, 10), truth(3 * MS, 11)).lost == 3
 
