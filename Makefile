@@ -59,7 +59,7 @@ $(VENV)/.ready-dev: $(VENV)/.ready
 	$(INSTALL) '.[dev]'
 	@touch $@
 
-# Which small faults in the core no test notices: an hour or two; the verdicts are in .mutants/verdicts.jsonl.
+# Which small faults in the core no test notices: two hours; verdicts in .mutants/verdicts.jsonl, results in docs/mutants.md.
 mutants: $(VENV)/.ready-dev
 	$(INSTALL) '.[mutants]'
 	$(BIN)/python tools/mutants.py map
