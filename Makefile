@@ -1,5 +1,5 @@
 # make run       install what is needed and fly a descent on the built-in loopback
-# make test      install and run the checks and the quick tests: five minutes on two cores
+# make test      install and run the checks and the quick tests: nine minutes on two cores
 # make test-all  the checks and all tests but the soak
 # make soak      the tests that take minutes each
 PYTHON ?= python3

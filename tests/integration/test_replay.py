@@ -225,10 +225,17 @@ ORDERS = (
 )
 
 
-def test_faults_ordered_in_flight_are_had_again(start: Start, tmp_path: Path) -> None:
+def test_faults_ordered_in_flight_are_had_again(
+    start: Start, far_ends: Callable[[], FarEnd], tmp_path: Path
+) -> None:
+    far_end = far_ends()
     run = start(
         "run",
         *LONG_BENCH,
+        "--port",
+        far_end.path,
+        "--baud",
+        "921600",
         "--set",
         "timing.rate_hz=100",
         "--control",
@@ -238,9 +245,11 @@ def test_faults_ordered_in_flight_are_had_again(start: Start, tmp_path: Path) ->
         "--summary",
         "s.json",
     )
-    eventually((tmp_path / "c").exists)
+    eventually(lambda: far_end.data)
     for order in ORDERS:
         start("inject", "c", order).succeed()
+    already = len(far_end.data)
+    eventually(lambda: len(far_end.data) > already + 10_000)
     run.signal(signal.SIGINT)
     run.succeed()
     due = read_summary(tmp_path / "s.json")["shots"]["due"]
