@@ -67,7 +67,7 @@ def load(command):
     return sorted(set(watched) & set(sys.modules))
 
 def loaded_by_fork(command):
-    "The modules that a command loads besides those of this process, which does not load them."
+    "Modules that a command loads in addition to the modules of this process."
     read, write = os.pipe()
     if not os.fork():
         try:

@@ -81,7 +81,7 @@ def measure_beams(
 ) -> None:
     """Measure every beam that fires.
 
-    Structures of arrays are passed as plain tuples, whose types numba resolves faster than those of named tuples.
+    Structures of arrays are passed as plain tuples, because numba resolves their types faster than named tuples.
 
     Args:
         models: (1,) constants of the receiver.

@@ -51,7 +51,7 @@ def gather_beamlets(
     beam: Any,
     beamlets: FloatArray,
 ) -> int:
-    """Fill `beamlets`, whose columns are those of `range_m` and padding, and the beam's light in `beam`.
+    """Fill `beamlets`, with one column per column of `range_m` plus padding, and the beam's light in `beam`.
 
     A column without light equals the first column with light, except for its power of 0, so that all arrays of a beam
     have the same length and are contiguous.

@@ -68,7 +68,7 @@ class Estimate(NamedTuple):
 def estimate_range_speed(
     method: int, mask: int, targets: NDArray[Any], length: float, farthest_bin: float
 ) -> Estimate:
-    """The estimate by one of COMBINE_METHODS; the other arguments are those of `least_squares`."""
+    """Estimate by one of COMBINE_METHODS; see `least_squares` for the other arguments."""
     if method == CHIRP_MINUS_DOPPLER:
         return chirp_minus_doppler(targets)
     return least_squares(mask, targets, length, farthest_bin)

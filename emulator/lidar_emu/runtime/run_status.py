@@ -68,7 +68,7 @@ class RunStatus:
             observer.on_process_event(time_ns, what)
 
     def to_json(self, spec: PortSpec, port: PortStatus, load: float | None) -> dict[str, Any]:
-        """The status with that of the port, by the keys of the summary file.
+        """Status of the run and of the port, by the keys of the summary file.
 
         Args:
             spec: port as the user stated it, for a port that was not opened.

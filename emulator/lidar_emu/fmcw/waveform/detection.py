@@ -81,7 +81,7 @@ def find_peaks(power: FloatArray, threshold: float | FloatArray, group_fraction:
     inner = power.copy()
     inner[:, [0, -1]] = 0.0
     strong = inner > group_fraction**2 * inner.max(axis=1, keepdims=True)
-    # Empty ends separate the groups of one record from those of the next.
+    # The empty end bins separate the groups of consecutive records.
     flat = strong.ravel()
     first = flat & ~np.concatenate(([False], flat[:-1]))
     group = np.cumsum(first)
