@@ -299,7 +299,7 @@ def test_the_path_is_the_owners_and_is_given_back(bench: Any, tmp_path: Path) ->
     path = tmp_path / "control"
     with (controlled := Controlled(bench(), tmp_path)).injector:
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
-        with pytest.raises(InputError, match=r"--control: .* allowed: a path where nothing is"):
+        with pytest.raises(InputError, match=r"--control: .* allowed: a path that does not exist yet"):
             Controlled(bench(), tmp_path)
         assert controlled.inject(EACH[0])["accepted"]
     assert not path.exists()

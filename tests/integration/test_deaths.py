@@ -60,7 +60,7 @@ def test_the_death_of_the_port_process_is_one_line_and_a_summary(
     assert run.err == DIED
     summary = read_summary(tmp_path / "s.json")
     assert f"lidar-emu: {summary['error']}\n" == DIED
-    assert summary["final_message"] == "not sent: the line ended with the port's process"
+    assert summary["final_message"] == "not sent: the line ended with the port process"
 
 
 def test_a_run_whose_port_process_dies_keeps_what_was_flown(
@@ -144,9 +144,7 @@ def test_an_interface_that_cannot_say_so(start: Start, far_end: FarEnd, tmp_path
     os.kill(run.port_process(), signal.SIGKILL)
     assert run.wait() == 1
     why_no_final_message = "interface altimeter has no housekeeping with mode safe on this link"
-    assert (
-        run.err == f"lidar-emu: warning: {why_no_final_message}: nothing is sent where a process dies\n{DIED}"
-    )
+    assert run.err == f"lidar-emu: warning: {why_no_final_message}: nothing is sent if a process dies\n{DIED}"
     assert read_summary(tmp_path / "s.json")["final_message"] == "none"
 
 

@@ -1,4 +1,4 @@
-"""Time at the tone by a pulse line: the port's process runs with a driver that a FIFO stands for."""
+"""Time at the tone by a pulse line: the port process runs with a stand-in driver that reads a FIFO."""
 
 from __future__ import annotations
 

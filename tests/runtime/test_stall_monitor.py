@@ -24,7 +24,7 @@ class World:
     def now_ns(self) -> int:
         return self.now
 
-    def computed_ns(self) -> int:
+    def processor_time_ns(self) -> int:
         return self.computed
 
     def rest(self, ms: int, reports: int) -> None:

@@ -83,7 +83,7 @@ def run(
     """
     failures = failures_named(fail_on)
     if control == "":  # the system would choose an abstract name, open to every user
-        raise InputError("--control", None, control, "allowed: a path where nothing is")
+        raise InputError("--control", None, control, "allowed: a path that does not exist yet")
     start_utc = _start(start)
     for option, file in (("--record", record), ("--summary", summary_file)):
         if file is not None:

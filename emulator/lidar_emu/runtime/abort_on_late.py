@@ -1,4 +1,4 @@
-"""`timing.when_late: abort`: a run that its first late shot ends."""
+"""`timing.when_late: abort`: ends a run at its first late shot."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, Outgo
 
 
 class AbortOnLate(Observer):
-    """Ends the run with the first late shot.
+    """Ends the run at the first late shot.
 
     Args:
         fail: ends the run with an error.

@@ -1,4 +1,4 @@
-"""Changes of the shots to come, by commands and injected faults, in the order in which they arrived."""
+"""Changes to upcoming shots, from commands and injected faults, in order of arrival."""
 
 from __future__ import annotations
 
@@ -11,45 +11,45 @@ from lidar_emu.session import Session
 
 
 class Change(NamedTuple):
-    """A change of the shots to come."""
+    """A change to upcoming shots."""
 
     apply: Callable[[Session], None]
     """Applies it to the session, from its next shot on."""
     arrived_ns: int
-    """When it arrived, or from when on it can be applied, on the monotonic clock."""
+    """Instant of the monotonic clock at which it arrived or, if later, from which on it can be applied."""
     applied: Callable[[int | None, int | None], None] | None = None
-    """Called with the first shot that the change affects, None if there is none, and the instant of the monotonic clock
-    at which that shot begins, None if that clock does not set the pace."""
+    """Called with the first shot that the change affects (None: no shot is left) and the instant of the monotonic clock
+    at which that shot begins (None: that clock does not set the pace)."""
 
 
 class ReceivingPort(Protocol):
-    """A `PortRunner`."""
+    """Source of received bytes: a `PortRunner`."""
 
     def take_received(self) -> list[ReceivedBytes]:
         """Bytes that arrived since the last call."""
 
 
 class CommandReceiver(Protocol):
-    """A `CommandHandler`."""
+    """Executes received commands: a `CommandHandler`."""
 
     def receive(self, data: bytes, arrived_ns: int, time_ns: int, pulse_ns: int | None) -> list[Change]:
         """Execute and acknowledge the commands in these bytes."""
 
 
 class FaultReceiver(Protocol):
-    """A `FaultInjector`."""
+    """Receives faults injected in flight: a `FaultInjector`."""
 
     def receive(self) -> list[Change]:
         """Check and answer the faults that have arrived."""
 
 
 class ChangeQueue:
-    """Changes are applied one after another: none takes effect before one that arrived earlier.
+    """Queue of pending changes, applied in order of arrival: none takes effect before an earlier one.
 
     Args:
         port: port on which commands arrive.
-        commands: handles them; None: the interface has no commands.
-        injector: receives faults in flight; None: there are none.
+        commands: handles received commands; None: the interface has no commands.
+        injector: receives faults injected in flight; None: the run accepts none.
     """
 
     def __init__(
@@ -63,8 +63,8 @@ class ChangeQueue:
 
         Args:
             time_ns: scenario time.
-            start_ns: instant of the monotonic clock at scenario time 0, if that clock sets the pace: commands are then
-                dated by their arrival, and the time at the tone by the last pulse.
+            start_ns: instant of the monotonic clock at scenario time 0, if that clock sets the pace: the time of a
+                command is then its arrival, and the time at the tone is the last pulse.
         """
         if self._commands is not None:
             for at_ns, data, pulse_ns in self._port.take_received():
@@ -94,7 +94,7 @@ class ChangeQueue:
             change.applied(session.next_shot, begins_ns)
 
     def close(self) -> None:
-        """No shot is left that pending changes could affect."""
+        """End the queue: no shot is left that pending changes could affect."""
         while self._pending:
             if (applied := self._pending.popleft().applied) is not None:
                 applied(None, None)

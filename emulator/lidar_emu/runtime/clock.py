@@ -17,15 +17,15 @@ class Clock:
     """The clocks of the machine. Times are integer nanoseconds of the monotonic clock, which all processes share."""
 
     def now_ns(self) -> int:
-        """The monotonic clock."""
+        """Present instant of the monotonic clock."""
         return time.monotonic_ns()
 
-    def computed_ns(self) -> int:
+    def processor_time_ns(self) -> int:
         """Processor time of this process, all its threads together."""
         return time.process_time_ns()
 
     def utc_now(self) -> datetime:
-        """The wall clock, with its time zone UTC."""
+        """Present time of the wall clock, in UTC."""
         return datetime.now(UTC)
 
     def wait(
@@ -40,21 +40,23 @@ class Clock:
         Never returns early without a ready descriptor. Without an instant it waits for descriptors alone.
 
         Args:
-            busy_wait: poll instead of sleeping, for what must not wait until the process has woken up.
+            busy_wait: poll instead of sleeping, where the latency of a wake-up would be too long.
         """
         left_ns = None if until_ns is None else max(0, until_ns - self.now_ns())
         while True:
-            ready, roomy, _ = select.select(readable, writable, (), 0.0 if busy_wait else _timeout_s(left_ns))
-            if ready or roomy:
-                return ready, roomy
+            ready, writable_now, _ = select.select(
+                readable, writable, (), 0.0 if busy_wait else _timeout_s(left_ns)
+            )
+            if ready or writable_now:
+                return ready, writable_now
             if until_ns is not None and (left_ns := until_ns - self.now_ns()) <= 0:
-                return ready, roomy
+                return ready, writable_now
 
 
 def _timeout_s(left_ns: int | None) -> float | None:
     if left_ns is None:
         return None
-    # The kernel may round a wait by a thousandth of its length: the last millisecond is a wait of its own.
+    # The kernel may round a wait by a thousandth of its length: the last millisecond is waited for separately.
     timeout_ns = left_ns - _FINE_REST_NS if left_ns > _COARSE_ABOVE_NS else left_ns
-    # An instant in some far century is beyond what the system's calls can express.
+    # System calls cannot express a timeout of centuries.
     return min(timeout_ns, _LONGEST_WAIT_NS) / _NS_PER_S

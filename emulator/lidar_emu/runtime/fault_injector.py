@@ -1,4 +1,4 @@
-"""Faults injected in flight: received on a socket, checked, answered, and returned as changes of the shots."""
+"""Faults injected in flight: received on a socket, checked, answered, and returned as changes to upcoming shots."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class FaultInjector:
         options: options of the run.
         packet_bytes: the longest packet without faults, as the port takes it, and the longest that it can take.
         inject_into_port: takes a fault of the port.
-        inject_into_device: takes all events of the device, whenever they change.
+        inject_into_device: takes all events of the device whenever an injected fault changes them.
         observers: receive every fault, with the first shot that has it.
 
     Raises:
@@ -109,12 +109,12 @@ class FaultInjector:
         number, begun_ns = len(self._accepted.faults), self._clock.now_ns()
         fault = read_fault(data.decode(errors="replace"))
         if number >= _MOST_FAULTS:
-            raise InputError("faults", None, Finding(f"{number} of them"), f"allowed: {_MOST_FAULTS}")
+            raise InputError("faults", None, Finding(f"{number} faults already"), f"allowed: {_MOST_FAULTS}")
         trial = _with_fault(self._accepted, fault)
         self._build(trial)
         self._port_fault(trial, number, fault)
         self._accepted = trial
-        # What was built here once will be built again before the first shot that has the fault.
+        # All this is built once more when the fault is applied: allow twice the time that it took here.
         now_ns = self._clock.now_ns()
         ready_ns = now_ns + _MARGIN * (now_ns - begun_ns)
         change = Change(partial(self._apply, number, fault), max(arrived_ns, ready_ns))
@@ -166,7 +166,7 @@ def _private_socket(path: str, clock: Clock) -> DatagramSocket:
     try:
         return DatagramSocket(f"unix:{path}", clock)
     except (OSError, ValueError) as error:
-        allowed = f"{reason_of(error)}; allowed: a path where nothing is"
+        allowed = f"{reason_of(error)}; allowed: a path that does not exist yet"
         raise InputError("--control", None, path, allowed) from None
     finally:
         os.umask(before)

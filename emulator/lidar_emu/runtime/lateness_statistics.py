@@ -1,4 +1,4 @@
-"""Lateness of packets, over a run and second by second, in constant memory; and the time that a host machine stole."""
+"""Lateness of packets, over a run and second by second, in constant memory; and the steal time of a virtual machine."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from array import array
 from math import ceil
 from pathlib import Path
 
-_EXACT_BITS = 8  # up to 2**8 ns every value has a bucket of its own
+_EXACT_BITS = 8  # up to 2**8 ns every value has its own bucket
 _HALF = 1 << (_EXACT_BITS - 1)  # above, each power of two is cut into this many: 1/128 is the resolution
 _VALUE_BITS = 63
 _BUCKETS = (_VALUE_BITS - _EXACT_BITS + 2) * _HALF

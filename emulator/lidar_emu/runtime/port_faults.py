@@ -23,7 +23,7 @@ def port_faults(scenario: Scenario, end_ns: int | None, pace: Pace, can: bool) -
         can: whether the link is a CAN bus.
 
     Raises:
-        InputError: a fault cannot happen on this link, or the pace is not the wall clock's.
+        InputError: a fault cannot happen on this link, or the pace is not `Pace.WALL`.
     """
     return [
         port_fault(scenario, number, fault, end_ns, pace, can)
@@ -42,7 +42,7 @@ def port_fault(
     if pace is not Pace.WALL:
         found = Finding(f"{fault.kind} at pace {pace}")
         raise InputError(
-            scenario.name, where, found, "allowed: --pace wall, for faults of the port follow its clock"
+            scenario.name, where, found, "allowed: --pace wall, because port faults follow the wall clock"
         )
     if isinstance(fault, _CAN_ONLY) and not can:
         found = Finding(f"{fault.kind} on a byte link")

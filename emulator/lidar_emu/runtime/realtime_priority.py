@@ -36,7 +36,7 @@ class _Request(NamedTuple):
 
 
 def request_realtime(place: int = 0) -> RealtimePrivileges:
-    """Request everything that helps this process to wake up in time.
+    """Request every privilege that helps this process to wake up in time.
 
     Not for a process that never sleeps: it would block a core for all others.
 
@@ -45,8 +45,8 @@ def request_realtime(place: int = 0) -> RealtimePrivileges:
     """
     gc.collect()
     gc.freeze()
-    # Limits of the shell that starts the emulator are enough. A capability would have to be given to the Python
-    # interpreter, which in a virtual environment is a link to the whole system's.
+    # Raising the limits of the shell that starts the emulator is enough. A capability would have to be given to the
+    # Python interpreter, which in a virtual environment is a link to the whole system's.
     requests = (
         _Request("timer_slack", _reduce_timer_slack, "a Linux kernel"),
         _Request("fifo", _enter_fifo, f"sudo prlimit --pid $$ --rtprio={_FIFO_PRIORITY}"),
@@ -125,7 +125,7 @@ def _lock_memory() -> bool:
 def _pin(place: int) -> bool:
     """Move to an isolated core, where nothing else runs.
 
-    On a shared core a pinned process is no earlier: while that core is busy in the kernel, it cannot go elsewhere.
+    Pinning to a shared core does not help: while that core is busy in the kernel, the process cannot migrate.
     """
     cores = isolated_cores()
     try:
@@ -138,7 +138,7 @@ def _pin(place: int) -> bool:
 
 
 def isolated_cores(file: Path = _ISOLATED) -> list[int]:
-    """Numbers of the cores that the kernel keeps free of processes that do not ask for them."""
+    """Numbers of the cores that the kernel keeps free of processes that are not pinned to them."""
     try:
         text = file.read_text().strip()
     except OSError:

@@ -1,4 +1,4 @@
-"""Replay: recorded packets are sent again over a port when they are due."""
+"""Replay: sends recorded packets again over a port, each when it is due."""
 
 from __future__ import annotations
 

@@ -82,13 +82,13 @@ class Run:
         return self._prepared.warnings
 
     def fly(self) -> Outcome:
-        """Run to the end, or until SIGINT (Ctrl-C), SIGTERM or SIGHUP, which end the run as cleanly.
+        """Run to the end, or until SIGINT (Ctrl-C), SIGTERM or SIGHUP, which end the run cleanly too.
 
         Raises:
             InputError: the port or the truth's address cannot be opened, or the start lies in the past.
             RunError: the port process did not start. If it dies later, the run ends with its summary.
         """
-        gc.freeze()  # a collection in mid-flight need not look at all that was built for it
+        gc.freeze()  # garbage collections in flight then skip everything that was built before it
         prepared, live = self._prepared, self._prepared.live
         truth_address = truth_socket(live.listen, self.clock) if live else nullcontext()
         with (
@@ -105,7 +105,7 @@ class Run:
             with suppress(KeyboardInterrupt):
                 self._port.start(port_of(prepared.scenario, self._options), prepared.port_faults)
                 self._status.opening = False
-                with self._outliving_the_port():
+                with self._record_port_death():
                     self._feed(packets, changes).run()
             if self._housekeeping is not None:
                 self._housekeeping.end()
@@ -151,7 +151,7 @@ class Run:
         )
 
     def _inject_into_device(self, events: tuple[TimedEvent, ...]) -> None:
-        """Before a flight on command begins, its events do not concern the device yet."""
+        """Pass events to the device; before a flight on command begins, they do not apply yet."""
         if self.start_ns is not None:
             self._prepared.device.use_events(events)
 
@@ -201,16 +201,18 @@ class Run:
             )
             return LiveFeed(*shared, self._truth, timing, live.when_stale)
 
-        def ahead(start_ns: int | None) -> Feed:
+        def planned(start_ns: int | None) -> Feed:
             return PlannedFeed(*shared, shots.first(), shots.block_shots, start_ns, self._options.pace)
 
         if not self._options.on_command:
-            return ahead(start_ns)
+            return planned(start_ns)
         self._notify_waiting("set_mode acquire or track")
-        return OnCommandFeed(*shared, prepared.device, self._housekeeping, ahead, self._notify_flight_started)
+        return OnCommandFeed(
+            *shared, prepared.device, self._housekeeping, planned, self._notify_flight_started
+        )
 
     @contextmanager
-    def _outliving_the_port(self) -> Iterator[None]:
+    def _record_port_death(self) -> Iterator[None]:
         try:
             yield
         except PortDiedError as death:

@@ -43,9 +43,9 @@ class RunStatus:
     def interruptible(self) -> Iterator[None]:
         """Let SIGINT (Ctrl-C), SIGTERM and SIGHUP interrupt the run, and count the host's steal ticks from here on.
 
-        An interruption takes effect between packets, for an exception anywhere could lose reports that were just
-        fetched. While the port is being opened there is nothing to lose and no loop that would check: there the signals
-        raise KeyboardInterrupt.
+        An interruption takes effect between packets, because an exception at an arbitrary point could lose reports
+        just fetched. While the port is being opened there is nothing to lose and no loop that would check, so the
+        signals raise KeyboardInterrupt.
         """
         self._steal_ticks = steal_ticks()
         with on_signals(self._interrupt):

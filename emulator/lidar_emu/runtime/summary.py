@@ -147,7 +147,7 @@ class Outcome:
 
 
 def planned_summary(scenario: FlightScenario | BenchScenario, model: Model) -> dict[str, Any]:
-    """What is known before the run, by the keys of the summary file."""
+    """The part of the summary that is known before the run, by the keys of the summary file."""
     has_end = scenario.live is None or scenario.duration_s is not None  # otherwise the simulator decides
     return {
         "scenario": scenario.name,

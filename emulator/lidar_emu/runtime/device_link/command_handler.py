@@ -1,4 +1,4 @@
-"""Commands of a host: decoded, checked, executed by the device, acknowledged, and returned as changes of the shots."""
+"""Commands of a host: decoded, checked, executed, acknowledged, and returned as changes to upcoming shots."""
 
 from __future__ import annotations
 
@@ -41,7 +41,12 @@ class RateLimiter:
         self.refused_bytes = 0
 
     def take(self, size: int, arrived_ns: int) -> int:
-        """How many of `size` bytes there is room for; `arrived_ns` is an instant of the monotonic clock."""
+        """Admit received bytes; return how many of them.
+
+        Args:
+            size: number of bytes received.
+            arrived_ns: when they arrived, an instant of the monotonic clock.
+        """
         if self._last_ns is not None:
             drained = (arrived_ns - self._last_ns) * 1e-9 * _BYTES_PER_S
             self._room = min(_BUFFER_BYTES, self._room + max(0.0, drained))
@@ -102,7 +107,7 @@ class CommandHandler:
             pulse_ns: scenario time of the last synchronisation pulse before them; None: there was none.
 
         Returns:
-            The changes that shots have yet to follow.
+            The changes to apply to upcoming shots.
         """
         before = self._device.at(time_ns)
         if not before.answers:
@@ -158,7 +163,7 @@ class CommandHandler:
         commands = []
         for frame in unpack_frames(data):
             decoded = [] if frame.is_extended else self._frames.feed(frame.can_id, frame.data, frame.is_fd)
-            # Frames of other nodes on the bus take no room.
+            # Frames of other nodes on the bus do not count against the limit.
             if decoded and self._limiter.take(len(frame.data), arrived_ns) == len(frame.data):
                 commands += decoded
         return commands
@@ -167,15 +172,15 @@ class CommandHandler:
         self, command: Command | BadCommand, time_ns: int, pulse_ns: int | None
     ) -> tuple[ReceivedCommand, DeviceState | None]:
         """The command with its verdict, and the state of the device after it; None if nothing changes."""
-        in_turn = self._in_turn(command)
-        if in_turn:
+        in_sequence = self._is_in_sequence(command)
+        if in_sequence:
             self._sequence = command.sequence
         if isinstance(command, BadCommand):
             bad = ReceivedCommand(time_ns, command.code, {}, command.sequence, command.verdict, pulse_ns)
             return bad, None
         values = self._with_words(command)
         received = ReceivedCommand(time_ns, command.name, values, command.sequence, "bad_sequence", pulse_ns)
-        if not in_turn:
+        if not in_sequence:
             return received, None
         tone_ns = values.get("tone_ns")
         if isinstance(tone_ns, int) and not self._can_encode_time(tone_ns):
@@ -202,9 +207,9 @@ class CommandHandler:
         for observer in self._observers:
             observer.on_command(received, shot)
 
-    def _in_turn(self, command: Command | BadCommand) -> bool:
-        """Whether its sequence number follows the last one; `no_op` may have any other number, and restarts the
-        count there."""
+    def _is_in_sequence(self, command: Command | BadCommand) -> bool:
+        """Whether the command's sequence number follows the last one; a `no_op` may have any number but the last one,
+        and restarts the count there."""
         if self._sequence is None:
             return command.sequence is not None
         if isinstance(command, Command) and command.name == "no_op":
@@ -212,7 +217,7 @@ class CommandHandler:
         return command.sequence == (self._sequence + 1) % self._commands.sequence_steps
 
     def _with_words(self, command: Command) -> Mapping[str, Value]:
-        """The arguments, with the words of enumerations."""
+        """The command's arguments, with enumerated values as words."""
         words = {
             placed.field.name: placed.field.enumeration
             for placed in (self._commands.by_name[command.name].packet.placed)

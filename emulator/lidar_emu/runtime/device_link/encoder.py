@@ -1,4 +1,4 @@
-"""The downlink besides the shots: acknowledgements and housekeeping, on a byte link or on CAN."""
+"""Downlink messages other than shots: acknowledgements and housekeeping, on a byte link or on CAN."""
 
 from __future__ import annotations
 

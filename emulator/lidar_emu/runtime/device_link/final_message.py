@@ -19,7 +19,7 @@ from lidar_protocol import Interface
 
 _PERIOD_NS = 1_000_000_000
 _NEVER_LATE_NS = 10_000_000_000
-_ENDED_WITH_ITS_PROCESS = (Kind.PTY, Kind.LOOPBACK)
+_ENDS_WITH_PORT_PROCESS = (Kind.PTY, Kind.LOOPBACK)
 
 
 def why_no_final_message(interface: Interface, can: bool) -> str | None:
@@ -29,7 +29,7 @@ def why_no_final_message(interface: Interface, can: bool) -> str | None:
     if any(words and "safe" in words for words in known):
         return None
     lacks = f"interface {interface.name} has no housekeeping with mode safe on this link"
-    return f"{lacks}: nothing is sent where a process dies"
+    return f"{lacks}: nothing is sent if a process dies"
 
 
 class FinalMessage(Observer):
@@ -72,17 +72,17 @@ class FinalMessage(Observer):
             self._prepare(self.payload())
 
     def send(self, spec: PortSpec, clock: Clock) -> None:
-        """Send the message over the port, opened anew: the port process has died."""
+        """Reopen the port and send the message, after the port process has died."""
         message = self.payload()
         if not message:
             self.result = "none"
-        elif spec.kind in _ENDED_WITH_ITS_PROCESS:
-            self.result = "not sent: the line ended with the port's process"
+        elif spec.kind in _ENDS_WITH_PORT_PROCESS:
+            self.result = "not sent: the line ended with the port process"
         else:
-            self.result = _sent_alone(spec, message, clock)
+            self.result = _send_over_new_port(spec, message, clock)
 
 
-def _sent_alone(spec: PortSpec, message: bytes, clock: Clock) -> str:
+def _send_over_new_port(spec: PortSpec, message: bytes, clock: Clock) -> str:
     try:
         with PortRunner(1, len(message)) as port:
             port.start(spec)

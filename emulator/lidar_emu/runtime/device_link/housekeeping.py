@@ -1,4 +1,4 @@
-"""Housekeeping: telemetry on the device itself, sent at a rate of its own between the shots."""
+"""Housekeeping: telemetry on the device itself, sent between the shots at its own rate."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NO_COMMANDS = {"commands_accepted": 0, "commands_rejected": 0, "bad_bytes": 0}
 
 
 class HousekeepingSender(Observer):
-    """Sends housekeeping as the shots pass by: at every pace, with the state of the device at that scenario time.
+    """Sends housekeeping between shots: at every pace, with the device's state at the scenario time of the shot.
 
     Args:
         encoder: encodes it; its interface has housekeeping.
@@ -68,13 +68,13 @@ class HousekeepingSender(Observer):
         self._truth_age_s = age_ns * 1e-9
 
     def send_due(self, time_ns: int) -> None:
-        """Send what is due by this scenario time; of several missed instants only the last one."""
+        """Send what is due by this scenario time; if several instants were missed, only the last one."""
         state = self._device.at(time_ns)
         rate_hz = state.settings.housekeeping_rate_hz
         if rate_hz == 0 or not state.answers:
             self._last_period = None
             return
-        # The period that contains the instant, by its length and number: another rate takes effect at once.
+        # A period is identified by its length and number, so that a new rate takes effect at once.
         period_ns = round(1e9 / rate_hz)
         period = period_ns, time_ns // period_ns
         if period != self._last_period:
@@ -86,7 +86,7 @@ class HousekeepingSender(Observer):
         self._ended = True
 
     def start_flight(self) -> None:
-        """Scenario time begins anew."""
+        """Restart the periods, since scenario time restarts at 0."""
         self._last_period = None
 
     def _send_at(self, time_ns: int) -> None:
@@ -135,7 +135,7 @@ class HousekeepingSender(Observer):
         return {"sent": self._sent, "encode_failures": self._encode_failures}
 
     def _mode_word(self, mode: Mode) -> str:
-        """The mode in the words of the interface, or the nearest mode that it has."""
+        """Word of the interface for the mode, or for the nearest mode that it has."""
         known = self._encoder.interface.enumerations.get(self._mode_enumeration or "", {})
         nearest = (mode, Mode.TRACK if mode is Mode.ACQUIRE else Mode.STANDBY)
         return next((word for word in nearest if word in known), mode)

@@ -27,7 +27,7 @@ _NEVER = ArrivalWindow(0, 0)
 
 
 class ArrivalPredictor:
-    """Predicts the truth of each shot as long before its packet is due as it arrived for the last shots.
+    """Predicts when each shot's truth arrives: as long before its packet is due as for the last shots.
 
     Args:
         longest_ns: longest busy wait before and after the predicted arrival; 0: none.

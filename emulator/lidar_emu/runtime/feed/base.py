@@ -1,4 +1,4 @@
-"""What all feeds share: the way of packets to the port, and the way of changes to the session."""
+"""Base class of all feeds: passes packets to the port, and changes to the session."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ POLL_NS = 20_000_000
 
 
 class RunControl(Protocol):
-    """Begin and end of a run: a `Run`."""
+    """Beginning and end of a run: a `Run`."""
 
     clock: Clock
 
@@ -35,10 +35,10 @@ class Feed(ABC):
     """Where the shots of a run come from.
 
     Args:
-        control: begin and end of the run.
+        control: beginning and end of the run.
         session: computes the shots.
         packets: packets on their way through the port.
-        changes: commands and injected faults that shots have yet to follow.
+        changes: commands and injected faults to apply to upcoming shots.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Datagram sockets that receive: truth from a simulator, faults to inject."""
+"""Receiving datagram sockets, for truth from a simulator and for faults to inject."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class DatagramSocket:
         address: `udp:HOST:PORT` or `unix:PATH`; the path of a dead process is taken over.
 
     Raises:
-        OSError: it cannot be bound.
-        ValueError: it is not an address.
+        OSError: the address cannot be bound.
+        ValueError: `address` has another form.
     """
 
     def __init__(self, address: str, clock: Clock) -> None:
@@ -59,7 +59,7 @@ class DatagramSocket:
         return arrived
 
     def answer(self, datagram: bytes, receiver: Any) -> bool:
-        """Send to the address of a sender; False if it cannot be delivered."""
+        """Send a datagram to the address of a sender; False if it cannot be delivered."""
         if not receiver:  # a Unix socket without a name
             return False
         try:

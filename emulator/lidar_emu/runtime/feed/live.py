@@ -1,4 +1,4 @@
-"""Live truth at the pace of the clock: each shot is computed when truth covers it, or when it can wait no longer."""
+"""Live truth in real time: each shot is computed when truth covers it, or when it can wait no longer."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class LiveFeed(Feed):
         return None
 
     def _begin(self, first: ReceivedTruth) -> None:
-        """The first shot is the one that begins with the first truth, or after it."""
+        """Begin with the first shot that starts with the first truth or after it."""
         assert first.truth is not None
         if self._start_ns is None:
             self._start_ns = first.arrived_ns - first.truth.time_ns
@@ -111,7 +111,7 @@ class LiveFeed(Feed):
         latest_ns = self._due_ns(shot) - self._timing.lead_ns
         window = self._predictor.window(self._due_ns(shot))
         is_warm = not self._predictor.has_time_to_warm_up
-        # What is left of earlier shots is done first: once truth is there, the shot is computed at once.
+        # Pending work of earlier shots comes first, so that the shot is computed as soon as truth arrives.
         source.notify()
         self._packets.collect_reports()
         source.receive()

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from lidar_emu.trajectory.live import LiveTrajectory
 
 _EARLY_DATAGRAMS = 1000
-"""Datagrams before the run that are passed to the observers once it has begun."""
+"""Limit on datagrams from before the run that are passed to the observers once it has begun."""
 
 
 def truth_socket(address: str, clock: Clock) -> DatagramSocket:
     """The socket on which a simulator's truth arrives.
 
     Raises:
-        InputError: it cannot be bound.
+        InputError: the address cannot be bound.
     """
     try:
         return DatagramSocket(address, clock)
@@ -85,11 +85,11 @@ class TruthSource(Observer):
         return self._socket.fileno()
 
     def receive(self) -> list[ReceivedTruth]:
-        """Take the datagrams that have arrived into account."""
+        """Process the datagrams that have arrived."""
         return [self._check(*datagram) for datagram in self._socket.receive()]
 
     def receive_one(self) -> None:
-        """As `receive`, for the first datagram only: asking in vain for another takes a tenth of a shot's time."""
+        """Process the first datagram only: a read that finds no second one takes a tenth of a shot's computing time."""
         for datagram in self._socket.receive(1):
             self._check(*datagram)
 
@@ -100,11 +100,11 @@ class TruthSource(Observer):
             self._trajectory.warm_up(newest)
 
     def expect(self, start_ns: int) -> None:
-        """Scenario time 0 is at this instant of the monotonic clock, known before the first truth."""
+        """Set scenario time 0 to this instant of the monotonic clock, before the first truth arrives."""
         self._start_ns = start_ns
 
     def begin(self, start_ns: int | None) -> None:
-        """The run begins.
+        """Begin the run.
 
         Args:
             start_ns: instant of the monotonic clock at scenario time 0; None in lockstep.
@@ -155,7 +155,7 @@ class TruthSource(Observer):
         return 0 if newest is None else max(0, time_ns - newest.time_ns)
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
-        """Count the response time: from truth, or the due time if that is later, to the last byte written."""
+        """Record the response time: from truth, or the due time if that is later, to the last byte written."""
         while self._unreported_shots and self._unreported_shots[0][0] <= packet.shot:
             shot, since_ns = self._unreported_shots.popleft()
             if shot == packet.shot and report.status is DeliveryStatus.SENT:

@@ -16,9 +16,9 @@ _LINGER_NS = 200_000_000
 
 
 class LockstepFeed(Feed):
-    """As fast as both can. Packets depend on truth alone: every shot lies between two truths.
+    """Runs as fast as simulator and model can. Packets depend on truth alone: every shot lies between two truths.
 
-    A truth that arrives again is answered again, so that a simulator whose answer was lost can continue.
+    A repeated truth is answered again, so that a simulator whose answer was lost can continue.
 
     Args:
         control, session, packets, changes: see `Feed`.

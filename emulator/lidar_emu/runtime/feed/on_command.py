@@ -20,7 +20,7 @@ _LEAD_NS = 100_000_000
 
 
 def waiting_device(rules: DeviceConstants) -> DeviceTimeline:
-    """The device before the flight: times count from power-up, and the dated events of the scenario are left out."""
+    """The device before the flight: times count from power-up, and the scenario's timed events are left out."""
     start = Mode.STANDBY if rules.start is Mode.TRACK else rules.start
     before = replace(rules, start=start, power_on_ns=0, events=())
     return DeviceTimeline(before, initial(before))

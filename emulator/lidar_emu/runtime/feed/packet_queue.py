@@ -12,14 +12,14 @@ from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block
 
 _SHOTS_PER_PART = 8
-"""A recorder is busy with as many shots for milliseconds."""
+"""Shots passed to observers at a time: a recorder takes milliseconds for them."""
 _AHEAD = 64
-"""Packets in the ring, or half of the room, with which recomputed shots are no longer urgent."""
+"""Recomputed shots are no longer urgent once this many packets, or half of the room, are in the ring."""
 _DEFERRED_PARTS = 32
 
 
 class PacketQueue:
-    """Packets from their announcement to their report.
+    """Packets between their announcement and their report.
 
     Args:
         port: sends them.
@@ -119,7 +119,7 @@ class PacketQueue:
         return not self._in_flight
 
     def _add_to_part(self, block: Block, row: int) -> None:
-        """Observers receive a few shots at a time; of a superseded block, those that were sent."""
+        """Add a shot to the part that observers receive next: of a superseded block, only shots that were sent."""
         if self._open_part is None or self._open_part[0] is not block:
             self._finish_part()
             self._open_part = block, row, row

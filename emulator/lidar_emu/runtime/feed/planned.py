@@ -1,4 +1,4 @@
-"""A planned flight: shots are computed ahead of time, as far as the ring holds them, and again after a command."""
+"""A planned flight: shots are computed ahead of time, as far as the ring has room, and again after a command."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ class PlannedShots:
 
 
 def warm_up(model: Model, encoder: Encoder) -> Block:
-    """Shot 0, computed to compile what the flight needs, and to know the length of packets.
+    """Compute shot 0, to compile the flight's kernels and to obtain the length of packets; return it.
 
-    With live truth the shot is computed one kilometre above the site's origin, and leaves no trace.
+    With live truth the shot is computed one kilometre above the site's origin, and has no effect on the flight.
     """
     with _hovering(model):
         block = Session(model, encoder).shoot(1)

@@ -27,7 +27,7 @@ class PacketLink(Protocol):
 class BackpressurePolicy:
     """Decides for each packet that the link refuses whether to retry or to drop it; see `Pace.MAX`.
 
-    The time limits start anew with every packet that the link takes, and whenever the other end has fetched something:
+    The time limits restart with every packet that the link takes, and whenever the other end has fetched something:
     a slow line may have no room for seconds and still make progress.
     """
 
@@ -42,7 +42,7 @@ class BackpressurePolicy:
         """Instant until which to wait before the packet is tried again; None: the status is final.
 
         Args:
-            status: what the link made of the packet.
+            status: delivery status of the last attempt.
             now_ns: instant of the monotonic clock.
         """
         is_full, no_reader = status is DeliveryStatus.DROPPED_FULL, status is DeliveryStatus.DROPPED_NOBODY

@@ -25,11 +25,11 @@ class PortDiedError(RunError):
 
 
 class PortChild:
-    """`lidar_emu.runtime.port.process` in a session of its own, which no terminal's Ctrl-C reaches.
+    """`lidar_emu.runtime.port.process` in its own session, which no terminal's Ctrl-C reaches.
 
     Args:
-        descriptors: descriptors that the child inherits besides the three standard ones, by name; they stay the
-            caller's.
+        descriptors: descriptors that the child inherits besides the three standard ones, by name; the
+            caller still owns them.
     """
 
     def __init__(self, descriptors: Mapping[str, int]) -> None:
@@ -37,7 +37,7 @@ class PortChild:
         """Whether its status pipe has ended."""
         self._received = b""
         self._errors = anonymous_file()
-        # In a process that was started without standard descriptors ours may have taken their numbers.
+        # If this process was started without standard descriptors, ours may have taken their numbers.
         copies = {
             name: fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, _FIRST_NOT_STANDARD)
             for name, descriptor in descriptors.items()
@@ -96,14 +96,14 @@ class PortChild:
             one_line(": ".join([f"the port process ended ({how})", *errors.splitlines()[-1:]]))
         )
 
-    def close_control(self, in_order: bool) -> None:
+    def close_control(self, orderly: bool) -> None:
         """Close the control pipe: the child closes the port and ends.
 
         Args:
-            in_order: False: it sends the final message first.
+            orderly: False: the child sends the final message first.
         """
-        os.set_blocking(self._control.fileno(), False)  # it may hang, with a full pipe
-        self.send(end=in_order)
+        os.set_blocking(self._control.fileno(), False)  # a hanging child may have left the pipe full
+        self.send(end=orderly)
         self._control.close()
 
     def kill(self) -> None:

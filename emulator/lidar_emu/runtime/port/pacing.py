@@ -14,9 +14,9 @@ class Pace(StrEnum):
     MAX = "max"
     """The link: packets go out as fast as it takes them; nothing is late.
 
-    The sender waits for a full line and for the first reader of a pty, but not for ever: after 5 s in which the line
+    The sender waits for a full line and for the first reader of a pty, but not forever: after 5 s in which the line
     has taken nothing there is a link event, and after 30 s without progress packets are dropped, as line full or as
-    no reader, until there is progress again. Once a pty had a reader, the sender waits for no other one."""
+    no reader, until there is progress again. Once a pty has had a reader, the sender no longer waits for one."""
     LOCKSTEP = "lockstep"
     """Live truth: a packet goes out, as with `MAX`, once truth beyond its shot has arrived."""
 
@@ -27,7 +27,7 @@ class WhenLate(StrEnum):
     SKIP = "skip"
     """It is skipped, and the next one goes out when it is due."""
     ABORT = "abort"
-    """The run ends: nothing is sent any more."""
+    """The run ends: nothing more is sent."""
 
 
 class Action(Enum):
@@ -40,7 +40,10 @@ class Action(Enum):
 
 @dataclass(frozen=True)
 class Pacing:
-    """The rule. After a stall, overdue packets are skipped: an instrument would not send them in a burst either."""
+    """Decides when packets are sent.
+
+    After a stall, overdue packets are skipped: an instrument would not send them in a burst either.
+    """
 
     pace: Pace
     late_after_ns: int

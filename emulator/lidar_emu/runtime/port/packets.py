@@ -42,7 +42,7 @@ class OutgoingPacket:
     payload: bytes
     """Framed bytes on a byte link, frame records (`pack_frames`) on CAN."""
     generation: int = 0
-    """How many times computed shots had been recomputed when this packet was made."""
+    """How often computed shots had been superseded when this packet was made."""
 
     HEAD_BYTES = _PACKET_HEAD.size
 
@@ -69,7 +69,7 @@ class DeliveryReport:
     number of packets."""
     status: DeliveryStatus
     woke_ns: int = -1
-    """When the port process had woken up for the packet, from the start of the run; -1 if that was before the start."""
+    """When the port process woke up for the packet, from the start of the run; -1 if that was before the start."""
 
     SIZE_BYTES = _REPORT.size
 
@@ -90,7 +90,7 @@ class DeliveryReport:
 
 
 class ReceivedBytes(NamedTuple):
-    """Bytes that arrived on the port. Instants are those of the monotonic clock."""
+    """Bytes that arrived on the port. Instants are of the monotonic clock."""
 
     at_ns: int
     data: bytes

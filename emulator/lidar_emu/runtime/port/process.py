@@ -2,7 +2,7 @@
 
 `PortRunner` starts it with the control pipe as standard input: at its end of file the process closes the port and ends,
 however the model process ended; in mid-run the other end has half a second to fetch what was sent. Unless the
-model process has closed the pipe in order, no further packet is sent but the final message, if there is one.
+model process announced an orderly end, no further packet is sent but the final message, if there is one.
 Both pipes carry one JSON object per line:
 
     in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "faults": [a PortFault] or null}
@@ -13,7 +13,7 @@ Both pipes carry one JSON object per line:
          {"supersede": [generation, shot, number]}   do not send older packets from this shot, before that entry
          {"send": hex}                               send at once; not a shot
          {"final_message": hex}                      to be sent if the model process dies
-         {"end": in order}                           before the end of file, unless the model process died
+         {"end": is orderly}                         before the end of file, unless the model process died
     out  {"ready": description} or {"refused": [where, key, value, allowed]}
          {"granted": [name], "missing": {name: command}}     real-time privileges
          {"received": [time_ns, hex, pulse_ns]}      arrived on the port, and when the last pulse came, or null; lost
@@ -130,14 +130,14 @@ class _PortLoop:
         self._finishing = False
         self._drain: _Drain | None = None
         self._final_message = b""
-        self._ends_in_order: bool | None = None
+        self._end_is_orderly: bool | None = None
 
     def run(self) -> str | None:
         """Run until the control pipe ends; return an error message if the model process died."""
         is_open = True
         while is_open:
-            # First what the process woke up for. Whether a reader is connected was checked before it slept, and a
-            # change would have woken it.
+            # What the process woke up for comes first. Whether a reader is connected was checked before it slept,
+            # and a change would have woken it.
             wait = self._sender.step() if self._sender is not None else Wait()
             self._link.service(self._clock.now_ns())
             self._report_events()
@@ -148,8 +148,8 @@ class _PortLoop:
         return self._end()
 
     def _end(self) -> str | None:
-        error = "the model process died: the run has ended" if self._ends_in_order is None else None
-        if self._final_message and not self._ends_in_order:
+        error = "the model process died: the run has ended" if self._end_is_orderly is None else None
+        if self._final_message and not self._end_is_orderly:
             status = send_final_message(self._link, self._final_message, self._clock)
             error = error and f"{error}, final message {result_text(status)}"
             self._drain_briefly()
@@ -197,7 +197,7 @@ class _PortLoop:
         if "finish" in message:
             self._finishing = True
         self._final_message = bytes.fromhex(message.get("final_message", "")) or self._final_message
-        self._ends_in_order = message.get("end", self._ends_in_order)
+        self._end_is_orderly = message.get("end", self._end_is_orderly)
         if "send" in message:
             self._send_now(bytes.fromhex(message["send"]))
         if "supersede" in message and self._sender is not None:
@@ -218,7 +218,7 @@ class _PortLoop:
         )
 
     def _send_now(self, payload: bytes) -> None:
-        """Send or drop at once what is not a shot, also before the run begins."""
+        """Send or drop at once a payload that is not a shot, also before the run begins."""
         if self._link.send(payload, self._clock.now_ns()) is DeliveryStatus.SENT:
             self._unscheduled_bytes += len(payload)
         else:
@@ -239,7 +239,7 @@ class _PortLoop:
         return None
 
     def _drain_briefly(self) -> None:
-        """What counts as sent should arrive, even if the rest of the run is cut off."""
+        """Let the other end read what counts as sent, even if the rest of the run is cut off."""
         now_ns = self._clock.now_ns()
         drain = _Drain(now_ns, _SHORT_DRAIN_NS)
         while not drain.is_over(bool(self._link.pending or self._link.unread), now_ns):
@@ -263,7 +263,7 @@ class _PortLoop:
             self._status.send_if_idle(event=[self._event_count, time_ns, text])
 
     def _report_completed(self) -> None:
-        """In lockstep the model process waits for the packets as well, for the simulator does."""
+        """Report completed packets in lockstep, where the model process waits for them, as the simulator does."""
         if (
             self._is_lockstep
             and self._sender is not None
@@ -294,7 +294,7 @@ class _Drain:
         """Whether the line is empty, or the time limit has passed."""
         if is_busy:
             self._busy_ns = now_ns
-        # Bytes on their way through a pty are counted nowhere for a moment: it must look empty for a while.
+        # For a moment, bytes on their way through a pty are counted nowhere: the line must look empty for a while.
         return now_ns - self._busy_ns >= _EMPTY_NS or now_ns >= self._ends_ns
 
 

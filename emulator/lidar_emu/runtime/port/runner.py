@@ -26,8 +26,8 @@ _OPENING_POLL_NS = 100_000_000
 
 
 class PortRunner:
-    """A port in a process of its own. Leaving its context ends the process, whatever happened; after an error of ours
-    it sends the final message first (see `set_final_message`).
+    """A port in its own process. Leaving the context always ends the process; after an error in this process it sends
+    the final message first (see `set_final_message`).
 
     Order of use: `start`; `begin`, before or after the first `push`; `push` and `reports`; `finish`.
 
@@ -71,14 +71,14 @@ class PortRunner:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close(in_order=kind is None or issubclass(kind, InputError | KeyboardInterrupt))
+        self.close(orderly=kind is None or issubclass(kind, InputError | KeyboardInterrupt))
 
     def start(self, spec: PortSpec, faults: list[dict[str, Any]] | None = None) -> str:
         """Start the process and open the port; return its description.
 
         Args:
             spec: the port.
-            faults: faults of the port, each a `PortFault` as a mapping; None: there are none, nor will be.
+            faults: faults of the port, each a `PortFault` as a mapping; None: there are none, and none can be injected.
 
         Raises:
             InputError: the port cannot be opened.
@@ -144,7 +144,7 @@ class PortRunner:
         self._running().send(supersede=[generation, from_shot, self._packets.written])
 
     def send_now(self, payload: bytes) -> None:
-        """Send what is not a shot, between shots; there is no report."""
+        """Send a payload that is not a shot, between shots; there is no report."""
         self._running().send(send=payload.hex())
 
     def set_final_message(self, message: bytes) -> None:
@@ -206,7 +206,7 @@ class PortRunner:
             self._collect()
 
     def end_packets(self) -> None:
-        """No more packets will follow: `finished` turns true once the process has completed them.
+        """Announce that no more packets follow: `finished` becomes true once the process has completed them.
 
         Raises:
             RunError: the run has not begun.
@@ -218,8 +218,10 @@ class PortRunner:
 
     @property
     def finished(self) -> bool:
-        """Every packet was sent, skipped or dropped, and what was sent has left the line or, on a pty, was read; the
-        other end has 2 s for that, and a serial line also the time that its bit rate requires."""
+        """Whether every packet is sent, skipped or dropped, and what was sent has left the line or, on a pty, is read.
+
+        The other end has 2 s for that, and a serial line also the time that its bit rate requires.
+        """
         return self.status.finished
 
     def finish(self) -> None:
@@ -232,20 +234,20 @@ class PortRunner:
         while not self.finished:
             self.wait(self._clock.now_ns() + _POLL_NS)
 
-    def close(self, in_order: bool = True) -> None:
+    def close(self, orderly: bool = True) -> None:
         """End the process and release all resources; may be called again.
 
         In mid-run the other end still has half a second to fetch what counts as sent.
 
         Args:
-            in_order: False: the run fails, and the process sends the final message.
+            orderly: False: the run fails, and the process sends the final message.
         """
         if self._closed:
             return
         self._closed = True
         try:
             if self._child is not None:
-                self._stop(self._child, in_order)
+                self._stop(self._child, orderly)
             self._fetch()
         finally:
             self._packets.close()
@@ -255,9 +257,9 @@ class PortRunner:
             if self._far_end is not None:
                 self._far_end.close()
 
-    def _stop(self, child: PortChild, in_order: bool) -> None:
+    def _stop(self, child: PortChild, orderly: bool) -> None:
         try:
-            child.close_control(in_order)
+            child.close_control(orderly)
             deadline_ns = self._clock.now_ns() + _STOP_LIMIT_NS
             while not child.ended and self._clock.now_ns() < deadline_ns:
                 self._clock.wait(self._clock.now_ns() + _POLL_NS, [child.descriptor])

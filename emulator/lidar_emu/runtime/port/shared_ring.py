@@ -9,7 +9,7 @@ import tempfile
 from typing import Self
 from zlib import crc32
 
-_HEAD, _TAIL, _SLOT_BYTES = 0, 8, 16  # in 64-bit words: each index has a cache line of its own
+_HEAD, _TAIL, _SLOT_BYTES = 0, 8, 16  # in 64-bit words: each index has its own cache line
 _SLOTS_AT_BYTE = 192
 _WORD = struct.Struct("=Q")
 _ENTRY_HEAD = struct.Struct("=II")
@@ -18,14 +18,14 @@ _ENTRY_HEAD = struct.Struct("=II")
 class SharedRing:
     """A single-producer, single-consumer ring of byte strings over a shared descriptor.
 
-    The memory has no name, so nothing is left when the processes end, in whatever way. `head` and `tail` count
+    The memory has no name, so nothing is left however the processes end. `head` and `tail` count
     entries written and read since the beginning and never wrap. An entry carries a checksum that covers
     its number too: on a processor that makes the head visible before the entry, the reader sees that the
-    entry is not yet there, and finds it the next time. Hence neither locks nor barriers.
+    entry is not yet there, and finds it the next time. Neither locks nor barriers are needed.
     """
 
     def __init__(self, descriptor: int) -> None:
-        """Map the ring that `create` made, here or in another process; the descriptor stays the caller's."""
+        """Map the ring that `create` made, here or in another process; the caller still owns the descriptor."""
         self._map = mmap.mmap(descriptor, 0)
         self._view = memoryview(self._map)
         # A native 64-bit view stores an index in one piece; struct with a byte order would write bytes.
@@ -83,8 +83,7 @@ class SharedRing:
         return self._words[_HEAD]
 
     def skip_to(self, number: int) -> int:
-        """Consumer: skip entries, so that the next one is the one before which `number` were pushed; return the number
-        of skipped entries."""
+        """Consumer: skip all entries before entry `number`, counted from 0; return how many were skipped."""
         skipped = max(0, number - self._words[_TAIL])
         self._words[_TAIL] += skipped
         return skipped
@@ -106,7 +105,7 @@ class SharedRing:
 
 
 def _checksum(entry: bytes, number: int) -> int:
-    # With another start value the same bytes give another checksum: a stale entry never fits.
+    # The start value depends on the number: the checksum of a stale entry never fits.
     return crc32(entry, (number + 1) & 0xFFFFFFFF)
 
 

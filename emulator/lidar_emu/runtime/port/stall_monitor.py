@@ -18,7 +18,7 @@ class StallMonitor:
     """Runs in the model process, which polls it several times in `STALL_NS` unless it computes.
 
     The port process reports every packet as soon as it is due, sent or not. The model process computes or sleeps for
-    short times only: time between two polls in which it had no processor time is a stall of its own.
+    short times only: time between two polls in which it had no processor time is a stall of the model process.
 
     Args:
         on_stall: called when the port process stalls, when it resumes, and after a stall of the model process.
@@ -30,7 +30,7 @@ class StallMonitor:
         self._unreported_due_ns: deque[int] = deque()
         self._reported = 0
         self._start_ns: int | None = None
-        self._polled_ns = self._computed_ns = 0
+        self._polled_ns = self._processor_time_ns = 0
         self._overdue_after = -1
         self._overdue_since_ns = 0
         self._silent_since_ns: int | None = None
@@ -42,7 +42,10 @@ class StallMonitor:
             start_ns: start of the run, an instant of the monotonic clock.
         """
         self._start_ns = start_ns
-        self._polled_ns, self._computed_ns = self._clock.now_ns() - start_ns, self._clock.computed_ns()
+        self._polled_ns, self._processor_time_ns = (
+            self._clock.now_ns() - start_ns,
+            self._clock.processor_time_ns(),
+        )
 
     def pushed(self, due_ns: int) -> None:
         """Count a packet that was pushed to the port process."""
@@ -76,9 +79,9 @@ class StallMonitor:
             self._on_stall(now_ns, "the port process does not respond")
 
     def _check_model(self, now_ns: int) -> None:
-        computed_ns = self._clock.computed_ns()
-        stalled_ns = now_ns - self._polled_ns - (computed_ns - self._computed_ns)
-        self._polled_ns, self._computed_ns = now_ns, computed_ns
+        processor_time_ns = self._clock.processor_time_ns()
+        stalled_ns = now_ns - self._polled_ns - (processor_time_ns - self._processor_time_ns)
+        self._polled_ns, self._processor_time_ns = now_ns, processor_time_ns
         if stalled_ns > STALL_NS:
             self._on_stall(now_ns, f"the model process stalled for {stalled_ns / 1e6:.0f} ms")
 

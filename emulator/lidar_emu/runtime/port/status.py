@@ -114,7 +114,7 @@ class PortStatus:
         }
 
     def update(self, message: dict[str, Any]) -> None:
-        """Take a message of the port process into account.
+        """Update the status from a message of the port process.
 
         Raises:
             InputError: the process could not open the port.
