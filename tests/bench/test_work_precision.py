@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from lidar_emu.bench.errors_against_truth import bias, difference, rms, spread
+from lidar_emu.bench.errors_against_truth import bias, difference, false_locks, outcome_noise, rms, spread
 from lidar_emu.bench.work_precision import cheapest, pareto_front
+from lidar_emu.fmcw.returns import Echoes, Returns
 
 
 def test_front_of_known_points():
@@ -53,8 +54,8 @@ def normal_errors(mean: float, sigma: float) -> np.ndarray:
 def test_distance_of_two_normal_spreads():
     """Quantiles differ by (m1 - m2) + (s1 - s2) z, z over the central 98 %: its mean square there is 0.908."""
     every = np.ones((20_000, 1), dtype=bool)
-    one = spread(normal_errors(0.1, 0.3), normal_errors(0, 1), every)
-    other = spread(normal_errors(0.2, 0.5), normal_errors(0, 1), every)
+    one = spread(normal_errors(0.1, 0.3), normal_errors(0, 1), ~every, every)
+    other = spread(normal_errors(0.2, 0.5), normal_errors(0, 1), ~every, every)
     shares = norm.ppf(np.arange(0.01, 0.995, 0.01))
     expected = np.sqrt(0.1**2 + 0.2**2 * np.mean(shares**2))
     apart = difference(one, other)
@@ -67,8 +68,46 @@ def test_distance_of_two_normal_spreads():
 def test_dropouts_count_only_where_a_measurement_could_be():
     error = np.array([[0.1, np.nan], [np.nan, np.nan]])
     expected = np.array([[True, False], [True, True]])
-    assert spread(error, error, expected).dropout == pytest.approx(2 / 3)
-    assert spread(error, error, expected).count == 3
-    nothing = spread(np.full((2, 1), np.nan), np.full((2, 1), np.nan), np.ones((2, 1), dtype=bool))
+    none = np.zeros((2, 2), dtype=bool)
+    assert spread(error, error, none, expected).dropout == pytest.approx(2 / 3)
+    assert spread(error, error, none, expected).count == 3
+    nothing = spread(
+        np.full((2, 1), np.nan), np.full((2, 1), np.nan), none[:, :1], np.ones((2, 1), dtype=bool)
+    )
     assert np.isnan(nothing.range_m).all()
     assert nothing.dropout == 1.0
+
+
+def test_false_locks_are_an_outcome_and_not_an_error():
+    """A lock 900 m off would otherwise set the root mean square; distance of (.6, .1, .3) and (.5, .3, .2) by hand."""
+    every = np.ones((10, 1), dtype=bool)
+
+    def outcomes(false: int, lost: int):
+        error = np.full((10, 1), 0.1)
+        error[:false], error[10 - lost :] = 900.0, np.nan
+        return spread(error, error, np.arange(10)[:, None] < false, every)
+
+    one, other = outcomes(1, 3), outcomes(3, 2)
+    assert (one.false_lock, one.dropout) == (0.1, pytest.approx(0.3))
+    assert rms(one.range_m) == pytest.approx(0.1)
+    # The shares of correct locks and dropouts are larger by 0.1 each, the share of false locks is smaller by 0.2.
+    assert difference(one, other).outcome == pytest.approx(0.2)
+    assert difference(other, one).outcome == pytest.approx(0.2)
+    # Of the shares .2, .25 and .45 the last varies most.
+    assert outcome_noise(one, other) == pytest.approx((2 * 0.45 * 0.55 / 10) ** 0.5)
+
+
+def test_false_locks_lie_outside_the_footprint():
+    """Beamlets from 100 to 130 m and 5 m/s; bins of 1 m and 0.1 m/s."""
+    range_m = np.array([[99.0, 115.0, 141.0, 139.0, 115.0, 115.0, 500.0]])
+    speed_mps = np.array([[5.0, 5.0, 5.0, 5.0, 6.1, 4.1, 5.0]])
+    valid = np.array([[True, True, True, True, True, True, False]])
+    nowhere = np.full((1, 7, 3), np.nan)
+    echoes = Echoes(*[nowhere] * len(Echoes._fields))._replace(
+        range_m=np.broadcast_to([100.0, 130.0, np.nan], nowhere.shape),
+        closing_speed_mps=np.broadcast_to([5.0, 5.0, np.nan], nowhere.shape),
+    )
+    returns = Returns.with_columns((1, 7), range_m=range_m, closing_speed_mps=speed_mps, range_valid=valid)
+    assert false_locks(returns, echoes, 1.0, 0.1).tolist() == [
+        [False, False, True, False, True, False, False]
+    ]

@@ -9,14 +9,19 @@ measurement, with negligible noise, and added to the error of every setting exce
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import partial
 from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.bench.errors_against_truth import DistributionDifference, ErrorSpread, difference
+from lidar_emu.bench.errors_against_truth import (
+    DistributionDifference,
+    ErrorSpread,
+    difference,
+    outcome_noise,
+)
 from lidar_emu.bench.settings import (
     BEAMLETS,
     FAST,
@@ -37,6 +42,7 @@ from lidar_emu.bench.work_precision import cheapest, pareto_front
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.fidelity_levels import Level, build_level
+from lidar_emu.scenario.required import require_known_flight
 from lidar_emu.scenario.schema import FlightScenario
 
 _TIMED_SHOTS = 16
@@ -60,8 +66,8 @@ class SettingResult:
     """Time of a beam measurement at level waveform with as many beamlets over the time of this one."""
     spread: ErrorSpread | None
     """Errors against the ground truth; None for level waveform, which is too slow."""
-    error: DistributionDifference
-    """Errors relative to the reference."""
+    error: DistributionDifference | None
+    """Errors relative to the reference; None for level waveform except the reference, whose errors are 0."""
 
     @property
     def time_s(self) -> float:
@@ -84,14 +90,16 @@ class AccuracyReport:
     spectra: list[SpectrumMethod]
 
     def resolved_error(self, result: SettingResult) -> DistributionDifference:
-        """A setting's error, at least the sampling noise."""
-        if result.setting.shares_draws:
-            return result.error
+        """A setting's error, at least the sampling noise; NaN where it is unknown."""
         error, floor = result.error, self.floor
+        if error is None:
+            return DistributionDifference(np.nan, np.nan, np.nan)
+        if result.setting.shares_draws:
+            return error
         return DistributionDifference(
             max(error.range_m, floor.range_m),
             max(error.speed_mps, floor.speed_mps),
-            max(error.dropout, floor.dropout),
+            max(error.outcome, floor.outcome),
         )
 
     @property
@@ -99,10 +107,10 @@ class AccuracyReport:
         """Indices of the Pareto front of time and range error, fastest first."""
         return pareto_front([(result.time_s, self.resolved_error(result).range_m) for result in self.results])
 
-    def cheapest(self, range_m: float, speed_mps: float) -> SettingResult | None:
+    def cheapest(self, target: DistributionDifference) -> SettingResult | None:
         """The fastest setting whose errors are at most these; None if there is none."""
-        errors = [(self.resolved_error(r).range_m, self.resolved_error(r).speed_mps) for r in self.results]
-        chosen = cheapest([r.time_s for r in self.results], errors, (range_m, speed_mps))
+        errors = [astuple(self.resolved_error(result)) for result in self.results]
+        chosen = cheapest([result.time_s for result in self.results], errors, astuple(target))
         return None if chosen is None else self.results[chosen]
 
 
@@ -110,8 +118,10 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
     """Compare all settings over `shots` shots spread over the flight.
 
     Raises:
-        InputError: level waveform does not support the instrument, or no first beam hits the ground.
+        InputError: the trajectory is live, level waveform does not support the instrument, or no first beam hits the
+            ground.
     """
+    require_known_flight(scenario)
     flight = Flight(scenario)
     shot = _spaced(flight.shot_count, shots)
     runs = max(1, shots // flight.shot_count)
@@ -133,23 +143,33 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
     for setting in (*FAST, *SLOW):
         alike = Setting("waveform", setting.beamlets)
         spread = spreads.get(setting)
-        error = difference(spread or spreads[Setting("spectral", setting.beamlets)], spreads[TWIN])
-        if setting.level != "waveform":
-            error = DistributionDifference(
-                hypot(error.range_m, twin[0]), hypot(error.speed_mps, twin[1]), error.dropout
-            )
+        error = _error(setting, spread, spreads[TWIN], twin)
         front_s = fronts[setting.beamlets]
         ratio = (fronts[setting.beamlets] + receivers[alike]) / (front_s + receivers[setting])
         results.append(SettingResult(setting, front_s, receivers[setting], ratio, spread, error))
     return AccuracyReport(scenario.name, len(shot) * runs, len(pairs), twin, floor, results, spectra)
 
 
+def _error(
+    setting: Setting, spread: ErrorSpread | None, finest: ErrorSpread, twin: tuple[float, float]
+) -> DistributionDifference | None:
+    """Error of a setting relative to the reference, by way of the twin."""
+    if setting == REFERENCE:
+        return DistributionDifference(0.0, 0.0, 0.0)
+    if spread is None:
+        return None
+    error = difference(spread, finest)
+    return DistributionDifference(
+        hypot(error.range_m, twin[0]), hypot(error.speed_mps, twin[1]), error.outcome
+    )
+
+
 def _floor(one: ErrorSpread, other: ErrorSpread) -> DistributionDifference:
-    """Sampling noise between two distributions of one setting; for dropouts by their binomial variance."""
+    """Sampling noise between two distributions of one setting; for outcomes at least by their binomial variance."""
     between = difference(one, other)
-    share = 0.5 * (one.dropout + other.dropout)
-    chance = (2.0 * share * (1.0 - share) / max(one.count, 1)) ** 0.5
-    return DistributionDifference(between.range_m, between.speed_mps, max(between.dropout, chance))
+    return DistributionDifference(
+        between.range_m, between.speed_mps, max(between.outcome, outcome_noise(one, other))
+    )
 
 
 def _pairs(shots: int) -> int:

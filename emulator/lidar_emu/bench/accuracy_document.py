@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from typing import Any
 
 from lidar_emu.bench.accuracy import AccuracyReport, SettingResult
@@ -33,7 +33,7 @@ def document(report: AccuracyReport) -> dict[str, Any]:
 
 
 def _row(result: SettingResult, on_front: bool) -> dict[str, Any]:
-    spread = result.spread
+    spread, error = result.spread, result.error
     values = {
         "time_s": result.time_s,
         "front_s": result.front_s,
@@ -44,9 +44,10 @@ def _row(result: SettingResult, on_front: bool) -> dict[str, Any]:
         "speed_bias_mps": None if spread is None else bias(spread.speed_mps),
         "speed_rms_mps": None if spread is None else rms(spread.speed_mps),
         "dropout": None if spread is None else spread.dropout,
-        "range_error_m": result.error.range_m,
-        "speed_error_mps": result.error.speed_mps,
-        "dropout_error": result.error.dropout,
+        "false_lock": None if spread is None else spread.false_lock,
+        "range_error_m": None if error is None else error.range_m,
+        "speed_error_mps": None if error is None else error.speed_mps,
+        "outcome_error": None if error is None else error.outcome,
     }
     return {
         "name": result.setting.name,
@@ -60,10 +61,10 @@ def _known(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def marks(report: AccuracyReport) -> tuple[list[Mark], list[Mark]]:
-    """Points of the plot, for range and speed; errors below the sampling noise are shown at its level."""
-    errors = [report.resolved_error(result) for result in report.results]
-    return _marks(report, [e.range_m for e in errors]), _marks(report, [e.speed_mps for e in errors])
+def marks(report: AccuracyReport) -> list[list[Mark]]:
+    """Points of the plot, for range, speed and outcome; errors below the sampling noise are shown at its level."""
+    errors = [astuple(report.resolved_error(result)) for result in report.results]
+    return [_marks(report, list(column)) for column in zip(*errors, strict=True)]
 
 
 def _marks(report: AccuracyReport, errors: list[float]) -> list[Mark]:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.bench.errors_against_truth import ErrorSpread, spread
+from lidar_emu.bench.errors_against_truth import ErrorSpread, false_locks, spread
 from lidar_emu.echo.echoes import compute_echoes
 from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.fidelity_levels import build_level
@@ -80,13 +80,18 @@ def measure(
     hits = flight.cast(pointing)
     echoes = compute_echoes(scenario.instrument, scenario.site, flight, setting.beamlets, pointing, hits)
     true_mps = dot(pointing.sensor_velocity_site_mps, pointing.true_site)
-    range_error_m, speed_error_mps = [], []
+    waveform = scenario.instrument.waveform
+    bins = waveform.range_bin_m, waveform.speed_bin_mps
+    range_error_m, speed_error_mps, false = [], [], []
     for run in range(runs):
         returns = build_level(reseeded(setting.of(scenario), run))(echoes, shot)
         range_error_m.append(returns.range_m - hits.range_m)
         speed_error_mps.append(returns.closing_speed_mps - true_mps)
+        false.append(false_locks(returns, echoes, *bins))
     expected = np.tile(pointing.fired & np.isfinite(hits.range_m), (runs, 1))
-    return spread(np.concatenate(range_error_m), np.concatenate(speed_error_mps), expected)
+    return spread(
+        np.concatenate(range_error_m), np.concatenate(speed_error_mps), np.concatenate(false), expected
+    )
 
 
 def reseeded(scenario: FlightScenario, by: int) -> FlightScenario:

@@ -62,6 +62,16 @@ class Waveform(Part):
         return self.sample_rate_hz / self.fft_length
 
     @property
+    def range_bin_m(self) -> float:
+        """Range whose beat is one bin, c df / 2S, by the nominal slope."""
+        return SPEED_OF_LIGHT_MPS * self.bin_width_hz / (2.0 * self.chirp_slope_hz_per_s)
+
+    @property
+    def speed_bin_mps(self) -> float:
+        """Closing speed whose Doppler shift is one bin, λ df / 2."""
+        return self.wavelength_m * self.bin_width_hz / 2.0
+
+    @property
     def cycle_time_s(self) -> float:
         """The three segments of one measurement."""
         return 3 * self.segment_time_s

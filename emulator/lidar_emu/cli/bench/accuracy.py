@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import astuple
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
     "--target-range-error", metavar="M", help="Name the cheapest setting within this error of the reference."
 )
 @click.option("--target-speed-error", metavar="MPS", help="The same for closing speed.")
+@click.option(
+    "--target-dropout", metavar="SHARE", help="The same for the shares of dropouts and false locks."
+)
 @click.option("--plot", metavar="FILE.png", help="Plot error against time, with the Pareto front.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def accuracy(
@@ -36,29 +40,32 @@ def accuracy(
     shots: str,
     target_range_error: str | None,
     target_speed_error: str | None,
+    target_dropout: str | None,
     plot: str | None,
     as_json: bool,
 ) -> None:
     """Compare levels and settings on SCENARIO (descent.yaml): error, dropouts, and time per beam measurement.
 
-    The reference is level waveform with 127 beamlets. A setting's error is the root mean square difference between the
-    quantiles (1 % to 99 %) of its errors against the ground truth and the reference's quantiles. docs/accuracy.md
-    explains the method. Takes about a minute with the default --shots.
+    The reference is level waveform with 127 beamlets. A setting's errors are the root mean square difference between
+    the quantiles (1 % to 99 %) of its errors against the ground truth and the reference's quantiles, and the difference
+    of the shares of dropouts and false locks. docs/accuracy.md explains the method. Takes about a minute with the
+    default --shots.
 
     \b
     lidar-emu bench accuracy
     lidar-emu bench accuracy descent.yaml --plot accuracy.png
-    lidar-emu bench accuracy my.yaml --target-range-error 0.01 --target-speed-error 1e-4
+    lidar-emu bench accuracy my.yaml --target-range-error 0.01 --target-speed-error 1e-4 --target-dropout 0.01
     lidar-emu bench accuracy --set instrument=ndl_fine --shots 4000 --json
     """
     count = _count(shots)
-    range_m, speed_mps = (
-        None if text is None else as_number(option, text)
+    bounds = [
+        math.inf if text is None else as_number(option, text)
         for option, text in (
             ("--target-range-error", target_range_error),
             ("--target-speed-error", target_speed_error),
+            ("--target-dropout", target_dropout),
         )
-    )
+    ]
     if plot is not None:
         from lidar_emu.report.png_file import check_plot_path
 
@@ -70,14 +77,12 @@ def accuracy(
         allowed = "allowed: a flight, with an instrument and a site"
         raise InputError(scenario, None, Finding("a bench pattern"), allowed)
     from lidar_emu.bench.accuracy import measure_accuracy
+    from lidar_emu.bench.errors_against_truth import DistributionDifference
 
     report = measure_accuracy(flown, count, show_step)
     show_step("")
-    targeted = range_m is not None or speed_mps is not None
-    chosen = None
-    if targeted:
-        bounds = (math.inf if bound is None else bound for bound in (range_m, speed_mps))
-        chosen = report.cheapest(*bounds)
+    targeted = min(bounds) < math.inf
+    chosen = report.cheapest(DistributionDifference(*bounds)) if targeted else None
     if plot is not None:
         _plot(report, Path(plot))
     if as_json:
@@ -106,11 +111,12 @@ def _plot(report: AccuracyReport, path: Path) -> None:
     from lidar_emu.bench.accuracy_document import marks
     from lidar_emu.report.work_precision_plot import plot_work_precision
 
-    range_marks, speed_marks = marks(report)
-    panels = [
-        ("range error relative to the reference (m)", range_marks, report.floor.range_m),
-        ("speed error relative to the reference (m/s)", speed_marks, report.floor.speed_mps),
-    ]
+    names = (
+        "range error relative to the reference (m)",
+        "speed error relative to the reference (m/s)",
+        "difference of the shares of dropouts and false locks",
+    )
+    panels = list(zip(names, marks(report), astuple(report.floor), strict=True))
     plot_work_precision(panels, f"{report.scenario}: error against computing time", path)
     click.echo(f"{path}: {report.scenario}", err=True)
 
@@ -136,9 +142,9 @@ def _print(report: AccuracyReport) -> None:
     console.print(_spectra_table(report))
     apart_m, apart_mps = report.twin
     console.print(
-        f"{report.shots} shots. The last three columns are errors relative to the reference; for settings without * "
-        f"they are sampling noise below {report.floor.range_m:.2g} m, "
-        f"{1e3 * report.floor.speed_mps:.2g} mm/s and {100 * report.floor.dropout:.2g} %. "
+        f"{report.shots} shots; shares in %. The last three columns are errors relative to the reference; for settings "
+        f"without * they are sampling noise below {report.floor.range_m:.2g} m, "
+        f"{1e3 * report.floor.speed_mps:.2g} mm/s and {100 * report.floor.outcome:.2g} %. "
         f"{REFERENCE.name} and spectral differ by {apart_m:.1g} m and {1e3 * apart_mps:.1g} mm/s rms "
         f"({report.pairs} beams, same speckle, negligible noise).",
         highlight=False,
@@ -152,11 +158,11 @@ def _settings_table(report: AccuracyReport) -> Table:
     from lidar_emu.bench.settings import REFERENCE
 
     title = f"{report.scenario}: settings relative to {REFERENCE.name}; > on the Pareto front"
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0, show_edge=False)
     table.add_column("setting\n", no_wrap=True)
     for heading in (
-        "time\nper beam", "times\nfaster", "range\nrms m", "speed\nmm/s", "drop-\nout %", "range\nerr. m",
-        "speed\nmm/s", "drop-\nout %",
+        "time\na beam", "speed\n-up", "range\nrms m", "speed\nmm/s", "drop-\nout %", "false\nlocks",
+        "range\nerr. m", "speed\nmm/s", "drop,\nfalse",
     ):  # fmt: skip
         table.add_column(heading, justify="right", no_wrap=True)
     front = set(report.front)
@@ -165,7 +171,7 @@ def _settings_table(report: AccuracyReport) -> Table:
         if result.setting.level != level:
             table.add_section()
             level = result.setting.level
-        name = ("> " if i in front else "  ") + result.setting.name
+        name = (">" if i in front else " ") + result.setting.name
         table.add_row(name + ("*" if result.setting.shares_draws else ""), *_cells(result))
     return table
 
@@ -174,19 +180,22 @@ def _cells(result: SettingResult) -> list[str]:
     from lidar_emu.bench.errors_against_truth import rms
 
     spread, error = result.spread, result.error
-    truth = ["-"] * 3
+    against_truth = [math.nan] * 4
     if spread is not None:
-        values = (
+        against_truth = [
             rms(spread.range_m),
             1e3 * rms(spread.speed_mps),
             100 * spread.dropout,
-        )
-        truth = [_number(value) for value in values]
+            100 * spread.false_lock,
+        ]
+    against_reference = [math.nan] * 3
+    if error is not None:
+        against_reference = [error.range_m, 1e3 * error.speed_mps, 100 * error.outcome]
     return [
         _time(result.time_s),
-        f"{result.waveform_ratio:.0f}",
-        *truth,
-        *(_number(value, 2) for value in (error.range_m, 1e3 * error.speed_mps, 100 * error.dropout)),
+        _times(result.waveform_ratio),
+        *(_number(value) for value in against_truth),
+        *(_number(value, 2) for value in against_reference),
     ]
 
 
@@ -201,6 +210,10 @@ def _spectra_table(report: AccuracyReport) -> Table:
     for method in report.spectra:
         table.add_row(method.name, f"{1e6 * method.time_s:.3g}", f"{method.error:.1g}")
     return table
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.0f}" if ratio < 1000 else f"{ratio / 1000:.0f}k"
 
 
 def _time(time_s: float) -> str:

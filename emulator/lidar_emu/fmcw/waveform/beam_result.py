@@ -27,8 +27,7 @@ def to_beam_result(
         targets: targets of up-chirp, constant segment and down-chirp.
         windowed_level: mean noise power of a windowed bin, one for all or (N/2 + 1,).
     """
-    range_per_bin_m = waveform.bin_width_hz * SPEED_OF_LIGHT_MPS / (2 * waveform.chirp_slope_hz_per_s)
-    speed_per_bin_mps = waveform.bin_width_hz * waveform.wavelength_m / 2
+    range_per_bin_m, speed_per_bin_mps = waveform.range_bin_m, waveform.speed_bin_mps
     detected = np.isfinite([target.frequency_bin[:, 0] for target in targets])
     everywhere = detected.all(axis=0)
     combined = _combine(waveform, detection, targets, 0)
