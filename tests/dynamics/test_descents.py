@@ -146,6 +146,12 @@ def test_between_the_steps_as_exact_as_the_steps() -> None:
     np.testing.assert_allclose(state.velocity_site_mps, record.state[chosen, 3:6], atol=1e-8)
     np.testing.assert_allclose(state.body_rate_radps, record.state[chosen, 10:13], atol=1e-7)
     np.testing.assert_allclose(state.acceleration_site_mps2, record.start[chosen, 7:10], atol=1e-4)
+    middle_s = (record.time_s[chosen] + record.time_s[chosen + 1]) / 2
+    step_s = np.diff(record.time_s)[chosen, None]
+    by_difference = (record.state[chosen + 1, 10:13] - record.state[chosen, 10:13]) / step_s
+    found = flight.state(middle_s).angular_acceleration_body_radps2
+    np.testing.assert_allclose(found, by_difference, atol=1e-4)
+    assert np.abs(found).max() > 0.01
 
 
 def test_velocity_belongs_to_the_positions_and_an_instant_to_itself() -> None:

@@ -215,8 +215,8 @@ def test_a_file_that_was_cut_damaged_or_is_none_is_refused(recorded, tmp_path):
     with pytest.raises(InputError, match="damaged"):
         measured(flown(WAY), swapped)
     newer = rewritten(recorded, tmp_path / "newer.npz", lambda data: data.replace(
-        '"version": 1,'.encode("utf-32-le"), '"version": 2,'.encode("utf-32-le")))  # fmt: skip
-    with pytest.raises(InputError, match="version: 2 is not usable; allowed: version 1"):
+        '"version": 2,'.encode("utf-32-le"), '"version": 3,'.encode("utf-32-le")))  # fmt: skip
+    with pytest.raises(InputError, match="version: 3 is not usable; allowed: version 2"):
         build_model(flown(WAY), newer)
 
 

@@ -42,8 +42,11 @@ def rough_quaternions() -> QuaternionAttitude:
 @pytest.mark.parametrize("attitude", [rough_euler(), rough_quaternions()], ids=["euler", "quaternion"])
 def test_rate_is_the_derivative_of_the_rotation(attitude: AttitudeCurve) -> None:
     away_from_knots = TIME_S[np.min(np.abs(TIME_S[:, None] - KNOT_S), axis=1) > 1e-4]
-    rotation, rate = attitude.at(away_from_knots)
+    rotation, rate, acceleration = attitude.at(away_from_knots)
     np.testing.assert_allclose(rate, rate_by_difference(attitude, away_from_knots), atol=1e-6)
+    before, after = (rate_by_difference(attitude, away_from_knots + step_s) for step_s in (-5e-5, 5e-5))
+    np.testing.assert_allclose(acceleration, (after - before) / 1e-4, atol=3e-5)
+    assert np.abs(acceleration).max() > 1
     identity = np.broadcast_to(np.eye(3), rotation.shape)
     np.testing.assert_allclose(rotation @ np.swapaxes(rotation, 1, 2), identity, atol=1e-14)
 
@@ -58,7 +61,7 @@ def test_euler_rates_at_a_pitch_of_90_degrees() -> None:
 
 
 def test_left_out_angles_are_level_and_north() -> None:
-    rotation, rate = EulerAttitude(None, None, None).at(np.array([1.0, 2.0]))
+    rotation, rate, _ = EulerAttitude(None, None, None).at(np.array([1.0, 2.0]))
     assert np.array_equal(rotation, np.stack([SITE_FROM_NED] * 2))
     assert not rate.any()
 
@@ -68,7 +71,7 @@ def test_quaternions_pass_through_their_rows_whatever_their_signs() -> None:
     nearby = Rotation.from_rotvec(np.cumsum(0.3 * RNG.normal(size=(20, 3)), axis=0))
     for rotation in (rows, nearby):
         signed = scalar_first(rotation) * RNG.choice([-1.0, 1.0], size=(20, 1))
-        found, _ = QuaternionAttitude(KNOT_S, signed).at(KNOT_S)
+        found, _, _ = QuaternionAttitude(KNOT_S, signed).at(KNOT_S)
         np.testing.assert_allclose(found, rotation.as_matrix(), atol=1e-13)
 
 
@@ -78,7 +81,7 @@ def test_steady_turn_in_quaternions() -> None:
     start = Rotation.from_rotvec([1.0, 2.0, 0.5])
     attitude = QuaternionAttitude(KNOT_S, scalar_first(start * Rotation.from_rotvec(KNOT_S[:, None] * rate)))
     np.testing.assert_allclose(attitude.at(KNOT_S)[1], np.broadcast_to(rate, (20, 3)), atol=1e-13)
-    found, found_rate = attitude.at(TIME_S)
+    found, found_rate, _ = attitude.at(TIME_S)
     expected = start * Rotation.from_rotvec(TIME_S[:, None] * rate)
     assert np.max((expected.inv() * Rotation.from_matrix(found)).magnitude()) < 1e-4
     assert np.max(np.abs(found_rate - rate)) < 1e-3
@@ -86,5 +89,6 @@ def test_steady_turn_in_quaternions() -> None:
 
 def test_still_quaternions_do_not_turn() -> None:
     rows = np.tile([0.6, 0.0, -0.8, 0.0], (20, 1))
-    _, rate = QuaternionAttitude(KNOT_S, rows).at(TIME_S)
+    _, rate, acceleration = QuaternionAttitude(KNOT_S, rows).at(TIME_S)
     np.testing.assert_allclose(rate, 0, atol=1e-15)
+    np.testing.assert_allclose(acceleration, 0, atol=1e-14)

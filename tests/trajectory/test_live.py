@@ -98,6 +98,68 @@ def test_a_steady_turn_between_truths_and_beyond(flip: bool) -> None:
     assert np.abs(state.body_rate_radps - rate).max() < 1e-3
 
 
+def rolling(step_s: float, last_s: float) -> LiveTrajectory:
+    """±0.2 degrees at 3 Hz, reported every `step_s`."""
+    count = round(last_s / step_s) + 1
+    angle, rate, _ = roll(step_s * np.arange(count))
+    return flown(
+        *(
+            truth(
+                round(k * step_s * 1e9),
+                site_from_body=turned(np.array([angle[k], 0.0, 0.0]), flip=False),
+                body_rate_radps=(float(rate[k]), 0.0, 0.0),
+            )
+            for k in range(count)
+        )
+    )
+
+
+def roll(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    swing, angle = 6 * np.pi, np.radians(0.2)
+    return (
+        angle * np.sin(swing * time_s),
+        angle * swing * np.cos(swing * time_s),
+        -angle * swing**2 * np.sin(swing * time_s),
+    )
+
+
+def test_angular_acceleration_between_truths_and_just_beyond() -> None:
+    """An error of h²/12 times the fourth derivative at the ends of a step h, and of one derivative more beyond."""
+    step_s = 0.01
+    trajectory, largest = rolling(step_s, 0.2), np.radians(0.2) * (6 * np.pi) ** 2
+    for until_s, share in ((0.2, 0.004), (0.202, 0.05)):
+        time_s = np.linspace(until_s - 0.002, until_s, 21)[1:]
+        state = trajectory.state(time_s)
+        angle, rate, acceleration = roll(time_s)
+        found = state.angular_acceleration_body_radps2
+        assert found == pytest.approx(np.stack([acceleration, 0 * angle, 0 * angle], 1), abs=share * largest)
+        assert state.body_rate_radps[:, 0] == pytest.approx(rate, abs=share * largest * 0.002)
+        assert state.site_from_body[:, 2, 1] == pytest.approx(np.sin(angle), abs=share * largest * 0.002**2)
+
+
+def test_an_extrapolated_turn_is_steady_after_one_step() -> None:
+    """Without new truth the vehicle does not spin up."""
+    step_s = 0.01
+    trajectory = rolling(step_s, 0.25)
+    newest = trajectory.state(np.array([0.25]))
+    later = trajectory.state(np.array([0.26, 0.2600001, 0.5, 5.0]))
+    gained = newest.angular_acceleration_body_radps2 * step_s
+    assert later.body_rate_radps == pytest.approx(np.repeat(newest.body_rate_radps + gained, 4, 0), abs=1e-12)
+    assert np.array_equal(later.angular_acceleration_body_radps2[1:], np.zeros((3, 3)))
+    assert np.abs(newest.angular_acceleration_body_radps2).max() > 0.5
+    # The attitude follows the rate: half a step of acceleration, then the steady turn.
+    rate, bend = newest.body_rate_radps[0], newest.angular_acceleration_body_radps2[0]
+    turn = rate * 0.25 + bend * step_s * (0.25 - step_s / 2)
+    expected = newest.site_from_body[0] @ from_rotation_vector(turn[None])[0]
+    assert later.site_from_body[2] == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_single_truth_turns_steadily() -> None:
+    state = flown(truth(body_rate_radps=(0.1, 0.2, -0.3))).state(np.array([-0.1, 0.0, 1.0]))
+    assert not state.angular_acceleration_body_radps2.any()
+    assert np.array_equal(state.body_rate_radps, np.tile([0.1, 0.2, -0.3], (3, 1)))
+
+
 def test_bits_do_not_depend_on_the_other_instants() -> None:
     trajectory = flown(*(falling(t) for t in (0.0, 0.4, 1.0)))
     instants_s = np.array([0.7, 0.1, 1.2, 0.1])

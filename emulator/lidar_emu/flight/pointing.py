@@ -25,7 +25,7 @@ class BeamVectors(NamedTuple):
     velocity_mps: FloatArray
     """Velocity of the sensor, including the body's rotation about the lever arm."""
     acceleration_mps2: FloatArray
-    """Acceleration of the sensor at constant body rate; the contribution of angular acceleration is neglected."""
+    """Acceleration of the sensor, including the body's rotation and angular acceleration about the lever arm."""
     turning_radps: FloatArray
     """Angular rate of the body and its beams."""
     true: FloatArray
@@ -87,7 +87,7 @@ class Pointing(NamedTuple):
 
     @property
     def sensor_acceleration_site_mps2(self) -> FloatArray:
-        """Acceleration of the sensor at constant body rate: the angular acceleration's share is neglected."""
+        """Acceleration of the sensor, including the body's rotation and angular acceleration about the lever arm."""
         return self._vectors("acceleration_mps2")
 
     @property
@@ -162,7 +162,7 @@ def point_beams(
     """Fill the arrays of `Pointing` that depend on the motion of the vehicle.
 
     The lever arm r turns with the body: the sensor's position, velocity and acceleration gain r, ω x r and
-    ω x (ω x r).
+    ω x (ω x r) + dω/dt x r.
 
     Args:
         state_arrays: Arrays of a `VehicleState` at 1 + beams instants of each shot, the first unused.
@@ -186,11 +186,9 @@ def point_beams(
             store(vectors.turning_radps[s, b], 0, turning)
             store(vectors.sensor_m[s, b], 0, add(lever_arm, position_m[k]))
             store(vectors.velocity_mps[s, b], 0, add(swing, velocity_mps[k]))
-            store(
-                vectors.acceleration_mps2[s, b],
-                0,
-                add(cross(turning, swing), state.acceleration_site_mps2[k]),
-            )
+            swinging = rotate(rotation, state.angular_acceleration_body_radps2[k])
+            turned = add(cross(turning, swing), cross(swinging, lever_arm))
+            store(vectors.acceleration_mps2[s, b], 0, add(turned, state.acceleration_site_mps2[k]))
             store(vectors.true[s, b], 0, rotate(rotation, direction.true_body))
             store(vectors.published[s, b], 0, rotate(rotation, direction.published_body))
             angle_deg[s, b] = direction.angle_deg

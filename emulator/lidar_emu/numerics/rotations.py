@@ -10,7 +10,7 @@ from math import cos, sin, sqrt
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.vectors import AnyVector, Vector, add, cross, scale
+from lidar_emu.numerics.vectors import AnyVector, Vector, add, cross, scale, subtract
 
 Quaternion = tuple[float, float, float, float]
 
@@ -142,4 +142,34 @@ def quaternion_rate(q: Quaternion, rate: Vector) -> Quaternion:
         0.5 * (q[0] * rate[0] + q[2] * rate[2] - q[3] * rate[1]),
         0.5 * (q[0] * rate[1] + q[3] * rate[0] - q[1] * rate[2]),
         0.5 * (q[0] * rate[2] + q[1] * rate[1] - q[2] * rate[0]),
+    )
+
+
+@kernel
+def angular_motion(q: Quaternion, slope: Quaternion, bend: Quaternion) -> tuple[Vector, Vector]:
+    """Angular rate in rad/s and its derivative in rad/s², about the child's axes, of a curve of quaternions of any
+    length.
+
+    The rate is ω = vec(2 q* dq/dt) / |q|²; the scalar part of the product holds the change of length. Its derivative is
+    vec(2 q* d²q/dt²) / |q|² less the rate times the relative change of |q|², because (dq/dt)* dq/dt is a scalar.
+
+    Args:
+        q: parent_from_child.
+        slope, bend: first and second derivative in time.
+    """
+    squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+    along = q[0] * slope[0] + q[1] * slope[1] + q[2] * slope[2] + q[3] * slope[3]
+    rate = _twice_conjugate_vector(q, slope, squared)
+    return rate, subtract(_twice_conjugate_vector(q, bend, squared), scale(2.0 * along / squared, rate))
+
+
+@kernel
+def _twice_conjugate_vector(q: Quaternion, p: Quaternion, squared: float) -> Vector:
+    """Vector part of 2 q* p, over |q|²."""
+    w, x, y, z = q
+    dw, dx, dy, dz = p
+    return (
+        2 * (w * dx - dw * x - (y * dz - z * dy)) / squared,
+        2 * (w * dy - dw * y - (z * dx - x * dz)) / squared,
+        2 * (w * dz - dw * z - (x * dy - y * dx)) / squared,
     )

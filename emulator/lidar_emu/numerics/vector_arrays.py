@@ -16,10 +16,13 @@ import numpy.typing as npt
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.rotations import (
+    angular_motion,
+    quaternion_at,
     set_from_quaternion,
     set_from_rotation_vector,
     set_from_yaw_pitch_roll,
 )
+from lidar_emu.numerics.vectors import store
 
 SITE_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """Rotation to east-north-up from north-east-down, the frame of aerospace angles."""
@@ -77,31 +80,29 @@ def _matrices(set_matrix: Callable[..., None], triples: FloatArray) -> FloatArra
     return matrices
 
 
-def from_quaternions(quaternion: FloatArray, derivative: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotations parent_from_child (n, 3, 3) and angular rates (n, 3) in rad/s about the child's axes.
+def from_quaternions(orders: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Rotations parent_from_child (n, 3, 3), angular rates (n, 3) in rad/s and angular accelerations (n, 3) in rad/s²
+    about the child's axes.
 
     Args:
-        quaternion: (n, 4) of any length.
-        derivative: (n, 4) per second. The rate is the vector part of 2 q* dq/dt; the scalar part holds the change of
-            length.
+        orders: (3, n, 4) quaternions of any length, their first and their second derivatives in time.
     """
-    rotation, rate = np.empty((len(quaternion), 3, 3)), np.empty((len(quaternion), 3))
-    _set_from_quaternions(quaternion, derivative, rotation, rate)
-    return rotation, rate
+    count = orders.shape[1]
+    rotation, rate, acceleration = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3))
+    _set_from_quaternions(orders, rotation, rate, acceleration)
+    return rotation, rate, acceleration
 
 
 @kernel(outermost=True)
 def _set_from_quaternions(
-    quaternion: FloatArray, derivative: FloatArray, rotation: FloatArray, rate: FloatArray
+    orders: FloatArray, rotation: FloatArray, rate: FloatArray, acceleration: FloatArray
 ) -> None:
-    for k in range(len(quaternion)):
-        w, x, y, z = quaternion[k, 0], quaternion[k, 1], quaternion[k, 2], quaternion[k, 3]
-        dw, dx, dy, dz = derivative[k, 0], derivative[k, 1], derivative[k, 2], derivative[k, 3]
-        squared = w * w + x * x + y * y + z * z
-        rate[k, 0] = 2 * (w * dx - dw * x - (y * dz - z * dy)) / squared
-        rate[k, 1] = 2 * (w * dy - dw * y - (z * dx - x * dz)) / squared
-        rate[k, 2] = 2 * (w * dz - dw * z - (x * dy - y * dx)) / squared
-        length = sqrt(squared)
+    for k in range(orders.shape[1]):
+        w, x, y, z = q = quaternion_at(orders[0, k], 0)
+        turning = angular_motion(q, quaternion_at(orders[1, k], 0), quaternion_at(orders[2, k], 0))
+        store(rate[k], 0, turning[0])
+        store(acceleration[k], 0, turning[1])
+        length = sqrt(w * w + x * x + y * y + z * z)
         set_from_quaternion(w / length, x / length, y / length, z / length, rotation[k])
 
 

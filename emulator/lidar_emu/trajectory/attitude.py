@@ -17,14 +17,16 @@ from lidar_emu.numerics.vector_arrays import (
     dot,
     from_quaternions,
 )
+from lidar_emu.numerics.vectors import Vector
 from lidar_emu.trajectory.curve import LEVEL, Curve, Curves, hermite, knot_rates
 
 
 class AttitudeCurve(Protocol):
     """Attitude of the body as a function of time."""
 
-    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rotations site_from_body (n, 3, 3) and body rates (n, 3) in rad/s at times (n,)."""
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Rotations site_from_body (n, 3, 3), body rates (n, 3) in rad/s and their derivatives (n, 3) in rad/s² at
+        times (n,)."""
         ...
 
 
@@ -34,12 +36,13 @@ class EulerAttitude:
     def __init__(self, yaw: Curve | None, pitch: Curve | None, roll: Curve | None) -> None:
         self._curves = Curves([curve or LEVEL for curve in (yaw, pitch, roll)])
 
-    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """See `AttitudeCurve`; rates from angles have no singularity, not even at a pitch of 90 degrees."""
-        angles, rates, _ = self._curves.at(time_s)
-        site_from_body, body_rate = np.empty((len(time_s), 3, 3)), np.empty((len(time_s), 3))
-        _from_euler(SITE_FROM_NED, angles, rates, site_from_body, body_rate)
-        return site_from_body, body_rate
+        angles, rates, bends = self._curves.at(time_s)
+        site_from_body, vector = np.empty((len(time_s), 3, 3)), (len(time_s), 3)
+        body_rate, acceleration = np.empty(vector), np.empty(vector)
+        _from_euler(SITE_FROM_NED, angles, rates, bends, site_from_body, body_rate, acceleration)
+        return site_from_body, body_rate, acceleration
 
 
 @kernel(outermost=True)
@@ -47,18 +50,35 @@ def _from_euler(
     site_from_ned: FloatArray,
     angles: FloatArray,
     rates: FloatArray,
+    bends: FloatArray,
     site_from_body: FloatArray,
     body_rate: FloatArray,
+    acceleration: FloatArray,
 ) -> None:
-    """Set both from yaw, pitch and roll (n, 3) in radians and their rates."""
+    """Set the last three from yaw, pitch and roll (n, 3) in radians, their rates and their second derivatives."""
     for k in range(len(angles)):
         yaw, pitch, roll = angles[k, 0], angles[k, 1], angles[k, 2]
         yaw_rate, pitch_rate, roll_rate = rates[k, 0], rates[k, 1], rates[k, 2]
         set_from_yaw_pitch_roll(yaw, pitch, roll, site_from_body[k])
         premultiply(site_from_ned, site_from_body[k])
-        body_rate[k, 0] = roll_rate - yaw_rate * sin(pitch)
-        body_rate[k, 1] = pitch_rate * cos(roll) + yaw_rate * cos(pitch) * sin(roll)
-        body_rate[k, 2] = yaw_rate * cos(pitch) * cos(roll) - pitch_rate * sin(roll)
+        # The rates of yaw and of pitch act about axes that turn with the angles after them.
+        x, y, z = _about_body(yaw_rate, pitch_rate, pitch, roll)
+        body_rate[k, 0], body_rate[k, 1], body_rate[k, 2] = roll_rate + x, y, z
+        bend_x, bend_y, bend_z = _about_body(bends[k, 0], bends[k, 1], pitch, roll)
+        acceleration[k, 0] = bends[k, 2] + bend_x - yaw_rate * pitch_rate * cos(pitch)
+        tilting = yaw_rate * pitch_rate * sin(pitch)
+        acceleration[k, 1] = bend_y + roll_rate * z - tilting * sin(roll)
+        acceleration[k, 2] = bend_z - roll_rate * y - tilting * cos(roll)
+
+
+@kernel
+def _about_body(yaw_rate: float, pitch_rate: float, pitch: float, roll: float) -> Vector:
+    """Rates about the body's axes by rates of yaw and pitch alone."""
+    return (
+        -yaw_rate * sin(pitch),
+        pitch_rate * cos(roll) + yaw_rate * cos(pitch) * sin(roll),
+        yaw_rate * cos(pitch) * cos(roll) - pitch_rate * sin(roll),
+    )
 
 
 class QuaternionAttitude:
@@ -73,10 +93,9 @@ class QuaternionAttitude:
         derivative = _derivatives(knot_s, quaternion)
         self._curves = Curves([hermite(knot_s, quaternion[:, i], derivative[:, i]) for i in range(4)])
 
-    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """See `AttitudeCurve`."""
-        quaternion, derivative, _ = self._curves.at(time_s)
-        return from_quaternions(quaternion, derivative)
+        return from_quaternions(self._curves.at(time_s))
 
 
 def _of_one_sign(quaternion: FloatArray) -> FloatArray:

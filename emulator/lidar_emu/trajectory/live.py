@@ -25,7 +25,8 @@ _STILL = (0.0, 0.0, 0.0)
 
 class LiveTrajectory:
     """The truth received so far. Between two truths the curve meets position, velocity, attitude and body rate at both
-    (and acceleration, where it is known); beyond the newest, acceleration and body rate are held constant.
+    (and acceleration, where it is known); beyond the newest, acceleration and body rate continue (see
+    `live_motion`).
 
     Args:
         jump_m: a truth further than this from the extrapolation of the last one is a jump, across which nothing is

@@ -12,12 +12,14 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.rotations import (
     Quaternion,
+    angular_motion,
     quaternion_at,
     quaternion_product,
+    quaternion_rate,
     set_from_quaternion,
     sin_over,
 )
-from lidar_emu.numerics.vectors import Vector, store
+from lidar_emu.numerics.vectors import Vector, store, vector_at
 from lidar_emu.trajectory.curve import piece_at
 from lidar_emu.trajectory.state import VehicleState
 
@@ -43,10 +45,17 @@ def follow(
     acceleration_mps2: FloatArray,
     site_from_body: FloatArray,
     body_rate_radps: FloatArray,
+    angular_acceleration_radps2: FloatArray,
 ) -> None:
     """Fill the arrays of a `VehicleState` at its times from truths (n,) of `TRUTH`, oldest first, at least one."""
     vehicle = VehicleState(
-        time_s, position_m, velocity_mps, acceleration_mps2, site_from_body, body_rate_radps
+        time_s,
+        position_m,
+        velocity_mps,
+        acceleration_mps2,
+        site_from_body,
+        body_rate_radps,
+        angular_acceleration_radps2,
     )
     for k in range(len(vehicle.time_s)):
         first = piece_at(truths.time_s, time_s[k])  # type: ignore[attr-defined]
@@ -58,12 +67,20 @@ def follow(
 
 @kernel
 def _continue(truths: NDArray[np.void], place: int, vehicle: VehicleState, k: int) -> None:
-    """Continue from a truth with its acceleration and body rate.
+    """Continue from a truth with its acceleration, body rate and angular acceleration.
 
-    An unknown acceleration is the mean over the step from the truth before.
+    An unknown acceleration is the mean over the step from the truth before. The angular acceleration, which no truth
+    states, is the one at the end of the curve from the truth before. It acts for the length of that step: from then
+    on the body rate is constant, so that a vehicle without new truth does not spin up.
     """
     truth = truths[place]
     since_s = vehicle.time_s[k] - truth.time_s
+    swing_s, bend = 0.0, (0.0, 0.0, 0.0)
+    if place > 0 and since_s >= 0:
+        swing_s = min(since_s, truth.time_s - truths[place - 1].time_s)
+        _, bend = angular_motion(*_turn(truths[place - 1], truth, 1.0))
+    turned_s2 = swing_s * (since_s - 0.5 * swing_s)
+    acts = 1.0 if swing_s == since_s else 0.0
     for axis in range(3):
         speed, acceleration = truth.velocity_mps[axis], truth.acceleration_mps2[axis]
         if isnan(acceleration):
@@ -74,9 +91,14 @@ def _continue(truths: NDArray[np.void], place: int, vehicle: VehicleState, k: in
         vehicle.position_site_m[k, axis] = truth.position_m[axis] + moved_m
         vehicle.velocity_site_mps[k, axis] = speed + acceleration * since_s
         vehicle.acceleration_site_mps2[k, axis] = acceleration
-        vehicle.body_rate_radps[k, axis] = truth.body_rate_radps[axis]
+        vehicle.body_rate_radps[k, axis] = truth.body_rate_radps[axis] + bend[axis] * swing_s
+        vehicle.angular_acceleration_body_radps2[k, axis] = bend[axis] * acts
     rate = truth.body_rate_radps
-    x, y, z = 0.5 * since_s * rate[0], 0.5 * since_s * rate[1], 0.5 * since_s * rate[2]
+    x, y, z = (
+        0.5 * (since_s * rate[0] + turned_s2 * bend[0]),
+        0.5 * (since_s * rate[1] + turned_s2 * bend[1]),
+        0.5 * (since_s * rate[2] + turned_s2 * bend[2]),
+    )
     half_turn = sqrt(x * x + y * y + z * z)
     shrunk = sin_over(half_turn)
     w, x, y, z = quaternion_product(
@@ -97,27 +119,28 @@ def _interpolate(a: Any, b: Any, vehicle: VehicleState, k: int) -> None:
         motion = _quintic(p, q, v, w, g, h, s, step_s) if bends else _cubic(p, q, v, w, s, step_s)
         vehicle.position_site_m[k, axis], vehicle.velocity_site_mps[k, axis] = motion[0], motion[1]
         vehicle.acceleration_site_mps2[k, axis] = motion[2]
-    aw, ax, ay, az = quaternion_at(a.site_from_body, 0)
-    bw, bx, by, bz = quaternion_at(b.site_from_body, 0)
-    # q and -q are the same attitude: of the two, the nearer one.
-    sign = 1.0 if aw * bw + ax * bx + ay * by + az * bz >= 0 else -1.0
-    aw_, ax_, ay_, az_ = _rate_of((aw, ax, ay, az), a.body_rate_radps)
-    bw_, bx_, by_, bz_ = _rate_of((bw, bx, by, bz), b.body_rate_radps)
-    w, w_, _ = _cubic(aw, sign * bw, aw_, sign * bw_, s, step_s)
-    x, x_, _ = _cubic(ax, sign * bx, ax_, sign * bx_, s, step_s)
-    y, y_, _ = _cubic(ay, sign * by, ay_, sign * by_, s, step_s)
-    z, z_, _ = _cubic(az, sign * bz, az_, sign * bz_, s, step_s)
-    # The rate is the vector part of 2 q* dq/dt; the change of the curve's length is in the scalar part.
-    _, rate_x, rate_y, rate_z = quaternion_product((w, -x, -y, -z), (w_, x_, y_, z_))
-    twice = 2 / (w * w + x * x + y * y + z * z)
-    store(vehicle.body_rate_radps[k], 0, (twice * rate_x, twice * rate_y, twice * rate_z))
-    _set_unit_matrix(w, x, y, z, vehicle.site_from_body[k])
+    q, slope, bend = _turn(a, b, s)
+    rate, acceleration = angular_motion(q, slope, bend)
+    store(vehicle.body_rate_radps[k], 0, rate)
+    store(vehicle.angular_acceleration_body_radps2[k], 0, acceleration)
+    _set_unit_matrix(q[0], q[1], q[2], q[3], vehicle.site_from_body[k])
 
 
 @kernel
-def _rate_of(turn: Quaternion, rate_radps: FloatArray) -> Quaternion:
-    """dq/dt of a quaternion at a body rate."""
-    return quaternion_product(turn, (0.0, 0.5 * rate_radps[0], 0.5 * rate_radps[1], 0.5 * rate_radps[2]))
+def _turn(a: Any, b: Any, s: float) -> tuple[Quaternion, Quaternion, Quaternion]:
+    """Quaternion between two truths at s in 0..1, of any length, with its first and second derivative in time."""
+    step_s = b.time_s - a.time_s
+    aw, ax, ay, az = q = quaternion_at(a.site_from_body, 0)
+    bw, bx, by, bz = p = quaternion_at(b.site_from_body, 0)
+    # q and -q are the same attitude: of the two, the nearer one.
+    sign = 1.0 if aw * bw + ax * bx + ay * by + az * bz >= 0 else -1.0
+    aw_, ax_, ay_, az_ = quaternion_rate(q, vector_at(a.body_rate_radps, 0))
+    bw_, bx_, by_, bz_ = quaternion_rate(p, vector_at(b.body_rate_radps, 0))
+    w, w_, w__ = _cubic(aw, sign * bw, aw_, sign * bw_, s, step_s)
+    x, x_, x__ = _cubic(ax, sign * bx, ax_, sign * bx_, s, step_s)
+    y, y_, y__ = _cubic(ay, sign * by, ay_, sign * by_, s, step_s)
+    z, z_, z__ = _cubic(az, sign * bz, az_, sign * bz_, s, step_s)
+    return (w, x, y, z), (w_, x_, y_, z_), (w__, x__, y__, z__)
 
 
 @kernel

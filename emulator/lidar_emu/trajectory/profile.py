@@ -79,6 +79,7 @@ def _fly(
     acceleration_mps2: FloatArray,
     site_from_body: FloatArray,
     body_rate_radps: FloatArray,
+    angular_acceleration_body_radps2: FloatArray,
 ) -> None:
     """Fill the arrays of a `VehicleState` at its times from legs (n,) of `LEG`.
 
@@ -95,6 +96,7 @@ def _fly(
             velocity_mps[k, axis] = speed_mps * direction[axis]
             acceleration_mps2[k, axis] = growth_mps2 * direction[axis]
             body_rate_radps[k, axis] = rate[axis]
+            angular_acceleration_body_radps2[k, axis] = 0.0
         x_rad, y_rad, z_rad = time_s[k] * rate[0], time_s[k] * rate[1], time_s[k] * rate[2]
         set_from_rotation_vector(x_rad, y_rad, z_rad, site_from_body[k])
         premultiply(leg.site_from_start, site_from_body[k])

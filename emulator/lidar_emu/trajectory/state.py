@@ -41,13 +41,15 @@ class VehicleState(NamedTuple):
     """(n, 3, 3) Rotations."""
     body_rate_radps: FloatArray
     """(n, 3) Angular rate of the body against the site, about body x, y and z."""
+    angular_acceleration_body_radps2: FloatArray
+    """(n, 3) Rate of `body_rate_radps`, which is also the angular acceleration against the site, in body axes."""
 
     @classmethod
     def unfilled(cls, time_s: FloatArray) -> Self:
         """Allocate arrays for a kernel to fill."""
         vector, matrix = (len(time_s), 3), (len(time_s), 3, 3)
         moving = np.empty(vector), np.empty(vector), np.empty(vector)
-        return cls(time_s, *moving, np.empty(matrix), np.empty(vector))
+        return cls(time_s, *moving, np.empty(matrix), np.empty(vector), np.empty(vector))
 
 
 class Trajectory(Protocol):

@@ -36,9 +36,9 @@ class TableTrajectory:
     def state(self, time_s: FloatArray) -> VehicleState:
         """State of the vehicle at scenario times (n,)."""
         position_m, velocity_mps, acceleration_mps2 = self._coordinates.at(time_s)
-        site_from_body, body_rate_radps = self._attitude.at(time_s)
+        site_from_body, body_rate_radps, angular_acceleration_radps2 = self._attitude.at(time_s)
         if self._body_rates is not None:
-            body_rate_radps = self._body_rates.at(time_s)[0]
+            body_rate_radps, angular_acceleration_radps2, _ = self._body_rates.at(time_s)
         return VehicleState(
             time_s=time_s,
             position_site_m=position_m,
@@ -46,6 +46,7 @@ class TableTrajectory:
             acceleration_site_mps2=acceleration_mps2,
             site_from_body=site_from_body,
             body_rate_radps=body_rate_radps,
+            angular_acceleration_body_radps2=angular_acceleration_radps2,
         )
 
 

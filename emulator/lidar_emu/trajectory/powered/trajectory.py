@@ -44,10 +44,9 @@ class DescentTrajectory:
         """State of the vehicle at scenario times (n,); after the end, it continues with the last acceleration."""
         orders = np.empty((3, len(time_s), COORDINATES))
         _read(self._start_s, self._pieces, time_s, orders)
-        site_from_body, body_rate_radps = from_quaternions(orders[0, :, 3:], orders[1, :, 3:])
         position_m, velocity_mps, acceleration_mps2 = np.ascontiguousarray(orders[:, :, :3])
         return VehicleState(
-            time_s, position_m, velocity_mps, acceleration_mps2, site_from_body, body_rate_radps
+            time_s, position_m, velocity_mps, acceleration_mps2, *from_quaternions(orders[:, :, 3:])
         )
 
 
