@@ -1,5 +1,5 @@
 # make run       install what is needed and fly a descent on the built-in loopback
-# make test      install and run the checks and the quick tests: nine minutes on two cores
+# make test      install and run the checks and the quick tests: five minutes on two cores
 # make test-all  the checks and all tests but the soak
 # make soak      the tests that take minutes each
 PYTHON ?= python3
@@ -9,16 +9,20 @@ PYTEST := $(BIN)/pytest -n auto --dist worksteal
 # Bytecode is made of the modules that are imported: most of what is installed never is.
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile --editable
 
-.PHONY: run test test-all soak check style types imports kernels docs mutants clean
+.PHONY: run test test-all soak checks-and-kernels check style types imports kernels docs mutants clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
 
-test: check kernels
+test: checks-and-kernels
 	$(PYTEST)
 
-test-all: check kernels
+test-all: checks-and-kernels
 	$(PYTEST) -m 'not soak'
+
+# Compiling takes one processor for about a minute, the checks another for as long.
+checks-and-kernels: $(VENV)/.ready-dev
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target check kernels
 
 soak: kernels
 	$(BIN)/pytest -m soak

@@ -8,6 +8,8 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+import pytest
+
 from lidar_emu.scenario.load import shipped_scenarios
 
 WATCHED = {
@@ -82,6 +84,7 @@ print(json.dumps([*map(loaded_by_fork, patterns), load(base), *map(loaded_by_for
 """
 
 
+@pytest.mark.slow
 def test_a_command_loads_what_its_scenario_needs(tmp_path: Path) -> None:
     """Bench patterns and a plain descent start from the bare command line.
 

@@ -49,6 +49,7 @@ def test_tables_statistics_and_picture(campaign_file, tmp_path):
     assert content(out) == before
 
 
+@pytest.mark.slow
 def test_the_plan_is_reported_and_nothing_kept(campaign_file, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = campaign_file(SMALL, 1000)

@@ -57,6 +57,7 @@ def test_figures_are_those_of_all_beams_together(tmp_path):
                 assert reported.low < reported.value < reported.high
 
 
+@pytest.mark.slow
 def test_intervals_hold_what_they_promise(tmp_path):
     """Of 60 campaigns about 57 should have the truth within 95 %; 50 or fewer happen once in 3000 times."""
     rng = np.random.default_rng(2)

@@ -145,6 +145,7 @@ def on_terminal(folder: Path, *arguments: str) -> Iterator[Terminal]:
         terminal.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "number",
     [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGKILL],
@@ -161,6 +162,7 @@ def test_the_terminal_is_given_back(number: signal.Signals, tmp_path: Path) -> N
     assert "Traceback" not in terminal.seen.decode()
 
 
+@pytest.mark.slow
 def test_lines_if_asked_for(tmp_path: Path) -> None:
     with on_terminal(
         tmp_path, "run", "bench.yaml", "--plain", "--duration", "1", "--pace", "max"
@@ -170,6 +172,7 @@ def test_lines_if_asked_for(tmp_path: Path) -> None:
     assert terminal.seen.count(b" shot ") >= 2
 
 
+@pytest.mark.slow
 def test_what_is_reported_stays_above_the_display(tmp_path: Path) -> None:
     with on_terminal(tmp_path, "listen", "--port", "pty") as listener:
         listener.read_until(b"\n")

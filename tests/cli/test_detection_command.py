@@ -76,6 +76,7 @@ def test_table_fits_a_terminal(monkeypatch, capsys):
     assert "1.89 dB" in printed
 
 
+@pytest.mark.slow
 def test_picture(monkeypatch, capsys, tmp_path):
     path = tmp_path / "detection.png"
     assert run(monkeypatch, "descent", "--plot", str(path)) == 0

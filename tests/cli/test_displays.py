@@ -46,6 +46,7 @@ def test_units_do_not_hide_one_another(capsys: pytest.CaptureFixture[str]) -> No
     assert sum("unit 7 " in line for line in lines) == 2
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_does_not_end_the_flight(tmp_path: Path) -> None:
     run = subprocess.Popen([COMMAND, *QUICK, "--summary", "s.json"], cwd=tmp_path, stdout=subprocess.PIPE)
     assert run.stdout is not None
@@ -55,6 +56,7 @@ def test_a_reader_that_goes_away_does_not_end_the_flight(tmp_path: Path) -> None
     assert json.loads((tmp_path / "s.json").read_text())["shots"]["sent"] == 20
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_disk_ends_the_recording_and_not_the_flight(tmp_path: Path) -> None:
     command = [COMMAND, *QUICK, "--summary", "s.json", "--record", "/dev/full"]

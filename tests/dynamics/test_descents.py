@@ -50,6 +50,7 @@ def test_error_falls_with_the_fourth_power_of_the_step(parts: dict[str, Any]) ->
     assert np.abs(middle - fine).max() > 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag_s", [5e-5, 1e-3, 0.02])
 def test_stiff_valve_against_an_implicit_solver(lag_s: float) -> None:
     """Radau on thrust, mass and torque as states, begun anew at each tick, as anybody would write it."""

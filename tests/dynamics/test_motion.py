@@ -20,6 +20,7 @@ TUMBLING = Rotation.from_rotvec([0.4, -1.1, 0.7])
 BOTH = {"slosh": SLOSH, "flexible_mode": MODE}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "parts",
     [{}, {"slosh": SLOSH}, {"flexible_mode": MODE}, BOTH],

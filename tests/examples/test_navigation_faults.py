@@ -40,6 +40,7 @@ def test_wrong_signs_of_two_beams_are_refused() -> None:
     assert speed_mps > 10
 
 
+@pytest.mark.slow
 def test_ground_that_falls_away_is_believed_in_the_end() -> None:
     """The rim passes below from 26 s on, and from 43 s all beams are on the floor."""
     assert worst("terrain_step_2023", "careful", 2, 20)[0] < 15
@@ -51,6 +52,7 @@ def test_ground_that_falls_away_is_believed_in_the_end() -> None:
     assert 1 <= flight("terrain_step_2023", "careful").reinitialised[:, 0].sum() <= 4
 
 
+@pytest.mark.slow
 def test_noise_that_is_not_admitted_is_found_out() -> None:
     """Eighty metres and two metres a second, where packets state centimetres and tenths of millimetres."""
     height_m, speed_mps = worst("noisy_descent_2025", "careful", 10)

@@ -154,6 +154,7 @@ def honest_flights() -> list[Log]:
     return flights
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at_s", [2.5, 4.9])
 def test_errors_are_as_large_as_stated(at_s: float) -> None:
     """Normalised errors of the flights add up to chi-square: between its 0.1 and 99.9 %.

@@ -37,6 +37,7 @@ def _both(place: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.ndarra
     return grid[BIN].astype(int), quick[0] + 1j * quick[1], general[0] + 1j * general[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("places", "length"),
     [

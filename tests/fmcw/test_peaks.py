@@ -84,6 +84,7 @@ def test_methods_are_those_of_the_scenario() -> None:
 
 
 # The published figures; those of the parabola are its bias of 0.01146 bin rms and 0.0663 bin of noise at 20 dB.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "expected"),
     [
@@ -101,6 +102,7 @@ def test_errors(method: str, expected: tuple[float, float, float]) -> None:
         assert stated == pytest.approx(found, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", PEAK_METHODS)
 def test_looks_are_averaged(method: str) -> None:
     for snr_db in (10, 20):

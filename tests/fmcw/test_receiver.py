@@ -316,6 +316,7 @@ EVERYTHING = build_receiver(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [DEFAULT, JOINT, EVERYTHING], ids=["published", "joint", "everything"])
 def test_bits_do_not_depend_on_the_block(model: ReceiverModel) -> None:
     beams = _some_echoes(60)
@@ -374,6 +375,7 @@ POWERS_W = st.one_of(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(
     beamlets=st.lists(st.tuples(RANGES_M, SPEEDS_MPS, POWERS_W, RANGE_RATES_MPS), min_size=1, max_size=7),

@@ -40,6 +40,7 @@ def test_methods_are_those_of_the_scenario() -> None:
     assert set(COMBINE_METHODS) == set(get_args(Detection.model_fields["combine"].annotation))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", COMBINE_METHODS)
 @pytest.mark.parametrize("doppler", [-4000.0, 4000.0])
 def test_an_estimate_weights_the_beats_as_stated(method: str, doppler: float) -> None:

@@ -98,6 +98,7 @@ def test_bins_are_those_of_the_fft(places: list[float], window: str) -> None:
     assert _worst_error(np.array(places), weight, 8192, window) < 1e-9
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(
     count=st.integers(1, 127),
@@ -164,6 +165,7 @@ def _noise_spectra(
     return powers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", ["rect", "hann", "hamming"])
 def test_noise_has_the_power_and_the_tail_of_each_window(window: str) -> None:
     powers = _noise_spectra(WINDOWS[window], 100, 40, 1024.0, 20_000)[:, TAPS:-TAPS]

@@ -52,6 +52,7 @@ def test_without_a_cache_it_is_made_each_time(ground, monkeypatch, tmp_path):
     np.testing.assert_array_equal(elevation_m(asked), made)
 
 
+@pytest.mark.slow
 def test_processes_may_ask_at_once(ground, cache):
     asked = ground(**ALL)
     code = (

@@ -9,6 +9,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+import pytest
 from waiting import LIMIT_S, eventually
 
 from lidar_emu.bench.realtime import RealtimeOptions, measure_realtime
@@ -50,6 +51,7 @@ def test_a_second_at_50_hz_is_measured_on_both_sides(capsys):
     assert "p99 due to written is" in shown
 
 
+@pytest.mark.slow
 def test_interrupted_it_reports_what_it_has(tmp_path):
     log = tmp_path / "reported.json"
     with log.open("w") as out:

@@ -47,6 +47,7 @@ def answers(far_end: FarEnd, count: int) -> list[Acknowledge]:
     return received(far_end)[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pace", ["wall", "max"])
 def test_the_beams_are_drawn_in_at_one_shot(pace: str, start: Start, far_end: FarEnd, tmp_path: Path) -> None:
     run = start(

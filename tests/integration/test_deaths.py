@@ -99,6 +99,7 @@ def test_where_the_port_process_dies_the_model_states_that_the_device_is_safe(
     assert "final message sent" in run.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("policy", "complaint"), [([], ""), (SAFE, ", final message sent")])
 def test_where_the_model_dies_no_more_of_its_shots_are_sent(
     policy: list[str], complaint: str, start: Start, far_end: FarEnd
@@ -156,6 +157,7 @@ def test_an_orderly_end_states_nothing(start: Start, far_end: FarEnd) -> None:
     assert received(far_end)[1] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("who", "stall_s", "skipped_s", "events"),
     [

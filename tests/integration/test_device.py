@@ -135,6 +135,7 @@ def _check_recording(path: Path, host: CommandingHost) -> None:
     assert list(SerialReceiver(INTERFACE).receive(kept)) == host.all(Housekeeping)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("restart", ["warm", "cold"])
 def test_a_reset_in_flight(restart: str, start: Start, far_end: FarEnd) -> None:
     run = start("run", "descent.yaml", *QUICK, "--port", far_end.path, *LINK,
@@ -227,6 +228,7 @@ def test_on_command_needs_a_planned_flight(start: Start) -> None:
         assert "on-command with" in run.err
 
 
+@pytest.mark.slow
 def test_a_host_that_commands_without_end(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
     """What it says beyond what can be listened to is not heard, and the shots go on."""
     run = start("run", "descent.yaml", *QUICK, "--duration", "3", "--port", far_end.path, *LINK)

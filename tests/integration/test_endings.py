@@ -48,6 +48,7 @@ def test_a_signal_ends_a_run_with_its_summary(
     assert not is_running(port)
 
 
+@pytest.mark.slow
 def test_ctrl_c_as_fast_as_the_link_takes_it(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
     scenario = ["bench.yaml", "--set", "timing.rate_hz=1000", "--set", "bench_pattern.duration_s=1000"]
     options = ["--port", far_end.path, "--baud", "3000000", "--pace", "max", "--summary", "s.json"]

@@ -61,6 +61,7 @@ def accounted_for(summary: dict[str, Any]) -> bool:
 
 
 # The second is what costs a decoder most: each two bytes are a frame, and a bad one.
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [bytes(range(256)) * 16, b"\x05\x00" * 2048])
 def test_a_flood_that_never_ends_does_not_keep_a_run_from_its_end(
     noise: bytes, start: Start, far_end: FarEnd, tmp_path: Path
@@ -103,6 +104,7 @@ def test_two_hosts_on_one_line_are_heard_in_turn(start: Start, far_end: FarEnd, 
     assert reported["skipped_bytes"] > 0
 
 
+@pytest.mark.slow
 def test_a_host_that_never_reads_costs_packets_and_no_more(start: Start, tmp_path: Path) -> None:
     master, slave = os.openpty()
     start("run", *RATE, "--duration", "2", "--port", os.ttyname(slave)).succeed()
@@ -129,6 +131,7 @@ def test_a_port_that_another_program_sets_up_anew_is_taken_back(
     assert "low_latency" in summary["missing"], "a pty has no driver that could"
 
 
+@pytest.mark.slow
 def test_a_descent_over_udp_for_a_listener_and_for_nobody_else(
     start: Start, simulated: Simulated, tmp_path: Path
 ) -> None:

@@ -111,6 +111,7 @@ def test_beams_fired_in_turn_have_times_of_their_own(
     )
 
 
+@pytest.mark.slow
 def test_a_run_makes_a_pty_and_waits_for_its_host(start: Start, simulated: Simulated, tmp_path: Path) -> None:
     arguments = ["--port", "pty", "--duration", "2", "--pace", "max", "--summary", "s.json"]
     run = start("run", "descent.yaml", *arguments, started=True)

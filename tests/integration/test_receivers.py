@@ -263,6 +263,7 @@ def test_a_whole_descent_with_commands_and_faults(receiver: list[str], start: St
     assert [angle for angle, _ in groupby(angles)] == ["22.50", "7.50", "22.50"]
 
 
+@pytest.mark.slow
 def test_a_device_that_boots_is_asked_until_it_follows(receiver: list[str], start: Start) -> None:
     booting = (
         "device={start: boot, boot_s: 0.5, self_test_s: 1.0, acquisition_s: 0.2, housekeeping_rate_hz: 5}"

@@ -50,6 +50,7 @@ def message_ends(data: bytes) -> list[int]:
     return ends
 
 
+@pytest.mark.slow
 def test_a_whole_recording_holds_every_shot(recording: bytes, simulated: Simulated) -> None:
     expected = simulated("descent.yaml")
     by_topic: dict[str, list[Any]] = defaultdict(list)

@@ -71,6 +71,7 @@ def test_the_same_bytes_again(start: Start, far_ends: Callable[[], FarEnd], tmp_
     assert reported["wire"]["sent_bytes"] == len(first.data)
 
 
+@pytest.mark.slow
 def test_parts_speeds_and_laps(start: Start, far_ends: Callable[[], FarEnd]) -> None:
     start("run", "descent.yaml", "--pace", "max", "--record", "r.mcap").succeed()
 
@@ -93,6 +94,7 @@ def test_parts_speeds_and_laps(start: Start, far_ends: Callable[[], FarEnd]) -> 
     assert skipped == 0
 
 
+@pytest.mark.slow
 def test_two_at_once_and_a_reader_that_does_not_read(start: Start, tmp_path: Path) -> None:
     start("run", "descent.yaml", "--pace", "max", "--record", "r.mcap").succeed()
     master, slave = pty.openpty()
@@ -115,6 +117,7 @@ def test_two_at_once_and_a_reader_that_does_not_read(start: Start, tmp_path: Pat
     assert packets["sent"] > 50
 
 
+@pytest.mark.slow
 def test_a_kill_loses_at_most_the_last_second(start: Start, tmp_path: Path) -> None:
     run = start("run", "descent.yaml", *QUICK, "--record", "r.mcap")
     flight = tmp_path / "r.mcap"
@@ -182,6 +185,7 @@ class Commander:
         eventually(lambda: len(self.all(Message)) >= before + count)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("begins", ["now", "on-command"])
 def test_commands_are_followed_again(
     begins: str, start: Start, far_ends: Callable[[], FarEnd], tmp_path: Path
@@ -260,6 +264,7 @@ def test_faults_ordered_in_flight_are_had_again(
     assert reported["not_compared"] <= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pace", ["wall", "lockstep"])
 def test_live_truth_is_used_again(pace: str, start: Start, tmp_path: Path) -> None:
     """With gaps that make truth stale, datagrams that are refused, and a jump."""
@@ -306,6 +311,7 @@ def pause(duration_s: float) -> None:
     threading.Event().wait(duration_s)
 
 
+@pytest.mark.slow
 def test_can_frames_come_again(start: Start, far_ends: Callable[[], FarEnd], tmp_path: Path) -> None:
     """Over slcan, whose lines are read by hand; and through candump's format."""
     first, second, third = far_ends(), far_ends(), far_ends()

@@ -59,6 +59,7 @@ def test_a_whole_descent_in_the_full_set(
     assert {(shot["mode"], shot["interface_version"], shot["details"]) for shot in shots} == {(4, 1, 1)}
 
 
+@pytest.mark.slow
 def test_the_core_set_at_the_pace_of_the_clock(
     start: Start, far_end: FarEnd, simulated: Simulated, tmp_path: Path
 ) -> None:
@@ -114,6 +115,7 @@ def test_listen_at_the_other_end_of_the_bus(
         assert_equal(numbered, simulated("descent.yaml"), CORE_STEPS, CORE_HELD, CORE_EXACT)
 
 
+@pytest.mark.slow
 def test_listen_and_send_by_slcan(start: Start, far_end: FarEnd, other_end: FarEnd, tmp_path: Path) -> None:
     """An adapter has one host: one after the other, each hears what the device says meanwhile."""
     far_end.deliver_to(other_end)

@@ -245,6 +245,7 @@ print(outer(Line(4.0, 1.0), 10.0), flush=True)
 """
 
 
+@pytest.mark.slow
 def test_two_processes_compile_a_kernel_at_once(tmp_path: Path) -> None:
     """Both have looked for the kernel, in vain, before either compiles it."""
     (tmp_path / "waiting.py").write_text(WAITING)
@@ -282,6 +283,7 @@ def test_two_processes_compile_a_kernel_at_once(tmp_path: Path) -> None:
         assert start().communicate("\n") == ("found\n51.0\n", "")
 
 
+@pytest.mark.slow
 def test_a_run_outlives_a_damaged_file(tmp_path: Path) -> None:
     def run(**environment: str) -> subprocess.CompletedProcess[str]:
         command = ["simulate", "descent.yaml", "--duration", "0.05", "--out", str(tmp_path / "out.csv")]

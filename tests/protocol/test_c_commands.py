@@ -140,6 +140,7 @@ def test_commands_on_can(tmp_path):
     ]
 
 
+@pytest.mark.slow
 @given(trees(), st.data())
 @seed(5)
 @settings(

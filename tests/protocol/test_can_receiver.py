@@ -161,6 +161,7 @@ def test_nothing_that_arrives_raises(sent):
     assert receiver.counters.frames == len(sent)
 
 
+@pytest.mark.slow
 @given(st.data())
 def test_frames_of_the_right_length_with_any_content_do_not_raise_and_stay_few(data):
     receiver = CanReceiver(INTERFACE)

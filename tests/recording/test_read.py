@@ -34,6 +34,7 @@ def flight(record: Any) -> Recording:
     return recording
 
 
+@pytest.mark.slow
 def test_the_measurement_is_that_of_the_simulation(flight: Recording) -> None:
     expected = lidar_emu.simulate(flight.scenario)
     read = flight.measurement()
@@ -86,6 +87,7 @@ def test_the_origin_can_be_checked_by_other_means(flight: Recording) -> None:
     assert build["processor"].startswith(platform.machine())
 
 
+@pytest.mark.slow
 def test_every_message_is_what_its_schema_reports(flight: Recording) -> None:
     """The schemas allow nothing but what they name."""
     checked = set()

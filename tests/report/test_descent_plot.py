@@ -35,6 +35,7 @@ def pixels_of(image, colour):
     return int((np.abs(image - np.array(colour)[:3]).max(axis=-1) < 0.02).sum())
 
 
+@pytest.mark.slow
 def test_each_panel_has_the_colours_of_its_quantity(flight, plane, tmp_path):
     image = drawn(flight, plane, tmp_path / "run.png")
     for panel, own, other in ((LEFT, "viridis", "plasma"), (RIGHT, "plasma", "viridis")):

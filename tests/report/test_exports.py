@@ -55,6 +55,7 @@ def test_npz_holds_the_table(flight, tmp_path):
             np.testing.assert_array_equal(file[name], column)
 
 
+@pytest.mark.slow
 def test_parquet_holds_the_table_with_nulls(flight, tmp_path):
     export(flight, tmp_path / "run.parquet")
     read = pyarrow.parquet.read_table(tmp_path / "run.parquet")

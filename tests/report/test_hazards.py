@@ -59,6 +59,7 @@ def test_slab_in_a_track_stands_out_if_it_is_high_enough(height_m: float, report
     assert not seen.stands_out[np.abs(seen.true_off_m) < 0.05].any()
 
 
+@pytest.mark.slow
 def test_errors_of_a_point_and_its_plane_are_as_large_as_foretold() -> None:
     seen = cloud(**{"timing.rate_hz": "97"})
     error = (seen.off_m - seen.true_off_m) / seen.sigma_m

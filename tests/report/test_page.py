@@ -17,6 +17,7 @@ from lidar_emu.report.page import write_page
 from lidar_emu.report.page_style import write_png
 from lidar_emu.report.recorded_run import read_recorded_run
 
+pytestmark = pytest.mark.slow
 CHROMIUM = shutil.which("chromium")
 FIGURES = ["path", "truth", "errors", "validity", "spectra"]
 DARK = "--blink-settings=preferredColorScheme=0"
@@ -91,7 +92,6 @@ def looked_at(page: Path, *options: str) -> tuple[str, list[str], list[str]]:
     return done.stdout, console, sorted(asked)
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
 def test_a_browser_shows_it_without_complaint(flight_page):
     document, console, _ = looked_at(flight_page)
@@ -99,7 +99,6 @@ def test_a_browser_shows_it_without_complaint(flight_page):
     assert document.count("<svg") == len(FIGURES) + 1
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
 def test_a_browser_would_have_complained_and_asked(flight_page, tmp_path):
     """The same page with something from outside: with its own policy it is refused, without it is asked for."""

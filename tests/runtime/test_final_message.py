@@ -146,6 +146,7 @@ def open_descriptors() -> list[str]:
     return [os.readlink(link) for link in links if link.exists()]  # noqa: PTH115
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_whatever_becomes_of_the_process_no_descriptor_and_no_memory_is_left(
     number: signal.Signals, line: Any

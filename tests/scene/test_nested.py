@@ -52,6 +52,7 @@ def same(found, expected, atol=1e-9):
     np.testing.assert_allclose(found.range_m, expected.range_m, rtol=0, atol=atol)
 
 
+@pytest.mark.slow
 def test_equals_the_slow_path():
     rng = np.random.default_rng(1)
     ground = three_deep(rng)

@@ -33,6 +33,7 @@ def write(path: Path, projection: str, centre_m, pixel_m: float, side: int, offs
         file.write(height.astype("float32"), 1)
 
 
+@pytest.mark.slow
 def test_maps_of_two_projections_fit_into_each_other(tmp_path):
     sphere = f"+R={RADIUS_M} +units=m +no_defs"
     wide = f"+proj=ortho +lat_0=27.2 +lon_0=-52.1 {sphere}"

@@ -57,6 +57,7 @@ def beamlets(rng, origin, direction, count=20):
     return of_beams[0].reshape(-1, 3), of_beams[1].reshape(-1, 3)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10**9))
 @settings(max_examples=150, deadline=None)
 def test_hits_before_equal_hits_after(seed):

@@ -64,6 +64,7 @@ def assert_same(fast, exact, atol=1e-9):
     np.testing.assert_allclose(fast.normal_site, exact.normal_site, rtol=0, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
 @pytest.mark.parametrize("beyond", BEYOND)
 def test_equals_the_slow_path(beyond, interpolation):
@@ -77,6 +78,7 @@ def test_equals_the_slow_path(beyond, interpolation):
     assert np.isnan(exact.range_m[~exact.inside]).sum() > 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
 @pytest.mark.parametrize("beyond", BEYOND)
 def test_equals_the_slow_path_over_holes(beyond, interpolation):
@@ -331,6 +333,7 @@ def small_grids(draw, holes):
 shares = st.sampled_from([0.0, 0.25, 1 / 3, 0.5, 1.0]) | st.floats(0, 1)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(
     small_grids(holes=False), st.tuples(shares, shares, shares, shares), st.floats(0, 50), st.floats(0, 50)
@@ -357,6 +360,7 @@ def test_ray_from_above_the_surface_to_below_it_meets_it(scene, place, height_m,
 points = st.tuples(st.floats(-5, 30), st.floats(-5, 30), st.floats(-25, 40))
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(small_grids(holes=True), points, points)
 def test_small_grids_equal_the_slow_path(scene, start, end):

@@ -292,6 +292,7 @@ def site(path: Path, unit: str = "m", radius_m: float = 90.0, **origin: object) 
     return Site(ground=ground, body=Body(radius_m=radius_m))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("latitude_deg", "longitude_deg"), [(0, 0), (35, 120), (-80, 200), (90, 10)])
 def test_the_origin_is_on_the_surface_with_up_away_from_the_centre(
     tmp_path: Path, latitude_deg: float, longitude_deg: float
@@ -382,6 +383,7 @@ def test_an_open_mesh_that_faces_down_is_still_ground(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scene.covers(np.array([4.0, 40.0]), np.array([4.0, 4.0])), [True, False])
 
 
+@pytest.mark.slow
 def test_a_small_body_is_as_it_is_known(public_data: Path) -> None:
     file = read_mesh(str(public_data / ITOKAWA), "km")
     assert len(file.corner_m) == 49152
@@ -413,6 +415,7 @@ def test_a_small_body_is_flown_over(public_data: Path, tmp_path: Path) -> None:
     assert np.isfinite(run.true_range_m).all()
 
 
+@pytest.mark.slow
 def test_without_a_mesh_nothing_of_it_is_imported() -> None:
     code = (
         "import sys; from lidar_emu import load; from lidar_emu.flight.flight import Flight;"

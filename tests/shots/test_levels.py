@@ -55,6 +55,7 @@ def test_statistical_errors_and_dropouts_are_those_of_the_spectra(detection: str
     assert abs(lost[0] - lost[1]) < 5 * np.sqrt(2 * expected / spectral.range_valid.size) + 0.1 * expected
 
 
+@pytest.mark.slow
 def test_what_a_level_does_not_need_is_not_imported() -> None:
     code = (
         "import sys, lidar_emu; lidar_emu.simulate(lidar_emu.load('paper_fig4', {'level': %r, 'duration_s': '1'}));"

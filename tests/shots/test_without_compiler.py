@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import simulate
@@ -18,6 +19,7 @@ CODE = (
 )
 
 
+@pytest.mark.slow
 def test_interpreted_kernels_measure_what_compiled_ones_do() -> None:
     reported = subprocess.run(
         [sys.executable, "-c", CODE % SETTINGS],

@@ -37,6 +37,7 @@ def flown(*truths: Truth, jump_m: float = 10.0) -> LiveTrajectory:
     return trajectory
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 @settings(deadline=None)  # the first one compiles
 @given(instant_s=st.floats(0.0, 1.5))

@@ -135,6 +135,7 @@ def test_noise_alone_crosses_the_threshold_as_often_as_asked(window: str) -> Non
         assert rate > (1.0 if window == "rect" else 0.7) * expected - 5 * np.sqrt(expected / records)
 
 
+@pytest.mark.slow
 def test_a_tone_is_detected_with_the_probability_of_marcum() -> None:
     records, amplitude = 10_000, 2.9
     speed_mps = 40 * SMALL.bin_width_hz * SMALL.wavelength_m / 2

@@ -63,6 +63,7 @@ def _folded_gain(response: AnalogResponse, frequency_hz: np.ndarray, folds: int)
     return np.sum(abs(response.gain(frequency_hz[:, None] + shift_hz)) ** 2, axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "response",
     [
