@@ -8,6 +8,8 @@ BIN := $(VENV)/bin
 PYTEST := $(BIN)/pytest -n auto --dist worksteal
 # Bytecode is made of the modules that are imported: most of what is installed never is.
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile --editable
+# Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: run test test-all soak checks-and-kernels check style types imports kernels docs mutants clean
 
