@@ -213,6 +213,7 @@ PARTS = st.fixed_dictionaries(
 STEPS = st.lists(st.integers(1, 25), min_size=80, max_size=80)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(PARTS, STEPS, st.sampled_from([1, 3]), st.sampled_from(["[]", FAULTS]))
 def test_grouping_changes_no_packet(part: Any, steps: list[int], divisor: int, faults: str) -> None:

@@ -136,6 +136,7 @@ def test_gravity_turn_pushes_against_the_velocity_and_comes_to_rest() -> None:
     assert flight.outcome.status == LANDED
 
 
+@pytest.mark.slow
 def test_between_the_steps_as_exact_as_the_steps() -> None:
     """At instants of no step, against the flight integrated in steps sixteen times as short."""
     part = descent({"slosh": SLOSH, "engine": RIGID["engine"] | {"valve_lag_s": 5e-5}})
@@ -205,6 +206,7 @@ def test_a_spin_at_the_start_is_followed_and_taken_out() -> None:
     assert np.abs(record.state[-1, 10:13]).max() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("vehicle", "keys", "line"),
     [

@@ -13,6 +13,8 @@ from truth import Truth
 
 import lidar_emu
 
+pytestmark = pytest.mark.slow
+
 LENGTH_S = {"homodyne_sign": "16", "terrain_step_2023": "56", "noisy_descent_2025": "30"}
 
 
@@ -40,7 +42,6 @@ def test_wrong_signs_of_two_beams_are_refused() -> None:
     assert speed_mps > 10
 
 
-@pytest.mark.slow
 def test_ground_that_falls_away_is_believed_in_the_end() -> None:
     """The rim passes below from 26 s on, and from 43 s all beams are on the floor."""
     assert worst("terrain_step_2023", "careful", 2, 20)[0] < 15
@@ -52,7 +53,6 @@ def test_ground_that_falls_away_is_believed_in_the_end() -> None:
     assert 1 <= flight("terrain_step_2023", "careful").reinitialised[:, 0].sum() <= 4
 
 
-@pytest.mark.slow
 def test_noise_that_is_not_admitted_is_found_out() -> None:
     """Eighty metres and two metres a second, where packets state centimetres and tenths of millimetres."""
     height_m, speed_mps = worst("noisy_descent_2025", "careful", 10)

@@ -19,6 +19,8 @@ from truth import Truth
 import lidar_emu
 from lidar_emu.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 EXACT, FLAT = Grade(0, 0, 0, 0), Ground(0, 0)
 TURNING = """{kind: profile, path_angle_deg: 50, heading_deg: 30,
     attitude: {yaw_deg: 20, pitch_deg: 10, roll_deg: -15, body_rate_radps: [0.05, -0.1, 0.2]},
@@ -154,7 +156,6 @@ def honest_flights() -> list[Log]:
     return flights
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("at_s", [2.5, 4.9])
 def test_errors_are_as_large_as_stated(at_s: float) -> None:
     """Normalised errors of the flights add up to chi-square: between its 0.1 and 99.9 %.

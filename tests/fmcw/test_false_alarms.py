@@ -66,6 +66,7 @@ def test_threshold_of_any_number_of_looks(looks: int, probability: float) -> Non
     assert model.threshold == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", ["rect", "hann", "hamming"])
 def test_bins_above_the_threshold_come_in_runs_under_a_window(window: str) -> None:
     """The share of bins above the threshold with which a run ends."""

@@ -82,6 +82,7 @@ def _worst(beta: float, place: float, window: str) -> float:
 
 
 # The grid cuts off the tails of tones and taps; a window leaves little of that.
+@pytest.mark.slow
 @pytest.mark.parametrize("window", ["hann", "hamming"])
 @pytest.mark.parametrize(
     ("beta", "bound"),
@@ -169,6 +170,7 @@ def test_line_is_that_of_a_laser_walking_at_random(linewidth_khz: float, delay_u
         assert (pseudo[1].real < -0.7 * powers[1]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [1e-3, 0.01, 0.064, 0.36])
 @pytest.mark.parametrize("linewidth", [0.5, 6.5])
 def test_line_keeps_the_power(linewidth: float, delay: float) -> None:

@@ -74,6 +74,7 @@ def _filled(first_pair: int, count: int, shot: int = 3) -> np.ndarray:
     return out[0] + 1j * out[1]
 
 
+@pytest.mark.slow
 def test_filled_normals_are_box_muller_of_the_words() -> None:
     """Two numbers of each counter, from 32 bits each for magnitude and phase."""
     shot, seed = 2**33 + 3, 2**40 + 11

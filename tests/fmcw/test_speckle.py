@@ -34,6 +34,7 @@ def _places(count: int, seed: int = 4) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-1e6, 1e6, (count, 2))
 
 
+@pytest.mark.slow
 def test_weights_are_circular_gaussian_numbers() -> None:
     z = np.array([_Field()(*place) for place in _places(1000)])
     assert stats.kstest(abs(z.ravel()) ** 2, "expon").pvalue > 1e-3

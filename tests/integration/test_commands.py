@@ -115,6 +115,7 @@ def test_commands_that_cannot_be_followed_are_answered_and_counted(
     assert "2 accepted, bad sequence 1" in run.out
 
 
+@pytest.mark.slow
 def test_a_flood_of_noise_changes_nothing_that_is_sent(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
     run = start("run", *RATE, "--duration", "1", "--port", far_end.path, *LINK)
     far_end.wait_for(144)

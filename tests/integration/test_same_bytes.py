@@ -83,6 +83,7 @@ def test_neither_pace_nor_repetition_nor_link_matters(
     assert b"".join(recorded(tmp_path / "loopback.mcap", "/packet")) == reference
 
 
+@pytest.mark.slow
 def test_the_pace_of_the_clock_sends_the_same(sent_bytes: Callable[..., bytes]) -> None:
     """No shot is late, and the terminal has room for all of them, whether or not its far end reads in time."""
     stream = sent_bytes("--duration", "1", "--set", "timing.late_after_s=3600")

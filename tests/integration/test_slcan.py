@@ -37,6 +37,7 @@ def assert_instants_equal(seconds: list[dict[str, Any]], name: str, expected_ns:
     np.testing.assert_allclose(received_s, expected_ns * 1e-9, rtol=0, atol=0.5 * 2**-24 + 1e-12)
 
 
+@pytest.mark.slow
 def test_a_whole_descent_in_the_full_set(
     start: Start, far_end: FarEnd, simulated: Simulated, tmp_path: Path
 ) -> None:

@@ -50,6 +50,7 @@ def test_a_block_is_its_fields_bit_by_bit(order, data):
             assert same(back[entry["name"]], given_values[entry["name"]], entry), entry
 
 
+@pytest.mark.slow
 @given(trees(), st.data())
 @RELAXED
 def test_every_combination_comes_back(tree, data):

@@ -28,6 +28,7 @@ def _loaded() -> Any:
 FUZZ = _loaded()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", FUZZ.TARGETS)
 def test_targets_hold(target: str) -> None:
     @settings(max_examples=150, deadline=None)

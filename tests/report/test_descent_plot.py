@@ -13,6 +13,8 @@ from lidar_emu.report.descent_plot import plot_descent
 from lidar_emu.report.png_file import check_plot_path
 from lidar_emu.scene.plane import PlaneGround
 
+pytestmark = pytest.mark.slow
+
 LEFT, RIGHT = np.s_[60:680, 0:690], np.s_[60:680, 800:1490]
 """The panels without their colour bars."""
 ERRORS = np.s_[720:1040, 90:1470]
@@ -35,7 +37,6 @@ def pixels_of(image, colour):
     return int((np.abs(image - np.array(colour)[:3]).max(axis=-1) < 0.02).sum())
 
 
-@pytest.mark.slow
 def test_each_panel_has_the_colours_of_its_quantity(flight, plane, tmp_path):
     image = drawn(flight, plane, tmp_path / "run.png")
     for panel, own, other in ((LEFT, "viridis", "plasma"), (RIGHT, "plasma", "viridis")):

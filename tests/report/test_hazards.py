@@ -24,6 +24,8 @@ from lidar_emu.scenario.load import load
 from lidar_emu.scenario.required import require_flight
 from lidar_emu.shots.flight_model import FlightModel
 
+pytestmark = pytest.mark.slow
+
 FLAT = {"site": "flat", "instrument": "ndl_as_published"}
 RANGE_BIN_M = 0.343085
 TRACK = np.sqrt(0.5)
@@ -59,7 +61,6 @@ def test_slab_in_a_track_stands_out_if_it_is_high_enough(height_m: float, report
     assert not seen.stands_out[np.abs(seen.true_off_m) < 0.05].any()
 
 
-@pytest.mark.slow
 def test_errors_of_a_point_and_its_plane_are_as_large_as_foretold() -> None:
     seen = cloud(**{"timing.rate_hz": "97"})
     error = (seen.off_m - seen.true_off_m) / seen.sigma_m

@@ -17,6 +17,8 @@ from lidar_emu.scenario.required import require_flight
 from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import measure_whole, simulate
 
+pytestmark = pytest.mark.slow
+
 BIN_HZ = 600e6 / 2**17
 RANGE_BIN_M = SPEED_OF_LIGHT_MPS * BIN_HZ / (2 * 2e12)
 SPEED_BIN_MPS = 1550e-9 * BIN_HZ / 2

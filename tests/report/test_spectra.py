@@ -19,6 +19,7 @@ def descent(record) -> RecordedRun:
     return read_recorded_run(record("descent.yaml", duration_s="1", site="flat"))
 
 
+@pytest.mark.slow
 def test_peaks_are_where_the_beats_of_range_and_speed_are(descent):
     model, measured = build_model(descent.recording.scenario), descent.measurement
     waveform = model.scenario.instrument.waveform

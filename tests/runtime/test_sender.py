@@ -121,6 +121,7 @@ def full_speed() -> Iterator[Rig]:
     rig.close()
 
 
+@pytest.mark.slow
 def test_an_hour_goes_out_in_order_and_exactly_on_time(wall: Rig) -> None:
     rate_hz = 20
     shots = 3600 * rate_hz

@@ -98,6 +98,7 @@ def test_objects_stand_on_the_ground_and_keep_what_is_their_own() -> None:
     np.testing.assert_array_equal(found.reflectance, [0.7, 0.2, 0.0, 0.2])
 
 
+@pytest.mark.slow
 def test_of_ground_and_objects_the_first_is_hit_and_none_from_within() -> None:
     rng = np.random.default_rng(3)
     rocks = part(kind="boulder", diameter_m=4, scatter={"count": 12, "radius_m": 15, "scale": [0.5, 2]})

@@ -356,6 +356,7 @@ def test_without_rasterio(tmp_path, monkeypatch):
 # -- real maps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "lowest_m", "highest_m", "site"),
     [

@@ -12,6 +12,8 @@ from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.site import Atmosphere, Surface
 
+pytestmark = pytest.mark.slow
+
 _ERRORS = 3
 _ROWS = [
     line.strip("| \n").split(" | ")

@@ -15,14 +15,16 @@ from far_ends import LINES, FarEnd
 from lines import EveryLine, InAnother, InThisProcess, Place, closing
 
 IN_ONE_PROCESS = {"loopback", "virtual"}
-CASES = [(InThisProcess, line) for line in LINES] + [
-    (InAnother, line) for line in LINES if line not in IN_ONE_PROCESS
+CASES = [pytest.param((InThisProcess, line), id=f"{line}-in this process") for line in LINES] + [
+    pytest.param((InAnother, line), id=f"{line}-in another", marks=pytest.mark.slow)
+    for line in LINES
+    if line not in IN_ONE_PROCESS
 ]
 
 
 @pytest.mark.filterwarnings(r"ignore:set\w+\(\) is deprecated:DeprecationWarning")  # of pyserial's own
 class TestEveryLine(EveryLine):
-    @pytest.fixture(params=CASES, ids=lambda case: f"{case[1]}-{case[0].__name__}")
+    @pytest.fixture(params=CASES)
     def case(self, request: pytest.FixtureRequest) -> Any:
         return request.param
 

@@ -38,6 +38,8 @@ from lidar_emu.scenario.instrument import (
     Waveform,
 )
 
+pytestmark = pytest.mark.slow
+
 BRIGHT_OSCILLATOR = Receiver(
     local_oscillator_power_w=1e6,
     dark_current_a=0.0,
@@ -210,7 +212,6 @@ def _least_p(spectral: Returns, exact: WaveformMeasurement) -> float:
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("snr_db", "window", "beamlets", "receiver"),
     [
@@ -233,7 +234,6 @@ def test_distributions_with_noise(
     assert abs(rates[0] - rates[1]) < 4 * np.sqrt(rates[1] * (1 - rates[1]) / 10_000 + 1e-8)
 
 
-@pytest.mark.slow
 def test_scatter_of_frequencies_shows_two_percent_of_noise() -> None:
     case = _case(25.0)
     bin_hz = case.instrument.waveform.bin_width_hz
@@ -250,7 +250,6 @@ def test_scatter_of_frequencies_shows_two_percent_of_noise() -> None:
     assert _scatter_apart(errors(spectral_hz), errors(louder)) > 2.5
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("receiver", [{}, {"bandwidth_hz": 0.7e6}], ids=["flat", "low-pass"])
 def test_peaks_of_noise_alone_show_two_percent_of_noise(receiver: dict[str, float]) -> None:
     detection = {"window": "rect", "false_alarm_probability": 0.5}
@@ -265,7 +264,6 @@ def test_peaks_of_noise_alone_show_two_percent_of_noise(receiver: dict[str, floa
     assert ks_2samp(powers[0], powers[2]).pvalue < 1e-4
 
 
-@pytest.mark.slow
 def test_strangers_are_distinguished() -> None:
     """The comparison of distributions fails for 0.1 dB of echo."""
     spectral, exact = _case(20.1).spectral(60_000), _case(20.0).waveform(10_000)
@@ -311,7 +309,6 @@ def test_false_lock_rate(snr_db: float, speckle: bool) -> None:
     assert abs(rate - expected) < 4 * np.sqrt(expected / shots)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("snr_db", [9.0, 11.0])
 def test_false_lock_rate_of_the_waveform(snr_db: float) -> None:
     """In 255 bins, without a threshold to speak of."""
@@ -325,7 +322,6 @@ def test_false_lock_rate_of_the_waveform(snr_db: float) -> None:
     assert abs(rate - expected) < 4 * np.sqrt(expected / shots)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("linewidth_hz", "scatter", "decibels"), [(300.0, 0.05, 0.005), (3e3, 0.1, 0.03), (30e3, 0.1, 0.7)]
 )
