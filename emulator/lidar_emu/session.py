@@ -76,7 +76,7 @@ class Session:
         encoder: encodes the packets.
         kept_blocks: number of blocks by which `rewind` can go back.
         faulty: encoder with packet faults; None: without packet faults.
-        rules: rules of the device; None: the device is in mode track from the first shot on.
+        rules: constants of the device; None: the device is in mode track from the first shot on.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Session:
         self._encoder = encoder
         self._faulty = faulty
         self.rules = rules or device_rules(DeviceBehaviour(), 1e9 / model.period_ns, model.beam_count, 1)
-        """DeviceConstants of the device."""
+        """Constants of the device."""
         self._state = _State(
             initial_state(model),
             shot_policy(initial(self.rules), model.beam_count),
@@ -202,7 +202,7 @@ class Session:
         """Go back to a shot, to compute it and the following shots again.
 
         Raises:
-            ValueError: its block is no longer kept.
+            ValueError: the shot's block is no longer kept.
         """
         while self._before and self._before[-1][0] > shot:
             self._before.pop()

@@ -203,7 +203,7 @@ def _values(estimates: Sequence[IntervalEstimate], scale: float) -> list[str]:
 
 
 def _print_plan(prepared: PreparedCampaign, workers: int, as_json: bool) -> None:
-    """IntervalEstimate time, memory and disk from a few runs flown now."""
+    """Estimate time, memory and disk from a few runs flown now."""
     from lidar_emu.campaign.forecast import forecast
 
     with busy(COMPILING):

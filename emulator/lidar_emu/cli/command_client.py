@@ -21,7 +21,7 @@ class CommandResult(NamedTuple):
     """The result of a command."""
 
     verdict: str
-    """The device's, or `NO_ACKNOWLEDGEMENT`; `SENT` where the interface has no acknowledgements."""
+    """Verdict of the device, or `NO_ACKNOWLEDGEMENT`; `SENT` where the interface has no acknowledgements."""
     time_s: float | None = None
     """Time of the acknowledgement, by the device's clock."""
 
@@ -56,8 +56,8 @@ class CommandClient:
     def synchronise(self) -> CommandResult | None:
         """Synchronise the sequence number with the device; None if the interface has no `no_op`.
 
-        The device accepts a `no_op` with any number but the last command's: whether it is accepted, or rejected
-        because it has that number, the number after it is the next.
+        The device accepts a `no_op` with any number but the last command's: whether it is accepted or,
+        having that number, rejected, the next number is the one after it.
         """
         if not self._has_no_op:
             return None

@@ -1,4 +1,4 @@
-"""Live display on the terminal, drawn by a process of its own so that a run never waits for the terminal."""
+"""Live display on the terminal, drawn by a separate process so that a run never waits for the terminal."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 from types import TracebackType
 from typing import Any, Self
 
-from lidar_emu.cli.output import say
+from lidar_emu.cli.output import print_line
 from lidar_emu.runtime.clock import Clock
 
 _EVERY_NS = 200_000_000
@@ -23,7 +23,7 @@ def has_terminal() -> bool:
 
 
 class Dashboard:
-    """Client of the display process: drops updates that it cannot take at once; prints lines if it has died.
+    """Client of the display process: drops updates that cannot be sent at once; prints lines directly if it has died.
 
     The process ignores Ctrl-C: it ends, and restores the terminal, when this end of the socket is closed.
     """
@@ -55,7 +55,7 @@ class Dashboard:
             self._socket = None
         try:
             self._process.wait(_END_LIMIT_S)
-        except subprocess.TimeoutExpired:  # it hangs in a blocked terminal
+        except subprocess.TimeoutExpired:  # the process hangs in a blocked terminal
             self._process.kill()
             self._process.wait()
         self._print_pending()
@@ -71,7 +71,7 @@ class Dashboard:
         self._flush()
         self._send(content)
 
-    def say(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """Print a line that stays, above the display."""
         self._pending.append(text)
         self._flush()
@@ -79,7 +79,7 @@ class Dashboard:
             self._print_pending()
 
     def _flush(self) -> None:
-        while self._pending and self._send({"say": self._pending[0]}):
+        while self._pending and self._send({"line": self._pending[0]}):
             self._pending.pop(0)
 
     def _send(self, message: dict[str, Any]) -> bool:
@@ -100,4 +100,4 @@ class Dashboard:
         """Print the pending lines without the display."""
         pending, self._pending = self._pending, []
         for text in pending:
-            say(text)
+            print_line(text)

@@ -30,8 +30,8 @@ def main(descriptor: int) -> None:
     ):
         while message := receiver.recv(_LONGEST):
             content = json.loads(message)
-            if "say" in content:
-                console.print(content["say"], markup=False, highlight=False, soft_wrap=True)
+            if "line" in content:
+                console.print(content["line"], markup=False, highlight=False, soft_wrap=True)
             else:
                 live.update(render(content, console.width, console.height), refresh=True)
 

@@ -112,7 +112,7 @@ class RunDisplay(Observer):
 
     Args:
         dashboard: the process that draws.
-        interface: of the packets.
+        interface: interface definition of the packets.
         is_can: whether packets are frame records.
         title: first line.
         tally: counts the run.
@@ -142,7 +142,7 @@ class RunDisplay(Observer):
         self._draw()
 
     def on_opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
-        """Clear that notice."""
+        """Clear the notice of waiting."""
         self._notice = ""
 
     def on_housekeeping(self, payload: bytes, time_ns: int) -> None:  # noqa: ARG002

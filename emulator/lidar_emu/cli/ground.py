@@ -37,36 +37,36 @@ def ground(
     lidar-emu ground my.yaml --json
     """
     _check_paths(plot, out)
-    asked = _generated(scenario, settings)
+    specified = _generated(scenario, settings)
     import numpy as np
 
     from lidar_emu.scene.generated.cache import keep
     from lidar_emu.scene.generated.compare import compare
     from lidar_emu.scene.generated.generate import generate
 
-    layers = generate(asked)
-    elevation_m = layers.elevation_m(asked)
-    kept = keep(asked, elevation_m)
-    found = compare(asked, layers)
-    whole = _whole(asked, elevation_m.astype(np.float64))
+    layers = generate(specified)
+    elevation_m = layers.elevation_m(specified)
+    kept = keep(specified, elevation_m)
+    found = compare(specified, layers)
+    whole = _whole(specified, elevation_m.astype(np.float64))
     if out is not None:
         from lidar_emu.report.ground_export import export_ground
 
-        export_ground(asked, elevation_m, Path(out))
+        export_ground(specified, elevation_m, Path(out))
     if plot is not None:
         from lidar_emu.report.ground_plot import plot_ground
 
-        plot_ground(asked, layers, found, _title(asked), Path(plot))
+        plot_ground(specified, layers, found, _title(specified), Path(plot))
     if as_json:
         document = {
-            "ground": asked.model_dump(),
+            "ground": specified.model_dump(),
             "kept_in": None if kept is None else str(kept),
             "whole_ground": whole,
             "statistics": [{**vars(row), "within": row.within} for row in found],
         }
         click.echo(json.dumps(document, indent=2))
         return
-    _print(asked, found, whole)
+    _print(specified, found, whole)
     for path in (out, plot):
         if path is not None:
             click.echo(path)
@@ -96,18 +96,18 @@ def _generated(scenario: str, settings: tuple[str, ...]) -> Generated:
     return flown.site.ground
 
 
-def _title(asked: Generated) -> str:
-    return f"generated ground, {asked.size_m:g} m, a sample every {asked.spacing_m:g} m, seed {asked.seed}"
+def _title(specified: Generated) -> str:
+    return f"generated ground, {specified.size_m:g} m, a sample every {specified.spacing_m:g} m, seed {specified.seed}"
 
 
-def _whole(asked: Generated, elevation_m: FloatArray) -> dict[str, Any]:
+def _whole(specified: Generated, elevation_m: FloatArray) -> dict[str, Any]:
     """Height range and slopes of the whole ground, to which relief, craters and rocks all contribute."""
     import numpy as np
 
     from lidar_emu.scene.generated.statistics import doubling_lags, structure_function
 
     lags = doubling_lags(len(elevation_m), 1 / 8)
-    distance_m = lags * asked.spacing_m
+    distance_m = lags * specified.spacing_m
     slope_deg = np.degrees(np.arctan(np.sqrt(structure_function(elevation_m, lags)) / distance_m))
     return {
         "lowest_m": float(elevation_m.min()),
@@ -119,12 +119,12 @@ def _whole(asked: Generated, elevation_m: FloatArray) -> dict[str, Any]:
     }
 
 
-def _print(asked: Generated, found: list[StatisticCheck], whole: dict[str, Any]) -> None:
+def _print(specified: Generated, found: list[StatisticCheck], whole: dict[str, Any]) -> None:
     from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=_title(asked), title_justify="left", box=box.SIMPLE_HEAD, padding=0)
+    table = Table(title=_title(specified), title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     table.add_column("statistic")
     for heading in ("requested", "found", "from", "to"):
         table.add_column(heading, justify="right")

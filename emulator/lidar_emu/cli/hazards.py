@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @settings_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def hazards(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
-    """Fly SCENARIO, and detect in its points what stands out of the ground, and the slope of the ground.
+    """Fly SCENARIO, and detect in its points what stands out from the ground, and the slope of the ground.
 
     A point stands out if it is off the plane through its neighbours by four standard deviations; the table compares it
     with its true offset. The slope is the slope of the plane through the beams of one shot. An obstacle without a point

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from lidar_emu.cli.output import say
+from lidar_emu.cli.output import print_line
 from lidar_emu.errors import InputError, RunError
 
 _TIMEOUT_S = 5.0
@@ -33,9 +33,9 @@ def inject(path: str, fault: tuple[str, ...], as_json: bool) -> int:
     """
     reply = _request(path, _mapping(fault))
     if as_json:
-        say(json.dumps(reply))
+        print_line(json.dumps(reply))
     elif reply["accepted"]:
-        say(f"accepted: fault {reply['fault']}, {reply['kind']}")
+        print_line(f"accepted: fault {reply['fault']}, {reply['kind']}")
     else:
         raise RunError(f"rejected: {reply['reason']}")
     return 0 if reply["accepted"] else 1

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import plain_option, require_port, wire_interface_option
-from lidar_emu.cli.output import say, silence
+from lidar_emu.cli.output import print_line, silence
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.signals import on_signals
 from lidar_emu.transports.options import port_options
@@ -135,6 +135,6 @@ def _text_view(interface: Interface) -> Show:
         if isinstance(message, Message):
             shots.show([message])
         elif (line := device.text_line(message)) is not None:
-            say(line)
+            print_line(line)
 
     return show

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from lidar_emu.cli.decoder import device_time_s
-from lidar_emu.cli.output import say
+from lidar_emu.cli.output import print_line
 from lidar_emu.wire import rows
 from lidar_protocol import Acknowledge, Housekeeping, Interface, Message, default_interface
 from lidar_protocol.fields import Counter, Field, Flag, Value
@@ -68,7 +68,7 @@ def counter_line(counters: dict[str, int]) -> str:
 
 
 class ShotPrinter:
-    """Prints shots as lines: at most one per unit and `every_s` of its own time, 0 for all."""
+    """Prints shots as lines: at most one per unit in `every_s` seconds of the unit's time; 0: all."""
 
     def __init__(self, every_s: float, interface: Interface | None = None) -> None:
         self._every_s = every_s
@@ -79,17 +79,17 @@ class ShotPrinter:
         """Print the messages that are due."""
         for message in messages:
             if not self._shown_s:
-                say(heading(len(message.beams)))
+                print_line(heading(len(message.beams)))
             time_s = (message.time_ns or 0) * 1e-9
             since_s = time_s - self._shown_s.get(message.unit, float("-inf"))
-            # Time that goes back means that the device has restarted.
+            # If time goes back, the device has restarted.
             if since_s >= self._every_s or since_s < 0:
-                say(text_line(message, self._interface))
+                print_line(text_line(message, self._interface))
                 self._shown_s[message.unit] = time_s
 
 
 class DeviceLines:
-    """Acknowledgements of one link as lines, and the changes in its housekeeping.
+    """Lines for the acknowledgements of one link, and for the changes in its housekeeping.
 
     Enumerations, flags and counters are printed when they change; values that change by themselves (times,
     temperature) are printed once.
@@ -142,7 +142,7 @@ class DeviceLines:
         return {name: self._word(name, value) for name, value in values.items()}
 
     def _word(self, name: str, value: Value) -> Any:
-        """The word of an enumeration; of anything else the value."""
+        """Word for an enumerated value; any other value unchanged."""
         enumeration = self._fields[name].enumeration
         if enumeration is None or value is None:
             return value

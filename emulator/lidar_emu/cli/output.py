@@ -11,7 +11,7 @@ import click
 from lidar_emu.errors import RunError
 
 
-def say(text: str) -> None:
+def print_line(text: str) -> None:
     """Print a line; once standard output is closed or full, discard this and all later lines."""
     try:
         click.echo(text)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lidar_emu.cli.options import as_number, fail_on_option, failures_named, has_failed, require_port
-from lidar_emu.cli.output import say, write_text
+from lidar_emu.cli.output import print_line, write_text
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import check_destination
@@ -176,12 +176,12 @@ def _write(file: Path, to: Path, from_s: float | None, until_s: float | None) ->
     with busy(f"reading {file}"):
         traffic = read_traffic(file, as_sent=True).within(from_s, until_s)
         write_wire_file(traffic, to)
-    say(f"{to}: {len(traffic.packets)} packets")
+    print_line(f"{to}: {len(traffic.packets)} packets")
 
 
 def _print(summary: dict[str, Any], lines: list[str], summary_file: str | None, as_json: bool) -> None:
     text = json.dumps(summary, indent=2)
-    say(text if as_json else "\n".join(lines))
+    print_line(text if as_json else "\n".join(lines))
     if summary_file is not None:
         write_text(Path(summary_file), text + "\n")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.output import say
+from lidar_emu.cli.output import print_line
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination
@@ -81,12 +81,12 @@ def report(
         flown = read_recorded_run(read_recording(file))
         contents = flown.contents()
     lines = contents_lines(contents)
-    say(json.dumps(contents, indent=2) if as_json else "\n".join(lines))
+    print_line(json.dumps(contents, indent=2) if as_json else "\n".join(lines))
     written = [_write(flown, path) for path in outputs]
     if page is not None or folder is not None:
         written += _draw(flown, lines, page, folder, at_s)
     if not as_json and written:
-        say("\n".join(written))
+        print_line("\n".join(written))
 
 
 def _draw_paper_figure(figure: str, out: tuple[str, ...], others: dict[str, Any]) -> None:

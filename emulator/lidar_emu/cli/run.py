@@ -19,7 +19,7 @@ from lidar_emu.cli.options import (
     plain_option,
     scenario_options,
 )
-from lidar_emu.cli.output import say, write_text
+from lidar_emu.cli.output import print_line, write_text
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.files import check_destination
@@ -130,7 +130,7 @@ def run(
     recording_error = None if recorder is None else recorder.error
     summary = outcome.to_json() | {"far_end": view.counters(), "recording_error": recording_error}
     text = json.dumps(summary, indent=2)
-    say(text if as_json else "\n".join(summary_lines(summary)))
+    print_line(text if as_json else "\n".join(summary_lines(summary)))
     if summary_file is not None:
         write_text(Path(summary_file), text + "\n")
     for error in (recording_error, outcome.error):
@@ -153,13 +153,13 @@ def _display(
 
     title, is_can = f"{flown.name} on {port}, pace {pace}", port.kind is Kind.CAN
     display = RunDisplay(dashboard, interface, is_can, title, tally, flown.duration_s)
-    return [Announcer(flown.name, pace, dashboard.say), display]
+    return [Announcer(flown.name, pace, dashboard.print_line), display]
 
 
 def _check_start(text: str | None, flown: FlightScenario | BenchScenario) -> None:
     live = flown.live is not None
     if text == ("now" if live else "on-truth"):
-        allowed = "on-truth (as if left out) or an instant" if live else "now (as if left out) or an instant"
+        allowed = "on-truth (the default) or an instant" if live else "now (the default) or an instant"
         kind = "live" if live else "not live"
         raise InputError("--start", None, text, f"allowed as trajectory.kind is {kind}: {allowed}")
 
@@ -177,5 +177,5 @@ def _start(text: str | None) -> datetime | None:
     instant = instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant
     # Checked again when the run begins; here, before the kernels are compiled, the error comes sooner.
     if instant < Clock().utc_now():
-        raise InputError("--start", None, text, "it is past; allowed: now, or an instant to come")
+        raise InputError("--start", None, text, "it is in the past; allowed: now, or a future instant")
     return instant

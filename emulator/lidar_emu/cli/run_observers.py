@@ -9,7 +9,7 @@ import click
 
 from lidar_emu.cli.decoder import Decoder
 from lidar_emu.cli.message_lines import ShotPrinter
-from lidar_emu.cli.output import say
+from lidar_emu.cli.output import print_line
 from lidar_emu.cli.summary_lines import at_time
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
@@ -22,23 +22,23 @@ _SHOW_EVERY_S = 0.5
 class Announcer(Observer):
     """Prints the port and its events."""
 
-    def __init__(self, name: str, pace: str, say: Callable[[str], None] = say) -> None:
+    def __init__(self, name: str, pace: str, print_line: Callable[[str], None] = print_line) -> None:
         self._name, self._pace = name, pace
-        self._say = say
+        self._print_line = print_line
 
     def on_waiting(self, port: str, what: str) -> None:
         """Print the port, and the event that the run waits for."""
-        self._say(f"{self._name} on {port}, pace {self._pace}, waits for {what}; Ctrl-C ends it")
+        self._print_line(f"{self._name} on {port}, pace {self._pace}, waits for {what}; Ctrl-C ends it")
 
     def on_opened(self, port: str, start: datetime) -> None:
         """Print the port and the start of the run."""
-        self._say(
+        self._print_line(
             f"{self._name} on {port}, pace {self._pace}, from {start:%Y-%m-%d %H:%M:%S} UTC; Ctrl-C ends it"
         )
 
     def on_process_event(self, time_ns: int, what: str) -> None:
         """Print that a process has stalled, or resumed."""
-        self._say(at_time(time_ns * 1e-9, what))
+        self._print_line(at_time(time_ns * 1e-9, what))
 
 
 class ProgressLine(Observer):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import as_number, require_port, wire_interface_option
-from lidar_emu.cli.output import say
+from lidar_emu.cli.output import print_line
 from lidar_emu.errors import InputError
 from lidar_emu.transports.options import port_options
 
@@ -52,7 +52,7 @@ def send(
     as_json: bool,
     words: tuple[str, ...],
 ) -> int:
-    """Send commands one after another, each after the one before it was accepted.
+    """Send commands in order, each once the previous one was accepted.
 
     Exit code 0 if all were accepted, 1 if one was rejected or not acknowledged. A serial line has one host: `send`
     cannot open a port that `lidar-emu listen` has open.
@@ -96,14 +96,14 @@ def send(
 
 def _print(name: str, values: dict[str, Argument], result: CommandResult, as_json: bool) -> None:
     if as_json:
-        say(
+        print_line(
             json.dumps(
                 {"command": name, "values": values, "verdict": result.verdict, "time_s": result.time_s}
             )
         )
         return
     at = "" if result.time_s is None else f" at {result.time_s:.3f} s"
-    say(f"{_text(name, values)}: {result.verdict.replace('_', ' ')}{at}")
+    print_line(f"{_text(name, values)}: {result.verdict.replace('_', ' ')}{at}")
 
 
 def _text(name: str, values: dict[str, Argument]) -> str:

@@ -82,7 +82,9 @@ def _counts(counts: dict[str, int]) -> str:
 def contents_lines(summary: dict[str, Any]) -> list[str]:
     """The contents of a recording, in the terms of the run's summary."""
     started = datetime.fromisoformat(summary["started_utc"])
-    state = "complete" if summary["is_whole"] else "truncated: everything written before that is here"
+    state = (
+        "complete" if summary["is_whole"] else "truncated: everything written before the truncation is here"
+    )
     level = "" if summary["level"] is None else f", level {summary['level']}"
     return [
         f"file       {summary['file']}: {summary['size_bytes'] / 1e6:.1f} MB, {state}",
@@ -150,7 +152,7 @@ def dropped_text(dropped: dict[str, int]) -> str:
 
 
 def lateness_lines(lateness: dict[str, Any], steal_ticks: int | None) -> list[str]:
-    """Lateness of packets; nothing if none had a due time."""
+    """Lateness of packets; nothing if none obtained a due time."""
     if not lateness["count"]:
         return []
     steal = "" if steal_ticks is None else f"; host steal {steal_ticks} ticks"
@@ -162,12 +164,12 @@ def lateness_lines(lateness: dict[str, Any], steal_ticks: int | None) -> list[st
     ]
 
 
-def event_lines(whose: str, summary: dict[str, Any]) -> list[str]:
+def event_lines(source: str, summary: dict[str, Any]) -> list[str]:
     """Events of the `link` or a `process`."""
-    events, count = summary[f"{whose}_events"], summary[f"{whose}_event_count"]
-    lines = [f"{whose:<10} {at_time(event['time_s'], event['what'])}" for event in events]
+    events, count = summary[f"{source}_events"], summary[f"{source}_event_count"]
+    lines = [f"{source:<10} {at_time(event['time_s'], event['what'])}" for event in events]
     if count > len(events):
-        lines.append(f"{whose:<10} {count} events in all: the first and the last are shown")
+        lines.append(f"{source:<10} {count} events in all: the first and the last are shown")
     return lines
 
 
@@ -221,12 +223,12 @@ def _figures(summary: dict[str, Any]) -> str:
 
 
 def system_lines(granted: list[str], missing: dict[str, str]) -> list[str]:
-    """What the system granted the port process, and how to get the rest."""
+    """Privileges that the system granted the port process, and how to get the others."""
     if not (granted or missing):
         return []
-    had = ", ".join(granted).replace("_", " ") or "nothing"
+    obtained = ", ".join(granted).replace("_", " ") or "nothing"
     refused = ", ".join(f"{name.replace('_', ' ')} ({how})" for name, how in missing.items())
-    return [f"granted    {had}" + (f"; not: {refused}" if refused else "")]
+    return [f"granted    {obtained}" + (f"; not: {refused}" if refused else "")]
 
 
 def _time(nanoseconds: int) -> str:

@@ -51,7 +51,7 @@ class Channel(NamedTuple):
 
 
 _OPTIONAL = ("age_s", "truth_time_ns")
-_NUMBER_OF_SHOT = "Number of the shot, from 0, whatever number the device gives it."
+_NUMBER_OF_SHOT = "Number of the shot, from 0; the device's own counter may differ."
 _FIRST_SHOT = "First shot that the command affects; null: none."
 
 
@@ -79,7 +79,7 @@ TRUTH = Channel(
 )
 MEASUREMENT = Channel(
     "/measurement",
-    "What a shot measured, a list entry per beam: the columns of `simulate --out`. Log time as of /truth.",
+    "Measurements of a shot, a list entry per beam: the columns of `simulate --out`. Log time as in /truth.",
     {
         **_recorded({name: column for name, column in TABLE.items() if column.group is not Group.TRUTH}),
         **_recorded({name: COLUMNS[name] for name in ("time_ns", "due_ns")}),
@@ -164,4 +164,4 @@ CHANNELS = (
     TRUTH, MEASUREMENT, PACKET, DELIVERY, HOUSEKEEPING, ACKNOWLEDGEMENT, COMMAND, FAULT, INJECTED_FAULT, LIVE_TRUTH,
     REFUSED_TRUTH, EVENT,
 )  # fmt: skip
-"""All topics. Every recording declares each of them, if perhaps without a message."""
+"""All topics. Every recording declares each of them, even without a message."""

@@ -102,7 +102,7 @@ class RecordedInputs:
 
 
 class RecordedTruth:
-    """Recorded live truth, given to the trajectory as far as each shot used it.
+    """Recorded live truth, passed to the trajectory up to the sample that each shot used.
 
     Args:
         recording: recording of the run.
@@ -118,7 +118,7 @@ class RecordedTruth:
         }
 
     def give(self, shot: int, seen_ns: int) -> int | None:
-        """Give the trajectory the truth that a shot used.
+        """Pass the truth that a shot used to the trajectory.
 
         Args:
             shot: number of the shot.

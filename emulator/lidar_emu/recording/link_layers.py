@@ -1,6 +1,6 @@
 """Link layers of captures: payloads of captured records, and records for payloads that a device sends.
 
-Link types and layouts are those of https://www.tcpdump.org/linktypes.html.
+Link types and layouts follow https://www.tcpdump.org/linktypes.html.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Content(NamedTuple):
 
 
 def decode_record(link_type: int, data: bytes) -> Content | None:
-    """Payload of a record; None if it has none that could be replayed."""
+    """Decode the payload of a record; None if it has none that could be replayed."""
     try:
         if link_type in _USER:
             return Content("bytes", data)

@@ -63,12 +63,12 @@ class McapFile:
 
     def messages(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
         """Topic, log time and data of the messages of these topics, in the order of the file."""
-        wanted: dict[int, str] = {}
+        selected: dict[int, str] = {}
         for record in self._records():
             if isinstance(record, Channel) and record.topic in topics:
-                wanted[record.id] = record.topic
-            elif isinstance(record, Message) and record.channel_id in wanted:
-                yield wanted[record.channel_id], record.log_time, record.data
+                selected[record.id] = record.topic
+            elif isinstance(record, Message) and record.channel_id in selected:
+                yield selected[record.channel_id], record.log_time, record.data
 
     def _records(self) -> Iterator[Any]:
         self.is_whole = False
@@ -78,6 +78,6 @@ class McapFile:
                 for record in reader.records:
                     self.is_whole = isinstance(record, Footer)
                     yield record
-            # A truncated or damaged record: the exceptions that the library raises for bytes that it cannot parse.
+            # A truncated or damaged record: the library raises these exceptions for bytes that it cannot parse.
             except (McapError, struct.error, ValueError, EOFError, KeyError, IndexError):
                 return

@@ -2,7 +2,7 @@
 
 recording = read_recording("flight.mcap")
 recording.scenario, recording.origin["started_utc"], recording.is_whole
-measurement = recording.measurement()  # a `Measurement`, like that of `simulate`
+measurement = recording.measurement()  # a `Measurement`, as from `simulate`
 packets = recording.packets()
 late_us = (packets.sent_ns - packets.due_ns)[packets.status == DeliveryStatus.SENT] / 1e3
 """
@@ -36,7 +36,7 @@ _BLOCK_SHOTS = 4096
 
 
 class RawMessage(NamedTuple):
-    """A message of a topic of bytes: housekeeping, an acknowledgement, a datagram of live truth."""
+    """A message of a raw-bytes topic: housekeeping, an acknowledgement, a datagram of live truth."""
 
     time_ns: int
     """Scenario time."""
@@ -171,13 +171,13 @@ class Recording:
         return Packets(shot, due_ns, sent_ns, statuses.astype(np.int8), overtaken.astype(np.bool_), payloads)
 
     def raw_messages(self, channel: Channel) -> list[RawMessage]:
-        """Messages of a topic of bytes, such as `channels.HOUSEKEEPING`, in the order in which they were written."""
+        """Messages of a raw-bytes topic, such as `channels.HOUSEKEEPING`, in the order in which they were written."""
         messages = self._file.messages(channel.topic)
         return [RawMessage(instant_ns - self.epoch_ns, data) for _, instant_ns, data in messages]
 
-    def json_messages(self, *wanted: Channel) -> list[JsonMessage]:
+    def json_messages(self, *channels: Channel) -> list[JsonMessage]:
         """Messages of JSON topics, such as `channels.COMMAND`, in the order in which they were written."""
-        topics = [channel.topic for channel in wanted]
+        topics = [channel.topic for channel in channels]
         return [
             JsonMessage(topic, instant_ns - self.epoch_ns, self._values(data))
             for topic, instant_ns, data in self._file.messages(*topics)
@@ -201,7 +201,7 @@ class Recording:
 
 
 def _measured(shots: list[dict[str, Any]]) -> Measurement:
-    """Shots as arrays, which take a tenth of the memory."""
+    """Convert shots to arrays, which take a tenth of the memory."""
     rows: dict[str, list[Any]] = {name: [] for name in COLUMNS}
     for values in shots:
         values["point_site_m"] = list(zip(*(values[name] for name in POINT_COLUMNS), strict=True))

@@ -81,10 +81,10 @@ def read_traffic(path: Path, as_sent: bool = False) -> Traffic:
 
     Args:
         path: recording, capture, or log of a CAN bus.
-        as_sent: give the shots of a run their times of transmission instead of their due times.
+        as_sent: use the times of transmission of a run's shots instead of their due times.
 
     Raises:
-        InputError: the file cannot be read, has another format, or holds no traffic, or that of several links.
+        InputError: the file cannot be read, has another format, or holds no traffic, or traffic of several links.
     """
     magic = first_bytes(path, _ALLOWED)
     if magic == MCAP_MAGIC:

@@ -33,7 +33,7 @@ from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block
 
 _EARLY = 1000
-"""Messages kept until the file is opened: from a device that waits for the command to fly."""
+"""Limit on messages kept until the file is opened, from a device that waits for the command to fly."""
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -145,7 +145,7 @@ class Recorder(Observer):
         self._write(channels.INJECTED_FAULT, shot * self._period_ns, _json(injected), shot)
 
     def on_superseded(self, generation: int, from_shot: int) -> None:
-        """Remember the generation, to mark packets of older ones that are sent all the same."""
+        """Store the generation, to mark packets of older generations that are sent nevertheless."""
         self._superseded.append((generation, from_shot))
 
     def on_block_sent(self, block: Block) -> None:
@@ -165,7 +165,7 @@ class Recorder(Observer):
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
         """Record the packet and its delivery status."""
-        # Generations only grow: a command that this packet follows is followed by all later packets.
+        # Generations only grow: all later packets follow the commands that this packet follows.
         self._superseded = [mark for mark in self._superseded if mark[0] > packet.generation]
         delivery = {
             "shot": report.shot,

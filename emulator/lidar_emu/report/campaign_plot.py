@@ -21,7 +21,7 @@ _DOTS_PER_INCH = 100
 
 @dataclass(frozen=True)
 class CampaignColumn:
-    """Data of one column of panels; the last axis of each array is (value, low, high) unless a shape is given."""
+    """Data of one column of panels. The last axis of each array of estimates is (value, low, high)."""
 
     label: str
     logarithmic: bool

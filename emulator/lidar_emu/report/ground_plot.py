@@ -84,8 +84,8 @@ def _add_structure(
             distance_m, np.sqrt(structure_function(relief_m, lags)), "s", color="C1", label="relief alone"
         )
         baseline_m, slope = ground.relief.baseline_m, np.tan(np.radians(ground.relief.rms_slope_deg))
-        asked_m = slope * baseline_m * (distance_m / baseline_m) ** ground.relief.hurst
-        axes.loglog(distance_m, asked_m, label="specified relief", **_SPECIFIED)
+        specified_m = slope * baseline_m * (distance_m / baseline_m) ** ground.relief.hurst
+        axes.loglog(distance_m, specified_m, label="specified relief", **_SPECIFIED)
     axes.set(xlabel="distance (m)", ylabel="rms difference\nof height (m)")
     axes.grid(color="0.92")
     axes.legend(frameon=False, fontsize=9)
@@ -96,11 +96,11 @@ def _add_numbers(axes: Axes, ground: Generated, name: str, population: Populatio
     own_m = np.sort(population.diameter_m[population.within(ground.size_m)])[::-1]
     diameter_m = np.geomspace(smallest_m, largest_m, 200)[:-1]
     axes.step(own_m, np.arange(1, len(own_m) + 1), where="post", color="C0", label="generated")
-    asked = expected_number(ground, name, diameter_m)
-    axes.plot(diameter_m, asked, label="specified", **_SPECIFIED)
-    low, high = np.maximum(np.sqrt(asked) - 2.0, 0.0) ** 2, (np.sqrt(asked) + 2.0) ** 2
+    specified = expected_number(ground, name, diameter_m)
+    axes.plot(diameter_m, specified, label="specified", **_SPECIFIED)
+    low, high = np.maximum(np.sqrt(specified) - 2.0, 0.0) ** 2, (np.sqrt(specified) + 2.0) ** 2
     axes.fill_between(diameter_m, np.maximum(low, 1e-3), high, color="0.9", label="Poisson, 4 sigma")
-    axes.set(xscale="log", yscale="log", ylim=(0.5, 3.0 * max(len(own_m), asked.max(), 1.0)))
+    axes.set(xscale="log", yscale="log", ylim=(0.5, 3.0 * max(len(own_m), specified.max(), 1.0)))
     axes.set(xlabel="diameter D (m)", ylabel=f"{name} larger than D")
     axes.grid(color="0.92")
     axes.legend(frameon=False, fontsize=9)

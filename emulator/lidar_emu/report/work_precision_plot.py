@@ -71,8 +71,8 @@ def _add_panel(axes: Axes, marks: Sequence[Mark], floor: float | None) -> None:
         axes.axhline(floor, color="0.6", linestyle=":", zorder=1, label="statistical resolution")
     for number, family in enumerate(dict.fromkeys(mark.family for mark in marks)):
         label: str | None = family
-        for size, edge, wanted in ((7.0, "none", False), (11.0, "black", True)):
-            shown = [mark for mark in marks if (mark.family, mark.on_front) == (family, wanted)]
+        for size, edge, is_front in ((7.0, "none", False), (11.0, "black", True)):
+            shown = [mark for mark in marks if (mark.family, mark.on_front) == (family, is_front)]
             if not shown:
                 continue
             axes.plot(

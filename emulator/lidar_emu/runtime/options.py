@@ -43,7 +43,7 @@ def live_part(scenario: Scenario, options: RunOptions) -> Live | None:
         raise InputError("--pace", None, "max", "allowed with trajectory.kind live: wall, lockstep")
     if options.pace is Pace.LOCKSTEP and options.start is not None:
         raise InputError(
-            "--start", None, options.start.isoformat(), "allowed in lockstep: on-truth, as if left out"
+            "--start", None, options.start.isoformat(), "allowed in lockstep: on-truth (the default)"
         )
     if options.on_command and (live is not None or options.pace is not Pace.WALL):
         found = "trajectory.kind live" if live is not None else f"pace {options.pace}"
@@ -75,5 +75,5 @@ def start_instant_ns(options: RunOptions, clock: Clock) -> int | None:
     if start is None:
         return None
     if start < now:
-        raise InputError("--start", None, start.isoformat(), "allowed: now, or an instant to come")
+        raise InputError("--start", None, start.isoformat(), "allowed: now, or a future instant")
     return now_ns + (start - now) // timedelta(microseconds=1) * 1000

@@ -119,7 +119,7 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
 
 
 def rules_of(scenario: Scenario, model: Model) -> DeviceConstants:
-    """DeviceConstants of the device that measures a scenario."""
+    """Constants of the device that measures a scenario."""
     return device_rules(
         scenario.device,
         scenario.timing.rate_hz,

@@ -18,13 +18,13 @@ _INT = struct.Struct("i")
 
 
 class DescriptorChannel:
-    """A byte link by its descriptor.
+    """A byte link over a descriptor.
 
     Args:
         descriptor: open for reading and writing; set non-blocking here.
-        description: how to name the link to the user.
+        description: name of the link for the user.
         close: closes the descriptor.
-        input_descriptor: where to read, if it is another one.
+        input_descriptor: descriptor to read from; None: `descriptor`.
     """
 
     driver_features = NO_DRIVER_FEATURES
@@ -85,8 +85,8 @@ class DescriptorChannel:
         for _, happened in self._poll.poll(0):
             data = self._read() if happened & select.POLLIN else b""
             if not data:
-                # A vanished device is readable, and reads nothing.
-                raise LinkLostError("the other end is gone")
+                # The descriptor of a vanished device is readable, and reads return nothing.
+                raise LinkLostError("the other end has gone")
             return data
         return b""
 
@@ -126,7 +126,7 @@ class PtyChannel(DescriptorChannel):
 
     def __init__(self) -> None:
         master, slave = os.openpty()
-        # Cooked mode would eat control bytes and echo the rest.
+        # Cooked mode would swallow control bytes and echo the rest.
         tty.setraw(slave)
         path = os.ttyname(slave)
         # With our slave end closed, a hang-up means that no other program has it open.
@@ -146,7 +146,7 @@ class PtyChannel(DescriptorChannel):
 
     def send(self, payload: bytes) -> bool:
         """Take the whole packet (True) or nothing of it (False: the line is full, or there is no reader)."""
-        # A known reader is not checked again before each packet.
+        # Once there is a reader, it is not checked for again before each packet.
         return (self._had_reader or self.connected()) and super().send(payload)
 
     def receive(self) -> bytes:

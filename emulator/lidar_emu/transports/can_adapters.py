@@ -57,7 +57,7 @@ def nonblocking_remote(bus: Any, spec: PortSpec) -> DescriptorChannel:
     protocol._ws.socket = _NonBlocking(sock, lines)
 
     def shut_down() -> None:
-        """The library's own function would wait for the server's answer for ever."""
+        """The library's own function would wait forever for the server's answer."""
         with suppress(Exception):
             protocol.close()
         lines.close()

@@ -56,7 +56,7 @@ class CanChannel:
     @property
     def writable(self) -> int | None:
         """Descriptor to wait on for room, if it is reliable."""
-        # SocketCAN's is writable even while frames are refused.
+        # The descriptor of SocketCAN is writable even while frames are refused.
         return None if self._lines is None else self._lines.writable
 
     def connected(self) -> bool:
@@ -149,7 +149,7 @@ class CanChannel:
             self._lost_frames += lost
             self._diagnostics.counts["lost_frames"] += lost
             self._diagnostics.events.append(
-                f"{lost} received frames lost: they came faster than they were read"
+                f"{lost} received frames lost: they arrived faster than they were read"
             )
 
     def _receive_one(self) -> can.Message | None:
@@ -170,7 +170,7 @@ def open_can(spec: PortSpec) -> CanChannel:
     """
     import can
 
-    # Everything that matters is raised; the library's log lines would mix with the user's output.
+    # Errors are raised; the library's log lines as well would mix with the user's output.
     logging.getLogger("can").setLevel(logging.CRITICAL)
     if spec.interface not in can.VALID_INTERFACES:
         known = ", ".join(sorted(can.VALID_INTERFACES - {"virtual"}))
@@ -231,7 +231,7 @@ def _is_full(error: Exception) -> bool:
 
 
 def _kind_of(error: Exception) -> str:
-    """The name of an error whose text alone is not enough."""
+    """Type of an error whose text alone is not clear; otherwise empty."""
     from can import CanError
 
     is_clear = isinstance(error, CanError | OSError | ValueError)

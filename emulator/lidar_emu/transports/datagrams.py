@@ -10,14 +10,14 @@ Join = Callable[[socket.socket, Any], None]
 """`socket.socket.bind` or `socket.socket.connect`."""
 
 
-def udp_socket(place: str, join: Join) -> socket.socket:
+def udp_socket(address: str, join: Join) -> socket.socket:
     """A UDP socket that joins `HOST:PORT`, with an IPv6 host in brackets.
 
     Raises:
-        OSError: there is no such host, or it cannot be joined.
-        ValueError: it is not an address.
+        OSError: there is no such host, or the address cannot be joined.
+        ValueError: `address` is not an address.
     """
-    host, _, number = place.rpartition(":")
+    host, _, number = address.rpartition(":")
     port = int(number)
     if not 0 < port < 1 << 16:  # the system would take it modulo 65536
         raise ValueError("ports are 1 to 65535")
@@ -29,7 +29,7 @@ def datagram_socket(family: int, address: Any, join: Join) -> socket.socket:
     """A datagram socket that joins an address of its family.
 
     Raises:
-        OSError: it cannot.
+        OSError: the address cannot be joined.
     """
     made = socket.socket(family, socket.SOCK_DGRAM)
     try:

@@ -1,7 +1,7 @@
-"""A port with injected faults: it breaks, is slow, babbles, or has errors on its bus.
+"""A port with injected faults: disconnection, bus-off, a slow line, babble, or error frames.
 
-The faults act in a channel between link and port, so that the link sees what it would see of a real fault: a port that
-is lost, cannot be opened, or is full.
+The faults act in a channel between link and port, so that the link sees the same as with a real fault: a port that is
+lost, cannot be opened, or is full.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _BREAKS = {"disconnect": "disconnected by an injected fault", "bus_off": "bus of
 _CAN_DATA_BYTES = 8
 _CAN_IDS = 0x800
 _MOST_BABBLE_BYTES = 1024
-"""Most bytes at once: babble that was due while nothing could be written is skipped."""
+"""Largest number of bytes at once: babble that was due while nothing could be written is skipped."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class PortFault:
     """A fault of the port, as the port process receives it."""
 
     number: int
-    """Its place in the scenario's list."""
+    """Index in the scenario's list of faults."""
     kind: str
     from_ns: int
     """Scenario time."""
@@ -58,7 +58,7 @@ class PortFault:
 
 
 class FaultyPort:
-    """Opens a port, and opens it again, unless a fault has it broken.
+    """Opens and reopens a port, unless a fault holds it broken.
 
     Args:
         open_channel: opens the port itself.
@@ -73,14 +73,14 @@ class FaultyPort:
         self._now_ns = now_ns
         self._start_ns: int | None = None
         self.is_can = spec.kind is Kind.CAN
-        # These ports cannot be opened again: the line goes dead instead.
+        # These ports cannot be reopened: the line goes dead instead.
         self._keeps = spec.kind in (Kind.PTY, Kind.LOOPBACK) or spec.path.startswith("/dev/pts/")
         self._kept: PortChannel | None = None
         self.faults: list[PortFault] = []
         self._counted: dict[int, int] = {}
 
     def begin(self, start_ns: int) -> None:
-        """Scenario time 0 is at this instant of the monotonic clock; before it, no fault acts."""
+        """Set scenario time 0 to this instant of the monotonic clock; before it, no fault acts."""
         self._start_ns = start_ns
 
     def add(self, fault: dict[str, Any]) -> None:
@@ -95,16 +95,16 @@ class FaultyPort:
         """
         broken = self.broken()
         if broken is not None:
-            raise InputError("--port", None, _BREAKS[broken.kind], "allowed: once that is over")
+            raise InputError("--port", None, _BREAKS[broken.kind], "allowed: after the fault has ended")
         if self._kept is None:
             return FaultyChannel(self, self._open())
         channel, self._kept = self._kept, None
-        while channel.receive():  # bytes of the time in between are lost
+        while channel.receive():  # bytes that arrived in the meantime are lost
             continue
         return FaultyChannel(self, channel)
 
     def broken(self) -> PortFault | None:
-        """The fault that has the port broken, if there is one."""
+        """The fault that holds the port broken; None if there is none."""
         return next((fault for fault in self.acting("disconnect", "bus_off")), None)
 
     def acting(self, *kinds: str) -> list[PortFault]:
@@ -123,8 +123,8 @@ class FaultyPort:
         """Scenario time; -1 before it begins."""
         return -1 if self._start_ns is None else self._now_ns() - self._start_ns
 
-    def give_back(self, channel: PortChannel) -> None:
-        """Close a channel that is no longer used, or keep it if it could not be opened again."""
+    def release(self, channel: PortChannel) -> None:
+        """Close a channel that is no longer used, or keep it if it could not be reopened."""
         broken = self.broken()
         if broken is not None and (self._keeps or broken.kind == "bus_off"):
             self._kept = channel
@@ -210,7 +210,7 @@ class FaultyChannel:
 
     def close(self) -> None:
         """Close the port; never raises."""
-        self._port.give_back(self._channel)
+        self._port.release(self._channel)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._channel, name)

@@ -14,13 +14,13 @@ _POLL_S = 0.01
 
 
 class _Host:
-    """A port that is read with a time limit, and opened again when it is lost."""
+    """A port that is read with a time limit, and reopened when it is lost."""
 
     def __init__(self, open_channel: Opener) -> None:
         self._open = open_channel
         self._channel: PortChannel | None = open_channel()
         self.description = self._channel.description
-        """Name of the port; of a pty, the path that the other side opens."""
+        """Name of the port; for a pty, the path that the other side opens."""
         self.times_lost = 0
         """Number of breaks of the link."""
 
@@ -80,7 +80,7 @@ class ByteHost(_Host):
     """The host's end of a byte link."""
 
     def read(self, timeout_s: float) -> bytes:
-        """Bytes that have arrived; waits for them at most `timeout_s`. Empty where none came."""
+        """Bytes that have arrived; waits at most `timeout_s` for the first. Empty if there are none."""
         return self._receive(timeout_s)
 
 
@@ -88,7 +88,7 @@ class CanHost(_Host):
     """The host's end of a CAN bus."""
 
     def read(self, timeout_s: float) -> list[Frame]:
-        """Frames that have arrived; waits for them at most `timeout_s`. Empty where none came."""
+        """Frames that have arrived; waits at most `timeout_s` for the first. Empty if there are none."""
         return unpack_frames(self._receive(timeout_s))
 
 

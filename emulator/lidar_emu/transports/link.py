@@ -1,4 +1,4 @@
-"""A link that never blocks: it takes whole packets or drops them, and is opened again with back-off after a break."""
+"""A link that never blocks: it takes whole packets or drops them, and is reopened with back-off after a break."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ class DeliveryStatus(IntEnum):
 
 
 class LinkLostError(Exception):
-    """The link broke: cable pulled, interface down, other end gone."""
+    """The link broke: the cable was pulled, the interface went down, or the other end has gone."""
 
 
 COUNTED = ("error_frames", "ignored_frames", "lost_frames")
-"""Counted besides data: error frames, ignored frames, frames (or datagrams) lost because they came too fast."""
+"""Counted besides data: error frames, ignored frames, frames (or datagrams) lost because they arrived too fast."""
 
 
 @dataclass
@@ -110,7 +110,7 @@ class PortChannel(Protocol):
 
 
 class Link:
-    """A channel, opened again with back-off when it is lost.
+    """A channel, reopened with back-off when it is lost.
 
     Raises:
         InputError: the port cannot be opened at the start.
@@ -160,7 +160,7 @@ class Link:
             return b""
 
     def service(self, now_ns: int) -> None:
-        """Complete what is partly written; open a broken link again when it is time."""
+        """Complete a partly written packet; reopen a broken link when it is time."""
         if self._channel is None:
             if now_ns >= self._retry_at_ns:
                 self._reopen(now_ns)
@@ -193,7 +193,7 @@ class Link:
     @property
     def readable(self) -> list[int]:
         """Descriptors to wait on for something to receive."""
-        # Without a reader a pty's descriptor is readable (hung up) for ever.
+        # Without a reader a pty's descriptor is readable (hung up) forever.
         descriptor = self._channel.readable if self._channel and self._connected else None
         return [] if descriptor is None else [descriptor]
 
@@ -203,11 +203,11 @@ class Link:
         descriptor = self._channel.writable if self._channel and self._connected else None
         return [] if descriptor is None else [descriptor]
 
-    def wake_ns(self, now_ns: int, wants_room: bool) -> int | None:
-        """When to call `service` at the latest; None: not before a descriptor is ready."""
+    def wake_ns(self, now_ns: int, needs_room: bool) -> int | None:
+        """Latest instant of the next call of `service`; None: not before a descriptor is ready."""
         if self._channel is None:
             return self._retry_at_ns
-        if (wants_room or self.pending) and not self.writable:
+        if (needs_room or self.pending) and not self.writable:
             return now_ns + _RETRY_ROOM_NS
         return None if self.readable else now_ns + _POLL_NS
 
@@ -260,6 +260,6 @@ class Link:
             self.add_event("reopened", now_ns)
 
     def _retry_later(self, now_ns: int) -> None:
-        # The back-off starts anew with the next packet sent: a port that opens but fails at once stays quiet.
+        # The back-off restarts only with the next packet sent, so that a port that fails at once adds few events.
         self._retry_at_ns = now_ns + self._back_off_ns
         self._back_off_ns = min(2 * self._back_off_ns, _LAST_RETRY_NS)

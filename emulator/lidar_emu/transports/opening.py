@@ -28,14 +28,14 @@ def opener(
     if spec.kind is Kind.LOOPBACK:
         return _once(lambda: _open_loopback(loopback_descriptor), spec)
     open_port = _OPENERS.get(spec.kind) or partial(_open_bytes, now_ns)
-    # The system gives the number of a closed pty to the next terminal that is opened.
+    # The system reuses the number of a closed pty for the next terminal that is opened.
     if (spec.path or spec.channel).startswith("/dev/pts/"):
         return _once(lambda: open_port(spec), spec)
     return lambda: open_port(spec)
 
 
 def host_opener(spec: PortSpec) -> Opener:
-    """A function that opens the host's end, which differs from the device's on UDP alone. It raises as `opener`'s."""
+    """A function that opens the host's end, which differs from the device's on UDP alone; errors as for `opener`."""
     if spec.kind is Kind.UDP:
         from lidar_emu.transports.udp_port import open_udp_host
 
@@ -49,7 +49,7 @@ def _once(open_channel: Opener, spec: PortSpec) -> Opener:
     def open_the_first_time() -> PortChannel:
         for attempt in attempts:
             return attempt()
-        raise InputError("--port", None, str(spec), "a lost pty or loopback cannot be opened again")
+        raise InputError("--port", None, str(spec), "a lost pty or loopback cannot be reopened")
 
     return open_the_first_time
 

@@ -17,7 +17,7 @@ MODEM_LINES = {"cts": termios.TIOCM_CTS, "dsr": termios.TIOCM_DSR, "cd": termios
 
 
 class PulseLine:
-    """Watches a line in a thread of its own, which notes the time at once, whatever else the process does.
+    """Watches a line in its own thread, which records the time at once, whatever else the process does.
 
     A pulse begins with a rising edge. It is missed if it ends before the thread reads the line; milliseconds suffice.
 
@@ -31,8 +31,8 @@ class PulseLine:
         self.last_ns: int | None = None
         """When the last pulse began, on the monotonic clock; None: there was none."""
         self._port, self._line, self._now_ns = terminal, line, now_ns
-        # Only an edge, or the end of the process, releases a waiting thread. With a descriptor of its own it never
-        # waits on another file that takes the same number later.
+        # Only an edge, or the end of the process, releases a waiting thread. A duplicate descriptor keeps it from
+        # waiting on another file that takes the same number later.
         self._terminal = os.dup(terminal)
         self._failure: list[str] = []
         self._closed = False
@@ -44,7 +44,7 @@ class PulseLine:
         return failure
 
     def close(self) -> None:
-        """Stop, and let others open the port though the thread may still have it open."""
+        """Stop, and let other programs open the port although the thread may still have it open."""
         self._closed = True
         with suppress(OSError):
             fcntl.flock(self._port, fcntl.LOCK_UN)

@@ -21,7 +21,7 @@ from lidar_emu.transports.tty_reader import TtyReader
 
 _TCGETS2, _TCSETS2, _SETTINGS_BYTES = 0x802C542A, 0x402C542B, 44
 _NAMED_AT_MOST = 3
-_REMEDIES = {"low_latency": "a serial driver that has it", "rs485": "a serial driver that has it"}
+_REMEDIES = {"low_latency": "a serial driver that supports it", "rs485": "a serial driver that supports it"}
 
 
 class SerialChannel(DescriptorChannel):
@@ -29,8 +29,8 @@ class SerialChannel(DescriptorChannel):
     they are then set again.
 
     Args:
-        port: of pyserial, open and set up.
-        spec: the port as the user named it.
+        port: open pyserial port.
+        spec: the port as the user specified it.
         now_ns: instant of the monotonic clock; without it pulses are not detected.
     """
 
@@ -39,11 +39,11 @@ class SerialChannel(DescriptorChannel):
         os.set_blocking(self._tty, False)
         self._reader = TtyReader(self._tty)
         super().__init__(self._tty, spec.path, port.close, self._reader.descriptor)
-        self.driver_features = ask_driver(port, spec)
+        self.driver_features = request_driver_features(port, spec)
         self._settings = _settings_of(self._tty)
         self._diagnostics = LinkDiagnostics(modem_lines(self._tty))
-        # A pty outlives this process: the mark would stay for the program at its other end.
-        self._marked = not _is_pty(self._tty) and _ask(self._tty, termios.TIOCEXCL)
+        # A pty outlives this process: the exclusive mark would stay for the program at its other end.
+        self._marked = not _is_pty(self._tty) and _request(self._tty, termios.TIOCEXCL)
         self._pulses = PulseLine(self._tty, spec.pulse_line, now_ns) if spec.pulse_line and now_ns else None
 
     def take_diagnostics(self) -> LinkDiagnostics:
@@ -65,14 +65,14 @@ class SerialChannel(DescriptorChannel):
     def close(self) -> None:
         """Close and unlock the device; never raises."""
         if self._marked:
-            _ask(self._tty, termios.TIOCNXCL)
+            _request(self._tty, termios.TIOCNXCL)
         if self._pulses is not None:
             self._pulses.close()
         self._reader.close()
         super().close()
 
 
-def ask_driver(port: Any, spec: PortSpec) -> DriverFeatures:
+def request_driver_features(port: Any, spec: PortSpec) -> DriverFeatures:
     """Request optional features from the driver of a pyserial port."""
     from serial.rs485 import RS485Settings
 
@@ -98,7 +98,7 @@ def modem_lines(descriptor: int) -> list[str]:
 
 
 def users_of(path: str) -> str:
-    """Which processes have a device open, as far as this user may know: "cat (process 42)"; empty if none."""
+    """Processes that have a device open, as far as this user may see them: "cat (process 42)"; empty if none."""
     device, found = Path(path).resolve(), []
     for folder in Path("/proc").glob("[0-9]*/fd"):
         with suppress(OSError):
@@ -109,7 +109,7 @@ def users_of(path: str) -> str:
 
 
 def _settings_of(descriptor: int) -> bytes | None:
-    """The settings as the system stores them, with any bit rate; None if they cannot be read."""
+    """The port's settings as the system stores them, whatever the bit rate; None if they cannot be read."""
     try:
         return fcntl.ioctl(descriptor, _TCGETS2, bytes(_SETTINGS_BYTES))
     except OSError:
@@ -123,7 +123,7 @@ def _is_pty(descriptor: int) -> bool:
         return False
 
 
-def _ask(descriptor: int, request: int) -> bool:
+def _request(descriptor: int, request: int) -> bool:
     try:
         fcntl.ioctl(descriptor, request)
     except OSError:

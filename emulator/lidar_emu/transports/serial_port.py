@@ -27,24 +27,24 @@ _IN_USE = "in use by another program"
 _REASONS = {
     errno.ENOENT: "there is no such port",
     errno.ENXIO: "there is no such device",
-    errno.EACCES: "permission denied (on Debian the group dialout may open serial ports)",
+    errno.EACCES: "permission denied (on Debian, members of the group dialout may open serial ports)",
     errno.EBUSY: _IN_USE,
     errno.EAGAIN: _IN_USE,
-    errno.EISDIR: "a folder is not a port",
+    errno.EISDIR: "it is a folder, not a port",
 }
 
 
 def loopback_pair() -> tuple[socket.socket, socket.socket]:
     """The two ends of an in-memory link, device side first."""
     device, host = socket.socketpair()
-    # Room for seconds of small packets, as far as the system allows: each counts with its overhead.
+    # Room for seconds of small packets, as far as the system allows, which adds an overhead to each.
     for end in (device, host):
         end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _LOOPBACK_BUFFER_BYTES)
     return device, host
 
 
 def open_loopback(descriptor: int) -> PortChannel:
-    """One end of the in-memory link, by its descriptor, which belongs to the channel from here on."""
+    """One end of the in-memory link, from its descriptor, which the channel owns from now on."""
     return DescriptorChannel(descriptor, str(PortSpec()), lambda: os.close(descriptor))
 
 
@@ -104,7 +104,7 @@ def _reason(error: Exception, path: str) -> str:
 
 
 class TelnetChannel(DescriptorChannel):
-    """A port behind a terminal server (RFC 2217): pyserial reads and negotiates; packets are written here, for its
+    """A port behind a terminal server (RFC 2217): pyserial reads and negotiates; packets are written here, because its
     `write` blocks for seconds while the other end does not read."""
 
     readable = None
@@ -121,7 +121,7 @@ class TelnetChannel(DescriptorChannel):
         """A bounded number of received bytes; empty if none."""
         data = b""
         try:
-            # Without blocking it returns one byte at a time.
+            # Without blocking, `read` returns one byte at a time.
             while len(data) < _RECEIVE_AT_MOST_BYTES and (byte := self._port.read(1)):
                 data += byte
         except (OSError, termios.error) as error:
@@ -140,7 +140,7 @@ class TelnetChannel(DescriptorChannel):
 
 
 class UrlChannel:
-    """A pyserial port that has no descriptor of its own to write to (loop://, spy://).
+    """A pyserial port without a descriptor to write to (loop://, spy://).
 
     Its `write` may block for a short time; a packet that was not written by then counts as dropped.
     """

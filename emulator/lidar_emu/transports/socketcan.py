@@ -1,4 +1,4 @@
-"""State of a SocketCAN interface and its socket besides the frames, and the meaning of error frames.
+"""State of a SocketCAN interface and its socket, and the meaning of error frames.
 
 Sources: linux/can/error.h, linux/if.h, linux/sock_diag.h; netdevice(7), socket(7).
 """
@@ -41,7 +41,7 @@ def prepare_socket(sock: socket.socket, spec: PortSpec) -> None:
 
 
 def enlarge_receive_buffer(sock: socket.socket) -> None:
-    """A reader that is slow for a moment would lose frames; enlarge the buffer as far as the system allows."""
+    """Enlarge the buffer as far as the system allows: otherwise a reader that is slow for a moment loses frames."""
     for option in (socket.SO_RCVBUF, _SO_RCVBUFFORCE):
         with suppress(OSError):
             sock.setsockopt(socket.SOL_SOCKET, option, _RECEIVE_BUFFER_BYTES)
@@ -62,7 +62,7 @@ def is_bus_off(error_class: int) -> bool:
 
 
 def controller_state(error_class: int, data: bytes) -> str | None:
-    """The controller state that an error frame reports, if it does."""
+    """The controller state that an error frame reports; None if it reports none."""
     if error_class & _RESTARTED:
         return "restarted after bus-off"
     if error_class & _CONTROLLER and len(data) > 1:
@@ -74,18 +74,18 @@ def controller_state(error_class: int, data: bytes) -> str | None:
 
 def _problem(sock: socket.socket, spec: PortSpec) -> tuple[str, str]:
     """The wrong option, and why the interface cannot carry the frames of this port; empty if it can."""
-    flags = _ask(sock, spec.channel, _SIOCGIFFLAGS)
+    flags = _interface_number(sock, spec.channel, _SIOCGIFFLAGS)
     if not flags & _IFF_UP:
         return "--channel", f"the interface is down: ip link set {spec.channel} up"
     if not flags & _IFF_RUNNING:
         return "--channel", f"it has no carrier; after bus-off: ip link set {spec.channel} type can restart"
-    if spec.fd and _ask(sock, spec.channel, _SIOCGIFMTU) < _CANFD_MTU:
+    if spec.fd and _interface_number(sock, spec.channel, _SIOCGIFMTU) < _CANFD_MTU:
         return "--fd", "the interface carries classic frames only (its MTU is not 72)"
     return "", ""
 
 
-def _ask(sock: socket.socket, interface: str, request: int) -> int:
-    """A number about an interface: flags or MTU."""
+def _interface_number(sock: socket.socket, interface: str, request: int) -> int:
+    """Read a number of an interface from the system: its flags or its MTU."""
     answer = fcntl.ioctl(sock, request, _INTERFACE.pack(interface.encode(), 0))
     number = int(_INTERFACE.unpack(answer)[1])
     return number & 0xFFFF if request == _SIOCGIFFLAGS else number

@@ -34,8 +34,8 @@ class PortSpec:
     path: str = ""
     """Device path or pyserial URL (serial); HOST:PORT of the other end (UDP)."""
     baud: int = DEFAULT_BAUD
-    """Bits per second on a serial line; on a pty, which has none, of the line that it represents; on UDP of the line
-    behind the bridge, or 0."""
+    """Bits per second on a serial line; on a pty, which has none, the rate of the line that it represents; on UDP the
+    rate of the line behind the bridge, or 0."""
     rs485: bool = False
     """Whether the driver is to enable the transmitter while it sends (serial)."""
     pulse_line: str = ""
@@ -152,7 +152,7 @@ def _can(
             "--interface",
             None,
             interface,
-            "it ends with its process; allowed: socketcan (vcan0), slcan or another python-can interface",
+            "a virtual bus ends with its process; allowed: socketcan (vcan0), slcan or another python-can interface",
         )
     if not channel:
         raise InputError("--channel", None, channel or "nothing", "allowed: the channel of the CAN interface")

@@ -1,8 +1,8 @@
-"""Reads a terminal in a thread of its own, so that the sender never waits for the kernel's terminal input.
+"""Reads a terminal in its own thread, so that the sender never waits for the kernel's terminal input.
 
 A process that polls or reads a terminal first waits for the kernel worker that delivers the bytes (n_tty_poll flushes
 the port's work queue), and that worker has ordinary priority: on a busy machine a host that sent 1000 commands a second
-delayed shots by milliseconds. Behind a pipe it does not.
+delayed shots by milliseconds. Behind a pipe there is no such delay.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class TtyReader:
     def __init__(self, terminal: int) -> None:
         self._terminal = terminal
         self.descriptor, self._pipe = os.pipe()
-        """To read from."""
-        with suppress(OSError):  # a short one: bytes that wait in it are late
+        """Descriptor of the pipe's reading end."""
+        with suppress(OSError):  # keep the pipe short: bytes that wait in it are late
             fcntl.fcntl(self._pipe, _F_SETPIPE_SZ, _PIPE_BYTES)
         self._stop_out, self._stop = os.pipe()
         self._thread = threading.Thread(target=self._copy, daemon=True)

@@ -27,8 +27,8 @@ _NOBODY = (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.EHOSTDOWN)
 class UdpChannel:
     """The device's end: a socket that is connected to its peer, so that the system drops datagrams of all others.
 
-    An unreceived datagram is known if the other machine reports it: at once on this machine, by the next packet across
-    a network, never through a silent firewall. Each packet is tried in any case.
+    The system reports an unreceived datagram if the other machine does: at once on this machine, by the next packet
+    across a network, never through a silent firewall. Each packet is sent in any case.
     """
 
     pending = False
@@ -89,7 +89,7 @@ class UdpChannel:
         return b"".join(arrived)
 
     def take_diagnostics(self) -> LinkDiagnostics:
-        """Datagrams that were lost because they came faster than they were read."""
+        """Datagrams that were lost because they arrived faster than they were read."""
         diagnostics, self._diagnostics = self._diagnostics, NOTHING
         return diagnostics
 
@@ -105,7 +105,7 @@ class UdpChannel:
         lost = (lost_frames(self._socket) - self._lost) % 2**32
         if lost:
             self._lost += lost
-            text = f"{lost} received datagrams lost: they came faster than they were read"
+            text = f"{lost} received datagrams lost: they arrived faster than they were read"
             self._diagnostics = LinkDiagnostics(
                 [*self._diagnostics.events, text], self._diagnostics.counts + Counter(lost_frames=lost)
             )
@@ -121,7 +121,7 @@ class UdpChannel:
         return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) in _NOBODY
 
     def _not_sent(self, error: OSError) -> bool:
-        """Return False if the packet is lost, but not the link."""
+        """Return False if only the packet is lost; raise if the link is."""
         if error.errno in _NOBODY:
             self._connected = False
         elif error.errno not in _FULL:
@@ -138,7 +138,7 @@ class UdpHostChannel(UdpChannel):
 
     def _put(self, payload: bytes) -> None:
         if self._peer is None:
-            raise ConnectionRefusedError(errno.ECONNREFUSED, "nothing was received yet")
+            raise ConnectionRefusedError(errno.ECONNREFUSED, "nothing has been received yet")
         self._socket.sendto(payload, self._peer)
 
     def _get(self) -> bytes:
@@ -150,7 +150,7 @@ def open_udp(spec: PortSpec) -> UdpChannel:
     """The device's end: sends to the address that `spec` names.
 
     Raises:
-        InputError: there is no such address, or no way to it.
+        InputError: there is no such address, or no route to it.
     """
     return UdpChannel(_socket(spec, socket.socket.connect), str(spec))
 
@@ -159,7 +159,7 @@ def open_udp_host(spec: PortSpec) -> UdpHostChannel:
     """The host's end: binds the address that `spec` names.
 
     Raises:
-        InputError: it is not one of this machine's, or in use.
+        InputError: the address is not one of this machine's, or is in use.
     """
     return UdpHostChannel(_socket(spec, socket.socket.bind), str(spec))
 

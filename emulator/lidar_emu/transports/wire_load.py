@@ -16,7 +16,7 @@ def wire_load(spec: PortSpec, payload: bytes, rate_hz: float) -> float:
     """Share of the link's capacity that `rate_hz` packets a second take; above 1 they do not fit.
 
     Args:
-        spec: the port. A pty has no bit rate of its own: its `baud` is the rate of the line that it represents.
+        spec: the port. A pty has no bit rate: its `baud` is the rate of the line that it represents.
         payload: the longest packet of the run, framed for the port (CAN: frame records).
         rate_hz: packets per second.
     """

@@ -44,8 +44,8 @@ _COLUMN = 8 + 1 + _BAR_COLUMNS + 2
 def realtime(rate: str, duration: str, beamlets: str, record: bool, plot: str | None, as_json: bool) -> None:
     """Fly at level spectral over a pty that represents a serial line of 3 Mbit/s, and measure every packet's lateness.
 
-    At the same time a control process writes as many bytes at the same instants to a pty of its own, with the same
-    priority, and does nothing else: its lateness is the machine's. docs/how-late.md explains the figures,
+    At the same time a control process, at the same priority, writes the same number of bytes at the same instants to
+    another pty and does nothing else: its lateness is the machine's. docs/how-late.md explains the figures,
     docs/bench-machine.md how to improve a machine. Ctrl-C ends the flight and prints the measurements so far.
 
     \b

@@ -21,7 +21,7 @@ def response(rate: str, duration: str, beamlets: str, as_json: bool) -> None:
     """Fly on a simulator's live truth at level spectral, each shot just in time, over a pty that represents 3 Mbit/s.
 
     The latency runs from the instant at which the simulator sends its datagram until the packet's last byte is written.
-    Half a period later the simulator sends the same to a control process, which writes as many bytes to its own pty.
+    Half a period later the simulator sends the same to a control process, which writes as many bytes to another pty.
 
     \b
     lidar-emu bench response

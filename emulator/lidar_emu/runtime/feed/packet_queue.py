@@ -61,7 +61,7 @@ class PacketQueue:
         return True
 
     def supersede(self, from_shot: int) -> None:
-        """Withdraw the announced packets from this shot on: the shots will be announced anew.
+        """Withdraw the announced packets from this shot on: the shots will be announced again.
 
         A packet that the port has sent already stays sent, and its successor is not sent.
         """

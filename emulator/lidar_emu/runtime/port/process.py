@@ -168,12 +168,12 @@ class _PortLoop:
         wakes_ns = (wait.until_ns, drain_ns, reads_again_ns, self._link.wake_ns(now_ns, wait.for_room))
         until_ns = min((wake_ns for wake_ns in wakes_ns if wake_ns is not None), default=None)
         doorbells = [self._doorbell] if wait.for_packets else []
-        wants_room = wait.for_room or self._link.pending
+        needs_room = wait.for_room or self._link.pending
         busy_wait = wait.for_packets and self._busy_until_ns > self._clock.now_ns()
         ready, _ = self._clock.wait(
             self._busy_until_ns if busy_wait else until_ns,
             [_CONTROL, *doorbells, *readable],
-            [*self._status.writable, *(self._link.writable if wants_room else [])],
+            [*self._status.writable, *(self._link.writable if needs_room else [])],
             busy_wait=busy_wait,
         )
         if self._doorbell in ready:
