@@ -1,11 +1,11 @@
-"""Measure the table of docs/flights.md again: error of a descent against run time, compared with scipy's solvers.
+"""Update the table of docs/flights.md: error and run time of a powered descent, compared with scipy's solvers.
 
 python tools/descent_solvers.py            rewrites the table between the two markers; about three minutes
 python tools/descent_solvers.py --print    prints it
 
-Ten seconds of the shipped powered descent with its slosh and bending mode, control at 100 Hz. The solvers of scipy get
-the same compiled equations of motion with thrust, mass and torque as five states more, and begin anew at every command,
-as they must.
+Ten seconds of the shipped powered descent with its slosh and bending mode, control at 100 Hz. scipy's solvers
+integrate the same compiled equations of motion with thrust, mass and torque as five additional states, and restart at
+every command, where the derivatives jump.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from lidar_emu.trajectory.powered.vehicle import POSITION, SIZE, VELOCITY, Vehic
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "flights.md"
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
-FLOWN_S, CONTROL_HZ = 10.0, 100
+DURATION_S, CONTROL_HZ = 10.0, 100
 VALVE_LAGS_S = (1e-3, 5e-5)
-OWN_FACTORS = (1, 2, 4, 8)
-"""Factors by which steps are shorter than the scenario's."""
+STEP_FACTORS = (1, 2, 4, 8)
+"""Factors by which the scenario's step sizes are divided."""
 SOLVERS = (
     ("RK45", 1e-6),
     ("RK45", 1e-9),
@@ -50,41 +50,44 @@ SOLVERS = (
 THRUST, MASS, TORQUE = SIZE, SIZE + 1, SIZE + 2
 
 
-class Measured(NamedTuple):
-    """One method of integration."""
+class MethodResult(NamedTuple):
+    """Run time and result of one method of integration."""
 
     name: str
     ms_per_s: float
     states: FloatArray
-    """(ticks, 21)"""
+    """(ticks, 21) States at the control ticks; see `lidar_emu.trajectory.powered.vehicle`."""
 
 
 def measure(lag_s: float) -> list[tuple[str, float, float, float]]:
-    """Name, ms per simulated second, errors of velocity (m/s) and position (m) at the ticks, of every method."""
-    flight = flown(lag_s)
-    reference = own(flight, 16).states
-    ways = [own(flight, factor) for factor in OWN_FACTORS] + [scipys(flight, *solver) for solver in SOLVERS]
-    return [(way.name, way.ms_per_s, *errors(way.states, reference)) for way in ways]
+    """Name, ms per simulated second, largest velocity (m/s) and position (m) errors at the ticks, for every method."""
+    flight = prepare_descent(lag_s)
+    reference = measure_own(flight, 16).states
+    methods = [measure_own(flight, factor) for factor in STEP_FACTORS]
+    methods += [measure_scipy(flight, *solver) for solver in SOLVERS]
+    return [(method.name, method.ms_per_s, *errors(method.states, reference)) for method in methods]
 
 
-def flown(lag_s: float) -> Descent:
+def prepare_descent(lag_s: float) -> Descent:
+    """The shipped powered descent with this lag of the engine's valve."""
     settings = {
         "trajectory.control_rate_hz": str(CONTROL_HZ),
         "trajectory.vehicle.engine.valve_lag_s": str(lag_s),
-        "trajectory.longest_s": str(FLOWN_S),
+        "trajectory.longest_s": str(DURATION_S),
     }
     scenario: Any = lidar_emu.load("powered_descent.yaml", settings)
     return prepare(scenario.trajectory, scenario.site.body.radius_m)
 
 
-def own(flight: Descent, factor: float) -> Measured:
+def measure_own(flight: Descent, factor: float) -> MethodResult:
+    """Fly with the emulator's solver, its step sizes divided by `factor`."""
     first, growth, longest, standing = flight.step_sizes
     step_sizes = StepSizes(first / factor, growth / factor, longest / factor, standing / factor)
     record, taken_s = timed(lambda: solve(flight._replace(step_sizes=step_sizes))[1], 5)
-    ticks = np.arange(1, round(FLOWN_S * CONTROL_HZ) + 1) / CONTROL_HZ
-    places = np.searchsorted(record.time_s, ticks - 1e-9)
+    ticks = np.arange(1, round(DURATION_S * CONTROL_HZ) + 1) / CONTROL_HZ
+    rows = np.searchsorted(record.time_s, ticks - 1e-9)
     name = f"lidar-emu, steps up to {1e3 * longest / factor:g} ms"
-    return Measured(name, 1e3 * taken_s / FLOWN_S, record.state[places])
+    return MethodResult(name, 1e3 * taken_s / DURATION_S, record.state[rows])
 
 
 @kernel(outermost=True)
@@ -106,17 +109,19 @@ def set_slope_with_lags(
         slope[TORQUE + i] = (actuators.torque_command_nm[i] - y[TORQUE + i]) / lags.torque_s
 
 
-def scipys(flight: Descent, method: str, tolerance: float) -> Measured:
-    states, taken_s = timed(lambda: begun_anew(flight, method, tolerance), 1)
+def measure_scipy(flight: Descent, method: str, tolerance: float) -> MethodResult:
+    """Fly with a solver of scipy."""
+    states, taken_s = timed(lambda: solve_with_restarts(flight, method, tolerance), 1)
     name = f"scipy {method}, rtol {tolerance:.0e}"
-    return Measured(name, 1e3 * taken_s / FLOWN_S, states)
+    return MethodResult(name, 1e3 * taken_s / DURATION_S, states)
 
 
-def begun_anew(flight: Descent, method: str, tolerance: float) -> FloatArray:
+def solve_with_restarts(flight: Descent, method: str, tolerance: float) -> FloatArray:
+    """(ticks, 21) States at the control ticks, by a solver of scipy that restarts at every tick."""
     body, lags, guide, actuators = flight.body, flight.lags, flight.guide, flight.actuators
     y = np.concatenate([flight.state, [actuators.thrust_n, actuators.mass_kg], actuators.torque_nm])
-    states = np.empty((round(FLOWN_S * CONTROL_HZ), SIZE))
-    room = np.empty(SIZE)
+    states = np.empty((round(DURATION_S * CONTROL_HZ), SIZE))
+    buffer = np.empty(SIZE)
     for tick in range(len(states)):
         state = y[:SIZE].copy()
         thrust_mps2 = specific_thrust_at(
@@ -132,7 +137,7 @@ def begun_anew(flight: Descent, method: str, tolerance: float) -> FloatArray:
 
         def slope(_time_s: float, y: FloatArray, command: ActuatorState = command) -> FloatArray:
             out = np.empty(len(y))
-            set_slope_with_lags(body, lags, command, y, room, out)
+            set_slope_with_lags(body, lags, command, y, buffer, out)
             return out
 
         span = tick / CONTROL_HZ, (tick + 1) / CONTROL_HZ
@@ -144,7 +149,7 @@ def begun_anew(flight: Descent, method: str, tolerance: float) -> FloatArray:
 
 
 def timed(job: Callable[[], Any], rounds: int) -> tuple[Any, float]:
-    """Its result, and the median of its times, after a first call that compiles the kernels."""
+    """The last result of a job, and the median of its times in seconds; the kernels must be compiled."""
     times = []
     for _ in range(rounds):
         start_s = perf_counter()
@@ -154,13 +159,17 @@ def timed(job: Callable[[], Any], rounds: int) -> tuple[Any, float]:
 
 
 def errors(states: FloatArray, reference: FloatArray) -> tuple[float, float]:
-    apart = np.abs(states - reference)
-    return float(apart[:, VELOCITY : VELOCITY + 3].max()), float(apart[:, POSITION : POSITION + 3].max())
+    """Largest errors of velocity (m/s) and position (m) of states (ticks, 21)."""
+    difference = np.abs(states - reference)
+    velocity_mps, position_m = (difference[:, k : k + 3].max() for k in (VELOCITY, POSITION))
+    return float(velocity_mps), float(position_m)
 
 
 def table() -> str:
-    own(flown(1e-3), 1)
-    begun_anew(flown(1e-3), "RK45", 1e-3)
+    """Measure all methods; the table as Markdown."""
+    compiled = prepare_descent(1e-3)
+    measure_own(compiled, 1)
+    solve_with_restarts(compiled, "RK45", 1e-3)
     lines = [
         "| | valve 1 ms: ms per s | velocity m/s | position m | valve 0.05 ms: ms per s | velocity m/s | position m |",
         "|---|---|---|---|---|---|---|",

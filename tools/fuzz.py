@@ -1,11 +1,11 @@
-"""Fuzz every decoder of external bytes, guided by coverage (atheris, which is libFuzzer).
+"""Fuzz every decoder of external bytes, guided by coverage (atheris, a front end of libFuzzer).
 
     pip install atheris
     python tools/fuzz.py serial -max_total_time=600
 
 Targets: serial, can, command, can_command, truth. They are in fuzz_targets.py, which needs no atheris: the tests run
-them on bytes of hypothesis. Everything behind the target's name goes to libFuzzer. What ten minutes of each have found:
-docs/robustness.md.
+them on bytes from hypothesis. Arguments after the target's name are passed to libFuzzer. docs/robustness.md states what
+ten minutes of each have found.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Requirements on every decoder of external bytes, for any bytes: it must not raise, must not keep more
-than the longest frame, and must read the good frame that follows. Each target is a function of the fuzzer's bytes.
+"""Requirements on every decoder of external bytes, for any bytes: it must not raise, must not buffer
+more than the longest frame, and must read the good frame that follows. Each target is a function of the fuzzer's bytes.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class _Bytes:
 
 
 def portions(data: bytes, interface: Interface) -> list[bytes]:
-    """Stretches of a stream: each as it is, or as the body of a packet whose header, CRC and framing are right, for no
-    fuzzer guesses a CRC."""
+    """Stretches of a stream: raw bytes, or the body of a packet with correct header, CRC and framing, since no fuzzer
+    guesses a CRC."""
     source, made = _Bytes(data), []
     longest_body = interface.maximum_packet_bytes - interface.link.overhead
     while source.rest:
@@ -69,7 +69,7 @@ def _kinds(interface: Interface) -> set[Kind]:
 
 
 def serial(data: bytes) -> None:
-    """The host's end of a byte link."""
+    """Fuzz the host's end of a byte link."""
     for name in ("default", "altimeter"):
         interface = shipped_interface(name)
         receiver = SerialReceiver(interface)
@@ -84,7 +84,7 @@ def serial(data: bytes) -> None:
 
 
 def command(data: bytes) -> None:
-    """The device's end of a byte link."""
+    """Fuzz the device's end of a byte link."""
     for name in ("default", "altimeter"):
         interface = shipped_interface(name)
         if interface.commands is None:
@@ -100,7 +100,7 @@ def command(data: bytes) -> None:
 
 
 def can(data: bytes) -> None:
-    """The host's end of a bus."""
+    """Fuzz the host's end of a CAN bus."""
     interface = default_interface()
     assert interface.can is not None
     receiver, source = CanReceiver(interface), _Bytes(data)
@@ -117,7 +117,7 @@ def can(data: bytes) -> None:
 
 
 def can_command(data: bytes) -> None:
-    """The device's end of a bus."""
+    """Fuzz the device's end of a CAN bus."""
     interface = default_interface()
     reader, source = CanCommandReader(interface), _Bytes(data)
     while source.rest:
@@ -127,7 +127,7 @@ def can_command(data: bytes) -> None:
 
 
 def truth(data: bytes) -> None:
-    """A simulator's datagrams."""
+    """Fuzz the decoder of a simulator's datagrams."""
     flown, source = LiveTrajectory(100.0), _Bytes(data)
     while source.rest:
         datagram = source.take(TRUTH_BYTES if source.number() else source.number())
@@ -139,7 +139,7 @@ def truth(data: bytes) -> None:
 
 
 def _frame(source: _Bytes) -> tuple[int, bytes, bool]:
-    """Identifier, data and whether it is FD; near the interface's own identifiers."""
+    """Identifier (near the interface's identifiers), data, and whether the frame is FD."""
     head, length = source.number(), source.number()
     is_fd = bool(length & 0x80)
     return 0x080 + head + 256 * source.number() % 0x700, source.take(length % 65), is_fd

@@ -1,4 +1,4 @@
-"""Cost and saving of recorded geometry: the table of docs/geometry.md, for this machine.
+"""Print the table of docs/geometry.md for this machine: cost and saving of recorded geometry.
 
 Direct runs and runs from the record take turns, each from the scenario to the measurement; the shortest of each counts.
 """
@@ -24,12 +24,12 @@ FLIGHTS = {
 
 
 def main() -> None:
-    """Print the rows."""
+    """Print the rows of the table."""
     with tempfile.TemporaryDirectory() as folder:
         for name, (scenario, settings) in FLIGHTS.items():
             for beamlets in (19, 61):
-                asked = {**settings, "instrument.optics.beamlets": str(beamlets)}
-                print(_row(name, scenario, asked, Path(folder) / "geometry.npz"), flush=True)
+                changed = {**settings, "instrument.optics.beamlets": str(beamlets)}
+                print(_row(name, scenario, changed, Path(folder) / "geometry.npz"), flush=True)
 
 
 def _row(name: str, scenario: str, settings: dict[str, str], path: Path) -> str:

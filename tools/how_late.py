@@ -1,7 +1,7 @@
-"""Measure the table of docs/how-late.md again, between its two markers, and plot its figure.
+"""Update the table of docs/how-late.md between its two markers, and its figure.
 
 python tools/how_late.py            on an otherwise idle machine; takes 21 minutes
-python tools/how_late.py --quick    a tenth of the time, to see whether it works
+python tools/how_late.py --quick    a tenth of the time, to check that it works
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ LIDAR_EMU = [sys.executable, "-c", "from lidar_emu.cli import main; main()"]
 
 
 class Case(NamedTuple):
+    """One flight of the table."""
+
     rate_hz: int
     duration_s: float
     recorded: bool
@@ -29,6 +31,7 @@ CASES = (Case(1111, 60, False), Case(100, 600, True), Case(20, 600, True))
 
 
 def measure(case: Case, picture: Path | None) -> dict[str, Any]:
+    """Results of `lidar-emu bench realtime` for a case, as printed by --json."""
     options = ["--rate", str(case.rate_hz), "--duration", str(case.duration_s), "--json"]
     options += ["--record"] if case.recorded else []
     options += ["--plot", str(picture)] if picture else []
@@ -38,6 +41,7 @@ def measure(case: Case, picture: Path | None) -> dict[str, Any]:
 
 
 def page_text(results: list[dict[str, Any]]) -> str:
+    """The part of the page between the markers."""
     first, lines = results[0], []
     machine = first["machine"]
     lines.append(
@@ -50,34 +54,40 @@ def page_text(results: list[dict[str, Any]]) -> str:
         "| late where it had none | host steal |"
     )
     lines.append("|---|---|---|---|---|---|---|---|---|")
-    for one in results:
-        lines += rows(one)
+    for result in results:
+        lines += rows(result)
     if first["cyclictest"] is not None:
         lines.append(f"\ncyclictest beside the first: {figures(first['cyclictest'])}.")
     return "\n".join(lines)
 
 
-def rows(one: dict[str, Any]) -> list[str]:
-    name = f"{one['rate_hz']:g}, {one['duration_s']:g} s{', recorded' if one['recording'] else ''}"
-    of, ticks = one["windows"], one["steal_ticks"]
-    excess = of["median_excess_p99_ns"]
+def rows(result: dict[str, Any]) -> list[str]:
+    """Two rows of the table: emulator and control process."""
+    name = f"{result['rate_hz']:g}, {result['duration_s']:g} s{', recorded' if result['recording'] else ''}"
+    windows, ticks = result["windows"], result["steal_ticks"]
+    excess = windows["median_excess_p99_ns"]
     excess_text = "-" if excess is None else f"**{excess / 1e3:.0f} us**"
-    judgement = f"{excess_text} | {of['late_where_control_had_none']} | {'-' if ticks is None else f'{10 * ticks} ms'}"
-    result = []
+    steal = "-" if ticks is None else f"{10 * ticks} ms"
+    judgement = f"{excess_text} | {windows['late_where_control_had_none']} | {steal}"
+    lines = []
     for side, label, end in (("emulator", name, judgement), ("control", "", " | | ")):
         stages = " | ".join(
-            figures(one[side][stage]) for stage in ("wake_up", "due_to_written", "due_to_received")
+            figures(result[side][stage]) for stage in ("wake_up", "due_to_written", "due_to_received")
         )
-        result.append(f"| {label} | {side} | {stages} | {one[side]['late']} of {one[side]['due']} | {end} |")
-    return result
+        lines.append(
+            f"| {label} | {side} | {stages} | {result[side]['late']} of {result[side]['due']} | {end} |"
+        )
+    return lines
 
 
-def figures(of: dict[str, int | None]) -> str:
-    values = (of[name] for name in ("p50_ns", "p99_ns", "p99_9_ns", "max_ns"))
+def figures(quantiles: dict[str, int | None]) -> str:
+    """Quantiles in microseconds: p50 / p99 / p99.9 / max."""
+    values = (quantiles[name] for name in ("p50_ns", "p99_ns", "p99_9_ns", "max_ns"))
     return " / ".join("-" if value is None else f"{value / 1e3:.0f}" for value in values)
 
 
 def main() -> None:
+    """Measure all cases, and rewrite the page."""
     shorter = 0.1 if "--quick" in sys.argv[1:] else 1.0
     results: list[dict[str, Any]] = []
     for case in CASES:

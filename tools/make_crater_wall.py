@@ -2,8 +2,8 @@
 
     python tools/make_crater_wall.py emulator/lidar_emu/shipped/ground/crater_wall.npz
 
-A formula and no real place. Rows run from north to south, the map's zero is the site's origin; elevations are in
-decimetres.
+It follows a formula and represents no real place. Rows run from north to south, the map's zero is the site's origin;
+elevations are in decimetres.
 """
 
 from __future__ import annotations

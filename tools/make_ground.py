@@ -2,7 +2,7 @@
 
     python tools/make_ground.py emulator/lidar_emu/shipped/ground/mare.npz
 
-Gentle undulations and degraded craters in about the numbers of an old mare surface. Only additions, products
+Gentle undulations, and about as many degraded craters as on an old mare surface. Only additions, products
 and square roots of seeded random numbers are used, so that the file is the same wherever it is made. At its
 rim the ground fades to the height of its centre, so that a level plane continues it without a step.
 """
@@ -69,7 +69,7 @@ def craters(rng: np.random.Generator) -> np.ndarray:
     count = int(CRATERS_PER_M2 * (smallest - largest) * extent_m**2)
     diameter_m = 1 / np.sqrt(largest + (smallest - largest) * rng.random(count))
     centre_m = extent_m * rng.random((count, 2))
-    # Most have been worn down: the cube leaves few that are fresh.
+    # Most craters are worn down: the cube leaves few that are fresh.
     freshness = 0.08 + 0.62 * rng.random(count) ** 3
     height = np.zeros((SAMPLES, SAMPLES))
     for k in range(count):
@@ -94,7 +94,7 @@ def add_crater(height: np.ndarray, centre_m: np.ndarray, radius_m: float, freshn
 
 
 def faded(height: np.ndarray) -> np.ndarray:
-    """The ground brought to the height of its centre along the rim, and the centre to 0."""
+    """Blend the ground into the height of its centre along the rim, and shift the centre to 0."""
     from_edge = np.minimum(np.arange(SAMPLES), np.arange(SAMPLES)[::-1]) * PIXEL_M
     inward = ramp(from_edge / RIM_M)
     return (height - height[SAMPLES // 2, SAMPLES // 2]) * inward[:, None] * inward

@@ -5,7 +5,7 @@
 
 A mutant is one operator, comparison, number or condition changed in one place (operators of cosmic-ray). It is
 killed if a test fails or runs for far longer than it did. Kernels are interpreted in the folders of tests named in
-INTERPRETED, so that coverage sees their lines and nothing compiles anew. Lines that only processes of their own
+INTERPRETED, so that coverage sees their lines and nothing is recompiled. Lines that only child processes
 execute, which coverage does not see, are left to the tests in BY_PROCESSES.
 """
 
@@ -105,7 +105,7 @@ class Mutant(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What became of a mutant."""
+    """Result of the tests of a mutant."""
 
     mutant: Mutant
     killed: bool
@@ -114,23 +114,25 @@ class Verdict(NamedTuple):
 
 
 def main() -> None:
-    """Map, or run."""
+    """Map the tests, or run a sample of mutants."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("step", choices=["map", "run"])
     parser.add_argument("--count", type=int, default=200, help="mutants in the sample")
-    parser.add_argument("--seed", type=int, default=1, help="of the sample")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the sample")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="mutants or workers at a time")
     parser.add_argument("--only", help="mutants of paths that contain this")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     KEPT.mkdir(exist_ok=True)
-    if asked.step == "map":
-        _map_lines(asked.jobs)
+    if arguments.step == "map":
+        _map_lines(arguments.jobs)
         return
-    sample = [m for m in draw(asked.count, asked.seed) if not asked.only or asked.only in m.path]
+    sample = [
+        m for m in draw(arguments.count, arguments.seed) if not arguments.only or arguments.only in m.path
+    ]
     tests = TestMap()
-    with ThreadPoolExecutor(asked.jobs) as pool, (KEPT / "verdicts.jsonl").open("w") as file:
+    with ThreadPoolExecutor(arguments.jobs) as pool, (KEPT / "verdicts.jsonl").open("w") as file:
         verdicts = []
         for verdict in pool.map(lambda mutant: judge(mutant, tests), sample):
             verdicts.append(verdict)
@@ -177,14 +179,14 @@ def _mutants(path: Path) -> Iterator[tuple[Any, Mutant]]:
 
 
 def _nodes(node: Any) -> Iterator[Any]:
-    """In the order in which cosmic-ray counts occurrences."""
+    """Yield all nodes in the order in which cosmic-ray counts occurrences."""
     yield node
     for child in getattr(node, "children", ()):
         yield from _nodes(child)
 
 
 def _typed_lines_and_columns(source: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Annotations and decorators: a change there changes no behaviour, or every kernel's compiler options."""
+    """Spans of annotations and decorators: a mutant there changes no behaviour, or every kernel's compiler options."""
     parts: list[Any] = []
     for node in ast.walk(ast.parse(source)):
         parts += [getattr(node, "annotation", None), getattr(node, "returns", None)]
@@ -193,7 +195,7 @@ def _typed_lines_and_columns(source: str) -> list[tuple[tuple[int, int], tuple[i
 
 
 def _statement_lines(source: str, line: int) -> range:
-    """Lines of the statement at a line, without its body: an operand on a line of its own may not be traced."""
+    """Lines of the statement at a line, without its body: an operand on a separate line may not be traced."""
     spans = [
         range(node.lineno, max(node.lineno, body[0].lineno - 1 if body else node.end_lineno) + 1)
         for node in ast.walk(ast.parse(source))
@@ -204,7 +206,7 @@ def _statement_lines(source: str, line: int) -> range:
 
 
 class TestMap:
-    """Tests by the lines that they execute, and how long each took."""
+    """Tests by the lines that they execute, and the time that each took."""
 
     def __init__(self) -> None:
         from coverage import CoverageData

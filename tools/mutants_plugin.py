@@ -1,4 +1,4 @@
-"""Plugin of pytest for `mutants.py`: limits the time of each test, and notes it where a map is made."""
+"""pytest plugin for `mutants.py`: limits the time of each test, and records it while the map is made."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LIMIT_S = float(os.environ["MUTANTS_LIMIT_S"])
 
 
 class TimeIsUpError(BaseException):
-    """Ends a test. It is no `Exception`: hypothesis would look for the smallest example that lasts as long."""
+    """Ends a test. Not an `Exception`: hypothesis would search for the smallest example that takes as long."""
 
 
 @pytest.hookimpl(wrapper=True)
@@ -31,7 +31,7 @@ def pytest_runtest_call() -> Iterator[None]:
 
 
 def _end(_: int, frame: FrameType | None) -> None:
-    """Raise, unless in coverage, which would keep its lock for ever; the next alarm then finds it elsewhere."""
+    """Raise, unless in coverage, which would keep its lock forever; the next alarm then interrupts it elsewhere."""
     while frame is not None:
         if "/coverage/" in frame.f_code.co_filename:
             return
@@ -41,7 +41,7 @@ def _end(_: int, frame: FrameType | None) -> None:
 
 
 def pytest_runtest_logreport(report: Any) -> None:
-    """Note the time of each test."""
+    """Record the time of each test."""
     file = os.environ.get("MUTANTS_SECONDS")
     if file and report.when == "call":
         with Path(file).open("a") as seconds:
