@@ -1,5 +1,5 @@
 /* Truth for an emulated lidar (lidar-emu, live truth version 1): fill one in and send it as a datagram.
- * On a little-endian machine the structure is the datagram; docs/live-truth.md says what the fields mean. */
+ * On a little-endian machine the structure is the datagram; docs/live-truth.md defines the fields. */
 #ifndef LIDAR_TRUTH_H
 #define LIDAR_TRUTH_H
 

@@ -76,16 +76,16 @@ def main(lockstep: bool, rate_hz: int = 100, duration_s: int = 48) -> None:
         datagram = truth(step, step / rate_hz, last=step == steps)
         send(link, datagram)
         if lockstep:
-            asked_s = time.monotonic()
+            sent_s = time.monotonic()
             while (packets := packets_of(link, step)) is None:
-                if step > 0 and time.monotonic() > asked_s + 10:
-                    raise TimeoutError("the lidar does not answer any more")
+                if step > 0 and time.monotonic() > sent_s + 10:
+                    raise TimeoutError("the lidar no longer replies")
                 time.sleep(0.1)
-                send(link, datagram)  # A repeated truth is answered again.
+                send(link, datagram)  # The lidar replies to a repeated truth again.
             received += len(packets)
         else:
             time.sleep(max(0.0, start_s + (step + 1) / rate_hz - time.monotonic()))
-    print(f"{steps + 1} truths in {time.monotonic() - start_s:.1f} s, {received} packets in the answers")
+    print(f"{steps + 1} truths in {time.monotonic() - start_s:.1f} s, {received} packets in the replies")
 
 
 if __name__ == "__main__":

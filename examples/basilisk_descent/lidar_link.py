@@ -15,7 +15,7 @@ _TIMEOUT_S = 60.0
 
 
 class LidarLink:
-    """In lockstep each process waits for the others. One step is:
+    """Sockets of the simulation. In lockstep each process waits for the others. One step is:
 
     1. truth goes to the emulator;
     2. the emulator writes the packets that are due by then to the port, and then replies with the same packets;
@@ -53,7 +53,7 @@ class LidarLink:
         ends_s = time.monotonic() + _TIMEOUT_S
         while (packets := packets_of(self._truth, sequence)) is None:
             if time.monotonic() > ends_s:
-                raise TimeoutError("no answer to truth: is `lidar-emu run ... --pace lockstep` there?")
+                raise TimeoutError("no answer to truth: is `lidar-emu run ... --pace lockstep` running?")
             time.sleep(0.05)
             send(
                 self._truth, datagram

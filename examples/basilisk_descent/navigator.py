@@ -20,7 +20,7 @@ from lidar_protocol import Message, SerialReceiver, default_interface
 
 
 class Navigator:
-    """From packets to commands."""
+    """Computes commands from packets."""
 
     def __init__(self) -> None:
         self._guidance = Guidance()
@@ -29,16 +29,16 @@ class Navigator:
         self._time_s = 0.0
 
     def take(self, message: Message) -> tuple[Command, Estimate | None]:
-        """Command that follows from a packet, and the estimate behind it; None before the first good packet."""
+        """Command for a packet, and the estimate on which it is based; None before the first good packet."""
         time_s = (message.time_ns or 0) * 1e-9
         step_s, self._time_s = time_s - self._time_s, time_s
-        self._estimate = solve(message) or self._continued(step_s)
+        self._estimate = solve(message) or self._propagated(step_s)
         if self._estimate is not None:
             self._thrust_body_mps2 = self._guidance.thrust(self._estimate, step_s)
         x, y, z = self._thrust_body_mps2.tolist()
         return Command(message.shot or 0, (x, y, z)), self._estimate
 
-    def _continued(self, step_s: float) -> Estimate | None:
+    def _propagated(self, step_s: float) -> Estimate | None:
         """Propagate the estimate by gravity and commanded thrust, if too few beams hit the ground."""
         if self._estimate is None:
             return None
@@ -49,10 +49,11 @@ class Navigator:
 
 
 def messages(port: serial.Serial, receiver: SerialReceiver) -> Iterator[Message]:
-    """Yield messages until the other side closes the port."""
+    """Yield measurements until the other side closes the port; housekeeping is skipped."""
     with suppress(serial.SerialException):
         while True:
-            yield from receiver.receive(port.read(max(1, port.in_waiting)))
+            received = receiver.receive(port.read(max(1, port.in_waiting)))
+            yield from (message for message in received if isinstance(message, Message))
 
 
 def main() -> None:
@@ -61,26 +62,26 @@ def main() -> None:
     options.add_argument("port", help="serial device, or the pty that lidar-emu prints")
     options.add_argument("--baud", type=int, default=921_600)
     options.add_argument(
-        "--commands", default="127.0.0.1:5601", metavar="HOST:PORT", help="of the simulation"
+        "--commands", default="127.0.0.1:5601", metavar="HOST:PORT", help="command socket of the simulation"
     )
-    options.add_argument("--log", type=Path, metavar="FILE", help="the estimates as CSV")
-    asked = options.parse_args()
-    host, _, number = asked.commands.rpartition(":")
+    options.add_argument("--log", type=Path, metavar="FILE", help="CSV file for the estimates")
+    arguments = options.parse_args()
+    host, _, number = arguments.commands.rpartition(":")
     link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     receiver, navigator, rows = SerialReceiver(default_interface()), Navigator(), []
-    with link, serial.Serial(asked.port, asked.baud) as port:
+    with link, serial.Serial(arguments.port, arguments.baud) as port:
         for message in messages(port, receiver):
             command, estimate = navigator.take(message)
             link.sendto(command.to_bytes(), (host, int(number)))
             rows.append(row(message, estimate))
-    if asked.log:
-        with asked.log.open("w", newline="") as opened:
+    if arguments.log:
+        with arguments.log.open("w", newline="") as opened:
             csv.writer(opened).writerows([["time_s", "height_m", "climb_mps", "drift_mps"], *rows])
     print(f"{receiver.counters.messages} packets, {receiver.counters.lost_packets} lost")
 
 
 def row(message: Message, estimate: Estimate | None) -> Sequence[float]:
-    """A line of the log."""
+    """A row of the log."""
     time_s = (message.time_ns or 0) * 1e-9
     if estimate is None:
         return [time_s]

@@ -27,8 +27,8 @@ def draw(truth: dict[str, Column], estimate: dict[str, Column], file: Path) -> N
     drift_mps = np.hypot(truth["east_mps"], truth["north_mps"])
     panels = [
         ("height above ground, m", truth["height_m"], estimate["height_m"]),
-        ("sinking at, m/s", -truth["up_mps"], -estimate["climb_mps"]),
-        ("drifting at, m/s", drift_mps, estimate["drift_mps"]),
+        ("descent rate, m/s", -truth["up_mps"], -estimate["climb_mps"]),
+        ("drift, m/s", drift_mps, estimate["drift_mps"]),
     ]
     figure, axes = plt.subplots(1, 3, figsize=(9, 2.8), layout="constrained")
     for axis, (label, flown, estimated) in zip(axes, panels, strict=True):
@@ -43,11 +43,11 @@ def draw(truth: dict[str, Column], estimate: dict[str, Column], file: Path) -> N
 def main() -> None:
     """Plot the files named on the command line."""
     options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("truth", type=Path, help="of simulation.py --log")
-    options.add_argument("estimate", type=Path, help="of navigator.py --log")
-    options.add_argument("picture", type=Path, help="PNG, or what else matplotlib knows")
-    asked = options.parse_args()
-    draw(columns(asked.truth), columns(asked.estimate), asked.picture)
+    options.add_argument("truth", type=Path, help="CSV file of simulation.py --log")
+    options.add_argument("estimate", type=Path, help="CSV file of navigator.py --log")
+    options.add_argument("picture", type=Path, help="PNG, or another format of matplotlib")
+    arguments = options.parse_args()
+    draw(columns(arguments.truth), columns(arguments.estimate), arguments.picture)
 
 
 if __name__ == "__main__":

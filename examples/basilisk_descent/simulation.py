@@ -53,7 +53,7 @@ class Flight:
     """The vehicle above the scenario's ground.
 
     Args:
-        scenario: file of the scenario, for its ground alone.
+        scenario: scenario file, of which only the ground is used.
     """
 
     def __init__(self, scenario: str, with_clock: bool) -> None:
@@ -89,7 +89,7 @@ class Flight:
 
 
 def truth(row: Row, sequence: int, time_ns: int, last: bool) -> bytes:
-    """The datagram. The thrust changes at every truth, so that the acceleration is not unique: it is left unknown."""
+    """The datagram. The thrust changes at every truth, so the acceleration is not unique and is left unknown."""
     return TRUTH.pack(
         b"LETR", 1, LAST * last, sequence, time_ns, *row.position_site_m, *row.velocity_site_mps,
         0, 0, 0, *row.site_from_body, *row.rate_body_radps,
@@ -132,27 +132,31 @@ def main() -> int:
     here = Path(__file__).parent
     options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     options.add_argument("--pace", choices=["lockstep", "wall"], default="lockstep")
-    options.add_argument("--scenario", default=str(here / "descent.yaml"), help="its ground is landed on")
+    options.add_argument(
+        "--scenario", default=str(here / "descent.yaml"), help="scenario whose ground the lander descends to"
+    )
     options.add_argument("--truth", type=address, default=("127.0.0.1", 5600), metavar="HOST:PORT")
     options.add_argument("--commands", type=address, default=("127.0.0.1", 5601), metavar="HOST:PORT")
-    options.add_argument("--log", type=Path, metavar="FILE", help="the flight as CSV")
-    options.add_argument("--packets", type=Path, metavar="FILE", help="what went over the port, in lockstep")
-    asked = options.parse_args()
-    lockstep = asked.pace == "lockstep"
-    flight = Flight(asked.scenario, with_clock=not lockstep)
+    options.add_argument("--log", type=Path, metavar="FILE", help="CSV file for the flight")
+    options.add_argument(
+        "--packets", type=Path, metavar="FILE", help="file for the packets sent over the port, in lockstep"
+    )
+    arguments = options.parse_args()
+    lockstep = arguments.pace == "lockstep"
+    flight = Flight(arguments.scenario, with_clock=not lockstep)
     try:
-        with closing(LidarLink(asked.truth, asked.commands, lockstep)) as link:
+        with closing(LidarLink(arguments.truth, arguments.commands, lockstep)) as link:
             rows = list(fly(flight, link))
-    except OSError as error:  # The socket is in use, or there is no reply.
+    except OSError as error:  # The socket is in use, or there was no reply.
         print(f"simulation: {error}", file=sys.stderr)
         return 1
-    if asked.packets:
-        asked.packets.write_bytes(link.packets)
-    if asked.log:
-        write(rows, asked.log)
+    if arguments.packets:
+        arguments.packets.write_bytes(link.packets)
+    if arguments.log:
+        write(rows, arguments.log)
     end = rows[-1]
     east, north, up = end.velocity_site_mps
-    print(f"{end.time_s:.2f} s: {end.height_m:.2f} m above the ground, sinking at {-up:.2f} m/s, "
+    print(f"{end.time_s:.2f} s: {end.height_m:.2f} m above the ground, descending at {-up:.2f} m/s, "
           f"drifting at {np.hypot(east, north):.2f} m/s")  # fmt: skip
     return 0 if end.height_m <= LEG_M else 1
 

@@ -32,7 +32,7 @@ class Vehicle:
 
     Args:
         start: the state at time 0.
-        step_ns: time of a step.
+        step_ns: length of a step.
         with_clock: keep pace with the wall clock.
     """
 
@@ -40,7 +40,7 @@ class Vehicle:
         self._step_ns = step_ns
         self.time_ns = 0
         self._wanted_inertial_mps2 = np.zeros(3)
-        self._bodies = simIncludeGravBody.gravBodyFactory()  # Basilisk keeps no reference to what it holds
+        self._bodies = simIncludeGravBody.gravBodyFactory()  # kept here: Basilisk holds no reference to it
         self._hub = _hub(start, self._bodies)
         self._force, self._torque = messaging.CmdForceBodyMsg(), messaging.CmdTorqueBodyMsg()
         self._effector = extForceTorque.ExtForceTorque()
@@ -75,7 +75,7 @@ class Vehicle:
         )
 
     def command_thrust(self, thrust_body_mps2: tuple[float, float, float]) -> None:
-        """Thrust from now on in a direction given in the present body axes, fixed in inertial space."""
+        """Set the thrust per mass in the present body axes; its direction then stays fixed in inertial space."""
         self._wanted_inertial_mps2 = self.state.body_from_inertial.T @ np.array(thrust_body_mps2)
 
     def step(self) -> None:

@@ -105,11 +105,11 @@ def draw(results: Mapping[str, Mapping[str, Sequence[Log]]], file: Path) -> None
     )
     for axis, label in zip(axes[:, 0], panels, strict=True):
         axis.set_ylabel(label)
-    for column, (scenario, of_variants) in zip(axes.T, results.items(), strict=True):
+    for column, (scenario, by_variant) in zip(axes.T, results.items(), strict=True):
         column[0].set_title(scenario, fontsize=10)
         column[1].set_xlabel("time, s")
         for axis, (errors_of, limits) in zip(column, panels.values(), strict=True):
-            for name, logs in of_variants.items():
+            for name, logs in by_variant.items():
                 squares = np.mean([errors_of(log) ** 2 for log in logs], axis=0)
                 axis.plot(logs[0].time_s, np.sqrt(squares), lw=1.2, label=name)
             axis.set(yscale="log", ylim=limits)

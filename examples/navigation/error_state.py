@@ -118,7 +118,7 @@ class ErrorState:
         """Predicted ranges to the plane below; NaN for beams that do not hit it.
 
         Args:
-            beams_body: (n, 3) unit vectors of the beams
+            beams_body: (n, 3) unit vectors of the beams.
             coupling_s2: bias of a range in metres per m/s^2 of closing acceleration.
         """
         beams_site = beams_body @ self.site_from_body.T

@@ -33,8 +33,8 @@ class Navigator:
         self._ranges, self._speeds = NoiseMonitor(rules), NoiseMonitor(rules)
 
     def take(self, shot: Shot) -> tuple[UpdateResult, UpdateResult] | None:
-        """Update by a shot: results of ranges and speeds; None for a shot that is not newer than the estimate, or in
-        the future."""
+        """Update by a shot: results of ranges and speeds; None for a shot that is not newer than the estimate, or is
+        in the future."""
         if not self.time_ns < shot.time_ns <= self._inertial.end_ns:
             return None
         for increment in self._inertial.between(self.time_ns, shot.time_ns):

@@ -1,4 +1,4 @@
-"""Shots off a serial line or a CAN bus, as flight software reads them: pyserial or python-can, and `lidar_protocol`."""
+"""Shots from a serial line or a CAN bus, read as in flight software: pyserial or python-can, and `lidar_protocol`."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -9,7 +9,7 @@ import serial
 from lidar_protocol import CanReceiver, Message, SerialReceiver, default_interface
 
 QUIET_S = 5.0
-"""A link that has been silent for so long after its first packet has ended."""
+"""A link that is silent for this time after its first packet is taken as ended."""
 
 
 def from_serial(path: str, baud: int, unit: int) -> Iterator[Message]:
@@ -40,7 +40,7 @@ def from_can(interface: str, channel: str, bitrate: int, fd: bool, unit: int) ->
     receiver, begun = CanReceiver(default_interface()), False
     try:
         bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, fd=fd)
-    except Exception as error:  # without its vendor's driver an interface raises what it likes
+    except Exception as error:  # without its vendor's driver an interface may raise anything
         raise OSError(f"{interface} {channel}: {error}") from None
     with bus:
         while (frame := bus.recv(QUIET_S)) or not begun:

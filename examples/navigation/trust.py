@@ -36,8 +36,7 @@ NAMED = {"careful": CAREFUL, "stubborn": STUBBORN, "credulous": CREDULOUS, "blin
 WINDOW = 40
 """Shots over which noise is estimated: two seconds."""
 SIGNIFICANT_FACTOR = 3.0
-"""Smaller factors of the variance may be chance: one window in about a thousand of beams with correct sigmas exceeds
-it."""
+"""Variance factors up to this one may be chance: with correct sigmas, about one window in a thousand exceeds it."""
 
 
 class NoiseMonitor:
@@ -71,12 +70,12 @@ class NoiseMonitor:
         return factor if factor > SIGNIFICANT_FACTOR else 1.0
 
     def inliers(self, innovation: Array, variance: Array) -> BoolArray:
-        """Which beams to accept; NaN is rejected."""
+        """(beams,) Whether to accept each beam; NaN is rejected."""
         within: BoolArray = innovation**2 <= self._rules.gate * variance
         return within
 
     def detects_divergence(self, accepted: int, parity: Array) -> bool:
-        """Count a shot by its number of accepted beams; whether the estimate is to be reinitialised. Shots without
+        """Count a shot by its number of accepted beams; return whether to reinitialise the estimate. Shots without
         parity do not count."""
         if len(parity):
             agree = bool(np.all(parity**2 <= self._rules.gate * self.variance_factor))

@@ -4,8 +4,8 @@
  *     ./receiver /dev/ttyUSB0 921600
  *     ./receiver /dev/ttyUSB0 921600 2000:set_pattern=1 3000:set_pattern=0
  *
- * The port may be "-", the standard input, to read what was captured before. receiver.py prints the same lines. lidar.h
- * is all that it shares with the device; what deals with the port is POSIX, the rest is C99.
+ * The port may be "-", the standard input, to read a capture. receiver.py prints the same lines. The program shares
+ * only lidar.h with the device. Access to the port is POSIX, the rest is C99.
  */
 #define _DEFAULT_SOURCE
 
@@ -326,7 +326,7 @@ int main(int argc, char **argv) {
     for (int k = 3; k < argc; k++) {
         host_command *next = &host.commands[host.count++];
         if (!parse_command(argv[k], next) || encode(frame, 0u, next) == 0u) {
-            fprintf(stderr, "%s: no such command, such as 2000:set_pattern=1\n", argv[k]);
+            fprintf(stderr, "%s: not a command such as 2000:set_pattern=1\n", argv[k]);
             return 2;
         }
     }

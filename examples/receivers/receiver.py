@@ -3,8 +3,8 @@
     python receiver.py /dev/ttyUSB0 921600
     python receiver.py /dev/ttyUSB0 921600 2000:set_pattern=1 3000:set_pattern=0
 
-Written from INTERFACE.md alone, with the standard library alone: take it to pieces. The port may be "-", the standard
-input, to read what was captured before. receiver.c prints the same lines.
+Written from INTERFACE.md alone, with only the standard library, so that parts of it can be copied. The port may be "-",
+the standard input, to read a capture. receiver.c prints the same lines.
 """
 
 from __future__ import annotations
@@ -258,13 +258,13 @@ class Commander:
             command = int(match[1]), match[2], float(match[3] or 0)
             encoded(match[2], 0, command[2])
         except (AssertionError, KeyError, ValueError, struct.error):
-            sys.exit(f"{text}: no such command, such as 2000:set_pattern=1")
+            sys.exit(f"{text}: not a command such as 2000:set_pattern=1")
         return command
 
 
-# ------------------------------------------------------------------------------------------------------------ the whole
+# -------------------------------------------------------------------------------------------------------- main program
 class Follower:
-    """Prints messages, and counts."""
+    """Prints messages, and counts frames and shots."""
 
     def __init__(self, commander: Commander) -> None:
         self.newest_shot = 0
