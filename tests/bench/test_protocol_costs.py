@@ -1,4 +1,4 @@
-"""What `lidar-emu bench protocol` compares comes to the same, and it says what it measured."""
+"""What `lidar-emu bench protocol` compares is equal, and it prints its measurements."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ ROWS = 32
 
 
 class Here:
-    """A pool in this very process; `dies` says of which work its workers die."""
+    """A pool in this process; `dies` decides on which work its workers die."""
 
     worker_errors: tuple[type[BaseException], ...] = (BrokenExecutor,)
 

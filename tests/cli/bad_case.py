@@ -45,7 +45,7 @@ class Case:
     """Files, a command line, and what its one line on stderr must contain."""
 
     name: str
-    says: tuple[str, ...]
+    expected: tuple[str, ...]
     files: dict[str, Content] = field(default_factory=dict)
     command: str = SIMULATE
 

@@ -99,7 +99,7 @@ _PORTS: list[tuple[str, str, tuple[str, ...]]] = [
 ]  # fmt: skip
 
 CASES = [
-    *(Case(name, says, {"my.yaml": BENCH}, command) for name, command, says in (*_OPTIONS, *_PORTS)),
+    *(Case(name, expected, {"my.yaml": BENCH}, command) for name, command, expected in (*_OPTIONS, *_PORTS)),
     Case("set of unknown part", ("--set: site: 'venus'", "mare"), {"my.yaml": FLIGHT}, f"{SIMULATE} --set site=venus"),
     Case("nine beams on CAN", ("beams: 9", "at most 8"), {"my.yaml": _NINE_BEAMS}, "run my.yaml -i socketcan -c vcan0"),
 ]  # fmt: skip

@@ -81,8 +81,11 @@ def _files(text: str, name: str, content: Content | None) -> dict[str, Content]:
 
 
 CASES = [
-    *(Case(name, says, _files(on_grid(file, more), file, grid)) for name, file, grid, more, says in _GRIDS),
-    *(Case(name, says, _files(text, "flight.csv", rows)) for name, rows, text, says in _TABLES),
+    *(
+        Case(name, expected, _files(on_grid(file, more), file, grid))
+        for name, file, grid, more, expected in _GRIDS
+    ),
+    *(Case(name, expected, _files(text, "flight.csv", rows)) for name, rows, text, expected in _TABLES),
     Case(
         "flight off the grid",
         ("trajectory", "m east", "allowed: positions over the ground", "beyond: plane or sphere"),

@@ -118,20 +118,20 @@ _PATTERNS: list[tuple[str, str, str, tuple[str, ...]]] = [
 ]  # fmt: skip
 
 
-def _in_part(name: str, text: str, *says: str) -> Case:
-    return Case(name, says, {"my.yaml": changed(FLIGHT, SITE, "site: my_site"), "my_site.yaml": text})
+def _in_part(name: str, text: str, *expected: str) -> Case:
+    return Case(name, expected, {"my.yaml": changed(FLIGHT, SITE, "site: my_site"), "my_site.yaml": text})
 
 
 CASES = [
-    *(Case(name, ("my.yaml: ", *says), {"my.yaml": text}) for name, text, says in _DOCUMENTS),
+    *(Case(name, ("my.yaml: ", *expected), {"my.yaml": text}) for name, text, expected in _DOCUMENTS),
     *(
-        Case(name, ("my.yaml: ", *says), {"my.yaml": changed(FLIGHT, old, new)})
-        for name, old, new, says in _KEYS
+        Case(name, ("my.yaml: ", *expected), {"my.yaml": changed(FLIGHT, old, new)})
+        for name, old, new, expected in _KEYS
     ),
-    *(Case(name, says, {"my.yaml": changed(FLIGHT, old, new)}) for name, old, new, says in _NUMBERS),
+    *(Case(name, expected, {"my.yaml": changed(FLIGHT, old, new)}) for name, old, new, expected in _NUMBERS),
     *(
-        Case(name, ("my.yaml: ", *says), {"my.yaml": changed(BENCH, old, new)})
-        for name, old, new, says in _PATTERNS
+        Case(name, ("my.yaml: ", *expected), {"my.yaml": changed(BENCH, old, new)})
+        for name, old, new, expected in _PATTERNS
     ),
     Case(
         "unreachable rate in turn",

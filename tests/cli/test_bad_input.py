@@ -1,4 +1,4 @@
-"""What cannot be used is refused in one line that says where, which key, which value and what is allowed."""
+"""Unusable input is rejected in one line that states where, which key, which value and what is allowed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def check_line(case: Case, text: str) -> None:
     assert text.startswith("lidar-emu: ")
     assert text.endswith("\n")
     assert text.count("\n") == 1
-    for part in case.says:
+    for part in case.expected:
         assert part in text
     for word in JARGON:
         assert word not in text

@@ -15,7 +15,7 @@ from lidar_emu.cli import cli, main
 from lidar_emu.cli.progress import busy
 
 CTRL_C = "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n"
-# Where Python itself ends by the signal, a shell says 130 as well.
+# Where Python itself ends by the signal, a shell reports 130 as well.
 QUIETLY = {130, -signal.SIGINT}
 
 

@@ -194,5 +194,5 @@ def test_who_flies_does_not_wait_for_who_draws(capfd: pytest.CaptureFixture[str]
             dashboard.show(reported(100))
         dashboard._process.kill()
         dashboard._process.wait()
-        dashboard.say("stated all the same")
+        dashboard.print_line("stated all the same")
     assert "stated all the same" in capfd.readouterr().out

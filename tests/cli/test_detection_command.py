@@ -97,7 +97,7 @@ ALTITUDES = "allowed: LOW:HIGH in metres"
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "expected"),
     [
         (["bench"], ("bench: a bench pattern", "allowed: a flight")),
         (["missing.yaml"], ("missing.yaml: no such file",)),
@@ -114,14 +114,14 @@ ALTITUDES = "allowed: LOW:HIGH in metres"
         (["descent", "--set", "instrument.receiver.responsivity_a_per_w=2"], ("responsivity_a_per_w", "at most 1.25")),
     ],
 )  # fmt: skip
-def test_refused_in_one_line(words, says, monkeypatch, capsys, tmp_path):
+def test_refused_in_one_line(words, expected, monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
     assert run(monkeypatch, *words) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.startswith("lidar-emu: ")
     assert printed.err.count("\n") == 1
-    for part in says:
+    for part in expected:
         assert part in printed.err
     assert list(tmp_path.iterdir()) == []
 

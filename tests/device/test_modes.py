@@ -15,7 +15,7 @@ from lidar_emu.device.state import Mode
 
 
 def reached(mode: str) -> Unit:
-    """A device that is in a mode at 10 s, and stays there for long unless it is told to leave."""
+    """A device that is in a mode at 10 s, and stays there for long without a command."""
     unit = Unit(start="boot", boot_s=2.0, self_test_s=20.0 if mode == "self_test" else 1.0, acquisition_s=60.0,
                 events=[{"at_s": 9.0, "what": "interlock_opens"}] if mode == "fault" else [])  # fmt: skip
     unit.at(5000)

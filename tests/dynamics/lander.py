@@ -53,7 +53,7 @@ def body(
 
 
 def at_rest(turn: Rotation | None = None) -> Floats:
-    """At the origin, as `turn` (site_from_body) says, the slosh along body z."""
+    """At the origin, with attitude `turn` (site_from_body) and the slosh along body z."""
     state = np.zeros(SIZE)
     turn = turn or Rotation.identity()
     state[6:10] = np.roll(turn.as_quat(), 1)

@@ -57,8 +57,8 @@ def moved(error: Array) -> ErrorState:
 @pytest.mark.parametrize("what", ["ranges", "speeds"])
 def test_designs_are_the_derivatives(what: str) -> None:
     def predict(state: ErrorState) -> Array:
-        told = state.ranges(BEAMS, COUPLING_S2) if what == "ranges" else state.speeds(BEAMS)
-        return told.value
+        predicted = state.ranges(BEAMS, COUPLING_S2) if what == "ranges" else state.speeds(BEAMS)
+        return predicted.value
 
     design = (
         some_state().ranges(BEAMS, COUPLING_S2) if what == "ranges" else some_state().speeds(BEAMS)
@@ -162,19 +162,19 @@ def test_errors_are_as_large_as_stated(at_s: float) -> None:
 
     Of position east and north alone: the receiver reads ranges 1 cm short on average, which over many shots shows.
     """
-    told = [
+    predicted = [
         (log.errors[k], log.covariance[k])
         for log in honest_flights()
         for k in [int(np.searchsorted(log.time_s, at_s))]
     ]
     for rows in (slice(0, 2), slice(3, 6), slice(6, 9)):
         squares = normalised(
-            np.array([error[rows] for error, _ in told]),
-            np.array([covariance[rows, rows] for _, covariance in told]),
+            np.array([error[rows] for error, _ in predicted]),
+            np.array([covariance[rows, rows] for _, covariance in predicted]),
         )
-        least, most = chi2.ppf([0.001, 0.999], len(told) * len(range(9)[rows]))
+        least, most = chi2.ppf([0.001, 0.999], len(predicted) * len(range(9)[rows]))
         assert least < squares.sum() < most
-    assert abs(np.mean([error[2] for error, _ in told])) < 0.02
+    assert abs(np.mean([error[2] for error, _ in predicted])) < 0.02
 
 
 def test_innovations_are_as_large_as_expected() -> None:

@@ -32,7 +32,7 @@ def test_what_cannot_be_used_is_one_line(
     with pytest.raises(SystemExit) as end:
         navigate.main()
     assert end.value.code == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    (line,) = said.err.splitlines()
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    (line,) = printed.err.splitlines()
     assert named in line

@@ -111,7 +111,7 @@ def test_parity_sees_what_three_unknowns_cannot() -> None:
 
 
 def test_weights_count() -> None:
-    """A beam that is a thousand times as noisy says next to nothing."""
+    """A beam that is a thousand times as noisy contributes next to nothing."""
     beams = directions(22.5, SQUARE_DEG)
     shot = shot_of(beams, np.ones(4), beams @ [1.0, 2.0, 3.0] + [0.5, 0, 0, 0])
     shot.sigma_speed_mps[0] = 1.0
@@ -149,10 +149,10 @@ def test_packets_and_batch_are_the_same_shots() -> None:
         sent, simulated = from_message(message, truth.sheet), from_run(run, k, truth.sheet)
         assert sent is not None
         assert sent.time_ns == pytest.approx(simulated.time_ns, abs=30)
-        told = np.isfinite(simulated.range_m)
+        has_range = np.isfinite(simulated.range_m)
         for one, other, step in zip(sent[1:], simulated[1:], (1e-4, 1e-3, 1e-4, 1e-4, 1e-5), strict=True):
-            assert one[told] == pytest.approx(other[told], abs=step)
-        assert np.isnan(sent.range_m[~told]).all()
+            assert one[has_range] == pytest.approx(other[has_range], abs=step)
+        assert np.isnan(sent.range_m[~has_range]).all()
 
 
 def test_messages_of_other_lidars_are_nothing() -> None:
@@ -177,12 +177,12 @@ def test_the_descent_of_a_real_lidar(public_data: Path) -> None:
 
     The beams are not square: of one unit of parity the second has 0.85. Doppler dilution by numpy's own inverse.
     """
-    told = json.loads((public_data / NEW_SHEPARD_GEOMETRY).read_text())
+    geometry = json.loads((public_data / NEW_SHEPARD_GEOMETRY).read_text())
     rows = np.genfromtxt(public_data / NEW_SHEPARD, delimiter=",", skip_header=1)
     time_s = (rows[:, 0] - 1_602_596_210_210_000_000) * 1e-9
     speeds_mps = rows[(time_s > 436.5) & (time_s < 447), 5:9]
-    sigmas_mps = np.array(told["observed_in_the_csv"]["noise_436p5_to_447s"]["doppler_robust_sigma_mps"])
-    beams = np.array(told["beam_los_in_CON"])
+    sigmas_mps = np.array(geometry["observed_in_the_csv"]["noise_436p5_to_447s"]["doppler_robust_sigma_mps"])
+    beams = np.array(geometry["beam_los_in_CON"])
     assert snapshot.dilution(beams) == pytest.approx(np.sqrt(np.diag(np.linalg.inv(beams.T @ beams))))
     solved = [snapshot.fit(beams, each, sigmas_mps) for each in speeds_mps]
     velocity_mps = np.array([fit.value for fit in solved if fit is not None])

@@ -182,7 +182,7 @@ def test_light_and_receiver_go_wrong_in_flight_too(shoot: Any) -> None:
     assert sent([block for block in blocks if block]) == sent(shoot(scenario))
 
 
-class Told(Observer):
+class FaultRecorder(Observer):
     def __init__(self) -> None:
         self.faults: list[tuple[int, Any, int]] = []
 
@@ -195,7 +195,7 @@ class Controlled:
 
     def __init__(self, scenario: Any, path: Path, pace: Pace = Pace.WALL, room_bytes: int = 8000) -> None:
         encoder = Encoder(scenario.wire, False, False, 4)
-        self.path, self.reported = path, Told()
+        self.path, self.reported = path, FaultRecorder()
         model = build_model(scenario)
         self.session = Session(model, encoder, 10, faulty_encoder(scenario, encoder, False))
         self.device = DeviceTimeline(self.session.rules, initial(self.session.rules))

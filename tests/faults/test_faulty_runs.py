@@ -98,7 +98,7 @@ def packets(blocks: list[Block]) -> list[Any]:
 
 
 def sent(blocks: list[Block]) -> list[Any]:
-    """All that a run says of its shots: bytes, when, and faults."""
+    """Everything that a run reports on its shots: bytes, times, and faults."""
     faults = sorted(fault for block in blocks for fault in block.faults)
     return [packets(blocks), [due for block in blocks for due in block.due_ns], faults]
 

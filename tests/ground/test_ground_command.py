@@ -72,7 +72,7 @@ def test_exported_ground_is_the_same_ground(monkeypatch, capsys, tmp_path, suffi
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "expected"),
     [
         (("descent",), ("descent: site.ground.kind: 'grid'", "allowed: generated")),
         (("bench",), ("bench pattern", "allowed: a flight")),
@@ -85,8 +85,8 @@ def test_exported_ground_is_the_same_ground(monkeypatch, capsys, tmp_path, suffi
         ),
     ],
 )
-def test_what_cannot_be_used_is_one_line(monkeypatch, capsys, words, says):
+def test_what_cannot_be_used_is_one_line(monkeypatch, capsys, words, expected):
     assert run(monkeypatch, *words) == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1
-    assert all(text in line for text in says)
+    assert all(text in line for text in expected)

@@ -98,7 +98,7 @@ def test_it_is_flown_as_a_grid(ground):
 
 
 @pytest.mark.parametrize(
-    ("keys", "says"),
+    ("keys", "expected"),
     [
         ({"spacing_m": 3.0}, "whole spacings"),
         ({"spacing_m": 16.0}, "32 to 4096"),
@@ -113,6 +113,6 @@ def test_it_is_flown_as_a_grid(ground):
         ({"rocks": {"kind": "pebbles"}}, "pebbles"),
     ],
 )
-def test_what_the_grid_cannot_show_is_refused(ground, keys, says):
-    with pytest.raises(ValidationError, match=says):
+def test_what_the_grid_cannot_show_is_refused(ground, keys, expected):
+    with pytest.raises(ValidationError, match=expected):
         ground(**keys)

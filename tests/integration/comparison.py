@@ -38,7 +38,7 @@ def assert_equal(
     """Each row is its shot and beam of the simulation.
 
     Args:
-        rows: with `shot` and `beam`; None where the wire says that there is no value.
+        rows: with `shot` and `beam`; None where the packet marks the value as missing.
         simulated: all shots.
         steps: of the wire, for each value compared.
         held: values that are sent as the nearest end of their range.

@@ -25,10 +25,10 @@ LONG_BENCH = ["bench.yaml", "--set", "bench_pattern.duration_s=1000"]
 
 
 class Program:
-    """A `lidar-emu` in a session of its own, as a shell starts it in a terminal.
+    """A `lidar-emu` process in its own session, as a shell starts it in a terminal.
 
     Args:
-        started: a process of its own from the first byte on, instead of a fork of one that has loaded everything.
+        started: start a new process instead of forking one that has loaded everything.
     """
 
     def __init__(self, arguments: list[str], folder: Path, name: str, started: bool = False) -> None:
@@ -54,12 +54,12 @@ class Program:
 
     @property
     def out(self) -> str:
-        """What it has printed so far."""
+        """Standard output so far."""
         return self._files[0].read_text()
 
     @property
     def err(self) -> str:
-        """What it has complained of so far."""
+        """Standard error so far."""
         return self._files[1].read_text()
 
     def word_after(self, text: str) -> str:
@@ -80,7 +80,7 @@ class Program:
         return self.process.wait(limit_s)
 
     def succeed(self) -> None:
-        """Wait for its end, which must be a good one."""
+        """Wait for its end, which must be a success."""
         assert self.wait() == 0, self.err
         assert self.err == ""
 
@@ -106,7 +106,7 @@ class Program:
         os.kill(pid, signal.SIGCONT)
 
     def end(self) -> None:
-        """Whatever the test did, leave no process behind."""
+        """Kill the process if it still runs."""
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait()
@@ -133,7 +133,7 @@ def longest_sequence(numbers: list[int]) -> int:
 
 
 def read_summary(path: Path) -> dict[str, Any]:
-    """A summary file; NaN and Infinity, which are no JSON, are refused."""
+    """A summary file; NaN and Infinity, which are not JSON, are rejected."""
 
     def refuse(text: str) -> None:
         raise AssertionError(f"{text} is no JSON")
@@ -143,7 +143,7 @@ def read_summary(path: Path) -> dict[str, Any]:
 
 
 class FarEnd:
-    """A cable: what a program writes to the pty `path` is kept in `data`, and passed on where asked."""
+    """A cable: what a program writes to the pty `path` is kept in `data`, and can be forwarded."""
 
     def __init__(self) -> None:
         self._data, self._reading = bytearray(), threading.Lock()
@@ -174,13 +174,13 @@ class FarEnd:
         """From now on pass everything on to the program that has the other cable's `path` open."""
         self._forward_to = other.master
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         """Write to the program that has `path` open."""
         while data:
             data = data[os.write(self.master, data) :]
 
     def wait_for(self, count: int) -> None:
-        """Wait until so many bytes have come."""
+        """Wait until this many bytes have arrived."""
         eventually(lambda: len(self.data) >= count)
 
     def _carry(self) -> None:
@@ -190,7 +190,7 @@ class FarEnd:
                 data = data[os.write(self._forward_to, data) :]
 
     def _read(self) -> bytes:
-        """Read what is there; empty if nothing is."""
+        """Read without waiting; empty if nothing has arrived."""
         with self._reading:
             # The system delivers the bytes on their way through a terminal before it states that none are there.
             is_readable = select.select([self.master], [], [], 0)[0]
@@ -199,7 +199,7 @@ class FarEnd:
         return data
 
     def close(self) -> None:
-        """Stop reading and give everything back."""
+        """Stop reading and close all descriptors."""
         os.write(self._stop, b"\0")
         self._thread.join()
         descriptors = [self.master, self._slave, self._stop_out, self._stop]
@@ -224,6 +224,6 @@ class PtyReader:
                 self.data += data
 
     def close(self) -> None:
-        """Wait for the other side's end, and give the port back."""
+        """Wait until the program closes the pty, and close this end."""
         self._thread.join()
         os.close(self._descriptor)

@@ -1,4 +1,4 @@
-"""Basilisk in the loop: the example lands by the lidar's packets, and its parts say what geometry says."""
+"""Basilisk in the loop: the example lands by the lidar's packets, and its parts agree with geometry."""
 
 from __future__ import annotations
 

@@ -62,11 +62,11 @@ def test_the_beams_are_drawn_in_at_one_shot(pace: str, start: Start, far_end: Fa
         pace,
     )
     far_end.wait_for(144 * 100)
-    far_end.say(command("set_pattern", 0, pattern=1))
+    far_end.send(command("set_pattern", 0, pattern=1))
     (first,) = answers(far_end, 1)
     assert (first.command, first.sequence, first.verdict) == ("set_pattern", 0, "accepted")
     far_end.wait_for(len(far_end.data) + 144 * 100)
-    far_end.say(command("set_pattern", 1, pattern=0))
+    far_end.send(command("set_pattern", 1, pattern=0))
     run.succeed()
     shots, (_, second) = received(far_end)
     assert second.verdict == "accepted"
@@ -103,7 +103,7 @@ def test_commands_that_cannot_be_followed_are_answered_and_counted(
         unknown[:-3] + b"\x55" + unknown[-2:],  # damaged: neither followed nor answered
         command("no_op", 8),
     ):
-        far_end.say(data)
+        far_end.send(data)
     verdicts = [answer.verdict for answer in answers(far_end, 5)]
     assert verdicts == ["accepted", "bad_sequence", "out_of_range", "out_of_state", "accepted"]
     run.signal(signal.SIGINT)
@@ -119,7 +119,7 @@ def test_commands_that_cannot_be_followed_are_answered_and_counted(
 def test_a_flood_of_noise_changes_nothing_that_is_sent(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
     run = start("run", *RATE, "--duration", "1", "--port", far_end.path, *LINK)
     far_end.wait_for(144)
-    far_end.say(bytes(range(256)) * 400)
+    far_end.send(bytes(range(256)) * 400)
     run.succeed()
     shots, answered = received(far_end)
     assert answered == []

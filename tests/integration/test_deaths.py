@@ -1,4 +1,4 @@
-"""One of a run's two processes dies or stands still: the other one notices, says so, and leaves nothing behind."""
+"""One of a run's two processes dies or stalls: the other one detects and reports it, and leaves nothing behind."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class CommandingHost:
     def command(self, name: str, **arguments: Any) -> str:
         """Returns the verdict."""
         count = len(self.all(Acknowledge))
-        self._far_end.say(HOST.encode_command(name, sequence=self._sequence, **arguments))
+        self._far_end.send(HOST.encode_command(name, sequence=self._sequence, **arguments))
         eventually(lambda: len(self.all(Acknowledge)) > count)
         (answer,) = self.all(Acknowledge)[count:]
         assert (answer.command, answer.sequence) == (name, self._sequence)
@@ -230,12 +230,12 @@ def test_on_command_needs_a_planned_flight(start: Start) -> None:
 
 @pytest.mark.slow
 def test_a_host_that_commands_without_end(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
-    """What it says beyond what can be listened to is not heard, and the shots go on."""
+    """Commands beyond the rate limit are ignored, and the shots continue."""
     run = start("run", "descent.yaml", *QUICK, "--duration", "3", "--port", far_end.path, *LINK)
     far_end.wait_for(144)
     commands = [HOST.encode_command("set_pattern", sequence=k, pattern=k % 2) for k in range(256)]
     for _ in range(40):
-        far_end.say(b"".join(commands))
+        far_end.send(b"".join(commands))
     run.succeed()
     reported = read_summary(tmp_path / "s.json")
     assert reported["commands"]["accepted"] > 0

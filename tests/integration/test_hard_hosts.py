@@ -1,4 +1,4 @@
-"""Hosts that flood the line, share it, never read it, or take it over: the run goes on and says what happened."""
+"""Hosts that flood the line, share it, never read it, or take it over: the run continues and reports it."""
 
 from __future__ import annotations
 
@@ -84,9 +84,9 @@ def test_two_hosts_on_one_line_are_heard_in_turn(start: Start, far_end: FarEnd, 
     run = start("run", *RATE, "--port", far_end.path)
     far_end.wait_for(PACKET_BYTES)
     first, foreign, second = (HOST.encode_command("set_pattern", sequence=k, pattern=0) for k in (40, 7, 41))
-    far_end.say(first)
-    far_end.say(foreign)  # of the other, which counts for itself
-    far_end.say(second[:6] + second + second[6:])  # one talks over the other
+    far_end.send(first)
+    far_end.send(foreign)  # of the other, which counts for itself
+    far_end.send(second[:6] + second + second[6:])  # one sends in the middle of the other's command
 
     def verdicts() -> list[str]:
         messages = SerialReceiver(default_interface()).receive(bytes(far_end.data))

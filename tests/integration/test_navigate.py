@@ -37,7 +37,7 @@ def test_it_navigates_by_a_serial_port(start: Start, far_end: FarEnd, other_end:
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as navigating:
         # The line is full until the program reads; what it holds when the port is opened is thrown away: zeros.
         stream = bytes(MORE_THAN_A_PTY_HOLDS) + bytes(far_end.data)
-        threading.Thread(target=other_end.say, args=(stream,), daemon=True).start()
+        threading.Thread(target=other_end.send, args=(stream,), daemon=True).start()
         output, complaint = navigating.communicate(timeout=LIMIT_S)
     assert (navigating.returncode, complaint) == (0, "")
     heading, columns, *lines, end = output.splitlines()

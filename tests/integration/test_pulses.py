@@ -60,7 +60,7 @@ def test_the_time_is_that_at_the_last_pulse(
         "run", "bench.yaml", *settings, "--port", far_end.path, "--baud", "921600", "--summary", "s.json"
     )
     far_end.wait_for(144)
-    far_end.say(HOST.encode_command("no_op", sequence=0))
+    far_end.send(HOST.encode_command("no_op", sequence=0))
     eventually(lambda: len(answers(far_end)) == 1)
     before_edge_ns = monotonic_ns()
     if line:
@@ -69,7 +69,7 @@ def test_the_time_is_that_at_the_last_pulse(
     after_edge_ns = monotonic_ns()
     threading.Event().wait(BETWEEN_S)
     before_command_ns = monotonic_ns()
-    far_end.say(HOST.encode_command("time_at_tone", sequence=1, tone_ns=TONE_NS))
+    far_end.send(HOST.encode_command("time_at_tone", sequence=1, tone_ns=TONE_NS))
     eventually(lambda: len(answers(far_end)) == 2)
     heard_ns = monotonic_ns()
     answer = answers(far_end)[1]

@@ -1,4 +1,4 @@
-"""The example receivers follow a whole descent with faults and commands: their logs are what the recording tells."""
+"""The example receivers follow a whole descent with faults and commands: their logs match the recording."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ FAULTS = """[
 QUICK_DESCENT = (
     "{kind: profile, waypoints: [{altitude_m: 1500, speed_mps: 160}, {altitude_m: 20, speed_mps: 5}]}"
 )
-"""By the clock: at another pace a device in standby would be through with the flight before it is told to go on."""
+"""By the clock: at another pace a device in standby would end its flight before the command to continue."""
 ORDERS = ["300:set_pattern=1", "500:no_op", "650:set_mode=1", "650:set_mode=4", "850:set_pattern=0"]
 
 NUMBERS = {  # typed from INTERFACE.md: step, lowest, highest, whether a value outside is held
@@ -161,7 +161,7 @@ def sent_frames(path: Path) -> Iterator[Sent]:
 
 
 def heard(frames: Iterator[Sent], lines: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], int]:
-    """The messages that a receiver can tell, and how many frames it finds damaged.
+    """The messages that a receiver can decode, and how many frames it finds damaged.
 
     Where a packet without its end is followed by an answer, or by housekeeping, the delimiter before those ends it.
     """

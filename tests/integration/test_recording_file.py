@@ -93,7 +93,7 @@ def test_a_cut_recording_holds_everything_before_the_cut(recording: bytes, share
         for _, channel, message in reader.iter_messages(log_time_order=False):
             read.append((channel.topic, message.sequence, message.data))
     except (McapError, struct.error):
-        pass  # the end of the file inside a record; the reader says so in either way
+        pass  # the end of the file inside a record; the reader reports it in either way
     count = sum(end <= cut for end in message_ends(recording))
     assert count > 0.05 * len(whole)
     assert read == whole[:count]

@@ -47,7 +47,7 @@ def far_ends() -> Iterator[Callable[[], FarEnd]]:
 
 
 def recomputed(start: Start, tmp_path: Path, file: str = "r.mcap", code: int = 0) -> dict[str, Any]:
-    """What `replay --recompute` tells."""
+    """Summary of `replay --recompute`."""
     comparing = start("replay", file, "--recompute", "--json", "--summary", "compared.json")
     assert comparing.wait() == code, comparing.err
     reported = read_summary(tmp_path / "compared.json")
@@ -170,13 +170,13 @@ class Commander:
 
     def __call__(self, name: str, **arguments: Any) -> str:
         count = len(self.all(Acknowledge))
-        self._far_end.say(self._host.encode_command(name, sequence=self._sequence, **arguments))
+        self._far_end.send(self._host.encode_command(name, sequence=self._sequence, **arguments))
         self._sequence += 1
         eventually(lambda: len(self.all(Acknowledge)) > count)
         return str(self.all(Acknowledge)[-1].verdict)
 
     def wait_for_standby(self) -> None:
-        """Until the last housekeeping says so."""
+        """Wait until the last housekeeping reports it."""
         standby = INTERFACE.enumerations["mode"]["standby"]
         eventually(lambda: (reported := self.all(Housekeeping)) and reported[-1].values["mode"] == standby)
 

@@ -118,7 +118,7 @@ def test_listen_at_the_other_end_of_the_bus(
 
 @pytest.mark.slow
 def test_listen_and_send_by_slcan(start: Start, far_end: FarEnd, other_end: FarEnd, tmp_path: Path) -> None:
-    """An adapter has one host: one after the other, each hears what the device says meanwhile."""
+    """An adapter has one host: one after the other, each receives what the device sends meanwhile."""
     far_end.deliver_to(other_end)
     other_end.deliver_to(far_end)
     unit = [

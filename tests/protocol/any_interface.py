@@ -186,7 +186,7 @@ def values(draw, entries):
 
 @st.composite
 def value(draw, entry):
-    """A value that the field can tell exactly, and its bits as a number."""
+    """A value that the field can hold exactly, and its bits as a number."""
     kind, width = entry["type"], bits_of(entry)
     if kind == "bool":
         flag = draw(st.booleans())

@@ -85,7 +85,7 @@ def built(folder, interface, program):
 
 
 def expected(shot):
-    """What the printer says of a golden shot."""
+    """Output of the printer for a golden shot."""
     header = shot["header"]
     lines = [header["shot"], len(shot["beams"])]
     rows = []

@@ -69,7 +69,7 @@ def test_frames_without_their_header_do_not_join_the_next_shot_of_the_same_count
 
 @given(st.sampled_from(["core", "full", "fd"]), st.data())
 def test_a_tail_and_a_head_sixteen_shots_later_are_not_mixed(can_set, data):
-    """Shot 4 loses its tail and shot 20 its head; where both break at the same frame nothing tells."""
+    """Shot 4 loses its tail and shot 20 its head; where both break at the same frame, nothing shows it."""
     sent, later = frames(4, can_set), frames(20, can_set, beams=NEAR)
     kept = data.draw(st.integers(1, len(sent) - 1))
     lost = data.draw(st.integers(1, len(sent) - 1).filter(lambda lost: lost != kept))

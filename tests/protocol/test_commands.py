@@ -74,7 +74,7 @@ def test_each_command_arrives_with_its_arguments(name):
 
 
 def test_a_command_by_hand():
-    """A telecommand packet without secondary header, as INTERFACE.md says, with `struct` alone."""
+    """A telecommand packet without secondary header, as in INTERFACE.md, with `struct` alone."""
     head = struct.pack(">HHHBBI", 0x1000 | 0x2A1, 0xC000 | 9, 8 - 1, 3, 9, 12_500)
     plain = head + struct.pack(">H", binascii.crc_hqx(head, 0xFFFF))
     assert (

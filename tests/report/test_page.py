@@ -78,7 +78,7 @@ def test_figures_are_pictures(flight_page):
 
 
 def looked_at(page: Path, *options: str) -> tuple[str, list[str], list[str]]:
-    """The document as a browser has it, what its console says, and what it asked for."""
+    """The document in a browser, the lines of its console, and the addresses that it requested."""
     log = page.parent / "net.json"
     command = [CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
                f"--user-data-dir={page.parent / 'profile'}", f"--log-net-log={log}", *options]  # fmt: skip

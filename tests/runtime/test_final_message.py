@@ -35,7 +35,7 @@ MESSAGE = b"these are the final message"
 
 
 def unstuffed(frame: bytes) -> bytes:
-    """COBS by its definition: each code byte says how far it is to the next zero."""
+    """COBS by its definition: each code byte is the distance to the next zero."""
     data, place = b"", 0
     while place < len(frame):
         code = frame[place]

@@ -1,4 +1,4 @@
-"""Shots on their way, over a port that sends what it is told to and reports in order."""
+"""Shots on their way, over a port that sends every packet and reports in order."""
 
 from __future__ import annotations
 

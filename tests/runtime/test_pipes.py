@@ -1,4 +1,4 @@
-"""What the port process says, into a pipe that nobody reads for a while."""
+"""Messages of the port process into a pipe that nobody reads for a while."""
 
 from __future__ import annotations
 

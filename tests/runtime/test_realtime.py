@@ -42,7 +42,7 @@ def ask(code: str) -> dict[str, object]:
     return reported
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="Linux alone tells what it granted")
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux reports what it granted")
 def test_what_is_said_to_be_granted_is_had() -> None:
     reported = ask(IMPORTS + REPORT)
     granted, missing = reported["granted"], reported["missing"]

@@ -1,4 +1,4 @@
-"""Whatever a file or an override holds, loading it succeeds or says in one line what is wrong."""
+"""Whatever a file or an override holds, loading it succeeds or states in one line what is wrong."""
 
 from __future__ import annotations
 

@@ -249,7 +249,7 @@ def test_registration(tmp_path, point, registration, first):
 
 
 def test_tie_point_of_a_file_of_points(tmp_path):
-    """GDAL tells it as it is in the file when asked to ignore what it means: there the first sample lies."""
+    """GDAL returns the stored value when it ignores the convention: there the first sample lies."""
     path = write_tiff(tmp_path / "a.tif", point=True)
     with rasterio.Env(GTIFF_POINT_GEO_IGNORE=True), rasterio.open(path) as file:
         tie = (file.transform.c, file.transform.f)

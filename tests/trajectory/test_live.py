@@ -23,7 +23,7 @@ def truth(time_ns: int = 0, sequence: int = 0, **changes: object) -> Truth:
 
 
 def falling(time_s: float, known: bool = True) -> Truth:
-    """From rest at a height of 500 m, with a steady drift; as a simulator would tell."""
+    """From rest at a height of 500 m, with a steady drift; as a simulator would send it."""
     return Truth(
         round(time_s * 1e3), round(time_s * 1e9), (3 * time_s, 0.0, 500 - 0.8 * time_s**2), (3.0, 0.0, -1.6 * time_s),
         (0.0, 0.0, -1.6) if known else None, UPRIGHT, STILL,

@@ -1,7 +1,7 @@
 """The other ends of every kind of line, held by the test: what a host is to the device.
 
-A far end names the port that the device opens (`spec`), reads, speaks, leaves without a word and comes back. Packets
-are numbered, and what was read is reported as the numbers of whole packets; a torn one stops the test.
+A far end names the port that the device opens (`spec`), reads, sends, disconnects without notice and reconnects.
+Packets are numbered, and those read are reported by their numbers; a torn packet fails the test.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ _READ_BYTES = 65536
 
 
 class FarEnd:
-    """What all have in common; packets of a byte link."""
+    """Base class of all far ends, with the packets of a byte link."""
 
     spec = PortSpec()
     loopback_fd: int | None = None
     fills = True
-    """Whether a line that nobody reads takes no more at some time."""
-    tells_of_loss = True
-    """Whether the device can know that the far end is gone."""
-    comes_back = True
+    """Whether the line fills up while nobody reads it."""
+    reports_loss = True
+    """Whether the line reports that the far end has gone."""
+    can_reconnect = True
     outlives_device = True
     _number_at = 0
 
@@ -48,13 +48,13 @@ class FarEnd:
         self.read_so_far = b""
 
     def attach(self, description: str) -> None:
-        """The device has opened its port, and calls it so."""
+        """The device has opened its port, under this name."""
 
     def packet(self, number: int) -> bytes:
         return number.to_bytes(4, "big") + 15 * ALL_BYTES
 
     def numbers(self) -> list[int]:
-        """The packets read so far, of which all are whole but perhaps one that is on its way."""
+        """Numbers of the whole packets read so far; a partial one at the end is left out."""
         self.read_so_far += self.read()
         size = len(self.packet(0))
         whole = len(self.read_so_far) // size
@@ -64,27 +64,27 @@ class FarEnd:
         return found
 
     def command(self) -> bytes:
-        """Something that the far end may say."""
+        """Bytes that the far end may send."""
         return ALL_BYTES
 
     def read(self) -> bytes:
         """What has arrived since the last call."""
         raise AssertionError
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         raise AssertionError(data)
 
-    def leave(self) -> None:
-        """As a process that is killed: without a word."""
+    def disconnect(self) -> None:
+        """Disconnect as a killed process does, without notice."""
 
-    def come_back(self) -> None: ...
+    def reconnect(self) -> None: ...
 
     def close(self) -> None:
-        self.leave()
+        self.disconnect()
 
 
 class Loopback(FarEnd):
-    comes_back = False
+    can_reconnect = False
 
     def __init__(self) -> None:
         super().__init__()
@@ -96,34 +96,34 @@ class Loopback(FarEnd):
     def read(self) -> bytes:
         return _all_of(lambda: self._far.recv(_READ_BYTES))
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         self._far.send(data)
 
-    def leave(self) -> None:
+    def disconnect(self) -> None:
         self._far.close()
 
 
 class Pty(FarEnd):
-    """The device makes the pty; the far end is whoever opens its path."""
+    """The device makes the pty; the far end opens its path."""
 
     spec = PortSpec(Kind.PTY)
     outlives_device = False
 
     def attach(self, description: str) -> None:
         self._path = description
-        self.come_back()
+        self.reconnect()
 
     def read(self) -> bytes:
         return _all_of(lambda: os.read(self._descriptor, _READ_BYTES))
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         os.write(self._descriptor, data)
 
-    def leave(self) -> None:
+    def disconnect(self) -> None:
         os.close(self._descriptor)
         self.read_so_far = b""
 
-    def come_back(self) -> None:
+    def reconnect(self) -> None:
         self._descriptor = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
 
 
@@ -133,7 +133,7 @@ class Serial(FarEnd):
     def __init__(self, folder: Path) -> None:
         super().__init__()
         self._link = folder / "port"
-        self.come_back()
+        self.reconnect()
         self.spec = self.named(str(self._link))
 
     def named(self, path: str) -> PortSpec:
@@ -142,16 +142,16 @@ class Serial(FarEnd):
     def read(self) -> bytes:
         return _all_of(lambda: os.read(self._master, _READ_BYTES))
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         os.write(self._master, data)
 
-    def leave(self) -> None:
-        self._link.unlink()  # the number of the pty is given to the next that is made
+    def disconnect(self) -> None:
+        self._link.unlink()  # the system reuses the number of the pty
         os.close(self._slave)
         os.close(self._master)
         self.read_so_far = b""
 
-    def come_back(self) -> None:
+    def reconnect(self) -> None:
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
@@ -159,12 +159,12 @@ class Serial(FarEnd):
 
 
 class Socket(FarEnd):
-    """A terminal server that passes bytes on as they are."""
+    """A terminal server that passes bytes on unchanged."""
 
     def __init__(self) -> None:
         super().__init__()
         self._port = 0
-        self.come_back()
+        self.reconnect()
         self.spec = PortSpec(Kind.SERIAL, f"socket://127.0.0.1:{self._port}")
 
     def attach(self, description: str) -> None:  # noqa: ARG002
@@ -174,18 +174,18 @@ class Socket(FarEnd):
         self._accept(0.0)
         return b"" if self._connection is None else _all_of(lambda: self._received(self._connection))
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         assert self._connection is not None
         self._connection.sendall(data)
 
-    def leave(self) -> None:
+    def disconnect(self) -> None:
         for sock in (self._connection, self._server):
             if sock is not None:
                 sock.close()
         self._connection = None
         self.read_so_far = b""
 
-    def come_back(self) -> None:
+    def reconnect(self) -> None:
         self._connection: socket.socket | None = None
         self._server = socket.create_server(("127.0.0.1", self._port))
         self._port = self._server.getsockname()[1]
@@ -204,37 +204,37 @@ class Socket(FarEnd):
 
 
 class Telnet(Socket):
-    """A terminal server of RFC 2217, as pyserial has one. A thread answers the device's negotiation; of what it says
-    besides, the thread takes no more while `read` has not fetched the last."""
+    """A terminal server of RFC 2217, by pyserial. A thread answers the device's negotiation; it takes no further data
+    until `read` has fetched the last."""
 
     def __init__(self) -> None:
         super().__init__()
         self.spec = PortSpec(Kind.SERIAL, f"rfc2217://127.0.0.1:{self._port}")
 
     def attach(self, description: str) -> None:
-        """It has been negotiated with already."""
+        """Nothing to do: the negotiation is complete."""
 
     def read(self) -> bytes:
         data, self._unread = self._unread, b""
         return data
 
-    def say(self, data: bytes) -> None:
-        super().say(b"".join(self._manager.escape(data)))
+    def send(self, data: bytes) -> None:
+        super().send(b"".join(self._manager.escape(data)))
 
-    def leave(self) -> None:
+    def disconnect(self) -> None:
         self._leaving.set()
         self._thread.join()
-        super().leave()
+        super().disconnect()
 
-    def come_back(self) -> None:
-        super().come_back()
+    def reconnect(self) -> None:
+        super().reconnect()
         self._unread = b""
         self._leaving = threading.Event()
         self._thread = threading.Thread(target=self._serve)
         self._thread.start()
 
     def write(self, data: bytes) -> None:
-        """For the manager."""
+        """Called by the manager."""
         if self._connection is not None:
             self._connection.sendall(data)
 
@@ -258,20 +258,20 @@ class Udp(FarEnd):
         self._address: Any = (host, 0)
         self._family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self._peer: Any = None
-        self.come_back()
+        self.reconnect()
         self._address = self._socket.getsockname()
         self.spec = PortSpec(Kind.UDP, f"{f'[{host}]' if ':' in host else host}:{self._address[1]}", baud=0)
 
     def read(self) -> bytes:
         return _all_of(self._one)
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         self._socket.sendto(data, self._peer)
 
-    def leave(self) -> None:
+    def disconnect(self) -> None:
         self._socket.close()
 
-    def come_back(self) -> None:
+    def reconnect(self) -> None:
         self._socket = socket.socket(self._family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._socket.bind(self._address)
@@ -297,7 +297,7 @@ class CanFarEnd(FarEnd):
 
 
 class Slcan(CanFarEnd, Serial):
-    """An slcan adapter by its lines of text."""
+    """An slcan adapter, by its protocol of text lines."""
 
     def __init__(self, folder: Path) -> None:
         self._lines = b""
@@ -311,27 +311,27 @@ class Slcan(CanFarEnd, Serial):
         frames = [line.decode("ascii") for line in lines if line[:1] == b"t"]
         return pack_frames(Frame(int(line[1:4], 16), bytes.fromhex(line[5:])) for line in frames)
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         lines = [f"t{frame.can_id:03X}{len(frame.data)}{frame.data.hex()}\r" for frame in unpack_frames(data)]
-        super().say("".join(lines).encode())
+        super().send("".join(lines).encode())
 
-    def leave(self) -> None:
-        super().leave()
+    def disconnect(self) -> None:
+        super().disconnect()
         self._lines = b""
 
 
 class Bus(CanFarEnd):
-    """Another program on a bus of python-can's; nobody knows of it."""
+    """Another program on a bus of python-can, which the bus does not report."""
 
     fills = False
-    tells_of_loss = False
+    reports_loss = False
 
     def __init__(self, interface: str, channel: str) -> None:
         super().__init__()
         self.spec = PortSpec(Kind.CAN, interface=interface, channel=channel)
         self._joined = interface, channel
         self._bus: Any = None
-        self.come_back()
+        self.reconnect()
 
     def read(self) -> bytes:
         frames = []
@@ -339,16 +339,16 @@ class Bus(CanFarEnd):
             frames.append(Frame(message.arbitration_id, bytes(message.data)))
         return pack_frames(frames)
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         import can
 
         for frame in unpack_frames(data):
             self._bus.send(can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False))
 
-    def leave(self) -> None:
+    def disconnect(self) -> None:
         self._bus.shutdown()
 
-    def come_back(self) -> None:
+    def reconnect(self) -> None:
         import can
 
         interface, channel = self._joined
@@ -361,23 +361,23 @@ class Virtual(Bus):
 
 
 class Remote(Bus):
-    """Another client of python-can-remote's server, which is a process of its own."""
+    """Another client of the server of python-can-remote, which runs in a separate process."""
 
-    tells_of_loss = True
+    reports_loss = True
 
     def __init__(self) -> None:
         with socket.create_server(("127.0.0.1", 0)) as free:
             self._port = free.getsockname()[1]
         super().__init__("remote", f"127.0.0.1:{self._port}")
 
-    def leave(self) -> None:
+    def disconnect(self) -> None:
         self._server.kill()
         self._server.wait()
-        self._bus.socket.close()  # its own farewell waits for the server
+        self._bus.socket.close()  # the bus's own shutdown waits for the server
         self._bus._is_shutdown = True
         self.read_so_far = b""
 
-    def come_back(self) -> None:
+    def reconnect(self) -> None:
         where = ["-H", "127.0.0.1", "-p", str(self._port)]
         command = [sys.executable, "-m", "can_remote", "-i", "virtual", "-c", "bus", *where]
         self._server = subprocess.Popen(command, stderr=subprocess.DEVNULL)
@@ -385,13 +385,13 @@ class Remote(Bus):
 
     def _joins(self) -> bool:
         with suppress(ConnectionRefusedError):  # until the server listens
-            super().come_back()
+            super().reconnect()
             return True
         return False
 
 
 def _all_of(read: Any) -> bytes:
-    """Everything that is there, from a descriptor that does not wait."""
+    """Everything that can be read without waiting."""
     pieces = []
     with suppress(BlockingIOError, ConnectionResetError):
         while piece := read():

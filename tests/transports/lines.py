@@ -1,4 +1,4 @@
-"""What every line has to do, whatever it is made of. Subclasses say on which lines."""
+"""Requirements on every kind of line. Subclasses choose the lines."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ class EveryLine:
         with opened(place, far) as device:
             far.attach(device.description)
             until(device, lambda: gets_through(device, far, 0))  # some know their device by what it sends
-            far.say(far.command())
+            far.send(far.command())
             until(device, lambda: device.received == far.command())
 
     def test_a_slow_reader_costs_the_newest_packets_whole(self, place: Place, far: FarEnd) -> None:
@@ -178,19 +178,19 @@ class EveryLine:
         with opened(place, far) as device:
             far.attach(device.description)
             until(device, lambda: gets_through(device, far, 0))
-            far.leave()
+            far.disconnect()
 
             def is_noticed() -> bool:
                 status = device.send(far.packet(1))
                 return status in _DROPPED and bool(device.events())
 
-            if far.tells_of_loss:
+            if far.reports_loss:
                 until(device, is_noticed)
             else:
                 assert [device.send(far.packet(1)) for _ in range(20)] == [DeliveryStatus.SENT] * 20
-            if not far.comes_back:
+            if not far.can_reconnect:
                 return
-            far.come_back()
+            far.reconnect()
             until(device, lambda: gets_through(device, far, 2))
 
     def test_close_gives_everything_back(
@@ -203,12 +203,12 @@ class EveryLine:
         with opened(place, far) as device:
             far.attach(device.description)
             device.send(far.packet(0))
-        far.leave()
+        far.disconnect()
         eventually(lambda: open_descriptors() <= before)
-        if not far.comes_back:
+        if not far.can_reconnect:
             return
         if far.outlives_device:
-            far.come_back()
+            far.reconnect()
         with opened(place, far) as device:
             far.attach(device.description)
             until(device, lambda: gets_through(device, far, 1))

@@ -89,7 +89,7 @@ def test_a_pulled_cable_is_reported_once_and_opened_again_with_back_off() -> Non
         if cable.attempts > before:
             attempts_at_ms.append(now_ms)
     assert attempts_at_ms == [110, 310, 710, 1510, 3110, 5110, 7110]
-    assert link.wake_ns(8000 * MS, wants_room=False) == 9110 * MS
+    assert link.wake_ns(8000 * MS, needs_room=False) == 9110 * MS
     cable.plugged = True
     link.service(9110 * MS)
     assert link.send(b"d", 9120 * MS) is DeliveryStatus.SENT
@@ -127,7 +127,7 @@ def test_nobody_connected_is_reported_when_it_changes() -> None:
     assert statuses == [DeliveryStatus.DROPPED_NOBODY] * 3
     assert (link.readable, link.unread) == ([], 0)
     # The descriptor of a pty without a reader is always readable: it must be looked at by time.
-    assert link.wake_ns(3 * MS, wants_room=False) is not None
+    assert link.wake_ns(3 * MS, needs_room=False) is not None
     cable.somebody = True
     assert link.send(b"y", 4 * MS) is DeliveryStatus.SENT
     assert (link.readable, link.unread) == ([7], 3)

@@ -1,4 +1,4 @@
-"""Pulses on a modem line. A pty has no such lines: what the driver says is faked, the rest is real."""
+"""Pulses on a modem line. A pty has no such lines: the driver's answers are faked, the rest is real."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LINES = {"cd": termios.TIOCM_CD, "cts": termios.TIOCM_CTS, "dsr": termios.TIOCM_
 
 
 class Modem:
-    """A driver whose lines the test sets. Its clock stands still but for what the test says."""
+    """A driver whose lines the test sets. Its clock advances only as the test sets it."""
 
     def __init__(self) -> None:
         self.now_ns = 0

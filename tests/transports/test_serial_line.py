@@ -12,7 +12,7 @@ import pytest
 from lidar_emu.errors import InputError
 from lidar_emu.transports.link import Link
 from lidar_emu.transports.opening import opener
-from lidar_emu.transports.serial_line import ask_driver, modem_lines, users_of
+from lidar_emu.transports.serial_line import modem_lines, request_driver_features, users_of
 from lidar_emu.transports.serial_port import open_byte_channel
 from lidar_emu.transports.spec import Kind, PortSpec
 
@@ -47,15 +47,15 @@ class Driver:
 
 def test_a_driver_that_can_is_asked_for_low_latency_and_for_rs485_where_it_is_wanted() -> None:
     driver = Driver("low_latency", "rs485")
-    assert ask_driver(driver, spec("x")).granted == ("low_latency",)
-    driver_features = ask_driver(driver, spec("x", rs485=True))
+    assert request_driver_features(driver, spec("x")).granted == ("low_latency",)
+    driver_features = request_driver_features(driver, spec("x", rs485=True))
     assert driver_features.granted == ("low_latency", "rs485")
     assert not driver_features.missing
     assert driver.done == ["low_latency True", "low_latency True", "rs485, RTS while sending: True"]
 
 
 def test_what_a_driver_cannot_do_is_reported_and_no_error(raw_pty: Any) -> None:
-    assert list(ask_driver(Driver(), spec("x", rs485=True)).missing) == ["low_latency", "rs485"]
+    assert list(request_driver_features(Driver(), spec("x", rs485=True)).missing) == ["low_latency", "rs485"]
     link = Link(opener(spec(raw_pty.path, rs485=True)))
     assert list(link.driver_features.missing) == ["low_latency", "rs485"]
     link.service(0)
@@ -113,7 +113,7 @@ def test_who_uses_a_port_is_named(raw_pty: Any) -> None:
 def test_a_device_that_is_no_pty_is_marked_as_taken_and_given_back(
     raw_pty: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The pty stands for a device: an exclusive one is refused to all but the privileged, as TIOCGEXCL tells."""
+    """The pty stands for a device: if it is exclusive, only privileged users can open it; TIOCGEXCL reports that."""
     monkeypatch.setattr("lidar_emu.transports.serial_line._is_pty", lambda _: False)
     slave = os.open(raw_pty.path, os.O_RDWR | os.O_NOCTTY)
     channel = open_byte_channel(spec(raw_pty.path))

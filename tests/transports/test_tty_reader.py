@@ -1,4 +1,4 @@
-"""A terminal's input behind a pipe: nothing is lost, and it ends where the terminal does, or when it is told to."""
+"""A terminal's input behind a pipe: nothing is lost, and it ends with the terminal, or when it is closed."""
 
 from __future__ import annotations
 

@@ -121,7 +121,7 @@ def test_what_was_not_read_in_time_is_counted(spec: PortSpec, link: Link) -> Non
     assert 0 < received < 50
     assert link.counts["lost_frames"] == 50 - received
     assert [text for _, text in link.take_events()] == [
-        f"{50 - received} received datagrams lost: they came faster than they were read"
+        f"{50 - received} received datagrams lost: they arrived faster than they were read"
     ]
 
 

@@ -28,7 +28,7 @@ def run_tool(*command: str, stdin: str = "") -> str:
 
 
 def send(can_id: int, data: bytes, interface: str = "vcan0") -> None:
-    """A frame by cansend: 11-bit identifier, or 32 bits of which the flags say what it is."""
+    """A frame by cansend: 11-bit identifier, or 32 bits with flags for its kind."""
     run_tool("cansend", interface, f"{can_id:0{3 if can_id < 0x800 else 8}X}#{data.hex()}")
 
 

@@ -17,7 +17,7 @@ _TOOLS = ("candump", "cansend", "cangen", "tshark", "tc", "ip")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Outside the machine, and where it lacks tools, say so."""
+    """Outside the machine, or without its tools, state the reason."""
     reason = ""
     if "SOCKETCAN_MACHINE" not in os.environ:
         reason = "needs SocketCAN: tests/integration/socketcan/machine .venv/bin/pytest tests/integration/socketcan"

@@ -1,4 +1,4 @@
-"""What a host says on the bus: commands by cansend, and more than anybody reads."""
+"""What a host sends on the bus: commands by cansend, and more than the device reads."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Start = Callable[..., Program]
 
 
 def modes(dump: Candump) -> list[str]:
-    """Those that housekeeping tells, without repetitions, as cantools decodes them with the DBC."""
+    """The counts in housekeeping, without repetitions, as cantools decodes them with the DBC."""
     reported = [frame.data for frame in dump.frames() if frame.can_id == HEALTH]
     decoded = (slcan_lines.DATABASE.decode_message(HEALTH, data) for data in reported)
     return [mode for mode, _ in groupby(str(values["mode"]) for values in decoded)]

@@ -1,4 +1,4 @@
-"""A bus that is slow, loses frames, goes down, reports errors or is flooded: the run goes on and says so."""
+"""A bus that is slow, loses frames, goes down, reports errors or is flooded: the run continues and reports it."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_a_lossy_bus_costs_what_it_loses(start: Start, shape: Shape, tmp_path: P
         options = [*SHOTS_ALONE, "--pace", "max", "--duration", "10", "--summary", "s.json"]
         start("run", "descent.yaml", *BUS, *options).succeed()
     shots = read_summary(tmp_path / "s.json")["shots"]
-    assert shots["sent"] == shots["due"] == 200, "nobody tells the sender"
+    assert shots["sent"] == shots["due"] == 200, "the sender gets no report"
     frames = len(dump.frames())
     assert 0.87 < frames / (200 * (3 + 3 * BEAMS)) < 0.93, "five standard deviations"
     listener.signal(signal.SIGINT)

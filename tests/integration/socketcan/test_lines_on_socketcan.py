@@ -26,18 +26,18 @@ PORT = 5600
 
 
 class SocketCan(Bus):
-    tells_of_loss = True
+    reports_loss = True
 
     def __init__(self) -> None:
         super().__init__("socketcan", "vcan0")
 
-    def leave(self) -> None:
-        super().leave()
+    def disconnect(self) -> None:
+        super().disconnect()
         self._set("down")
 
-    def come_back(self) -> None:
+    def reconnect(self) -> None:
         self._set("up")
-        super().come_back()
+        super().reconnect()
         enlarge_receive_buffer(self._bus.socket)  # what it loses would look like the device's tearing
 
     def close(self) -> None:
