@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from lidar_emu.device.constants import DeviceConstants, TimedEvent, device_rules
+from lidar_emu.device.constants import DeviceConstants, TimedEvent, device_constants
 from lidar_emu.device.modes import advance, initial, timed
 from lidar_emu.device.settling import Settling
 from lidar_emu.device.shot_policy import ShotPolicy, shot_policy
@@ -76,7 +76,7 @@ class Session:
         encoder: encodes the packets.
         kept_blocks: number of blocks by which `rewind` can go back.
         faulty: encoder with packet faults; None: without packet faults.
-        rules: constants of the device; None: the device is in mode track from the first shot on.
+        constants: constants of the device; None: the device is in mode track from the first shot on.
     """
 
     def __init__(
@@ -85,16 +85,18 @@ class Session:
         encoder: Encoder,
         kept_blocks: int = 1,
         faulty: FaultyEncoder | None = None,
-        rules: DeviceConstants | None = None,
+        constants: DeviceConstants | None = None,
     ) -> None:
         self._model = model
         self._encoder = encoder
         self._faulty = faulty
-        self.rules = rules or device_rules(DeviceBehaviour(), 1e9 / model.period_ns, model.beam_count, 1)
+        self.constants = constants or device_constants(
+            DeviceBehaviour(), 1e9 / model.period_ns, model.beam_count, 1
+        )
         """Constants of the device."""
         self._state = _State(
             initial_state(model),
-            shot_policy(initial(self.rules), model.beam_count),
+            shot_policy(initial(self.constants), model.beam_count),
             0,
             _NOT_SETTLING,
             None if faulty is None else faulty.initial,
@@ -130,7 +132,7 @@ class Session:
 
     def use_device(self, device: DeviceState) -> None:
         """Use the state of the device after a command, from the next shot on."""
-        device = timed(self.rules, device)  # the command may be older than an injected fault
+        device = timed(self.constants, device)  # the command may be older than an injected fault
         state, settings = self._state, device.settings
         scanner, unnumbered = state.model.scanner, state.unnumbered
         if scanner.commanded != settings.pattern:
@@ -156,7 +158,7 @@ class Session:
             events: events of the device, including device faults; None: as before.
         """
         if events is not None:
-            self.rules = replace(self.rules, events=events)
+            self.constants = replace(self.constants, events=events)
             self.use_device(self.device)
         self._model, self._faulty = model, faulty
         held = () if model.faults is None else model.faults.extended(self._state.model.faults)
@@ -215,7 +217,7 @@ class Session:
     def _advance(self, most: int) -> tuple[int, bool]:
         """Advance the device to the next shot; return how many shots share its state, and whether they are silent."""
         shot, period_ns = self.next_shot, self._model.period_ns
-        device = advance(self.rules, self.device, shot * period_ns)
+        device = advance(self.constants, self.device, shot * period_ns)
         if device is not self.device:
             self.use_device(device)
         return self._state.shot_policy.steady(shot, most, period_ns)

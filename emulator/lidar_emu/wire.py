@@ -1,6 +1,6 @@
 """Encode measurements to packets, and decode received messages to rows of a table.
 
-The only module that knows both `Measurement` and `lidar_protocol`.
+The only module that uses both `Measurement` and `lidar_protocol`.
 """
 
 from __future__ import annotations

@@ -109,6 +109,7 @@ def nanoseconds(code: bytes) -> int:
 
 
 def flag(bit: int) -> str:
+    """JSON boolean of a bit."""
     return "true" if bit else "false"
 
 
@@ -117,11 +118,13 @@ def number(raw: int, lowest: int, highest: int, steps: int) -> str:
     return f"{raw / steps:.{len(str(steps)) - 1}f}" if lowest <= raw <= highest else "null"
 
 
-def joined(entries: dict[str, object]) -> str:
+def json_object(entries: dict[str, object]) -> str:
+    """JSON object of values that are JSON already."""
     return "{" + ",".join(f'"{name}":{value}' for name, value in entries.items()) + "}"
 
 
 def beam_line(beam: int, packet: bytes) -> str:
+    """JSON object of one beam of a measurement packet (section 2)."""
     flags, why, *raws = BEAM.unpack_from(packet, 28 + 28 * beam)
     values: dict[str, object] = {
         "beam": beam,
@@ -135,7 +138,7 @@ def beam_line(beam: int, packet: bytes) -> str:
     }
     for raw, (name, lowest, highest, steps) in zip(raws, BEAM_NUMBERS, strict=True):
         values[name] = number(raw, lowest, highest, steps)
-    return joined(values)
+    return json_object(values)
 
 
 def measurement_line(unit: int, packet: bytes) -> tuple[int, str] | None:
@@ -145,7 +148,7 @@ def measurement_line(unit: int, packet: bytes) -> tuple[int, str] | None:
     time_code, due, version, mode, flags, beams, shot = SHOT.unpack_from(packet, 6)
     if version != INTERFACE_VERSION or not 1 <= beams <= 64 or len(packet) != 30 + 28 * beams:
         return None
-    return shot, joined(
+    return shot, json_object(
         {
             "kind": '"measurement"',
             "unit": unit,
@@ -166,10 +169,11 @@ def acknowledge_line(unit: int, packet: bytes) -> tuple[int, int, str] | None:
         return None
     time_code, command, sequence, verdict = ANSWER.unpack_from(packet, 6)
     values = {"time_ns": nanoseconds(time_code), "command": command, "sequence": sequence, "verdict": verdict}
-    return sequence, verdict, joined({"kind": '"acknowledge"', "unit": unit, **values})
+    return sequence, verdict, json_object({"kind": '"acknowledge"', "unit": unit, **values})
 
 
 def housekeeping_line(unit: int, packet: bytes) -> str | None:
+    """Line of a housekeeping packet; None if length or version are wrong."""
     if len(packet) != HEADER.size + HEALTH.size + 2:
         return None
     time_code, version, _, _, _, mode, flags, temperature, power, uptime, *counters, _ = HEALTH.unpack_from(
@@ -178,7 +182,7 @@ def housekeeping_line(unit: int, packet: bytes) -> str | None:
     dropped, late, accepted, rejected, bad_bytes = counters
     if version != INTERFACE_VERSION:
         return None
-    return joined(
+    return json_object(
         {
             "kind": '"housekeeping"',
             "unit": unit,
@@ -229,6 +233,7 @@ class Commander:
 
     @property
     def is_waiting(self) -> bool:
+        """Whether a command has not been acknowledged yet."""
         return self._sent_s is not None
 
     def command(self, newest_shot: int) -> None:
@@ -240,7 +245,8 @@ class Commander:
             self._sent_s = time.monotonic()
             os.write(self._port, encoded(name, self._sequence, value))
 
-    def answered(self, sequence: int, verdict: int) -> None:
+    def process_acknowledgement(self, sequence: int, verdict: int) -> None:
+        """Process an acknowledgement: go on to the next command, or repeat the rejected one later."""
         if self._sent_s is None or sequence != self._sequence:
             return
         self._sequence = (self._sequence + 1) % 256
@@ -274,6 +280,7 @@ class Follower:
         self._gaps = self._lost = self._repeats = self._foreign = 0
 
     def follow(self, data: bytes) -> None:
+        """Print the messages that are complete with `data`, and send the commands that are due."""
         for packet in self._frames.packets(data):
             if not self._take(packet):
                 self._foreign += 1  # Not a known packet, or another version of the interface.
@@ -289,7 +296,7 @@ class Follower:
             return self._print("measurements", shot[1])
         if kind == ACKNOWLEDGE and (answer := acknowledge_line(unit, packet)) is not None:
             sequence, verdict, line = answer
-            self._commander.answered(sequence, verdict)
+            self._commander.process_acknowledgement(sequence, verdict)
             return self._print("acknowledges", line)
         if kind == HOUSEKEEPING and (health := housekeeping_line(unit, packet)) is not None:
             return self._print("housekeeping", health)
@@ -312,12 +319,13 @@ class Follower:
         self.newest_shot = shot
 
     def end(self) -> None:
+        """Print the counts."""
         bad = self._frames.bad + self._foreign
         gaps = {"gaps": self._gaps, "lost_shots": self._lost, "repeats": self._repeats}
-        print(joined({"kind": '"end"', **self._counts, "bad_frames": bad, **gaps}))
+        print(json_object({"kind": '"end"', **self._counts, "bad_frames": bad, **gaps}))
 
 
-def opened(path: str, baud: str) -> int:
+def open_port(path: str, baud: str) -> int:
     """Open the port in raw mode, in which a terminal passes every byte unchanged."""
     if path == "-":
         return sys.stdin.fileno()
@@ -331,11 +339,12 @@ def opened(path: str, baud: str) -> int:
 
 
 def main() -> None:
+    """Follow the port until the other side closes it."""
     if len(sys.argv) < 3 or not hasattr(termios, f"B{sys.argv[2]}"):
         sys.exit("usage: receiver.py PORT BAUD [SHOT:COMMAND[=VALUE]]...")
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     try:
-        port = opened(*sys.argv[1:3])
+        port = open_port(*sys.argv[1:3])
     except (OSError, termios.error) as error:
         sys.exit(f"{sys.argv[1]}: {error.args[-1]}")
     commander = Commander(port, sys.argv[3:])

@@ -129,7 +129,9 @@ def _check_sets(can: CanDefinition, where: str) -> None:
 
 def _check_header(layout: Layout, sets: frozenset[str], where: str, slots: int) -> None:
     if len(sets) > 1 and codec_of(layout, "details") is None:
-        raise DefinitionError(f"{where}.fields", "core, full", "the flag details, which tells the sets apart")
+        raise DefinitionError(
+            f"{where}.fields", "core, full", "the flag details, which distinguishes the sets"
+        )
     require_capacity(layout, where, "beam_count", slots)
 
 

@@ -118,9 +118,7 @@ class TomlTable:
     def finish(self) -> None:
         """Refuse the remaining keys."""
         if self._left:
-            raise DefinitionError(
-                self.where, ", ".join(self._left), "only the keys that the definition knows"
-            )
+            raise DefinitionError(self.where, ", ".join(self._left), "only keys of the definition")
 
     def refusal(self, key: str, value: object, allowed: str) -> DefinitionError:
         """Error for the value of a key."""

@@ -10,7 +10,7 @@ from itertools import count
 import pytest
 
 from lidar_emu.cli.command_client import NO_ACKNOWLEDGEMENT, SENT, CommandClient
-from lidar_emu.device.constants import device_rules
+from lidar_emu.device.constants import device_constants
 from lidar_emu.device.modes import initial
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.runtime.device_link.command_handler import CommandHandler
@@ -32,10 +32,10 @@ class Unit(Observer):
 
     def __init__(self, spec: PortSpec, unit: int) -> None:
         self._channel = open_can(spec)
-        rules = device_rules(DeviceBehaviour(), 20.0, 4, 2, 1.0)
+        constants = device_constants(DeviceBehaviour(), 20.0, 4, 2, 1.0)
         encoder = DownlinkEncoder(INTERFACE, unit, True)
         self.received: list[ReceivedCommand] = []
-        device = DeviceTimeline(rules, initial(rules))
+        device = DeviceTimeline(constants, initial(constants))
         self._handler = CommandHandler(encoder, device, lambda _: True, self._channel.send, [self])
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._listen)

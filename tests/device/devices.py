@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from lidar_emu.device.commands import DeviceCommand, execute
-from lidar_emu.device.constants import DeviceConstants, device_rules
+from lidar_emu.device.constants import DeviceConstants, device_constants
 from lidar_emu.device.modes import advance, initial
 from lidar_emu.device.state import DeviceState
 from lidar_emu.scenario.device import DeviceBehaviour
@@ -19,28 +19,30 @@ TIMES = {
 }
 
 
-def rules(**part: Any) -> DeviceConstants:
+def constants(**part: Any) -> DeviceConstants:
     """Of a device at 20 shots a second with four beams and two patterns."""
-    return device_rules(DeviceBehaviour.model_validate({**TIMES, **part}), 20.0, 4, 2, 1.5)
+    return device_constants(DeviceBehaviour.model_validate({**TIMES, **part}), 20.0, 4, 2, 1.5)
 
 
 class Unit:
     """A device that receives commands and events in the order of time."""
 
     def __init__(self, **part: Any) -> None:
-        self.rules = rules(**part)
-        self.state = initial(self.rules)
+        self.constants = constants(**part)
+        self.state = initial(self.constants)
 
     def at(self, time_ms: float) -> DeviceState:
         """Let time pass."""
-        self.state = advance(self.rules, self.state, round(time_ms * MS))
+        self.state = advance(self.constants, self.state, round(time_ms * MS))
         return self.state
 
     def command(self, time_ms: float, name: str, **values: Any) -> str:
         """Give a command; returns the verdict."""
         time_ns = round(time_ms * MS)
         self.at(time_ms)
-        self.state, verdict = execute(self.rules, self.state, DeviceCommand(name, values, time_ns, time_ns))
+        self.state, verdict = execute(
+            self.constants, self.state, DeviceCommand(name, values, time_ns, time_ns)
+        )
         return verdict
 
     @property

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from devices import MS, rules
+from devices import MS, constants
 
 from lidar_emu.device.modes import initial
 from lidar_emu.device.state import DeviceState
@@ -47,7 +47,7 @@ class Line(Observer):
         self.sent: list[bytes] = []
         self.received: list[tuple[ReceivedCommand, int | None]] = []
         self.kept: list[tuple[bytes, int]] = []
-        behaviour = rules(**part)
+        behaviour = constants(**part)
         self.device = DeviceTimeline(behaviour, initial(behaviour))
         encoder = DownlinkEncoder(interface, 0, can)
         self.changes: list[Change] = []

@@ -73,7 +73,7 @@ def test_the_tone_may_lie_before_the_command() -> None:
 
     unit = Unit()
     pulse = DeviceCommand("time_at_tone", {"tone_ns": 100 * S}, 1_020 * MS, 1_000 * MS)
-    state, verdict = execute(unit.rules, unit.state, pulse)
+    state, verdict = execute(unit.constants, unit.state, pulse)
     assert verdict == "accepted"
     assert state.clock.reads_ns(1_020 * MS) == 100 * S + 20 * MS
 

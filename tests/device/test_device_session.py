@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import lidar_emu
 from lidar_emu.device.commands import DeviceCommand
-from lidar_emu.device.constants import DeviceConstants, device_rules
+from lidar_emu.device.constants import DeviceConstants, device_constants
 from lidar_emu.device.modes import initial
 from lidar_emu.device.state import Mode
 from lidar_emu.device.timeline import DeviceTimeline
@@ -42,10 +42,10 @@ def flown(faults: str) -> tuple[FlightScenario, Model]:
 
 def begun(faults: str = "[]", **part: Any) -> tuple[Session, DeviceConstants]:
     scenario, model = flown(faults)
-    rules = device_rules(DeviceBehaviour.model_validate(part), 20.0, 4, 2)
+    constants = device_constants(DeviceBehaviour.model_validate(part), 20.0, 4, 2)
     encoder = Encoder(scenario.wire, False, False, 4)
     faulty = faulty_encoder(scenario, encoder, False)
-    return Session(model, encoder, 100, faulty, rules), rules
+    return Session(model, encoder, 100, faulty, constants), constants
 
 
 def all_of(session: Session, most: int = 100) -> list[Block]:
@@ -72,9 +72,9 @@ def decoded(blocks: list[Block]) -> dict[int, Message]:
     return found
 
 
-def after(rules: DeviceConstants, *orders: tuple[float, str, dict[str, Any]]) -> Any:
+def after(constants: DeviceConstants, *orders: tuple[float, str, dict[str, Any]]) -> Any:
     """The state after commands, each at a time in milliseconds."""
-    device, state = DeviceTimeline(rules, initial(rules)), None
+    device, state = DeviceTimeline(constants, initial(constants)), None
     for time_ms, name, values in orders:
         changed, verdict = device.execute(
             DeviceCommand(name, values, round(time_ms * MS), round(time_ms * MS))
@@ -85,13 +85,13 @@ def after(rules: DeviceConstants, *orders: tuple[float, str, dict[str, Any]]) ->
 
 
 def test_nothing_is_sent_before_the_first_measurement_and_then_shots_count_from_0() -> None:
-    session, rules = begun(start="boot", boot_s=0.5, self_test_s=0.52, acquisition_s=0.2)
+    session, constants = begun(start="boot", boot_s=0.5, self_test_s=0.52, acquisition_s=0.2)
     early = [session.shoot(100) for _ in range(2)]
     assert [len(block.packets) for block in early if block] == [
         10,
         11,
     ]  # self-test until 1.02 s: shot 21 at 1.05
-    session.use_device(after(rules, (1100, "set_mode", {"mode": "track"})))
+    session.use_device(after(constants, (1100, "set_mode", {"mode": "track"})))
     blocks = all_of(session)
     sent = decoded(blocks)
     assert list(sent) == list(range(21, 80))
@@ -113,9 +113,9 @@ def test_nothing_is_sent_before_the_first_measurement_and_then_shots_count_from_
 def test_what_is_fired_is_measured_as_ever() -> None:
     """Standing by, a lower rate, and other shots before change nothing of a shot but its number."""
     plain = decoded(all_of(begun()[0]))
-    session, rules = begun(start="standby", acquisition_s=0.0)
+    session, constants = begun(start="standby", acquisition_s=0.0)
     session.use_device(
-        after(rules, (300, "set_mode", {"mode": "track"}), (400, "set_rate_hz", {"rate_hz": 20 / 3}))
+        after(constants, (300, "set_mode", {"mode": "track"}), (400, "set_rate_hz", {"rate_hz": 20 / 3}))
     )
     sent = decoded(all_of(session))
     assert list(sent) == list(range(0, 80, 3))
@@ -126,8 +126,8 @@ def test_what_is_fired_is_measured_as_ever() -> None:
 
 
 def test_beams_that_are_switched_off_do_not_fire() -> None:
-    plain, (session, rules) = decoded(all_of(begun()[0])), begun()
-    session.use_device(after(rules, (0, "enable_beams", {"beams": 0b1010})))
+    plain, (session, constants) = decoded(all_of(begun()[0])), begun()
+    session.use_device(after(constants, (0, "enable_beams", {"beams": 0b1010})))
     sent = decoded(all_of(session))
     for shot, message in sent.items():
         assert [beam["fired"] for beam in message.beams] == [False, True, False, True]
@@ -138,9 +138,9 @@ def test_beams_that_are_switched_off_do_not_fire() -> None:
 
 @pytest.mark.parametrize(("settling_s", "unsettled"), [(0.0, 0), (0.001, 1), (0.1, 2), (0.12, 3)])
 def test_beams_settle_after_a_change_of_pattern(settling_s: float, unsettled: int) -> None:
-    session, rules = begun(settling_s=settling_s)
+    session, constants = begun(settling_s=settling_s)
     session.shoot(10)
-    session.use_device(after(rules, (480, "set_pattern", {"pattern": 1})))
+    session.use_device(after(constants, (480, "set_pattern", {"pattern": 1})))
     blocks = all_of(session, 3)
     fired = [bool(message.beams[0]["fired"]) for message in decoded(blocks).values()]
     assert fired == [False] * unsettled + [True] * (70 - unsettled)
@@ -154,17 +154,17 @@ def test_the_scanner_s_own_switches_need_settling_too() -> None:
     scenario = lidar_emu.load("descent.yaml", options)
     model = build_model(scenario)
     assert isinstance(model, FlightModel)
-    rules = device_rules(DeviceBehaviour(settling_s=0.1), 20.0, 4, 2)
-    block = Session(model, Encoder(scenario.wire, False, False, 4), 10, None, rules).shoot(12)
+    constants = device_constants(DeviceBehaviour(settling_s=0.1), 20.0, 4, 2)
+    block = Session(model, Encoder(scenario.wire, False, False, 4), 10, None, constants).shoot(12)
     assert block is not None
     assert block.measurement.fired[:, 0].tolist() == [True] * 6 + [False] * 2 + [True] * 4
 
 
 def test_a_restart_counts_shots_anew() -> None:
-    session, rules = begun(warm_restart_s=0.2, acquisition_s=0.0)
+    session, constants = begun(warm_restart_s=0.2, acquisition_s=0.0)
     session.shoot(20)
     session.use_device(
-        after(rules, (990, "reset", {"restart": "warm"}), (1300, "set_mode", {"mode": "track"}))
+        after(constants, (990, "reset", {"restart": "warm"}), (1300, "set_mode", {"mode": "track"}))
     )
     sent = decoded(all_of(session))
     # Commanded at 1.3 s, which the state knows from the beginning: in a run the session learns of it in time.
@@ -292,11 +292,11 @@ def test_faults_of_packets_find_nothing_to_act_on_where_none_is_sent(fault: str)
 def test_what_repeats_the_last_packet_repeats_one_that_was_sent() -> None:
     """Standing by until 1 s; no packet and no number of then is repeated after."""
     for kind in ("stale_packet", "frozen_counter"):
-        session, rules = begun(
+        session, constants = begun(
             f"[{{kind: {kind}, from_s: 1.1, to_s: 1.15}}]", start="standby", acquisition_s=0.0
         )
         session.shoot(20)
-        session.use_device(after(rules, (1000, "set_mode", {"mode": "track"})))
+        session.use_device(after(constants, (1000, "set_mode", {"mode": "track"})))
         session.shoot(1)
         silent = session.device._replace(mode=Mode.STANDBY, pending=())
         tracking = session.device

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from devices import MS, Unit, rules
+from devices import MS, Unit, constants
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -139,7 +139,7 @@ def test_a_warm_restart_keeps_what_was_set_and_a_cold_one_does_not() -> None:
     assert (warm.state.settings, warm.state.clock) == (before.settings, before.clock)
     assert cold.command(200, "reset", restart="cold") == "accepted"
     assert [cold.at(t).mode for t in (200, 2200, 3200)] == [Mode.BOOT, Mode.SELF_TEST, Mode.STANDBY]
-    assert cold.state.settings == cold.rules.defaults
+    assert cold.state.settings == cold.constants.defaults
     assert cold.state.clock.reads_ns(3200 * MS) == 3200 * MS
     assert (warm.state.restarts, cold.state.restarts) == (1, 1)
 
@@ -184,7 +184,7 @@ def test_what_is_too_hot_is_switched_off() -> None:
     unit = Unit(thermal={"ambient_c": 20.0, "rise_k": 10.0, "time_constant_s": 100.0, "limit_c": 25.0})
     assert unit.at(69_314).mode is Mode.TRACK
     assert unit.at(69_315).mode is Mode.FAULT
-    model = unit.rules.thermal
+    model = unit.constants.thermal
     assert unit.state.thermal.temperature_c(model, 69_315 * MS) == pytest.approx(25.0, abs=1e-4)
     assert unit.state.thermal.temperature_c(model, 169_315 * MS) == pytest.approx(
         20 + 5 / 2.718281828, abs=1e-4
@@ -229,7 +229,7 @@ EVENTS = st.lists(
 )
 def test_modes_change_along_the_arrows_alone(commands: Any, events: Any, start: str) -> None:
     """Whatever is commanded and happens, whenever it does."""
-    behaviour = rules(
+    behaviour = constants(
         start=start,
         power_on_s=0.5,
         events=[{"at_s": t / 1000, "what": what} for t, what in sorted(events)],
@@ -265,7 +265,7 @@ def reachable(mode: str) -> set[str]:
 @given(st.lists(st.integers(0, 12_000), max_size=10), EVENTS)
 def test_it_does_not_matter_how_often_one_looks(looks: list[int], events: Any) -> None:
     unit = Unit(start="boot", events=[{"at_s": t / 1000, "what": what} for t, what in sorted(events)])
-    at_once = advance(unit.rules, unit.state, 12_000 * MS)
+    at_once = advance(unit.constants, unit.state, 12_000 * MS)
     for time_ms in sorted(looks):
         unit.at(time_ms)
     assert unit.at(12_000) == at_once

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from lidar_emu.device.constants import DeviceConstants, device_rules
+from lidar_emu.device.constants import DeviceConstants, device_constants
 from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.scenario.schema import BenchScenario, Scenario
 from lidar_emu.session import Block, Session
@@ -20,7 +20,7 @@ SHOTS = 100
 
 Bench = Callable[..., BenchScenario]
 Shoot = Callable[..., list[Block]]
-RulesOf = Callable[[Scenario, Model], DeviceConstants]
+DeviceConstantsOf = Callable[[Scenario, Model], DeviceConstants]
 
 
 @pytest.fixture
@@ -51,26 +51,26 @@ def bench() -> Bench:
 
 
 @pytest.fixture
-def rules_of() -> RulesOf:
-    """The rules of a scenario's device."""
+def device_constants_of() -> DeviceConstantsOf:
+    """The constants of a scenario's device."""
 
-    def rules(scenario: Scenario, model: Model) -> DeviceConstants:
+    def constants(scenario: Scenario, model: Model) -> DeviceConstants:
         counts = model.beam_count, model.pattern_count
-        return device_rules(scenario.device, scenario.timing.rate_hz, *counts, None, scenario.faults)
+        return device_constants(scenario.device, scenario.timing.rate_hz, *counts, None, scenario.faults)
 
-    return rules
+    return constants
 
 
 @pytest.fixture
-def shoot(rules_of: RulesOf) -> Shoot:
+def shoot(device_constants_of: DeviceConstantsOf) -> Shoot:
     """All shots of a scenario, in blocks of so many."""
 
     def run(scenario: Scenario, block_shots: int = 128, can: bool = False, fd: bool = False) -> list[Block]:
         model = build_model(scenario)  # type: ignore[arg-type]
         encoder = Encoder(scenario.wire, can, fd, model.beam_count)
         faulty = faulty_encoder(scenario, encoder, can)
-        rules = rules_of(scenario, model)
-        session = Session(model, encoder, faulty=faulty, rules=rules)
+        constants = device_constants_of(scenario, model)
+        session = Session(model, encoder, faulty=faulty, constants=constants)
         blocks = []
         while (block := session.shoot(block_shots)) is not None:
             blocks.append(block)

@@ -24,12 +24,12 @@ FIRST, END, SHOTS = 20, 30, 100
 QUICK = {"device": {"boot_s": 0.1, "self_test_s": 0.06, "acquisition_s": 0.04}}
 
 
-def begun(bench: Any, rules_of: Any, *faults: dict[str, Any]) -> tuple[Session, DeviceTimeline]:
+def begun(bench: Any, device_constants_of: Any, *faults: dict[str, Any]) -> tuple[Session, DeviceTimeline]:
     scenario = bench(*faults, **QUICK)
     model = build_model(scenario)
-    encoder, rules = Encoder(scenario.wire, False, False, 4), rules_of(scenario, model)
-    session = Session(model, encoder, 10, faulty_encoder(scenario, encoder, False), rules)
-    return session, DeviceTimeline(rules, initial(rules))
+    encoder, constants = Encoder(scenario.wire, False, False, 4), device_constants_of(scenario, model)
+    session = Session(model, encoder, 10, faulty_encoder(scenario, encoder, False), constants)
+    return session, DeviceTimeline(constants, initial(constants))
 
 
 def ordered(session: Session, device: DeviceTimeline, scenario: Any, text: str) -> Any:
@@ -71,9 +71,9 @@ def up_to(session: Session, shot: int) -> list[Block]:
     return blocks
 
 
-def test_after_a_brown_out_the_device_boots_and_begins_anew(bench: Any, rules_of: Any) -> None:
+def test_after_a_brown_out_the_device_boots_and_begins_anew(bench: Any, device_constants_of: Any) -> None:
     """Off from 0.4 to 0.6 s, boot until 0.7, self-test until 0.76, then by command; shot 40 is the first after it."""
-    session, device = begun(bench, rules_of, {"kind": "brown_out", "from_s": 0.4, "to_s": 0.6})
+    session, device = begun(bench, device_constants_of, {"kind": "brown_out", "from_s": 0.4, "to_s": 0.6})
     modes = {ms: str(device.at(ms * MS).mode) for ms in (399, 400, 599, 600, 700, 760)}
     assert list(modes.values()) == ["track", "off", "off", "boot", "self_test", "standby"]
     assert device.at(800 * MS).restarted_ns == 600 * MS
@@ -87,8 +87,8 @@ def test_after_a_brown_out_the_device_boots_and_begins_anew(bench: Any, rules_of
     assert reported == [(k, "brown_out") for k in range(FIRST, END)]
 
 
-def test_an_open_interlock_is_mode_fault_until_a_reset(bench: Any, rules_of: Any) -> None:
-    session, device = begun(bench, rules_of, {"kind": "interlock", "from_s": 0.4, "to_s": 0.6})
+def test_an_open_interlock_is_mode_fault_until_a_reset(bench: Any, device_constants_of: Any) -> None:
+    session, device = begun(bench, device_constants_of, {"kind": "interlock", "from_s": 0.4, "to_s": 0.6})
     blocks = up_to(session, 25)
     assert command(session, device, 500, "set_mode", mode="track") == "out_of_state"
     blocks += up_to(session, 50)
@@ -103,10 +103,10 @@ def test_an_open_interlock_is_mode_fault_until_a_reset(bench: Any, rules_of: Any
 @pytest.mark.parametrize("kind", ["brown_out", "interlock"])
 @pytest.mark.parametrize("ahead", [0, 1, 40])
 def test_ordered_in_flight_it_is_as_if_the_scenario_had_it(
-    bench: Any, rules_of: Any, kind: str, ahead: int
+    bench: Any, device_constants_of: Any, kind: str, ahead: int
 ) -> None:
     """Also where shots had been computed ahead, and a command waits that was heard before the fault was known."""
-    session, device = begun(bench, rules_of)
+    session, device = begun(bench, device_constants_of)
     blocks = up_to(session, FIRST)
     up_to(session, FIRST + ahead)
     state, _ = device.execute(DeviceCommand("enable_beams", {"beams": 7}, 390 * MS, 390 * MS))
@@ -116,7 +116,9 @@ def test_ordered_in_flight_it_is_as_if_the_scenario_had_it(
     scenario = ordered(session, device, bench(**QUICK), f"{{kind: {kind}, from_s: 0.1, to_s: 0.3}}")
     session.use_device(state)
     blocks += up_to(session, SHOTS)
-    planned, now = begun(bench, rules_of, *(fault.model_dump(mode="json") for fault in scenario.faults))
+    planned, now = begun(
+        bench, device_constants_of, *(fault.model_dump(mode="json") for fault in scenario.faults)
+    )
     again = up_to(planned, FIRST)
     command(planned, now, 390, "enable_beams", beams=7)
     again += up_to(planned, SHOTS)
@@ -129,12 +131,12 @@ def test_ordered_in_flight_it_is_as_if_the_scenario_had_it(
     assert sorted(numbers(blocks)) == list(range(FIRST + 5))
 
 
-def test_a_rule_of_the_scenario_goes_first(bench: Any, rules_of: Any) -> None:
+def test_a_rule_of_the_scenario_goes_first(bench: Any, device_constants_of: Any) -> None:
     scenario = bench({"kind": "brown_out", "from_s": 1.0, "to_s": 2.0}, {"kind": "interlock", "from_s": 0.5}, device={
         "events": [{"at_s": 1.0, "what": "power_on"}, {"at_s": 3.0, "what": "power_off"}]
     })  # fmt: skip
-    rules: DeviceConstants = rules_of(scenario, build_model(scenario))
-    assert [(event.at_ns // MS, event.what) for event in rules.events] == [
+    constants: DeviceConstants = device_constants_of(scenario, build_model(scenario))
+    assert [(event.at_ns // MS, event.what) for event in constants.events] == [
         (500, "interlock_opens"), (1000, "power_on"), (1000, "power_off"), (2000, "power_on"), (3000, "power_off"),
     ]  # fmt: skip
 

@@ -139,13 +139,13 @@ def sent(blocks: list[Block]) -> list[Any]:
 )
 @settings(deadline=None, max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_what_was_ordered_in_flight_can_be_flown_again(
-    bench: Any, shoot: Any, rules_of: Any, orders: Any, block_shots: int, at_the_start: list[str]
+    bench: Any, shoot: Any, device_constants_of: Any, orders: Any, block_shots: int, at_the_start: list[str]
 ) -> None:
     scenario = bench(*(json.loads(read_fault(text).model_dump_json()) for text in at_the_start))
     encoder = Encoder(scenario.wire, False, False, 4)
     model = build_model(scenario)
-    faulty, rules = faulty_encoder(scenario, encoder, False), rules_of(scenario, model)
-    session = Session(model, encoder, 10, faulty, rules)
+    faulty, constants = faulty_encoder(scenario, encoder, False), device_constants_of(scenario, model)
+    session = Session(model, encoder, 10, faulty, constants)
     blocks: list[Block] = []
     for wait, text in orders:
         for count in [block_shots] * (wait // block_shots) + [wait % block_shots]:
@@ -198,7 +198,7 @@ class Controlled:
         self.path, self.reported = path, FaultRecorder()
         model = build_model(scenario)
         self.session = Session(model, encoder, 10, faulty_encoder(scenario, encoder, False))
-        self.device = DeviceTimeline(self.session.rules, initial(self.session.rules))
+        self.device = DeviceTimeline(self.session.constants, initial(self.session.constants))
         self.port_faults: list[dict[str, Any]] = []
         self.injector = FaultInjector(
             str(path / "control"),

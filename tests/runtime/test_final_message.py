@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from waiting import LIMIT_S
 
-from lidar_emu.device.constants import device_rules
+from lidar_emu.device.constants import device_constants
 from lidar_emu.device.modes import initial
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import RunError
@@ -46,9 +46,9 @@ def unstuffed(frame: bytes) -> bytes:
 
 def final_message_of(tally: Tally, prepare: Callable[[bytes], None], can: bool = False) -> FinalMessage:
     encoder = DownlinkEncoder(default_interface(), 3, can)
-    rules = device_rules(DeviceBehaviour(), 10.0, 4, 1)
+    constants = device_constants(DeviceBehaviour(), 10.0, 4, 1)
     housekeeping = HousekeepingSender(
-        encoder, DeviceTimeline(rules, initial(rules)), tally, None, prepare, []
+        encoder, DeviceTimeline(constants, initial(constants)), tally, None, prepare, []
     )
     return FinalMessage(encoder, housekeeping, prepare)
 

@@ -38,7 +38,9 @@ class _RejectedError(Exception):
     """A command is rejected; the argument is the verdict."""
 
 
-def execute(rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> tuple[DeviceState, str]:
+def execute(
+    constants: DeviceConstants, state: DeviceState, command: DeviceCommand
+) -> tuple[DeviceState, str]:
     """State after a command, and the verdict. A command that changes nothing returns the same object.
 
     Args:
@@ -48,17 +50,17 @@ def execute(rules: DeviceConstants, state: DeviceState, command: DeviceCommand) 
     if handler is None or state.mode not in handler.modes:
         return state, OUT_OF_STATE
     try:
-        after = handler.apply(rules, state, command)
+        after = handler.apply(constants, state, command)
     except _RejectedError as rejected:
         return state, str(rejected)
-    return (state, ACCEPTED) if after == state else (timed(rules, after), ACCEPTED)
+    return (state, ACCEPTED) if after == state else (timed(constants, after), ACCEPTED)
 
 
 def _no_op(_rules: DeviceConstants, state: DeviceState, _command: DeviceCommand) -> DeviceState:
     return state
 
 
-def _set_mode(rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
+def _set_mode(constants: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
     try:
         mode = Mode(str(command.values.get("mode")))
     except ValueError:
@@ -71,33 +73,33 @@ def _set_mode(rules: DeviceConstants, state: DeviceState, command: DeviceCommand
         raise _RejectedError(OUT_OF_STATE)
     match mode:
         case Mode.ACQUIRE | Mode.TRACK:
-            return acquire(rules, state, command.time_ns)
+            return acquire(constants, state, command.time_ns)
         case Mode.SELF_TEST:
-            standby = PendingTransition(command.time_ns + rules.self_test_ns, Mode.STANDBY)
-            return enter(rules, state, mode, command.time_ns, (standby,))
-    return enter(rules, state, mode, command.time_ns)
+            standby = PendingTransition(command.time_ns + constants.self_test_ns, Mode.STANDBY)
+            return enter(constants, state, mode, command.time_ns, (standby,))
+    return enter(constants, state, mode, command.time_ns)
 
 
-def _set_pattern(rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
+def _set_pattern(constants: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
     pattern = _whole(command, "pattern")
-    if pattern != PATTERN_OF_SWITCHES and not 0 <= pattern < rules.pattern_count:
+    if pattern != PATTERN_OF_SWITCHES and not 0 <= pattern < constants.pattern_count:
         raise _RejectedError(OUT_OF_RANGE)
     return _with(state, pattern=None if pattern == PATTERN_OF_SWITCHES else pattern)
 
 
-def _set_rate(rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
+def _set_rate(constants: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
     """Set the shot rate; shots stay on the scenario's grid, since the rate must be the scenario's rate divided by an
     integer."""
     rate_hz = _number(command, "rate_hz")
-    divisor = max(1, round(rules.rate_hz / rate_hz)) if rate_hz >= _RATE_STEP_HZ else 1
-    if not abs(rules.rate_hz / divisor - rate_hz) <= _RATE_STEP_HZ:  # Also rejects NaN.
+    divisor = max(1, round(constants.rate_hz / rate_hz)) if rate_hz >= _RATE_STEP_HZ else 1
+    if not abs(constants.rate_hz / divisor - rate_hz) <= _RATE_STEP_HZ:  # Also rejects NaN.
         raise _RejectedError(OUT_OF_RANGE)
     return _with(state, divisor=divisor)
 
 
-def _enable_beams(rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
+def _enable_beams(constants: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
     beams = _whole(command, "beams")
-    if not 0 <= beams < 1 << rules.beam_count:
+    if not 0 <= beams < 1 << constants.beam_count:
         raise _RejectedError(OUT_OF_RANGE)
     return _with(state, beams=beams)
 
@@ -114,11 +116,11 @@ def _set_parameter(_rules: DeviceConstants, state: DeviceState, command: DeviceC
     return _with(state, **parameter.setting(number))
 
 
-def _reset(rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
+def _reset(constants: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
     kind = command.values.get("restart")
     if kind not in ("warm", "cold"):
         raise _RejectedError(OUT_OF_RANGE)
-    return restart(rules, state, command.time_ns, cold=kind == "cold")
+    return restart(constants, state, command.time_ns, cold=kind == "cold")
 
 
 def _with(state: DeviceState, **settings: Any) -> DeviceState:

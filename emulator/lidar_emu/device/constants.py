@@ -55,7 +55,7 @@ class DeviceConstants:
     """Optical power while the laser is on; None: unknown."""
 
 
-def device_rules(
+def device_constants(
     part: DeviceBehaviour,
     rate_hz: float,
     beam_count: int,

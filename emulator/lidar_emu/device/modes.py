@@ -17,17 +17,17 @@ from lidar_emu.device.state import INTERLOCKED, MEASURING, DeviceState, Mode, Pe
 from lidar_emu.device.thermal import ThermalState
 
 
-def initial(rules: DeviceConstants) -> DeviceState:
+def initial(constants: DeviceConstants) -> DeviceState:
     """The state at the beginning of the scenario: off, or the mode that the device starts in."""
-    power_on_ns = rules.power_on_ns
-    transitions: tuple[PendingTransition, ...] = (PendingTransition(power_on_ns, rules.start),)
-    if rules.start is Mode.BOOT:
-        transitions = _cold_start(rules, power_on_ns)
+    power_on_ns = constants.power_on_ns
+    transitions: tuple[PendingTransition, ...] = (PendingTransition(power_on_ns, constants.start),)
+    if constants.start is Mode.BOOT:
+        transitions = _cold_start(constants, power_on_ns)
     off = DeviceState(
         mode=Mode.OFF,
         pending=transitions,
-        settings=rules.defaults,
-        clock=powered_up(rules.clock, power_on_ns, noise=rules.frequency_noise),
+        settings=constants.defaults,
+        clock=powered_up(constants.clock, power_on_ns, noise=constants.frequency_noise),
         thermal=ThermalState(power_on_ns, 0.0, laser_on=False),
         interlock_closed=True,
         restarted_ns=power_on_ns,
@@ -35,30 +35,30 @@ def initial(rules: DeviceConstants) -> DeviceState:
         events_passed=0,
         until_ns=None,
     )
-    return advance(rules, timed(rules, off), 0)
+    return advance(constants, timed(constants, off), 0)
 
 
-def advance(rules: DeviceConstants, state: DeviceState, time_ns: int) -> DeviceState:
+def advance(constants: DeviceConstants, state: DeviceState, time_ns: int) -> DeviceState:
     """State at a time, if no command arrives until then; an earlier time changes nothing."""
     while state.until_ns is not None and state.until_ns <= time_ns:
-        state = timed(rules, _next(rules, state, state.until_ns))
+        state = timed(constants, _next(constants, state, state.until_ns))
     return state
 
 
-def timed(rules: DeviceConstants, state: DeviceState) -> DeviceState:
+def timed(constants: DeviceConstants, state: DeviceState) -> DeviceState:
     """State with the instant of its next change; call it after any change that could have moved that instant."""
     instants = (
         state.pending[0].at_ns if state.pending else None,
-        _event_ns(rules, state),
-        _unlocks_ns(rules, state),
-        state.thermal.reaches_limit_ns(rules.thermal),
+        _event_ns(constants, state),
+        _unlocks_ns(constants, state),
+        state.thermal.reaches_limit_ns(constants.thermal),
     )
     until_ns = min((instant for instant in instants if instant is not None), default=None)
     return state._replace(until_ns=until_ns)
 
 
 def enter(
-    rules: DeviceConstants,
+    constants: DeviceConstants,
     state: DeviceState,
     mode: Mode,
     time_ns: int,
@@ -67,29 +67,31 @@ def enter(
     """State in another mode, with the transitions that follow; mode fault if the interlock is open."""
     if mode in INTERLOCKED and not state.interlock_closed:
         mode, pending = Mode.FAULT, ()
-    thermal = state.thermal.switched(rules.thermal, mode in MEASURING, time_ns)
+    thermal = state.thermal.switched(constants.thermal, mode in MEASURING, time_ns)
     return state._replace(mode=mode, pending=pending, thermal=thermal)
 
 
-def acquire(rules: DeviceConstants, state: DeviceState, time_ns: int) -> DeviceState:
+def acquire(constants: DeviceConstants, state: DeviceState, time_ns: int) -> DeviceState:
     """State in mode acquire, which mode track follows."""
     track = PendingTransition(time_ns + state.settings.acquisition_ns, Mode.TRACK)
-    return enter(rules, state, Mode.ACQUIRE, time_ns, (track,))
+    return enter(constants, state, Mode.ACQUIRE, time_ns, (track,))
 
 
-def restart(rules: DeviceConstants, state: DeviceState, time_ns: int, cold: bool) -> DeviceState:
+def restart(constants: DeviceConstants, state: DeviceState, time_ns: int, cold: bool) -> DeviceState:
     """State after a reset: boot, then standby; after a cold restart with self-test, and with settings and clock of
     power-up."""
     state = state._replace(restarts=state.restarts + 1, restarted_ns=time_ns)
     if not cold:
-        started = _started(rules, time_ns + rules.warm_restart_ns, state.settings.acquisition_ns)
-        return enter(rules, state, Mode.BOOT, time_ns, started)
-    clock = powered_up(rules.clock, time_ns, state.clock.epoch_ns, rules.frequency_noise)
-    boot, *rest = _cold_start(rules, time_ns)
-    return enter(rules, state._replace(settings=rules.defaults, clock=clock), boot.mode, time_ns, tuple(rest))
+        started = _started(constants, time_ns + constants.warm_restart_ns, state.settings.acquisition_ns)
+        return enter(constants, state, Mode.BOOT, time_ns, started)
+    clock = powered_up(constants.clock, time_ns, state.clock.epoch_ns, constants.frequency_noise)
+    boot, *rest = _cold_start(constants, time_ns)
+    return enter(
+        constants, state._replace(settings=constants.defaults, clock=clock), boot.mode, time_ns, tuple(rest)
+    )
 
 
-def counted_from(rules: DeviceConstants, state: DeviceState, zero_ns: int) -> DeviceState:
+def counted_from(constants: DeviceConstants, state: DeviceState, zero_ns: int) -> DeviceState:
     """The same state with times counted from another instant, with constants whose events count from there."""
     moved = state._replace(
         pending=tuple(PendingTransition(due.at_ns - zero_ns, due.mode) for due in state.pending),
@@ -97,51 +99,51 @@ def counted_from(rules: DeviceConstants, state: DeviceState, zero_ns: int) -> De
         thermal=state.thermal._replace(since_ns=state.thermal.since_ns - zero_ns),
         restarted_ns=state.restarted_ns - zero_ns,
     )
-    return timed(rules, moved)
+    return timed(constants, moved)
 
 
-def _cold_start(rules: DeviceConstants, time_ns: int) -> tuple[PendingTransition, ...]:
-    self_test_ns = time_ns + rules.boot_ns
-    started = _started(rules, self_test_ns + rules.self_test_ns, rules.defaults.acquisition_ns)
+def _cold_start(constants: DeviceConstants, time_ns: int) -> tuple[PendingTransition, ...]:
+    self_test_ns = time_ns + constants.boot_ns
+    started = _started(constants, self_test_ns + constants.self_test_ns, constants.defaults.acquisition_ns)
     return (PendingTransition(time_ns, Mode.BOOT), PendingTransition(self_test_ns, Mode.SELF_TEST), *started)
 
 
-def _started(rules: DeviceConstants, time_ns: int, acquisition_ns: int) -> tuple[PendingTransition, ...]:
-    if rules.waits_for_commands:
+def _started(constants: DeviceConstants, time_ns: int, acquisition_ns: int) -> tuple[PendingTransition, ...]:
+    if constants.waits_for_commands:
         return (PendingTransition(time_ns, Mode.STANDBY),)
     return PendingTransition(time_ns, Mode.ACQUIRE), PendingTransition(time_ns + acquisition_ns, Mode.TRACK)
 
 
-def _next(rules: DeviceConstants, state: DeviceState, time_ns: int) -> DeviceState:
+def _next(constants: DeviceConstants, state: DeviceState, time_ns: int) -> DeviceState:
     """State after the change that is due at this instant; the order of the checks decides between several."""
-    if _event_ns(rules, state) == time_ns:
-        what = rules.events[state.events_passed].what
-        return _happened(rules, state._replace(events_passed=state.events_passed + 1), what, time_ns)
+    if _event_ns(constants, state) == time_ns:
+        what = constants.events[state.events_passed].what
+        return _happened(constants, state._replace(events_passed=state.events_passed + 1), what, time_ns)
     if state.pending and state.pending[0].at_ns == time_ns:
         due, *rest = state.pending
-        return enter(rules, state, due.mode, time_ns, tuple(rest))
-    if _unlocks_ns(rules, state) == time_ns:
+        return enter(constants, state, due.mode, time_ns, tuple(rest))
+    if _unlocks_ns(constants, state) == time_ns:
         return state._replace(clock=state.clock._replace(synced_ns=None))
-    return enter(rules, state, Mode.FAULT, time_ns)
+    return enter(constants, state, Mode.FAULT, time_ns)
 
 
-def _happened(rules: DeviceConstants, state: DeviceState, what: str, time_ns: int) -> DeviceState:
+def _happened(constants: DeviceConstants, state: DeviceState, what: str, time_ns: int) -> DeviceState:
     match what:
         case "interlock_opens" | "interlock_closes":
             state = state._replace(interlock_closed=what == "interlock_closes")
-            return enter(rules, state, state.mode, time_ns, state.pending)
+            return enter(constants, state, state.mode, time_ns, state.pending)
         case "power_off":
-            return enter(rules, state, Mode.OFF, time_ns)
+            return enter(constants, state, Mode.OFF, time_ns)
         case "power_on" if state.mode is Mode.OFF:
-            return restart(rules, state, time_ns, cold=True)
+            return restart(constants, state, time_ns, cold=True)
     return state
 
 
-def _event_ns(rules: DeviceConstants, state: DeviceState) -> int | None:
-    left = rules.events[state.events_passed :]
+def _event_ns(constants: DeviceConstants, state: DeviceState) -> int | None:
+    left = constants.events[state.events_passed :]
     return left[0].at_ns if left else None
 
 
-def _unlocks_ns(rules: DeviceConstants, state: DeviceState) -> int | None:
+def _unlocks_ns(constants: DeviceConstants, state: DeviceState) -> int | None:
     synced_ns = state.clock.synced_ns
-    return None if synced_ns is None or rules.holdover_ns is None else synced_ns + rules.holdover_ns
+    return None if synced_ns is None or constants.holdover_ns is None else synced_ns + constants.holdover_ns

@@ -22,8 +22,8 @@ class _Since(NamedTuple):
 class DeviceTimeline:
     """State from each command on. It depends on time and commands alone, never on measurements."""
 
-    def __init__(self, rules: DeviceConstants, state: DeviceState) -> None:
-        self.rules = rules
+    def __init__(self, constants: DeviceConstants, state: DeviceState) -> None:
+        self.constants = constants
         self._first = state
         self._since: deque[_Since] = deque(maxlen=_STORED)
 
@@ -31,8 +31,8 @@ class DeviceTimeline:
         """State at a scenario time, without later commands."""
         for from_ns, state in reversed(self._since):
             if from_ns <= time_ns:
-                return advance(self.rules, state, time_ns)
-        return advance(self.rules, self._first, time_ns)
+                return advance(self.constants, state, time_ns)
+        return advance(self.constants, self._first, time_ns)
 
     def execute(self, command: DeviceCommand) -> tuple[DeviceState | None, str]:
         """Execute a command; commands must be in order of time.
@@ -41,7 +41,7 @@ class DeviceTimeline:
             The state after it, None if nothing changes; and its verdict.
         """
         before = self.at(command.time_ns)
-        after, verdict = execute(self.rules, before, command)
+        after, verdict = execute(self.constants, before, command)
         if after is before:
             return None, verdict
         self._since.append(_Since(command.time_ns, after))
@@ -49,13 +49,13 @@ class DeviceTimeline:
 
     def use_events(self, events: tuple[TimedEvent, ...]) -> None:
         """Replace the events of the device; events up to now must be the same as before."""
-        self.rules = replace(self.rules, events=events)
-        self._first = timed(self.rules, self._first)
-        since = [each._replace(state=timed(self.rules, each.state)) for each in self._since]
+        self.constants = replace(self.constants, events=events)
+        self._first = timed(self.constants, self._first)
+        since = [each._replace(state=timed(self.constants, each.state)) for each in self._since]
         self._since = deque(since, maxlen=_STORED)
 
-    def start_flight(self, rules: DeviceConstants, zero_ns: int) -> DeviceState:
+    def start_flight(self, constants: DeviceConstants, zero_ns: int) -> DeviceState:
         """Count times from what was `zero_ns`, and use these constants from now on; returns the state then."""
-        self.rules, self._first = rules, counted_from(rules, self.at(zero_ns), zero_ns)
+        self.constants, self._first = constants, counted_from(constants, self.at(zero_ns), zero_ns)
         self._since.clear()
         return self._first

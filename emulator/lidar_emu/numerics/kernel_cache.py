@@ -10,8 +10,8 @@ and may be deleted at any time.
 numba's own cache keeps a compiled function until its file changes, whatever changes in the functions that it calls,
 and two processes that compile at once may exchange entries of its index. Here a name is a hash of the code, the
 constants and the options of the kernel and of every kernel that it calls, and a file carries a check sum: it is right
-or it is compiled again. The files lie in `~/.cache/lidar-emu/kernels`, unless `XDG_CACHE_HOME` or `NUMBA_CACHE_DIR` say
-otherwise, and may be deleted at any time.
+or it is compiled again. The files lie in `~/.cache/lidar-emu/kernels`, unless `XDG_CACHE_HOME` or `NUMBA_CACHE_DIR`
+names another folder, and may be deleted at any time.
 """
 
 from __future__ import annotations

@@ -53,9 +53,9 @@ class RecordedInputs:
         effective = [each for each in inputs if _affects_shots(each)]
         waited_ns = recording.origin.get("waited_ns")
         if waited_ns is None:
-            self._device = DeviceTimeline(session.rules, initial(session.rules))
+            self._device = DeviceTimeline(session.constants, initial(session.constants))
         else:
-            self._device = waiting_device(session.rules)
+            self._device = waiting_device(session.constants)
             effective = self._apply_before_flight(effective, int(waited_ns))
         self._pending = deque(effective)
 
@@ -74,7 +74,7 @@ class RecordedInputs:
         count = 1 + max((k for k, each in enumerate(inputs) if each.time_ns < 0), default=-1)
         for each in inputs[:count]:
             self._apply(each, waited_ns)
-        self._session.use_device(self._device.start_flight(self._session.rules, waited_ns))
+        self._session.use_device(self._device.start_flight(self._session.constants, waited_ns))
         return inputs[count:]
 
     def _apply(self, message: JsonMessage, zero_ns: int) -> None:

@@ -18,7 +18,7 @@ from lidar_emu.recording.provenance import build, hashed_files, interface_text
 from lidar_emu.recording.read import Packets, Recording
 from lidar_emu.runtime.feed.packet_queue import outgoing_packets
 from lidar_emu.runtime.port.packets import DeliveryStatus, OutgoingPacket
-from lidar_emu.runtime.prepare import faulty_encoder_of, rules_of
+from lidar_emu.runtime.prepare import device_constants_of, faulty_encoder_of
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Session
 from lidar_emu.shots.model import BLOCK_SHOTS, Model, build_model
@@ -136,7 +136,7 @@ def _parts(recording: Recording, scenario: FlightScenario | BenchScenario) -> _P
     is_can = port.kind is Kind.CAN
     encoder = Encoder(scenario.wire, is_can, port.fd, model.beam_count)
     faulty = faulty_encoder_of(scenario, encoder, is_can)
-    session = Session(model, encoder, faulty=faulty, rules=rules_of(scenario, model))
+    session = Session(model, encoder, faulty=faulty, constants=device_constants_of(scenario, model))
     return _Parts(model, session, RecordedInputs(recording, scenario, model, encoder, is_can, session))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from lidar_emu.device.constants import DeviceConstants, device_rules
+from lidar_emu.device.constants import DeviceConstants, device_constants
 from lidar_emu.device.modes import initial
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
@@ -88,10 +88,10 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
         raise InputError("--start", None, "on-command", allowed)
     faulty = faulty_encoder_of(scenario, encoder, can)
     port_faults = _port_faults(scenario, model, options)
-    rules = rules_of(scenario, model)
+    constants = device_constants_of(scenario, model)
     block_shots = max(1, min(128, round(rate_hz * _BLOCK_S)))
     slots = max(2 * block_shots, round(rate_hz * _LOOK_AHEAD_S))
-    session = Session(model, encoder, slots + 1, faulty, rules)
+    session = Session(model, encoder, slots + 1, faulty, constants)
     known = live is None and not options.on_command
     shots = PlannedShots(session, model, encoder, block_shots, known)
     longest = max((payload_of(packet) for packet in encoder.packets(shots.sample.measurement)), key=len)
@@ -106,7 +106,7 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
         live,
         encoder,
         downlink,
-        waiting_device(rules) if options.on_command else DeviceTimeline(rules, initial(rules)),
+        waiting_device(constants) if options.on_command else DeviceTimeline(constants, initial(constants)),
         session,
         shots,
         slots,
@@ -118,9 +118,9 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     )
 
 
-def rules_of(scenario: Scenario, model: Model) -> DeviceConstants:
+def device_constants_of(scenario: Scenario, model: Model) -> DeviceConstants:
     """Constants of the device that measures a scenario."""
-    return device_rules(
+    return device_constants(
         scenario.device,
         scenario.timing.rate_hz,
         model.beam_count,

@@ -22,7 +22,7 @@ def build_scene(part: site.Site) -> Scene:
     """Build the ground of a site with its objects, in the site frame.
 
     Raises:
-        InputError: an elevation file or a mesh cannot be used as the site asks.
+        InputError: an elevation file or a mesh cannot be used as the site specifies.
     """
     return with_objects(build_ground(part), part)
 
@@ -31,7 +31,7 @@ def with_objects(ground: Scene, part: site.Site, reach: Reach | None = None) -> 
     """Place the objects of a site on its ground, as far as the rays of a run can reach them.
 
     Raises:
-        InputError: a mesh cannot be used as the site asks.
+        InputError: a mesh cannot be used as the site specifies.
     """
     if not part.objects:
         return ground
@@ -48,7 +48,7 @@ def build_ground(part: site.Site, reach: Reach | None = None) -> Scene:
         reach: the rays of the run, so that what they cannot meet is left out; None: all is built.
 
     Raises:
-        InputError: an elevation file or a mesh cannot be used as the site asks.
+        InputError: an elevation file or a mesh cannot be used as the site specifies.
     """
     if isinstance(part.ground, site.Nested):
         return _grids(part, part.ground.grids, part.ground.feather_m, reach)

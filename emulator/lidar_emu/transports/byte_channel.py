@@ -129,7 +129,7 @@ class PtyChannel(DescriptorChannel):
         # Cooked mode would swallow control bytes and echo the rest.
         tty.setraw(slave)
         path = os.ttyname(slave)
-        # With our slave end closed, a hang-up means that no other program has it open.
+        # Once this process has closed the slave end, a hang-up means that no other program has it open.
         os.close(slave)
         super().__init__(master, path, lambda: os.close(master))
         self._had_reader = False

@@ -19,10 +19,10 @@ _LEAD_NS = 100_000_000
 """From the command to scenario time 0."""
 
 
-def waiting_device(rules: DeviceConstants) -> DeviceTimeline:
+def waiting_device(constants: DeviceConstants) -> DeviceTimeline:
     """The device before the flight: times count from power-up, and the scenario's timed events are left out."""
-    start = Mode.STANDBY if rules.start is Mode.TRACK else rules.start
-    before = replace(rules, start=start, power_on_ns=0, events=())
+    start = Mode.STANDBY if constants.start is Mode.TRACK else constants.start
+    before = replace(constants, start=start, power_on_ns=0, events=())
     return DeviceTimeline(before, initial(before))
 
 
@@ -58,7 +58,7 @@ class OnCommandFeed(Feed):
         if not self._wait_for_command(powered_ns):
             return
         start_ns = self._clock.now_ns() + _LEAD_NS
-        state = self._device.start_flight(self._session.rules, start_ns - powered_ns)
+        state = self._device.start_flight(self._session.constants, start_ns - powered_ns)
         if self._housekeeping is not None:
             self._housekeeping.start_flight()
         self._session.use_device(state)

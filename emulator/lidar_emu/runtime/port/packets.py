@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from lidar_emu.wire import Packet
 
 __all__ = [
-    "NEWS",
+    "CHANGED",
     "WAKE_UP",
     "DeliveryReport",
     "DeliveryStatus",
@@ -25,8 +25,8 @@ __all__ = [
     "unpack_frames",
 ]
 
-NEWS, WAKE_UP = b"\0", b"\1"
-"""Bytes in the doorbell pipe of the port process: something has changed; a packet that is due will follow at once."""
+CHANGED, WAKE_UP = b"\0", b"\1"
+"""Bytes in the doorbell pipe of the port process: something has changed; a packet that is due follows at once."""
 
 _PACKET_HEAD = struct.Struct("<qqI")
 _REPORT = struct.Struct("<qqqBq")

@@ -13,7 +13,7 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.child import PortChild, standard_error
 from lidar_emu.runtime.port.loopback import LoopbackEnd
 from lidar_emu.runtime.port.pacing import Pace, WhenLate
-from lidar_emu.runtime.port.packets import NEWS, WAKE_UP, DeliveryReport, OutgoingPacket, ReceivedBytes
+from lidar_emu.runtime.port.packets import CHANGED, WAKE_UP, DeliveryReport, OutgoingPacket, ReceivedBytes
 from lidar_emu.runtime.port.shared_ring import SharedRing
 from lidar_emu.runtime.port.stall_monitor import OnStall, StallMonitor
 from lidar_emu.runtime.port.status import LinkEvent, PortStatus
@@ -307,7 +307,7 @@ class PortRunner:
             raise RunError("the port is not open")
         return self._child
 
-    def _ring_doorbell(self, what: bytes = NEWS) -> None:
+    def _ring_doorbell(self, what: bytes = CHANGED) -> None:
         try:
             os.write(self._doorbell, what)
         except BlockingIOError:

@@ -17,7 +17,7 @@ from lidar_emu.scene.terrain.model import check_size, numbers
 
 Content = dict[str, npt.NDArray[np.generic]]
 
-_ALLOWED = "allowed: elevation_m (rows from north to south), pixel_m, and as wanted map_x_m and map_y_m"
+_ALLOWED = "allowed: elevation_m (rows from north to south), pixel_m, and optionally map_x_m and map_y_m"
 # Exceptions of numpy and zipfile for a file that is truncated, altered, encrypted, or not an archive.
 _DAMAGE = (OSError, ValueError, EOFError, RuntimeError, BadZipFile, zlib.error)
 
