@@ -10,14 +10,14 @@ Join = Callable[[socket.socket, Any], None]
 """`socket.socket.bind` or `socket.socket.connect`."""
 
 
-def udp_socket(address: str, join: Join) -> socket.socket:
+def udp_socket(host_and_port: str, join: Join) -> socket.socket:
     """A UDP socket that joins `HOST:PORT`, with an IPv6 host in brackets.
 
     Raises:
         OSError: there is no such host, or the address cannot be joined.
-        ValueError: `address` is not an address.
+        ValueError: `host_and_port` has another form.
     """
-    host, _, number = address.rpartition(":")
+    host, _, number = host_and_port.rpartition(":")
     port = int(number)
     if not 0 < port < 1 << 16:  # the system would take it modulo 65536
         raise ValueError("ports are 1 to 65535")
