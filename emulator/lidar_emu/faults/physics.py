@@ -96,6 +96,9 @@ def _check(scenario: FlightScenario, index: int, fault: Any) -> None:
         found = Finding(f"{fault.kind} at level {scenario.level}")
         allowed = f"allowed: level {' or '.join(levels)}"
         raise InputError(scenario.name, f"faults.{index}.kind", found, allowed)
+    if scenario.waveform_echo != "beamlets" and not isinstance(fault, kinds.Misalignment):
+        found = Finding(f"{fault.kind} with waveform_echo {scenario.waveform_echo}")
+        raise InputError(scenario.name, f"faults.{index}.kind", found, "allowed: waveform_echo beamlets")
     if isinstance(fault, kinds.ReflectancePatch) and scenario.site.surface.reflectance == 0:
         found = Finding("a reflectance_patch on black ground")
         allowed = "allowed: where site.surface.reflectance is more than 0"

@@ -150,12 +150,12 @@ class Flight:
 
     def cast(self, pointing: Pointing) -> Hits:
         """Intersect the beam axes with the scene: first hits, shaped (shots, beams)."""
-        hits = self._cast_rays(
+        hits = self.cast_rays(
             pointing.time_ns, pointing.sensor_site_m.reshape(-1, 3), pointing.true_site.reshape(-1, 3)
         )
         return hits.shaped(pointing.time_ns.shape)
 
-    def _cast_rays(
+    def cast_rays(
         self,
         time_ns: IntArray,
         origin_site_m: FloatArray,
@@ -177,7 +177,7 @@ class Flight:
         self, pointing: Pointing, start_site_m: FloatArray, ray_site: FloatArray, hits: Hits
     ) -> Hits:
         """Intersect the beamlets of these beams with the scene and fill `hits`; rays (n, 3) are grouped by beam."""
-        return self._cast_rays(pointing.time_ns, start_site_m, ray_site, hits)
+        return self.cast_rays(pointing.time_ns, start_site_m, ray_site, hits)
 
     def _choose_patterns(
         self, instant_s: FloatArray, vehicle: VehicleState, state: ScannerState

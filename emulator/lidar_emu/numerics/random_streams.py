@@ -26,6 +26,8 @@ DUST = 5120
 """Purpose of the dust raised by the plume."""
 CLOCK_WANDER = 5121
 """Purpose of the slow changes of the device clock's rate."""
+SCATTERERS = 5122
+"""Purpose of a measurement's scatterers, noise and laser phase, as a key of `generator`."""
 
 RELIEF, CRATERS, ROCKS = range(3)
 """Keys of `generator`, after the seed of a generated ground."""

@@ -120,6 +120,11 @@ class FlightScenario(Scenario):
     level: Literal["geometric", "statistical", "spectral", "waveform"] = "spectral"
     """How the receiver is computed: `geometric` reports the truth, `statistical` draws from the closed-form error
     model, `spectral` computes the bins of the spectra that matter, `waveform` every sample (slow)."""
+    waveform_echo: Literal["beamlets", "scatterers", "scatterers_narrowband"] = "beamlets"
+    """What returns the light at level `waveform`: `beamlets`, as at the other levels; `scatterers`, strewn over the
+    surface and fixed to it, each with the two-way amplitude and phase of the Gaussian mode, as a reference for all
+    levels (seconds per beam); `scatterers_narrowband`, the same from an envelope around their frequencies, with the
+    digitiser as noise (tens of milliseconds)."""
     exact: Switch = False
     """Compute every stage of the model, including stages whose effect is below its bound."""
 
@@ -163,6 +168,18 @@ class FlightScenario(Scenario):
         if given not in (0, needed):
             found = Finding(f"a list of {given}")
             raise unusable("scanner.misalignment_mrad", found, f"{needed} entries, one per beam, or none")
+        return self
+
+    @model_validator(mode="after")
+    def _scatterers_fit(self) -> Self:
+        if self.waveform_echo == "beamlets":
+            return self
+        if self.level != "waveform":
+            raise unusable("waveform_echo", self.waveform_echo, "beamlets, or level: waveform with it")
+        if not self.instrument.optics.speckle:
+            raise unusable("instrument.optics.speckle", False, "true with scatterers, which cause it")
+        if self.plume is not None:
+            raise unusable("plume", Finding("a plume"), "none with scatterers")
         return self
 
     @model_validator(mode="after")

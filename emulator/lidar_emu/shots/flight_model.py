@@ -24,6 +24,7 @@ from lidar_emu.scene.ray_hits import Hits
 
 if TYPE_CHECKING:
     from lidar_emu.echo.dust import Dust
+    from lidar_emu.scatterers.level import ScattererLevel
 
 
 class FlightModel:
@@ -37,6 +38,7 @@ class FlightModel:
         self.echo_model = EchoModel(scenario.instrument, scenario.site, self.flight, self.plan.beamlets)
         self.dust = _dust(scenario)
         self.level = build_level(scenario)
+        self.scatterers = _scatterers(scenario, self.flight)
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
         self.initial_state = self.flight.scanner.initial
@@ -70,14 +72,20 @@ class FlightModel:
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.aim(shot, state)
         axis_hits = self.flight.cast(pointing)
+        if self.scatterers is None:
+            returns = self._returns(shot, pointing, axis_hits)
+        else:
+            returns = self.scatterers.measure(pointing, axis_hits, shot)
+        return self._measurement(shot, pointing, axis_hits, returns), state
+
+    def _returns(self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits) -> Returns:
+        """Returns of the echoes of beamlets."""
         echoes = self.echo_model.echoes(pointing, axis_hits)
         if self.dust is not None:
             echoes = self.dust.raised(echoes, pointing, axis_hits, shot)
         if self.physics is None:
-            returns = self.level(echoes, shot)
-        else:
-            returns = self.physics.returns(echoes, self.echo_model.beamlet_hits, shot)
-        return self._measurement(shot, pointing, axis_hits, returns), state
+            return self.level(echoes, shot)
+        return self.physics.returns(echoes, self.echo_model.beamlet_hits, shot)
 
     def laser_off(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         """Compute the same shots with the laser off: only times and the vehicle's state."""
@@ -136,6 +144,15 @@ class FlightModel:
             position_site_m=pointing.position_site_m,
             velocity_site_mps=pointing.velocity_site_mps,
         )
+
+
+def _scatterers(scenario: FlightScenario, flight: Flight) -> ScattererLevel | None:
+    """Build the waveform level's scatterers; None with beamlets."""
+    if scenario.waveform_echo == "beamlets":
+        return None
+    from lidar_emu.scatterers.level import ScattererLevel
+
+    return ScattererLevel(scenario, flight)
 
 
 def _dust(scenario: FlightScenario) -> Dust | None:

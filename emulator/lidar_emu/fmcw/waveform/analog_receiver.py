@@ -100,33 +100,49 @@ def receive_record(
     """
     if response.flat:
         return analytic_record(waveform, segment, beamlets, edges)
-    from scipy import fft
-
-    rate_hz, count = waveform.sample_rate_hz, waveform.fft_length
-    ahead = response.run_in(rate_hz)
     every = range(beamlets.range_m.size)
-    highest_hz = max(
-        _highest_frequency(waveform, segment, beamlets, i, ahead / rate_hz, edges) for i in every
-    )
-    factor = 2 ** max(0, ceil(log2(highest_hz / (_USED_BAND * 0.5 * rate_hz)))) if highest_hz > 0 else 1
-    whole = fft.next_fast_len(ahead + count + _MARGIN)
-    ahead = whole - count - _MARGIN
-    step_s = 1.0 / (factor * rate_hz)
-    time_s = (np.arange(whole * factor) - factor * (ahead + (count - 1) / 2)) * step_s
-    frequency_hz = fft.fftfreq(whole * factor, step_s)
-    gain = response.gain(frequency_hz) * _taper(np.abs(frequency_hz) * 2.0 * step_s)
-    kept = slice(factor * ahead, factor * (ahead + count), factor)
+    ahead_s = response.run_in(waveform.sample_rate_hz) / waveform.sample_rate_hz
+    highest_hz = max(_highest_frequency(waveform, segment, beamlets, i, ahead_s, edges) for i in every)
+    poles = Poles(waveform, response, highest_hz)
 
     def light(i: int) -> ComplexArray:
-        return phasor(segment, beamlets, i, time_s, edges)
-
-    def filtered(z: ComplexArray) -> ComplexArray:
-        return np.asarray(fft.ifft(gain * fft.fft(z))[..., kept])
+        return phasor(segment, beamlets, i, poles.time_s, edges)
 
     if beamlets.weight.size == beamlets.range_m.size:
         # For a single record all light passes the poles at once.
-        return filtered(add_beamlets(beamlets, light, time_s.size))
-    return add_beamlets(beamlets, lambda i: filtered(light(i)), count)
+        return poles.passed(add_beamlets(beamlets, light, poles.time_s.size))
+    return add_beamlets(beamlets, lambda i: poles.passed(light(i)), waveform.fft_length)
+
+
+class Poles:
+    """The receiver's poles as a product in the frequency domain.
+
+    Args:
+        waveform: rate and length of the record.
+        response: the poles.
+        highest_hz: highest frequency of the light.
+    """
+
+    def __init__(self, waveform: Waveform, response: AnalogResponse, highest_hz: float) -> None:
+        from scipy import fft
+
+        rate_hz, count = waveform.sample_rate_hz, waveform.fft_length
+        share = highest_hz / (_USED_BAND * 0.5 * rate_hz)
+        factor = 2 ** max(0, ceil(log2(share))) if share > 0.0 else 1
+        whole = fft.next_fast_len(response.run_in(rate_hz) + count + _MARGIN)
+        ahead = whole - count - _MARGIN
+        step_s = 1.0 / (factor * rate_hz)
+        self.time_s: FloatArray = (np.arange(whole * factor) - factor * (ahead + (count - 1) / 2)) * step_s
+        """(n,) Times from the record's centre at which the light is sampled, with the run-in ahead of the record."""
+        frequency_hz = fft.fftfreq(whole * factor, step_s)
+        self._gain = response.gain(frequency_hz) * _taper(np.abs(frequency_hz) * 2.0 * step_s)
+        self._kept = slice(factor * ahead, factor * (ahead + count), factor)
+
+    def passed(self, light: ComplexArray) -> ComplexArray:
+        """Light (..., n) behind the poles, at the samples of the record: (..., N)."""
+        from scipy import fft
+
+        return np.asarray(fft.ifft(self._gain * fft.fft(light))[..., self._kept])
 
 
 def _taper(band_share: FloatArray) -> FloatArray:

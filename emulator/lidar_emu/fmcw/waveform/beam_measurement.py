@@ -131,7 +131,8 @@ def measure_waveform(
             if digitiser is not None:
                 samples = digitiser.digitise(samples)
             bins = transform(samples, detection.window)
-            parts.append(find_targets(samples, bins, threshold, detection.group_fraction, estimator, level))
+            hann_bins = transform(samples, "hann") if estimator == "hann" else None
+            parts.append(find_targets(bins, hann_bins, threshold, detection.group_fraction, level))
             if kept is not None:
                 kept[rows, s] = bins
         found.append(Targets(*(np.concatenate(column) for column in zip(*parts, strict=True))))

@@ -58,6 +58,18 @@ def to_beam_result(
     )
 
 
+def unseen(range_m: FloatArray, edge_m: float) -> Reason:
+    """Reason why nothing was detected."""
+    if np.isnan(range_m).all():
+        return Reason.NO_SURFACE
+    return Reason.BELOW_THRESHOLD if np.nanmin(range_m) <= edge_m else Reason.BEYOND_RANGE
+
+
+def nothing(reason: Reason) -> Returns:
+    """Report of a beam that is not measured."""
+    return Returns.with_columns((1,), reason=np.array([reason], dtype=np.int8))
+
+
 def _combine(
     waveform: Waveform, detection: Detection, targets: tuple[Targets, Targets, Targets], rank: Literal[0, 1]
 ) -> Combined:

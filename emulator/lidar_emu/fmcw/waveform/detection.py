@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -39,9 +40,14 @@ class Targets(NamedTuple):
 
 
 def window_samples(window: WindowName, count: int) -> FloatArray:
-    """The periodic window a - b cos(2πn/N), (N,)."""
+    """The periodic window, (N,)."""
+    return window_at(window, np.arange(count) / count)
+
+
+def window_at(window: WindowName, place: FloatArray) -> FloatArray:
+    """The window a - b cos(2πx) at x = n/N, in its shape."""
     a, b = _COSINES[window]
-    return a - b * np.cos(2.0 * np.pi * np.arange(count) / count)
+    return a - b * np.cos(2.0 * np.pi * place)
 
 
 def transform(samples: FloatArray, window: WindowName) -> ComplexArray:
@@ -53,11 +59,24 @@ def transform(samples: FloatArray, window: WindowName) -> ComplexArray:
     return bins
 
 
+def windowed(bins: ComplexArray, window: WindowName) -> ComplexArray:
+    """Apply a window to rectangular bins 0 to N/2 of real samples, (..., N/2 + 1)."""
+    a, b = _COSINES[window]
+    result = a * bins
+    result[..., 1:] -= 0.5 * b * bins[..., :-1]
+    result[..., :-1] -= 0.5 * b * bins[..., 1:]
+    # The neighbours of the end bins are their images.
+    result[..., 0] -= 0.5 * b * bins[..., 1].conj()
+    result[..., -1] -= 0.5 * b * bins[..., -2].conj()
+    return result
+
+
 def window_gain(window: WindowName) -> float:
     """Amplitude of a tone on its bin, relative to no window."""
     return _COSINES[window][0]
 
 
+@cache
 def window_noise_power(window: WindowName, count: int) -> float:
     """Mean power of white noise in a windowed bin, relative to a rectangular one."""
     return float(np.mean(np.square(window_samples(window, count))))
@@ -103,20 +122,18 @@ def find_peaks(power: FloatArray, threshold: float | FloatArray, group_fraction:
 
 
 def find_targets(
-    samples: FloatArray,
     bins: ComplexArray,
+    hann_bins: ComplexArray | None,
     threshold: float | FloatArray,
     group_fraction: float,
-    estimator: Literal["bin", "hann"],
     noise_level: float | FloatArray = 1.0,
 ) -> Targets:
     """Find the targets of records.
 
     Args:
-        samples: (records, N).
         bins: (records, N/2 + 1) transform of the samples with the window of detection.
+        hann_bins: the same with a Hann window, for the three-bin formula; None: the frequency is the highest bin's.
         threshold, group_fraction: as in `find_peaks`.
-        estimator: the highest bin, or the three-bin formula on Hann-weighted bins.
         noise_level: mean noise power in a rectangular bin, one for all or (N/2 + 1,) for each.
     """
     power = np.square(bins.real) + np.square(bins.imag)
@@ -126,9 +143,9 @@ def find_targets(
     place = peaks[found]
     values = np.full((4, *peaks.shape), np.nan)
     offset, variance = np.zeros(place.size), np.full(place.size, _BIN_VARIANCE)
-    if estimator == "hann":
+    if hann_bins is not None:
         level = np.broadcast_to(noise_level, bins.shape[1:])[place]
-        offset, variance = _hann_offset(transform(samples, "hann"), row, place, level)
+        offset, variance = _hann_offset(hann_bins, row, place, level)
     values[:, found] = place + offset, variance, power[row, place], place
     return Targets(*values)
 

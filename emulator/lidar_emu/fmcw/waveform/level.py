@@ -13,8 +13,8 @@ from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Returns
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level
 from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, WaveformMeasurement, measure_waveform
+from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
 from lidar_emu.fmcw.waveform.record_samples import ComplexArray
-from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import generator
 from lidar_emu.scenario.instrument import Instrument
 
@@ -85,13 +85,13 @@ def _measure_beam(
 ) -> Returns:
     """Measure one beam of one shot."""
     if not echoes.fired[s, b]:
-        return _nothing(Reason.NOT_FIRED)
+        return nothing(Reason.NOT_FIRED)
     range_m = echoes.range_m[s, b]
     if echoes.inside[s, b] or (range_m <= 0.0).any():
-        return _nothing(Reason.INSIDE_GROUND)
+        return nothing(Reason.INSIDE_GROUND)
     measured = _measure_records(instrument, model, echoes, field, s, b, rng)
     if measured.reason[0] == Reason.BELOW_THRESHOLD:
-        return replace(measured, reason=np.array([_unseen(range_m, model.record_edge_range_m)], np.int8))
+        return replace(measured, reason=np.array([unseen(range_m, model.record_edge_range_m)], np.int8))
     return measured
 
 
@@ -139,15 +139,3 @@ def _measure_records(
         edges=bool((range_m > model.record_edge_range_m).any()),
         keep_bins=keep_bins,
     )
-
-
-def _unseen(range_m: FloatArray, edge_m: float) -> Reason:
-    """Reason why nothing was detected."""
-    if np.isnan(range_m).all():
-        return Reason.NO_SURFACE
-    return Reason.BELOW_THRESHOLD if np.nanmin(range_m) <= edge_m else Reason.BEYOND_RANGE
-
-
-def _nothing(reason: Reason) -> Returns:
-    """Report of a beam that is not measured."""
-    return Returns.with_columns((1,), reason=np.array([reason], dtype=np.int8))

@@ -1,0 +1,164 @@
+"""Level `waveform` with scatterers: every beam of every shot from the light of scatterers.
+
+The detector and the estimator are those of `fmcw.waveform`, and the levels of signal and noise those of all levels. A
+measurement has scatterers of its own, the same ones in its three records.
+"""
+
+from __future__ import annotations
+
+from math import pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.flight.flight import Flight
+from lidar_emu.flight.pointing import Pointing
+from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.returns import RETURN_COLUMNS, Returns
+from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level
+from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
+from lidar_emu.fmcw.waveform.record_samples import frequency_plan
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.random_streams import SCATTERERS, generator
+from lidar_emu.numerics.vector_arrays import rotate
+from lidar_emu.scatterers.measurement import measure_records
+from lidar_emu.scatterers.narrowband import narrowband_bins
+from lidar_emu.scatterers.receiver import RecordReceiver
+from lidar_emu.scatterers.record_light import NO_SCATTERERS, BeamPoses, PosesAt, Scatterers, record_light
+from lidar_emu.scatterers.samples import record_span_s, sampled_bins
+from lidar_emu.scatterers.surface import Strewing, footprint_plane, strew_surface
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.scene.ray_hits import Hits
+
+
+class ScattererLevel:
+    """The light of scatterers on a flight.
+
+    Raises:
+        InputError: the flight or its faults are not possible with scatterers.
+    """
+
+    def __init__(self, scenario: FlightScenario, flight: Flight) -> None:
+        if flight.recorded_geometry is not None:
+            found = Finding("a recorded geometry")
+            raise InputError(scenario.name, "waveform_echo", found, "allowed: without --geometry")
+        self._scenario, self._flight = scenario, flight
+        instrument = scenario.instrument
+        self._model = build_receiver(instrument, scenario.site, exact=True)
+        self._strewing = Strewing.of(instrument, scenario.site, self._model.snr_per_w)
+        waveform, receiver = instrument.waveform, instrument.receiver
+        response = AnalogResponse(receiver.bandwidth_hz, receiver.ac_coupling_hz)
+        self._segments = frequency_plan(waveform)
+        self._response, self._noise_level = response, noise_level(waveform, response)
+        narrowband = scenario.waveform_echo == "scatterers_narrowband"
+        self._bins = narrowband_bins if narrowband else sampled_bins
+        self._covered_s = record_span_s(waveform, AnalogResponse() if narrowband else response)
+
+    def measure(self, pointing: Pointing, axis_hits: Hits, shot: NDArray[np.int64]) -> Returns:
+        """Returns of beams (shots, beams) whose axes hit at `axis_hits`."""
+        beams = [
+            self._beam(pointing, axis_hits, int(shot[s]), s, b) for s, b in np.ndindex(pointing.fired.shape)
+        ]
+        columns = {name: np.concatenate([getattr(beam, name) for beam in beams]) for name in RETURN_COLUMNS}
+        return Returns(
+            **{name: a.reshape(*pointing.fired.shape, *a.shape[1:]) for name, a in columns.items()}
+        )
+
+    def _beam(self, pointing: Pointing, axis_hits: Hits, shot: int, s: int, b: int) -> Returns:
+        """Measure one beam of one shot."""
+        if not pointing.fired[s, b]:
+            return nothing(Reason.NOT_FIRED)
+        if axis_hits.inside[s, b] or axis_hits.range_m[s, b] <= 0.0:
+            return nothing(Reason.INSIDE_GROUND)
+        rng = generator(self._scenario.seed, shot, b, SCATTERERS, bit_generator=np.random.PCG64)
+        poses_at = self._poses(pointing, s, b)
+        scatterers, range_m = self._strew(pointing, poses_at, float(axis_hits.range_m[s, b]), rng, s, b)
+        if (range_m <= 0.0).any():
+            return nothing(Reason.INSIDE_GROUND)
+        measured = self._records(poses_at, scatterers, rng)
+        if measured.reason[0] == Reason.BELOW_THRESHOLD:
+            measured.reason[0] = unseen(range_m, self._model.record_edge_range_m)
+        return measured
+
+    def _strew(
+        self,
+        pointing: Pointing,
+        poses_at: PosesAt,
+        axis_range_m: float,
+        rng: np.random.Generator,
+        s: int,
+        b: int,
+    ) -> tuple[Scatterers, FloatArray]:
+        """Strew the surface around a footprint; also return the ranges of all rays."""
+        sensor_m = pointing.sensor_site_m[s, b]
+        time_ns = pointing.time_ns[s : s + 1, b]
+
+        def cast(rays: FloatArray) -> Hits:
+            origins_m = np.ascontiguousarray(np.broadcast_to(sensor_m, rays.shape))
+            return self._flight.cast_rays(time_ns, origins_m, np.ascontiguousarray(rays))
+
+        if np.isnan(axis_range_m):
+            near_m = cast(self._strewing.mode.rays_around(pointing.true_site[s, b])).range_m
+            if not (near_m > 0.0).any():
+                return NO_SCATTERERS, near_m
+            axis_range_m = float(np.nanmin(near_m))
+        waveform = self._scenario.instrument.waveform
+        travel_s = 2.0 * axis_range_m / SPEED_OF_LIGHT_MPS
+        half_s = 0.5 * waveform.record_time_s
+        first, last = self._segments[0].centre_s - half_s - travel_s, self._segments[2].centre_s + half_s
+        plane = footprint_plane(poses_at, first, last, axis_range_m)
+        return strew_surface(self._strewing, plane, self._line_bins(pointing, s, b), cast, rng)
+
+    def _line_bins(self, pointing: Pointing, s: int, b: int) -> float:
+        """Standard deviation of the line that the beam's motion causes, in bins."""
+        axis, waveform = pointing.true_site[s, b], self._scenario.instrument.waveform
+        waist_m = self._strewing.mode.waist_m
+        sideways_mps = np.linalg.norm(np.cross(pointing.sensor_velocity_site_mps[s, b], axis))
+        swing_radps = np.linalg.norm(np.cross(pointing.turning_site_radps[s, b], axis))
+        line_hz = sideways_mps / (pi * waist_m) + swing_radps * waist_m / waveform.wavelength_m
+        return float(line_hz / sqrt(2.0) / waveform.bin_width_hz)
+
+    def _poses(self, pointing: Pointing, s: int, b: int) -> PosesAt:
+        """Poses of a beam from the trajectory; the two modes are `alignment_error_rad` apart."""
+        trajectory, scenario = self._flight.trajectory, self._scenario
+        validity_s = float(pointing.time_ns[s, b]) * 1e-9
+        axis_body = pointing.true_site[s, b] @ trajectory.state(np.array([validity_s])).site_from_body[0]
+        across_body = np.cross(axis_body, np.eye(3)[np.argmin(np.abs(axis_body))])
+        tilt = (
+            0.5 * scenario.instrument.optics.alignment_error_rad * across_body / np.linalg.norm(across_body)
+        )
+        lever_arm_m = np.array(scenario.mounting.lever_arm_m)
+
+        def poses_at(after_s: FloatArray) -> BeamPoses:
+            vehicle = trajectory.state(validity_s + after_s)
+            transmitted, received = (
+                rotate(vehicle.site_from_body, (axis_body + sense * tilt) / sqrt(1.0 + tilt @ tilt))
+                for sense in (-1.0, 1.0)
+            )
+            sensor_m = vehicle.position_site_m + rotate(vehicle.site_from_body, lever_arm_m)
+            return BeamPoses(sensor_m, transmitted, received)
+
+        return poses_at
+
+    def _records(self, poses_at: PosesAt, scatterers: Scatterers, rng: np.random.Generator) -> Returns:
+        """Measure the three records of a beam."""
+        instrument, model = self._scenario.instrument, self._model
+        lights = [
+            record_light(self._strewing.mode, segment, poses_at, scatterers, *self._covered_s)
+            for segment in self._segments
+        ]
+        echo_w = sum(light.power for light in lights) / (3.0 * model.snr_per_w)
+        # The echo has shot noise of its own; the digitiser's noise arises behind the poles, by rounding.
+        share = model.response.amplifier_noise * (1.0 + model.signal_shot_per_w * echo_w)
+        adc = instrument.receiver.adc
+        receiver = RecordReceiver(
+            instrument.waveform,
+            self._response,
+            None if adc is None else Digitiser(2.0 * model.response.full_scale, adc.effective_bits),
+            share,
+            share * self._noise_level + model.response.digitiser_noise,
+        )
+        return measure_records(instrument.detection, receiver, lights, self._bins, rng)

@@ -1,0 +1,42 @@
+"""A measurement from the light of three records: targets, range and closing speed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from lidar_emu.fmcw.returns import Returns
+from lidar_emu.fmcw.waveform.beam_result import to_beam_result
+from lidar_emu.fmcw.waveform.detection import WindowName, find_targets, window_noise_power
+from lidar_emu.fmcw.waveform.record_samples import ComplexArray
+from lidar_emu.scatterers.receiver import RecordReceiver
+from lidar_emu.scatterers.record_light import RecordLight
+from lidar_emu.scenario.instrument import Detection
+
+RecordBins = Callable[[RecordReceiver, RecordLight, Sequence[WindowName], np.random.Generator], ComplexArray]
+"""Bins (windows, N/2 + 1) of a record with its noise."""
+
+
+def measure_records(
+    detection: Detection,
+    receiver: RecordReceiver,
+    lights: Sequence[RecordLight],
+    bins_of: RecordBins,
+    rng: np.random.Generator,
+) -> Returns:
+    """Measure a beam, (1,), from the light of up-chirp, constant segment and down-chirp."""
+    waveform = receiver.waveform
+    level = receiver.noise_level * window_noise_power(detection.window, waveform.fft_length)
+    threshold = level * -detection.log_false_alarm_per_bin(waveform.fft_length)
+    windows: list[WindowName] = [detection.window]
+    if detection.peak == "hann":
+        windows.append("hann")
+    found = []
+    for light in lights:
+        bins = bins_of(receiver, light, windows, rng)
+        hann_bins = bins[1:] if len(bins) > 1 else None
+        found.append(
+            find_targets(bins[:1], hann_bins, threshold, detection.group_fraction, receiver.noise_level)
+        )
+    return to_beam_result(waveform, detection, (found[0], found[1], found[2]), level)

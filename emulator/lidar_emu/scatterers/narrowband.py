@@ -1,0 +1,86 @@
+"""Bins of a record around the frequencies of its scatterers, from an envelope sampled at a fraction of the rate.
+
+The envelope, with the middle of the scatterers' frequencies removed, is sampled in the middle of each of M equal parts
+of the record and transformed. Compared with all samples, a tone has a relative error of (π δ / M)² / 6 in a bin δ away
+from it. Each scatterer has the gain of the poles at its own frequency, and the noise is drawn in all bins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from lidar_emu.fmcw.waveform.detection import WindowName, window_at, windowed
+from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift
+from lidar_emu.fmcw.waveform.record_samples import ComplexArray
+from lidar_emu.numerics.arrays import IntArray
+from lidar_emu.scatterers.receiver import RecordReceiver
+from lidar_emu.scatterers.record_light import RecordLight
+from lidar_emu.scenario.instrument import Waveform
+
+_MARGIN_BINS = 64
+"""Bins on both sides of the scatterers' frequencies for the lobes of the window."""
+
+_LINE_STEPS = 2**13
+"""Steps of the laser's phase noise in a record, at least: their mean over a part of the record is taken."""
+
+
+def narrowband_bins(
+    receiver: RecordReceiver, light: RecordLight, windows: Sequence[WindowName], rng: np.random.Generator
+) -> ComplexArray:
+    """Compute the bins (windows, N/2 + 1) of a record: light around its frequencies, and noise in all bins."""
+    deviation = np.sqrt(0.5 * receiver.noise_level)
+    noise = deviation * rng.standard_normal(2 * len(deviation)).view(complex)
+    bins = np.stack([windowed(noise, window) for window in windows])
+    if len(light.coefficients):
+        add_narrowband(receiver, light, windows, bins, rng)
+    return bins
+
+
+def add_narrowband(
+    receiver: RecordReceiver,
+    light: RecordLight,
+    windows: Sequence[WindowName],
+    bins: ComplexArray,
+    rng: np.random.Generator,
+) -> None:
+    """Add the light of scatterers to the bins (windows, N/2 + 1) of a record of real samples."""
+    waveform = receiver.waveform
+    length, record_s = waveform.fft_length, waveform.record_time_s
+    lowest_hz, highest_hz = light.frequencies_hz()
+    centre = round(0.5 * (lowest_hz + highest_hz) * record_s)
+    width = (highest_hz - lowest_hz) * record_s + 2 * _MARGIN_BINS
+    count = min(length, 2 ** int(np.ceil(np.log2(width))))
+    passed = light
+    if not receiver.response.flat:
+        passed = light.times(receiver.response.gain(light.middle_frequency_hz))
+    # In records, from the record's centre: each sample is in the middle of its part.
+    place = (np.arange(count) - 0.5 * (count - 1)) / count
+    envelope = np.zeros(count, dtype=complex)
+    passed.shifted(-centre / record_s).add_to(envelope, place[0] * record_s, record_s / count)
+    if waveform.linewidth_hz > 0.0:
+        envelope *= _drift(waveform, light.delay_s, count, rng)
+    # A transform's origin is the first sample, half a step after the record's beginning.
+    before = 0.5 - 0.5 / length
+    offset = np.arange(count) - count // 2
+    turn = offset * (0.5 - 0.5 / count) - (centre + offset) * before
+    phasor = np.exp(2j * np.pi * turn) / count
+    for row, window in enumerate(windows):
+        spectrum = np.fft.fft(envelope * window_at(window, place + before))
+        _add_folded(phasor * np.fft.fftshift(spectrum), centre + offset, length, bins[row])
+
+
+def _drift(waveform: Waveform, delay_s: float, count: int, rng: np.random.Generator) -> ComplexArray:
+    """Mean of the laser's phase noise over each part of a record, (count,)."""
+    steps = max(count, _LINE_STEPS)
+    coarse = {"fft_length": steps, "sample_rate_hz": steps / waveform.record_time_s}
+    drift = draw_drift(rng, 1, waveform.model_copy(update=coarse), delay_s)[0]
+    return np.asarray(drift.reshape(count, -1).mean(axis=1))
+
+
+def _add_folded(values: ComplexArray, place: IntArray, length: int, bins: ComplexArray) -> None:
+    """Add bins of any number, and the conjugate of their images, to the bins 0 to N/2."""
+    for number, value in ((place % length, values), (-place % length, values.conj())):
+        kept = number <= length // 2
+        np.add.at(bins, number[kept], value[kept])
