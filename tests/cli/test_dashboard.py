@@ -79,7 +79,7 @@ def test_a_run_shows_what_is_on_the_wire() -> None:
     display = RunDisplay(slate, default_interface(), False, "bench", tally, 20.0)  # type: ignore[arg-type]
     for shot, late_ns in enumerate((5000, 9000, 2000)):
         report = DeliveryReport(shot, shot * 10**8, shot * 10**8 + late_ns, DeliveryStatus.SENT)
-        tally.report(report)
+        tally.add_report(report)
         display.on_report(OutgoingPacket(shot, report.due_ns, bytes(packets[shot])), report)
     lines = dict(slate.reported["lines"])
     assert lines["shots"] == "3 sent, 0 late, 0 dropped"

@@ -56,7 +56,7 @@ def final_message_of(tally: Tally, prepare: Callable[[bytes], None], can: bool =
 def test_they_are_a_housekeeping_packet_with_mode_safe_and_the_laser_off() -> None:
     tally = Tally(Pace.WALL)
     for status in (DeliveryStatus.LATE, DeliveryStatus.LATE, DeliveryStatus.DROPPED_FULL):
-        tally.report(DeliveryReport(0, 0, -1, status))
+        tally.add_report(DeliveryReport(0, 0, -1, status))
     prepared: list[bytes] = []
     reported = final_message_of(tally, prepared.append)
     reported.on_opened("port", datetime.now(UTC))

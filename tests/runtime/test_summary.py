@@ -19,12 +19,12 @@ def test_counts_of_shots_and_of_their_errors():
     )
     tally = Tally(Pace.WALL)
     for block in measure_in_blocks(build_model(scenario), 32):
-        tally.measured(block.part(0, 70 - int(block.shot[0])) if 64 <= block.shot[0] < 70 else block)
+        tally.add_measurement(block.part(0, 70 - int(block.shot[0])) if 64 <= block.shot[0] < 70 else block)
         if block.shot[0] >= 64:
             break
     statuses = [DeliveryStatus.LATE if shot % 10 == 0 else DeliveryStatus.SENT for shot in range(70)]
     for shot, status in enumerate(statuses):
-        tally.report(
+        tally.add_report(
             DeliveryReport(
                 shot,
                 shot * 50_000_000,
@@ -64,5 +64,5 @@ def test_counts_of_shots_and_of_their_errors():
 
 def test_pace_max_knows_no_lateness():
     tally = Tally(Pace.MAX)
-    tally.report(DeliveryReport(0, 10_000_000, 5, DeliveryStatus.SENT))
+    tally.add_report(DeliveryReport(0, 10_000_000, 5, DeliveryStatus.SENT))
     assert tally.to_json()["lateness"]["count"] == 0

@@ -116,7 +116,7 @@ class RunDisplay(Observer):
         is_can: whether packets are frame records.
         title: first line.
         tally: counts the run.
-        seconds: planned duration; None if unknown.
+        duration_s: planned duration of the run; None if unknown.
     """
 
     def __init__(
@@ -126,14 +126,14 @@ class RunDisplay(Observer):
         is_can: bool,
         title: str,
         tally: Tally,
-        seconds: float | None,
+        duration_s: float | None,
     ) -> None:
         self._dashboard, self._decoder, self._is_can = dashboard, Decoder(interface), is_can
         self._latest = LatestMessages(interface)
         self._title, self._tally = title, tally
-        self._until = "" if seconds is None else f" of {seconds:g} s"
-        self._late_ns = self._latest_ns = self._sent_bytes = 0
-        self._acting: dict[str, int] = {}
+        self._until = "" if duration_s is None else f" of {duration_s:g} s"
+        self._recent_lateness_ns = self._largest_lateness_ns = self._sent_bytes = 0
+        self._faults_due_ns: dict[str, int] = {}
         self._notice = ""
 
     def on_waiting(self, port: str, what: str) -> None:  # noqa: ARG002
@@ -156,11 +156,11 @@ class RunDisplay(Observer):
         self._decode(payload)
 
     def on_block_sent(self, block: Block) -> None:
-        """Store which faults acted, and when."""
+        """Store the faults that acted, with the due time of the last packet affected."""
         for fault in block.faults:
             beams = f" ({', '.join(map(str, fault.beams))})" if fault.beams else ""
             row = fault.shot - int(block.measurement.shot[0])
-            self._acting[fault.kind.replace("_", " ") + beams] = block.due_ns[row]
+            self._faults_due_ns[fault.kind.replace("_", " ") + beams] = block.due_ns[row]
 
     def on_process_event(self, time_ns: int, what: str) -> None:
         """Show the last event."""
@@ -174,7 +174,7 @@ class RunDisplay(Observer):
         """Update the display when it is due."""
         if report.status is DeliveryStatus.SENT:
             self._sent_bytes += len(packet.payload)
-            self._late_ns = max(self._late_ns, report.sent_ns - report.due_ns)
+            self._recent_lateness_ns = max(self._recent_lateness_ns, report.sent_ns - report.due_ns)
         if self._dashboard.is_due:
             if report.status is DeliveryStatus.SENT:
                 self._decode(packet.payload)
@@ -193,15 +193,19 @@ class RunDisplay(Observer):
             ("link", f"{self._sent_bytes / 1e3:.1f} kB" + (f"; {self._notice}" if self._notice else "")),
             *self._latest.lines(),
         ]
-        self._acting = {what: at for what, at in self._acting.items() if now_ns - at < _FAULT_STAYS_NS}
-        if self._acting:
-            lines.append(("faults", ", ".join(self._acting)))
+        self._faults_due_ns = {
+            kind: due_ns for kind, due_ns in self._faults_due_ns.items() if now_ns - due_ns < _FAULT_STAYS_NS
+        }
+        if self._faults_due_ns:
+            lines.append(("faults", ", ".join(self._faults_due_ns)))
         self._dashboard.show({"title": self._title, "beams": self._latest.beams(), "lines": lines})
 
     def _lateness(self) -> list[Line]:
         """Largest lateness since the last update, and of the run."""
         if self._tally.pace is not Pace.WALL:
             return []
-        late_ns, self._late_ns = self._late_ns, 0
-        self._latest_ns = max(self._latest_ns, late_ns)
-        return [("lateness", f"{late_ns / 1e3:.0f} us, at most {self._latest_ns / 1e3:.0f} us so far")]
+        recent_ns, self._recent_lateness_ns = self._recent_lateness_ns, 0
+        self._largest_lateness_ns = max(self._largest_lateness_ns, recent_ns)
+        return [
+            ("lateness", f"{recent_ns / 1e3:.0f} us, at most {self._largest_lateness_ns / 1e3:.0f} us so far")
+        ]

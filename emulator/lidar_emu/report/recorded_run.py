@@ -60,11 +60,11 @@ class RecordedRun:
     def tally(self) -> Tally:
         """Compute the counts of the summary, which a killed run could not write."""
         tally = Tally(Pace.WALL if self.keeps_time else Pace.MAX)
-        tally.measured(self.measurement)
+        tally.add_measurement(self.measurement)
         packets, silent = self.packets, self._silent()
         columns = (packets.shot, packets.due_ns, packets.sent_ns, packets.status, silent)
         for shot, due_ns, sent_ns, status, is_silent in zip(*(c.tolist() for c in columns), strict=True):
-            tally.report(DeliveryReport(shot, due_ns, sent_ns, DeliveryStatus(status)), is_silent)
+            tally.add_report(DeliveryReport(shot, due_ns, sent_ns, DeliveryStatus(status)), is_silent)
         tally.faults = Counter(fault.values["kind"] for fault in self.faults)
         return tally
 

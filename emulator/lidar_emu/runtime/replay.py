@@ -28,7 +28,7 @@ class Replay:
 
     Args:
         packets: numbered from 0, in the order in which they are due.
-        longest: length of the longest packet, in bytes.
+        longest_bytes: length of the longest packet.
         port: the port.
         pace: by the clock, or as fast as the link takes them.
         load: share of the link's capacity that the packets take.
@@ -38,13 +38,13 @@ class Replay:
     def __init__(
         self,
         packets: Iterable[OutgoingPacket],
-        longest: int,
+        longest_bytes: int,
         port: PortSpec,
         pace: Pace,
         load: float,
         observers: Sequence[Observer],
     ) -> None:
-        self._packets, self._longest = packets, longest
+        self._packets, self._longest_bytes = packets, longest_bytes
         self._spec, self._pace, self._load = port, pace, load
         self._observers = observers
         self._clock = Clock()
@@ -60,7 +60,7 @@ class Replay:
             RunError: the port process did not start. If it dies later, the replay ends with its summary.
         """
         status = self._status
-        with status.interruptible(), PortRunner(_SLOTS, self._longest, status.on_stall) as port:
+        with status.interruptible(), PortRunner(_SLOTS, self._longest_bytes, status.on_stall) as port:
             with suppress(KeyboardInterrupt):
                 description = port.start(self._spec)
                 status.opening = False
@@ -101,7 +101,7 @@ class Replay:
     def _collect_reports(self, port: PortRunner) -> None:
         reports = port.reports()
         for packet, report in zip(self._in_flight, reports, strict=False):
-            self.tally.report(report)
+            self.tally.add_report(report)
             for observer in self._observers:
                 observer.on_report(packet, report)
         del self._in_flight[: len(reports)]

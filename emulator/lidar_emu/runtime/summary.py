@@ -66,7 +66,7 @@ class Tally:
     silent: int = 0
     """Shots that the device did not fire, because of its mode or its rate."""
 
-    def measured(self, block: Measurement) -> None:
+    def add_measurement(self, block: Measurement) -> None:
         """Add shots whose delivery status is known."""
         self.range_error_m.add((block.range_m - block.true_range_m)[block.range_valid])
         self.speed_error_mps.add((block.closing_speed_mps - block.true_closing_speed_mps)[block.speed_valid])
@@ -75,7 +75,7 @@ class Tally:
         for beam, counts in enumerate(self.reasons):
             counts.update(block.reason[:, beam].tolist())
 
-    def report(self, report: DeliveryReport, silent: bool = False) -> None:
+    def add_report(self, report: DeliveryReport, silent: bool = False) -> None:
         """Count the delivery status of a packet; `silent`: the device sent none."""
         self.statuses[report.status] += 1
         self.silent += silent and report.status is DeliveryStatus.SUPPRESSED
@@ -84,7 +84,7 @@ class Tally:
             self.lateness.add(lateness_ns)
             self.windows.add(report.due_ns, lateness_ns)
 
-    def missed(self) -> None:
+    def add_missed(self) -> None:
         """Count a shot that was late before it was computed."""
         self.statuses[DeliveryStatus.LATE] += 1
 

@@ -86,7 +86,7 @@ class PacketQueue:
                 continue
             packet, block, row = self._in_flight.popleft()
             self._left = min(self._room, self._left + 1)
-            self._tally.report(report, block.silent)
+            self._tally.add_report(report, block.silent)
             for observer in self._observers:
                 observer.on_report(packet, report)
             self._add_to_part(block, row)
@@ -108,7 +108,7 @@ class PacketQueue:
 
     def missed(self, shot: int, due_ns: int, now_ns: int) -> None:
         """Count a shot that was too late to be computed; times from the start of the run."""
-        self._tally.missed()
+        self._tally.add_missed()
         report = DeliveryReport(shot, due_ns, -1, DeliveryStatus.LATE, now_ns)
         for observer in self._observers:
             observer.on_report(OutgoingPacket(shot, due_ns, b""), report)
@@ -136,7 +136,7 @@ class PacketQueue:
     def _pass_parts_on(self) -> None:
         while self._finished_parts:
             part = self._finished_parts.popleft()
-            self._tally.measured(part.measurement)
+            self._tally.add_measurement(part.measurement)
             self._tally.faults.update(fault.kind for fault in part.faults)
             for observer in self._observers:
                 observer.on_block_sent(part)
