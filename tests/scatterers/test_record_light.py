@@ -165,5 +165,5 @@ def test_no_scatterers_are_dark() -> None:
     samples = np.zeros(16, dtype=complex)
     dark.add_to(samples, -1e-4, 1e-5)
     assert not samples.any()
-    assert dark.power == 0.0
+    assert dark.mean_delay_s == 0.0
     assert not transform(samples.real, "rect").any()

@@ -35,6 +35,8 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
         f"the scenario specifies level {scenario.level}",
         _LEVEL[scenario.level],
     )
+    if scenario.waveform_echo != "beamlets":
+        return [level, _scatterers(scenario), _response(scenario.instrument), _clipping(scenario.instrument)]
     return [
         level,
         _motion(scenario, echoes),
@@ -53,6 +55,15 @@ _LEVEL = {
     "spectral": "1e-11 of a spectrum's peak",
     "waveform": "every sample",
 }
+
+
+def _scatterers(scenario: FlightScenario) -> Decision:
+    air = scenario.site.atmosphere
+    volume = "surface" if air is None or air.backscatter_per_m_sr == 0 else "surface and haze"
+    narrowband = scenario.waveform_echo == "scatterers_narrowband"
+    bound = "1e-3 of a spectrum's peak, no clipping" if narrowband else "every sample"
+    reason = f"the scenario specifies waveform_echo {scenario.waveform_echo}"
+    return Decision("scatterers", True, f"of {volume}, on the exact motion", reason, bound)
 
 
 def _motion(scenario: FlightScenario, echoes: Echoes) -> Decision:

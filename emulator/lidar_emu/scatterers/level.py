@@ -23,6 +23,7 @@ from lidar_emu.fmcw.waveform.record_samples import frequency_plan
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import SCATTERERS, generator
 from lidar_emu.numerics.vector_arrays import rotate
+from lidar_emu.scatterers.haze import HazyBeam, strew_haze
 from lidar_emu.scatterers.measurement import measure_records
 from lidar_emu.scatterers.narrowband import narrowband_bins
 from lidar_emu.scatterers.receiver import RecordReceiver
@@ -49,6 +50,10 @@ class ScattererLevel:
         instrument = scenario.instrument
         self._model = build_receiver(instrument, scenario.site, exact=True)
         self._strewing = Strewing.of(instrument, scenario.site, self._model.snr_per_w)
+        air = scenario.site.atmosphere
+        self._haze = None
+        if air is not None and air.backscatter_per_m_sr > 0.0:
+            self._haze = HazyBeam.of(instrument, air, self._model.snr_per_w)
         waveform, receiver = instrument.waveform, instrument.receiver
         response = AnalogResponse(receiver.bandwidth_hz, receiver.ac_coupling_hz)
         self._segments = frequency_plan(waveform)
@@ -78,6 +83,10 @@ class ScattererLevel:
         scatterers, range_m = self._strew(pointing, poses_at, float(axis_hits.range_m[s, b]), rng, s, b)
         if (range_m <= 0.0).any():
             return nothing(Reason.INSIDE_GROUND)
+        if self._haze is not None:
+            nearest_m = float(np.nanmin(range_m, initial=self._model.record_edge_range_m))
+            span_s = self._span_s(nearest_m)
+            scatterers = scatterers.joined(strew_haze(self._haze, poses_at, *span_s, nearest_m, rng))
         measured = self._records(poses_at, scatterers, rng)
         if measured.reason[0] == Reason.BELOW_THRESHOLD:
             measured.reason[0] = unseen(range_m, self._model.record_edge_range_m)
@@ -105,12 +114,14 @@ class ScattererLevel:
             if not (near_m > 0.0).any():
                 return NO_SCATTERERS, near_m
             axis_range_m = float(np.nanmin(near_m))
-        waveform = self._scenario.instrument.waveform
-        travel_s = 2.0 * axis_range_m / SPEED_OF_LIGHT_MPS
-        half_s = 0.5 * waveform.record_time_s
-        first, last = self._segments[0].centre_s - half_s - travel_s, self._segments[2].centre_s + half_s
-        plane = footprint_plane(poses_at, first, last, axis_range_m)
+        plane = footprint_plane(poses_at, *self._span_s(axis_range_m), axis_range_m)
         return strew_surface(self._strewing, plane, self._line_bins(pointing, s, b), cast, rng)
+
+    def _span_s(self, range_m: float) -> tuple[float, float]:
+        """Times from the first emission to the last reception of a measurement, from the time of validity."""
+        half_s = 0.5 * self._scenario.instrument.waveform.record_time_s
+        travel_s = 2.0 * range_m / SPEED_OF_LIGHT_MPS
+        return self._segments[0].centre_s - half_s - travel_s, self._segments[2].centre_s + half_s
 
     def _line_bins(self, pointing: Pointing, s: int, b: int) -> float:
         """Standard deviation of the line that the beam's motion causes, in bins."""
@@ -150,7 +161,7 @@ class ScattererLevel:
             record_light(self._strewing.mode, segment, poses_at, scatterers, *self._covered_s)
             for segment in self._segments
         ]
-        echo_w = sum(light.power for light in lights) / (3.0 * model.snr_per_w)
+        echo_w = sum(float(light.power.sum()) for light in lights) / (3.0 * model.snr_per_w)
         # The echo has shot noise of its own; the digitiser's noise arises behind the poles, by rounding.
         share = model.response.amplifier_noise * (1.0 + model.signal_shot_per_w * echo_w)
         adc = instrument.receiver.adc

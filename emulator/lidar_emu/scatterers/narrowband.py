@@ -22,6 +22,9 @@ from lidar_emu.scenario.instrument import Waveform
 _MARGIN_BINS = 64
 """Bins on both sides of the scatterers' frequencies for the lobes of the window."""
 
+_GROUP_BINS = 128.0
+"""Scatterers within this many bins share an envelope."""
+
 _LINE_STEPS = 2**13
 """Steps of the laser's phase noise in a record, at least: their mean over a part of the record is taken."""
 
@@ -46,6 +49,21 @@ def add_narrowband(
     rng: np.random.Generator,
 ) -> None:
     """Add the light of scatterers to the bins (windows, N/2 + 1) of a record of real samples."""
+    bin_number = np.floor(light.middle_frequency_hz * receiver.waveform.record_time_s / _GROUP_BINS)
+    if np.ptp(bin_number) <= 1.0:
+        bin_number[:] = 0.0
+    for number in np.unique(bin_number):
+        _add_group(receiver, light.chosen(bin_number == number), windows, bins, rng)
+
+
+def _add_group(
+    receiver: RecordReceiver,
+    light: RecordLight,
+    windows: Sequence[WindowName],
+    bins: ComplexArray,
+    rng: np.random.Generator,
+) -> None:
+    """Add the light of scatterers that share an envelope."""
     waveform = receiver.waveform
     length, record_s = waveform.fft_length, waveform.record_time_s
     lowest_hz, highest_hz = light.frequencies_hz()
@@ -60,7 +78,7 @@ def add_narrowband(
     envelope = np.zeros(count, dtype=complex)
     passed.shifted(-centre / record_s).add_to(envelope, place[0] * record_s, record_s / count)
     if waveform.linewidth_hz > 0.0:
-        envelope *= _drift(waveform, light.delay_s, count, rng)
+        envelope *= _drift(waveform, light.mean_delay_s, count, rng)
     # A transform's origin is the first sample, half a step after the record's beginning.
     before = 0.5 - 0.5 / length
     offset = np.arange(count) - count // 2

@@ -92,9 +92,9 @@ class Scatterers(NamedTuple):
     amplitude: ComplexArray
     """(n,) Amplitude and phase of the echo, for a scatterer at the centre of the aperture's mode."""
 
-    def chosen(self, which: BoolArray) -> Scatterers:
-        """Some of the scatterers."""
-        return Scatterers(self.position_m[which], self.velocity_mps[which], self.amplitude[which])
+    def joined(self, others: Scatterers) -> Scatterers:
+        """These and other scatterers."""
+        return Scatterers(*(np.concatenate(pair) for pair in zip(self, others, strict=True)))
 
 
 NO_SCATTERERS = Scatterers(np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=complex))
@@ -107,12 +107,26 @@ class RecordLight(NamedTuple):
     """(n, K) of the powers 0 to K - 1 of y = (x - middle_s) / half_s, x the time from the record's centre."""
     middle_s: float
     half_s: float
-    power: float
-    """Sum of the largest powers of the scatterers."""
+    power: FloatArray
+    """(n,) Largest power of each within the time covered."""
     arrival_s: FloatArray
     """(n,) Time from the record's centre at which light of this segment arrives; before, there is none."""
-    delay_s: float
-    """Mean delay of the light by power; 0 without light."""
+    delay_s: FloatArray
+    """(n,)"""
+
+    @property
+    def mean_delay_s(self) -> float:
+        """Mean delay by power; 0 without light."""
+        return float(self.power @ self.delay_s / self.power.sum()) if len(self.power) else 0.0
+
+    def chosen(self, which: BoolArray) -> RecordLight:
+        """The light of some of the scatterers."""
+        return self._replace(
+            coefficients=self.coefficients[which],
+            power=self.power[which],
+            arrival_s=self.arrival_s[which],
+            delay_s=self.delay_s[which],
+        )
 
     @property
     def middle_frequency_hz(self) -> FloatArray:
@@ -170,7 +184,7 @@ def record_light(
     """
     middle_s, half_s = 0.5 * (from_s + to_s), 0.5 * (to_s - from_s)
     if not len(scatterers.amplitude):
-        return RecordLight(np.empty((0, _NODES), dtype=complex), middle_s, half_s, 0.0, np.empty(0), 0.0)
+        return RecordLight(np.empty((0, _NODES), dtype=complex), middle_s, half_s, *np.empty((3, 0)))
     place = -np.cos(np.pi * np.arange(_NODES) / (_NODES - 1))
     node_s = middle_s + half_s * place
     origin_m = poses_at(np.array([segment.centre_s + middle_s])).sensor_m[0]
@@ -199,10 +213,9 @@ def record_light(
     coefficients[:, 0] += np.log(scatterers.amplitude)
     power = np.square(np.abs(scatterers.amplitude)) * np.exp(2.0 * log_mode.max(axis=1))
     lit = power > _LEAST_POWER * power.max()
-    arrival_s = delay_s[lit, _NODES // 2] - segment.start_to_centre_s
-    whole = float(power.sum())
-    mean_s = float(power @ delay_s[:, _NODES // 2]) / whole
-    return RecordLight(coefficients[lit], middle_s, half_s, whole, arrival_s, mean_s)
+    middle_delay_s = delay_s[lit, _NODES // 2]
+    arrival_s = middle_delay_s - segment.start_to_centre_s
+    return RecordLight(coefficients[lit], middle_s, half_s, power[lit], arrival_s, middle_delay_s)
 
 
 def _phase_cycles(segment: Segment, node_s: FloatArray, delay_s: FloatArray) -> FloatArray:

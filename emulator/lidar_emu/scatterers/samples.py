@@ -33,8 +33,8 @@ def sampled_bins(
     """Compute the bins (windows, N/2 + 1) of a record from its samples."""
     waveform = receiver.waveform
     record = received_light(receiver, light)
-    if waveform.linewidth_hz > 0.0 and light.delay_s > 0.0:
-        record *= draw_drift(rng, 1, waveform, light.delay_s)[0]
+    if waveform.linewidth_hz > 0.0 and light.mean_delay_s > 0.0:
+        record *= draw_drift(rng, 1, waveform, light.mean_delay_s)[0]
     samples = record.real + np.sqrt(receiver.noise_share) * draw_noise(rng, 1, waveform, receiver.response)[0]
     if receiver.digitiser is not None:
         samples = receiver.digitiser.digitise(samples)

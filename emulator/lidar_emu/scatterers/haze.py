@@ -1,0 +1,113 @@
+"""Particles of haze, strewn at random over the volume that a beam lights.
+
+A particle stands for the many of a volume, as a scatterer for the grains of its patch (`scatterers.surface`): a volume
+V returns the radiant intensity β V I, without depolarisation, since the particles are taken to be spheres. Particles
+lie at random depths, one in each slice of a sixteenth of a range bin. Across the beam they are drawn from a mixture of
+Gaussians along the beam's path, with the density q, and stand for the area 1/q; the numbers drawn are a sequence of low
+discrepancy with a random origin, so that neighbouring slices together scatter what the mean says.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.scatterers.record_light import GaussianMode, PosesAt, Scatterers
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
+from lidar_emu.scenario.site import Atmosphere
+
+_SLICES_PER_BIN = 16.0
+
+_MOST_PLACES = 256
+"""Places along the path of the beam, at most; they are half a radius apart."""
+
+_STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+"""Steps of a sequence of low discrepancy in three dimensions: powers of the root of x⁴ = x + 1."""
+
+
+class HazyBeam(NamedTuple):
+    """What the particles of an instrument in an atmosphere depend on."""
+
+    mode: GaussianMode
+    power_per_m3: float
+    """SNR of a volume at the waist: β P η λ² (2/(π w0²))² times the SNR per watt."""
+    extinction_per_m: float
+    slice_m: float
+
+    @classmethod
+    def of(cls, instrument: Instrument, air: Atmosphere, snr_per_w: float) -> HazyBeam:
+        """Particles of an atmosphere in an instrument's beams."""
+        mode, waveform = GaussianMode.of(instrument), instrument.waveform
+        emitted_w = instrument.optics.laser_power_w * instrument.optics.optical_efficiency
+        peak_per_m2 = 2.0 / (np.pi * mode.waist_m**2)
+        power = snr_per_w * emitted_w * air.backscatter_per_m_sr * (waveform.wavelength_m * peak_per_m2) ** 2
+        bin_m = waveform.bin_width_hz * SPEED_OF_LIGHT_MPS / (2.0 * waveform.chirp_slope_hz_per_s)
+        return cls(mode, power, air.extinction_per_m, bin_m / _SLICES_PER_BIN)
+
+
+def strew_haze(
+    beam: HazyBeam, poses_at: PosesAt, from_s: float, to_s: float, range_m: float, rng: np.random.Generator
+) -> Scatterers:
+    """Strew particles that rest in the site frame from the sensor to a range.
+
+    Args:
+        beam: constants of instrument and atmosphere.
+        poses_at: poses of the beam.
+        from_s, to_s: times of emission and reception that the measurement covers.
+        range_m: where the beam ends.
+        rng: random generator.
+    """
+    here = poses_at(np.zeros(1))
+    sensor_m, axis = here.sensor_m[0], here.transmitted[0] + here.received[0]
+    axis /= np.linalg.norm(axis)
+    count = int(range_m / beam.slice_m)
+    depth_m = beam.slice_m * (np.arange(count) + rng.random(count))
+    radius_m = beam.mode.waist_m * np.sqrt(1.0 + np.square(depth_m / beam.mode.rayleigh_m))
+    start_m, slope = _path(poses_at, from_s, to_s, axis, sensor_m, range_m, beam.mode)
+    drawn = (rng.random(3) + np.arange(count)[:, None] * _STEPS) % 1.0
+    chosen = (drawn[:, 0] * len(start_m)).astype(int)
+    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    first /= np.linalg.norm(first)
+    plane = np.stack([first, np.cross(axis, first)])
+    away_m = radius_m * np.sqrt(-0.5 * np.log1p(-drawn[:, 1]))
+    turn = 2.0 * np.pi * drawn[:, 2]
+    centre_m = (start_m[chosen] + depth_m[:, None] * slope[chosen]) @ plane.T
+    place_m = centre_m + away_m[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    density_per_m2 = _density(place_m, start_m @ plane.T, slope @ plane.T, depth_m, radius_m)
+    power = beam.power_per_m3 * beam.slice_m * np.exp(-2.0 * beam.extinction_per_m * depth_m) / density_per_m2
+    number = rng.standard_normal(2 * count).view(complex)
+    position_m = sensor_m + depth_m[:, None] * axis + place_m @ plane
+    return Scatterers(position_m, np.zeros_like(position_m), np.sqrt(0.5 * power) * number)
+
+
+def _path(
+    poses_at: PosesAt,
+    from_s: float,
+    to_s: float,
+    axis: FloatArray,
+    sensor_m: FloatArray,
+    range_m: float,
+    mode: GaussianMode,
+) -> tuple[FloatArray, FloatArray]:
+    """Offsets (places, 3) of the beam's axis across its middle one, at the sensor and per metre of depth."""
+    ends = poses_at(np.array([from_s, to_s]))
+    moved_m = np.linalg.norm(np.diff(ends.sensor_m, axis=0))
+    swept_m = np.linalg.norm(np.diff(ends.transmitted, axis=0)) * range_m
+    steps = moved_m / mode.waist_m + swept_m / mode.radius_m(range_m)
+    places = min(_MOST_PLACES, 2 + int(2.0 * steps))
+    poses = poses_at(np.linspace(from_s, to_s, places))
+    offset_m, slope = poses.sensor_m - sensor_m, 0.5 * (poses.transmitted + poses.received)
+    return offset_m - (offset_m @ axis)[:, None] * axis, slope - (slope @ axis)[:, None] * axis
+
+
+def _density(
+    place_m: FloatArray, start_m: FloatArray, slope: FloatArray, depth_m: FloatArray, radius_m: FloatArray
+) -> FloatArray:
+    """Density (n,) per square metre of the mixture at places (n, 2)."""
+    total = np.zeros(len(depth_m))
+    for begins_m, leans in zip(start_m, slope, strict=True):
+        apart_m = place_m - begins_m - depth_m[:, None] * leans
+        total += np.exp(-2.0 * np.sum(apart_m**2, axis=1) / radius_m**2)
+    return np.asarray(total * 2.0 / (np.pi * radius_m**2 * len(start_m)))
