@@ -271,9 +271,6 @@ def _point_acceleration_mps2(
 
     The value is (1 - R/Rc) (2 v·u' + R u'²) - v²/Rc, v across the beam. In the far field this is -v²/R for any rotation
     of the beam, since the distance to a fixed point does not depend on the beam.
-
-    (1 - R/Rc) (2 v·u' + R u'²) - v²/Rc, v across the beam. Far away this is -v²/R however the beam turns: the
-    distance to a fixed point does not depend on the beam.
     """
     squared_m2 = range_m * range_m + rayleigh_m * rayleigh_m
     flatness = rayleigh_m * rayleigh_m / squared_m2

@@ -41,8 +41,6 @@ def spread_bins(instrument: Instrument, pointing: Pointing, hits: Hits) -> Sprea
 
     The footprint's weight exp(-4 r²/w²) has the rms radius w/√8 along any axis.
 
-    The footprint's weight exp(-4 r²/w²) has the rms radius w/√8 along any axis.
-
     Across the beam the gradient of range is -n/(n·u), and the gradient of closing speed v/Rc - (1 - R/Rc) u'.
     """
     waveform, waist_m = instrument.waveform, instrument.optics.waist_radius_m

@@ -71,10 +71,6 @@ def noise_level(response: Response, factor: float, added: float, k: float, sine:
     form (πc/N) sinh(2πc/N) / (cosh(2πc/N) - cos(2πk/N)), evaluated here in powers of exp(-2πc/N); the AC coupling
     matters in the zone at 0 only.
 
-    Noise from beyond N/2 folds in as tones do. Of a single pole at c its sum over all zones is closed, (πc/N)
-    sinh(2πc/N) / (cosh(2πc/N) - cos(2πk/N)), here in powers of exp(-2πc/N); the AC coupling matters in the zone at 0
-    only.
-
     Args:
         response: response of the receiver.
         factor: amplifier noise relative to its value without an echo.

@@ -103,7 +103,7 @@ def gather_beamlets(
 def _record_share(model: ReceiverModel, lost: float) -> float:
     """Amplitude ratio of a windowed bin between a line that misses the first part of its record and a whole line.
 
-    The window is centre - 2 side cos(2πx), x over the record.
+    The window is centre + 2 side cos(2πx), x from 0 to 1 over the record.
     """
     if lost >= 1.0:
         return 0.0

@@ -13,9 +13,6 @@ def snr_per_w(instrument: Instrument, site: Site | None) -> float:
 
     It is the number of photons detected coherently in a record, η_h η_q P T_rec / hν, divided by one plus the ratios of
     all other noise to the local oscillator's shot noise.
-
-    The photons detected coherently in a record, η_h η_q P T_rec / hν, over one plus the ratios of all other noise to
-    the local oscillator's shot noise.
     """
     receiver = instrument.receiver
     photons = instrument.optics.heterodyne_efficiency * receiver.responsivity_a_per_w
@@ -29,10 +26,6 @@ def noise_over_shot(instrument: Instrument, site: Site | None) -> tuple[float, f
     The current noise densities are: shot noise 2 q R P_LO, dark current 2 q I_d, thermal 4kT/R_f, intensity noise RIN
     (R P_LO)² after common-mode rejection, sunlight in the receiver's own mode, and the digitiser's (full scale /
     2^bits)² / 12 spread from 0 to half the sample rate.
-
-    Current noise of shot 2 q R P_LO, dark 2 q I_d, thermal 4kT/R_f, intensity RIN (R P_LO)² after common-mode
-    rejection, sunlight in the receiver's own mode, and the digitiser's (full scale / 2^bits)² / 12 spread from 0 to
-    half the sample rate.
     """
     receiver, waveform = instrument.receiver, instrument.waveform
     current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w

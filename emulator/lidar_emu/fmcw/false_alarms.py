@@ -123,9 +123,6 @@ def neighbour_exceedance(window: SpectralWindow, threshold: float) -> float:
 
     For two circular Gaussians with squared correlation ρ², the power of one, given power p of the other, is noncentral
     chi-squared; the excess of p over the threshold is exponential.
-
-    Of two circular Gaussians with squared correlation ρ² the one's power, given the other's p, is noncentral
-    chi-squared; p beyond the threshold is exponential.
     """
     correlation = (2.0 * window.centre * window.side / window.noise_power) ** 2
     if correlation == 0.0:

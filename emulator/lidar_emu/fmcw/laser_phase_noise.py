@@ -121,8 +121,6 @@ def gaussian_line_taps(
 
     The fraction in the central bin stays coherent; the other taps are circular Gaussian numbers.
 
-    The central bin's share stays coherent; the others' are circular Gaussian numbers.
-
     Args:
         linewidth: full width at half maximum in bins.
         beam: record of the beam, `workspace.BEAM`.

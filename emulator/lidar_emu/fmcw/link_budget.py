@@ -21,7 +21,7 @@ class EchoLaw(NamedTuple):
     emitted_w: float
     """Laser power less the losses of optics and depolarisation."""
     coupling: float
-    """λ²/(π w0²): power that the local oscillator's mode receives from a radiance of 1 W/m² per steradian at the
+    """λ²/(π w0²): power in the local oscillator's mode per W/sr that the footprint scatters back, just ahead of the
     aperture."""
     lommel_seeliger_share: float
     parting_per_m: float
@@ -93,9 +93,6 @@ def haze_w_per_m(instrument: Instrument, atmosphere: Atmosphere) -> float:
 
     The value is P_t η β λ²/(π w0²): as for a surface, with the backscatter coefficient β instead of its radiance, and
     without depolarisation, since the particles are assumed to be spherical.
-
-    P_t η β λ²/(π w0²): as of a surface, with the backscatter coefficient β for its radiance, and without
-    depolarisation, since the particles are taken for spheres.
     """
     optics = instrument.optics
     coupling = instrument.waveform.wavelength_m**2 / (np.pi * optics.waist_radius_m**2)

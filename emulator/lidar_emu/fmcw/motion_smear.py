@@ -39,9 +39,6 @@ def smear_bins(model: ReceiverModel, segment: int, speed_mps: float, acceleratio
 
     The range of a scatterer changes with its speed, and its Doppler shift with the optical frequency: each contributes
     half of the chirps' -4Sv/c.
-
-    A scatterer's range changes with its speed, and so does its Doppler shift with the optical frequency: each makes
-    half of the chirps' -4Sv/c.
     """
     by_motion = acceleration_mps2 * model.record_time_s / model.speed_bin_mps
     if segment == 1:

@@ -28,9 +28,6 @@ def decimated(model: ReceiverModel, factor: int) -> ReceiverModel:
 
     The noise of all folds is within the remaining band: the SNR of a tone falls by the factor, and so does the number
     of bins in which noise can be detected.
-
-    The noise of all folds lies in what is left of the band: a tone's SNR falls by the factor, as does the number of
-    bins in which noise can be taken for an echo.
     """
     return model._replace(
         sampled_length=model.sampled_length / factor,
