@@ -1,8 +1,12 @@
-"""The two errors that end a command: invalid input, and a run that failed."""
+"""The two errors that end a command, invalid input and a run that failed, and warnings."""
 
 from __future__ import annotations
 
 import json
+import logging
+from multiprocessing import parent_process
+
+_warned = set[str]()
 
 
 class InputError(Exception):
@@ -55,3 +59,10 @@ def reason_of(error: BaseException) -> str:
 def one_line(text: str) -> str:
     """``text`` with each run of white space as one blank, and `?` for characters that are not printable."""
     return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+
+
+def warn_once(cause: str, text: str) -> None:
+    """Warn once for each cause, and not in every worker of a pool."""
+    if cause not in _warned and parent_process() is None:
+        logging.getLogger(__name__).warning("lidar-emu: warning: %s", text)
+    _warned.add(cause)

@@ -202,7 +202,7 @@ EXTREMES = [
     _case("R 5 m to 11.99 km", _VALID, _points(JOINT, _NEAR, 50.0, shots=2)),
     _case(
         "R 1 cm to 5 m, closing with 50 m/s",
-        _VALID | {Reason.AMBIGUOUS},
+        _VALID | {Reason.AMBIGUOUS, Reason.INSIDE_GROUND},
         _points(JOINT, np.geomspace(0.01, 5.0, 300), 50.0, shots=1),
         resolved=False,
     ),
@@ -239,7 +239,7 @@ EXTREMES = [
     ),
     _case(
         "spread 0 to 500 bins, 127 beamlets, speckle",
-        _VALID,
+        _VALID | {Reason.AMBIGUOUS},
         lambda: [_footprint(_with(JOINT, speckle=True), s, 127, 10) for s in (0.0, 0.3, 3.0, 30.0, 500.0)],
         beside_m=0.35,
         beside_mps=0.5,

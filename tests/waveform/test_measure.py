@@ -218,7 +218,7 @@ def test_consistent_frequencies_are_solved(beat: float, doppler: float, variance
     if abs(signed).max() < length / 2:
         assert solved.range_bin[0] == pytest.approx(beat, abs=1e-6)
         assert solved.doppler_bin[0] == pytest.approx(doppler, abs=1e-6)
-        simple = chirp_minus_doppler(observed[None], np.array([variance]))
+        simple = chirp_minus_doppler(observed[None], np.array([variance]), length, 20_000.0)
         assert simple.range_bin[0] == pytest.approx(beat, abs=1e-6)
         assert simple.doppler_bin[0] == pytest.approx(doppler, abs=1e-6)
 
@@ -244,24 +244,26 @@ def test_a_fold_must_be_worth_three_standard_deviations(variance: float, range_b
     # At N/2 itself a frequency and its alias are one, and either may be named.
     observed=st.tuples(*[st.floats(0.0, 511.0)] * 3),
     variance=st.tuples(*[st.floats(1e-3, 1.0)] * 3),
+    # Within Nyquist, beyond it, and beyond the sample rate.
+    farthest=st.sampled_from([400.0, 700.0, 3000.0]),
 )
 # Ties: of range and direction, of direction alone, of range alone, and of the sign of the shorter chirp.
-@example(observed=(2.0, 1e-5, 2.0), variance=(1.0, 1.0, 1.0))
-@example(observed=(2.0, 1e-5, 2.0), variance=(0.5, 1.0, 0.5))
-@example(observed=(1.0, 0.0, 1.1), variance=(1.0, 1.0, 1.0))
-@example(observed=(0.1, 1.0, 2.0), variance=(1.0, 1.0, 1.0))
+@example(observed=(2.0, 1e-5, 2.0), variance=(1.0, 1.0, 1.0), farthest=400.0)
+@example(observed=(2.0, 1e-5, 2.0), variance=(0.5, 1.0, 0.5), farthest=400.0)
+@example(observed=(1.0, 0.0, 1.1), variance=(1.0, 1.0, 1.0), farthest=400.0)
+@example(observed=(0.1, 1.0, 2.0), variance=(1.0, 1.0, 1.0), farthest=400.0)
 def test_everything_combined_is_that_of_the_spectral_level(
-    observed: tuple[float, ...], variance: tuple[float, ...]
+    observed: tuple[float, ...], variance: tuple[float, ...], farthest: float
 ) -> None:
     """Two programs for one definition: whatever comes, they conclude the same."""
     ours = (
-        chirp_minus_doppler(np.array([observed]), np.array([variance])),
-        least_squares(np.array([observed]), np.array([variance]), 1024, 400.0),
+        chirp_minus_doppler(np.array([observed]), np.array([variance]), 1024, farthest),
+        least_squares(np.array([observed]), np.array([variance]), 1024, farthest),
     )
     theirs = (
-        range_speed_estimation.chirp_minus_doppler(targets(observed, variance)),
+        range_speed_estimation.chirp_minus_doppler(targets(observed, variance), 1024.0, farthest),
         range_speed_estimation.least_squares(
-            range_speed_estimation.ALL, targets(observed, variance), 1024.0, 400.0
+            range_speed_estimation.ALL, targets(observed, variance), 1024.0, farthest
         ),
     )
     for slow, fast in zip(ours, theirs, strict=True):

@@ -21,9 +21,9 @@ from lidar_emu.fmcw.range_speed_estimation import (
 )
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.residual_limit import largest_residual_bin
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes
 from lidar_emu.fmcw.segment_spectrum import set_spectrum
-from lidar_emu.fmcw.skip_limits import GROSS_RESIDUAL_BINS
 from lidar_emu.fmcw.speckle import forget_corners
 from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.fmcw.statistical_model import draw_targets
@@ -209,9 +209,10 @@ def _report(model: ReceiverModel, estimate: Estimate, row: Any) -> None:
     """Report an estimate in SI units if it is allowed, otherwise the reason why not."""
     distance_m = estimate.range_bin * model.range_bin_m
     row.residual_mps = 0.5 * estimate.residual_bin * model.speed_bin_mps
-    # The published detector has no such check.
-    checked = model.combine_method != CHIRP_MINUS_DOPPLER
-    gross = checked and abs(estimate.residual_bin) > GROSS_RESIDUAL_BINS
+    # The published detector has no such check, and two segments have no residual.
+    gross = model.combine_method != CHIRP_MINUS_DOPPLER and abs(estimate.residual_bin) > largest_residual_bin(
+        model.residual_limit, estimate.range_bin, estimate.doppler_bin, estimate.residual_variance
+    )
     # Two chirps alone fit with range and Doppler shift exchanged.
     swapped = row.segments == UP | DOWN and not estimate.sign_resolved
     if gross or swapped or not (estimate.found and distance_m >= 0.0):

@@ -60,13 +60,15 @@ def gather_beamlets(
         The reason to report if nothing is detected.
     """
     reason = _NO_SURFACE
+    furthest_s = model.furthest_record_s
     beam.lit_beamlets, beam.power_w = 0, 0.0
     count, first = 0, 0
     beamlets[SHARE] = 0.0
     total_w = 0.0
     for i in range(len(range_m)):
         distance_m, power = range_m[i], power_w[i]
-        if distance_m <= 0.0:
+        rate_mps = range_rate_mps[i] if abs(range_rate_mps[i]) < _FASTEST_MPS else 0.0
+        if distance_m <= furthest_s * abs(rate_mps):
             return _INSIDE_GROUND
         if distance_m > model.record_edge_range_m:
             # The echo arrives after the start of the record; the remainder is detected, but reported as beyond range.
@@ -77,7 +79,7 @@ def gather_beamlets(
             reason = _BELOW_THRESHOLD
         if distance_m > 0.0 and 0.0 < power < np.inf and abs(closing_speed_mps[i]) < _FASTEST_MPS:
             beamlets[RANGE_M, i] = distance_m
-            beamlets[RANGE_RATE_MPS, i] = range_rate_mps[i] if abs(range_rate_mps[i]) < _FASTEST_MPS else 0.0
+            beamlets[RANGE_RATE_MPS, i] = rate_mps
             beamlets[SPEED_MPS, i] = closing_speed_mps[i]
             beamlets[SHARE, i] = power
             total_w += power

@@ -40,6 +40,5 @@ def with_opposite_sign(usual: Estimate, mask: int, targets: NDArray[Any]) -> Est
     near, far = toward - chirp, toward + chirp
     beat = near if near >= 0.0 else far
     found = bool(usual.found) and mask & CONSTANT != 0 and beat >= 0.0
-    return Estimate(
-        found, beat, doppler, chirp_var + constant_var, constant_var, np.nan, found and usual.sign_resolved
-    )
+    resolved = found and usual.sign_resolved
+    return Estimate(found, beat, doppler, chirp_var + constant_var, constant_var, np.nan, np.nan, resolved)

@@ -60,8 +60,10 @@ class Estimate(NamedTuple):
     doppler_variance: float
     residual_bin: float
     """Residual g₋ - g₊ - 2 g₀ with the chosen signs: 0 for three consistent frequencies, NaN for two."""
+    residual_variance: float
+    """Variance of the residual by the variances of the frequencies."""
     sign_resolved: bool
-    """Whether no alternative explanation has a comparable cost."""
+    """Whether no other explanation fits the frequencies as well; see `least_squares`."""
 
 
 @kernel
@@ -70,20 +72,22 @@ def estimate_range_speed(
 ) -> Estimate:
     """Estimate by one of COMBINE_METHODS; see `least_squares` for the other arguments."""
     if method == CHIRP_MINUS_DOPPLER:
-        return chirp_minus_doppler(targets)
+        return chirp_minus_doppler(targets, length, farthest_bin)
     return least_squares(mask, targets, length, farthest_bin)
 
 
 @kernel
-def chirp_minus_doppler(targets: NDArray[Any]) -> Estimate:
+def chirp_minus_doppler(targets: NDArray[Any], length: float, farthest_bin: float) -> Estimate:
     """The published detector: range from the chirp with the higher beat, less the Doppler line.
 
     Budge et al.: if the up-chirp's beat is above the down-chirp's, the lidar recedes. Folds at N/2 are ignored. The
-    sign counts as resolved when the chirps differ by more than three standard deviations of their difference and the
-    residual is within three of its own, which excludes a fold at N/2.
+    sign counts as resolved when the chirps differ by more than three standard deviations of their difference, the
+    residual is within three of its own, and no other explanation fits as well; see `least_squares`.
 
     Args:
         targets: (3,) of TARGET: one target per segment.
+        length: N.
+        farthest_bin: largest b that the instrument can observe.
     """
     up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
     up_var, constant_var, down_var = (
@@ -93,30 +97,29 @@ def chirp_minus_doppler(targets: NDArray[Any]) -> Estimate:
     )
     closing = not up > down
     longer, shorter = (down, up) if closing else (up, down)
+    doppler = constant if closing else -constant
     # The beat of the lower chirp may have passed zero: its sign is the one with the smaller residual.
     excess = longer - 2.0 * constant
-    residual = excess - shorter if abs(excess - shorter) <= abs(excess + shorter) else excess + shorter
+    if abs(excess - shorter) > abs(excess + shorter):
+        shorter = -shorter
+    g_up, g_down = (shorter, longer) if closing else (longer, shorter)
+    residual = g_down - g_up - 2.0 * doppler
+    spread = up_var + 4.0 * constant_var + down_var
     apart = (down - up) ** 2 > _RESOLVED_COST * (up_var + down_var)
-    scatter = np.sqrt(_RESOLVED_COST * (up_var + 4.0 * constant_var + down_var))
     # Motion and the chirps' optical frequencies separate the segments' Doppler shifts by a fraction of a bin.
-    consistent = abs(residual) <= scatter + 1.0
-    return Estimate(
-        True,
-        longer - constant,
-        constant if closing else -constant,
-        (down_var if closing else up_var) + constant_var,
-        constant_var,
-        residual if closing else -residual,
-        apart and consistent,
-    )
+    consistent = abs(residual) <= np.sqrt(_RESOLVED_COST * spread) + 1.0
+    resolved = apart and consistent and not _has_rival(targets, length, farthest_bin, g_up, doppler, g_down)
+    range_var = (down_var if closing else up_var) + constant_var
+    return Estimate(True, longer - constant, doppler, range_var, constant_var, residual, spread, resolved)
 
 
 @kernel
 def least_squares(mask: int, targets: NDArray[Any], length: float, farthest_bin: float) -> Estimate:
     """Joint least squares over the segments with a target, with the signs and folds of least cost.
 
-    The signed beat of a chirp is F, -F, N - F or F - N; the constant segment's is F or -F, since a Doppler shift beyond
-    N/2 moves all three tones by N and cannot be distinguished from its alias.
+    The signed beat of a chirp is F, -F, N - F or F - N, and N + F where beats beyond N/2 can be observed; the constant
+    segment's is F or -F, since a Doppler shift beyond N/2 moves all three tones by N and cannot be distinguished from
+    its alias.
 
     With three segments an explanation (a choice of signs and folds) removes the residual r = g₋ - g₊ - 2 g₀ by
     corrections in proportion to the variances. It is admitted if b lies between 0 and `farthest_bin`, to three standard
@@ -124,7 +127,9 @@ def least_squares(mask: int, targets: NDArray[Any], length: float, farthest_bin:
     precedence, then the first g₊ and the first g₋ in the order above.
 
     The sign counts as resolved when every admitted explanation that differs by more than six standard deviations in b
-    or d costs more by 9, or by 9 times r² over its variance if the residual shows that the variances are too small.
+    or d has an r² over its variance larger by 9, or by 9 times its own if the residual shows that the variances are too
+    small. Folds do not count against a rival: they are improbable, but no frequency contradicts them. In particular
+    N - b with -d gives the same three frequencies, so that nothing is resolved if it lies within `farthest_bin`.
 
     Two segments have no residual, and seldom a single explanation; see `_from_two`.
 
@@ -152,7 +157,7 @@ def least_squares(mask: int, targets: NDArray[Any], length: float, farthest_bin:
         return _from_two(mask, up, constant, up_var + constant_var, constant_var, length, farthest_bin)
     if mask == CONSTANT | DOWN:
         return _from_two(mask, down, constant, down_var + constant_var, constant_var, length, farthest_bin)
-    return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, False)
+    return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, False)
 
 
 @kernel
@@ -165,45 +170,100 @@ def _from_three(targets: NDArray[Any], length: float, farthest_bin: float) -> Es
     )
     spread = up_var + 4.0 * constant_var + down_var
     if not spread < np.inf:
-        return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, False)
+        return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, False)
     range_var = 0.25 * (up_var + down_var - (up_var - down_var) ** 2 / spread)
     doppler_var = constant_var - 4.0 * constant_var**2 / spread
     slack = 3.0 * np.sqrt(range_var)
     range_share = 0.5 * (up_var - down_var) / spread
     doppler_share = 2.0 * constant_var / spread
 
-    best_cost, best_range, best_doppler, best_residual = np.inf, np.nan, np.nan, np.nan
-    limit = np.inf
-    rivalled = False
-    for rivals in (False, True):
-        if rivals:
-            limit = best_cost + _RESOLVED_COST * max(1.0, best_residual**2 / spread)
-        for g_constant in (constant, -constant):
-            for i in range(4):
-                g_up = _signed(up, i, length)
-                for j in range(4):
-                    g_down = _signed(down, j, length)
-                    residual = g_down - g_up - 2.0 * g_constant
-                    folding_cost = _FOLD_COST * ((i >> 1) + (j >> 1))
-                    # Most cost far too much, which is known without a division.
-                    if residual * residual > (limit - folding_cost) * spread * _ROUNDING:
-                        continue
-                    cost = residual * residual / spread + folding_cost
-                    beat = 0.5 * (g_up + g_down) + range_share * residual
-                    if not (cost <= limit and -slack <= beat <= farthest_bin + slack):
-                        continue
-                    doppler = g_constant + doppler_share * residual
-                    if rivals:
-                        rivalled |= (beat - best_range) ** 2 > _APART_VARIANCES * range_var or (
-                            doppler - best_doppler
-                        ) ** 2 > _APART_VARIANCES * doppler_var
-                    elif cost < best_cost:
-                        best_cost, best_range, best_doppler, best_residual = cost, beat, doppler, residual
-                        limit = cost
+    best_cost, best_up, best_constant, best_down = np.inf, np.nan, np.nan, np.nan
+    choices = _chirp_choices(length, farthest_bin)
+    for g_constant in (constant, -constant):
+        for i in range(choices):
+            g_up = _signed(up, i, length)
+            for j in range(choices):
+                g_down = _signed(down, j, length)
+                residual = g_down - g_up - 2.0 * g_constant
+                folding_cost = _FOLD_COST * ((i >> 1) + (j >> 1))
+                # Most cost far too much, which is known without a division.
+                if residual * residual > (best_cost - folding_cost) * spread * _ROUNDING:
+                    continue
+                cost = residual * residual / spread + folding_cost
+                beat = 0.5 * (g_up + g_down) + range_share * residual
+                if cost < best_cost and -slack <= beat <= farthest_bin + slack:
+                    best_cost, best_up, best_constant, best_down = cost, g_up, g_constant, g_down
     found = best_cost < np.inf
+    residual = best_down - best_up - 2.0 * best_constant
     return Estimate(
-        found, best_range, best_doppler, range_var, doppler_var, best_residual, found and not rivalled
+        found,
+        0.5 * (best_up + best_down) + range_share * residual,
+        best_constant + doppler_share * residual,
+        range_var,
+        doppler_var,
+        residual,
+        spread,
+        found and not _has_rival(targets, length, farthest_bin, best_up, best_constant, best_down),
     )
+
+
+@kernel
+def _has_rival(
+    targets: NDArray[Any],
+    length: float,
+    farthest_bin: float,
+    own_up: float,
+    own_constant: float,
+    own_down: float,
+) -> bool:
+    """Whether another explanation of three frequencies fits as well as the signed beats `own_up` to `own_down`."""
+    up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
+    up_var, constant_var, down_var = (
+        targets[0].variance_bin2,
+        targets[1].variance_bin2,
+        targets[2].variance_bin2,
+    )
+    spread = up_var + 4.0 * constant_var + down_var
+    range_var = 0.25 * (up_var + down_var - (up_var - down_var) ** 2 / spread)
+    doppler_var = constant_var - 4.0 * constant_var**2 / spread
+    slack = 3.0 * np.sqrt(range_var)
+    range_share = 0.5 * (up_var - down_var) / spread
+    doppler_share = 2.0 * constant_var / spread
+    own = own_down - own_up - 2.0 * own_constant
+    own_beat = 0.5 * (own_up + own_down) + range_share * own
+    own_doppler = own_constant + doppler_share * own
+    if _is_aliased(length, farthest_bin + slack, own_beat):
+        return True
+    limit = (own * own + _RESOLVED_COST * max(spread, own * own)) * _ROUNDING
+    choices = _chirp_choices(length, farthest_bin)
+    for g_constant in (constant, -constant):
+        for i in range(choices):
+            g_up = _signed(up, i, length)
+            for j in range(choices):
+                g_down = _signed(down, j, length)
+                residual = g_down - g_up - 2.0 * g_constant
+                if residual * residual > limit:
+                    continue
+                beat = 0.5 * (g_up + g_down) + range_share * residual
+                doppler = g_constant + doppler_share * residual
+                if -slack <= beat <= farthest_bin + slack and (
+                    (beat - own_beat) ** 2 > _APART_VARIANCES * range_var
+                    or (doppler - own_doppler) ** 2 > _APART_VARIANCES * doppler_var
+                ):
+                    return True
+    return False
+
+
+@kernel
+def _is_aliased(length: float, farthest_bin: float, range_bin: float) -> bool:
+    """Whether N - b lies within the instrument's range: with -d it gives the same frequencies as b and d."""
+    return length - range_bin <= farthest_bin
+
+
+@kernel
+def _chirp_choices(length: float, farthest_bin: float) -> int:
+    """Number of signed beats that a chirp's frequency may have, in the order of `_signed`."""
+    return 5 if farthest_bin > 0.5 * length else 4
 
 
 @kernel
@@ -234,6 +294,8 @@ def _from_two(
     best_cost, best_range, best_doppler = np.inf, np.nan, np.nan
     rivalled = False
     for rivals in (False, True):
+        if rivals and _is_aliased(length, farthest_bin + slack, best_range):
+            rivalled = True
         for choice in range(16):
             if mask != UP | DOWN and choice & 2:
                 continue  # a fold of the Doppler line
@@ -263,11 +325,14 @@ def _from_two(
             if cost < best_cost:
                 best_cost, best_range, best_doppler = cost, beat, doppler
     found = best_cost < np.inf
-    return Estimate(found, best_range, best_doppler, range_var, doppler_var, np.nan, found and not rivalled)
+    resolved = found and not rivalled
+    return Estimate(found, best_range, best_doppler, range_var, doppler_var, np.nan, np.nan, resolved)
 
 
 @kernel
 def _signed(observed: float, choice: int, length: float) -> float:
-    """Signed beat of an observed frequency: F, -F, N - F or F - N."""
+    """Signed beat of an observed frequency: F, -F, N - F, F - N or N + F."""
+    if choice == 4:
+        return length + observed
     unfolded = observed if choice < 2 else length - observed
     return unfolded if choice % 2 == 0 else -unfolded

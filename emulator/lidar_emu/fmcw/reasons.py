@@ -17,6 +17,7 @@ class Reason(IntEnum):
     BEYOND_RANGE = 4
     """The measured range, or the surface itself, is beyond the instrument's maximum range."""
     INSIDE_GROUND = 5
-    """The sensor touches the ground or is below it."""
+    """The sensor touches the ground or is below it, at some time of the measurement."""
     AMBIGUOUS = 6
-    """No choice of signs and folds gives a range that the instrument can measure."""
+    """No choice of signs and folds gives a range that the instrument can measure, or the three frequencies do not
+    belong to one surface (`lidar_emu.fmcw.residual_limit`)."""

@@ -13,6 +13,7 @@ from lidar_emu.fmcw.peak_interpolation import PEAK_METHODS
 from lidar_emu.fmcw.physical_constants import ELEMENTARY_CHARGE_C, PLANCK_J_S
 from lidar_emu.fmcw.range_speed_estimation import COMBINE_METHODS
 from lidar_emu.fmcw.receiver_model import Haze, ReceiverModel
+from lidar_emu.fmcw.residual_limit import build_residual_limit
 from lidar_emu.fmcw.skip_limits import (
     LEAST_FALSE_ALARM,
     LEAST_LINE_DRIFT,
@@ -71,6 +72,7 @@ def build_receiver(
         segment_records=waveform.segment_time_s / record_s,
         cycle_records=waveform.cycle_time_s / record_s,
         record_time_s=record_s,
+        furthest_record_s=waveform.segment_time_s * (1.5 * looks - 0.5),
         snr_per_w=per_w,
         signal_shot_per_w=1.0 / (receiver.local_oscillator_power_w * amplifier),
         response=_response(instrument, amplifier, digitiser),
@@ -87,6 +89,7 @@ def build_receiver(
         group_power_share=detection.group_fraction**2,
         peak_method=PEAK_METHODS[detection.peak],
         combine_method=COMBINE_METHODS[detection.combine],
+        residual_limit=build_residual_limit(instrument),
         least_segments=2 if detection.rule == "any_two" else 3,
         maximum_range_m=detection.maximum_range_m,
         record_edge_range_m=waveform.record_edge_range_m,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from lidar_emu.fmcw.analog_response import Response
+from lidar_emu.fmcw.residual_limit import ResidualLimit
 
 
 class Haze(NamedTuple):
@@ -41,6 +42,8 @@ class ReceiverModel(NamedTuple):
     cycle_records: float
     """Length of a segment and of a cycle in records."""
     record_time_s: float
+    furthest_record_s: float
+    """Time from the time of validity to the centres of the first and the last record."""
     snr_per_w: float
     """Power of a tone in its rectangular bin relative to the mean noise power there, per watt of echo."""
     signal_shot_per_w: float
@@ -61,6 +64,7 @@ class ReceiverModel(NamedTuple):
     group_power_share: float
     peak_method: int
     combine_method: int
+    residual_limit: ResidualLimit
     least_segments: int
     maximum_range_m: float
     record_edge_range_m: float

@@ -66,8 +66,8 @@ class BeamReport:
         BoolArray,
         Column("?", "", "Whether the sign of the closing speed and the folds of the beats are beyond doubt."),
     ]
-    """Valid for closing speeds up to λ fs / 4 (232.5 m/s): beyond, every segment equals its alias. The rules are in
-    `fmcw.range_speed_estimation`."""
+    """Given a surface within the record edge and a closing speed up to λ fs / 4 (12.2 km and 232.5 m/s): beyond that
+    speed every segment equals its alias. The rules are in `fmcw.range_speed_estimation`."""
     reason: Annotated[
         NDArray[np.int8],
         Column(

@@ -10,9 +10,5 @@ LEAST_LINE_SCATTER_BINS = 0.005
 """The laser's linewidth is left out where both its phase variance over the delay and the frequency scatter that it
 causes, σ = τ sqrt(6Δν/π) in bins and records, are smaller: an error of 1 % of the echo's power."""
 
-GROSS_RESIDUAL_BINS = 2048.0
-"""Three frequencies with a larger residual do not belong to one target: even a footprint at grazing incidence spreads
-less, and false locks and surfaces beyond the record have residuals of tens of thousands."""
-
 LEAST_FALSE_ALARM = 1e-9
 """Noise peaks that matter with a smaller probability are not drawn."""

@@ -16,7 +16,6 @@ names another folder, and may be deleted at any time.
 
 from __future__ import annotations
 
-import logging
 import math
 import pickle
 import sys
@@ -24,7 +23,6 @@ from collections.abc import Iterator
 from enum import EnumType
 from functools import cache
 from hashlib import sha256
-from multiprocessing import parent_process
 from pathlib import Path
 from types import BuiltinFunctionType, CodeType
 from typing import Any
@@ -37,13 +35,12 @@ from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
 
-from lidar_emu.errors import InputError, RunError, reason_of
+from lidar_emu.errors import InputError, RunError, reason_of, warn_once
 from lidar_emu.files import cache_folder, whole_file
 
 _COMPILERS = (numba.__version__, np.__version__, sys.version_info[:2])
 _CHECK_SUM_BYTES = 32
 _UNCACHED = "kernels are compiled at every start, since they cannot be cached"
-_warned = set[str]()
 
 
 # Without types: numba's annotations are incomplete, and strict checks take them for untyped calls.
@@ -66,7 +63,7 @@ class KernelCache(NullCache):
             return None
         check_sum, content = kept[:_CHECK_SUM_BYTES], kept[_CHECK_SUM_BYTES:]
         if sha256(content).digest() != check_sum:
-            _warn("damaged", f"damaged kernels in {_folder()} are compiled again")
+            warn_once("damaged", f"damaged kernels in {_folder()} are compiled again")
             return None
         try:
             return _rebuild(target_context, *pickle.loads(content))
@@ -82,9 +79,9 @@ class KernelCache(NullCache):
             with whole_file(path) as file:
                 file.write(sha256(content).digest() + content)
         except InputError as error:
-            _warn("uncached", f"{_UNCACHED}: {error.where}: {error.value}")
+            warn_once("uncached", f"{_UNCACHED}: {error.where}: {error.value}")
         except (OSError, RuntimeError, RunError) as error:
-            _warn("uncached", f"{_UNCACHED}: {reason_of(error)}")
+            warn_once("uncached", f"{_UNCACHED}: {reason_of(error)}")
 
     def _path(self, signature: Any, codegen: Any) -> Path:
         target = *_COMPILERS, *codegen.magic_tuple(), *map(_spelt, signature)
@@ -96,13 +93,6 @@ class KernelCache(NullCache):
 def _folder() -> Path:
     stated: str = config.CACHE_DIR  # type: ignore[attr-defined]
     return Path(stated or cache_folder()) / "kernels"
-
-
-def _warn(cause: str, text: str) -> None:
-    """Warn once for each cause, and not in every worker of a pool."""
-    if cause not in _warned and parent_process() is None:
-        logging.getLogger(__name__).warning("lidar-emu: warning: %s", text)
-    _warned.add(cause)
 
 
 def _spelt(numba_type: Any) -> str:

@@ -13,7 +13,7 @@ from lidar_emu.flight.pointing import Pointing
 from lidar_emu.plan.faults import planned_faults
 from lidar_emu.plan.ground import plan_objects, plan_parts
 from lidar_emu.plan.plan import Decision, Plan
-from lidar_emu.plan.receiver import plan_receiver
+from lidar_emu.plan.receiver import ambiguity, plan_receiver
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scenario.schema import FlightScenario
@@ -62,6 +62,7 @@ def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
             Decision(
                 "receiver", True, scenario.level, f"the scenario specifies level {scenario.level}", kept
             ),
+            ambiguity(scenario, scenario.instrument.detection.maximum_range_m, 0.0),
             *planned_faults(scenario),
         ),
         beamlets,

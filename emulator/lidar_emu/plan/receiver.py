@@ -12,6 +12,7 @@ from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.skip_limits import LEAST_FALSE_ALARM, LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.plan import Decision
+from lidar_emu.scenario.ambiguity import folded_range, folded_speed
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Waveform
 from lidar_emu.scenario.schema import FlightScenario
 
@@ -35,10 +36,13 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
         f"the scenario specifies level {scenario.level}",
         _LEVEL[scenario.level],
     )
+    folds = ambiguity(scenario, _largest(echoes.range_m), _largest(echoes.closing_speed_mps))
     if scenario.waveform_echo != "beamlets":
-        return [level, _scatterers(scenario), _response(scenario.instrument), _clipping(scenario.instrument)]
+        receiver = _response(scenario.instrument), _clipping(scenario.instrument)
+        return [level, folds, _scatterers(scenario), *receiver]
     return [
         level,
+        folds,
         _motion(scenario, echoes),
         _smear(scenario, echoes),
         _line(scenario, echoes),
@@ -64,6 +68,31 @@ def _scatterers(scenario: FlightScenario) -> Decision:
     bound = "1e-3 of a spectrum's peak, no clipping" if narrowband else "every sample"
     reason = f"the scenario specifies waveform_echo {scenario.waveform_echo}"
     return Decision("scatterers", True, f"of {volume}, on the exact motion", reason, bound)
+
+
+def ambiguity(scenario: FlightScenario, farthest_m: float, fastest_mps: float) -> Decision:
+    """Decide whether beats fold, from the longest range and the highest closing speed of a flight."""
+    instrument, waveform = scenario.instrument, scenario.instrument.waveform
+    half_m, half_mps = waveform.nyquist_range_m, waveform.unambiguous_speed_mps
+    reason = f"up to {farthest_m:.0f} m and {fastest_mps:.3g} m/s; beats fold beyond {half_m:.6g} m, "
+    reason += f"Doppler shifts beyond {half_mps:.4g} m/s"
+    # An echo that arrives within the record folds, wherever the surfaces of this flight are.
+    bounds = []
+    doubtful_m = 2.0 * half_m - waveform.record_edge_range_m
+    if farthest_m > half_m:
+        bounds.append(folded_range(waveform, farthest_m))
+    if doubtful_m <= farthest_m:
+        bounds.append("no sign is resolved" + (f" beyond {doubtful_m:.0f} m" if doubtful_m > 0.0 else ""))
+    if fastest_mps > half_mps:
+        bounds.append(f"{folded_speed(waveform, fastest_mps)}, with its sign resolved")
+    folds = farthest_m / half_m + fastest_mps / half_mps > 1.0
+    if folds and not bounds:
+        joint = instrument.detection.combine == "least_squares"
+        bounds.append(
+            "the signs of least residual" if joint else "the published detector ignores folds and errs there"
+        )
+    how = "beats folded at half the sample rate" if bounds else "-"
+    return Decision("ambiguity", bool(bounds), how, reason, "; ".join(bounds) or "exact")
 
 
 def _motion(scenario: FlightScenario, echoes: Echoes) -> Decision:

@@ -81,7 +81,8 @@ class ScattererLevel:
         rng = generator(self._scenario.seed, shot, b, SCATTERERS, bit_generator=np.random.PCG64)
         poses_at = self._poses(pointing, s, b)
         scatterers, range_m = self._strew(pointing, poses_at, float(axis_hits.range_m[s, b]), rng, s, b)
-        if (range_m <= 0.0).any():
+        closing_mps = float(pointing.sensor_velocity_site_mps[s, b] @ pointing.true_site[s, b])
+        if (range_m <= self._model.furthest_record_s * abs(closing_mps)).any():
             return nothing(Reason.INSIDE_GROUND)
         if self._haze is not None:
             nearest_m = float(np.nanmin(range_m, initial=self._model.record_edge_range_m))
@@ -172,4 +173,4 @@ class ScattererLevel:
             share,
             share * self._noise_level + model.response.digitiser_noise,
         )
-        return measure_records(instrument.detection, receiver, lights, self._bins, rng)
+        return measure_records(instrument.detection, receiver, lights, self._bins, rng, model.residual_limit)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from lidar_emu.fmcw.residual_limit import ResidualLimit
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.fmcw.waveform.beam_result import to_beam_result
 from lidar_emu.fmcw.waveform.detection import WindowName, find_targets, window_noise_power
@@ -24,8 +25,9 @@ def measure_records(
     lights: Sequence[RecordLight],
     bins_of: RecordBins,
     rng: np.random.Generator,
+    residual_limit: ResidualLimit | None = None,
 ) -> Returns:
-    """Measure a beam, (1,), from the light of up-chirp, constant segment and down-chirp."""
+    """Measure a beam, (1,), from the light of up-chirp, constant segment and down-chirp; see `to_beam_result`."""
     waveform = receiver.waveform
     level = receiver.noise_level * window_noise_power(detection.window, waveform.fft_length)
     threshold = level * -detection.log_false_alarm_per_bin(waveform.fft_length)
@@ -39,4 +41,4 @@ def measure_records(
         found.append(
             find_targets(bins[:1], hann_bins, threshold, detection.group_fraction, receiver.noise_level)
         )
-    return to_beam_result(waveform, detection, (found[0], found[1], found[2]), level)
+    return to_beam_result(waveform, detection, (found[0], found[1], found[2]), level, residual_limit)

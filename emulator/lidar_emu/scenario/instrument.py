@@ -72,6 +72,16 @@ class Waveform(Part):
         return self.wavelength_m * self.bin_width_hz / 2.0
 
     @property
+    def nyquist_range_m(self) -> float:
+        """Range whose beat is half the sample rate; beats of longer ranges are folded."""
+        return 0.5 * self.fft_length * self.range_bin_m
+
+    @property
+    def unambiguous_speed_mps(self) -> float:
+        """Closing speed whose Doppler shift is half the sample rate, λ fs / 4; higher speeds equal their alias."""
+        return 0.5 * self.fft_length * self.speed_bin_mps
+
+    @property
     def cycle_time_s(self) -> float:
         """The three segments of one measurement."""
         return 3 * self.segment_time_s

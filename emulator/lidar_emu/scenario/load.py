@@ -11,7 +11,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import Finding, InputError, warn_once
+from lidar_emu.scenario.ambiguity import ambiguities
 from lidar_emu.scenario.explain import Source, explained, source_of
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.yaml_text import MAXIMUM_DEPTH, Key, Tree, dotted, parse, read_mapping
@@ -50,7 +51,7 @@ def load(
     overrides: Mapping[str, str] | None = None,
     campaign: Mapping[str, Any] | None = None,
 ) -> FlightScenario | BenchScenario:
-    """Read and check a scenario.
+    """Read and check a scenario; warn of ranges and speeds that its instrument cannot tell from others.
 
     Args:
         scenario: path of a YAML file, or the name of a shipped one (`descent.yaml` or `descent`).
@@ -74,9 +75,12 @@ def load(
             _refuse_foreign(part, tree[part], model, sources)
             tree[part] = _resolve_part(part, tree[part], path, sources)
     try:
-        return model.model_validate_json(json.dumps(tree))
+        checked = model.model_validate_json(json.dumps(tree))
     except ValidationError as error:
         raise explained(error, model, tree, sources) from None
+    for line in ambiguities(checked):
+        warn_once(line, f"{path.name}: {line}")
+    return checked
 
 
 def _anchor_interface(tree: Tree, folder: Path, sources: Sources) -> None:

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from lidar_emu.fmcw.residual_limit import ResidualLimit
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.fmcw.waveform.analog_receiver import (
     FLAT,
@@ -80,6 +81,7 @@ def measure_waveform(
     noise_share: float = 1.0,
     digitiser: Digitiser | None = None,
     noise_level: float | FloatArray = 1.0,
+    residual_limit: ResidualLimit | None = None,
     edges: bool = False,
     keep_bins: bool = False,
 ) -> WaveformMeasurement:
@@ -94,6 +96,7 @@ def measure_waveform(
         noise_share: power of the noise ahead of the poles, relative to the squares of the weights.
         digitiser: None: ideal.
         noise_level: mean noise power in a rectangular bin as the detector assumes it, one for all bins or (N/2 + 1,).
+        residual_limit: limit of the residual, which the published detector does not check; None: none.
         edges: whether echoes of the preceding segment keep their own frequency; see `phase_cycles`.
         keep_bins: whether to return the bins.
 
@@ -137,7 +140,7 @@ def measure_waveform(
                 kept[rows, s] = bins
         found.append(Targets(*(np.concatenate(column) for column in zip(*parts, strict=True))))
     targets = found[0], found[1], found[2]
-    concluded = to_beam_result(waveform, detection, targets, windowed_level)
+    concluded = to_beam_result(waveform, detection, targets, windowed_level, residual_limit)
     return WaveformMeasurement(
         **vars(concluded), targets=targets, noise_power=windowed_level, threshold=threshold, bins=kept
     )

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Literal, assert_never
 
 import numpy as np
 
 from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.residual_limit import ResidualLimit, largest_residual_bin
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.fmcw.waveform.detection import Targets, window_gain, window_noise_power
 from lidar_emu.fmcw.waveform.estimation import Combined, chirp_minus_doppler, least_squares
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
+from lidar_emu.numerics.kernels import interpreted
+from lidar_emu.scenario.instrument import Detection, Waveform
 
 
 def to_beam_result(
@@ -19,6 +22,7 @@ def to_beam_result(
     detection: Detection,
     targets: tuple[Targets, Targets, Targets],
     windowed_level: FloatArray,
+    residual_limit: ResidualLimit | None = None,
 ) -> Returns:
     """Range and closing speed (records,) from the strongest target of each segment, or the reason why there are none.
 
@@ -26,6 +30,7 @@ def to_beam_result(
         waveform, detection: parts of the instrument; slope and frequency are the nominal ones.
         targets: targets of up-chirp, constant segment and down-chirp.
         windowed_level: mean noise power of a windowed bin, one for all or (N/2 + 1,).
+        residual_limit: limit of the residual; None: none.
     """
     range_per_bin_m, speed_per_bin_mps = waveform.range_bin_m, waveform.speed_bin_mps
     detected = np.isfinite([target.frequency_bin[:, 0] for target in targets])
@@ -36,6 +41,10 @@ def to_beam_result(
     reason[everywhere] = Reason.VALID
     reason[everywhere & ~(range_m >= 0.0)] = Reason.AMBIGUOUS
     reason[everywhere & (range_m > detection.maximum_range_m)] = Reason.BEYOND_RANGE
+    if residual_limit is not None and detection.combine != "chirp_minus_doppler":
+        largest = np.vectorize(partial(interpreted(largest_residual_bin), residual_limit), otypes=[float])
+        largest_bin = largest(combined.range_bin, combined.doppler_bin, combined.residual_variance)
+        reason[everywhere & (np.abs(combined.residual_bin) > largest_bin)] = Reason.AMBIGUOUS
     valid = reason == Reason.VALID
     second_m = _combine(waveform, detection, targets, 1).range_bin * range_per_bin_m
     second_m[~((second_m >= 0.0) & (second_m <= detection.maximum_range_m))] = np.nan
@@ -46,7 +55,7 @@ def to_beam_result(
         range_valid=valid,
         speed_valid=valid,
         reason=reason,
-        sign_resolved=combined.sign_resolved,
+        sign_resolved=valid & combined.sign_resolved,
         segments=np.packbits(detected, axis=0, bitorder="little")[0],
         snr_db=_snr_db(waveform, detection, targets, windowed_level),
         residual_mps=0.5 * combined.residual_bin * speed_per_bin_mps,
@@ -77,20 +86,21 @@ def _combine(
     observed = np.stack([target.frequency_bin[:, rank] for target in targets], axis=-1)
     variance = np.stack([target.variance_bin2[:, rank] for target in targets], axis=-1)
     there = np.isfinite(observed).all(axis=-1)
+    farthest_bin = waveform.record_edge_range_m / waveform.range_bin_m
     if detection.combine == "chirp_minus_doppler":
-        some = chirp_minus_doppler(observed[there], variance[there])
+        some = chirp_minus_doppler(observed[there], variance[there], waveform.fft_length, farthest_bin)
     elif detection.combine == "least_squares":
-        edge_hz = waveform.chirp_slope_hz_per_s * 2.0 * waveform.record_edge_range_m / SPEED_OF_LIGHT_MPS
-        farthest_bin = edge_hz / waveform.bin_width_hz
         some = least_squares(observed[there], variance[there], waveform.fft_length, farthest_bin)
     else:
         assert_never(detection.combine)
 
-    columns = np.full((5, len(observed)), np.nan)
-    columns[:, there] = some[:5]
     resolved = np.zeros(len(observed), dtype=bool)
     resolved[there] = some.sign_resolved
-    return Combined(columns[0], columns[1], columns[2], columns[3], columns[4], resolved)
+    columns = {}
+    for name in Combined._fields[:-1]:
+        columns[name] = np.full(len(observed), np.nan)
+        columns[name][there] = getattr(some, name)
+    return Combined(**columns, sign_resolved=resolved)
 
 
 def _snr_db(

@@ -15,6 +15,7 @@ from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, n
 from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, WaveformMeasurement, measure_waveform
 from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
 from lidar_emu.fmcw.waveform.record_samples import ComplexArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import generator
 from lidar_emu.scenario.instrument import Instrument
 
@@ -87,7 +88,8 @@ def _measure_beam(
     if not echoes.fired[s, b]:
         return nothing(Reason.NOT_FIRED)
     range_m = echoes.range_m[s, b]
-    if echoes.inside[s, b] or (range_m <= 0.0).any():
+    travelled_m = model.furthest_record_s * np.abs(_finite(echoes.range_rate_mps[s, b]))
+    if echoes.inside[s, b] or (range_m <= travelled_m).any():
         return nothing(Reason.INSIDE_GROUND)
     measured = _measure_records(instrument, model, echoes, field, s, b, rng)
     if measured.reason[0] == Reason.BELOW_THRESHOLD:
@@ -111,12 +113,11 @@ def _measure_records(
     lit = np.abs(field).max(axis=0) > 0.0
     footprint = _DARK
     if lit.any():
-        rate_mps = echoes.range_rate_mps[s, b, lit]
         footprint = ScattererPatches(
             range_m[lit],
             echoes.closing_speed_mps[s, b, lit],
             field[None, :, lit],
-            np.where(np.isfinite(rate_mps), rate_mps, 0.0),
+            _finite(echoes.range_rate_mps[s, b, lit]),
             float(echoes.closing_acceleration_mps2[s, b]),
             float(echoes.smear_acceleration_mps2[s, b]),
         )
@@ -136,6 +137,11 @@ def _measure_records(
         noise_share=share,
         digitiser=digitiser,
         noise_level=level,
+        residual_limit=model.residual_limit,
         edges=bool((range_m > model.record_edge_range_m).any()),
         keep_bins=keep_bins,
     )
+
+
+def _finite(rate_mps: FloatArray) -> FloatArray:
+    return np.where(np.isfinite(rate_mps), rate_mps, 0.0)

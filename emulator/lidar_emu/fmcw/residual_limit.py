@@ -1,0 +1,74 @@
+"""Largest residual g₋ - g₊ - 2 g₀ of three frequencies that belong to one surface.
+
+A surface has one range and one speed, up to its extent within the footprint: each segment's peak may lie anywhere on
+the surface's line. The residual of one surface is therefore at most
+
+* three standard deviations by the variances of the three frequencies,
+* plus the footprint's depth, its diameter 2w times the tangent of 89 degrees of incidence: the difference of two
+  ranges that the chirps may find on one slope,
+* plus the way that the lidar travels within the measurement,
+* plus the line of the laser, up to its half-power points in each of the four terms,
+* plus, where looks are averaged, the change of the Doppler shift between them at 30 m/s²,
+* plus one bin for the segments' optical frequencies and the motion between them.
+
+All of it follows from the instrument's keys and the measured values. A wrong lock leaves a residual anywhere between 0
+and about N/4: the share that passes is about eight times the limit over N.
+"""
+
+from __future__ import annotations
+
+from math import pi, radians, tan
+from typing import NamedTuple
+
+import numpy as np
+
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.scenario.instrument import Instrument
+
+_STEEPEST = tan(radians(89.0))
+"""Tangent of incidence up to which a footprint counts as one surface: at 89 degrees a Lambertian echo is 18 dB below
+the echo at normal incidence."""
+
+_FASTEST_MPS2 = 30.0
+"""Three times the Earth's gravity: the hardest deceleration of a lander."""
+
+_DEVIATIONS = 3.0
+
+
+class ResidualLimit(NamedTuple):
+    """Constants of an instrument for `largest_residual_bin`."""
+
+    waist_depth_bin: float
+    """Depth of the footprint at the beam's waist, in bins of range."""
+    rayleigh_range_bin: float
+    """Rayleigh range in bins of range."""
+    travel_per_bin: float
+    """Way travelled within a measurement, in bins of range, per bin of Doppler shift."""
+    constant_bin: float
+    """Sum of the terms that depend on no measured value."""
+
+
+def build_residual_limit(instrument: Instrument) -> ResidualLimit:
+    """Compute the constants from an instrument's keys."""
+    waveform, waist_m = instrument.waveform, instrument.optics.waist_radius_m
+    looks = instrument.detection.looks
+    change_mps = _FASTEST_MPS2 * (looks - 1) * waveform.cycle_time_s
+    return ResidualLimit(
+        waist_depth_bin=2.0 * waist_m * _STEEPEST / waveform.range_bin_m,
+        rayleigh_range_bin=pi * waist_m**2 / waveform.wavelength_m / waveform.range_bin_m,
+        travel_per_bin=waveform.speed_bin_mps * looks * waveform.cycle_time_s / waveform.range_bin_m,
+        constant_bin=1.0
+        + 4.0 * waveform.linewidth_hz / waveform.bin_width_hz
+        + 2.0 * change_mps / waveform.speed_bin_mps,
+    )
+
+
+@kernel
+def largest_residual_bin(
+    limit: ResidualLimit, range_bin: float, doppler_bin: float, residual_variance: float
+) -> float:
+    """Largest residual of one surface, in bins, for a measured beat of range, Doppler shift and variance."""
+    depth = limit.waist_depth_bin * np.sqrt(1.0 + (range_bin / limit.rayleigh_range_bin) ** 2)
+    travel = limit.travel_per_bin * abs(doppler_bin)
+    largest: float = _DEVIATIONS * np.sqrt(residual_variance) + depth + travel + limit.constant_bin
+    return largest
