@@ -178,8 +178,11 @@ class _DelimiterReader(Generic[T]):
 
 
 class _SyncReader(Generic[T]):
-    """Reader of frames with a sync word. After an invalid packet it resumes right after that sync word, which may
-    have been a coincidence in the data."""
+    """Reader of frames with a sync word.
+
+    After an invalid packet it resumes at the sync word's second byte: that sync word may have been a coincidence in the
+    data, and the next one may overlap it.
+    """
 
     def __init__(self, framing: Synced, longest: int, read: Read[T], counters: LinkCounters) -> None:
         self._framing, self._longest, self._read, self._counters = framing, longest, read, counters
@@ -219,7 +222,7 @@ class _SyncReader(Generic[T]):
         if not 0 < length <= self._longest:
             self._counters.count(Fault.BAD_LENGTH)
             self._counters.frames += 1
-            self._skip(len(framing.sync))
+            self._skip(1)
             return True
         if len(buffer) < head + length:
             return False
@@ -228,7 +231,7 @@ class _SyncReader(Generic[T]):
             found.append(self._read(bytes(buffer[head : head + length])))
         except DecodeError as error:
             self._counters.count(error.fault)
-            self._skip(len(framing.sync))
+            self._skip(1)
         else:
             self._counters.messages += 1
             del buffer[: head + length]

@@ -97,7 +97,13 @@ def expected(shot):
 
 
 @pytest.mark.parametrize(
-    "framing", ['kind = "cobs"', 'kind = "slip"', 'kind = "sync"\nsync = "EB90"\nlength = "u16"']
+    "framing",
+    [
+        'kind = "cobs"',
+        'kind = "slip"',
+        'kind = "sync"\nsync = "EB90"\nlength = "u16"',
+        'kind = "sync"\nsync = "5555"\nlength = "u16"',
+    ],
 )
 def test_golden_shots_answers_and_health_between_garbage(framing, tmp_path):
     interface = load(DEFAULT.replace('kind = "cobs"', framing, 1), "mine.toml")
@@ -120,7 +126,9 @@ def test_golden_shots_answers_and_health_between_garbage(framing, tmp_path):
     )
     damaged = bytearray(frames[0])
     damaged[20] ^= 1
-    stream = b"\x55" * 3000 + ending + b"".join(frames) + bytes(damaged) + answer + ending + health
+    # Noise before a frame is its loss where a frame has no beginning of its own.
+    noise = b"\x55" if "sync" in framing else b""
+    stream = b"\x55" * 3000 + ending + noise + noise.join(frames) + bytes(damaged) + answer + ending + health
     reported = run(stream + bytes(3000)).splitlines()
     for shot in SHOTS:
         (number, count), rows = expected(shot)

@@ -15,10 +15,13 @@ from lidar_protocol import (
     SerialReceiver,
     cobs,
     default_interface,
+    load,
     packet,
 )
+from lidar_protocol.definition_file import files
 
 INTERFACE = default_interface()
+DEFAULT = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
 FULL_BEAMS = [example.BEAMS[0]] * 64
 
 
@@ -64,6 +67,17 @@ def test_packets_after_garbage_are_read_however_the_bytes_are_cut(before, after,
 def test_garbage_that_runs_into_a_frame_costs_that_frame_only():
     receiver = SerialReceiver(INTERFACE)
     assert shots(receiver.receive(b"\x11\x22" + frame(1) + frame(2))) == [2]
+
+
+@pytest.mark.parametrize("before", [b"\xaa", b"\xaa\xaa\xaa\x00\x01", b"\xaa\xaa\x00\x05\xaa\xaa\xaa"])
+def test_a_sync_word_that_begins_within_a_coincidental_one_is_found(before):
+    framing = 'kind = "sync"\nsync = "AAAA"\nlength = "u16"'
+    interface = load(DEFAULT.replace('kind = "cobs"', framing, 1), "mine.toml")
+    device = Device(interface, 0)
+    frames = [device.serial_bytes({**example.HEADER, "shot": shot}, example.BEAMS) for shot in (1, 2)]
+    receiver = SerialReceiver(interface)
+    assert shots(receiver.receive(before.join([b"", *frames, bytes(3000)]))) == [1, 2]
+    assert receiver.counters.skipped_bytes >= 2 * len(before)
 
 
 def test_joining_in_the_middle_of_a_frame_is_no_gap():

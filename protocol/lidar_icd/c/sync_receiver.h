@@ -43,7 +43,7 @@ static inline bool lidar_next(lidar_receiver *receiver) {
             }
         }
         receiver->bad_frames++;
-        lidar_drop(receiver, LIDAR_SYNC_BYTES); /* a valid frame may follow */
+        lidar_drop(receiver, 1u); /* the sync word of a valid frame may overlap this one */
     }
 }
 

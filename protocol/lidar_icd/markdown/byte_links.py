@@ -110,8 +110,8 @@ def _synced(framing: Synced, longest: int) -> str:
 {counted}.
 
 To decode, find the sync word, then read the length and that number of bytes. If the length is impossible or the packet
-is invalid, the sync word was a coincidence in the data or the frame is damaged: resume right after that sync word, not
-after the frame.
+is invalid, the sync word was a coincidence in the data or the frame is damaged: resume at the second byte of that
+sync word, not after the frame.
 No frame from the device is longer than {longest} bytes."""
 
 
