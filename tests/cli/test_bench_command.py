@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from lidar_emu.bench.accuracy import AccuracyReport, measure_accuracy
+from lidar_emu.bench.settings import REFERENCE
 from lidar_emu.cli import cli
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.scenario.load import load
@@ -24,7 +25,7 @@ BEAMLETS = [1, 7, 19, 37, 61, 127]
 
 @pytest.fixture(scope="module")
 def report():
-    return measure_accuracy(load("descent.yaml", SHORT), 30, lambda _: None)
+    return measure_accuracy(load("descent.yaml", SHORT), 120, lambda _: None)
 
 
 @pytest.fixture
@@ -53,7 +54,9 @@ def test_every_level_and_dial_is_there(reported):
     for level, exact in (("statistical", True), ("spectral", False), ("spectral", True), ("waveform", True)):
         expected |= {(level, exact, beamlets) for beamlets in BEAMLETS}
     assert found == expected
-    assert len(reported["settings"]) == len(expected)
+    names = [row["name"] for row in reported["settings"]]
+    assert len(names) == len(set(names)) == len(expected) + 1
+    assert reported["reference"] == "scatterers" == names[-1]
 
 
 @pytest.mark.slow
@@ -73,10 +76,8 @@ def test_figures_are_complete(reported):
         assert math.isfinite(row["faster_than_waveform"])
         # Too slow for a distribution: it has no column of another level's.
         unknown = {name for name in against_truth | against_reference if row[name] is None}
-        if row["name"] == reported["reference"]:
-            assert unknown == against_truth
-        else:
-            assert unknown == (against_truth | against_reference if row["level"] == "waveform" else set())
+        sampled = row["level"] == "waveform" and row["name"] != reported["reference"]
+        assert unknown == (against_truth | against_reference if sampled else set())
     judged = [row for row in reported["settings"] if row["range_error_m"] is not None]
     every_one_will_do = min(judged, key=lambda row: row["time_s"])
     assert reported["cheapest"] == every_one_will_do["name"]
@@ -95,9 +96,9 @@ def test_the_reference_is_exact_and_geometric_is_what_it_leaves_out(reported):
     assert reference["pareto"]
     assert rows["geometric"]["range_rms_m"] == 0
     spectral = rows["spectral 127"]
-    assert rows["geometric"]["range_error_m"] == pytest.approx(spectral["range_rms_m"], rel=1e-3)
-    # Range bins of 11 m: levels agree to a small part of one.
-    assert spectral["range_error_m"] < 0.01 < 0.5 < spectral["range_rms_m"]
+    assert rows["geometric"]["range_error_m"] == pytest.approx(reference["range_rms_m"], rel=1e-3)
+    # Range bins of 11 m: levels agree to the sampling noise of a few shots.
+    assert spectral["range_error_m"] < 0.5 * spectral["range_rms_m"]
     errors = {method["name"]: method["error"] for method in reported["spectra"]}
     assert errors["bin by bin"] < 1e-9
     assert errors["published, nearest, 2048 points"] > 1e-3 > errors["published, cubic, 2048 points"]
@@ -157,11 +158,11 @@ def test_a_target_that_nothing_meets_fails(run, report):
 
 
 @pytest.mark.slow
-def test_settings_of_a_common_draw_are_reported_below_the_floor(report):
+def test_no_setting_is_better_than_the_sampling_noise(report):
     for result in report.results:
         if result.error is None:
             assert math.isnan(report.resolved_error(result).range_m)
-        elif result.setting.shares_draws:
+        elif result.setting == REFERENCE:
             assert report.resolved_error(result) == result.error
         else:
             assert report.resolved_error(result).range_m >= report.floor.range_m

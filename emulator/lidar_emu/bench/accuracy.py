@@ -1,9 +1,9 @@
-"""Error and time of every setting of a scenario, relative to the waveform level at its finest setting.
+"""Error and time of every setting of a scenario, relative to the light of scatterers at level waveform.
 
-The reference is level `waveform` with the most beamlets, which takes seconds for a beam: a distribution of its errors
-would take hours. Its fast twin, level `spectral` with the same echoes and the same draws of speckle and phase, replaces
-it in the comparison of distributions. The difference between twin and reference is determined measurement by
-measurement, with negligible noise, and added to the error of every setting except the reference.
+The reference shares no law of echoes, speckle or motion with the settings: `waveform_echo: scatterers_narrowband`. The
+distributions of errors are compared. Level `waveform` with beamlets takes seconds for a beam and is not judged by
+distribution: its fast twin, level `spectral` with the same echoes and the same draws of speckle and phase, is compared
+with it measurement by measurement, with negligible noise.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import astuple, dataclass
 from functools import partial
-from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +25,7 @@ from lidar_emu.bench.settings import (
     BEAMLETS,
     FAST,
     REFERENCE,
+    SAMPLED,
     SLOW,
     TWIN,
     Setting,
@@ -42,12 +42,14 @@ from lidar_emu.bench.work_precision import cheapest, pareto_front
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.fidelity_levels import Level, build_level
+from lidar_emu.scatterers.level import ScattererLevel
 from lidar_emu.scenario.required import require_known_flight
 from lidar_emu.scenario.schema import FlightScenario
 
 _TIMED_SHOTS = 16
 _FAST_ROUNDS, _SLOW_ROUNDS = 9, 2
 _SHOTS_PER_PAIR = 250
+_SHOTS_PER_REFERENCE = 4
 _LEAST_PAIRS = 4
 
 Progress = Callable[[str], None]
@@ -65,9 +67,9 @@ class SettingResult:
     waveform_ratio: float
     """Time of a beam measurement at level waveform with as many beamlets over the time of this one."""
     spread: ErrorSpread | None
-    """Errors against the ground truth; None for level waveform, which is too slow."""
+    """Errors against the ground truth; None for level waveform with beamlets, which is too slow."""
     error: DistributionDifference | None
-    """Errors relative to the reference; None for level waveform except the reference, whose errors are 0."""
+    """Errors relative to the reference, whose own are 0; None for level waveform with beamlets."""
 
     @property
     def time_s(self) -> float:
@@ -81,11 +83,13 @@ class AccuracyReport:
 
     scenario: str
     shots: int
+    reference_shots: int
     pairs: int
     twin: tuple[float, float]
-    """Root mean square difference of range (m) and speed (m/s) between reference and twin, with negligible noise."""
+    """Root mean square difference of range (m) and speed (m/s) between level waveform with beamlets and its twin, with
+    negligible noise."""
     floor: DistributionDifference
-    """Sampling noise: the difference between two runs of the twin with different seeds."""
+    """Sampling noise: the difference between two runs of the reference with different seeds."""
     results: list[SettingResult]
     spectra: list[SpectrumMethod]
 
@@ -94,7 +98,7 @@ class AccuracyReport:
         error, floor = result.error, self.floor
         if error is None:
             return DistributionDifference(np.nan, np.nan, np.nan)
-        if result.setting.shares_draws:
+        if result.setting == REFERENCE:
             return error
         return DistributionDifference(
             max(error.range_m, floor.range_m),
@@ -118,19 +122,27 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
     """Compare all settings over `shots` shots spread over the flight.
 
     Raises:
-        InputError: the trajectory is live, level waveform does not support the instrument, or no first beam hits the
-            ground.
+        InputError: the trajectory is live, level waveform does not support the instrument, the instrument has no
+            speckle, or no first beam hits the ground.
     """
     require_known_flight(scenario)
+    if not scenario.instrument.optics.speckle:
+        allowed = "allowed: true, which the scatterers of the reference cause"
+        raise InputError(scenario.name, "instrument.optics.speckle", False, allowed)
     flight = Flight(scenario)
     shot = _spaced(flight.shot_count, shots)
     runs = max(1, shots // flight.shot_count)
     pairs = _seen(scenario, flight, _spaced(flight.shot_count, _pairs(shots)))
     progress("spreads of errors")
     spreads = {setting: measure(setting, scenario, flight, shot, runs) for setting in FAST}
-    again = measure(TWIN, reseeded(scenario, runs), flight, shot, runs)
-    floor = _floor(again, spreads[TWIN])
-    progress(f"{len(pairs)} beams at level waveform, {REFERENCE.beamlets} beamlets, beside level spectral")
+    few = _spaced(flight.shot_count, max(1, shots // _SHOTS_PER_REFERENCE))
+    few_runs = max(1, shots // _SHOTS_PER_REFERENCE // flight.shot_count)
+    progress(f"the reference, {2 * few_runs * len(few)} shots")
+    reference = measure(REFERENCE, scenario, flight, few, few_runs)
+    again = measure(REFERENCE, reseeded(scenario, few_runs), flight, few, few_runs)
+    floor = _floor(again, reference)
+    spreads[REFERENCE] = reference
+    progress(f"{len(pairs)} beams at level waveform, {SAMPLED.beamlets} beamlets, beside level spectral")
     twin = _apart(quiet(scenario), flight, pairs)
     progress("spectra three ways")
     spectra = compare_spectra(scenario, flight)
@@ -138,29 +150,19 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
     fronts, receivers = _fast_times_s(scenario, flight, _seen(scenario, flight, shot))
     progress("times of level waveform")
     receivers |= dict(zip(SLOW, _slow_times_s(scenario, flight, pairs), strict=True))
+    receivers[REFERENCE] = _reference_time_s(scenario, flight, pairs)
 
     results = []
-    for setting in (*FAST, *SLOW):
+    for setting in (*FAST, *SLOW, REFERENCE):
         alike = Setting("waveform", setting.beamlets)
         spread = spreads.get(setting)
-        error = _error(setting, spread, spreads[TWIN], twin)
+        error = None if spread is None else difference(spread, reference)
         front_s = fronts[setting.beamlets]
         ratio = (fronts[setting.beamlets] + receivers[alike]) / (front_s + receivers[setting])
         results.append(SettingResult(setting, front_s, receivers[setting], ratio, spread, error))
-    return AccuracyReport(scenario.name, len(shot) * runs, len(pairs), twin, floor, results, spectra)
-
-
-def _error(
-    setting: Setting, spread: ErrorSpread | None, finest: ErrorSpread, twin: tuple[float, float]
-) -> DistributionDifference | None:
-    """Error of a setting relative to the reference, by way of the twin."""
-    if setting == REFERENCE:
-        return DistributionDifference(0.0, 0.0, 0.0)
-    if spread is None:
-        return None
-    error = difference(spread, finest)
-    return DistributionDifference(
-        hypot(error.range_m, twin[0]), hypot(error.speed_mps, twin[1]), error.outcome
+    reference_shots = len(few) * few_runs
+    return AccuracyReport(
+        scenario.name, len(shot) * runs, reference_shots, len(pairs), twin, floor, results, spectra
     )
 
 
@@ -191,10 +193,10 @@ def _seen(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> 
 
 
 def _apart(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> tuple[float, float]:
-    """Measurements of the same echoes by reference and twin."""
-    echoes = one_beam(light(scenario, flight, REFERENCE.beamlets, shot), slice(None))
-    reference, twin = (build_level(setting.of(scenario))(echoes, shot) for setting in (REFERENCE, TWIN))
-    return rms_apart(reference, twin)
+    """Measurements of the same echoes from all samples and by their twin."""
+    echoes = one_beam(light(scenario, flight, SAMPLED.beamlets, shot), slice(None))
+    sampled, twin = (build_level(setting.of(scenario))(echoes, shot) for setting in (SAMPLED, TWIN))
+    return rms_apart(sampled, twin)
 
 
 def _fast_times_s(
@@ -212,6 +214,15 @@ def _fast_times_s(
         dict(zip(BEAMLETS, times_s[: len(jobs)].tolist(), strict=True)),
         dict(zip(FAST, times_s[len(jobs) :].tolist(), strict=True)),
     )
+
+
+def _reference_time_s(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> float:
+    """Time per beam measurement of the reference, with the casting of its scatterers."""
+    one = shot[len(shot) // 2 : len(shot) // 2 + 1]
+    pointing, _ = flight.point(one, flight.scanner.initial)
+    level = ScattererLevel(REFERENCE.of(scenario), flight)
+    job = partial(level.measure, pointing, flight.cast(pointing), one)
+    return median_times_s([job], _FAST_ROUNDS)[0] / int(pointing.fired.sum())
 
 
 def _slow_times_s(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> list[float]:

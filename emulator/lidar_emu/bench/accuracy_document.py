@@ -21,7 +21,8 @@ def document(report: AccuracyReport) -> dict[str, Any]:
         "scenario": report.scenario,
         "shots": report.shots,
         "reference": REFERENCE.name,
-        "reference_beside_spectral": {
+        "reference_shots": report.reference_shots,
+        "waveform_beside_spectral": {
             "beams": report.pairs,
             "range_m": _known(range_m),
             "speed_mps": _known(speed_mps),

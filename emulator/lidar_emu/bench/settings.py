@@ -14,6 +14,7 @@ from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.fidelity_levels import build_level
 from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.numerics.vector_arrays import dot
+from lidar_emu.scatterers.level import ScattererLevel
 from lidar_emu.scenario.schema import FlightScenario
 
 BEAMLETS = (1, 7, 19, 37, 61, 127)
@@ -30,23 +31,23 @@ class Setting:
     beamlets: int
     exact: bool = True
     """Nothing is left out by the skip rules; other levels than `spectral` have none that matter."""
+    waveform_echo: Literal["beamlets", "scatterers_narrowband"] = "beamlets"
 
     @property
     def name(self) -> str:
         """Name in tables and plots."""
+        if self.waveform_echo != "beamlets":
+            return "scatterers"
         if self.level == "geometric":
             return self.level
         skips = ", skips" if not self.exact else ""
         return f"{self.level} {self.beamlets}{skips}"
 
-    @property
-    def shares_draws(self) -> bool:
-        """Whether it shares the reference's draws: its error is then exact, not limited by sampling noise."""
-        return self.beamlets == FINEST and self.level in ("spectral", "waveform")
-
     def of(self, scenario: FlightScenario) -> FlightScenario:
         """The scenario at this setting."""
-        return scenario.model_copy(update={"level": self.level, "exact": self.exact})
+        return scenario.model_copy(
+            update={"level": self.level, "exact": self.exact, "waveform_echo": self.waveform_echo}
+        )
 
 
 FAST = (
@@ -56,9 +57,10 @@ FAST = (
     *(Setting("spectral", count) for count in BEAMLETS),
 )
 SLOW = tuple(Setting("waveform", count) for count in BEAMLETS)
-REFERENCE = Setting("waveform", FINEST)
+REFERENCE = Setting("waveform", FINEST, waveform_echo="scatterers_narrowband")
+SAMPLED = Setting("waveform", FINEST)
 TWIN = Setting("spectral", FINEST)
-"""The fast setting with the reference's echoes and draws of speckle: its twin."""
+"""The fast setting with the same echoes and draws of speckle as `SAMPLED`: its twin."""
 
 
 def light(scenario: FlightScenario, flight: Flight, beamlets: int, shot: NDArray[np.int64]) -> Echoes:
@@ -84,7 +86,11 @@ def measure(
     bins = waveform.range_bin_m, waveform.speed_bin_mps
     range_error_m, speed_error_mps, false = [], [], []
     for run in range(runs):
-        returns = build_level(reseeded(setting.of(scenario), run))(echoes, shot)
+        seeded = reseeded(setting.of(scenario), run)
+        if setting == REFERENCE:
+            returns = ScattererLevel(seeded, flight).measure(pointing, hits, shot)
+        else:
+            returns = build_level(seeded)(echoes, shot)
         range_error_m.append(returns.range_m - hits.range_m)
         speed_error_mps.append(returns.closing_speed_mps - true_mps)
         false.append(false_locks(returns, echoes, *bins))

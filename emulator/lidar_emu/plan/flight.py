@@ -208,6 +208,9 @@ def _footprint(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> tupl
     beamlets = scenario.instrument.optics.beamlets
     if scenario.level == "geometric":
         return Decision("footprint", False, "1 beamlet", "the beam axis is reported", "exact"), 1
+    if scenario.waveform_echo != "beamlets":
+        reason = "no beamlets: each scatterer has its own place"
+        return Decision("footprint", True, "scatterers", reason, "5e-6 of the power"), 1
     if beamlets == 1:
         return Decision("footprint", False, "1 beamlet", "the instrument has one", "as specified"), 1
     if not scenario.site.is_smooth:
