@@ -239,6 +239,7 @@ def test_power_is_that_of_the_link_budget(make_flight, air, beamlets) -> None:
             scenario.site.atmosphere,
             echoes.range_m[shot, beam],
             cosine,
+            np.linalg.norm(np.cross(pointing.turning_site_radps, pointing.true_site)[shot, beam]),
         )
         expected_w = np.nan_to_num(whole_w * sampled.weight, nan=0.0)
         np.testing.assert_allclose(echoes.power_w[shot, beam], expected_w, rtol=1e-13)

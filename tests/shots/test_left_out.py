@@ -35,6 +35,8 @@ def _echoes(
         power_w=np.full_like(across_m, 1e5 / model.snr_per_w / beamlets),
         range_rate_mps=np.full_like(across_m, -speed_mps),
         closing_acceleration_mps2=acceleration_mps2 * one,
+        closing_jerk_mps3=0 * one,
+        range_curvature_mps2=0 * one,
         smear_acceleration_mps2=acceleration_mps2 * one,
         speckle_place=rng.uniform(-1e6, 1e6, (SHOTS, 1, 2)),
         speckle_drift_per_s=np.full((SHOTS, 1, 2), 200.0),

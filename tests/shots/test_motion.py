@@ -9,11 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lidar_emu.echo.echoes import EchoModel
+from lidar_emu.flight.flight import Flight
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.plan import motion as plan_motion
+from lidar_emu.plan.plan import Decision
 from lidar_emu.scenario.instrument import Waveform
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.shots.model import simulate
+from lidar_emu.shots.flight_model import FlightModel
+from lidar_emu.shots.model import build_model, measure_whole, simulate
 
 C_MPS = 299_792_458.0
 WAVEFORM = Waveform(linewidth_hz=0)
@@ -130,3 +135,194 @@ def test_rolling_about_a_lever_arm_shifts_range_by_a_decimetre(fly) -> None:
     accelerating_mps2 = ARM_M * ROLL_RAD * (2 * np.pi * ROLL_HZ) ** 2
     assert accelerating_mps2 == pytest.approx(3.72, abs=0.01)
     assert (np.max(bias_m) - np.min(bias_m)) / 2 == pytest.approx(0.108, abs=0.002)
+
+
+def vibrating(jerk_mps3: float) -> Planar:
+    """A sensor that sinks steadily and vibrates at 20 Hz, looking down."""
+    swing = 2 * np.pi * 20
+    amplitude_m = jerk_mps3 / swing**3
+
+    def path(time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        up_m = UP_M - SINKING_MPS * time_s + amplitude_m * np.sin(swing * time_s)
+        still = np.zeros_like(up_m)
+        return np.stack([still, up_m]), np.stack([still, still - 1])
+
+    return path
+
+
+def vibrating_columns(jerk_mps3: float) -> dict[str, FloatArray]:
+    time_s, swing = np.arange(-0.05, 0.25, 1 / ROWS_HZ), 2 * np.pi * 20
+    return {
+        "time": time_s - time_s[0],
+        "up": vibrating(jerk_mps3)(time_s)[0][1],
+        "up_rate": -SINKING_MPS + jerk_mps3 / swing**2 * np.cos(swing * time_s),
+    }
+
+
+NODDING_RAD, BEAM_RAD = np.radians(5), np.radians(22.5)
+
+
+def nodding(time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A sensor at the centre of a vehicle that rolls by ±5 degrees, with a beam 22.5 degrees to the right."""
+    angle = BEAM_RAD - NODDING_RAD * np.sin(2 * np.pi * ROLL_HZ * time_s)
+    up_m = UP_M - SINKING_MPS * time_s
+    return np.stack([0 * up_m, up_m]), np.stack([np.sin(angle), -np.cos(angle)])
+
+
+def nodding_columns() -> dict[str, FloatArray]:
+    columns = rolling_columns()
+    return columns | {"roll": columns["roll"] / ROLL_RAD * NODDING_RAD}
+
+
+TO_THE_RIGHT = {"pattern": {"kind": "directions", "beams": [[22.5, 90]]}}
+
+
+def curvature(scenario: FlightScenario) -> tuple[Decision, Measurement]:
+    model = build_model(scenario)
+    (decision,) = [d for d in model.plan.decisions if d.stage == "curvature of motion"]
+    return decision, measure_whole(model)
+
+
+def worst(run: Measurement, path: Planar, combine: str) -> tuple[float, float]:
+    """Largest difference of range and closing speed from what the true motion reads."""
+    range_m, closing_mps = reading(path, times_s(run), combine)
+    return (
+        float(np.max(np.abs(run.range_m[5:-5, 0] - range_m))),
+        float(np.max(np.abs(run.closing_speed_mps[5:-5, 0] - closing_mps))),
+    )
+
+
+def bounds(decision: Decision) -> tuple[float, float]:
+    range_m, speed_mps = decision.bound.split(", ")
+    return float(range_m.removesuffix(" m")), float(speed_mps.removesuffix(" m/s"))
+
+
+def combined(combine: str) -> dict[str, Any]:
+    return QUIET | {"detection": QUIET["detection"] | {"combine": combine}}
+
+
+NOISE_M, NOISE_MPS = 5e-4, 3e-6
+"""Noise, the table's interpolation, and the estimator's error for a line that motion smears over half a bin."""
+
+
+@pytest.mark.parametrize("combine", ["least_squares", "chirp_minus_doppler"])
+@pytest.mark.parametrize(("jerk_mps3", "follows"), [(10, False), (1000, True)])
+def test_jerk_is_left_out_within_its_bound_and_followed_beyond(fly, jerk_mps3, follows, combine) -> None:
+    decision, run = curvature(fly(vibrating_columns(jerk_mps3), instrument=combined(combine)))
+    range_m, speed_mps = worst(run, vibrating(jerk_mps3), combine)
+    assert decision.computed is follows
+    if not follows:
+        assert bounds(decision)[0] <= plan_motion.LEAST_CURVATURE_M
+    limit_m, limit_mps = (0.0, 0.0) if follows else bounds(decision)
+    assert range_m <= limit_m + NOISE_M
+    # Within a record the mean speed exceeds the centre's by up to jerk T² / 24, followed or not.
+    assert speed_mps <= limit_mps + NOISE_MPS + jerk_mps3 * WAVEFORM.record_time_s**2 / 24
+
+
+def test_bound_of_jerk_is_what_leaving_it_out_costs(fly, monkeypatch) -> None:
+    """c δv / (λ S) with δv = j T²/2, by the published combination of chirp and constant segment."""
+    monkeypatch.setattr(plan_motion, "LEAST_CURVATURE_M", 1.0)
+    monkeypatch.setattr(plan_motion, "LEAST_CURVATURE_MPS", 1.0)
+    scenario = fly(vibrating_columns(1000), instrument=combined("chirp_minus_doppler"))
+    decision, run = curvature(scenario)
+    range_m, _ = worst(run, vibrating(1000), "chirp_minus_doppler")
+    assert not decision.computed
+    assert range_m == pytest.approx(C_MPS * 0.5 * 1000 * SEGMENT_S**2 / (1550e-9 * 2e12), rel=0.1)
+    assert 0.9 * bounds(decision)[0] < range_m < bounds(decision)[0] + NOISE_M
+    least_squares = fly(vibrating_columns(1000), instrument=combined("least_squares"))
+    decision, run = curvature(least_squares)
+    _, speed_mps = worst(run, vibrating(1000), "least_squares")
+    assert 0.5 * bounds(decision)[1] < speed_mps < bounds(decision)[1] + NOISE_MPS
+
+
+def test_the_level_of_samples_follows_jerk(fly) -> None:
+    hann = QUIET | {"detection": {"peak": "hann", "combine": "chirp_minus_doppler"}}
+    scenario = fly(vibrating_columns(1000), level="waveform", instrument=hann, duration_s=0.2)
+    range_m, _ = worst(simulate(scenario), vibrating(1000), "chirp_minus_doppler")
+    assert range_m < NOISE_M
+
+
+@pytest.mark.parametrize("follows", [True, False])
+def test_echoes_of_a_turning_beam_at_the_times_of_the_chirps(fly, monkeypatch, follows) -> None:
+    """Such a beam sweeps over the ground at 900 m/s: its line is too wide to read a range to a millimetre from."""
+    if not follows:
+        monkeypatch.setattr(plan_motion, "LEAST_CURVATURE_M", 1.0)
+        monkeypatch.setattr(plan_motion, "LEAST_CURVATURE_MPS", 1.0)
+    one = QUIET | {"optics": QUIET["optics"] | {"beamlets": 1}}
+    model = build_model(fly(nodding_columns(), scanner=TO_THE_RIGHT, instrument=one))
+    assert isinstance(model, FlightModel)
+    pointing, _ = model.aim(np.arange(5, 95), model.initial_state)
+    echoes = model.echo_model.echoes(pointing, model.flight.cast(pointing))
+    (decision,) = [d for d in model.plan.decisions if d.stage == "curvature of motion"]
+    assert decision.computed is follows
+    range_m, closing_mps, rate_mps = (
+        a[..., 0] for a in (echoes.range_m, echoes.closing_speed_mps, echoes.range_rate_mps)
+    )
+    off_m, off_mps = [], []
+    for since_s in (-SEGMENT_S, SEGMENT_S):
+        there_m = range_m + (rate_mps + 0.5 * echoes.range_curvature_mps2 * since_s) * since_s
+        gained = echoes.closing_acceleration_mps2 + 0.5 * echoes.closing_jerk_mps3 * since_s
+        true_m, true_mps = beam(nodding, pointing.time_ns[:, 0] * 1e-9 - 0.05 + since_s)
+        off_m.append(np.abs(there_m[:, 0] - true_m).max())
+        off_mps.append(np.abs((closing_mps + gained * since_s)[:, 0] - true_mps).max())
+    if follows:
+        assert max(off_m) < 3e-6
+        assert max(off_mps) < 1e-6
+        return
+    limit_m, limit_mps = bounds(decision)
+    bend_m = float(decision.reason.split(", ")[1].split(" m of")[0])
+    assert 0.1 * bend_m < max(off_m) < 1.01 * bend_m < limit_m
+    assert 0.5 * limit_mps < max(off_mps) < limit_mps
+
+
+def spinning(make_flight: Callable[..., FlightScenario], rate_radps: float) -> FlightScenario:
+    """Over a nadir point 2000 m below, turning about a horizontal axis."""
+    waypoints = [{"altitude_m": 2000.0 + above_m, "speed_mps": 1e-3} for above_m in (1e-6, 0.0)]
+    attitude = {"body_rate_radps": [rate_radps, 0, 0]}
+    profile = {"kind": "profile", "waypoints": waypoints, "attitude": attitude}
+    nadir = {"pattern": {"kind": "ring", "count": 1, "angle_deg": 0}}
+    return make_flight(trajectory=profile, scanner=nadir, timing={"rate_hz": 1000})
+
+
+def overlap(angle_rad: float, range_m: float, waist_m: float, wavelength_m: float) -> float:
+    """Power that a diffuse surface returns from a Gaussian mode into another one, tilted by an angle, relative to none:
+    ∫ |U|² |V|² of the two fields, propagated from the aperture by Fresnel's transfer function."""
+    count, width_m = 2**14, 2.0
+    x = (np.arange(count) - count / 2) * width_m / count
+    frequency = np.fft.fftfreq(count, width_m / count)
+    transfer = np.exp(-1j * np.pi * wavelength_m * range_m * frequency**2)
+
+    def intensity(tilt_rad: float) -> FloatArray:
+        aperture = np.exp(-((x / waist_m) ** 2) + 2j * np.pi / wavelength_m * tilt_rad * x)
+        return np.abs(np.fft.ifft(transfer * np.fft.fft(aperture))) ** 2
+
+    sent = intensity(0.0)
+    return float((sent * intensity(angle_rad)).sum() / (sent**2).sum())
+
+
+@pytest.mark.parametrize("rate_radps", [2.0, 0.3])
+def test_a_turning_beam_receives_beside_its_own_footprint(make_flight, rate_radps) -> None:
+    """2 rad/s for the 13 us to a ground 2 km away and back: 26.7 urad, with a divergence of 29."""
+    scenario = spinning(make_flight, rate_radps)
+    flight, power_w = Flight(scenario), []
+    pointing, _ = flight.point(np.arange(1), flight.scanner.initial)
+    hits = flight.cast(pointing)
+    for lag in (True, False):
+        model = EchoModel(scenario.instrument, scenario.site, flight, 1, lag)
+        power_w.append(float(model.echoes(pointing, hits).power_w[0, 0, 0]))
+    range_m = float(hits.range_m[0, 0])
+    expected = overlap(rate_radps * 2 * range_m / C_MPS, range_m, 0.017, 1550e-9)
+    assert power_w[0] / power_w[1] == pytest.approx(expected, rel=1e-6)
+    if rate_radps == 2.0:
+        assert 10 * np.log10(expected) == pytest.approx(-3.38, abs=0.01)
+
+
+def test_lag_is_left_out_within_its_bound(make_flight) -> None:
+    """On both sides of a hundredth of a decibel, and always on in an exact run."""
+    limit_radps = 2.0 * np.sqrt(plan_motion.LEAST_LAG_DB / 3.381)
+    for rate_radps, exact, computed in ((0.98, False, False), (1.02, False, True), (0.98, True, True)):
+        scenario = spinning(make_flight, rate_radps * limit_radps).model_copy(update={"exact": exact})
+        model = build_model(scenario)
+        (decision,) = [d for d in model.plan.decisions if d.stage == "lag of the receiving beam"]
+        assert decision.computed is computed
+        assert model.plan.receiving_lag is computed

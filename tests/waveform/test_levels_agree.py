@@ -81,6 +81,8 @@ class Case(NamedTuple):
             power_w,
             0.0 * each,
             still,
+            still,
+            still,
             still + acceleration_mps2,
             place,
             0.0 * place,
@@ -355,7 +357,15 @@ def test_beams_without_a_measurement() -> None:
     fired[0, 1], inside[0, 4] = False, True
     speed_mps = np.full(shape, SPEED_MPS)
     echoes = Echoes(
-        range_m, speed_mps, power_w, 0.0 * speed_mps, still, still, place, 0.0 * place, fired, inside
+        range_m,
+        speed_mps,
+        power_w,
+        0.0 * speed_mps,
+        *(still,) * 4,
+        place,
+        0.0 * place,
+        fired,
+        inside,
     )
     shot = np.array([5])
     exact = measure_echoes(case.instrument, case.model, echoes, shot, 3)

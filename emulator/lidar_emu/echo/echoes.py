@@ -15,20 +15,20 @@ Where the surface moves, v is the velocity of the sensor relative to it.
 
 from __future__ import annotations
 
-from math import pi, sqrt
+from math import nan, pi, sqrt
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.flight.flight import Flight
-from lidar_emu.flight.pointing import Pointing, beam_vectors
+from lidar_emu.flight.pointing import Pointing, beam_vectors, chirp_beams
 from lidar_emu.fmcw.link_budget import echo_law, echo_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.records import as_record
-from lidar_emu.numerics.vectors import cross, dot, nan_to_zero
+from lidar_emu.numerics.vectors import Vector, add, cross, dot, nan_to_zero, scale, subtract
 from lidar_emu.scanner.footprint import Footprint, sample_footprint
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.site import Site
@@ -37,7 +37,7 @@ from lidar_emu.scene.ray_hits import Hits
 SPECKLE_PITCH_W = pi / sqrt(8)
 """Pitch of the speckle lattice as a multiple of the beam's radius w, see `fmcw.speckle`."""
 
-_LEAST_COSINE = 1e-3
+LEAST_COSINE = 1e-3
 """Minimum cosine of incidence (89.94 degrees) in the slide of a beamlet over its facet, which diverges at grazing
 incidence."""
 
@@ -87,6 +87,8 @@ class _Buffers(NamedTuple):
                 power_w=np.empty(each),
                 range_rate_mps=np.empty(each),
                 closing_acceleration_mps2=np.empty(shape),
+                closing_jerk_mps3=np.zeros(shape),
+                range_curvature_mps2=np.zeros(shape),
                 smear_acceleration_mps2=np.empty(shape),
                 speckle_place=np.empty((*shape, 2)),
                 speckle_drift_per_s=np.empty((*shape, 2)),
@@ -101,12 +103,22 @@ class EchoModel:
 
     Args:
         beamlets: beamlets per beam.
+        receiving_lag: whether echoes are dimmed by the rotation of the beam while the light travels.
     """
 
-    def __init__(self, instrument: Instrument, site: Site, flight: Flight, beamlets: int) -> None:
+    def __init__(
+        self,
+        instrument: Instrument,
+        site: Site,
+        flight: Flight,
+        beamlets: int,
+        receiving_lag: bool = True,
+    ) -> None:
         self._flight, self._beamlets = flight, beamlets
         self._waist_m, self._wavelength_m = instrument.optics.waist_radius_m, instrument.waveform.wavelength_m
-        self._law = as_record(echo_law(instrument, site.surface, site.atmosphere))
+        law = echo_law(instrument, site.surface, site.atmosphere)
+        self._law = as_record(law if receiving_lag else law._replace(lag_s_per_m2=0.0))
+        self._segment_s = instrument.waveform.segment_time_s
         self._buffers = _Buffers.of((0, 0), beamlets, flight.has_moving_objects)
         self._hits = self._buffers.hits
 
@@ -158,6 +170,16 @@ class EchoModel:
             hits.reflectance,
             tuple(echoes),
         )
+        if pointing.at_chirps.size:
+            _follow_chirps(
+                self._segment_s,
+                pointing.beams,
+                pointing.at_chirps,
+                axis_hits.range_m,
+                axis_hits.normal_site,
+                axis_hits.velocity_site_mps,
+                tuple(echoes),
+            )
         return echoes
 
 
@@ -212,6 +234,7 @@ def _set_echoes(
             coriolis_mps2 = first_mps * first_radps + second_mps * second_radps
             passing_m2ps2 = first_mps * first_mps + second_mps * second_mps
             squared_radps2 = first_radps * first_radps + second_radps * second_radps
+            turning_radps = sqrt(squared_radps2)
             echoes.closing_acceleration_mps2[s, b] = along_mps2 + coriolis_mps2
             echoes.smear_acceleration_mps2[s, b] = along_mps2 + _point_acceleration_mps2(
                 passing_m2ps2, coriolis_mps2, squared_radps2, away_m, rayleigh_m
@@ -248,10 +271,66 @@ def _set_echoes(
                 sinking_mps = _relative_speed(surface_mps, ray_i, velocity, facet) + range_m[s, b, i] * dot(
                     facet, swing_radps
                 )
-                echoes.range_rate_mps[s, b, i] = sinking_mps / max(cos_incidence, _LEAST_COSINE)
+                echoes.range_rate_mps[s, b, i] = sinking_mps / max(cos_incidence, LEAST_COSINE)
                 lit = cos_incidence > 0.0 and range_m[s, b, i] >= 0.0
-                whole_w = echo_power_w(law, reflectance[ray_i], range_m[s, b, i], cos_incidence)
+                whole_w = echo_power_w(
+                    law, reflectance[ray_i], range_m[s, b, i], cos_incidence, turning_radps
+                )
                 echoes.power_w[s, b, i] = whole_w * footprint.weight[i] if lit else 0.0
+
+
+@kernel(outermost=True)
+def _follow_chirps(
+    segment_s: float,
+    stacked: FloatArray,
+    stacked_at_chirps: FloatArray,
+    range_m: FloatArray,
+    normals: FloatArray,
+    surface_mps: FloatArray,
+    echo_arrays: tuple[Any, ...],
+) -> None:
+    """Set closing acceleration, closing jerk and range curvature so that closing speed and range on the axis are exact
+    at the centres of all three records: parabolas through the values there, on the plane of the facet that the axis
+    hits.
+
+    Args:
+        segment_s: time from record to record.
+        stacked, stacked_at_chirps: see `Pointing`.
+        range_m, normals, surface_mps: arrays of the axes' `Hits`, (shots, beams).
+        echo_arrays: arrays of `Echoes`.
+    """
+    echoes = Echoes(*echo_arrays)
+    vectors, chirps = beam_vectors(stacked), chirp_beams(stacked_at_chirps)
+    shots, beams = range_m.shape
+    for s in range(shots):
+        for b in range(beams):
+            axis, facet, distance_m = vectors.true[s, b], normals[s, b], range_m[s, b]
+            ground_mps = _surface_velocity(surface_mps, s, b)
+            now_mps = dot(subtract(vectors.velocity_mps[s, b], ground_mps), axis)
+            changes_mps, farther_m = (0.0, 0.0), 0.0
+            for chirp in range(2):
+                then = chirps.true[chirp, s, b]
+                change_mps = dot(subtract(chirps.velocity_mps[chirp, s, b], ground_mps), then) - now_mps
+                changes_mps = changes_mps[1], change_mps
+                # From the sensor to the point that the axis hits, which moves with its facet.
+                since_s = segment_s if chirp == 1 else -segment_s
+                moved = subtract(vectors.sensor_m[s, b], chirps.sensor_m[chirp, s, b])
+                point = add(add(moved, scale(distance_m, axis)), scale(since_s, ground_mps))
+                cosine = -dot(facet, then)
+                farther_m += -dot(facet, point) / cosine - distance_m if cosine > LEAST_COSINE else nan
+            before_mps, after_mps = changes_mps
+            echoes.closing_acceleration_mps2[s, b] = (after_mps - before_mps) / (2 * segment_s)
+            echoes.closing_jerk_mps3[s, b] = (after_mps + before_mps) / (segment_s * segment_s)
+            echoes.range_curvature_mps2[s, b] = nan_to_zero(farther_m / (segment_s * segment_s))
+
+
+@kernel
+def _surface_velocity(surface_mps: FloatArray, s: int, b: int) -> Vector:
+    """Velocity of the surface that an axis hits; 0 in a static scene and without a hit."""
+    if surface_mps.size == 0:
+        return 0.0, 0.0, 0.0
+    velocity = surface_mps[s, b]
+    return nan_to_zero(velocity[0]), nan_to_zero(velocity[1]), nan_to_zero(velocity[2])
 
 
 @kernel

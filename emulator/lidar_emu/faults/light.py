@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lidar_emu.echo.echoes import BeamletHits
 from lidar_emu.faults.schedule import FaultInstance
 from lidar_emu.flight.flight import Flight
-from lidar_emu.flight.pointing import BeamVectors, Pointing
+from lidar_emu.flight.pointing import BeamVectors, ChirpBeams, Pointing
 from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
@@ -75,14 +75,20 @@ class LightFaults:
     def _with_tilt(
         self, pointing: Pointing, affected: BoolArray, ramp: FloatArray, tilt_mrad: tuple[float, float]
     ) -> Pointing:
-        vehicle = self._flight.trajectory.state(seconds(pointing.time_ns.reshape(-1)))
         sensor_rad = np.array([*tilt_mrad, 0.0]) * 1e-3
-        axis_site = rotate(vehicle.site_from_body, rotate(self._body_from_sensor, sensor_rad))
-        turn = from_rotation_vector(ramp[..., None] * axis_site.reshape(*affected.shape, 3))
-        beams = pointing.beams.copy()
-        true_site = BeamVectors(*beams).true
-        true_site[:] = np.where(affected[..., None], rotate(turn, true_site), true_site)
-        return pointing._replace(beams=beams)
+        axis_body_rad = rotate(self._body_from_sensor, sensor_rad)
+
+        def tilt(true_site: FloatArray, time_s: FloatArray) -> None:
+            vehicle = self._flight.trajectory.state(time_s.reshape(-1))
+            axis_site = rotate(vehicle.site_from_body, axis_body_rad).reshape(true_site.shape)
+            turn = from_rotation_vector(ramp[..., None] * axis_site)
+            true_site[:] = np.where(affected[..., None], rotate(turn, true_site), true_site)
+
+        tilted = pointing._replace(beams=pointing.beams.copy(), at_chirps=pointing.at_chirps.copy())
+        tilt(BeamVectors(*tilted.beams).true, seconds(pointing.time_ns))
+        if tilted.at_chirps.size:
+            tilt(ChirpBeams(*tilted.at_chirps).true, self._flight.chirp_times_s(pointing))
+        return tilted
 
     def _cluttered(self, echoes: Echoes, active: _ActiveLightFault) -> Echoes:
         """Echoes with one more beamlet, which moves with the sensor.

@@ -13,6 +13,7 @@ from lidar_emu.flight.ground_coverage import may_leave_its_ground, refuse_to_lea
 from lidar_emu.flight.pointing import (
     DIRECTION,
     Pointing,
+    follow_beams,
     place_starts,
     point_beams,
     set_times,
@@ -120,28 +121,47 @@ class Flight:
         """Scenario time up to which a shot depends on the vehicle's motion: the time of validity of its last beam."""
         return shot * self.period_ns + int(self._validity_ns[-1])
 
-    def point(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
-        """Point the beams of consecutive shots, each at its own time of validity."""
+    def point(
+        self, shot: NDArray[np.int64], state: ScannerState, follows_chirps: bool = False
+    ) -> tuple[Pointing, ScannerState]:
+        """Point the beams of consecutive shots, each at its own time of validity.
+
+        Args:
+            shot: (shots,) numbers of the shots.
+            state: the scanner's state before the first of them.
+            follows_chirps: whether to point the beams at the times of the chirps' records too.
+        """
         beams = self.scanner.beam_count
         # The first instant of a shot is its start, when its pattern is chosen.
-        pointing, instant_s = Pointing.unfilled(shot, beams), np.empty((len(shot), 1 + beams))
+        pointing = Pointing.unfilled(shot, beams, follows_chirps)
+        instant_s = np.empty((len(shot), 1 + beams))
         set_times(shot, self.period_ns, self._validity_ns, pointing.time_ns, instant_s)
         vehicle = self.trajectory.state(instant_s.reshape(-1))
         pointing.pattern[:], state = self._choose_patterns(instant_s, vehicle, state)
         for gap in self.trajectory.bridged:
             since_s = instant_s[:, 1:] - gap.start_s
             pointing.in_gap[:] |= (since_s > 0) & (since_s < gap.length_s)
+        row = self.scanner.row(pointing.pattern, shot)
         point_beams(
             tuple(vehicle),
             self._lever_arm_body_m,
-            self.scanner.row(pointing.pattern, shot),
+            row,
             self._directions,
             pointing.fired,
             pointing.angle_deg,
             pointing.beams,
             pointing.vehicle,
         )
+        if follows_chirps:
+            chirping = self.trajectory.state(self.chirp_times_s(pointing).reshape(-1))
+            follow_beams(tuple(chirping), self._lever_arm_body_m, row, self._directions, pointing.at_chirps)
         return pointing, state
+
+    def chirp_times_s(self, pointing: Pointing) -> FloatArray:
+        """(2, shots, beams) Times of the centres of the up-chirp's and the down-chirp's record."""
+        segment_s = self.scenario.instrument.waveform.segment_time_s
+        valid_s = seconds(pointing.time_ns)
+        return np.stack([valid_s - segment_s, valid_s + segment_s])
 
     def patterns(self, shot: NDArray[np.int64], state: ScannerState) -> IntArray:
         """(shots,) Number of the pattern of consecutive shots, chosen at the start of each shot."""

@@ -43,6 +43,21 @@ def beam_vectors(stacked: FloatArray) -> BeamVectors:
     return BeamVectors(stacked[0], stacked[1], stacked[2], stacked[3], stacked[4], stacked[5])
 
 
+class ChirpBeams(NamedTuple):
+    """The vectors of beams in the site frame at the centres of the up-chirp's and the down-chirp's record, (2, shots,
+    beams, 3) each: with those at the time of validity they follow the motion through a measurement."""
+
+    sensor_m: FloatArray
+    velocity_mps: FloatArray
+    true: FloatArray
+
+
+@kernel(forceinline=True)
+def chirp_beams(stacked: FloatArray) -> ChirpBeams:
+    """Name the vectors (3, 2, shots, beams, 3) of `Pointing.at_chirps`."""
+    return ChirpBeams(stacked[0], stacked[1], stacked[2])
+
+
 class Pointing(NamedTuple):
     """Origins and directions of the beams; arrays are (shots, beams) and (shots, beams, 3), NaN for absent beams."""
 
@@ -59,10 +74,17 @@ class Pointing(NamedTuple):
     """(6, shots, beams, 3) The arrays of `BeamVectors`, stacked: passing one array to a kernel is faster than six."""
     vehicle: FloatArray
     """(2, shots, 3) Position and velocity."""
+    at_chirps: FloatArray
+    """(3, 2, shots, beams, 3) The arrays of `ChirpBeams`, stacked; empty where the run leaves curvature of the motion
+    out."""
 
     @classmethod
-    def unfilled(cls, shot: NDArray[np.int64], beams: int) -> Self:
-        """Empty arrays for these shots of `beams` beams."""
+    def unfilled(cls, shot: NDArray[np.int64], beams: int, follows_chirps: bool = False) -> Self:
+        """Empty arrays for these shots of `beams` beams.
+
+        Args:
+            follows_chirps: whether to allocate `at_chirps`.
+        """
         shape = len(shot), beams
         return cls(
             shot=shot,
@@ -73,6 +95,7 @@ class Pointing(NamedTuple):
             angle_deg=np.empty(shape),
             beams=np.empty((6, *shape, 3)),
             vehicle=np.empty((2, len(shot), 3)),
+            at_chirps=np.empty((3, 2, *shape, 3) if follows_chirps else (3, 2, 0, 0, 3)),
         )
 
     @property
@@ -196,6 +219,35 @@ def point_beams(
         for axis in range(3):
             vehicle[0, s, axis] = position_m[s * (1 + beams) + 1, axis]
             vehicle[1, s, axis] = velocity_mps[s * (1 + beams) + 1, axis]
+
+
+@kernel(outermost=True)
+def follow_beams(
+    state_arrays: tuple[Any, ...],
+    lever_arm_m: FloatArray,
+    row: NDArray[np.int64],
+    directions: Any,
+    stacked: FloatArray,
+) -> None:
+    """Fill `Pointing.at_chirps`.
+
+    Args:
+        state_arrays: Arrays of a `VehicleState` at the (2, shots, beams) instants of the chirps, in this order.
+        lever_arm_m, row, directions: see `point_beams`.
+        stacked: (3, 2, shots, beams, 3), see `Pointing.at_chirps`.
+    """
+    state, vectors = VehicleState(*state_arrays), chirp_beams(stacked)
+    _, shots, beams, _ = vectors.sensor_m.shape
+    for chirp in range(2):
+        for s in range(shots):
+            for b in range(beams):
+                k = (chirp * shots + s) * beams + b
+                rotation = state.site_from_body[k]
+                lever_arm = rotate(rotation, lever_arm_m)
+                swing = cross(rotate(rotation, state.body_rate_radps[k]), lever_arm)
+                store(vectors.sensor_m[chirp, s, b], 0, add(lever_arm, state.position_site_m[k]))
+                store(vectors.velocity_mps[chirp, s, b], 0, add(swing, state.velocity_site_mps[k]))
+                store(vectors.true[chirp, s, b], 0, rotate(rotation, directions[row[s], b].true_body))
 
 
 @kernel(outermost=True)

@@ -44,9 +44,14 @@ class RecordedFlight(Flight):
         """See `Flight`."""
         return self.file.metadata.moving
 
-    def point(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
+    def point(
+        self, shot: NDArray[np.int64], state: ScannerState, follows_chirps: bool = False
+    ) -> tuple[Pointing, ScannerState]:
         """See `Flight`; misalignment faults are part of the recorded pointing."""
-        return self.file.pointing(shot), state
+        pointing = self.file.pointing(shot)
+        if not follows_chirps:
+            pointing = pointing._replace(at_chirps=pointing.at_chirps[:, :, :0, :0])
+        return pointing, state
 
     def patterns(self, shot: NDArray[np.int64], _state: ScannerState) -> IntArray:
         """See `Flight`."""

@@ -29,7 +29,7 @@ FORMAT, VERSION = "lidar-emu geometry", 2
 BLOCK_SHOTS = 1024
 
 _ABOUT = "about"
-_SHOTS_AXIS = {"beams": 1, "vehicle": 1}
+_SHOTS_AXIS = {"beams": 1, "vehicle": 1, "at_chirps": 2}
 """Index of the shots axis in the fields of `Pointing` that do not begin with it."""
 _UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error)
 
@@ -153,7 +153,7 @@ class GeometryFile:
         first, metadata = number * self._block_shots, self.metadata
         shot = np.arange(first, min(first + self._block_shots, metadata.shots), dtype=np.int64)
         if part == "pointing":
-            return Pointing.unfilled(shot, metadata.beams)
+            return Pointing.unfilled(shot, metadata.beams, follows_chirps=True)
         rays = (metadata.beamlets,) if part == "beamlets" else ()
         shape = (len(shot), metadata.beams, *rays)
         return Hits.empty(prod(shape), metadata.moving).shaped(shape)

@@ -138,6 +138,8 @@ def measure_beams(
 def _set_motion(beam: Any, echoes: Echoes, s: int, b: int) -> None:
     """Copy a beam's motion and its position in the speckle field."""
     beam.closing_acceleration_mps2 = _bounded(echoes.closing_acceleration_mps2[s, b])
+    beam.closing_jerk_mps3 = _bounded(echoes.closing_jerk_mps3[s, b])
+    beam.range_curvature_mps2 = _bounded(echoes.range_curvature_mps2[s, b])
     beam.smear_acceleration_mps2 = _bounded(echoes.smear_acceleration_mps2[s, b])
     for axis in range(2):
         beam.speckle_place[axis] = _bounded(echoes.speckle_place[s, b, axis])

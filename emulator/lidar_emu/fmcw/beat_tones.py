@@ -157,7 +157,8 @@ def set_segment_tones(
     model: ReceiverModel,
     segment: int,
     time_records: float,
-    acceleration_mps2: float,
+    faster_mps: float,
+    bent_m: float,
     common_turn: float,
     beamlets: FloatArray,
     weights: FloatArray,
@@ -171,11 +172,13 @@ def set_segment_tones(
     all beamlets add in phase.
 
     Args:
+        faster_mps: change of all closing speeds since the time of validity.
+        bent_m: change of all ranges since then by the curvature of the motion, beside the one by their rates.
         beamlets: (5, n) from `gather_beamlets`.
         weights: (2, n).
         tones: (4, n) receives n, δ and the complex weight.
     """
-    _set_places(model, segment, time_records * model.record_time_s, acceleration_mps2, beamlets, tones)
+    _set_places(model, segment, time_records * model.record_time_s, faster_mps, bent_m, beamlets, tones)
     if model.speckle:
         _set_speckled(model, segment, time_records, common_turn, beamlets, weights, tones)
     else:
@@ -198,7 +201,8 @@ def _set_places(
     model: ReceiverModel,
     segment: int,
     time_s: float,
-    acceleration_mps2: float,
+    faster_mps: float,
+    bent_m: float,
     beamlets: FloatArray,
     tones: FloatArray,
 ) -> None:
@@ -207,7 +211,7 @@ def _set_places(
     range_m, rate_mps, speed_mps = beamlets[RANGE_M], beamlets[RANGE_RATE_MPS], beamlets[SPEED_MPS]
     beat = tones[0]
     for i in range(len(beat)):
-        distance_m, closing_mps = range_m[i] + rate_mps[i] * time_s, speed_mps[i] + acceleration_mps2 * time_s
+        distance_m, closing_mps = range_m[i] + rate_mps[i] * time_s + bent_m, speed_mps[i] + faster_mps
         beat[i] = per_m * distance_m + (per_mps + per_m_mps * distance_m) * closing_mps
 
 

@@ -25,7 +25,10 @@ class EchoLaw(NamedTuple):
     aperture."""
     lommel_seeliger_share: float
     parting_per_m: float
-    """Separation of the two modes in radii at the waist, per metre of range."""
+    """Separation of the two modes by their alignment, in radii at the waist, per metre of range."""
+    lag_s_per_m2: float
+    """Separation of the two modes by the beam's rotation while the light travels, 2/(c w0): in radii at the waist, per
+    rad/s and square metre of range. 0 leaves it out."""
     extinction_per_m: float
     waist_m: float
     rayleigh_m: float
@@ -40,6 +43,7 @@ def echo_law(instrument: Instrument, surface: Surface, atmosphere: Atmosphere | 
         coupling=float(wavelength_m**2 / (np.pi * optics.waist_radius_m**2)),
         lommel_seeliger_share=float(surface.lommel_seeliger_share),
         parting_per_m=float(optics.alignment_error_rad / optics.waist_radius_m),
+        lag_s_per_m2=2.0 / (SPEED_OF_LIGHT_MPS * float(optics.waist_radius_m)),
         extinction_per_m=0.0 if atmosphere is None else float(atmosphere.extinction_per_m),
         waist_m=float(optics.waist_radius_m),
         rayleigh_m=float(np.pi * optics.waist_radius_m**2 / wavelength_m),
@@ -47,11 +51,15 @@ def echo_law(instrument: Instrument, surface: Surface, atmosphere: Atmosphere | 
 
 
 @kernel
-def echo_power_w(law: EchoLaw, reflectance: float, range_m: float, cos_incidence: float) -> float:
+def echo_power_w(
+    law: EchoLaw, reflectance: float, range_m: float, cos_incidence: float, turning_radps: float
+) -> float:
     """Power of one echo; see `coherent_power_w`."""
     farness, parting = range_m / law.rayleigh_m, law.parting_per_m * range_m
+    lag = law.lag_s_per_m2 * turning_radps * range_m * range_m
     spread = 1.0 + farness * farness
-    dimmed = exp(-parting * parting / spread - 2.0 * law.extinction_per_m * range_m) / spread
+    apart = parting * parting + lag * lag
+    dimmed = exp(-apart / spread - 2.0 * law.extinction_per_m * range_m) / spread
     limb = law.lommel_seeliger_share + (1.0 - law.lommel_seeliger_share) * cos_incidence
     facing_w = law.emitted_w * reflectance / pi * law.coupling
     return facing_w * (0.0 if cos_incidence <= 0.0 else limb) * dimmed
@@ -63,13 +71,15 @@ def coherent_power_w(
     atmosphere: Atmosphere | None,
     range_m: ArrayLike,
     cos_incidence: ArrayLike,
+    turning_radps: ArrayLike = 0.0,
 ) -> NDArray[np.float64]:
     """Power of the echo in the mode of the local oscillator, with the whole beam on one surface.
 
     A monostatic transceiver with matched Gaussian modes receives P = P_t η (ρ/π) f(θ) T² λ² / (π w(R)²), with w(R)² =
     w0² [1 + (λR / π w0²)²], valid in the near and the far field; in the far field this is the effective aperture π w0²
-    / R² of the antenna theorem. η is the product of the optics' efficiency, the depolarisation and exp(-(Rγ/w)²), the
-    overlap of two Gaussian modes whose centres are Rγ apart on the ground (γ is the alignment error). The heterodyne
+    / R² of the antenna theorem. η is the product of the optics' efficiency, the depolarisation and exp(-(d/w)²), the
+    overlap of two Gaussian modes whose centres are d apart on the ground: d² = (Rγ)² + (Ru' 2R/c)² with the alignment
+    error γ, and the rate u' at which the beam turns while the light travels (docs/physics.md). The heterodyne
     efficiency is *not* included: the receiver applies it when it converts power to detected photons (`build_receiver`).
     The surface's f(θ) = L + (1 - L) cos θ runs from Lambert (L = 0) to the Moon's lack of limb darkening at zero phase
     angle (L = 1); T² = exp(-2 α R).
@@ -80,12 +90,13 @@ def coherent_power_w(
         atmosphere: extinction α; None is vacuum.
         range_m: any shape, NaN where nothing is hit.
         cos_incidence: same shape; cosine of the angle between the ray back to the sensor and the normal.
+        turning_radps: same shape; rate of the beam's direction.
 
     Returns:
         Watts in the broadcast shape: NaN where an argument is NaN, 0 for a surface seen from behind.
     """
     law = partial(interpreted(echo_power_w), echo_law(instrument, surface, atmosphere), surface.reflectance)
-    return np.asarray(np.vectorize(law, otypes=[float])(range_m, cos_incidence))
+    return np.asarray(np.vectorize(law, otypes=[float])(range_m, cos_incidence, turning_radps))
 
 
 def haze_w_per_m(instrument: Instrument, atmosphere: Atmosphere) -> float:

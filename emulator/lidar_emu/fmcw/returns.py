@@ -28,6 +28,10 @@ class Echoes(NamedTuple):
     closing speed unless the beam stays at the same point."""
     closing_acceleration_mps2: FloatArray
     """(shots, beams) Rate of the closing speed along the moving beam, from segment to segment."""
+    closing_jerk_mps3: FloatArray
+    """(shots, beams) Rate of `closing_acceleration_mps2`; 0 where the run leaves it out."""
+    range_curvature_mps2: FloatArray
+    """(shots, beams) Rate of `range_rate_mps` on the axis; 0 where the run leaves it out."""
     smear_acceleration_mps2: FloatArray
     """(shots, beams) Closing acceleration of a point of the ground, which applies within a record."""
     speckle_place: FloatArray

@@ -23,6 +23,8 @@ BEAM = np.dtype(
         ("shot", "i8"),
         ("beam", "i8"),
         ("closing_acceleration_mps2", "f8"),
+        ("closing_jerk_mps3", "f8"),
+        ("range_curvature_mps2", "f8"),
         ("smear_acceleration_mps2", "f8"),
         ("speckle_place", "f8", (2,)),
         ("speckle_drift_per_s", "f8", (2,)),

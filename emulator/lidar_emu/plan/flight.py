@@ -12,6 +12,14 @@ from lidar_emu.flight.flight import Flight, sensor_height_m
 from lidar_emu.flight.pointing import Pointing
 from lidar_emu.plan.faults import planned_faults
 from lidar_emu.plan.ground import plan_objects, plan_parts
+from lidar_emu.plan.motion import (
+    least_cosine,
+    plan_curvature,
+    plan_delay,
+    plan_lag,
+    plan_unknown_curvature,
+    sweep_motion,
+)
 from lidar_emu.plan.plan import Decision, Plan
 from lidar_emu.plan.receiver import ambiguity, plan_receiver
 from lidar_emu.scenario.generated_ground import Generated
@@ -36,15 +44,21 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     pointing, hits = _sample_flight(flight)
     echoes = compute_echoes(scenario.instrument, scenario.site, flight, 1, pointing, hits)
     footprint, beamlets = _footprint(scenario, pointing, hits)
+    motion = sweep_motion(flight, hits, least_cosine(pointing, hits))
+    curvature, follows_chirps = plan_curvature(scenario, motion)
+    lag, receiving_lag = plan_lag(scenario, motion, hits)
+    # Scatterers are computed on the exact motion, whatever the plan.
+    measured = scenario.level != "geometric" and scenario.waveform_echo == "beamlets"
     decisions = (
         *_geometry(scenario, flight, pointing, hits),
         _air(scenario),
         *_dust(scenario, float(np.min(sensor_height_m(pointing, hits)))),
         footprint,
-        *plan_receiver(scenario, echoes),
+        *plan_receiver(scenario, echoes, motion),
+        *([curvature, lag, plan_delay(echoes)] if measured else []),
         *planned_faults(scenario),
     )
-    return Plan(decisions, beamlets)
+    return Plan(decisions, beamlets, follows_chirps and measured, receiving_lag)
 
 
 def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
@@ -59,6 +73,8 @@ def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
             *_dust(scenario, 0.0),
             Decision("footprint", beamlets > 1, f"{beamlets} beamlets", kept, "sampled"),
             *_switching(flight),
+            plan_unknown_curvature(scenario.instrument.waveform),
+            Decision("lag of the receiving beam", True, "by the body's rate", kept, "exact"),
             Decision(
                 "receiver", True, scenario.level, f"the scenario specifies level {scenario.level}", kept
             ),

@@ -3,6 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from math import ceil, floor, isfinite, log10
+
+
+def at_most(value: float) -> str:
+    """Write a bound with two digits, rounded up."""
+    if not (isfinite(value) and value > 0.0):
+        return f"{value:g}"
+    unit = 10.0 ** (floor(log10(value)) - 1)
+    return f"{ceil(value / unit) * unit:.2g}"
 
 
 @dataclass(frozen=True)
@@ -23,10 +32,15 @@ class Decision:
 
 @dataclass(frozen=True)
 class Plan:
-    """The decisions of a run, and the number of beamlets that the model uses."""
+    """The decisions of a run, and those of them that the model follows."""
 
     decisions: tuple[Decision, ...]
     beamlets: int = 1
+    """Beamlets per beam."""
+    follows_chirps: bool = False
+    """Whether beams are pointed at the times of the chirps' records, to follow the curvature of their motion."""
+    receiving_lag: bool = True
+    """Whether echoes are dimmed by the rotation of the beam while the light travels."""
 
     def rows(self) -> list[dict[str, str | bool]]:
         """Convert the decisions to JSON values."""

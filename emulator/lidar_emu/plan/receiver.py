@@ -11,6 +11,7 @@ import numpy as np
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.skip_limits import LEAST_FALSE_ALARM, LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.plan.motion import Motion
 from lidar_emu.plan.plan import Decision
 from lidar_emu.scenario.ambiguity import folded_range, folded_speed
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Waveform
@@ -23,7 +24,7 @@ LINE_BOUND_POWER, LINE_BOUND_BINS = 0.03, 0.03
 """Change of an echo's power and frequency by the laser linewidth that is left out: four sigma."""
 
 
-def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
+def plan_receiver(scenario: FlightScenario, echoes: Echoes, motion: Motion) -> list[Decision]:
     """Decide the receiver's stages from echoes sampled along the flight, with one beamlet per beam."""
     if scenario.level == "geometric":
         return [
@@ -43,7 +44,7 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
     return [
         level,
         folds,
-        _motion(scenario, echoes),
+        _motion(scenario.instrument.waveform, motion),
         _smear(scenario, echoes),
         _line(scenario, echoes),
         _speckle(scenario),
@@ -95,18 +96,13 @@ def ambiguity(scenario: FlightScenario, farthest_m: float, fastest_mps: float) -
     return Decision("ambiguity", bool(bounds), how, reason, "; ".join(bounds) or "exact")
 
 
-def _motion(scenario: FlightScenario, echoes: Echoes) -> Decision:
-    waveform = scenario.instrument.waveform
-    fastest_mps2 = _largest(echoes.closing_acceleration_mps2)
+def _motion(waveform: Waveform, motion: Motion) -> Decision:
+    fastest_mps2 = motion.acceleration_mps2
     # Between up- and down-chirp the speed changes by 2 T a, which causes a range error.
     bias_m = SPEED_OF_LIGHT_MPS * waveform.segment_time_s * fastest_mps2
     bias_m /= waveform.wavelength_m * waveform.chirp_slope_hz_per_s
     reason = f"{fastest_mps2:.3g} m/s² makes {bias_m:.2g} m of range error, short while decelerating"
-    half_s = waveform.segment_time_s * (1.5 * scenario.instrument.detection.looks - 0.5)
-    curving_m = 0.5 * fastest_mps2 * half_s**2
-    return Decision(
-        "motion in a shot", True, "each segment's own time", reason, f"{curving_m:.1g} m of range"
-    )
+    return Decision("motion in a shot", True, "each segment's own time", reason, "exact for steady rates")
 
 
 def _smear(scenario: FlightScenario, echoes: Echoes) -> Decision:

@@ -45,7 +45,7 @@ def record_geometry(scenario: FlightScenario, path: Path) -> GeometryMetadata:
         writer = GeometryWriter(file, metadata)
         for first in range(0, flight.shot_count, BLOCK_SHOTS):
             shot = np.arange(first, min(first + BLOCK_SHOTS, flight.shot_count), dtype=np.int64)
-            pointing, state = model.aim(shot, state)
+            pointing, state = model.aim(shot, state, follows_chirps=True)
             axis_hits = flight.cast(pointing)
             writer.add(pointing, axis_hits, echo_model.cast_beamlets(pointing, axis_hits))
         writer.close()

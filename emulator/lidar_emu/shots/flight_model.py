@@ -35,7 +35,9 @@ class FlightModel:
         self.scenario = scenario
         self.flight = Flight(scenario) if flight is None else flight
         self.plan = plan_flight(scenario, self.flight)
-        self.echo_model = EchoModel(scenario.instrument, scenario.site, self.flight, self.plan.beamlets)
+        self.echo_model = EchoModel(
+            scenario.instrument, scenario.site, self.flight, self.plan.beamlets, self.plan.receiving_lag
+        )
         self.dust = _dust(scenario)
         self.level = build_level(scenario)
         self.scatterers = _scatterers(scenario, self.flight)
@@ -60,9 +62,16 @@ class FlightModel:
         self.physics = physics_faults(scenario, self.flight, self.level)
         self.faults = beam_faults(scenario, self.beam_count)
 
-    def aim(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Pointing, ScannerState]:
-        """Point the beams of consecutive shots, including misalignment faults."""
-        pointing, state = self.flight.point(shot, state)
+    def aim(
+        self, shot: NDArray[np.int64], state: ScannerState, follows_chirps: bool | None = None
+    ) -> tuple[Pointing, ScannerState]:
+        """Point the beams of consecutive shots, including misalignment faults.
+
+        Args:
+            shot, state, follows_chirps: see `Flight.point`; None: as planned.
+        """
+        follows_chirps = self.plan.follows_chirps if follows_chirps is None else follows_chirps
+        pointing, state = self.flight.point(shot, state, follows_chirps)
         if self.physics is not None and self.flight.recorded_geometry is None:
             pointing = self.physics.tilted(pointing, shot)
         return pointing, state

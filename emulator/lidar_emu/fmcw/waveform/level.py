@@ -120,6 +120,8 @@ def _measure_records(
             _finite(echoes.range_rate_mps[s, b, lit]),
             float(echoes.closing_acceleration_mps2[s, b]),
             float(echoes.smear_acceleration_mps2[s, b]),
+            float(echoes.closing_jerk_mps3[s, b]),
+            float(echoes.range_curvature_mps2[s, b]),
         )
     response = AnalogResponse(receiver.bandwidth_hz, receiver.ac_coupling_hz)
     # The echo has shot noise of its own; the digitiser's noise arises behind the poles, by rounding.

@@ -1,0 +1,162 @@
+"""Motion of the beams within measurements: its curvature between the records, and rotation while the light travels."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lidar_emu.echo.echoes import LEAST_COSINE
+from lidar_emu.flight.flight import Flight
+from lidar_emu.flight.pointing import BeamVectors, ChirpBeams, Pointing
+from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.vector_arrays import cross, dot
+from lidar_emu.plan.plan import Decision, at_most
+from lidar_emu.scanner.wavefront import beam_radius_m
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.scene.ray_hits import Hits
+
+LEAST_CURVATURE_M = 1e-4
+LEAST_CURVATURE_MPS = 1e-6
+"""Errors of range and closing speed below which the curvature of the motion between the records is left out."""
+
+LEAST_LAG_DB = 0.01
+"""Loss below which the lag of the receiving beam is left out: 0.1 % of a detection probability at most."""
+
+_MOST_SHOTS = 65_536
+_SHOTS_AT_ONCE = 4096
+
+
+class Motion(NamedTuple):
+    """Largest motion of a flight's beams within measurements, absolute values."""
+
+    acceleration_mps2: float
+    """Rate of the closing speed."""
+    jerk_mps3: float
+    """Its second derivative, from record to record."""
+    bend_mps: float
+    """Change of the closing speed from one record to the next that its rate does not explain."""
+    bend_m: float
+    """Change of the range from one record to the next that its rate does not explain."""
+    turning_radps: float
+    """Rate of a beam's direction."""
+
+
+def sweep_motion(flight: Flight, hits: Hits, least_cosine: float) -> Motion:
+    """Evaluate the beams of all shots, in the patterns as flown; of a long flight, 65 536 shots or more along it.
+
+    Closing speeds are evaluated at each record's time. The ranges there depend on the ground, which is known at the
+    sampled `hits` alone: their change is bounded at the farthest of them and the least cosine of incidence by
+    (|a| + 2 |R'| |u'| + R |u''|) T² / (2 cos θ), with |R'| at most (|v| + R |u'|) / cos θ.
+    """
+    segment_s = flight.scenario.instrument.waveform.segment_time_s
+    step = max(1, flight.shot_count // _MOST_SHOTS)
+    shot, state = np.arange(0, flight.shot_count, step, dtype=np.int64), flight.scanner.initial
+    farthest_m = float(np.nanmax(hits.range_m, initial=0.0))
+    largest = np.zeros(len(Motion._fields))
+    for first in range(0, len(shot), _SHOTS_AT_ONCE):
+        pointing, state = flight.point(shot[first : first + _SHOTS_AT_ONCE], state, follows_chirps=True)
+        motion = _motions(pointing, segment_s, farthest_m, least_cosine)
+        largest = np.maximum(largest, [np.nanmax(np.abs(values), initial=0.0) for values in motion])
+    return Motion(*largest.tolist())
+
+
+def _motions(
+    pointing: Pointing, segment_s: float, farthest_m: float, least_cosine: float
+) -> tuple[FloatArray, ...]:
+    """Fields of `Motion` of each beam, (shots, beams) or broadcast to it."""
+    beams, chirps = BeamVectors(*pointing.beams), ChirpBeams(*pointing.at_chirps)
+    swing = cross(beams.turning_radps, beams.true)
+    closing_mps = dot(beams.velocity_mps, beams.true)
+    rate_mps2 = dot(beams.acceleration_mps2, beams.true) + dot(beams.velocity_mps, swing)
+    before_mps, after_mps = dot(chirps.velocity_mps, chirps.true) - closing_mps
+    bend_mps = np.maximum(
+        np.abs(after_mps - rate_mps2 * segment_s), np.abs(before_mps + rate_mps2 * segment_s)
+    )
+
+    turning_radps = _length(swing)
+    accelerating_mps2 = _length(chirps.velocity_mps - beams.velocity_mps).max(axis=0) / segment_s
+    swinging_radps2 = _length(chirps.true.sum(axis=0) - 2.0 * beams.true) / segment_s**2
+    range_rate_mps = (_length(beams.velocity_mps) + farthest_m * turning_radps) / least_cosine
+    curvature_mps2 = accelerating_mps2 + 2.0 * range_rate_mps * turning_radps + farthest_m * swinging_radps2
+    return (
+        rate_mps2,
+        (before_mps + after_mps) / segment_s**2,
+        bend_mps,
+        0.5 * segment_s**2 * curvature_mps2 / least_cosine,
+        turning_radps,
+    )
+
+
+def _length(vectors: FloatArray) -> FloatArray:
+    return np.sqrt(dot(vectors, vectors))
+
+
+def least_cosine(pointing: Pointing, hits: Hits) -> float:
+    """Cosine of the most grazing incidence of beams at their hits, limited to 89.94 degrees."""
+    cosine = -dot(hits.normal_site, pointing.true_site)
+    return max(float(np.nanmin(cosine, initial=1.0)), LEAST_COSINE)
+
+
+def plan_curvature(scenario: FlightScenario, motion: Motion) -> tuple[Decision, bool]:
+    """Decide whether beams are pointed at each record's time, or continue with their rates.
+
+    A change δv of closing speed between chirp and constant segment changes range by c δv / (λ S), as an acceleration
+    does.
+    """
+    waveform, looks = scenario.instrument.waveform, scenario.instrument.detection.looks
+    # The curves are parabolas: the records of further looks are farther from the time of validity.
+    farther = (1.0 + 0.5 * (looks - 1) * waveform.cycle_time_s / waveform.segment_time_s) ** 2
+    speed_mps = farther * motion.bend_mps
+    range_m = farther * motion.bend_m + speed_mps * SPEED_OF_LIGHT_MPS / (
+        waveform.wavelength_m * waveform.chirp_slope_hz_per_s
+    )
+    # Within a record the mean speed exceeds the one at its centre by jerk T² / 24.
+    within_mps = motion.jerk_mps3 * waveform.record_time_s**2 / 24.0
+    reason = (
+        f"{motion.jerk_mps3:.3g} m/s³ of jerk, {motion.bend_m:.2g} m of range's curvature to the next record"
+    )
+    follows = scenario.exact or range_m > LEAST_CURVATURE_M or speed_mps > LEAST_CURVATURE_MPS
+    if follows:
+        how = "beams at each record's own time"
+        return Decision(
+            "curvature of motion", True, how, reason, f"{at_most(within_mps)} m/s, within records"
+        ), True
+    bound = f"{at_most(range_m)} m, {at_most(speed_mps + within_mps)} m/s"
+    return Decision("curvature of motion", False, "-", reason, bound), False
+
+
+def plan_unknown_curvature(waveform: Waveform) -> Decision:
+    """Describe what live truth leaves out: the motion after a shot is not known when it is computed."""
+    speed_mps = 0.5 * waveform.segment_time_s**2
+    range_m = speed_mps * SPEED_OF_LIGHT_MPS / (waveform.wavelength_m * waveform.chirp_slope_hz_per_s)
+    bound = f"{at_most(range_m)} m, {at_most(speed_mps)} m/s for each m/s³ of jerk"
+    return Decision("curvature of motion", False, "-", "the motion after a shot is unknown", bound)
+
+
+def plan_delay(echoes: Echoes) -> Decision:
+    """Bound what the delay of the light to the ground leaves out of echoes sampled along the flight."""
+    delay_s = echoes.range_m[..., 0] / SPEED_OF_LIGHT_MPS
+    closing_mps = echoes.closing_speed_mps[..., 0]
+    range_m = np.nanmax(np.abs(echoes.range_rate_mps[..., 0]) * delay_s, initial=0.0)
+    later_mps = np.abs(echoes.closing_acceleration_mps2) * delay_s + closing_mps**2 / SPEED_OF_LIGHT_MPS
+    bound = f"{at_most(float(range_m))} m, {at_most(float(np.nanmax(later_mps, initial=0.0)))} m/s"
+    reason = "echoes are evaluated at the time of reception"
+    return Decision("delay to the ground", False, "-", reason, bound)
+
+
+def plan_lag(scenario: FlightScenario, motion: Motion, hits: Hits) -> tuple[Decision, bool]:
+    """Decide whether echoes are dimmed by the rotation of the beam while the light travels; see docs/physics.md."""
+    optics, waveform = scenario.instrument.optics, scenario.instrument.waveform
+    range_m = np.array(np.nanmax(hits.range_m, initial=0.0))
+    apart_m = 2.0 * range_m**2 * motion.turning_radps / SPEED_OF_LIGHT_MPS
+    radius_m = beam_radius_m(range_m, optics.waist_radius_m, waveform.wavelength_m)
+    loss_db = float(10.0 * np.log10(np.e) * (apart_m / radius_m) ** 2)
+    reason = f"beams turn at up to {motion.turning_radps:.3g} rad/s"
+    if scenario.exact or loss_db > LEAST_LAG_DB:
+        how = f"up to {loss_db:.2g} dB of power"
+        return Decision("lag of the receiving beam", True, how, reason, "exact"), True
+    bound = f"{at_most(loss_db)} dB of power" if loss_db > 0 else "exact"
+    return Decision("lag of the receiving beam", False, "-", reason, bound), False
