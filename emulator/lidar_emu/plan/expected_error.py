@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import exp1, gammaincc
@@ -18,6 +19,7 @@ from scipy.special import exp1, gammaincc
 from lidar_emu.echo.echoes import SPECKLE_PITCH_W, compute_echoes
 from lidar_emu.echo.spectral_spread import Spread, no_spread, spread_bins
 from lidar_emu.flight.flight import Flight
+from lidar_emu.flight.pointing import Pointing
 from lidar_emu.fmcw.analog_response import noise_level, tone_gain
 from lidar_emu.fmcw.beat_tones import signed_bin
 from lidar_emu.fmcw.laser_phase_noise import line_share
@@ -55,10 +57,29 @@ class ExpectedError:
         return {name: value if np.isfinite(value) else None for name, value in asdict(self).items()}
 
 
-def expected_error(scenario: FlightScenario, flight: Flight, beamlets: int) -> ExpectedError:
-    """Compute the expected errors of a flight with this number of beamlets per beam."""
-    if scenario.level == "geometric":
-        return ExpectedError(0.0, 0.0, 0.0, 0.0, 0.0)
+class BeamErrors(NamedTuple):
+    """Errors of the beams of sampled shots without false locks; arrays are (shots, beams) where no shape is given."""
+
+    pointing: Pointing
+    hits: Hits
+    echoes: Echoes
+    """Echoes of the axes, one beamlet a beam."""
+    beats_bin: FloatArray
+    """(3, shots, beams) Signed beats at the centres of the three records."""
+    snr: FloatArray
+    """Geometric mean over segments of a tone's mean power over the noise at its bin."""
+    bias: FloatArray
+    """(2, shots, beams) Mean errors of range in metres and of closing speed in metres per second."""
+    sigma: FloatArray
+    """(2, shots, beams) Standard deviations, likewise."""
+    detected: FloatArray
+    """Probability of a valid measurement."""
+    expected: BoolArray
+    """Whether the beam fires at the ground."""
+
+
+def beam_errors(scenario: FlightScenario, flight: Flight, beamlets: int) -> BeamErrors:
+    """Compute the errors of the beams of shots sampled along a flight, with this number of beamlets per beam."""
     instrument, site = scenario.instrument, scenario.site
     count = min(_SAMPLED_SHOTS, flight.shot_count)
     shot = np.unique(np.linspace(0, flight.shot_count - 1, count).astype(np.int64))
@@ -70,18 +91,30 @@ def expected_error(scenario: FlightScenario, flight: Flight, beamlets: int) -> E
 
     beats = _beats_bin(instrument, model, echoes)
     snr = _snr(model, hits, echoes, beats)
-    detected = _detection_probability(instrument, model, echoes, snr, spread)
-    variance_bin2 = _variances_bin2(instrument, model, hits, echoes, snr, spread)
-    bias_bin = _biases_bin(model, echoes, beats)
-    expected = pointing.fired & np.isfinite(hits.range_m) & ~hits.inside
-    weight = np.where(expected, detected, 0.0)
-    scale = (model.range_bin_m, model.speed_bin_mps)
-    bias, rms = [], []
-    for b, v, unit in zip(bias_bin, variance_bin2, scale, strict=True):
-        bias.append(unit * _mean(b, weight))
-        rms.append(unit * np.sqrt(_mean(b**2 + v, weight)))
-    dropout = 1.0 - _mean(detected, expected.astype(float))
-    return ExpectedError(float(rms[0]), bias[0], float(rms[1]), bias[1], dropout)
+    units = np.array([model.range_bin_m, model.speed_bin_mps])[:, None, None]
+    return BeamErrors(
+        pointing=pointing,
+        hits=hits,
+        echoes=echoes,
+        beats_bin=beats,
+        snr=snr,
+        bias=units * _biases_bin(model, echoes, beats),
+        sigma=units * np.sqrt(_variances_bin2(instrument, model, hits, echoes, snr, spread)),
+        detected=_detection_probability(instrument, model, echoes, snr, spread),
+        expected=pointing.fired & np.isfinite(hits.range_m) & ~hits.inside,
+    )
+
+
+def expected_error(scenario: FlightScenario, flight: Flight, beamlets: int) -> ExpectedError:
+    """Compute the expected errors of a flight with this number of beamlets per beam."""
+    if scenario.level == "geometric":
+        return ExpectedError(0.0, 0.0, 0.0, 0.0, 0.0)
+    beams = beam_errors(scenario, flight, beamlets)
+    weight = np.where(beams.expected, beams.detected, 0.0)
+    bias = [_mean(values, weight) for values in beams.bias]
+    rms = [float(np.sqrt(_mean(b**2 + s**2, weight))) for b, s in zip(beams.bias, beams.sigma, strict=True)]
+    dropout = 1.0 - _mean(beams.detected, beams.expected.astype(float))
+    return ExpectedError(rms[0], bias[0], rms[1], bias[1], dropout)
 
 
 def _mean(values: FloatArray, weight: FloatArray) -> float:
