@@ -176,7 +176,9 @@ def test_stale_truth_can_end_a_run(start: Start, simulator: Simulator, tmp_path:
     assert len(run.err.splitlines()) == 1
     reported = read_summary(tmp_path / "s.json")
     assert "truth is stale" in reported["error"]
-    assert 5 <= reported["shots"]["due"] <= 10
+    age = reported["truth"]["age"]
+    assert 5 <= age["count"] <= 10
+    assert age["max_ns"] <= 100_000_000  # stale_after_s
 
 
 def test_stale_truth_can_blind_the_beams(start: Start, simulator: Simulator, tmp_path: Path) -> None:
