@@ -326,3 +326,15 @@ def test_lag_is_left_out_within_its_bound(make_flight) -> None:
         (decision,) = [d for d in model.plan.decisions if d.stage == "lag of the receiving beam"]
         assert decision.computed is computed
         assert model.plan.receiving_lag is computed
+
+
+def test_a_misaligned_beam_is_misaligned_in_every_record(fly) -> None:
+    """Tilted about sensor x by 50 mrad, a beam to the right points that much closer to nadir, also while it turns."""
+    tilt = [{"kind": "misalignment", "tilt_mrad": [50, 0]}]
+    closer = {"pattern": {"kind": "directions", "beams": [[22.5 - np.degrees(0.05), 90]]}}
+    aimed = []
+    for scanner, faults in ((TO_THE_RIGHT, tilt), (closer, [])):
+        model = build_model(fly(nodding_columns(), scanner=scanner, faults=faults))
+        assert isinstance(model, FlightModel)
+        aimed.append(model.aim(np.arange(20), model.initial_state)[0].at_chirps)
+    np.testing.assert_allclose(aimed[0], aimed[1], rtol=0, atol=1e-12)
