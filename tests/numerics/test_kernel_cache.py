@@ -20,6 +20,7 @@ from numba.core import config
 from numba.core.dispatcher import Dispatcher
 
 import lidar_emu
+from lidar_emu import errors
 from lidar_emu.numerics import kernel_cache
 from lidar_emu.numerics.kernel_cache import digest
 
@@ -71,7 +72,7 @@ def start(source: str = SOURCE, x: float = 10.0) -> tuple[float, int]:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(kernel_cache, "_warned", set())
+    monkeypatch.setattr(errors, "_warned", set())
     return tmp_path / "kernels"
 
 

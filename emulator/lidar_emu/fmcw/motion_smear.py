@@ -83,3 +83,8 @@ def smear_taps(smear: float, half: int, taps: FloatArray) -> None:
                 im += share * sin(angle)
         taps[0, half + m] = taps[0, half - m] = re
         taps[1, half + m] = taps[1, half - m] = im
+
+
+def integral_nodes(half: int) -> int:
+    """Nodes at which `smear_taps` evaluates integrands for small smear; 0 where it sums a series."""
+    return 0 if half <= LEAST_TAPS else (half + 1) * (2 + int(half / 3.0)) * len(_NODES)

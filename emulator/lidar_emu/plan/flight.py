@@ -22,6 +22,7 @@ from lidar_emu.plan.motion import (
 )
 from lidar_emu.plan.plan import Decision, Plan
 from lidar_emu.plan.receiver import ambiguity, plan_receiver
+from lidar_emu.plan.run_time import Operations, count_operations
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scenario.schema import FlightScenario
@@ -49,6 +50,10 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     lag, receiving_lag = plan_lag(scenario, motion, hits)
     # Scatterers are computed on the exact motion, whatever the plan.
     measured = scenario.level != "geometric" and scenario.waveform_echo == "beamlets"
+    spread = spread_bins(scenario.instrument, pointing, hits)
+    operations = None
+    if scenario.waveform_echo == "beamlets":
+        operations = count_operations(scenario, flight.shot_count, echoes, spread, beamlets)
     decisions = (
         *_geometry(scenario, flight, pointing, hits),
         _air(scenario),
@@ -57,8 +62,9 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
         *plan_receiver(scenario, echoes, motion),
         *([curvature, lag, plan_delay(echoes)] if measured else []),
         *planned_faults(scenario),
+        _run_time(operations, flight.shot_count * flight.period_ns * 1e-9),
     )
-    return Plan(decisions, beamlets, follows_chirps and measured, receiving_lag)
+    return Plan(decisions, beamlets, follows_chirps and measured, receiving_lag, operations)
 
 
 def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
@@ -237,3 +243,21 @@ def _footprint(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> tupl
         bound = f"{100 * np.pi**2 / 3 * spread**2:.2g} % of the peak power"
         return Decision("footprint", False, "1 beamlet", reason, bound), 1
     return Decision("footprint", True, f"{beamlets} beamlets", reason, "sampled"), beamlets
+
+
+def _run_time(operations: Operations | None, flown_s: float) -> Decision:
+    """Predict the run's computing time."""
+    if operations is None:
+        reason = "the number of scatterers is known shot by shot"
+        return Decision("computing time", True, "not predicted", reason, "seconds per beam")
+    total_s = operations.total_s
+    how = f"{_duration(total_s)}, {total_s / flown_s:.2g} of the flight's time"
+    bound = "a factor of two on one core of a 2.5 GHz Xeon, without start and compilation"
+    return Decision("computing time", True, how, operations.dominant, bound)
+
+
+def _duration(time_s: float) -> str:
+    for unit, length_s in (("days", 86_400), ("hours", 3600), ("minutes", 60)):
+        if time_s >= 2 * length_s:
+            return f"{time_s / length_s:.2g} {unit}"
+    return f"{time_s:.2g} s"

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from math import ceil, floor, isfinite, log10
 
+from lidar_emu.plan.run_time import Operations
+
 
 def at_most(value: float) -> str:
     """Write a bound with two digits, rounded up."""
@@ -41,6 +43,8 @@ class Plan:
     """Whether beams are pointed at the times of the chirps' records, to follow the curvature of their motion."""
     receiving_lag: bool = True
     """Whether echoes are dimmed by the rotation of the beam while the light travels."""
+    operations: Operations | None = None
+    """Number of operations; None if it is not predicted."""
 
     def rows(self) -> list[dict[str, str | bool]]:
         """Convert the decisions to JSON values."""

@@ -127,8 +127,7 @@ class Poles:
         from scipy import fft
 
         rate_hz, count = waveform.sample_rate_hz, waveform.fft_length
-        share = highest_hz / (_USED_BAND * 0.5 * rate_hz)
-        factor = 2 ** max(0, ceil(log2(share))) if share > 0.0 else 1
+        factor = oversampling(waveform, highest_hz)
         whole = fft.next_fast_len(response.run_in(rate_hz) + count + _MARGIN)
         ahead = whole - count - _MARGIN
         step_s = 1.0 / (factor * rate_hz)
@@ -143,6 +142,12 @@ class Poles:
         from scipy import fft
 
         return np.asarray(fft.ifft(self._gain * fft.fft(light))[..., self._kept])
+
+
+def oversampling(waveform: Waveform, highest_hz: float) -> int:
+    """Factor of the sample rate at which beats up to this frequency lie within the used band."""
+    share = highest_hz / (_USED_BAND * 0.5 * waveform.sample_rate_hz)
+    return int(2 ** max(0, ceil(log2(share)))) if share > 0.0 else 1
 
 
 def _taper(band_share: FloatArray) -> FloatArray:

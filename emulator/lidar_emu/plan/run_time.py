@@ -1,0 +1,161 @@
+"""Prediction of a run's computing time from the operations that it will carry out.
+
+Operations are counted from the scenario and a sample of its flight; each kind has a time that was measured once. The
+prediction is meant to be right within a factor of two on a core of the machine that the documentation names
+(`docs/accuracy.md`); it excludes start and compilation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from lidar_emu.echo.spectral_spread import Spread
+from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.kernels import interpreted
+from lidar_emu.scenario.schema import FlightScenario
+
+_COSTS = {
+    "beams": (1.2e-6, "beams pointed and reported"),
+    "rays": (0.07e-6, "rays and their echoes"),
+    "parcels of dust": (0.8e-6, "parcels of dust"),
+    "records": (1.5e-6, "records"),
+    "tones": (0.06e-6, "tones"),
+    "bins": (0.03e-6, "bins"),
+    "tones in bins": (0.5e-9, "tones in bins"),
+    "taps in bins": (0.5e-9, "taps of smear and linewidth in bins"),
+    "nodes of taps": (33e-9, "nodes of the integrals of smear taps"),
+    "beamlet samples": (42e-9, "samples of beamlets"),
+    "receiver samples": (290e-9, "samples with their run-in behind the poles"),
+}
+"""Time of one operation of each kind on a core of a 2.5 GHz Xeon, from `tools/run_times.py`, and its name."""
+
+_DUST_BEAMLETS = 9
+"""Parcels and streak of `echo.dust`, each in an interval of bins of its own."""
+
+_EXTENT_RMS = 5.0
+"""Width of the beamlets' spectrum in rms widths of the footprint's."""
+
+
+@dataclass(frozen=True)
+class Operations:
+    """Number of operations of a run by kind."""
+
+    count: dict[str, float]
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Time by kind."""
+        return {kind: number * _COSTS[kind][0] for kind, number in self.count.items()}
+
+    @property
+    def total_s(self) -> float:
+        """Time of all operations."""
+        return sum(self.seconds.values())
+
+    @property
+    def dominant(self) -> str:
+        """Kind that takes the most time, with its share and number, for people."""
+        seconds = self.seconds
+        most = max(seconds, key=lambda kind: seconds[kind])
+        share = seconds[most] / self.total_s if self.total_s else 0.0
+        return f"{100 * share:.0f} % for {self.count[most]:.2g} {_COSTS[most][1]}"
+
+
+def count_operations(
+    scenario: FlightScenario, shots: int, echoes: Echoes, spread: Spread, beamlets: int
+) -> Operations:
+    """Count the operations of a run of `shots` shots.
+
+    Args:
+        scenario: scenario of the run.
+        shots: number of shots.
+        echoes: echoes sampled along the flight, (samples, beams, 1).
+        spread: spectral spread of the same beams.
+        beamlets: number of beamlets that the run uses.
+    """
+    fired = echoes.fired
+    beams = shots * fired.mean() * fired.shape[1]
+    lit = fired & np.isfinite(echoes.range_m[..., 0])
+    measured = shots * lit.mean() * lit.shape[1]
+    count = {"beams": beams, "rays": beams * beamlets}
+    level, records = scenario.level, 3.0 * scenario.instrument.detection.looks
+    each = {}
+    if level == "waveform":
+        each = _waveform(scenario, echoes, beamlets)
+    elif level == "spectral" and lit.any():
+        each = _spectral(scenario, echoes, spread, beamlets, lit)
+    elif level == "statistical":
+        each = {"records": records, "tones": records * _padded(beamlets)}
+    if scenario.plume is not None and level != "geometric":
+        each["parcels of dust"] = float(_DUST_BEAMLETS)
+    return Operations(count | {kind: measured * number for kind, number in each.items()})
+
+
+def _padded(beamlets: int) -> int:
+    """Tones of a record: the beamlets and the haze, in whole divisions."""
+    from lidar_emu.fmcw.close_tones import TONES_PER_DIVISION
+
+    return -(-(beamlets + 1) // TONES_PER_DIVISION) * TONES_PER_DIVISION
+
+
+def _spectral(
+    scenario: FlightScenario, echoes: Echoes, spread: Spread, beamlets: int, lit: BoolArray
+) -> dict[str, float]:
+    """Operations of a beam measurement, mean over the sampled beams."""
+    from lidar_emu.fmcw.bin_filter import widest_filter
+    from lidar_emu.fmcw.motion_smear import LEAST_TAPS, integral_nodes
+    from lidar_emu.fmcw.receiver_constants import build_receiver
+    from lidar_emu.fmcw.spectrum import REACH
+
+    instrument, waveform = scenario.instrument, scenario.instrument.waveform
+    looks = instrument.detection.looks
+    model = build_receiver(instrument, scenario.site, scenario.exact)
+    range_m, speed_mps = echoes.range_m[..., 0][lit], echoes.closing_speed_mps[..., 0][lit]
+    smear_mps2 = np.nan_to_num(echoes.smear_acceleration_mps2[lit])
+    filter_of = np.vectorize(partial(interpreted(widest_filter), model), otypes=[float])
+    half = filter_of(range_m, speed_mps, smear_mps2)
+    taps = np.where(half > 0.0, 2.0 * half + 1.0, 0.0)
+    nodes = np.vectorize(integral_nodes, otypes=[float])(half)
+    # Between looks the surface comes nearer and changes its speed, and their bins are computed together.
+    lasting_s = (looks - 1) * waveform.cycle_time_s
+    width = abs(speed_mps) * lasting_s / waveform.range_bin_m
+    width += abs(echoes.closing_acceleration_mps2[lit]) * lasting_s / waveform.speed_bin_mps
+    if beamlets > 1:
+        width += _EXTENT_RMS * spread.widest()[lit]
+    interval = 2.0 * (REACH + np.maximum(0.0, half - LEAST_TAPS)) + 1.0
+    tones, bins = _padded(beamlets), interval + width
+    if scenario.plume is not None:
+        tones, bins = _padded(beamlets + _DUST_BEAMLETS), bins + _DUST_BEAMLETS * interval
+    bins = np.minimum(bins, 0.5 * waveform.fft_length)
+    records = 3.0 * looks
+    return {
+        "records": records,
+        "tones": records * tones,
+        "bins": records * float(bins.mean()),
+        "tones in bins": records * tones * float(bins.mean()),
+        "taps in bins": records * float((taps * (bins + taps)).mean()),
+        "nodes of taps": records * float(nodes.mean()),
+    }
+
+
+def _waveform(scenario: FlightScenario, echoes: Echoes, beamlets: int) -> dict[str, float]:
+    """Samples of a beam measurement, of three records with their run-in."""
+    from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, oversampling
+
+    waveform, receiver = scenario.instrument.waveform, scenario.instrument.receiver
+    response = AnalogResponse(receiver.bandwidth_hz, receiver.ac_coupling_hz)
+    samples = waveform.fft_length
+    if not response.flat:
+        highest_bin = _largest(echoes.range_m) / waveform.range_bin_m
+        highest_bin += _largest(echoes.closing_speed_mps) / waveform.speed_bin_mps
+        samples += response.run_in(waveform.sample_rate_hz)
+        samples *= oversampling(waveform, highest_bin * waveform.bin_width_hz)
+    return {"beamlet samples": 3.0 * beamlets * samples, "receiver samples": 3.0 * samples}
+
+
+def _largest(values: FloatArray) -> float:
+    return float(np.nanmax(np.abs(values), initial=0.0))
