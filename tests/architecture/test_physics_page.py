@@ -137,12 +137,15 @@ def test_every_key_of_an_instrument_has_a_symbol() -> None:
 def test_every_function_exists() -> None:
     keys = {row[2].strip("`") for row in rows("## Symbols and keys")}
     names = (
-        set(re.findall(r"`((?:echo|flight|fmcw|plan|probability|scanner|scenario)\.[\w.]+)`", PAGE)) - keys
+        set(
+            re.findall(r"`((?:echo|flight|fmcw|plan|probability|scanner|scatterers|scenario)\.[\w.]+)`", PAGE)
+        )
+        - keys
     )
     assert len(names) > 40
     for name in names:
         parts = name.split(".")
-        for length in range(len(parts) - 1, 0, -1):
+        for length in range(len(parts), 0, -1):
             try:
                 module = importlib.import_module(".".join(["lidar_emu", *parts[:length]]))
             except ModuleNotFoundError:
@@ -172,6 +175,19 @@ def echo_by_quadrature_w(range_m: float) -> float:
     overlap, _ = quad(lambda r: mode(r) ** 2 * 2.0 * pi * r, 0.0, 10.0 * width_m, epsabs=0.0)
     sent_w = optics.laser_power_w * optics.optical_efficiency * optics.depolarisation
     return float(LAMBDA**2 * sent_w * 0.18 / pi * overlap)
+
+
+def overlap_of_lagging_modes(range_m: float, turning_radps: float) -> float:
+    """Overlap of the transmitted and the received intensity over the overlap in hover, along the lag's direction."""
+    waist_m = INSTRUMENT.optics.waist_radius_m
+    width_m = sqrt(waist_m**2 + (LAMBDA * range_m / (pi * waist_m)) ** 2)
+    lag_m = turning_radps * 2.0 * range_m / C * range_m
+
+    def overlap(apart_m: float) -> float:
+        x = np.linspace(-8.0 * width_m, 8.0 * width_m, 4001)
+        return float(np.sum(np.exp(-2.0 * (x**2 + (x - apart_m) ** 2) / width_m**2)))
+
+    return overlap(lag_m) / overlap(0.0)
 
 
 def line_scatter_by_spectrum_bin(range_m: float) -> float:
@@ -266,6 +282,10 @@ def check_values() -> dict[str, tuple[float, float]]:
         "carrier-to-noise ratio": (
             10.0 * log10(echo_w * snr_per_w(INSTRUMENT, None)),
             10.0 * log10(photons / (adc + adc_ratio)),
+        ),
+        "loss by the lag of the receiving beam": (
+            10.0 * log10(echo_w / float(coherent_power_w(INSTRUMENT, site.surface, None, far_m, 1.0, 2.0))),
+            -10.0 * log10(overlap_of_lagging_modes(far_m, 2.0)),
         ),
         "thermal over shot noise": (
             others(temperature_k=1e-30),
