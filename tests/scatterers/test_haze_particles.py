@@ -84,7 +84,7 @@ def test_constant_segment_has_the_haze_on_one_line() -> None:
 def test_strong_haze_is_chosen_in_place_of_the_surface(
     range_m: float, backscatter: float, extinction: float, good: float, wrong: float
 ) -> None:
-    """An independent computation of the same scenes."""
+    """An independent computation, whose surface may be brighter: these two scenes hardly depend on that."""
     shots = 60
     down_m = range_m * float(np.cos(np.radians(15.0)))
     settings = {
