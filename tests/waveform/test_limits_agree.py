@@ -47,6 +47,8 @@ def _echoes(
         every * range_rate_mps,
         still,
         still,
+        still,
+        still,
         place,
         0.0 * place,
         still == 0.0,

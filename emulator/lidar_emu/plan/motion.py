@@ -29,7 +29,7 @@ _MOST_SHOTS = 65_536
 _SHOTS_AT_ONCE = 4096
 
 
-class Motion(NamedTuple):
+class MotionExtremes(NamedTuple):
     """Largest motion of a flight's beams within measurements, absolute values."""
 
     acceleration_mps2: float
@@ -44,7 +44,7 @@ class Motion(NamedTuple):
     """Rate of a beam's direction."""
 
 
-def sweep_motion(flight: Flight, hits: Hits, least_cosine: float) -> Motion:
+def sweep_motion(flight: Flight, hits: Hits, least_cosine: float) -> MotionExtremes:
     """Evaluate the beams of all shots, in the patterns as flown; of a long flight, 65 536 shots or more along it.
 
     Closing speeds are evaluated at each record's time. The ranges there depend on the ground, which is known at the
@@ -55,18 +55,18 @@ def sweep_motion(flight: Flight, hits: Hits, least_cosine: float) -> Motion:
     step = max(1, flight.shot_count // _MOST_SHOTS)
     shot, state = np.arange(0, flight.shot_count, step, dtype=np.int64), flight.scanner.initial
     farthest_m = float(np.nanmax(hits.range_m, initial=0.0))
-    largest = np.zeros(len(Motion._fields))
+    largest = np.zeros(len(MotionExtremes._fields))
     for first in range(0, len(shot), _SHOTS_AT_ONCE):
         pointing, state = flight.point(shot[first : first + _SHOTS_AT_ONCE], state, follows_chirps=True)
         motion = _motions(pointing, segment_s, farthest_m, least_cosine)
         largest = np.maximum(largest, [np.nanmax(np.abs(values), initial=0.0) for values in motion])
-    return Motion(*largest.tolist())
+    return MotionExtremes(*largest.tolist())
 
 
 def _motions(
     pointing: Pointing, segment_s: float, farthest_m: float, least_cosine: float
 ) -> tuple[FloatArray, ...]:
-    """Fields of `Motion` of each beam, (shots, beams) or broadcast to it."""
+    """Fields of `MotionExtremes` of each beam, (shots, beams) or broadcast to it."""
     beams, chirps = BeamVectors(*pointing.beams), ChirpBeams(*pointing.at_chirps)
     swing = cross(beams.turning_radps, beams.true)
     closing_mps = dot(beams.velocity_mps, beams.true)
@@ -100,7 +100,7 @@ def least_cosine(pointing: Pointing, hits: Hits) -> float:
     return max(float(np.nanmin(cosine, initial=1.0)), LEAST_COSINE)
 
 
-def plan_curvature(scenario: FlightScenario, motion: Motion) -> tuple[Decision, bool]:
+def plan_curvature(scenario: FlightScenario, motion: MotionExtremes) -> tuple[Decision, bool]:
     """Decide whether beams are pointed at each record's time, or continue with their rates.
 
     A change δv of closing speed between chirp and constant segment changes range by c δv / (λ S), as an acceleration
@@ -147,7 +147,7 @@ def plan_delay(echoes: Echoes) -> Decision:
     return Decision("delay to the ground", False, "-", reason, bound)
 
 
-def plan_lag(scenario: FlightScenario, motion: Motion, hits: Hits) -> tuple[Decision, bool]:
+def plan_lag(scenario: FlightScenario, motion: MotionExtremes, hits: Hits) -> tuple[Decision, bool]:
     """Decide whether echoes are dimmed by the rotation of the beam while the light travels; see docs/physics.md."""
     optics, waveform = scenario.instrument.optics, scenario.instrument.waveform
     range_m = np.array(np.nanmax(hits.range_m, initial=0.0))

@@ -11,7 +11,7 @@ import numpy as np
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.skip_limits import LEAST_FALSE_ALARM, LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.plan.motion import Motion
+from lidar_emu.plan.motion import MotionExtremes
 from lidar_emu.plan.plan import Decision
 from lidar_emu.scenario.ambiguity import folded_range, folded_speed
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Waveform
@@ -24,7 +24,7 @@ LINE_BOUND_POWER, LINE_BOUND_BINS = 0.03, 0.03
 """Change of an echo's power and frequency by the laser linewidth that is left out: four sigma."""
 
 
-def plan_receiver(scenario: FlightScenario, echoes: Echoes, motion: Motion) -> list[Decision]:
+def plan_receiver(scenario: FlightScenario, echoes: Echoes, motion: MotionExtremes) -> list[Decision]:
     """Decide the receiver's stages from echoes sampled along the flight, with one beamlet per beam."""
     if scenario.level == "geometric":
         return [
@@ -96,7 +96,7 @@ def ambiguity(scenario: FlightScenario, farthest_m: float, fastest_mps: float) -
     return Decision("ambiguity", bool(bounds), how, reason, "; ".join(bounds) or "exact")
 
 
-def _motion(waveform: Waveform, motion: Motion) -> Decision:
+def _motion(waveform: Waveform, motion: MotionExtremes) -> Decision:
     fastest_mps2 = motion.acceleration_mps2
     # Between up- and down-chirp the speed changes by 2 T a, which causes a range error.
     bias_m = SPEED_OF_LIGHT_MPS * waveform.segment_time_s * fastest_mps2
