@@ -1,4 +1,4 @@
-"""Predicted and measured computing times of runs, as a table: the calibration of `lidar_emu.plan.run_time`.
+"""Predicted and measured computing times of runs, as a table: the calibration of `lidar_emu.plan.operations`.
 
     python tools/run_times.py [CASE ...]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Poles
-from lidar_emu.plan.run_time import Operations
+from lidar_emu.plan.operations import Operations
 from lidar_emu.scenario.instrument import Waveform
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model

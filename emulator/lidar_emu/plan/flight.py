@@ -20,9 +20,10 @@ from lidar_emu.plan.motion import (
     plan_unknown_curvature,
     sweep_motion,
 )
+from lidar_emu.plan.operations import Operations
 from lidar_emu.plan.plan import Decision, Plan
 from lidar_emu.plan.receiver import ambiguity, plan_receiver
-from lidar_emu.plan.run_time import Operations, count_operations
+from lidar_emu.plan.run_time import count_operations
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scenario.schema import FlightScenario

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from math import ceil, floor, isfinite, log10
 
-from lidar_emu.plan.run_time import Operations
+from lidar_emu.plan.operations import Operations
 
 
 def at_most(value: float) -> str:

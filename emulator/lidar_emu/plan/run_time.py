@@ -7,7 +7,6 @@ prediction is meant to be right within a factor of two on a core of the machine 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -16,53 +15,14 @@ from lidar_emu.echo.spectral_spread import Spread
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
+from lidar_emu.plan.operations import Operations
 from lidar_emu.scenario.schema import FlightScenario
-
-_COSTS = {
-    "beams": (1.2e-6, "beams pointed and reported"),
-    "rays": (0.07e-6, "rays and their echoes"),
-    "parcels of dust": (0.8e-6, "parcels of dust"),
-    "records": (1.5e-6, "records"),
-    "tones": (0.06e-6, "tones"),
-    "bins": (0.03e-6, "bins"),
-    "tones in bins": (0.5e-9, "tones in bins"),
-    "taps in bins": (0.5e-9, "taps of smear and linewidth in bins"),
-    "nodes of taps": (33e-9, "nodes of the integrals of smear taps"),
-    "beamlet samples": (42e-9, "samples of beamlets"),
-    "receiver samples": (290e-9, "samples with their run-in behind the poles"),
-}
-"""Time of one operation of each kind on a core of a 2.5 GHz Xeon, from `tools/run_times.py`, and its name."""
 
 _DUST_BEAMLETS = 9
 """Parcels and streak of `echo.dust`, each in an interval of bins of its own."""
 
 _EXTENT_RMS = 5.0
 """Width of the beamlets' spectrum in rms widths of the footprint's."""
-
-
-@dataclass(frozen=True)
-class Operations:
-    """Number of operations of a run by kind."""
-
-    count: dict[str, float]
-
-    @property
-    def seconds(self) -> dict[str, float]:
-        """Time by kind."""
-        return {kind: number * _COSTS[kind][0] for kind, number in self.count.items()}
-
-    @property
-    def total_s(self) -> float:
-        """Time of all operations."""
-        return sum(self.seconds.values())
-
-    @property
-    def dominant(self) -> str:
-        """Kind that takes the most time, with its share and number, for people."""
-        seconds = self.seconds
-        most = max(seconds, key=lambda kind: seconds[kind])
-        share = seconds[most] / self.total_s if self.total_s else 0.0
-        return f"{100 * share:.0f} % for {self.count[most]:.2g} {_COSTS[most][1]}"
 
 
 def count_operations(
