@@ -22,7 +22,7 @@ from lidar_emu.plan.motion import (
 )
 from lidar_emu.plan.operations import Operations
 from lidar_emu.plan.plan import Decision, Plan
-from lidar_emu.plan.receiver import ambiguity, plan_receiver
+from lidar_emu.plan.receiver import plan_receiver, plan_unknown_ambiguity
 from lidar_emu.plan.run_time import count_operations
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.mesh_ground import Mesh
@@ -85,7 +85,7 @@ def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
             Decision(
                 "receiver", True, scenario.level, f"the scenario specifies level {scenario.level}", kept
             ),
-            ambiguity(scenario, scenario.instrument.detection.maximum_range_m, 0.0),
+            plan_unknown_ambiguity(scenario.instrument),
             *planned_faults(scenario),
         ),
         beamlets,

@@ -14,7 +14,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.motion import MotionExtremes
 from lidar_emu.plan.plan import Decision
 from lidar_emu.scenario.ambiguity import folded_range, folded_speed
-from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Waveform
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Instrument, Waveform
 from lidar_emu.scenario.schema import FlightScenario
 
 SMEAR_BOUND = LEAST_SMEAR_BINS / (2 * np.pi)
@@ -37,7 +37,7 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes, motion: MotionExtrem
         f"the scenario specifies level {scenario.level}",
         _LEVEL[scenario.level],
     )
-    folds = ambiguity(scenario, _largest(echoes.range_m), _largest(echoes.closing_speed_mps))
+    folds = plan_ambiguity(scenario, _largest(echoes.range_m), _largest(echoes.closing_speed_mps))
     if scenario.waveform_echo != "beamlets":
         receiver = _response(scenario.instrument), _clipping(scenario.instrument)
         return [level, folds, _scatterers(scenario), *receiver]
@@ -55,6 +55,8 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes, motion: MotionExtrem
     ]
 
 
+_FOLDED = "beats folded at half the sample rate"
+
 _LEVEL = {
     "statistical": "one frequency for each segment's spectrum",
     "spectral": "1e-11 of a spectrum's peak",
@@ -71,12 +73,11 @@ def _scatterers(scenario: FlightScenario) -> Decision:
     return Decision("scatterers", True, f"of {volume}, on the exact motion", reason, bound)
 
 
-def ambiguity(scenario: FlightScenario, farthest_m: float, fastest_mps: float) -> Decision:
+def plan_ambiguity(scenario: FlightScenario, farthest_m: float, fastest_mps: float) -> Decision:
     """Decide whether beats fold, from the longest range and the highest closing speed of a flight."""
     instrument, waveform = scenario.instrument, scenario.instrument.waveform
     half_m, half_mps = waveform.nyquist_range_m, waveform.unambiguous_speed_mps
-    reason = f"up to {farthest_m:.0f} m and {fastest_mps:.3g} m/s; beats fold beyond {half_m:.6g} m, "
-    reason += f"Doppler shifts beyond {half_mps:.4g} m/s"
+    reason = f"up to {farthest_m:.0f} m and {fastest_mps:.3g} m/s; {_limits_of_folding(waveform)}"
     # An echo that arrives within the record folds, wherever the surfaces of this flight are.
     bounds = []
     doubtful_m = 2.0 * half_m - waveform.record_edge_range_m
@@ -88,12 +89,29 @@ def ambiguity(scenario: FlightScenario, farthest_m: float, fastest_mps: float) -
         bounds.append(f"{folded_speed(waveform, fastest_mps)}, with its sign resolved")
     folds = farthest_m / half_m + fastest_mps / half_mps > 1.0
     if folds and not bounds:
-        joint = instrument.detection.combine == "least_squares"
-        bounds.append(
-            "the signs of least residual" if joint else "the published detector ignores folds and errs there"
-        )
-    how = "beats folded at half the sample rate" if bounds else "-"
-    return Decision("ambiguity", bool(bounds), how, reason, "; ".join(bounds) or "exact")
+        bounds.append(_choice_of_folds(instrument.detection))
+    return Decision(
+        "ambiguity", bool(bounds), _FOLDED if bounds else "-", reason, "; ".join(bounds) or "exact"
+    )
+
+
+def plan_unknown_ambiguity(instrument: Instrument) -> Decision:
+    """State where beats fold on a flight with live truth."""
+    reason = f"the trajectory is unknown before the run; {_limits_of_folding(instrument.waveform)}"
+    return Decision("ambiguity", True, _FOLDED, reason, _choice_of_folds(instrument.detection))
+
+
+def _limits_of_folding(waveform: Waveform) -> str:
+    """Describe the range and the closing speed beyond which beats fold."""
+    half_m, half_mps = waveform.nyquist_range_m, waveform.unambiguous_speed_mps
+    return f"beats fold beyond {half_m:.6g} m, Doppler shifts beyond {half_mps:.4g} m/s"
+
+
+def _choice_of_folds(detection: Detection) -> str:
+    """Describe how signs and folds are chosen."""
+    if detection.combine == "least_squares":
+        return "the signs of least residual"
+    return "the published detector ignores folds and errs there"
 
 
 def _motion(waveform: Waveform, motion: MotionExtremes) -> Decision:
