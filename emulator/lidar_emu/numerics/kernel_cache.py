@@ -6,12 +6,6 @@ processes that compile concurrently may exchange entries of its index. Here a na
 options of the kernel and of every kernel that it calls, and each file has a checksum: a file is correct or the kernel
 is compiled again. The files are in `~/.cache/lidar-emu/kernels` unless `XDG_CACHE_HOME` or `NUMBA_CACHE_DIR` is set,
 and may be deleted at any time.
-
-numba's own cache keeps a compiled function until its file changes, whatever changes in the functions that it calls,
-and two processes that compile at once may exchange entries of its index. Here a name is a hash of the code, the
-constants and the options of the kernel and of every kernel that it calls, and a file carries a check sum: it is right
-or it is compiled again. The files lie in `~/.cache/lidar-emu/kernels`, unless `XDG_CACHE_HOME` or `NUMBA_CACHE_DIR`
-names another folder, and may be deleted at any time.
 """
 
 from __future__ import annotations
