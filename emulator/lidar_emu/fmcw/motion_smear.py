@@ -70,19 +70,22 @@ def smear_taps(smear: float, half: int, taps: FloatArray) -> None:
             taps[0, half + m] = taps[0, half - m] = re
             taps[1, half + m] = taps[1, half - m] = im
         return
+    taps[:, half : 2 * half + 1] = 0.0
     panels = 2 + int((abs(smear) + half) / 3.0)
-    for m in range(half + 1):
-        re = im = 0.0
-        for panel in range(panels):
-            for q in range(len(_NODES)):
-                # The integrand is even: half the record, twice.
-                x = 0.25 * (2 * panel + 1 + _NODES[q]) / panels
-                share = 0.5 * _WEIGHTS[q] / panels * cos(2 * pi * m * x)
-                angle = pi * smear * x * x
-                re += share * cos(angle)
-                im += share * sin(angle)
-        taps[0, half + m] = taps[0, half - m] = re
-        taps[1, half + m] = taps[1, half - m] = im
+    for panel in range(panels):
+        for q in range(len(_NODES)):
+            # The integrand is even: half the record, twice.
+            x = 0.25 * (2 * panel + 1 + _NODES[q]) / panels
+            weight = 0.5 * _WEIGHTS[q] / panels
+            angle = pi * smear * x * x
+            re, im = cos(angle), sin(angle)
+            for m in range(half + 1):
+                share = weight * cos(2 * pi * m * x)
+                taps[0, half + m] += share * re
+                taps[1, half + m] += share * im
+    for m in range(1, half + 1):
+        taps[0, half - m] = taps[0, half + m]
+        taps[1, half - m] = taps[1, half + m]
 
 
 def integral_nodes(half: int) -> int:

@@ -13,7 +13,7 @@ _COSTS = {
     "bins": (0.03e-6, "bins"),
     "tones in bins": (0.5e-9, "tones in bins"),
     "taps in bins": (0.5e-9, "taps of smear and linewidth in bins"),
-    "nodes of taps": (33e-9, "nodes of the integrals of smear taps"),
+    "nodes of taps": (15e-9, "nodes of the integrals of smear taps"),
     "beamlet samples": (42e-9, "samples of beamlets"),
     "receiver samples": (290e-9, "samples with their run-in behind the poles"),
 }
