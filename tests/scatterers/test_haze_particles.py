@@ -28,8 +28,8 @@ MOTIONS = {
 }
 
 
-def light(poses_at: PosesAt, range_m: float, segment, seed: int = 1) -> RecordLight:
-    beam = HazyBeam.of(INSTRUMENT, AIR, 1.0)
+def light(poses_at: PosesAt, range_m: float, segment, seed: int = 1, air: Atmosphere = AIR) -> RecordLight:
+    beam = HazyBeam.of(INSTRUMENT, air, 1.0)
     particles = strew_haze(beam, poses_at, *SPAN_S, range_m, np.random.default_rng(seed))
     half_s = 0.5 * WAVEFORM.record_time_s
     return record_light(MODE, segment, poses_at, particles, -half_s, half_s)
@@ -74,6 +74,19 @@ def test_chirps_spread_the_haze_from_short_range_on() -> None:
 def test_constant_segment_has_the_haze_on_one_line() -> None:
     one = light(gliding([0.0, 0.0, -20.0]), 150.0, CONSTANT)
     np.testing.assert_allclose(one.middle_frequency_hz, -2.0 * 20.0 / WAVEFORM.wavelength_m, rtol=1e-4)
+
+
+def test_wind_shifts_the_line_and_keeps_the_power() -> None:
+    """The sensor sinks at 20 m/s in air that rises at 5 m/s and crosses the beam at 30 m/s: 25 m/s closing."""
+    windy = AIR.model_copy(update={"wind_mps": (30.0, 0.0, 5.0)})
+    lights = [light(gliding([0.0, 0.0, -20.0]), 150.0, CONSTANT, seed, windy) for seed in range(5)]
+    np.testing.assert_allclose(lights[0].middle_frequency_hz, -2.0 * 25.0 / WAVEFORM.wavelength_m, rtol=1e-3)
+    for place in (-1.0, 1.0):
+        found = []
+        for one in lights:
+            exponents = one.coefficients @ np.vander([place], one.coefficients.shape[1], increasing=True).T
+            found.append(np.sum(np.exp(2.0 * exponents.real)))
+        assert np.mean(found) == pytest.approx(closed_form(0.0, 150.0), rel=0.04)
 
 
 @pytest.mark.slow

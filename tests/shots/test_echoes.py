@@ -246,6 +246,15 @@ def test_power_is_that_of_the_link_budget(make_flight, air, beamlets) -> None:
     assert np.count_nonzero(echoes.power_w) > 3 * beamlets
 
 
+def test_air_closes_with_the_sensor_less_the_wind(make_flight) -> None:
+    parts = tumbling(3000)
+    wind_mps = [7.0, -3.0, 2.0]
+    parts["site"] |= {"atmosphere": {"extinction_per_m": 1e-4, "wind_mps": wind_mps}}
+    pointing, _, echoes = look(make_flight(**parts), [0, 20])
+    expected_mps = dot(pointing.sensor_velocity_site_mps - np.array(wind_mps), pointing.true_site)
+    np.testing.assert_allclose(echoes.air_speed_mps, expected_mps, rtol=1e-12)
+
+
 def test_bits_of_a_shot_do_not_depend_on_the_block(make_flight) -> None:
     scenario = make_flight(**tumbling(500))
     _, _, whole = look(scenario, np.arange(37))

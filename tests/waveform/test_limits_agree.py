@@ -49,6 +49,7 @@ def _echoes(
         still,
         still,
         still,
+        still,
         place,
         0.0 * place,
         still == 0.0,

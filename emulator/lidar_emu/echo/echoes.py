@@ -90,6 +90,7 @@ class _Buffers(NamedTuple):
                 closing_jerk_mps3=np.zeros(shape),
                 range_curvature_mps2=np.zeros(shape),
                 smear_acceleration_mps2=np.empty(shape),
+                air_speed_mps=np.empty(shape),
                 speckle_place=np.empty((*shape, 2)),
                 speckle_drift_per_s=np.empty((*shape, 2)),
                 fired=np.empty(shape, dtype=np.bool_),
@@ -225,6 +226,7 @@ def _set_echoes(
             beam = s * beams + b
             axis, first, second = vectors.true[s, b], across[0, beam], across[1, beam]
             sensor, velocity, away_m = vectors.sensor_m[s, b], vectors.velocity_mps[s, b], axis_range_m[s, b]
+            echoes.air_speed_mps[s, b] = dot(velocity, axis) - dot(law.wind_mps, axis)
             swing_radps = cross(vectors.turning_radps[s, b], axis)
             on_axis = beam * beamlets
             first_mps = _relative_speed(surface_mps, on_axis, velocity, first)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidar_emu.fmcw.physical_constants import ELEMENTARY_CHARGE_C
 from lidar_emu.numerics.kernels import interpreted, kernel
+from lidar_emu.numerics.vectors import Vector
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.site import Atmosphere, Site, Surface
 
@@ -30,6 +31,8 @@ class EchoLaw(NamedTuple):
     """Separation of the two modes by the beam's rotation while the light travels, 2/(c w0): in radii at the waist, per
     rad/s and square metre of range. 0 leaves it out."""
     extinction_per_m: float
+    wind_mps: Vector
+    """Velocity of the air in the site frame."""
     waist_m: float
     rayleigh_m: float
 
@@ -45,6 +48,7 @@ def echo_law(instrument: Instrument, surface: Surface, atmosphere: Atmosphere | 
         parting_per_m=float(optics.alignment_error_rad / optics.waist_radius_m),
         lag_s_per_m2=2.0 / (SPEED_OF_LIGHT_MPS * float(optics.waist_radius_m)),
         extinction_per_m=0.0 if atmosphere is None else float(atmosphere.extinction_per_m),
+        wind_mps=(0.0, 0.0, 0.0) if atmosphere is None else atmosphere.wind_mps,
         waist_m=float(optics.waist_radius_m),
         rayleigh_m=float(np.pi * optics.waist_radius_m**2 / wavelength_m),
     )

@@ -34,6 +34,8 @@ class Echoes(NamedTuple):
     """(shots, beams) Rate of `range_rate_mps` on the axis; 0 where the run leaves it out."""
     smear_acceleration_mps2: FloatArray
     """(shots, beams) Closing acceleration of a point of the ground, which applies within a record."""
+    air_speed_mps: FloatArray
+    """(shots, beams) Closing speed of the air along the axis, which all haze on it has."""
     speckle_place: FloatArray
     """(shots, beams, 2) Position of the footprint in the speckle field, in pitches of its lattice."""
     speckle_drift_per_s: FloatArray

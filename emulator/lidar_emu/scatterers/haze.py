@@ -34,6 +34,8 @@ class HazyBeam(NamedTuple):
     power_per_m3: float
     """SNR of a volume at the waist: β P η λ² (2/(π w0²))² times the SNR per watt."""
     extinction_per_m: float
+    wind_mps: FloatArray
+    """(3,) Velocity of the particles in the site frame."""
     slice_m: float
 
     @classmethod
@@ -44,13 +46,13 @@ class HazyBeam(NamedTuple):
         peak_per_m2 = 2.0 / (np.pi * mode.waist_m**2)
         power = snr_per_w * emitted_w * air.backscatter_per_m_sr * (waveform.wavelength_m * peak_per_m2) ** 2
         bin_m = waveform.bin_width_hz * SPEED_OF_LIGHT_MPS / (2.0 * waveform.chirp_slope_hz_per_s)
-        return cls(mode, power, air.extinction_per_m, bin_m / _SLICES_PER_BIN)
+        return cls(mode, power, air.extinction_per_m, np.array(air.wind_mps), bin_m / _SLICES_PER_BIN)
 
 
 def strew_haze(
     beam: HazyBeam, poses_at: PosesAt, from_s: float, to_s: float, range_m: float, rng: np.random.Generator
 ) -> Scatterers:
-    """Strew particles that rest in the site frame from the sensor to a range.
+    """Strew particles that move with the wind, from the sensor to a range.
 
     Args:
         beam: constants of instrument and atmosphere.
@@ -65,7 +67,7 @@ def strew_haze(
     count = int(range_m / beam.slice_m)
     depth_m = beam.slice_m * (np.arange(count) + rng.random(count))
     radius_m = beam.mode.waist_m * np.sqrt(1.0 + np.square(depth_m / beam.mode.rayleigh_m))
-    start_m, slope = _path(poses_at, from_s, to_s, axis, sensor_m, range_m, beam.mode)
+    start_m, slope = _path(beam, poses_at, from_s, to_s, axis, sensor_m, range_m)
     drawn = (rng.random(3) + np.arange(count)[:, None] * _STEPS) % 1.0
     chosen = (drawn[:, 0] * len(start_m)).astype(int)
     first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
@@ -79,26 +81,30 @@ def strew_haze(
     power = beam.power_per_m3 * beam.slice_m * np.exp(-2.0 * beam.extinction_per_m * depth_m) / density_per_m2
     number = rng.standard_normal(2 * count).view(complex)
     position_m = sensor_m + depth_m[:, None] * axis + place_m @ plane
-    return Scatterers(position_m, np.zeros_like(position_m), np.sqrt(0.5 * power) * number)
+    velocity_mps = np.broadcast_to(beam.wind_mps, position_m.shape)
+    return Scatterers(position_m, velocity_mps, np.sqrt(0.5 * power) * number)
 
 
 def _path(
+    beam: HazyBeam,
     poses_at: PosesAt,
     from_s: float,
     to_s: float,
     axis: FloatArray,
     sensor_m: FloatArray,
     range_m: float,
-    mode: GaussianMode,
 ) -> tuple[FloatArray, FloatArray]:
-    """Offsets (places, 3) of the beam's axis across its middle one, at the sensor and per metre of depth."""
+    """Offsets (places, 3) of the beam's axis across its middle one, at the sensor and per metre of depth, in the frame
+    of the particles."""
     ends = poses_at(np.array([from_s, to_s]))
-    moved_m = np.linalg.norm(np.diff(ends.sensor_m, axis=0))
+    moved_m = np.linalg.norm(np.diff(ends.sensor_m, axis=0) - (to_s - from_s) * beam.wind_mps)
     swept_m = np.linalg.norm(np.diff(ends.transmitted, axis=0)) * range_m
-    steps = moved_m / mode.waist_m + swept_m / mode.radius_m(range_m)
+    steps = moved_m / beam.mode.waist_m + swept_m / beam.mode.radius_m(range_m)
     places = min(_MOST_PLACES, 2 + int(2.0 * steps))
-    poses = poses_at(np.linspace(from_s, to_s, places))
-    offset_m, slope = poses.sensor_m - sensor_m, 0.5 * (poses.transmitted + poses.received)
+    time_s = np.linspace(from_s, to_s, places)
+    poses = poses_at(time_s)
+    offset_m = poses.sensor_m - sensor_m - time_s[:, None] * beam.wind_mps
+    slope = 0.5 * (poses.transmitted + poses.received)
     return offset_m - (offset_m @ axis)[:, None] * axis, slope - (slope @ axis)[:, None] * axis
 
 

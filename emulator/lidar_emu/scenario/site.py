@@ -14,6 +14,7 @@ from lidar_emu.scenario.objects import PlacedObject
 from lidar_emu.scenario.section import Latitude, Longitude, NonNegative, Part, Positive, unusable
 
 Slope = Annotated[float, Field(ge=0, lt=90)]
+Wind = Annotated[float, Field(ge=-1000, le=1000)]
 
 
 class Body(Part):
@@ -153,12 +154,15 @@ class Surface(Part):
 
 
 class Atmosphere(Part):
-    """A homogeneous thin atmosphere."""
+    """A homogeneous thin atmosphere; its particles of haze return light of their own."""
 
     extinction_per_m: NonNegative
     """Extinction coefficient; the echo loses exp(-2 · extinction · range)."""
     backscatter_per_m_sr: NonNegative = 0.0
     """Backscatter coefficient of the air itself; about 1e-7 in clear Martian air."""
+    wind_mps: tuple[Wind, Wind, Wind] = (0.0, 0.0, 0.0)
+    """Velocity of the haze to the east, to the north and up. Haze at rest has the Doppler shift of the ground in the
+    constant segment."""
 
 
 class Site(Part):
