@@ -104,11 +104,16 @@ def chirp_minus_doppler(targets: NDArray[Any], length: float, farthest_bin: floa
         shorter = -shorter
     g_up, g_down = (shorter, longer) if closing else (longer, shorter)
     residual = g_down - g_up - 2.0 * doppler
-    spread = up_var + 4.0 * constant_var + down_var
+    weighting = _weigh(targets)
+    spread = weighting.spread
     apart = (down - up) ** 2 > _RESOLVED_COST * (up_var + down_var)
     # Motion and the chirps' optical frequencies separate the segments' Doppler shifts by a fraction of a bin.
     consistent = abs(residual) <= np.sqrt(_RESOLVED_COST * spread) + 1.0
-    resolved = apart and consistent and not _has_rival(targets, length, farthest_bin, g_up, doppler, g_down)
+    resolved = (
+        apart
+        and consistent
+        and not _has_rival(targets, weighting, length, farthest_bin, g_up, doppler, g_down)
+    )
     range_var = (down_var if closing else up_var) + constant_var
     return Estimate(True, longer - constant, doppler, range_var, constant_var, residual, spread, resolved)
 
@@ -160,23 +165,44 @@ def least_squares(mask: int, targets: NDArray[Any], length: float, farthest_bin:
     return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, False)
 
 
+class _Weighting(NamedTuple):
+    """Weighted least squares of three frequencies, by their variances.
+
+    Signed beats with the residual r give b = (g₊ + g₋) / 2 + `range_share` r and d = g₀ + `doppler_share` r.
+    """
+
+    spread: float
+    """Variance of the residual."""
+    range_var: float
+    doppler_var: float
+    range_share: float
+    doppler_share: float
+    slack: float
+    """Three standard deviations of b."""
+
+
 @kernel
-def _from_three(targets: NDArray[Any], length: float, farthest_bin: float) -> Estimate:
-    up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
+def _weigh(targets: NDArray[Any]) -> _Weighting:
+    """Weigh the targets of all three segments."""
     up_var, constant_var, down_var = (
         targets[0].variance_bin2,
         targets[1].variance_bin2,
         targets[2].variance_bin2,
     )
     spread = up_var + 4.0 * constant_var + down_var
-    if not spread < np.inf:
-        return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, False)
     range_var = 0.25 * (up_var + down_var - (up_var - down_var) ** 2 / spread)
     doppler_var = constant_var - 4.0 * constant_var**2 / spread
-    slack = 3.0 * np.sqrt(range_var)
-    range_share = 0.5 * (up_var - down_var) / spread
-    doppler_share = 2.0 * constant_var / spread
+    range_share, doppler_share = 0.5 * (up_var - down_var) / spread, 2.0 * constant_var / spread
+    return _Weighting(spread, range_var, doppler_var, range_share, doppler_share, 3.0 * np.sqrt(range_var))
 
+
+@kernel
+def _from_three(targets: NDArray[Any], length: float, farthest_bin: float) -> Estimate:
+    weighting = _weigh(targets)
+    spread, range_var, doppler_var, range_share, doppler_share, slack = weighting
+    if not spread < np.inf:
+        return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, False)
+    up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
     best_cost, best_up, best_constant, best_down = np.inf, np.nan, np.nan, np.nan
     choices = _chirp_choices(length, farthest_bin)
     for g_constant in (constant, -constant):
@@ -203,13 +229,14 @@ def _from_three(targets: NDArray[Any], length: float, farthest_bin: float) -> Es
         doppler_var,
         residual,
         spread,
-        found and not _has_rival(targets, length, farthest_bin, best_up, best_constant, best_down),
+        found and not _has_rival(targets, weighting, length, farthest_bin, best_up, best_constant, best_down),
     )
 
 
 @kernel
 def _has_rival(
     targets: NDArray[Any],
+    weighting: _Weighting,
     length: float,
     farthest_bin: float,
     own_up: float,
@@ -218,17 +245,7 @@ def _has_rival(
 ) -> bool:
     """Whether another explanation of three frequencies fits as well as the signed beats `own_up` to `own_down`."""
     up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
-    up_var, constant_var, down_var = (
-        targets[0].variance_bin2,
-        targets[1].variance_bin2,
-        targets[2].variance_bin2,
-    )
-    spread = up_var + 4.0 * constant_var + down_var
-    range_var = 0.25 * (up_var + down_var - (up_var - down_var) ** 2 / spread)
-    doppler_var = constant_var - 4.0 * constant_var**2 / spread
-    slack = 3.0 * np.sqrt(range_var)
-    range_share = 0.5 * (up_var - down_var) / spread
-    doppler_share = 2.0 * constant_var / spread
+    spread, range_var, doppler_var, range_share, doppler_share, slack = weighting
     own = own_down - own_up - 2.0 * own_constant
     own_beat = 0.5 * (own_up + own_down) + range_share * own
     own_doppler = own_constant + doppler_share * own
