@@ -10,6 +10,7 @@ from math import ceil, floor, sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, signed_bin
 from lidar_emu.fmcw.laser_phase_noise import gaussian_line_taps, line_matters, line_taps, phase_drift
@@ -46,6 +47,19 @@ def widest_filter(model: ReceiverModel, range_m: float, speed_mps: float, accele
         narrow = model.homodyne_line and phase_drift(model, range_m) < 0.5
         needed = max(needed, LEAST_TAPS + (0.0 if narrow else ceil(2.0 * model.linewidth_bins)))
     return int(min(needed, float(_MOST_TAPS)))
+
+
+@kernel(outermost=True)
+def set_widest_filters(
+    models: NDArray[Any],
+    range_m: FloatArray,
+    speed_mps: FloatArray,
+    acceleration_mps2: FloatArray,
+    taps: FloatArray,
+) -> None:
+    """Set the taps (n,) on each side that beams (n,) need, by `widest_filter`."""
+    for i in range(len(taps)):
+        taps[i] = widest_filter(models[0], range_m[i], speed_mps[i], acceleration_mps2[i])
 
 
 @kernel(inline="always")

@@ -7,14 +7,12 @@ prediction is meant to be right within a factor of two on a core of the machine 
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from lidar_emu.echo.spectral_spread import Spread
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.numerics.kernels import interpreted
+from lidar_emu.numerics.records import as_record
 from lidar_emu.plan.operations import Operations
 from lidar_emu.scenario.schema import FlightScenario
 
@@ -66,7 +64,7 @@ def _spectral(
     scenario: FlightScenario, echoes: Echoes, spread: Spread, beamlets: int, lit: BoolArray
 ) -> dict[str, float]:
     """Operations of a beam measurement, mean over the sampled beams."""
-    from lidar_emu.fmcw.bin_filter import widest_filter
+    from lidar_emu.fmcw.bin_filter import set_widest_filters
     from lidar_emu.fmcw.motion_smear import LEAST_TAPS, integral_nodes
     from lidar_emu.fmcw.receiver_constants import build_receiver
     from lidar_emu.fmcw.spectrum import REACH
@@ -76,8 +74,8 @@ def _spectral(
     model = build_receiver(instrument, scenario.site, scenario.exact)
     range_m, speed_mps = echoes.range_m[..., 0][lit], echoes.closing_speed_mps[..., 0][lit]
     smear_mps2 = np.nan_to_num(echoes.smear_acceleration_mps2[lit])
-    filter_of = np.vectorize(partial(interpreted(widest_filter), model), otypes=[float])
-    half = filter_of(range_m, speed_mps, smear_mps2)
+    half = np.empty(len(range_m))
+    set_widest_filters(as_record(model), range_m, speed_mps, smear_mps2, half)
     taps = np.where(half > 0.0, 2.0 * half + 1.0, 0.0)
     nodes = np.vectorize(integral_nodes, otypes=[float])(half)
     # Between looks the surface comes nearer and changes its speed, and their bins are computed together.
