@@ -104,7 +104,7 @@ class Case(NamedTuple):
     ) -> WaveformMeasurement:
         """All shots at once; a share of 0 leaves the noise out."""
         receiver = self.instrument.receiver
-        response = AnalogResponse(receiver.bandwidth_hz, receiver.ac_coupling_hz)
+        response = AnalogResponse.of(receiver)
         echoes = self.echoes(shots)
         field = echo_field(self.model, echoes, np.arange(shots), seed if field_seed is None else field_seed)
         return measure_waveform(

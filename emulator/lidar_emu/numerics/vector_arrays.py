@@ -42,6 +42,12 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return product
 
 
+def unit_across(axis: FloatArray) -> FloatArray:
+    """Unit vector (3,) perpendicular to a vector (3,), in the plane across its smallest component."""
+    across = cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    return np.asarray(across / np.sqrt(dot(across, across)))
+
+
 def rotate(target_from_source: FloatArray, source: FloatArray) -> FloatArray:
     """Rotate vectors (..., 3) by matrices (..., 3, 3): (..., 3)."""
     x, y, z = source[..., 0, None], source[..., 1, None], source[..., 2, None]

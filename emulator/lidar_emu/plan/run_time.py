@@ -104,8 +104,8 @@ def _waveform(scenario: FlightScenario, echoes: Echoes, beamlets: int) -> dict[s
     """Samples of a beam measurement, of three records with their run-in."""
     from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, oversampling
 
-    waveform, receiver = scenario.instrument.waveform, scenario.instrument.receiver
-    response = AnalogResponse(receiver.bandwidth_hz, receiver.ac_coupling_hz)
+    waveform = scenario.instrument.waveform
+    response = AnalogResponse.of(scenario.instrument.receiver)
     samples = waveform.fft_length
     if not response.flat:
         highest_bin = _largest(echoes.range_m) / waveform.range_bin_m

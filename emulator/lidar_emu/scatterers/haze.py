@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.vector_arrays import unit_across
 from lidar_emu.scatterers.record_light import GaussianMode, PosesAt, Scatterers
-from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
+from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.site import Atmosphere
 
 _SLICES_PER_BIN = 16.0
@@ -45,8 +46,8 @@ class HazyBeam(NamedTuple):
         emitted_w = instrument.optics.laser_power_w * instrument.optics.optical_efficiency
         peak_per_m2 = 2.0 / (np.pi * mode.waist_m**2)
         power = snr_per_w * emitted_w * air.backscatter_per_m_sr * (waveform.wavelength_m * peak_per_m2) ** 2
-        bin_m = waveform.bin_width_hz * SPEED_OF_LIGHT_MPS / (2.0 * waveform.chirp_slope_hz_per_s)
-        return cls(mode, power, air.extinction_per_m, np.array(air.wind_mps), bin_m / _SLICES_PER_BIN)
+        slice_m = waveform.range_bin_m / _SLICES_PER_BIN
+        return cls(mode, power, air.extinction_per_m, np.array(air.wind_mps), slice_m)
 
 
 def strew_haze(
@@ -66,12 +67,11 @@ def strew_haze(
     axis /= np.linalg.norm(axis)
     count = int(range_m / beam.slice_m)
     depth_m = beam.slice_m * (np.arange(count) + rng.random(count))
-    radius_m = beam.mode.waist_m * np.sqrt(1.0 + np.square(depth_m / beam.mode.rayleigh_m))
+    radius_m = beam.mode.radius_m(depth_m)
     start_m, slope = _path(beam, poses_at, from_s, to_s, axis, sensor_m, range_m)
     drawn = (rng.random(3) + np.arange(count)[:, None] * _STEPS) % 1.0
     chosen = (drawn[:, 0] * len(start_m)).astype(int)
-    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    first /= np.linalg.norm(first)
+    first = unit_across(axis)
     plane = np.stack([first, np.cross(axis, first)])
     away_m = radius_m * np.sqrt(-0.5 * np.log1p(-drawn[:, 1]))
     turn = 2.0 * np.pi * drawn[:, 2]

@@ -1,7 +1,7 @@
 """Level `waveform` with scatterers: every beam of every shot from the light of scatterers.
 
-The detector and the estimator are those of `fmcw.waveform`, and the levels of signal and noise those of all levels. A
-measurement has scatterers of its own, the same ones in its three records.
+Detector and estimator come from `fmcw.waveform`, and the levels of signal and noise from the receiver's constants, as
+at the other levels. Each measurement draws its own scatterers, which its three records share.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
 from lidar_emu.fmcw.waveform.record_samples import frequency_plan
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import SCATTERERS, generator
-from lidar_emu.numerics.vector_arrays import rotate
+from lidar_emu.numerics.vector_arrays import rotate, unit_across
 from lidar_emu.scatterers.haze import HazyBeam, strew_haze
 from lidar_emu.scatterers.measurement import measure_records
 from lidar_emu.scatterers.narrowband import narrowband_bins
@@ -55,7 +55,7 @@ class ScattererLevel:
         if air is not None and air.backscatter_per_m_sr > 0.0:
             self._haze = HazyBeam.of(instrument, air, self._model.snr_per_w)
         waveform, receiver = instrument.waveform, instrument.receiver
-        response = AnalogResponse(receiver.bandwidth_hz, receiver.ac_coupling_hz)
+        response = AnalogResponse.of(receiver)
         self._segments = frequency_plan(waveform)
         self._response, self._noise_level = response, noise_level(waveform, response)
         narrowband = scenario.waveform_echo == "scatterers_narrowband"
@@ -138,10 +138,7 @@ class ScattererLevel:
         trajectory, scenario = self._flight.trajectory, self._scenario
         validity_s = float(pointing.time_ns[s, b]) * 1e-9
         axis_body = pointing.true_site[s, b] @ trajectory.state(np.array([validity_s])).site_from_body[0]
-        across_body = np.cross(axis_body, np.eye(3)[np.argmin(np.abs(axis_body))])
-        tilt = (
-            0.5 * scenario.instrument.optics.alignment_error_rad * across_body / np.linalg.norm(across_body)
-        )
+        tilt = 0.5 * scenario.instrument.optics.alignment_error_rad * unit_across(axis_body)
         lever_arm_m = np.array(scenario.mounting.lever_arm_m)
 
         def poses_at(after_s: FloatArray) -> BeamPoses:
@@ -165,11 +162,10 @@ class ScattererLevel:
         echo_w = sum(float(light.power.sum()) for light in lights) / (3.0 * model.snr_per_w)
         # The echo has shot noise of its own; the digitiser's noise arises behind the poles, by rounding.
         share = model.response.amplifier_noise * (1.0 + model.signal_shot_per_w * echo_w)
-        adc = instrument.receiver.adc
         receiver = RecordReceiver(
             instrument.waveform,
             self._response,
-            None if adc is None else Digitiser(2.0 * model.response.full_scale, adc.effective_bits),
+            Digitiser.of(instrument.receiver, model.response),
             share,
             share * self._noise_level + model.response.digitiser_noise,
         )

@@ -25,6 +25,7 @@ import numpy as np
 from lidar_emu.fmcw.waveform.record_samples import ComplexArray, Segment
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.vector_arrays import unit_across
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 
 _NODES = 7
@@ -55,16 +56,15 @@ class GaussianMode(NamedTuple):
 
     def rays_around(self, axis: FloatArray) -> FloatArray:
         """Unit vectors (13, 3) along an axis and around it, out to twice the divergence."""
-        first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-        first /= np.linalg.norm(first)
+        first = unit_across(axis)
         turn = np.exp(1j * np.pi / 3.0 * np.arange(6))
         tilt = self.waist_m / self.rayleigh_m * np.concatenate([[0.0], turn, 2.0 * turn])
         rays = axis + tilt.real[:, None] * first + tilt.imag[:, None] * np.cross(axis, first)
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
-    def radius_m(self, range_m: float) -> float:
-        """1/e² intensity radius at a range."""
-        return self.waist_m * sqrt(1.0 + (range_m / self.rayleigh_m) ** 2)
+    def radius_m(self, range_m: FloatArray | float) -> FloatArray:
+        """1/e² intensity radii at ranges, in their shape."""
+        return np.asarray(self.waist_m * np.sqrt(1.0 + np.square(range_m / self.rayleigh_m)))
 
 
 class BeamPoses(NamedTuple):

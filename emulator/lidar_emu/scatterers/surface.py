@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.numerics.vector_arrays import dot
+from lidar_emu.numerics.vector_arrays import dot, unit_across
 from lidar_emu.scatterers.record_light import GaussianMode, PosesAt, Scatterers
-from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
+from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene.ray_hits import Hits
 
@@ -45,9 +45,7 @@ class Strewing(NamedTuple):
     """SNR of a white patch at the waist, per square metre: P η λ² (2/(π w0²))² / π times the SNR per watt."""
     lommel_seeliger_share: float
     extinction_per_m: float
-    bins_per_m: float
-    """Beat of a chirp in bins per metre of range."""
-    bin_width_hz: float
+    range_bin_m: float
 
     @classmethod
     def of(cls, instrument: Instrument, site: Site, snr_per_w: float) -> Strewing:
@@ -56,14 +54,12 @@ class Strewing(NamedTuple):
         emitted_w = optics.laser_power_w * optics.optical_efficiency * optics.depolarisation
         peak_per_m2 = 2.0 / (np.pi * mode.waist_m**2)
         air = site.atmosphere
-        beat_hz_per_m = 2.0 * waveform.chirp_slope_hz_per_s / SPEED_OF_LIGHT_MPS
         return cls(
             mode=mode,
             power_m2=snr_per_w * emitted_w * (waveform.wavelength_m * peak_per_m2) ** 2 / np.pi,
             lommel_seeliger_share=site.surface.lommel_seeliger_share,
             extinction_per_m=0.0 if air is None else air.extinction_per_m,
-            bins_per_m=beat_hz_per_m / waveform.bin_width_hz,
-            bin_width_hz=waveform.bin_width_hz,
+            range_bin_m=waveform.range_bin_m,
         )
 
 
@@ -94,7 +90,7 @@ def footprint_plane(poses_at: PosesAt, from_s: float, to_s: float, range_m: floa
     chord_m = path_m[-1] - path_m[0]
     chord_m -= (chord_m @ axis) * axis
     if np.linalg.norm(chord_m) < 1e-9:
-        chord_m = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        chord_m = unit_across(axis)
     first = _unit(chord_m)
     axes = np.stack([first, np.cross(axis, first), axis])
     place_m = path_m @ axes[:2].T
@@ -116,12 +112,12 @@ def strew_surface(
     Returns:
         The scatterers, perhaps none, and the ranges of all rays, NaN where one meets nothing.
     """
-    radius_m = strewing.mode.radius_m(plane.range_m)
+    radius_m = float(strewing.mode.radius_m(plane.range_m))
     reach_m = _REACH_W * radius_m
     pitch_m = radius_m / _CELLS_PER_W
     probes = _cells(plane.low_m - 0.5 * reach_m, plane.high_m + 0.5 * reach_m, 4 * pitch_m)
     probe_m = cast(_rays(plane, probes)).range_m
-    slope_bins = strewing.bins_per_m * float(np.nanstd(probe_m)) if np.isfinite(probe_m).any() else 0.0
+    slope_bins = float(np.nanstd(probe_m)) / strewing.range_bin_m if np.isfinite(probe_m).any() else 0.0
     pitch_m /= max(1.0, float(np.hypot(slope_bins, line_bins)) / _SPREAD_BINS) ** 0.5
     corner_m = _cells(plane.low_m - reach_m, plane.high_m + reach_m, pitch_m)
     rays = _rays(plane, corner_m + pitch_m * rng.random(corner_m.shape))

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lidar_emu.fmcw.analog_response import Response
 from lidar_emu.fmcw.waveform.record_samples import (
     Beamlets,
     ComplexArray,
@@ -21,7 +22,7 @@ from lidar_emu.fmcw.waveform.record_samples import (
     phasor,
 )
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.scenario.instrument import Waveform
+from lidar_emu.scenario.instrument import Receiver, Waveform
 
 _TIME_CONSTANTS = 25.0
 """Run-in of the slowest pole, in time constants: a transient of exp(-25) remains."""
@@ -43,6 +44,11 @@ class AnalogResponse(NamedTuple):
     """Half-power frequency of the low-pass; None: flat."""
     ac_coupling_hz: float = 0.0
     """Half-power frequency of the high-pass; 0: DC coupling."""
+
+    @classmethod
+    def of(cls, receiver: Receiver) -> AnalogResponse:
+        """Poles of an instrument's receiver."""
+        return cls(receiver.bandwidth_hz, receiver.ac_coupling_hz)
 
     @property
     def flat(self) -> bool:
@@ -75,6 +81,11 @@ class Digitiser(NamedTuple):
     full_scale: float
     """Range from the lowest to the highest value."""
     bits: float
+
+    @classmethod
+    def of(cls, receiver: Receiver, response: Response) -> Digitiser | None:
+        """Digitiser of an instrument's receiver, scaled by its constants; None if it is ideal."""
+        return None if receiver.adc is None else cls(2.0 * response.full_scale, receiver.adc.effective_bits)
 
     def digitise(self, samples: FloatArray) -> FloatArray:
         """Samples clipped to ± half the full scale and rounded to whole steps, including 0."""

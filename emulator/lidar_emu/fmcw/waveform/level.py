@@ -123,13 +123,10 @@ def _measure_records(
             float(echoes.closing_jerk_mps3[s, b]),
             float(echoes.range_curvature_mps2[s, b]),
         )
-    response = AnalogResponse(receiver.bandwidth_hz, receiver.ac_coupling_hz)
+    response = AnalogResponse.of(receiver)
     # The echo has shot noise of its own; the digitiser's noise arises behind the poles, by rounding.
     share = model.response.amplifier_noise * (1.0 + model.signal_shot_per_w * float(power_w[lit].sum()))
     level = share * noise_level(waveform, response) + model.response.digitiser_noise
-    digitiser = None
-    if receiver.adc is not None:
-        digitiser = Digitiser(2.0 * model.response.full_scale, receiver.adc.effective_bits)
     return measure_waveform(
         waveform,
         instrument.detection,
@@ -137,7 +134,7 @@ def _measure_records(
         response=response,
         rng=rng,
         noise_share=share,
-        digitiser=digitiser,
+        digitiser=Digitiser.of(receiver, model.response),
         noise_level=level,
         residual_limit=model.residual_limit,
         edges=bool((range_m > model.record_edge_range_m).any()),
