@@ -51,6 +51,7 @@ UNITS = {
     "_mrad": "mrad",
     "_rad": "rad",
     "_ohm": "Ω",
+    "_hz2": "Hz²",
     "_hz": "Hz",
     "_db": "dB",
     "_m": "m",

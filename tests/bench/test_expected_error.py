@@ -19,6 +19,11 @@ FLIGHTS = {
     ),
     "little light": ("descent.yaml", {"instrument": "ndl_fine", "instrument.optics.laser_power_w": "0.03"}),
     "wrong slope": ("descent.yaml", {"instrument.waveform.slope_error": "2e-4"}),
+    "uneven slopes": (
+        "descent.yaml",
+        {"instrument": "ndl_fine", "instrument.waveform.slope_scatter": "2e-4"},
+    ),
+    "1/f noise": ("descent.yaml", {"instrument": "ndl_fine", "instrument.waveform.flicker_hz2": "1e8"}),
     "oblique": ("paper_fig5.yaml", {"timing.rate_hz": "20", "instrument": "ndl_fine"}),
     "one beamlet": ("descent.yaml", {"instrument": "ndl_fine", "instrument.optics.beamlets": "1"}),
 }

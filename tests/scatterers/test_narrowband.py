@@ -44,7 +44,7 @@ def test_bins_near_the_peak_are_those_of_all_samples(scene: str, response: Analo
         whole = record_light(MODE, segment, poses_at, scatterers, *record_span_s(WAVEFORM, response))
         alone = record_light(MODE, segment, poses_at, scatterers, *record_span_s(WAVEFORM, FLAT))
         bins = np.zeros((len(WINDOWS), WAVEFORM.fft_length // 2 + 1), dtype=complex)
-        add_narrowband(receiver, alone, WINDOWS, bins, np.random.default_rng(0))
+        add_narrowband(receiver, alone, WINDOWS, bins, *(np.random.default_rng(0),) * 2)
         samples = received_light(receiver, whole).real
         for window, found in zip(WINDOWS, bins, strict=True):
             expected = transform(samples, window)
@@ -66,7 +66,7 @@ def test_noise_has_its_level_in_every_bin_and_window() -> None:
     rng = np.random.default_rng(3)
     means = []
     for bins_of in (narrowband_bins, sampled_bins):
-        power = np.abs(bins_of(receiver, dark, WINDOWS, rng)[:, 1:-1]) ** 2
+        power = np.abs(bins_of(receiver, dark, WINDOWS, rng, rng)[:, 1:-1]) ** 2
         means.append(power[:, : 65 * 1008].reshape(len(WINDOWS), 65, -1).mean(axis=2))
     np.testing.assert_allclose(means[0], means[1], rtol=0.3)
     assert np.mean(means[0] / means[1]) == pytest.approx(1.0, abs=0.02)

@@ -13,6 +13,7 @@ from lidar_emu.fmcw.laser_phase_noise import line_variance
 from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, peak
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, TAPS
+from lidar_emu.fmcw.sweep_error import sweep_variance
 from lidar_emu.fmcw.workspace import MAX_TARGETS, SpectrumWorkspace, Workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
@@ -51,6 +52,7 @@ def find_targets(
     )
     for g in range(groups):
         _set_target(model, spectra, spectra.peaks[g], targets[g])
+        targets[g].variance_bin2 += sweep_variance(model, segment, work.beamlets[RANGE_M, 0]) / model.looks
         if model.peak_method != BIN_CENTRE:
             # The estimators take noise alone into account.
             targets[g].variance_bin2 += line_variance(model, work.beamlets[RANGE_M, 0]) / model.looks

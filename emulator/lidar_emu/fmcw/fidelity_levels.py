@@ -38,7 +38,8 @@ def build_level(scenario: FlightScenario) -> Level:
     from lidar_emu.fmcw.receiver_constants import build_receiver
 
     statistical = scenario.level == "statistical"
-    model = build_receiver(scenario.instrument, scenario.site, scenario.exact, statistical)
+    in_turn = scenario.scanner.firing == "in_turn"
+    model = build_receiver(scenario.instrument, scenario.site, scenario.exact, statistical, in_turn)
     if scenario.level == "waveform":
         from lidar_emu.fmcw.waveform.level import measure_echoes
 

@@ -45,6 +45,14 @@ CRAMER_RAO_BIN2 = 0.3898**2
 EFFICIENCY = (1.0, 3.24, 2.4, 3.24, 1.1)
 """Variance of each method by noise, relative to the bound, averaged over positions in the bin."""
 
+FLICKER_SCATTER = (3.71, 3.71, 3.71, 4.83, 3.07)
+"""Standard deviation of each method's rate of the laser's frequency by 1/f noise of the density k/f, times T_rec/√k.
+
+An estimate is the mean of the frequency with weights g over the record: its deviation is 2π (∫ f |G(f T_rec)|² df)^½ of
+their transform G. With x from -1/2 to 1/2, g is 1 + cos 2πx (`jacobsen`), its square (`hann`), cos πx
+(`aboutanios_mulgrew`), and -∫ x w dx of a window w at the highest of its bins (`bin` and `parabola`, here for
+`hamming`; 3 for `rect` and 4.18 for `hann`). Least squares on the phase, 1 - 4x², has 3."""
+
 BIN_VARIANCE = 1.0 / 12.0
 """Variance of a frequency rounded to whole bins, in bins²."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import hypot, sqrt
+
 import numpy as np
 
 from lidar_emu.errors import InputError
@@ -9,16 +11,17 @@ from lidar_emu.fmcw.analog_response import Response
 from lidar_emu.fmcw.carrier_to_noise import noise_over_shot, shot_a2_per_hz, snr_per_w
 from lidar_emu.fmcw.false_alarms import neighbour_exceedance
 from lidar_emu.fmcw.link_budget import haze_w_per_m
-from lidar_emu.fmcw.peak_interpolation import PEAK_METHODS
+from lidar_emu.fmcw.peak_interpolation import FLICKER_SCATTER, PEAK_METHODS
 from lidar_emu.fmcw.physical_constants import ELEMENTARY_CHARGE_C, PLANCK_J_S
 from lidar_emu.fmcw.range_speed_estimation import COMBINE_METHODS
-from lidar_emu.fmcw.receiver_model import Haze, ReceiverModel
+from lidar_emu.fmcw.receiver_model import Haze, ReceiverModel, SweepScatter
 from lidar_emu.fmcw.residual_limit import build_residual_limit
 from lidar_emu.fmcw.skip_limits import (
     LEAST_FALSE_ALARM,
     LEAST_LINE_DRIFT,
     LEAST_LINE_SCATTER_BINS,
     LEAST_SMEAR_BINS,
+    LEAST_SWEEP_SCATTER_BINS,
 )
 from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.numerics.kernels import interpreted
@@ -28,7 +31,11 @@ from lidar_emu.scenario.site import Site
 
 
 def build_receiver(
-    instrument: Instrument, site: Site | None = None, exact: bool = False, statistical: bool = False
+    instrument: Instrument,
+    site: Site | None = None,
+    exact: bool = False,
+    statistical: bool = False,
+    in_turn: bool = False,
 ) -> ReceiverModel:
     """Compute the constants of an instrument's receiver.
 
@@ -40,6 +47,7 @@ def build_receiver(
         site: site, for sunlight and atmosphere; None: night in vacuum.
         exact: apply no skip rules.
         statistical: draw from the closed-form error model instead of computing spectra.
+        in_turn: beams are fired in turn, each in a cycle of the laser of its own.
 
     Raises:
         InputError: the responsivity exceeds one electron per photon.
@@ -79,6 +87,7 @@ def build_receiver(
         haze=_haze(instrument, site, per_w),
         linewidth_bins=waveform.linewidth_hz / bin_hz,
         homodyne_line=waveform.linewidth_model == "homodyne",
+        sweep_scatter=_sweep_scatter(instrument, exact, in_turn),
         speckle=instrument.optics.speckle,
         window_centre=window.centre,
         window_side=window.side,
@@ -143,6 +152,23 @@ def _haze(instrument: Instrument, site: Site | None, per_w: float) -> Haze:
         snr_per_m=0.0 if air is None else haze_w_per_m(instrument, air) * per_w,
         extinction_per_m=0.0 if air is None else air.extinction_per_m,
         rayleigh_range_m=np.pi * waist_m**2 / wavelength_m,
+    )
+
+
+def _sweep_scatter(instrument: Instrument, exact: bool, in_turn: bool) -> SweepScatter:
+    """Errors of the sweep: an error Δ of its rate moves a beat by Δτ.
+
+    1/f noise changes the laser's frequency during a record at the rate `FLICKER_SCATTER` √k/T_rec, in neighbouring
+    records with the correlation -0.07, taken as 0.
+    """
+    waveform = instrument.waveform
+    scatter = FLICKER_SCATTER[PEAK_METHODS[instrument.detection.peak]]
+    flicker_hz_per_s = scatter * sqrt(waveform.flicker_hz2) / waveform.record_time_s
+    return SweepScatter(
+        range_per_m=hypot(waveform.slope_scatter, flicker_hz_per_s / waveform.chirp_slope_hz_per_s),
+        speed_mps_per_m=waveform.wavelength_m * flicker_hz_per_s / SPEED_OF_LIGHT_MPS,
+        least_bins=0.0 if exact else LEAST_SWEEP_SCATTER_BINS,
+        per_beam=in_turn,
     )
 
 

@@ -18,6 +18,19 @@ class Haze(NamedTuple):
     """Rayleigh range, at which the beam's area has doubled."""
 
 
+class SweepScatter(NamedTuple):
+    """Random errors of the laser's sweep, independent from segment to segment."""
+
+    range_per_m: float
+    """Standard deviation of a chirp's apparent range, per metre of range."""
+    speed_mps_per_m: float
+    """Standard deviation of the constant segment's apparent closing speed, per metre of range."""
+    least_bins: float
+    """Skip limit: smaller standard deviations of a beat are left out."""
+    per_beam: bool
+    """Whether each beam has a cycle of its own; otherwise the beams of a shot share the laser's errors."""
+
+
 class ReceiverModel(NamedTuple):
     """Constants of an instrument for the receiver's kernels."""
 
@@ -52,6 +65,7 @@ class ReceiverModel(NamedTuple):
     haze: Haze
     linewidth_bins: float
     homodyne_line: bool
+    sweep_scatter: SweepScatter
     speckle: bool
     window_centre: float
     window_side: float

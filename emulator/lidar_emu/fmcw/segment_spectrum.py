@@ -6,7 +6,7 @@ from math import cos, pi, sin
 from typing import Any
 
 from lidar_emu.fmcw.analog_response import clipping, set_noise
-from lidar_emu.fmcw.beat_tones import set_segment_tones
+from lidar_emu.fmcw.beat_tones import RANGE_M, set_segment_tones
 from lidar_emu.fmcw.bin_filter import filter_beam
 from lidar_emu.fmcw.close_tones import are_close, set_close_tones
 from lidar_emu.fmcw.haze import add_haze, set_haze_tone
@@ -14,6 +14,7 @@ from lidar_emu.fmcw.motion_smear import LEAST_TAPS
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.speckle import set_weights
 from lidar_emu.fmcw.spectrum import REACH, add_noise, lay_bins, mirror_ends, set_power, set_tones
+from lidar_emu.fmcw.sweep_error import sweep_error
 from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import uniform_pair
@@ -76,12 +77,13 @@ def set_look_tones(model: ReceiverModel, work: Workspace, beam: Any, segment: in
         north = beam.speckle_place[1] + beam.speckle_drift_per_s[1] * time_s
         set_weights(beam.seed, beam.beam, east, north, work.speckle)
     turn, _ = uniform_pair(beam.seed, beam.shot, beam.beam, PHASE, segment + 3 * look)
+    astray_m, astray_mps = sweep_error(model, beam, segment, look, work.beamlets[RANGE_M, 0])
     set_segment_tones(
         model,
         segment,
         time_records,
-        (beam.closing_acceleration_mps2 + 0.5 * beam.closing_jerk_mps3 * time_s) * time_s,
-        0.5 * beam.range_curvature_mps2 * time_s * time_s,
+        (beam.closing_acceleration_mps2 + 0.5 * beam.closing_jerk_mps3 * time_s) * time_s + astray_mps,
+        astray_m + 0.5 * beam.range_curvature_mps2 * time_s * time_s,
         turn,
         work.beamlets,
         work.speckle.weights,

@@ -10,5 +10,8 @@ LEAST_LINE_SCATTER_BINS = 0.005
 """The laser's linewidth is left out where both its phase variance over the delay and the frequency scatter that it
 causes, σ = τ sqrt(6Δν/π) in bins and records, are smaller: an error of 1 % of the echo's power."""
 
+LEAST_SWEEP_SCATTER_BINS = 1e-3
+"""Errors of the laser's sweep are left out where they scatter a beat by less: by 0.001 bin of range and speed."""
+
 LEAST_FALSE_ALARM = 1e-9
 """Noise peaks that matter with a smaller probability are not drawn."""

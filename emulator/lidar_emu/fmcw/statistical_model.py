@@ -20,6 +20,7 @@ from lidar_emu.fmcw.motion_smear import smear_bins
 from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.segment_spectrum import SEGMENT_INDICES, set_look_tones
+from lidar_emu.fmcw.sweep_error import sweep_variance
 from lidar_emu.fmcw.workspace import Workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
@@ -146,3 +147,5 @@ def _set_target(
     if method == BIN_CENTRE:
         target.frequency_bin = min(max(np.rint(target.frequency_bin), 1.0), 0.5 * model.fft_length - 1.0)
         target.variance_bin2 = BIN_VARIANCE
+    # Drawn with the tones.
+    target.variance_bin2 += sweep_variance(model, segment, work.beamlets[RANGE_M, 0]) / model.looks

@@ -28,13 +28,15 @@ CLOCK_WANDER = 5121
 """Purpose of the slow changes of the device clock's rate."""
 SCATTERERS = 5122
 """Purpose of a measurement's scatterers, noise and laser phase, as a key of `generator`."""
+SWEEP: Any = np.int64(5123)
+"""Purpose of the errors of the laser's sweep; also a key of `generator`."""
 
 RELIEF, CRATERS, ROCKS = range(3)
 """Keys of `generator`, after the seed of a generated ground."""
 SHARES, RUN_SEEDS = range(2)
 """Keys of `generator`, after the seed of a campaign: quantiles of the dispersed keys, and the seeds of its runs."""
 
-_WHOLE_SHOT = 0xFFFF
+WHOLE_SHOT = 0xFFFF
 """Placeholder for the number of a beam."""
 
 
@@ -126,10 +128,10 @@ def _fill_normals(
 @kernel(outermost=True)
 def _fill_per_shot(seed: np.uint64, shot: NDArray[np.int64], purpose: int, out: FloatArray) -> None:
     for s in range(len(shot)):
-        out[s], _ = uniform_pair(seed, shot[s], _WHOLE_SHOT, purpose, 0)
+        out[s], _ = uniform_pair(seed, shot[s], WHOLE_SHOT, purpose, 0)
 
 
 @kernel(outermost=True)
 def _fill_sequence(seed: np.uint64, shot: int, purpose: int, first: int, out: FloatArray) -> None:
     for k in range(len(out)):
-        out[k], _ = uniform_pair(seed, shot, _WHOLE_SHOT, purpose, 1 + first + k)
+        out[k], _ = uniform_pair(seed, shot, WHOLE_SHOT, purpose, 1 + first + k)

@@ -24,11 +24,12 @@ from lidar_emu.fmcw.analog_response import noise_level, tone_gain
 from lidar_emu.fmcw.beat_tones import signed_bin
 from lidar_emu.fmcw.laser_phase_noise import line_share
 from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY
-from lidar_emu.fmcw.range_speed_estimation import BEAT_WEIGHTS
+from lidar_emu.fmcw.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.spectrum import WINDOWS, fold
+from lidar_emu.fmcw.sweep_error import sweep_variance
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.detection_forecast import mean_straddling_gain, rule_probability
@@ -91,6 +92,8 @@ def beam_errors(scenario: FlightScenario, flight: Flight, beamlets: int) -> Beam
 
     beats = _beats_bin(instrument, model, echoes)
     snr = _snr(model, hits, echoes, beats)
+    segments = _segment_variances_bin2(instrument, model, hits, snr)
+    weights = _beat_weights(model, echoes, segments)
     units = np.array([model.range_bin_m, model.speed_bin_mps])[:, None, None]
     return BeamErrors(
         pointing=pointing,
@@ -98,8 +101,12 @@ def beam_errors(scenario: FlightScenario, flight: Flight, beamlets: int) -> Beam
         echoes=echoes,
         beats_bin=beats,
         snr=snr,
-        bias=units * _biases_bin(model, echoes, beats),
-        sigma=units * np.sqrt(_variances_bin2(instrument, model, hits, echoes, snr, spread)),
+        bias=units * _biases_bin(model, echoes, beats, weights),
+        sigma=units
+        * np.sqrt(
+            (weights**2 * segments).sum(axis=1)
+            + _wander_bin2(instrument, model, echoes, snr, spread, weights)
+        ),
         detected=_detection_probability(instrument, model, echoes, snr, spread),
         expected=pointing.fired & np.isfinite(hits.range_m) & ~hits.inside,
     )
@@ -197,36 +204,56 @@ def _segment_probabilities(
     return one, apart, together
 
 
-def _variances_bin2(
-    instrument: Instrument, model: ReceiverModel, hits: Hits, echoes: Echoes, snr: FloatArray, spread: Spread
+def _segment_variances_bin2(
+    instrument: Instrument, model: ReceiverModel, hits: Hits, snr: FloatArray
 ) -> FloatArray:
-    """(2, shots, beams) variances of range and speed, in bins squared."""
+    """(3, shots, beams) variances of the three beats that are independent from segment to segment, in bins squared."""
     looks = instrument.detection.looks
     efficiency = EFFICIENCY[model.peak_method]
     with np.errstate(divide="ignore", over="ignore"):
-        faintest = np.minimum(-instrument.log_false_alarm_per_bin / looks / snr, 50.0)
         noise = efficiency * CRAMER_RAO_BIN2 / snr
     # Deep fades are not detected, and noise moves a detected peak by a bin at most.
+    faintest = _faintest(instrument, snr)
     noise = _faded(noise, np.ones_like(noise), faintest, looks) if model.speckle else noise / looks
     delay = hits.range_m * model.delay_per_m
     drift = 6.0 * model.linewidth_bins / np.pi * delay**2 * efficiency / looks if model.homodyne_line else 0.0
     alike = noise + drift + (BIN_VARIANCE if model.peak_method == BIN_CENTRE else 0.0)
+    range_m = np.nan_to_num(hits.range_m)
+    swept = np.vectorize(interpreted(sweep_variance), excluded=(0,), otypes=[float])
+    return np.stack([alike + swept(model, segment, range_m) / looks for segment in range(3)])
+
+
+def _faintest(instrument: Instrument, snr: FloatArray) -> FloatArray:
+    """Intensity over its mean below which an echo is not detected."""
+    with np.errstate(divide="ignore", over="ignore"):
+        faintest = -instrument.log_false_alarm_per_bin / instrument.detection.looks / snr
+    return np.asarray(np.minimum(faintest, 50.0))
+
+
+def _wander_bin2(
+    instrument: Instrument,
+    model: ReceiverModel,
+    echoes: Echoes,
+    snr: FloatArray,
+    spread: Spread,
+    weights: FloatArray,
+) -> FloatArray:
+    """(2, shots, beams) variances of range and speed by speckle within the footprint, in bins squared."""
+    faintest = _faintest(instrument, snr)
 
     def wander(beat: float, doppler: float) -> FloatArray:
         if not model.speckle:
             return np.zeros_like(snr)
         variance = spread.variance(beat, doppler)
-        return _faded(0.5 * variance, np.maximum(variance, BIN_VARIANCE), faintest, looks)
+        most = np.maximum(variance, BIN_VARIANCE)
+        return _faded(0.5 * variance, most, faintest, instrument.detection.looks)
 
     adjacent = _same_fade(instrument, echoes)
     # Two of the three pairs of segments are neighbours.
     same = (2.0 * adjacent + adjacent**4) / 3.0
     own = np.array([wander(1.0, -1.0), wander(0.0, 1.0), wander(1.0, 1.0)])
     shared = np.array([wander(1.0, 0.0), wander(0.0, 1.0)])
-    square = _beat_weights(model, echoes) ** 2
-    variances: FloatArray = (
-        alike * square.sum(axis=1) + same * shared + (1.0 - same) * (square * own).sum(axis=1)
-    )
+    variances: FloatArray = same * shared + (1.0 - same) * (weights**2 * own).sum(axis=1)
     return variances
 
 
@@ -248,14 +275,20 @@ def _faded(at_mean: FloatArray, most: FloatArray, faintest: FloatArray, looks: i
     return np.where(at_mean > 0.0, np.minimum(mean, most), 0.0)
 
 
-def _biases_bin(model: ReceiverModel, echoes: Echoes, beats: FloatArray) -> FloatArray:
+def _biases_bin(model: ReceiverModel, echoes: Echoes, beats: FloatArray, weights: FloatArray) -> FloatArray:
     """(2, shots, beams) biases of range and speed, in bins: the three beats combined, minus the ground truth."""
     true = echoes.range_m[..., 0] / model.range_bin_m, echoes.closing_speed_mps[..., 0] / model.speed_bin_mps
-    biases: FloatArray = (_beat_weights(model, echoes) * beats).sum(axis=1) - np.array(true)
+    biases: FloatArray = (weights * beats).sum(axis=1) - np.array(true)
     return biases
 
 
-def _beat_weights(model: ReceiverModel, echoes: Echoes) -> FloatArray:
-    """(2, 3, shots, beams) weights of the three signed beats in range and speed."""
+def _beat_weights(model: ReceiverModel, echoes: Echoes, variances: FloatArray) -> FloatArray:
+    """(2, 3, shots, beams) weights of the three signed beats, of these variances, in range and speed."""
     receding = (echoes.closing_speed_mps[..., 0] < 0.0).astype(int)
-    return np.moveaxis(BEAT_WEIGHTS[model.combine_method][receding], (-2, -1), (0, 1))
+    weights = np.moveaxis(BEAT_WEIGHTS[model.combine_method][receding], (-2, -1), (0, 1)).copy()
+    if model.combine_method == COMBINE_METHODS["least_squares"]:
+        # The Doppler shift is the line's and half the difference of the chirps, by their variances.
+        _, constant, chirp = variances
+        line = chirp / (chirp + 2.0 * constant)
+        weights[1] = np.array([0.5 * (line - 1.0), line, 0.5 * (1.0 - line)])
+    return np.asarray(weights)

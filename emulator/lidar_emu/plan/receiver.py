@@ -8,11 +8,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.skip_limits import LEAST_FALSE_ALARM, LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
+from lidar_emu.fmcw.skip_limits import (
+    LEAST_FALSE_ALARM,
+    LEAST_LINE_DRIFT,
+    LEAST_SMEAR_BINS,
+    LEAST_SWEEP_SCATTER_BINS,
+)
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.motion import MotionExtremes
-from lidar_emu.plan.plan import Decision
+from lidar_emu.plan.plan import Decision, at_most
 from lidar_emu.scenario.ambiguity import folded_range, folded_speed
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Instrument, Waveform
 from lidar_emu.scenario.schema import FlightScenario
@@ -47,6 +53,7 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes, motion: MotionExtrem
         _motion(scenario.instrument.waveform, motion),
         _smear(scenario, echoes),
         _line(scenario, echoes),
+        _sweep(scenario, echoes),
         _speckle(scenario),
         _response(scenario.instrument),
         _clipping(scenario.instrument),
@@ -161,6 +168,25 @@ def _line(scenario: FlightScenario, echoes: Echoes) -> Decision:
     if drift <= LEAST_LINE_DRIFT:
         return Decision("laser line", False, "-", reason, bound)
     return Decision("laser line", True, f"beams beyond {LEAST_LINE_DRIFT:g}", reason, bound)
+
+
+def _sweep(scenario: FlightScenario, echoes: Echoes) -> Decision:
+    waveform = scenario.instrument.waveform
+    if waveform.slope_scatter == 0 and waveform.flicker_hz2 == 0:
+        return Decision("laser sweep", False, "-", "slope_scatter and flicker_hz2 are 0", "exact")
+    scatter = build_receiver(scenario.instrument, scenario.site).sweep_scatter
+    farthest_m = _largest(echoes.range_m)
+    range_m, speed_mps = scatter.range_per_m * farthest_m, scatter.speed_mps_per_m * farthest_m
+    reason = f"chirps off by {range_m:.2g} m, constant segment by {speed_mps:.2g} m/s at {farthest_m:.0f} m"
+    if scenario.exact:
+        return Decision("laser sweep", True, "errors of each segment", reason, "exact")
+    bound_m, bound_mps = (
+        LEAST_SWEEP_SCATTER_BINS * each for each in (waveform.range_bin_m, waveform.speed_bin_mps)
+    )
+    bound = f"{at_most(1.5 * bound_m)} m, {at_most(1.5 * bound_mps)} m/s"
+    if range_m < bound_m and speed_mps < bound_mps:
+        return Decision("laser sweep", False, "-", reason, bound)
+    return Decision("laser sweep", True, f"beams beyond {LEAST_SWEEP_SCATTER_BINS:g} bin", reason, bound)
 
 
 def _speckle(scenario: FlightScenario) -> Decision:

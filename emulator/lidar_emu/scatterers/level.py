@@ -19,7 +19,8 @@ from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Returns
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level
 from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
-from lidar_emu.fmcw.waveform.record_samples import frequency_plan
+from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
+from lidar_emu.fmcw.waveform.record_samples import draw_frequency_plan, frequency_plan
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import SCATTERERS, generator
 from lidar_emu.numerics.vector_arrays import rotate, unit_across
@@ -48,7 +49,8 @@ class ScattererLevel:
             raise InputError(scenario.name, "waveform_echo", found, "allowed: without --geometry")
         self._scenario, self._flight = scenario, flight
         instrument = scenario.instrument
-        self._model = build_receiver(instrument, scenario.site, exact=True)
+        in_turn = scenario.scanner.firing == "in_turn"
+        self._model = build_receiver(instrument, scenario.site, exact=True, in_turn=in_turn)
         self._strewing = Strewing.of(instrument, scenario.site, self._model.snr_per_w)
         air = scenario.site.atmosphere
         self._haze = None
@@ -88,7 +90,9 @@ class ScattererLevel:
             nearest_m = float(np.nanmin(range_m, initial=self._model.record_edge_range_m))
             span_s = self._span_s(nearest_m)
             scatterers = scatterers.joined(strew_haze(self._haze, poses_at, *span_s, nearest_m, rng))
-        measured = self._records(poses_at, scatterers, rng)
+        measured = self._records(
+            poses_at, scatterers, rng, laser_generator(self._model, self._scenario.seed, shot, b)
+        )
         if measured.reason[0] == Reason.BELOW_THRESHOLD:
             measured.reason[0] = unseen(range_m, self._model.record_edge_range_m)
         return measured
@@ -152,12 +156,18 @@ class ScattererLevel:
 
         return poses_at
 
-    def _records(self, poses_at: PosesAt, scatterers: Scatterers, rng: np.random.Generator) -> Returns:
+    def _records(
+        self,
+        poses_at: PosesAt,
+        scatterers: Scatterers,
+        rng: np.random.Generator,
+        laser_rng: np.random.Generator,
+    ) -> Returns:
         """Measure the three records of a beam."""
         instrument, model = self._scenario.instrument, self._model
         lights = [
             record_light(self._strewing.mode, segment, poses_at, scatterers, *self._covered_s)
-            for segment in self._segments
+            for segment in draw_frequency_plan(laser_rng, instrument.waveform)
         ]
         echo_w = sum(float(light.power.sum()) for light in lights) / (3.0 * model.snr_per_w)
         # The echo has shot noise of its own; the digitiser's noise arises behind the poles, by rounding.
@@ -169,4 +179,6 @@ class ScattererLevel:
             share,
             share * self._noise_level + model.response.digitiser_noise,
         )
-        return measure_records(instrument.detection, receiver, lights, self._bins, rng, model.residual_limit)
+        return measure_records(
+            instrument.detection, receiver, lights, self._bins, rng, laser_rng, model.residual_limit
+        )

@@ -15,8 +15,11 @@ from lidar_emu.scatterers.receiver import RecordReceiver
 from lidar_emu.scatterers.record_light import RecordLight
 from lidar_emu.scenario.instrument import Detection
 
-RecordBins = Callable[[RecordReceiver, RecordLight, Sequence[WindowName], np.random.Generator], ComplexArray]
-"""Bins (windows, N/2 + 1) of a record with its noise."""
+RecordBins = Callable[
+    [RecordReceiver, RecordLight, Sequence[WindowName], np.random.Generator, np.random.Generator],
+    ComplexArray,
+]
+"""Bins (windows, N/2 + 1) of a record with its noise, from random generators of the beam and of the laser."""
 
 
 def measure_records(
@@ -25,6 +28,7 @@ def measure_records(
     lights: Sequence[RecordLight],
     bins_of: RecordBins,
     rng: np.random.Generator,
+    laser_rng: np.random.Generator,
     residual_limit: ResidualLimit | None = None,
 ) -> Returns:
     """Measure a beam, (1,), from the light of up-chirp, constant segment and down-chirp; see `to_beam_result`."""
@@ -36,7 +40,7 @@ def measure_records(
         windows.append("hann")
     found = []
     for light in lights:
-        bins = bins_of(receiver, light, windows, rng)
+        bins = bins_of(receiver, light, windows, rng, laser_rng)
         hann_bins = bins[1:] if len(bins) > 1 else None
         found.append(
             find_targets(bins[:1], hann_bins, threshold, detection.group_fraction, receiver.noise_level)

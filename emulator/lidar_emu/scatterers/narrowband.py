@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lidar_emu.fmcw.waveform.detection import WindowName, window_at, windowed
-from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift
+from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift, has_phase_noise
 from lidar_emu.fmcw.waveform.record_samples import ComplexArray
 from lidar_emu.numerics.arrays import IntArray
 from lidar_emu.scatterers.receiver import RecordReceiver
@@ -30,14 +30,18 @@ _LINE_STEPS = 2**13
 
 
 def narrowband_bins(
-    receiver: RecordReceiver, light: RecordLight, windows: Sequence[WindowName], rng: np.random.Generator
+    receiver: RecordReceiver,
+    light: RecordLight,
+    windows: Sequence[WindowName],
+    rng: np.random.Generator,
+    laser_rng: np.random.Generator,
 ) -> ComplexArray:
     """Compute the bins (windows, N/2 + 1) of a record: light around its frequencies, and noise in all bins."""
     deviation = np.sqrt(0.5 * receiver.noise_level)
     noise = deviation * rng.standard_normal(2 * len(deviation)).view(complex)
     bins = np.stack([windowed(noise, window) for window in windows])
     if len(light.coefficients):
-        add_narrowband(receiver, light, windows, bins, rng)
+        add_narrowband(receiver, light, windows, bins, rng, laser_rng)
     return bins
 
 
@@ -47,13 +51,14 @@ def add_narrowband(
     windows: Sequence[WindowName],
     bins: ComplexArray,
     rng: np.random.Generator,
+    laser_rng: np.random.Generator,
 ) -> None:
     """Add the light of scatterers to the bins (windows, N/2 + 1) of a record of real samples."""
     bin_number = np.floor(light.middle_frequency_hz * receiver.waveform.record_time_s / _GROUP_BINS)
     if np.ptp(bin_number) <= 1.0:
         bin_number[:] = 0.0
     for number in np.unique(bin_number):
-        _add_group(receiver, light.chosen(bin_number == number), windows, bins, rng)
+        _add_group(receiver, light.chosen(bin_number == number), windows, bins, rng, laser_rng)
 
 
 def _add_group(
@@ -62,6 +67,7 @@ def _add_group(
     windows: Sequence[WindowName],
     bins: ComplexArray,
     rng: np.random.Generator,
+    laser_rng: np.random.Generator,
 ) -> None:
     """Add the light of scatterers that share an envelope."""
     waveform = receiver.waveform
@@ -77,8 +83,8 @@ def _add_group(
     place = (np.arange(count) - 0.5 * (count - 1)) / count
     envelope = np.zeros(count, dtype=complex)
     passed.shifted(-centre / record_s).add_to(envelope, place[0] * record_s, record_s / count)
-    if waveform.linewidth_hz > 0.0:
-        envelope *= _drift(waveform, light.mean_delay_s, count, rng)
+    if has_phase_noise(waveform):
+        envelope *= _drift(waveform, light.mean_delay_s, count, rng, laser_rng)
     # A transform's origin is the first sample, half a step after the record's beginning.
     before = 0.5 - 0.5 / length
     offset = np.arange(count) - count // 2
@@ -89,11 +95,13 @@ def _add_group(
         _add_folded(phasor * np.fft.fftshift(spectrum), centre + offset, length, bins[row])
 
 
-def _drift(waveform: Waveform, delay_s: float, count: int, rng: np.random.Generator) -> ComplexArray:
+def _drift(
+    waveform: Waveform, delay_s: float, count: int, rng: np.random.Generator, laser_rng: np.random.Generator
+) -> ComplexArray:
     """Mean of the laser's phase noise over each part of a record, (count,)."""
     steps = max(count, _LINE_STEPS)
     coarse = {"fft_length": steps, "sample_rate_hz": steps / waveform.record_time_s}
-    drift = draw_drift(rng, 1, waveform.model_copy(update=coarse), delay_s)[0]
+    drift = draw_drift(rng, 1, waveform.model_copy(update=coarse), delay_s, laser_rng)[0]
     return np.asarray(drift.reshape(count, -1).mean(axis=1))
 
 

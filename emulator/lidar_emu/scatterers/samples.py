@@ -8,7 +8,7 @@ import numpy as np
 
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Poles, draw_noise
 from lidar_emu.fmcw.waveform.detection import WindowName, transform
-from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift
+from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift, has_phase_noise
 from lidar_emu.fmcw.waveform.record_samples import ComplexArray, record_times
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scatterers.receiver import RecordReceiver
@@ -28,13 +28,17 @@ def record_span_s(waveform: Waveform, response: AnalogResponse) -> tuple[float, 
 
 
 def sampled_bins(
-    receiver: RecordReceiver, light: RecordLight, windows: Sequence[WindowName], rng: np.random.Generator
+    receiver: RecordReceiver,
+    light: RecordLight,
+    windows: Sequence[WindowName],
+    rng: np.random.Generator,
+    laser_rng: np.random.Generator,
 ) -> ComplexArray:
     """Compute the bins (windows, N/2 + 1) of a record from its samples."""
     waveform = receiver.waveform
     record = received_light(receiver, light)
-    if waveform.linewidth_hz > 0.0 and light.mean_delay_s > 0.0:
-        record *= draw_drift(rng, 1, waveform, light.mean_delay_s)[0]
+    if has_phase_noise(waveform) and light.mean_delay_s > 0.0:
+        record *= draw_drift(rng, 1, waveform, light.mean_delay_s, laser_rng)[0]
     samples = record.real + np.sqrt(receiver.noise_share) * draw_noise(rng, 1, waveform, receiver.response)[0]
     if receiver.digitiser is not None:
         samples = receiver.digitiser.digitise(samples)

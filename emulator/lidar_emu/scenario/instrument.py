@@ -28,6 +28,12 @@ class Waveform(Part):
     """Samples in a record; a power of two."""
     slope_error: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
     """Relative error of the laser's true slope: 1e-3 reads 2 m too far at 2 km."""
+    slope_scatter: Annotated[float, Field(ge=0, lt=0.1)] = 0.0
+    """Standard deviation of each chirp's own relative slope error, independent from chirp to chirp: the random part of
+    the non-linearity that linearisation leaves. Beams that fire together share it."""
+    flicker_hz2: NonNegative = 0.0
+    """1/f noise of the laser's frequency: its one-sided density times the frequency. Beams that fire together share
+    it."""
     linewidth_hz: NonNegative = 3e3
     """Full width at half maximum of the laser's Lorentzian line; 0 leaves it out."""
     linewidth_model: Literal["homodyne", "coherent"] = "homodyne"

@@ -18,8 +18,14 @@ from lidar_emu.fmcw.waveform.analog_receiver import (
 )
 from lidar_emu.fmcw.waveform.beam_result import to_beam_result
 from lidar_emu.fmcw.waveform.detection import Targets, find_targets, transform, window_noise_power
-from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift
-from lidar_emu.fmcw.waveform.record_samples import Beamlets, ComplexArray, Segment, frequency_plan
+from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift, has_phase_noise
+from lidar_emu.fmcw.waveform.record_samples import (
+    Beamlets,
+    ComplexArray,
+    Segment,
+    draw_frequency_plan,
+    frequency_plan,
+)
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
 
@@ -84,6 +90,7 @@ def measure_waveform(
     *,
     response: AnalogResponse = FLAT,
     rng: np.random.Generator | None = None,
+    laser_rng: np.random.Generator | None = None,
     noise_share: float = 1.0,
     digitiser: Digitiser | None = None,
     noise_level: float | FloatArray = 1.0,
@@ -98,7 +105,8 @@ def measure_waveform(
         detection: window, false alarms, groups, `bin` or `hann` peaks and the combination.
         footprint: scatterer patches; the squares of their weights are bin SNRs ahead of the poles.
         response: the receiver's poles.
-        rng: random generator of noise and laser phase; None leaves both out.
+        rng: random generator of noise and of the phase by the linewidth; None leaves both out.
+        laser_rng: random generator of slopes, which all measurements share, and of 1/f noise; None leaves both out.
         noise_share: power of the noise ahead of the poles, relative to the squares of the weights.
         digitiser: None: ideal.
         noise_level: mean noise power in a rectangular bin as the detector assumes it, one for all bins or (N/2 + 1,).
@@ -120,11 +128,12 @@ def measure_waveform(
     threshold = windowed_level * -detection.log_false_alarm_per_bin(count)
 
     # A generator of its own, so that random numbers do not depend on the blocks.
-    line_rng = rng.spawn(1)[0] if rng is not None and waveform.linewidth_hz > 0.0 else None
+    line_rng = rng.spawn(1)[0] if rng is not None and has_phase_noise(waveform) else None
+    plan = frequency_plan(waveform) if laser_rng is None else draw_frequency_plan(laser_rng, waveform)
     kept = np.empty((records, 3, count // 2 + 1), dtype=complex) if keep_bins else None
     found: list[Targets] = []
     block = max(1, _BLOCK_SAMPLES // count)
-    for s, segment in enumerate(frequency_plan(waveform)):
+    for s, segment in enumerate(plan):
         parts: list[Targets] = []
         for first in range(0, records, block):
             rows = slice(first, first + block)
@@ -132,7 +141,7 @@ def measure_waveform(
             light = receive_record(waveform, segment, beamlets, response, edges)
             if line_rng is not None:
                 delay_s = 2.0 * float(beamlets.range_m[0]) / SPEED_OF_LIGHT_MPS
-                drift = draw_drift(line_rng, len(light), waveform, delay_s)
+                drift = draw_drift(line_rng, len(light), waveform, delay_s, laser_rng)
                 light *= drift if segment.beat_sign > 0 else drift.conj()
             samples = np.ascontiguousarray(light.real)
             if rng is not None:

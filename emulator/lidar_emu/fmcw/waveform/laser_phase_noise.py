@@ -4,19 +4,55 @@ from __future__ import annotations
 
 import numpy as np
 
+from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.waveform.record_samples import ComplexArray
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.random_streams import SWEEP, WHOLE_SHOT, generator
 from lidar_emu.scenario.instrument import Waveform
 
+_FLICKER_RECORDS = 8
+"""Records over which 1/f noise is synthesised: slower parts change the frequency within a record by 1 % of its rms."""
 
-def draw_drift(rng: np.random.Generator, records: int, waveform: Waveform, delay_s: float) -> ComplexArray:
-    """Draw exp(j[φ(t) - φ(t - τ)]) over records of a laser with a Lorentzian line, (records, N).
 
-    White frequency noise makes φ a random walk of variance 2π Δν t. Each step from sample to sample is drawn in two
-    parts, so that the walk is known at the times of emission, which lie between the samples.
+def has_phase_noise(waveform: Waveform) -> bool:
+    """Whether the laser's phase is noisy."""
+    return waveform.linewidth_hz > 0.0 or waveform.flicker_hz2 > 0.0
+
+
+def laser_generator(model: ReceiverModel, seed: int, shot: int, beam: int) -> np.random.Generator:
+    """Random generator of the laser's sweep; beams that fire together share its numbers."""
+    cycle = beam if model.sweep_scatter.per_beam else WHOLE_SHOT
+    return generator(seed, shot, cycle, int(SWEEP))
+
+
+def draw_drift(
+    rng: np.random.Generator,
+    records: int,
+    waveform: Waveform,
+    delay_s: float,
+    laser_rng: np.random.Generator | None = None,
+) -> ComplexArray:
+    """Draw exp(j[φ(t) - φ(t - τ)]) over records of a laser with a Lorentzian line and 1/f noise, (records, N).
 
     Args:
+        rng: random generator of the white frequency noise.
         delay_s: delay τ, constant within the record.
+        laser_rng: random generator of the 1/f noise; None leaves it out.
+    """
+    drift = np.zeros((records, waveform.fft_length))
+    if waveform.linewidth_hz > 0.0:
+        drift += _white_drift(rng, records, waveform, delay_s)
+    if waveform.flicker_hz2 > 0.0 and laser_rng is not None:
+        drift += _flicker_drift(laser_rng, records, waveform, delay_s)
+    result: ComplexArray = np.exp(1j * drift)
+    return result
+
+
+def _white_drift(rng: np.random.Generator, records: int, waveform: Waveform, delay_s: float) -> FloatArray:
+    """Draw φ(t) - φ(t - τ) of white frequency noise, (records, N).
+
+    It makes φ a random walk of variance 2π Δν t. Each step from sample to sample is drawn in two parts, so that the
+    walk is known at the times of emission, which lie between the samples.
     """
     whole, part = divmod(delay_s * waveform.sample_rate_hz, 1.0)
     ahead, count = int(whole) + 1, waveform.fft_length
@@ -25,5 +61,22 @@ def draw_drift(rng: np.random.Generator, records: int, waveform: Waveform, delay
     steps *= deviation * np.sqrt([1.0 - part, part])
     left, sampled = np.moveaxis(np.cumsum(steps.reshape(records, -1), axis=1).reshape(steps.shape), -1, 0)
     drift: FloatArray = sampled[:, ahead:] - left[:, ahead - int(whole) : ahead - int(whole) + count]
-    result: ComplexArray = np.exp(1j * drift)
-    return result
+    return drift
+
+
+def _flicker_drift(rng: np.random.Generator, records: int, waveform: Waveform, delay_s: float) -> FloatArray:
+    """Draw φ(t) - φ(t - τ) of frequency noise of the one-sided density k/f, (records, N), as a Fourier series.
+
+    The series covers several records; each of its terms is delayed exactly.
+    """
+    count = waveform.fft_length
+    whole = _FLICKER_RECORDS * count
+    frequency_hz = np.fft.rfftfreq(whole, 1.0 / waveform.sample_rate_hz)[1:]
+    # A term's variance is the density times the step of the frequency, which is the lowest frequency.
+    deviation_hz = np.sqrt(waveform.flicker_hz2 / frequency_hz * frequency_hz[0])
+    deviation_hz = deviation_hz * rng.standard_normal((records, 2, frequency_hz.size))
+    phase = (deviation_hz[:, 0] + 1j * deviation_hz[:, 1]) / frequency_hz
+    spectrum = np.zeros((records, frequency_hz.size + 1), dtype=complex)
+    spectrum[:, 1:] = 0.5 * whole * phase * -np.expm1(-2j * np.pi * frequency_hz * delay_s)
+    drift: FloatArray = np.fft.irfft(spectrum, whole)[:, :count]
+    return drift

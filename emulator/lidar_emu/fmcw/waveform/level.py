@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Returns
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level
 from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, WaveformMeasurement, measure_waveform
 from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
+from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
 from lidar_emu.fmcw.waveform.record_samples import ComplexArray
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import generator
@@ -45,7 +47,9 @@ def measure_echoes(
     """
     field = echo_field(model, echoes, shot, seed)
     beams = [
-        _measure_beam(instrument, model, echoes, field[s, b], s, b, _rng(seed, int(shot[s]), b))
+        _measure_beam(
+            instrument, model, echoes, field[s, b], s, b, _Generators.of(model, seed, int(shot[s]), b)
+        )
         for s, b in np.ndindex(echoes.fired.shape)
     ]
     columns = {name: np.concatenate([getattr(beam, name) for beam in beams]) for name in RETURN_COLUMNS}
@@ -67,12 +71,20 @@ def measure_one_beam(
     """
     field = echo_field(model, echoes, shot, seed)[s, b]
     return _measure_records(
-        instrument, model, echoes, field, s, b, _rng(seed, int(shot[s]), b), keep_bins=True
+        instrument, model, echoes, field, s, b, _Generators.of(model, seed, int(shot[s]), b), keep_bins=True
     )
 
 
-def _rng(seed: int, shot: int, b: int) -> np.random.Generator:
-    return generator(seed, shot, b, bit_generator=np.random.PCG64)
+class _Generators(NamedTuple):
+    """Random generators of one measurement."""
+
+    beam: np.random.Generator
+    laser: np.random.Generator
+
+    @classmethod
+    def of(cls, model: ReceiverModel, seed: int, shot: int, b: int) -> Self:
+        beam = generator(seed, shot, b, bit_generator=np.random.PCG64)
+        return cls(beam, laser_generator(model, seed, shot, b))
 
 
 def _measure_beam(
@@ -82,7 +94,7 @@ def _measure_beam(
     field: ComplexArray,
     s: int,
     b: int,
-    rng: np.random.Generator,
+    rng: _Generators,
 ) -> Returns:
     """Measure one beam of one shot."""
     if not echoes.fired[s, b]:
@@ -104,7 +116,7 @@ def _measure_records(
     field: ComplexArray,
     s: int,
     b: int,
-    rng: np.random.Generator,
+    rng: _Generators,
     keep_bins: bool = False,
 ) -> WaveformMeasurement:
     """Measure the records of a beam."""
@@ -132,7 +144,8 @@ def _measure_records(
         instrument.detection,
         footprint,
         response=response,
-        rng=rng,
+        rng=rng.beam,
+        laser_rng=rng.laser,
         noise_share=share,
         digitiser=Digitiser.of(receiver, model.response),
         noise_level=level,

@@ -41,21 +41,32 @@ class Segment(NamedTuple):
     """+1 for the up-chirp, -1 otherwise: range and closing speed then give positive beats."""
 
 
-def frequency_plan(waveform: Waveform) -> tuple[Segment, Segment, Segment]:
+def frequency_plan(
+    waveform: Waveform, slope_error: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Segment, Segment, Segment]:
     """Up-chirp, constant frequency c/λ and down-chirp, one after another without a jump.
 
-    The up-chirp ends at c/λ; the down-chirp starts there and ends where the next up-chirp starts. The slope is the
-    laser's actual slope.
+    The up-chirp ends at c/λ; the down-chirp starts there. The slopes are the laser's actual slopes, with further
+    relative errors of the two chirps.
     """
     nominal_hz = SPEED_OF_LIGHT_MPS / waveform.wavelength_m
     slope = waveform.chirp_slope_hz_per_s * (1.0 + waveform.slope_error)
+    up, down = (slope * (1.0 + error) for error in slope_error)
     period_s = waveform.segment_time_s
     to_centre_s = period_s - waveform.record_time_s / 2
     return (
-        Segment(nominal_hz - slope * period_s, slope, -slope, to_centre_s, -period_s, 1),
-        Segment(nominal_hz, 0.0, slope, to_centre_s, 0.0, -1),
-        Segment(nominal_hz, -slope, 0.0, to_centre_s, period_s, -1),
+        Segment(nominal_hz - up * period_s, up, -slope, to_centre_s, -period_s, 1),
+        Segment(nominal_hz, 0.0, up, to_centre_s, 0.0, -1),
+        Segment(nominal_hz, -down, 0.0, to_centre_s, period_s, -1),
     )
+
+
+def draw_frequency_plan(
+    laser_rng: np.random.Generator, waveform: Waveform
+) -> tuple[Segment, Segment, Segment]:
+    """Draw the slopes of the two chirps of one cycle."""
+    up, down = waveform.slope_scatter * laser_rng.standard_normal(2)
+    return frequency_plan(waveform, (float(up), float(down)))
 
 
 @dataclass(frozen=True)
