@@ -80,7 +80,7 @@ def build_receiver(
         segment_records=waveform.segment_time_s / record_s,
         cycle_records=waveform.cycle_time_s / record_s,
         record_time_s=record_s,
-        furthest_record_s=waveform.segment_time_s * (1.5 * looks - 0.5),
+        furthest_record_s=instrument.furthest_record_s,
         snr_per_w=per_w,
         signal_shot_per_w=1.0 / (receiver.local_oscillator_power_w * amplifier),
         response=_response(instrument, amplifier, digitiser),

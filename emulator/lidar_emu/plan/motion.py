@@ -55,12 +55,12 @@ def sweep_motion(flight: Flight, hits: Hits, least_cosine: float) -> MotionExtre
     step = max(1, flight.shot_count // _MOST_SHOTS)
     shot, state = np.arange(0, flight.shot_count, step, dtype=np.int64), flight.scanner.initial
     farthest_m = float(np.nanmax(hits.range_m, initial=0.0))
-    largest = np.zeros(len(MotionExtremes._fields))
+    extremes = np.zeros(len(MotionExtremes._fields))
     for first in range(0, len(shot), _SHOTS_AT_ONCE):
         pointing, state = flight.point(shot[first : first + _SHOTS_AT_ONCE], state, follows_chirps=True)
         motion = _motions(pointing, segment_s, farthest_m, least_cosine)
-        largest = np.maximum(largest, [np.nanmax(np.abs(values), initial=0.0) for values in motion])
-    return MotionExtremes(*largest.tolist())
+        extremes = np.maximum(extremes, [largest(values) for values in motion])
+    return MotionExtremes(*extremes.tolist())
 
 
 def _motions(
@@ -90,6 +90,11 @@ def _motions(
     )
 
 
+def largest(values: FloatArray) -> float:
+    """Largest absolute value; 0 if all are NaN."""
+    return float(np.nanmax(np.abs(values), initial=0.0))
+
+
 def _length(vectors: FloatArray) -> FloatArray:
     return np.sqrt(dot(vectors, vectors))
 
@@ -106,13 +111,11 @@ def plan_curvature(scenario: FlightScenario, motion: MotionExtremes) -> tuple[De
     A change δv of closing speed between chirp and constant segment changes range by c δv / (λ S), as an acceleration
     does.
     """
-    waveform, looks = scenario.instrument.waveform, scenario.instrument.detection.looks
+    instrument, waveform = scenario.instrument, scenario.instrument.waveform
     # The curves are parabolas: the records of further looks are farther from the time of validity.
-    farther = (1.0 + 0.5 * (looks - 1) * waveform.cycle_time_s / waveform.segment_time_s) ** 2
+    farther = (instrument.furthest_record_s / waveform.segment_time_s) ** 2
     speed_mps = farther * motion.bend_mps
-    range_m = farther * motion.bend_m + speed_mps * SPEED_OF_LIGHT_MPS / (
-        waveform.wavelength_m * waveform.chirp_slope_hz_per_s
-    )
+    range_m = farther * motion.bend_m + speed_mps * waveform.range_per_speed_s
     # Within a record the mean speed exceeds the one at its centre by jerk T² / 24.
     within_mps = motion.jerk_mps3 * waveform.record_time_s**2 / 24.0
     reason = (
@@ -131,8 +134,9 @@ def plan_curvature(scenario: FlightScenario, motion: MotionExtremes) -> tuple[De
 def plan_unknown_curvature(waveform: Waveform) -> Decision:
     """Describe what live truth leaves out: the motion after a shot is not known when it is computed."""
     speed_mps = 0.5 * waveform.segment_time_s**2
-    range_m = speed_mps * SPEED_OF_LIGHT_MPS / (waveform.wavelength_m * waveform.chirp_slope_hz_per_s)
-    bound = f"{at_most(range_m)} m, {at_most(speed_mps)} m/s for each m/s³ of jerk"
+    bound = (
+        f"{at_most(speed_mps * waveform.range_per_speed_s)} m, {at_most(speed_mps)} m/s for each m/s³ of jerk"
+    )
     return Decision("curvature of motion", False, "-", "the motion after a shot is unknown", bound)
 
 
@@ -140,9 +144,9 @@ def plan_delay(echoes: Echoes) -> Decision:
     """Bound what the delay of the light to the ground leaves out of echoes sampled along the flight."""
     delay_s = echoes.range_m[..., 0] / SPEED_OF_LIGHT_MPS
     closing_mps = echoes.closing_speed_mps[..., 0]
-    range_m = np.nanmax(np.abs(echoes.range_rate_mps[..., 0]) * delay_s, initial=0.0)
+    range_m = largest(echoes.range_rate_mps[..., 0] * delay_s)
     later_mps = np.abs(echoes.closing_acceleration_mps2) * delay_s + closing_mps**2 / SPEED_OF_LIGHT_MPS
-    bound = f"{at_most(float(range_m))} m, {at_most(float(np.nanmax(later_mps, initial=0.0)))} m/s"
+    bound = f"{at_most(range_m)} m, {at_most(largest(later_mps))} m/s"
     reason = "echoes are evaluated at the time of reception"
     return Decision("delay to the ground", False, "-", reason, bound)
 

@@ -34,7 +34,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class Plan:
-    """The decisions of a run, and those of them that the model follows."""
+    """Decisions of a run: their description, and the values that the model follows."""
 
     decisions: tuple[Decision, ...]
     beamlets: int = 1

@@ -16,8 +16,7 @@ from lidar_emu.fmcw.skip_limits import (
     LEAST_SMEAR_BINS,
     LEAST_SWEEP_SCATTER_BINS,
 )
-from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.plan.motion import MotionExtremes
+from lidar_emu.plan.motion import MotionExtremes, largest
 from lidar_emu.plan.plan import Decision, at_most
 from lidar_emu.scenario.ambiguity import folded_range, folded_speed
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Instrument, Waveform
@@ -43,7 +42,7 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes, motion: MotionExtrem
         f"the scenario specifies level {scenario.level}",
         _LEVEL[scenario.level],
     )
-    folds = plan_ambiguity(scenario, _largest(echoes.range_m), _largest(echoes.closing_speed_mps))
+    folds = plan_ambiguity(scenario, largest(echoes.range_m), largest(echoes.closing_speed_mps))
     if scenario.waveform_echo != "beamlets":
         receiver = _response(scenario.instrument), _clipping(scenario.instrument)
         return [level, folds, _scatterers(scenario), *receiver]
@@ -124,8 +123,7 @@ def _choice_of_folds(detection: Detection) -> str:
 def _motion(waveform: Waveform, motion: MotionExtremes) -> Decision:
     fastest_mps2 = motion.acceleration_mps2
     # Between up- and down-chirp the speed changes by 2 T a, which causes a range error.
-    bias_m = SPEED_OF_LIGHT_MPS * waveform.segment_time_s * fastest_mps2
-    bias_m /= waveform.wavelength_m * waveform.chirp_slope_hz_per_s
+    bias_m = waveform.range_per_speed_s * waveform.segment_time_s * fastest_mps2
     reason = f"{fastest_mps2:.3g} m/s² makes {bias_m:.2g} m of range error, short while decelerating"
     return Decision("motion in a shot", True, "each segment's own time", reason, "exact for steady rates")
 
@@ -145,9 +143,9 @@ def _smear(scenario: FlightScenario, echoes: Echoes) -> Decision:
 def largest_smear_bins(waveform: Waveform, echoes: Echoes) -> float:
     """Compute the largest drift of a beat during its record by acceleration and range migration, in bins."""
     record_s = waveform.record_time_s
-    by_motion = 2 * _largest(echoes.smear_acceleration_mps2) / waveform.wavelength_m
+    by_motion = 2 * largest(echoes.smear_acceleration_mps2) / waveform.wavelength_m
     slope = waveform.chirp_slope_hz_per_s * (1 + waveform.slope_error)
-    by_migration = 4 * slope * _largest(echoes.closing_speed_mps) / SPEED_OF_LIGHT_MPS
+    by_migration = 4 * slope * largest(echoes.closing_speed_mps) / SPEED_OF_LIGHT_MPS
     return float((by_motion + by_migration) * record_s**2)
 
 
@@ -159,7 +157,7 @@ def _line(scenario: FlightScenario, echoes: Echoes) -> Decision:
         return Decision(
             "laser line", True, "published convolution", "linewidth_model is coherent", "as published"
         )
-    farthest_m = _largest(echoes.range_m)
+    farthest_m = largest(echoes.range_m)
     drift = 4 * np.pi * waveform.linewidth_hz * farthest_m / SPEED_OF_LIGHT_MPS
     reason = f"phase variance up to {drift:.2g} over {farthest_m:.0f} m"
     if scenario.exact:
@@ -175,7 +173,7 @@ def _sweep(scenario: FlightScenario, echoes: Echoes) -> Decision:
     if waveform.slope_scatter == 0 and waveform.flicker_hz2 == 0:
         return Decision("laser sweep", False, "-", "slope_scatter and flicker_hz2 are 0", "exact")
     scatter = build_receiver(scenario.instrument, scenario.site).sweep_scatter
-    farthest_m = _largest(echoes.range_m)
+    farthest_m = largest(echoes.range_m)
     range_m, speed_mps = scatter.range_per_m * farthest_m, scatter.speed_mps_per_m * farthest_m
     reason = f"chirps off by {range_m:.2g} m, constant segment by {speed_mps:.2g} m/s at {farthest_m:.0f} m"
     if scenario.exact:
@@ -241,7 +239,3 @@ def _false_alarms(scenario: FlightScenario) -> Decision:
         return Decision("false alarms", True, "highest of all bins", "every bin has noise", "exact")
     bound = f"{LEAST_FALSE_ALARM:g} of the spectra"
     return Decision("false alarms", True, "unless the echo is too strong", "every bin has noise", bound)
-
-
-def _largest(values: FloatArray) -> float:
-    return float(np.nanmax(np.abs(values), initial=0.0))

@@ -11,8 +11,9 @@ import numpy as np
 
 from lidar_emu.echo.spectral_spread import Spread
 from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.arrays import BoolArray
 from lidar_emu.numerics.records import as_record
+from lidar_emu.plan.motion import largest
 from lidar_emu.plan.operations import Operations
 from lidar_emu.scenario.schema import FlightScenario
 
@@ -108,12 +109,8 @@ def _waveform(scenario: FlightScenario, echoes: Echoes, beamlets: int) -> dict[s
     response = AnalogResponse.of(scenario.instrument.receiver)
     samples = waveform.fft_length
     if not response.flat:
-        highest_bin = _largest(echoes.range_m) / waveform.range_bin_m
-        highest_bin += _largest(echoes.closing_speed_mps) / waveform.speed_bin_mps
+        highest_bin = largest(echoes.range_m) / waveform.range_bin_m
+        highest_bin += largest(echoes.closing_speed_mps) / waveform.speed_bin_mps
         samples += response.run_in(waveform.sample_rate_hz)
         samples *= oversampling(waveform, highest_bin * waveform.bin_width_hz)
     return {"beamlet samples": 3.0 * beamlets * samples, "receiver samples": 3.0 * samples}
-
-
-def _largest(values: FloatArray) -> float:
-    return float(np.nanmax(np.abs(values), initial=0.0))

@@ -78,6 +78,12 @@ class Waveform(Part):
         return self.wavelength_m * self.bin_width_hz / 2.0
 
     @property
+    def range_per_speed_s(self) -> float:
+        """Change of the measured range by a closing speed that the chirps have and the constant segment has not,
+        c / (λ S), in metres per m/s."""
+        return self.range_bin_m / self.speed_bin_mps
+
+    @property
     def nyquist_range_m(self) -> float:
         """Range whose beat is half the sample rate; beats of longer ranges are folded."""
         return 0.5 * self.fft_length * self.range_bin_m
@@ -207,6 +213,11 @@ class Instrument(Part):
     """Detector and amplifier."""
     detection: Detection = Detection()
     """Signal processing."""
+
+    @property
+    def furthest_record_s(self) -> float:
+        """Time from the time of validity to the centres of the first and the last record."""
+        return self.waveform.segment_time_s * (1.5 * self.detection.looks - 0.5)
 
     @property
     def log_false_alarm_per_bin(self) -> float:
