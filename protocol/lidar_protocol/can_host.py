@@ -28,7 +28,7 @@ class CanCounters:
     unknown_ids: int = 0
     """Frames with an unknown identifier, or of the wrong frame format for it."""
     bad_length: int = 0
-    """Frames whose length is not that of their message."""
+    """Frames whose length differs from their message's."""
     foreign: int = 0
     """Frames of another interface version."""
     orphans: int = 0
@@ -152,7 +152,7 @@ class CanReceiver:
         if not 0 < beam_count <= self._can.beam_slots:
             self.counters.incomplete += 1
             return False
-        # A header without details is that of one set alone.
+        # A header without details belongs to one set alone.
         can_set = min(message.sets) if details is None else "full" if details else "core"
         key = shot.unit, can_set, beam_count
         shot.can_set = self._sets.get(key) or self._sets.setdefault(key, self._set(*key))

@@ -33,7 +33,7 @@ class SpacePacketHeader:
     """Primary header of a CCSDS space packet (133.0-B), always big-endian."""
 
     apids: Mapping[Kind, int]
-    """APIDs of unit 0; those of the other units follow consecutively."""
+    """APIDs of unit 0; the APIDs of the other units follow consecutively."""
     units: int
     timed: frozenset[Kind]
     """Kinds whose body starts with a time code, the secondary header."""

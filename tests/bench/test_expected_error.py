@@ -1,4 +1,4 @@
-"""Errors expected from closed forms against those of simulated flights."""
+"""Errors expected from closed forms, against the errors of simulated flights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whoever flies a campaign, in whatever order, and whoever dies meanwhile: the same files."""
+"""Campaigns flown by any number of processes, in any order, and with deaths among them: the same files."""
 
 from __future__ import annotations
 

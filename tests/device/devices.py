@@ -20,7 +20,7 @@ TIMES = {
 
 
 def constants(**part: Any) -> DeviceConstants:
-    """Of a device at 20 shots a second with four beams and two patterns."""
+    """Constants of a device at 20 shots a second with four beams and two patterns."""
     return device_constants(DeviceBehaviour.model_validate({**TIMES, **part}), 20.0, 4, 2, 1.5)
 
 

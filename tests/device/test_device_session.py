@@ -251,7 +251,7 @@ def test_going_back_gives_the_same_packets(part: Any, back: list[int], divisor: 
 
 @pytest.mark.parametrize("steps", [[41, 80], [7, 8, 9, 30, 44, 80], list(range(1, 81))])
 def test_shots_that_are_passed_over_are_counted_as_the_device_would_have_fired_them(steps: list[int]) -> None:
-    """At a third of the rate, and off for a while: numbers after a stall are those without one."""
+    """At a third of the rate, and off for a while, numbers after a stall are the same as without one."""
     events = [{"at_s": 1.3, "what": "interlock_opens"}, {"at_s": 1.7, "what": "interlock_closes"}]
     for part in ({"events": events}, {"start": "boot", "boot_s": 0.4, "self_test_s": 0.21}):
         session, whole = begun(**part)[0], begun(**part)[0]

@@ -80,7 +80,7 @@ def coast(
 
 
 class Sums(NamedTuple):
-    """Of vehicle, slosh and bending mode together, for each state; no gravity."""
+    """Sums over vehicle, slosh and bending mode, for each state; no gravity."""
 
     momentum: Floats
     angular_momentum: Floats

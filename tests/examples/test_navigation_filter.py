@@ -115,7 +115,7 @@ def test_without_errors_the_inertial_unit_finds_the_way() -> None:
 
 
 def test_an_inertial_unit_has_the_errors_that_its_grade_states() -> None:
-    """Over units: biases by their scatter; within one: random walks by that of its ticks."""
+    """Biases appear as scatter among units, random walks as scatter among the ticks of one unit."""
     truth = flown(trajectory=TURNING)
     exact = list(SimulatedInertial(truth, np.random.default_rng(0), EXACT).between(0, 4_000_000_000))
     means, scatters = [], []

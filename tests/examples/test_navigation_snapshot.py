@@ -39,7 +39,7 @@ def shot_of(beams: Array, range_m: Array, speed_mps: Array) -> Shot:
 def test_velocity_dilution_is_the_closed_form(
     azimuth_deg: Array, angle_deg: float, level: float, upright: float
 ) -> None:
-    """Of n beams in a ring: sqrt(2 / n) / sin across, 1 / (sqrt(n) cos) along."""
+    """With n beams in a ring it is sqrt(2 / n) / sin across, and 1 / (sqrt(n) cos) along."""
     count, off = len(azimuth_deg), np.radians(angle_deg)
     across, along = (2 / count) ** 0.5 / np.sin(off), 1 / (count**0.5 * np.cos(off))
     assert snapshot.dilution(directions(angle_deg, azimuth_deg)) == pytest.approx([across, across, along])

@@ -63,7 +63,7 @@ def device_constants_of() -> DeviceConstantsOf:
 
 @pytest.fixture
 def shoot(device_constants_of: DeviceConstantsOf) -> Shoot:
-    """All shots of a scenario, in blocks of so many."""
+    """All shots of a scenario, in blocks of `block_shots`."""
 
     def run(scenario: Scenario, block_shots: int = 128, can: bool = False, fd: bool = False) -> list[Block]:
         model = build_model(scenario)  # type: ignore[arg-type]

@@ -212,7 +212,7 @@ def unframed(packet: bytes) -> bytes:
 
 
 def body_of(packet: bytes) -> bytes:
-    """Of a space packet, whose CRC is right."""
+    """Body of a space packet; checks its CRC."""
     data = unframed(packet)
     assert binascii.crc_hqx(data[:-2], 0xFFFF) == int.from_bytes(data[-2:], "big")
     return data[6:-2]

@@ -116,7 +116,7 @@ def test_fading_by_decibels_lowers_the_snr_by_them() -> None:
     good = flown()
     bad = flown(in_window("kind: laser_fade, loss_db: 4, ramp_s: 0.5", beams="[1]"))
     ramp_db = 4 * np.minimum(1, np.arange(20) * 0.05 / 0.5)
-    # The noise at a peak is the same, so that its power does not fall quite as much as that of the light.
+    # The noise at a peak is the same, so that its power does not fall quite as much as the light's.
     lost_db = (good.snr_db - bad.snr_db)[INSIDE, 1]
     np.testing.assert_allclose(lost_db, ramp_db, atol=0.35)
     assert abs(np.mean(lost_db - ramp_db)) < 0.1
@@ -161,7 +161,7 @@ def test_a_patch_changes_the_echo_of_beams_on_it() -> None:
 
 @pytest.mark.parametrize("ground", ["grid", "plane"])
 def test_a_patch_under_a_part_of_the_footprint_takes_that_part(ground: str) -> None:
-    """Of a beam straight down; on a grid it is sampled by beamlets, on level ground one stands for all."""
+    """A beam straight down is sampled by beamlets on a grid, and by a single one on level ground."""
     keys: Any = {
         "site": "mare" if ground == "grid" else "flat",
         "scanner__pattern": "{kind: directions, beams: [[0, 0]]}",

@@ -11,7 +11,7 @@ COSINES = {"rect": (1.0, 0.0), "hann": (0.5, 0.5), "hamming": (0.54, 0.46)}
 def tones_in_time(signed_bin: np.ndarray, weight: np.ndarray, length: int, smear: float = 0.0) -> np.ndarray:
     """Real samples of tones that have the phase of `weight` at the record's centre.
 
-    With `smear` their frequency rises by so many bins during the record.
+    Their frequency rises by `smear` bins during the record.
     """
     n = np.arange(length, dtype=np.longdouble) - np.longdouble(length - 1) / 2
     samples = np.zeros(length)

@@ -78,7 +78,7 @@ def test_quick_and_general_way_agree(
     place = centre + spread * rng.uniform(-1, 1, count)
     weight = rng.standard_normal(count) + 1j * rng.standard_normal(count)
     _, quick, general = _both(np.rint(place) if whole else place, weight, 2**17)
-    # Tones may cancel: rounding is that of their own sizes.
+    # Tones may cancel: rounding is relative to their own sizes.
     assert abs(quick - general).max() < 1e-11 * max(abs(general).max(), 0.1 * np.sqrt(count))
 
 

@@ -53,7 +53,7 @@ def test_smear_taps_are_fourier_coefficients(size: float, sign: float, extra: in
 def _smeared_bins(
     place: float, weight: complex, beta: float, length: int, window: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Bins filtered, and those of chirped samples; without the bins that the grid's ends affect."""
+    """Filtered bins, and bins of chirped samples, without the ones that the grid's ends affect."""
     half = LEAST_TAPS + int(abs(beta) / 2)
     observed, factor_re, factor_im = fold(place, float(length))
     n = np.rint(observed)
@@ -152,7 +152,7 @@ def test_line_is_that_of_a_laser_walking_at_random(linewidth_khz: float, delay_u
     ours, walked = _drawn(linewidth, delay, half, 3000), _walked(linewidth, delay, half, 1500)
     drift = 2 * np.pi * linewidth * delay
     error = 5 * sqrt(1 / len(ours) + 1 / len(walked))
-    # Correlations are those of an endless record: delays that are a part of it shift up to a third of that part
+    # Correlations belong to an endless record: delays that are a part of it shift up to a third of that part
     # from the lowest taps to those where an endless record's spectrum is empty.
     coarse = error + delay / 3
     powers, pseudo = [], []

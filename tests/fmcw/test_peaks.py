@@ -83,7 +83,7 @@ def test_methods_are_those_of_the_scenario() -> None:
     assert set(PEAK_METHODS) == set(get_args(Detection.model_fields["peak"].annotation))
 
 
-# The published figures; those of the parabola are its bias of 0.01146 bin rms and 0.0663 bin of noise at 20 dB.
+# The published figures; the parabola's are its bias of 0.01146 bin rms and 0.0663 bin of noise at 20 dB.
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "expected"),

@@ -13,7 +13,7 @@ from lidar_emu.scenario.instrument import Instrument, Receiver, Waveform
 
 
 def _response(length: int, lowpass: float | None = None, highpass: float = 0.0) -> Response:
-    """Of an instrument whose poles lie at so many bins."""
+    """Response of an instrument whose poles are given in bins."""
     waveform = Waveform(fft_length=length)
     receiver = PLAIN.receiver.model_copy(
         update={
@@ -80,7 +80,7 @@ def test_spectrum_of_noise_filtered_in_time() -> None:
     length, lowpass, oversampling, records = 512, 150.0, 64, 300
     rng = np.random.default_rng(12)
     pole = np.exp(-2 * np.pi * lowpass / length / oversampling)
-    # The discrete pole's noise bandwidth, π/2 times its corner in cycles per record, is that of the analogue one.
+    # The discrete pole's noise bandwidth, π/2 times its corner in cycles per record, equals the analogue one's.
     scale = np.sqrt(np.pi * lowpass / length * (1 - pole**2))
     noise = rng.standard_normal((records, (length + 64) * oversampling))
     sampled = lfilter([scale], [1.0, -pole], noise)[:, 64 * oversampling :: oversampling]

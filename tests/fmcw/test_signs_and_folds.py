@@ -278,7 +278,7 @@ def test_two_segments_of_a_descent(range_m: float, speed_mps: float) -> None:
         estimate = _of_two(mask, np.rint(_observed(beat, doppler)))
         assert estimate.range_bin == pytest.approx(beat, abs=1)
         assert estimate.doppler_bin == pytest.approx(doppler, abs=1)
-    # The constant segment and the down-chirp say as much as the chirp pair: the sign remains that of closing.
+    # The constant segment and the down-chirp determine as much as the chirp pair: the sign remains closing.
     estimate = _of_two(CONSTANT | DOWN, np.rint(_observed(beat, doppler)))
     assert estimate.range_bin == pytest.approx(beat, abs=1)
     assert estimate.doppler_bin == pytest.approx(doppler, abs=1)

@@ -123,7 +123,7 @@ def _fading(drift_per_s: float, looks: int = 1, shots: int = 6000) -> np.ndarray
 
 
 def _expected_variance(step: float) -> float:
-    """Of the mean of three exponential powers whose field moves by `step` pitches from one to the next."""
+    """Variance of the mean of three exponential powers whose field moves by `step` pitches from one to the next."""
     offset = np.random.default_rng(7).uniform(0, 1, 200_000)
     corners = np.zeros((3, len(offset), 12))
     rows = np.arange(len(offset))
@@ -151,7 +151,7 @@ def test_looks_shrink_fading() -> None:
 
 
 def test_beamlets_add_their_powers() -> None:
-    """Of 19 beamlets within a hundredth of a bin: the mean is the sum of the powers, and one exponential fade."""
+    """19 beamlets within a hundredth of a bin have the sum of their powers as mean, and fade together exponentially."""
     model = build_receiver(_instrument())
     shots = 4000
     rng = np.random.default_rng(5)

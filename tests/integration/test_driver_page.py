@@ -1,4 +1,4 @@
-"""The page for driver writers: its programs run, its faults are those of the catalogue, its links lead somewhere."""
+"""The page for driver writers: its programs run, its faults match the catalogue, its links lead somewhere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands encoded by the generated C header, beside those of the library and one of INTERFACE.md, byte by byte."""
+"""Commands encoded by the generated C header, compared byte by byte with the library and an example of INTERFACE.md."""
 
 import shutil
 import subprocess

@@ -28,7 +28,7 @@ class World:
         return self.computed
 
     def rest(self, ms: int, reports: int) -> None:
-        """Wait, a look every 10 ms, with so many reports in each."""
+        """Wait, with a look every 10 ms and `reports` reports in each."""
         for _ in range(ms // 10):
             self.now += 10 * MS
             self.monitor.reported(reports)

@@ -30,7 +30,7 @@ class Line:
 
 @given(st.lists(st.tuples(st.integers(0, 6), st.integers(0, 6)), max_size=4))
 def test_of_each_shot_the_last_announcement_is_sent(commands: list[tuple[int, int]]) -> None:
-    """Commands, each after so many more shots were announced, each from so many shots back on."""
+    """Commands: the number of further shots announced before each, and how many shots back it takes effect."""
     packets, reports = (
         SharedRing(SharedRing.create(256, 64)),
         SharedRing(SharedRing.create(512, DeliveryReport.SIZE_BYTES)),

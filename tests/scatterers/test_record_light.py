@@ -74,7 +74,7 @@ def test_line_is_as_wide_at_every_range(range_m: float, velocity_mps: tuple[floa
     ("range_m", "speed_mps"), [(30.0, 0.0), (300.0, -20.0), (2000.0, 100.0), (9000.0, 3.0)]
 )
 def test_one_scatterer_on_the_axis_beats_as_its_delay(segment, range_m: float, speed_mps: float) -> None:
-    """The delay at reception t solves c τ/2 = R - v (t - τ/2) exactly; its change is that of the phase."""
+    """The beat is the rate of the phase with the delay τ that solves c τ/2 = R - v (t - τ/2) at reception t."""
     scatterers = Scatterers(np.array([[0.0, 0.0, -range_m]]), ON_AXIS, np.ones(1, dtype=complex))
     one = light(gliding([0.0, 0.0, -speed_mps]), scatterers, 1e-4, segment)
     share = speed_mps / SPEED_OF_LIGHT_MPS

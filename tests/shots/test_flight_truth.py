@@ -31,7 +31,7 @@ def test_vertical_descent_over_a_plane(make_flight):
 
 
 def test_measured_values_lie_within_a_few_sigma_of_the_truth(make_flight):
-    """Beside what three segments one after another read wrongly: sigma is that of noise alone.
+    """Three consecutive segments have systematic errors beside the noise, which alone is in sigma.
 
     Between the chirps the range changes by 2 v T and the speed by 2 a T, and their carriers differ, f - S T_rec/2 and
     f - S (T - T_rec/2).

@@ -113,7 +113,7 @@ def test_objects_out_of_reach_are_left_out_and_nothing_is_missed(make_flight, mo
     assert 0 < kept.held < kept.samples / 2
     reported = {row["stage"]: row["how"] for row in plan_flight(scenario, Flight(scenario)).rows()}
     assert reported["objects out of reach"] == f"{kept.held} of 160000 triangles held"
-    # Whoever looks elsewhere finds them there.
+    # Rays elsewhere hit them there.
     origin = np.column_stack([np.random.default_rng(1).uniform(-600, 600, (2000, 2)), np.full(2000, 50.0)])
     down = np.broadcast_to([0.0, 0.0, -1.0], origin.shape)
     monkeypatch.setattr("lidar_emu.scene.objects.build.CUT_FROM_TRIANGLES", 10**9)

@@ -20,7 +20,7 @@ ONE_BEAM = {
 
 
 def operations(**keys: str) -> dict[str, float]:
-    """Of twenty shots of one beam over a plane."""
+    """Count the operations of twenty shots of one beam over a plane."""
     scenario = load("descent.yaml", ONE_BEAM | {key.replace("__", "."): value for key, value in keys.items()})
     found = build_model(scenario).plan.operations
     assert isinstance(found, Operations)
@@ -37,7 +37,7 @@ def test_beams_and_tones_of_the_statistical_level():
     assert found == {"beams": 20, "rays": 380, "records": 120, "tones": 2400}
 
 
-def test_bins_are_those_that_the_kernels_lay():
+def test_bins_are_counted_as_the_kernels_lay_them():
     """A beam at rest: eight bins on each side of a line without width, plus one; no filter."""
     still = (
         "{kind: profile, waypoints: [{altitude_m: 100, speed_mps: 0.01}, {altitude_m: 99, speed_mps: 0.01}]}"

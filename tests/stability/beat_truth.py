@@ -28,7 +28,7 @@ def signed_beats_bin(
 ) -> tuple[mpf, mpf, mpf]:
     """g₊, g₀ and g₋ at the centres of their records.
 
-    The up-chirp ends at c/λ, the down-chirp starts there; range and speed are those of the record's own time.
+    The up-chirp ends at c/λ, the down-chirp starts there; range and speed are taken at the record's own time.
     """
     light, wavelength = mpf(299_792_458), mpf(waveform.wavelength_m)
     slope = mpf(waveform.chirp_slope_hz_per_s) * (1 + mpf(waveform.slope_error))

@@ -22,7 +22,7 @@ FORTY_DIGITS = "beats in 40 digits"
 
 
 class Outcome(NamedTuple):
-    """Of all beams of an extreme; errors are the largest of those that are valid with their sign resolved."""
+    """Outcome of all beams of an extreme; errors are the largest over valid beams whose sign is resolved."""
 
     reasons: frozenset[Reason]
     resolved: bool
@@ -49,7 +49,7 @@ class Extreme:
     """Every valid beam must have its sign resolved."""
     beside_m: float = 2e-4
     beside_mps: float = 2e-6
-    """Allowed beside six standard deviations: sigma is that of noise alone."""
+    """Allowed beside six standard deviations: sigma includes noise alone."""
 
     @property
     def must_be_valid(self) -> str:
@@ -128,7 +128,7 @@ def _outcome(instrument: Instrument, echoes: Echoes, returns: Returns) -> Outcom
 
 
 def _bounds(instrument: Instrument, echoes: Echoes, rows: np.ndarray) -> BeatTruth:
-    """Of each of the flat `rows`, bounds over its beamlets; those of the tones are (rows, 2, 3)."""
+    """Bounds over the beamlets of each of the flat `rows`; bounds of the tones are (rows, 2, 3)."""
     tones, ranges, speeds = np.zeros((len(rows), 2, 3)), np.zeros((len(rows), 2)), np.zeros((len(rows), 2))
     flat = [
         np.broadcast_to(column, echoes.range_m.shape).reshape(-1, echoes.range_m.shape[2])

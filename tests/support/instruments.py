@@ -46,7 +46,7 @@ def echoes(
 ) -> Echoes:
     """Beams of one beamlet each, in one shot; or whatever shape (shots, beams, beamlets) is given.
 
-    Unless told otherwise the beam's range stays as it is, as that of a beam that slides over rising ground, and the
+    By default the beam's range stays as it is, as for a beam that slides over rising ground, and the
     closing speed too: all three records measure one range and one speed.
     """
     given = (range_m, speed_mps, power_w, range_rate_mps)

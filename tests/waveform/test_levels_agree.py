@@ -347,7 +347,7 @@ def test_line_of_the_laser(linewidth_hz: float, scatter: float, decibels: float)
 
 
 def test_beams_without_a_measurement() -> None:
-    """Reasons, and what is reported beside them, are those of the spectral level."""
+    """Reasons and the other columns equal the spectral level's."""
     case = _case(30.0)
     shape = (1, 6, 1)
     range_m = np.reshape([RANGE_M, RANGE_M, np.nan, -1.0, RANGE_M, 13_000.0], shape)

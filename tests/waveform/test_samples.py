@@ -18,7 +18,7 @@ from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
 
 C = mpf(SPEED_OF_LIGHT_MPS)
 SHORT = Waveform(fft_length=256, sample_rate_hz=600e6 / 512)
-"""A record as long as that of the defaults, with few samples."""
+"""A record as long as the default one, with few samples."""
 
 
 def _frequencies(waveform: Waveform, index: int) -> tuple[mpf, mpf, mpf]:
@@ -32,7 +32,7 @@ def _frequencies(waveform: Waveform, index: int) -> tuple[mpf, mpf, mpf]:
 def _exact_cycles(
     waveform: Waveform, index: int, scatterer: tuple[float, float, float], time_s: float, edges: bool
 ) -> mpf:
-    """Phase of the laser less that of the echo, in cycles: integrals of the frequency, all 1e10 of them."""
+    """Phase of the laser less the echo's, in cycles: integrals of the frequency, all 1e10 of them."""
     start_hz, slope, before = _frequencies(waveform, index)
 
     def laser(u: mpf) -> mpf:

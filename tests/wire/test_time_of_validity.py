@@ -26,7 +26,7 @@ bench_pattern:
     - {range_m: 800, closing_speed_mps: 5}
 """
 TICK_NS = 1e9 / 2**24
-"""Resolution of the time of a packet; that of an offset is 1 us."""
+"""Resolution of the time of a packet; an offset has 1 us."""
 
 
 @pytest.fixture(scope="module")

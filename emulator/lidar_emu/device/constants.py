@@ -92,7 +92,7 @@ def device_constants(
 
 
 def all_events(part: DeviceBehaviour, faults: Sequence[Fault]) -> tuple[TimedEvent, ...]:
-    """All events of a scenario's device, including those of faults, in ascending order."""
+    """All events of a scenario's device, including events of faults, in ascending order."""
     events = [TimedEvent(_ns(event.at_s), event.what) for event in part.events]
     for fault in faults:
         if isinstance(fault, DeviceFault):

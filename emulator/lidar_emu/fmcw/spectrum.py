@@ -260,7 +260,7 @@ def mirror_ends(length: float, grid: FloatArray, count: int, bins: FloatArray) -
 def windowed_bin(
     bins: FloatArray, j: int, centre: float, side: float, cosine: float, sine: float
 ) -> tuple[float, float]:
-    """Column `j` with a window; `cosine` and `sine` of π/N."""
+    """Column `j` with a window; `cosine` and `sine` belong to the angle π/N."""
     sum_re = bins[0, j - 1] + bins[0, j + 1]
     sum_im = bins[1, j - 1] + bins[1, j + 1]
     rise_re = bins[0, j + 1] - bins[0, j - 1]

@@ -4,7 +4,7 @@ A particle stands for the many of a volume, as a scatterer for the grains of its
 V returns the radiant intensity β V I, without depolarisation, since the particles are taken to be spheres. Particles
 lie at random depths, one in each slice of a sixteenth of a range bin. Across the beam they are drawn from a mixture of
 Gaussians along the beam's path, with the density q, and stand for the area 1/q; the numbers drawn are a sequence of low
-discrepancy with a random origin, so that neighbouring slices together scatter what the mean says.
+discrepancy with a random origin, so that neighbouring slices together scatter the mean power.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ class Candump:
         return [_line(match) for line in self.log.splitlines() if (match := _LOGGED.fullmatch(line))]
 
     def shots(self) -> list[Line]:
-        """Of these, the frames of shots."""
+        """Frames of shots."""
         return [frame for frame in self.frames() if frame.can_id in MEASUREMENTS]
 
 
@@ -71,7 +71,7 @@ def candump(folder: Path, interface: str = "vcan0") -> Iterator[Candump]:
     """candump with ample room, listening from here on; it survives an interface that goes down."""
     path = folder / f"candump-{interface}.log"
     with path.open("wb") as log:
-        # Line buffered by stdbuf: what has come is in the file, whoever looks.
+        # Line buffered by stdbuf, so that every frame is in the file as soon as it has come.
         command = ["stdbuf", "-oL", "candump", "-D", "-L", "-r", str(8 << 20), interface]
         process = subprocess.Popen(command, stdout=log, stderr=subprocess.DEVNULL)
         with ended_at_the_end(process):

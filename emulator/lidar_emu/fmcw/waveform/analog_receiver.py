@@ -245,7 +245,7 @@ def _sampled_process(
     In partial fractions the response is Σ c_i / (s + p_i), and each of its terms, driven by the same white noise,
     is a process x' = -p x + n: from one sample to the next it decays by exp(-p/fs) and receives a Gaussian
     increment, correlated among the terms. Its covariance (1 - exp(-(p_i + p_j)/fs)) / (fs (p_i + p_j))
-    is that of white noise with unit variance in the band up to fs/2.
+    belongs to white noise with unit variance in the band up to fs/2.
     """
     from scipy.signal import lfilter
 

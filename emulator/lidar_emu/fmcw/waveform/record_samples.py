@@ -1,4 +1,4 @@
-"""Samples of one segment's record: the phase of the laser less that of its echo, without any beat frequency.
+"""Samples of one segment's record: the laser's phase less its echo's, without any beat frequency.
 
 Phases are in cycles, not radians. At the time u since the start of the segment the laser's phase is φ(u) = f_a u + s
 u²/2, and in the preceding segment φ(u) = f_a u + s' u²/2: its frequency is continuous. The echo of a scatterer at range
