@@ -54,10 +54,9 @@ class LidarLink:
         while (packets := packets_of(self._truth, sequence)) is None:
             if time.monotonic() > ends_s:
                 raise TimeoutError("no answer to truth: is `lidar-emu run ... --pace lockstep` running?")
+            # The receiver may not be listening yet; a repeated truth has no effect.
             time.sleep(0.05)
-            send(
-                self._truth, datagram
-            )  # The receiver may not be listening yet; a repeated truth has no effect.
+            send(self._truth, datagram)
         return packets
 
     def _awaited(self) -> Command:

@@ -48,6 +48,7 @@ UNITS = {
     "_hz_per_s": "Hz/s",
     "_db_per_hz": "dB/Hz",
     "_a_per_w": "A/W",
+    "_mps": "m/s",
     "_mrad": "mrad",
     "_rad": "rad",
     "_ohm": "Ω",
