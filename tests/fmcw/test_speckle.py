@@ -9,10 +9,12 @@ from scipy import stats
 
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.speckle import forget_corners, set_weights, speckle_field
+from lidar_emu.fmcw.speckle import PITCH_W, forget_corners, set_weights, speckle_field
 from lidar_emu.scenario.instrument import Detection, Instrument, Optics, Waveform
 
 BEAMLETS = 128
+
+RECORD_S = 2**17 / 600e6
 
 
 class _Field:
@@ -26,8 +28,8 @@ class _Field:
     def __call__(self, east: float, north: float) -> np.ndarray:
         if not self._keep:
             forget_corners(self._field)
-        set_weights(np.uint64(6), self._beam, east, north, self._field)
-        return self._field.weights[0] + 1j * self._field.weights[1]
+        set_weights(np.uint64(6), self._beam, east, north, self._field, self._field.weights[0])
+        return self._field.weights[0, 0] + 1j * self._field.weights[0, 1]
 
 
 def _places(count: int, seed: int = 4) -> np.ndarray:
@@ -48,8 +50,10 @@ def test_weights_are_circular_gaussian_numbers() -> None:
 
 
 def _correlation(x: float) -> float:
-    x = abs(x)
-    return (1 - x / 2) * np.cos(np.pi * x / 2) + np.sin(np.pi * x / 2) / np.pi if x < 2 else 0.0
+    """Of the weights cos²(πx/3) √(8/9) within 3/2, with themselves."""
+    place = np.linspace(-3, 3, 6001)
+    weight = np.sqrt(8 / 9) * np.cos(np.pi * place / 3) ** 2 * (abs(place) <= 1.5)
+    return float(np.trapezoid(weight * np.interp(place - x, place, weight, 0, 0), place))
 
 
 @pytest.mark.parametrize(
@@ -63,14 +67,14 @@ def test_correlation_over_a_distance(east: float, north: float) -> None:
     mean = np.mean(products)
     expected = _correlation(east) * _correlation(north)
     assert abs(mean - expected) < 5 / np.sqrt(np.size(products))
-    # Close to a Gaussian of the distance where the pitch is π/√8 w.
+    # Close to a Gaussian of the distance, with its curvature at 0.
     if east * north == 0:
-        assert abs(expected - np.exp(-(np.pi**2) / 8 * (east**2 + north**2))) < 0.036
+        assert abs(expected - np.exp(-(PITCH_W**2) * (east**2 + north**2))) < 0.03
 
 
 def test_field_is_continuous() -> None:
     field = _Field()
-    for x in (0.0, 3.0, -2.0, 1e6, 0.37):
+    for x in (0.0, 3.5, -2.5, 1e6 + 0.5, 0.37):
         step = 1e-7
         assert abs(field(x + step, -5.2) - field(x - step, -5.2)).max() < 20 * step + 1e-8
 
@@ -104,7 +108,7 @@ def _instrument(looks: int = 1) -> Instrument:
 
 
 def _fading(drift_per_s: float, looks: int = 1, shots: int = 6000) -> np.ndarray:
-    """Mean power of the three records of each shot, over its mean over shots; tones close to their bins."""
+    """Mean power of the three records of each shot, relative to a steady tone; tones close to their bins."""
     model = build_receiver(_instrument(looks=looks))
     shape = (shots, 1, 1)
     place = _places(shots)[:, None, :]
@@ -117,35 +121,46 @@ def _fading(drift_per_s: float, looks: int = 1, shots: int = 6000) -> np.ndarray
     )
     returns = receive(model, beams, np.arange(shots), 2)
     assert (returns.segments == 7).mean() > 0.999
-    power = 10 ** (returns.snr_db[:, 0] / 10)
-    assert np.mean(power) == pytest.approx(1e8, rel=5 / np.sqrt(shots) + 0.01)
-    return power / power.mean()
+    return 1e-8 * 10 ** (returns.snr_db[:, 0] / 10)
 
 
-def _expected_variance(step: float) -> float:
-    """Variance of the mean of three exponential powers whose field moves by `step` pitches from one to the next."""
-    offset = np.random.default_rng(7).uniform(0, 1, 200_000)
+def _expected(step: float) -> tuple[float, float]:
+    """Mean of the windowed record's power, and variance of the mean of three of them over that mean.
+
+    The field moves by `step` pitches from record to record, and as fast within each of them.
+    """
+    offset = np.random.default_rng(7).uniform(0, 1, 20_000)
     corners = np.zeros((3, len(offset), 12))
     rows = np.arange(len(offset))
+    time = (np.arange(32) + 0.5) / 32 - 0.5
+    hann = 1 + np.cos(2 * np.pi * time)
     for segment in range(3):
-        x = offset + segment * step
-        cell = np.floor(x).astype(int)
-        corners[segment, rows, cell] = np.cos(np.pi / 2 * (x - cell))
-        corners[segment, rows, cell + 1] = np.sin(np.pi / 2 * (x - cell))
+        for t, share in zip(time, hann / hann.sum(), strict=True):
+            x = 1 + offset + step * (segment + t * RECORD_S / 300e-6)
+            nearest = np.rint(x).astype(int)
+            for side in (-1, 0, 1):
+                corner = nearest + side
+                weight = np.sqrt(8 / 9) * np.cos(np.pi / 3 * (x - corner)) ** 2
+                corners[segment, rows, corner + 1] += share * weight
+    power = np.sum(corners[0] ** 2, axis=1)
     squares = [np.mean(np.sum(corners[a] * corners[b], axis=1) ** 2) for a in range(3) for b in range(3)]
-    return float(np.sum(squares) / 9)
+    mean = float(np.mean(power))
+    return mean, float(np.sum(squares) / 9) / mean**2
 
 
-@pytest.mark.parametrize("step", [0.0, 0.4, 0.9, 4.0])
+@pytest.mark.parametrize("step", [0.0, 0.4, 0.9, 1.5])
 def test_segments_fade_together_as_far_as_the_footprint_stays(step: float) -> None:
-    variance = np.var(_fading(step / 300e-6))
+    mean, variance = _expected(step)
+    power = _fading(step / 300e-6)
+    assert power.mean() == pytest.approx(mean, rel=5 / np.sqrt(6000) + 0.01)
     # A sample variance of exponential powers has a standard error of sqrt(8/n).
-    assert variance == pytest.approx(_expected_variance(step), abs=4 * np.sqrt(8 / 6000))
+    assert np.var(power / power.mean()) == pytest.approx(variance, abs=4 * np.sqrt(8 / 6000))
 
 
 def test_looks_shrink_fading() -> None:
     """Nine independent powers of three looks of three records."""
-    assert np.var(_fading(1e4, looks=3)) == pytest.approx(1 / 9, abs=0.02)
+    moving = _fading(6e3, looks=3)
+    assert np.var(moving / moving.mean()) == pytest.approx(1 / 9, abs=0.02)
     still = np.var(_fading(0.0, looks=3))
     assert still == pytest.approx(1, abs=4 * np.sqrt(8 / 6000))
 

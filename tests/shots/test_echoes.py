@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lidar_emu.echo.echoes import SPECKLE_PITCH_W, compute_echoes
+from lidar_emu.echo.echoes import compute_echoes
 from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.scanner.footprint import sample_footprint
 from lidar_emu.scanner.wavefront import beam_radius_m
@@ -168,7 +169,7 @@ def test_speckle_decorrelates_as_that_of_a_gaussian_beam(make_flight, range_m, s
     share = echoes.power_w[0, 0] / echoes.power_w[0, 0].sum()
     turns = 2 / WAVELENGTH_M * (echoes.closing_speed_mps[0, 0] - echoes.closing_speed_mps[0, 0, 0])
     by_phase = np.abs((share * np.exp(2j * np.pi * turns * time_s[:, None])).sum(axis=1))
-    slid_w = SPECKLE_PITCH_W * np.hypot(*echoes.speckle_drift_per_s[0, 0]) * time_s
+    slid_w = PITCH_W * np.hypot(*echoes.speckle_drift_per_s[0, 0]) * time_s
     shift_w0, turn = speed_mps * time_s / WAIST_M, np.hypot(*rate_radps[:2]) * time_s
     exponent = shift_w0**2 + (np.pi * WAIST_M * turn / WAVELENGTH_M) ** 2
     error = by_phase * np.exp(-(slid_w**2)) / np.exp(-exponent) - 1
@@ -187,7 +188,7 @@ def test_a_single_beamlet_and_the_place_decorrelate_over_the_waist(make_flight) 
     pointing, _, echoes = look(scenario, np.arange(0, 600), beamlets=1)
     moved_m = np.diff(pointing.sensor_site_m[:, 0, :2], axis=0)
     moved = np.diff(echoes.speckle_place[:, 0], axis=0)
-    pitch_m = np.pi / np.sqrt(8) * WAIST_M
+    pitch_m = PITCH_W * WAIST_M
     np.testing.assert_allclose(np.hypot(*moved.T), np.hypot(*moved_m.T) / pitch_m, rtol=1e-6)
     np.testing.assert_allclose(np.hypot(*echoes.speckle_drift_per_s[:, 0].T) * pitch_m, 25.0, rtol=1e-9)
 

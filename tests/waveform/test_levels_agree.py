@@ -110,7 +110,9 @@ class Case(NamedTuple):
         return measure_waveform(
             self.instrument.waveform,
             self.instrument.detection,
-            ScattererPatches(self.range_m, self.speed_mps, field[:, 0], 0.0, 0.0, acceleration_mps2),
+            ScattererPatches(
+                self.range_m, self.speed_mps, field.at_centre()[:, 0], 0.0, 0.0, acceleration_mps2
+            ),
             response=response,
             rng=np.random.default_rng(seed),
             noise_share=noise_share,

@@ -103,7 +103,7 @@ def _tones(scenario: FlightScenario, flight: Flight) -> FloatArray:
     shot = np.unique(np.linspace(0, flight.shot_count - 1, _SEGMENTS).astype(np.int64))
     model = build_receiver(scenario.instrument, scenario.site)
     echoes = light(scenario, flight, BEAMLETS, shot)
-    field = echo_field(model, echoes, shot, scenario.seed)[:, 0, _DOWN]
+    field = echo_field(model, echoes, shot, scenario.seed).at_centre()[:, 0, _DOWN]
     tones = np.zeros((len(shot), 4, -(-BEAMLETS // TONES_PER_DIVISION) * TONES_PER_DIVISION))
     for s in range(len(shot)):
         for i in range(BEAMLETS):

@@ -15,7 +15,7 @@ Where the surface moves, v is the velocity of the sensor relative to it.
 
 from __future__ import annotations
 
-from math import nan, pi, sqrt
+from math import nan, sqrt
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -25,6 +25,7 @@ from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import Pointing, beam_vectors, chirp_beams
 from lidar_emu.fmcw.link_budget import echo_law, echo_power_w
 from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.records import as_record
@@ -33,9 +34,6 @@ from lidar_emu.scanner.footprint import Footprint, sample_footprint
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene.ray_hits import Hits
-
-SPECKLE_PITCH_W = pi / sqrt(8)
-"""Pitch of the speckle lattice as a multiple of the beam's radius w, see `fmcw.speckle`."""
 
 LEAST_COSINE = 1e-3
 """Minimum cosine of incidence (89.94 degrees) in the slide of a beamlet over its facet, which diverges at grazing
@@ -244,7 +242,7 @@ def _set_echoes(
             # Across the beam, in pitches: from shot to shot the echo field is the whole beam's and changes with
             # exp(-d²/w0²). A rotation of the beam changes it too, by the sensor's distance from the origin times the
             # angle instead of the Rayleigh range times the angle.
-            waist_pitch_m = SPECKLE_PITCH_W * waist_m
+            waist_pitch_m = PITCH_W * waist_m
             first_m, second_m = dot(sensor, first), dot(sensor, second)
             if surface_mps.size > 0:
                 # The field moves with the surface.
@@ -368,6 +366,6 @@ def _speckle_scale(beamlets: int, range_m: float, waist_m: float, rayleigh_m: fl
     single beamlet it represents both.
     """
     if beamlets == 1:
-        return rayleigh_m, SPECKLE_PITCH_W * waist_m
+        return rayleigh_m, PITCH_W * waist_m
     farness = range_m / rayleigh_m
-    return range_m, SPECKLE_PITCH_W * waist_m * sqrt(1 + farness * farness)
+    return range_m, PITCH_W * waist_m * sqrt(1 + farness * farness)

@@ -25,6 +25,7 @@ from lidar_emu.fmcw.residual_limit import largest_residual_bin
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes
 from lidar_emu.fmcw.segment_spectrum import set_spectrum
 from lidar_emu.fmcw.speckle import forget_corners
+from lidar_emu.fmcw.speckle_change import needed_level
 from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.fmcw.statistical_model import draw_targets
 from lidar_emu.fmcw.workspace import SpectrumWorkspace, as_workspace
@@ -117,6 +118,7 @@ def measure_beams(
                 continue
             beam.beam = b
             _set_motion(beam, echoes, s, b)
+            beam.speckle_level = needed_level(model, beam.speckle_drift_per_s, beam.power_w)
             forget_corners(work.speckle)
             if spectrum_arrays is not None:
                 beam.filter_taps = 0

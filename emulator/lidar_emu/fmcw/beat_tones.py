@@ -19,6 +19,7 @@ import numpy as np
 from lidar_emu.fmcw.analog_response import is_flat, tone_gain
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.speckle_change import tone_count, tone_offset_bin
 from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
@@ -162,25 +163,32 @@ def set_segment_tones(
     common_turn: float,
     beamlets: FloatArray,
     weights: FloatArray,
+    speckle_level: int,
     tones: FloatArray,
 ) -> None:
     """Tones of a record whose centre lies `time_records` after the time of validity.
 
-    Weights are the echo field of each beamlet, set by `set_weights`. Relative to the first beamlet, the phase of a
-    beamlet rotates with the difference of their Doppler shifts, and with the segment's optical frequency times the
-    difference of their ranges: the part of the speckle's change that is not an exchange of scatterers. Without speckle
-    all beamlets add in phase.
+    Relative to the first beamlet, the phase of a beamlet rotates with the difference of their Doppler shifts, and with
+    the segment's optical frequency times the difference of their ranges: with the Doppler shifts this is the part of
+    the speckle's change that is not an exchange of scatterers. Without speckle all beamlets add in phase.
 
     Args:
         faster_mps: change of all closing speeds since the time of validity.
         bent_m: change of all ranges since then by the curvature of the motion, beside the one by their rates.
         beamlets: (5, n) from `gather_beamlets`.
-        weights: (2, n).
-        tones: (4, n) receives n, δ and the complex weight.
+        weights: (tones, 2, n) echo field of each beamlet, set by `set_tone_weights`.
+        speckle_level: of `speckle_change`.
+        tones: (4, m n) receives n, δ and the complex weight: a block of n columns for each of the m tones of a
+            beamlet.
     """
-    _set_places(model, segment, time_records * model.record_time_s, faster_mps, bent_m, beamlets, tones)
+    _set_places(model, segment, time_records * model.record_time_s, faster_mps, bent_m, beamlets, tones[0])
     if model.speckle:
-        _set_speckled(model, segment, time_records, common_turn, beamlets, weights, tones)
+        _set_phasors(model, segment, time_records, common_turn, beamlets, tones[2], tones[3])
+        # The first block holds the places and phases that all blocks are made from.
+        for block in range(tone_count(speckle_level) - 1, -1, -1):
+            _set_speckled(
+                segment, block, tone_offset_bin(speckle_level, block), beamlets, weights[block], tones
+            )
     else:
         cosine, sine = unit_phasor(common_turn + 0.5 - np.floor(common_turn + 0.5))
         for i in range(tones.shape[1]):
@@ -204,46 +212,62 @@ def _set_places(
     faster_mps: float,
     bent_m: float,
     beamlets: FloatArray,
-    tones: FloatArray,
+    beat: FloatArray,
 ) -> None:
-    """Set the signed beats at a record's own time, temporarily in the first row."""
+    """Set the signed beats of the beamlets at a record's own time."""
     per_m, per_mps, per_m_mps = _beat_terms(model, segment)
     range_m, rate_mps, speed_mps = beamlets[RANGE_M], beamlets[RANGE_RATE_MPS], beamlets[SPEED_MPS]
-    beat = tones[0]
-    for i in range(len(beat)):
+    for i in range(len(range_m)):
         distance_m, closing_mps = range_m[i] + rate_mps[i] * time_s + bent_m, speed_mps[i] + faster_mps
         beat[i] = per_m * distance_m + (per_mps + per_m_mps * distance_m) * closing_mps
 
 
 @kernel(fastmath=FAST)
-def _set_speckled(
+def _set_phasors(
     model: ReceiverModel,
     segment: int,
     time_records: float,
     common_turn: float,
     beamlets: FloatArray,
-    weights: FloatArray,
-    tones: FloatArray,
+    cosine: FloatArray,
+    sine: FloatArray,
 ) -> None:
-    """Set the echo field of each beamlet."""
-    # In the up-chirp the beat rises with the delay: the echo field enters as its conjugate.
-    sense = -1.0 if segment == 0 else 1.0
-    range_m, speed_mps, amplitude = beamlets[RANGE_M], beamlets[SPEED_MPS], beamlets[AMPLITUDE]
+    """Set the phase of each beamlet."""
+    sense = _sense(segment)
+    range_m, speed_mps = beamlets[RANGE_M], beamlets[SPEED_MPS]
     # The phase is linear in the differences between a beamlet and the first.
     per_m = sense * relative_turn(model, segment, time_records, range_m[0], 1.0, 0.0)
     per_mps = sense * relative_turn(model, segment, time_records, range_m[0], 0.0, 1.0)
     first_m, first_mps = range_m[0], speed_mps[0]
-    field_re, field_im = weights[0], weights[1]
-    tone_re, tone_im = tones[2], tones[3]
-    for i in range(len(tone_re)):
+    for i in range(len(range_m)):
         turn = common_turn + per_m * (range_m[i] - first_m) + per_mps * (speed_mps[i] - first_mps) + 0.5
-        tone_re[i] = turn - np.floor(turn)
-    for i in range(len(tone_re)):
-        tone_re[i], tone_im[i] = unit_phasor(tone_re[i])
-    for i in range(len(tone_re)):
+        cosine[i] = turn - np.floor(turn)
+    for i in range(len(range_m)):
+        cosine[i], sine[i] = unit_phasor(cosine[i])
+
+
+@kernel(fastmath=FAST, forceinline=True)
+def _sense(segment: int) -> float:
+    """-1 in the up-chirp, where the beat rises with the delay and the echo field enters as its conjugate."""
+    return -1.0 if segment == 0 else 1.0
+
+
+@kernel(fastmath=FAST)
+def _set_speckled(
+    segment: int, block: int, offset_bin: float, beamlets: FloatArray, weights: FloatArray, tones: FloatArray
+) -> None:
+    """Set one tone of each beamlet in its block of columns, from places and phasors in the first block."""
+    sense = _sense(segment)
+    amplitude, field_re, field_im = beamlets[AMPLITUDE], weights[0], weights[1]
+    columns = len(amplitude)
+    first = block * columns
+    beat, cosines, sines = tones[0], tones[2], tones[3]
+    to_beat, to_re, to_im = tones[0, first:], tones[2, first:], tones[3, first:]
+    for i in range(columns):
         re, im = amplitude[i] * field_re[i], sense * amplitude[i] * field_im[i]
-        cosine, sine = tone_re[i], tone_im[i]
-        tone_re[i], tone_im[i] = re * cosine - im * sine, re * sine + im * cosine
+        cosine, sine = cosines[i], sines[i]
+        to_beat[i] = beat[i] + sense * offset_bin
+        to_re[i], to_im[i] = re * cosine - im * sine, re * sine + im * cosine
 
 
 @kernel(fastmath=FAST)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,15 @@ from numpy.typing import NDArray
 from lidar_emu.fmcw.beat_tones import relative_turn
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes, contiguous_echoes
-from lidar_emu.fmcw.speckle import SpeckleField, forget_corners, set_weights
-from lidar_emu.fmcw.workspace import build_workspace
+from lidar_emu.fmcw.speckle import forget_corners
+from lidar_emu.fmcw.speckle_change import (
+    highest_level,
+    needed_level,
+    set_tone_weights,
+    tone_count,
+    tone_offset_bin,
+)
+from lidar_emu.fmcw.workspace import Workspace, as_workspace, build_workspace, plain
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import uniform_pair, unit_phasor
@@ -19,16 +26,28 @@ from lidar_emu.numerics.random_streams import PHASE
 from lidar_emu.numerics.records import as_record
 
 
-def echo_field(
-    model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed: int
-) -> NDArray[np.complex128]:
-    """Complex amplitude of each beamlet at the centre of each record, (shots, beams, 3, beamlets).
+class EchoField(NamedTuple):
+    """Amplitude and phase of each beamlet, as tones beside the beamlet's own frequency."""
+
+    weight: NDArray[np.complex128]
+    """(shots, beams, 3, tones, beamlets) Weights at the centre of each record; 0 where a beam has fewer tones."""
+    offset_bin: FloatArray
+    """(shots, beams, tones) Frequency of the tones from the beamlet's own, in bins; the opposite in the up-chirp."""
+
+    def at_centre(self) -> NDArray[np.complex128]:
+        """Field at the centre of each record, (shots, beams, 3, beamlets)."""
+        return np.asarray(self.weight.sum(axis=-2))
+
+
+def echo_field(model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed: int) -> EchoField:
+    """Complex amplitude of each beamlet in each record.
 
     The square of the field is the bin SNR ahead of the receiver's poles, for an echo that fills the record, with one
-    look. With speckle each amplitude is multiplied by a circular complex Gaussian number of the record's own time;
-    without, the beamlets add in phase, beamlet i with P_i / sqrt(P). A phase common to the beam is uniform in each
-    record. The tone is Re{field exp(j2πgt)} with the segment's signed beat g; in the up-chirp, where g rises with the
-    delay, the echo field enters as its conjugate. A beamlet without light has the field 0.
+    look. With speckle each amplitude is multiplied by a circular complex Gaussian number of the record's own time,
+    which changes within the record (`fmcw.speckle_change`); without, the beamlets add in phase, beamlet i with P_i /
+    sqrt(P). A phase common to the beam is uniform in each record. The tone is Re{field exp(j2πgt)} with the segment's
+    signed beat g; in the up-chirp, where g rises with the delay, the echo field enters as its conjugate. A beamlet
+    without light has the field 0.
 
     Args:
         model: from `build_receiver`.
@@ -38,46 +57,65 @@ def echo_field(
     """
     lit = (echoes.range_m > 0.0) & (echoes.power_w > 0.0)
     lit &= np.isfinite(echoes.power_w) & np.isfinite(echoes.closing_speed_mps)
-    snr = np.where(lit, echoes.power_w, 0.0) * model.snr_per_w
+    power_w = np.where(lit, echoes.power_w, 0.0)
+    snr = power_w * model.snr_per_w
     amplitude = np.sqrt(snr)
     if not model.speckle:
         amplitude = snr / np.sqrt(np.maximum(snr.sum(axis=-1, keepdims=True), np.finfo(float).tiny))
     shots, beams, beamlets = echoes.range_m.shape
-    field = np.zeros((shots, beams, 3, beamlets), dtype=complex)
-    work = build_workspace(beamlets, 1)
-    arrays = contiguous_echoes(echoes)
-    number = np.ascontiguousarray(shot, dtype=np.int64)
-    _set_field(as_record(model), work.speckle, lit, amplitude, arrays, number, np.uint64(seed), field)
+    arrays, number = contiguous_echoes(echoes), np.ascontiguousarray(shot, dtype=np.int64)
+    records, set_field = as_record(model), _set_field
+    level = highest_level(records, arrays.speckle_drift_per_s)
+    tones = int(tone_count(level))
+    field = EchoField(
+        np.zeros((shots, beams, 3, tones, beamlets), dtype=complex), np.zeros((shots, beams, tones))
+    )
+    work = plain(build_workspace(beamlets, 1, level))
+    set_field(records, work, lit, amplitude, power_w.sum(axis=-1), arrays, number, np.uint64(seed), *field)
     return field
 
 
 @kernel(outermost=True)
 def _set_field(
     models: NDArray[Any],
-    speckle: SpeckleField,
+    work_arrays: tuple[Any, ...],
     lit: BoolArray,
     amplitude: FloatArray,
+    power_w: FloatArray,
     echoes: Echoes,
     shot: NDArray[np.int64],
     seed: np.uint64,
     field: NDArray[np.complex128],
+    offset_bin: FloatArray,
 ) -> None:
-    """Fill `field` as `echo_field` returns it; `speckle` is overwritten."""
+    """Fill the arrays of an `EchoField`; the workspace is overwritten."""
     model = models[0]
+    work: Workspace = as_workspace(work_arrays)
     range_m, closing_speed_mps = echoes.range_m, echoes.closing_speed_mps
-    place, drift_per_s, weights = echoes.speckle_place, echoes.speckle_drift_per_s, speckle.weights
     beamlets = range_m.shape[2]
     for s in range(range_m.shape[0]):
         for b in range(range_m.shape[1]):
-            forget_corners(speckle)
+            forget_corners(work.speckle)
+            place, drift_per_s = echoes.speckle_place[s, b], echoes.speckle_drift_per_s[s, b]
+            level = needed_level(model, drift_per_s, power_w[s, b])
+            for tone in range(tone_count(level)):
+                offset_bin[s, b, tone] = tone_offset_bin(level, tone)
             for segment in range(3):
                 time_records = (segment - 1) * model.segment_records
                 time_s = time_records * model.record_time_s
                 common_turn, _ = uniform_pair(seed, shot[s], b, PHASE, segment)
                 if model.speckle:
-                    east = place[s, b, 0] + drift_per_s[s, b, 0] * time_s
-                    north = place[s, b, 1] + drift_per_s[s, b, 1] * time_s
-                    set_weights(seed, b, east, north, speckle)
+                    set_tone_weights(
+                        seed,
+                        b,
+                        place,
+                        drift_per_s,
+                        time_s,
+                        model.record_time_s,
+                        level,
+                        work.speckle,
+                        work.change,
+                    )
                 sense = -1.0 if segment == 0 else 1.0
                 first = -1
                 for i in range(beamlets):
@@ -85,14 +123,17 @@ def _set_field(
                         continue
                     if first < 0:
                         first = i
-                    value = complex(amplitude[s, b, i], 0.0)
                     turn = common_turn
                     if model.speckle:
-                        value *= complex(weights[0, i], sense * weights[1, i])
                         ahead_m = range_m[s, b, i] - range_m[s, b, first]
                         faster_mps = closing_speed_mps[s, b, i] - closing_speed_mps[s, b, first]
                         turn += sense * relative_turn(
                             model, segment, time_records, range_m[s, b, first], ahead_m, faster_mps
                         )
                     cosine, sine = unit_phasor(turn + 0.5 - np.floor(turn + 0.5))
-                    field[s, b, segment, i] = value * complex(cosine, sine)
+                    for tone in range(tone_count(level)):
+                        value = complex(amplitude[s, b, i], 0.0)
+                        if model.speckle:
+                            weight = work.speckle.weights[tone]
+                            value *= complex(weight[0, i], sense * weight[1, i])
+                        field[s, b, segment, tone, i] = value * complex(cosine, sine)

@@ -25,6 +25,7 @@ def set_haze_tone(
     work: Workspace,
     beam: Any,
     look: int,
+    tones: FloatArray,
 ) -> None:
     """Set the line of the haze in the constant segment, where all of it has the sensor's closing speed, as the last
     tone."""
@@ -34,7 +35,7 @@ def set_haze_tone(
     snr = haze_snr(model, work.beamlets[RANGE_M, 0])
     x, y = complex_normal(beam.seed, beam.shot, beam.beam, HAZE, look)
     scale = np.sqrt(snr)
-    tone = work.tones[look, :, -1]
+    tone = tones[:, -1]
     tone[0] = np.rint(observed_bin)
     tone[1] = observed_bin - tone[0]
     tone[2] = factor_re * scale * (x * gain_re - y * gain_im)

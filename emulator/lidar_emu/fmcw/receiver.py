@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lidar_emu.fmcw.beam_measurement import BEAM_RETURN, measure_beams, most_taps
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Returns, contiguous_echoes
+from lidar_emu.fmcw.speckle_change import highest_level
 from lidar_emu.fmcw.workspace import build_spectrum_workspace, build_workspace, plain
 from lidar_emu.numerics.kernels import with_fields
 from lidar_emu.numerics.records import as_record
@@ -41,7 +42,8 @@ class FmcwReceiver:
         # The type checker cannot analyse kernels.
         self._measure: Any = measure_beams
         self._most_taps: Any = most_taps
-        self._beamlets, self._taps = 0, -1
+        self._highest_level: Any = highest_level
+        self._beamlets, self._taps, self._level = 0, -1, 0
         self._work: tuple[Any, ...]
         self._spectra: tuple[Any, ...] | None = None
 
@@ -64,16 +66,19 @@ class FmcwReceiver:
     def _reserve(self, echoes: Echoes) -> None:
         """Enlarge the workspaces to the size that these echoes need."""
         model, beamlets = self._model, echoes.range_m.shape[2]
+        level = self._highest_level(self._records, echoes.speckle_drift_per_s)
         taps = 0
         if not model.statistical:
             motion = echoes.closing_speed_mps, echoes.smear_acceleration_mps2
             taps = self._most_taps(self._records, echoes.range_m, *motion)
-        if self._beamlets == beamlets and self._taps >= taps:
+        if self._beamlets == beamlets and self._taps >= taps and self._level >= level:
             return
-        self._work = plain(build_workspace(beamlets, model.looks))
+        self._work = plain(build_workspace(beamlets, model.looks, level))
         if not model.statistical:
-            self._spectra = tuple(build_spectrum_workspace(beamlets, model.looks, taps, model.fft_length))
-        self._beamlets, self._taps = beamlets, taps
+            self._spectra = tuple(
+                build_spectrum_workspace(beamlets, model.looks, taps, model.fft_length, level)
+            )
+        self._beamlets, self._taps, self._level = beamlets, taps, level
 
 
 def receive(model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed: int) -> Returns:

@@ -21,6 +21,7 @@ from lidar_emu.fmcw.skip_limits import (
     LEAST_LINE_DRIFT,
     LEAST_LINE_SCATTER_BINS,
     LEAST_SMEAR_BINS,
+    LEAST_SPECKLE_SHARE,
     LEAST_SWEEP_SCATTER_BINS,
 )
 from lidar_emu.fmcw.spectrum import WINDOWS
@@ -102,6 +103,7 @@ def build_receiver(
         least_segments=2 if detection.rule == "any_two" else 3,
         maximum_range_m=detection.maximum_range_m,
         record_edge_range_m=waveform.record_edge_range_m,
+        least_speckle_share=0.0 if exact else LEAST_SPECKLE_SHARE,
         least_smear_bins=0.0 if exact else LEAST_SMEAR_BINS,
         least_line_drift=0.0 if exact else LEAST_LINE_DRIFT,
         least_line_scatter_bins=0.0 if exact else LEAST_LINE_SCATTER_BINS,

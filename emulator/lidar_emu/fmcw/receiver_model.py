@@ -82,6 +82,8 @@ class ReceiverModel(NamedTuple):
     least_segments: int
     maximum_range_m: float
     record_edge_range_m: float
+    least_speckle_share: float
+    """Skip limit of the change of speckle within a record: a smaller share of a beat's variance is left out."""
     least_smear_bins: float
     """Skip limit of the smear: smaller changes of a beat during a record are left out."""
     least_line_drift: float

@@ -12,10 +12,11 @@ from lidar_emu.fmcw.close_tones import are_close, set_close_tones
 from lidar_emu.fmcw.haze import add_haze, set_haze_tone
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.speckle import set_weights
+from lidar_emu.fmcw.speckle_change import set_tone_weights
 from lidar_emu.fmcw.spectrum import REACH, add_noise, lay_bins, mirror_ends, set_power, set_tones
 from lidar_emu.fmcw.sweep_error import sweep_error
-from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace
+from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace, look_tones
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import uniform_pair
 from lidar_emu.numerics.random_streams import PHASE
@@ -36,16 +37,19 @@ def set_spectrum(
     if beam.lit_beamlets == 0:
         return 0
     haze = segment == 1 and model.haze.snr_per_m > 0.0
-    tones = work.tones.shape[2]
+    count = 0
     for look in range(model.looks):
-        set_look_tones(model, work, beam, segment, look)
+        tones = look_tones(work, beam, look)
+        set_look_tones(model, work, beam, segment, look, tones)
         if haze:
-            set_haze_tone(model, work, beam, look)
-        for i in range(tones):
-            spectra.places[0, look * tones + i] = work.tones[look, 0, i]
+            set_haze_tone(model, work, beam, look, tones)
+        for i in range(tones.shape[1]):
+            spectra.places[0, count + i] = tones[0, i]
+        count += tones.shape[1]
     reach = REACH + max(0, beam.filter_taps - LEAST_TAPS)
-    bins = lay_bins(spectra.places[0], float(reach), model.fft_length, spectra.places[1], spectra.grid)
-    gain, distortion = clipping(model.response, work.tones[0], model.fft_length)
+    places, scratch = spectra.places[0, :count], spectra.places[1]
+    bins = lay_bins(places, float(reach), model.fft_length, scratch, spectra.grid)
+    gain, distortion = clipping(model.response, look_tones(work, beam, 0), model.fft_length)
     factor = gain * gain * (1.0 + model.signal_shot_per_w * beam.power_w)
     set_noise(model.response, factor, distortion, spectra.grid, bins)
     if model.haze.snr_per_m > 0.0 and segment != 1:
@@ -67,15 +71,25 @@ def set_spectrum(
 
 
 @kernel(inline="always")
-def set_look_tones(model: ReceiverModel, work: Workspace, beam: Any, segment: int, look: int) -> None:
+def set_look_tones(
+    model: ReceiverModel, work: Workspace, beam: Any, segment: int, look: int, tones: FloatArray
+) -> None:
     """Set the tones of one record, with the speckle at its own time and a phase common to the beam."""
     time_records = (segment - 1) * model.segment_records
     time_records += (look - 0.5 * (model.looks - 1)) * model.cycle_records
     time_s = time_records * model.record_time_s
     if model.speckle:
-        east = beam.speckle_place[0] + beam.speckle_drift_per_s[0] * time_s
-        north = beam.speckle_place[1] + beam.speckle_drift_per_s[1] * time_s
-        set_weights(beam.seed, beam.beam, east, north, work.speckle)
+        set_tone_weights(
+            beam.seed,
+            beam.beam,
+            beam.speckle_place,
+            beam.speckle_drift_per_s,
+            time_s,
+            model.record_time_s,
+            beam.speckle_level,
+            work.speckle,
+            work.change,
+        )
     turn, _ = uniform_pair(beam.seed, beam.shot, beam.beam, PHASE, segment + 3 * look)
     astray_m, astray_mps = sweep_error(model, beam, segment, look, work.beamlets[RANGE_M, 0])
     set_segment_tones(
@@ -87,7 +101,8 @@ def set_look_tones(model: ReceiverModel, work: Workspace, beam: Any, segment: in
         turn,
         work.beamlets,
         work.speckle.weights,
-        work.tones[look],
+        beam.speckle_level,
+        tones,
     )
 
 
@@ -104,7 +119,7 @@ def _set_look(
 ) -> None:
     """Set the first `count` bins of one record: light, filter, noise."""
     length, grid, bins = model.fft_length, spectra.grid, spectra.bins[look]
-    lines = work.tones[look]
+    lines = look_tones(work, beam, look)
     if gain != 1.0:
         for i in range(lines.shape[1]):
             lines[2, i] *= gain

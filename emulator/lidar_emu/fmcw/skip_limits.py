@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+LEAST_SPECKLE_SHARE = 0.02
+"""Speckle is constant within a record where its change would add less than this share to the variance of a beat by
+noise and quantisation: 1 % of sigma."""
+
 LEAST_SMEAR_BINS = 0.05
 """A beat that changes by less during its record is not smeared: an error of 0.8 % of the line's amplitude beside it."""
 

@@ -1,17 +1,18 @@
 """Speckle: each beamlet's echo is a circular Gaussian number that changes as the footprint moves over the ground.
 
 The numbers are a random field over the position of the footprint, so that any shot can be computed alone: independent
-Gaussian numbers at the corners of a lattice, interpolated with weights cos and sin of quarter turns along each axis,
-whose squares sum to 1. Averaged over the cell, the correlation over a distance x in pitches is
+Gaussian numbers at the corners of a lattice, interpolated along each axis with the weights cos²(πx/3) √(8/9) of the
+three nearest corners at distances x. Their squares sum to 1, and those of their slopes to 4π²/27 at any place. Averaged
+over the cell, the correlation over a distance x in pitches is
 
-    (1 - |x|/2) cos(πx/2) + sin(π|x|/2)/π for |x| < 2,
+    2/9 [(3 - |x|) (1 + ½ cos(2πx/3)) + 9/(4π) sin(2π|x|/3)] for |x| < 3,
 
-within 0.035 of the Gaussian exp(-D²/w²) with the pitch (π/√8) w.
+which has the curvature of the Gaussian exp(-D²/w²) at x = 0 with the pitch π √(2/27) w, and is within 0.03 of it.
 """
 
 from __future__ import annotations
 
-from math import floor
+from math import floor, pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,11 +20,17 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.philox import fill_complex_normals, unit_phasor
+from lidar_emu.numerics.philox import fill_complex_normals
 from lidar_emu.numerics.random_streams import SPECKLE
+from lidar_emu.numerics.sine import sin_pi
+
+PITCH_W = pi * sqrt(2.0 / 27.0)
+"""Pitch of the lattice as a multiple of the radius w of the correlation exp(-D²/w²)."""
 
 SLOTS = 9
-"""Corners cached, by their coordinates modulo 3: a measurement seldom moves by more than a cell."""
+"""Corners cached, by their coordinates modulo 3: the corners of one position."""
+
+_SHARE = sqrt(8.0 / 9.0)
 
 _FIRST: Any = np.int64(0)
 """A variable, since numba would compile the drawing of the numbers once more for a literal."""
@@ -33,10 +40,11 @@ _LOW_WORD = np.int64(0x7FFFFFFF)
 
 
 class SpeckleField(NamedTuple):
-    """The field of one beam at one position, and the surrounding corners of the lattice."""
+    """The field of one beam in one record, and the surrounding corners of the lattice."""
 
     weights: FloatArray
-    """(2, beamlets) Real and imaginary parts at the position, of unit mean power."""
+    """(tones, 2, beamlets) Real and imaginary parts of the weight of each beamlet's tones; the field has unit mean
+    power."""
     held: NDArray[np.int64]
     """(SLOTS, 2) Coordinates of the corners in `corners`."""
     corners: FloatArray
@@ -45,10 +53,11 @@ class SpeckleField(NamedTuple):
     """(4, beamlets / 2 or more) Random words, overwritten."""
 
 
-def speckle_field(beamlets: int) -> SpeckleField:
-    """Allocate the field of beams with up to `beamlets` beamlets, an even number; `forget_corners` clears it."""
+def speckle_field(beamlets: int, tones: int = 1) -> SpeckleField:
+    """Allocate the field of beams with up to `beamlets` beamlets, an even number, of up to `tones` tones each;
+    `forget_corners` clears it."""
     return SpeckleField(
-        weights=np.empty((2, beamlets)),
+        weights=np.empty((tones, 2, beamlets)),
         held=np.empty((SLOTS, 2), dtype=np.int64),
         corners=np.empty((SLOTS, 2, beamlets)),
         words=np.empty((4, beamlets), dtype=np.uint64),
@@ -56,19 +65,22 @@ def speckle_field(beamlets: int) -> SpeckleField:
 
 
 @kernel
-def set_weights(seed: np.uint64, beam: int, east: float, north: float, field: SpeckleField) -> None:
-    """Set the field's weights for a position in pitches."""
-    weights, corners = field.weights, field.corners
+def set_weights(
+    seed: np.uint64, beam: int, east: float, north: float, field: SpeckleField, weights: FloatArray
+) -> None:
+    """Set `weights`, (2, beamlets), to the field at a position in pitches."""
+    corners = field.corners
     weights[:] = 0.0
-    cell_east, cell_north = floor(east), floor(north)
-    for corner in range(4):
-        x, y = corner & 1, corner >> 1
-        share = _share(east - cell_east, x) * _share(north - cell_north, y)
-        slot = _slot_of(seed, beam, int(cell_east) + x, int(cell_north) + y, field)
-        for part in range(2):
-            weight, normal = weights[part], corners[slot, part]
-            for i in range(len(weight)):
-                weight[i] += share * normal[i]
+    nearest_east, nearest_north = floor(east + 0.5), floor(north + 0.5)
+    for x in range(-1, 2):
+        share_east = _share(east - nearest_east - x)
+        for y in range(-1, 2):
+            share = share_east * _share(north - nearest_north - y)
+            slot = _slot_of(seed, beam, int(nearest_east) + x, int(nearest_north) + y, field)
+            for part in range(2):
+                weight, normal = weights[part], corners[slot, part]
+                for i in range(len(weight)):
+                    weight[i] += share * normal[i]
 
 
 @kernel
@@ -78,10 +90,10 @@ def forget_corners(field: SpeckleField) -> None:
 
 
 @kernel
-def _share(offset: float, side: int) -> float:
-    # A quarter turn leads from one corner to the next.
-    cosine, sine = unit_phasor(0.5 + 0.25 * offset)
-    return sine if side else cosine
+def _share(distance: float) -> float:
+    """Weight of a corner at the distance x <= 3/2, cos²(πx/3) √(8/9)."""
+    cosine = sin_pi(0.5 - abs(distance) / 3.0)
+    return _SHARE * cosine * cosine
 
 
 @kernel

@@ -21,7 +21,7 @@ from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, CRAMER_R
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.segment_spectrum import SEGMENT_INDICES, set_look_tones
 from lidar_emu.fmcw.sweep_error import sweep_variance
-from lidar_emu.fmcw.workspace import Workspace
+from lidar_emu.fmcw.workspace import Workspace, look_tones
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import complex_normal
@@ -39,10 +39,11 @@ def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int)
     kept = _filter_loss(model, work, segment, beam.smear_acceleration_mps2)
     power, frequency, weight = 0.0, 0.0, 0.0
     for look in range(model.looks):
-        set_look_tones(model, work, beam, segment, look)
-        gain, distortion = clipping(model.response, work.tones[look], model.fft_length)
+        tones = look_tones(work, beam, look)
+        set_look_tones(model, work, beam, segment, look, tones)
+        gain, distortion = clipping(model.response, tones, model.fft_length)
         factor, loss = gain * gain * (1.0 + model.signal_shot_per_w * beam.power_w), gain * kept
-        centre, re, im = _sum_at_peak(work.tones[look])
+        centre, re, im = _sum_at_peak(tones)
         k = min(max(np.rint(centre), 1.0), 0.5 * model.fft_length - 1.0)
         level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
         straddled = loss * window_gain(model, centre - k)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lidar_emu.fmcw.close_tones import TONES_PER_DIVISION
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS
 from lidar_emu.fmcw.speckle import SpeckleField, speckle_field
+from lidar_emu.fmcw.speckle_change import SpeckleChange, speckle_change, tone_count
 from lidar_emu.fmcw.spectrum import REACH, ROWS, grid_capacity
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel, with_fields
@@ -31,11 +32,12 @@ BEAM = np.dtype(
         ("lit_beamlets", "i8"),
         ("power_w", "f8"),
         ("filter_taps", "i8"),
+        ("speckle_level", "i8"),
     ],
     align=True,
 )
 """The beam being measured: seed, shot and beam number for the random numbers; motion and speckle as in `Echoes`; number
-of beamlets with light, their power, and the taps of the filter on each side."""
+of beamlets with light, their power, the taps of the filter on each side, and the level of `speckle_change`."""
 
 TARGET = np.dtype(
     [("frequency_bin", "f8"), ("variance_bin2", "f8"), ("power_over_noise", "f8"), ("power", "f8")],
@@ -52,8 +54,9 @@ class Workspace(NamedTuple):
     beamlets: FloatArray
     """(5, tones) See `gather_beamlets`; one column per beamlet, and at least one more for the haze."""
     tones: FloatArray
-    """(looks, 4, tones) See `set_tones`."""
+    """(looks, 4 tones) Buffer of `look_tones`."""
     speckle: SpeckleField
+    change: SpeckleChange
     targets: NDArray[Any]
     """(3, MAX_TARGETS) Targets of each segment, records of TARGET, strongest first."""
     alarms: NDArray[Any]
@@ -76,14 +79,16 @@ class SpectrumWorkspace(NamedTuple):
     peaks: NDArray[np.int64]
 
 
-def build_workspace(beamlets: int, looks: int) -> Workspace:
-    """Allocate arrays for beams of up to `beamlets` beamlets."""
-    tones = _columns(beamlets)
+def build_workspace(beamlets: int, looks: int, speckle_level: int = 0) -> Workspace:
+    """Allocate arrays for beams of up to `beamlets` beamlets, whose speckle changes up to this level."""
+    columns = _columns(beamlets)
+    tones = int(tone_count(speckle_level))
     return Workspace(
         beam=with_fields(np.zeros(1, dtype=BEAM)),
-        beamlets=np.empty((5, tones)),
-        tones=np.zeros((looks, 4, tones)),
-        speckle=speckle_field(tones),
+        beamlets=np.empty((5, columns)),
+        tones=np.zeros((looks, 4 * tones * columns)),
+        speckle=speckle_field(columns, tones),
+        change=speckle_change(columns, speckle_level),
         targets=with_fields(np.empty((3, MAX_TARGETS), dtype=TARGET)),
         alarms=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
     )
@@ -97,13 +102,24 @@ def plain(work: Workspace) -> tuple[Any, ...]:
 @kernel
 def as_workspace(arrays: tuple[Any, ...]) -> Workspace:
     """Workspace from the tuples of `plain`."""
-    beam, beamlets, tones, speckle, targets, alarms = arrays
-    return Workspace(beam, beamlets, tones, SpeckleField(*speckle), targets, alarms)
+    beam, beamlets, tones, speckle, change, targets, alarms = arrays
+    return Workspace(beam, beamlets, tones, SpeckleField(*speckle), SpeckleChange(*change), targets, alarms)
 
 
-def build_spectrum_workspace(beamlets: int, looks: int, taps: int, length: float) -> SpectrumWorkspace:
-    """Allocate arrays for beams of up to `beamlets` beamlets, and filters of `taps` taps on each side."""
-    tones = _columns(beamlets)
+@kernel(inline="always")
+def look_tones(work: Workspace, beam: Any, look: int) -> FloatArray:
+    """Tones of one record, (4, tones), see `set_tones`: one column per beamlet for each tone of its speckle."""
+    count = work.beamlets.shape[1] * tone_count(beam.speckle_level)
+    tones: FloatArray = work.tones[look][: 4 * count].reshape((4, count))
+    return tones
+
+
+def build_spectrum_workspace(
+    beamlets: int, looks: int, taps: int, length: float, speckle_level: int = 0
+) -> SpectrumWorkspace:
+    """Allocate arrays for beams of up to `beamlets` beamlets, whose speckle changes up to this level, and filters of
+    `taps` taps on each side."""
+    tones = _columns(beamlets) * int(tone_count(speckle_level))
     reach = REACH + max(0, taps - LEAST_TAPS)
     capacity = grid_capacity(looks * tones, reach, length)
     return SpectrumWorkspace(

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import exp1, gammaincc
 
-from lidar_emu.echo.echoes import SPECKLE_PITCH_W, compute_echoes
+from lidar_emu.echo.echoes import compute_echoes
 from lidar_emu.echo.spectral_spread import Spread, no_spread, spread_bins
 from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import Pointing
@@ -28,6 +28,7 @@ from lidar_emu.fmcw.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.fmcw.spectrum import WINDOWS, fold
 from lidar_emu.fmcw.sweep_error import sweep_variance
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
@@ -158,7 +159,7 @@ def _snr(model: ReceiverModel, hits: Hits, echoes: Echoes, beats: FloatArray) ->
 
 def _same_fade(instrument: Instrument, echoes: Echoes) -> FloatArray:
     """Squared correlation of the echo's field in neighbouring segments, exp(-2 d²/w0²)."""
-    moved = echoes.speckle_drift_per_s * SPECKLE_PITCH_W * instrument.waveform.segment_time_s
+    moved = echoes.speckle_drift_per_s * PITCH_W * instrument.waveform.segment_time_s
     return np.asarray(np.exp(-2.0 * (moved**2).sum(axis=-1)))
 
 

@@ -54,6 +54,9 @@ class ScattererPatches:
     """Rate of the acceleration along the moving beam, from segment to segment."""
     range_curvature_mps2: float = 0.0
     """Rate of the range rate, from segment to segment."""
+    offset_hz: FloatArray | None = None
+    """(n,) Frequency that adds to each patch's beat, and is subtracted in the up-chirp (`fmcw.speckle_change`); None:
+    0."""
 
     def beamlets(self, segment: Segment, weight: ComplexArray) -> Beamlets:
         """Patches at the centre of one segment's record, with weights (..., n) there."""
@@ -66,6 +69,7 @@ class ScattererPatches:
             + (self.closing_acceleration_mps2 + 0.5 * self.closing_jerk_mps3 * time_s) * time_s,
             self.closing_acceleration_mps2 if smear_mps2 is None else smear_mps2,
             weight,
+            None if self.offset_hz is None else -segment.beat_sign * self.offset_hz,
         )
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.echo_field import echo_field
+from lidar_emu.fmcw.echo_field import EchoField, echo_field
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Returns
@@ -16,7 +16,6 @@ from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, n
 from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, WaveformMeasurement, measure_waveform
 from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
 from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
-from lidar_emu.fmcw.waveform.record_samples import ComplexArray
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import generator
 from lidar_emu.scenario.instrument import Instrument
@@ -47,9 +46,7 @@ def measure_echoes(
     """
     field = echo_field(model, echoes, shot, seed)
     beams = [
-        _measure_beam(
-            instrument, model, echoes, field[s, b], s, b, _Generators.of(model, seed, int(shot[s]), b)
-        )
+        _measure_beam(instrument, model, echoes, field, s, b, _Generators.of(model, seed, int(shot[s]), b))
         for s, b in np.ndindex(echoes.fired.shape)
     ]
     columns = {name: np.concatenate([getattr(beam, name) for beam in beams]) for name in RETURN_COLUMNS}
@@ -69,7 +66,7 @@ def measure_one_beam(
 
     Arguments and errors are the same as of `measure_echoes`.
     """
-    field = echo_field(model, echoes, shot, seed)[s, b]
+    field = echo_field(model, echoes, shot, seed)
     return _measure_records(
         instrument, model, echoes, field, s, b, _Generators.of(model, seed, int(shot[s]), b), keep_bins=True
     )
@@ -91,7 +88,7 @@ def _measure_beam(
     instrument: Instrument,
     model: ReceiverModel,
     echoes: Echoes,
-    field: ComplexArray,
+    field: EchoField,
     s: int,
     b: int,
     rng: _Generators,
@@ -113,7 +110,7 @@ def _measure_records(
     instrument: Instrument,
     model: ReceiverModel,
     echoes: Echoes,
-    field: ComplexArray,
+    field: EchoField,
     s: int,
     b: int,
     rng: _Generators,
@@ -122,22 +119,27 @@ def _measure_records(
     """Measure the records of a beam."""
     range_m, power_w = echoes.range_m[s, b], echoes.power_w[s, b]
     waveform, receiver = instrument.waveform, instrument.receiver
-    lit = np.abs(field).max(axis=0) > 0.0
+    weight, offset_hz = field.weight[s, b], field.offset_bin[s, b] * waveform.bin_width_hz
+    tone, lit = np.nonzero(np.abs(weight).max(axis=0))
     footprint = _DARK
-    if lit.any():
+    if lit.size > 0:
+        # One patch for each tone of a beamlet.
         footprint = ScattererPatches(
             range_m[lit],
             echoes.closing_speed_mps[s, b, lit],
-            field[None, :, lit],
+            weight[None, :, tone, lit],
             _finite(echoes.range_rate_mps[s, b, lit]),
             float(echoes.closing_acceleration_mps2[s, b]),
             float(echoes.smear_acceleration_mps2[s, b]),
             float(echoes.closing_jerk_mps3[s, b]),
             float(echoes.range_curvature_mps2[s, b]),
+            offset_hz[tone],
         )
     response = AnalogResponse.of(receiver)
     # The echo has shot noise of its own; the digitiser's noise arises behind the poles, by rounding.
-    share = model.response.amplifier_noise * (1.0 + model.signal_shot_per_w * float(power_w[lit].sum()))
+    share = model.response.amplifier_noise * (
+        1.0 + model.signal_shot_per_w * float(power_w[np.unique(lit)].sum())
+    )
     level = share * noise_level(waveform, response) + model.response.digitiser_noise
     return measure_waveform(
         waveform,

@@ -80,6 +80,8 @@ class Beamlets:
     closing_acceleration_mps2: float
     weight: ComplexArray
     """(..., n) Amplitude and phase at the record's centre; leading axes are over records of the same geometry."""
+    offset_hz: FloatArray | None = None
+    """(n,) Frequency that adds to the beat, for a patch whose speckle changes within the record; None: 0."""
 
 
 def record_times(waveform: Waveform) -> FloatArray:
@@ -141,6 +143,8 @@ def phasor(
         time_s,
         edges,
     )
+    if beamlets.offset_hz is not None:
+        cycles += segment.beat_sign * beamlets.offset_hz[index] * time_s
     # Whole cycles are removed before the factor 2π rounds them.
     turn = segment.beat_sign * 2.0 * np.pi * (cycles - np.rint(cycles))
     result: ComplexArray = np.cos(turn) + 1j * np.sin(turn)

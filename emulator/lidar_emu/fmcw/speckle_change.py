@@ -1,0 +1,171 @@
+"""Change of speckle within a record: as scatterers are exchanged, each beamlet's tone becomes several close tones.
+
+The field of a beamlet is known at any position of the footprint, and the footprint glides over the ground during a
+record. The sum of Q tones, spaced evenly about the beamlet's own frequency, takes the values of the field at the Q
+Gauss-Legendre nodes of the record:
+
+    a(t) = Σ c_q exp(j2π s (q - (Q - 1)/2) t/T),    c = E⁻¹ a,    E_pq = exp(j2π s (q - (Q - 1)/2) t_p/T).
+
+It follows the field between the nodes to 3 % of its change within the record (`_CHANGES`), and all that is made for
+steady tones applies: bins, images, folds, the receiver's poles.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY
+from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.speckle import PITCH_W, SpeckleField, set_weights
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+
+_CHANGES = (
+    (1, 0.0, 0.0),
+    (3, 0.2, 0.5),
+    (5, 0.4, 1.5),
+    (9, 0.6, 3.5),
+    (13, 0.65, 5.5),
+    (17, 0.7, 8.0),
+    (25, 0.7, 11.0),
+    (33, 0.7, 14.0),
+    (49, 0.7, 20.0),
+)
+"""Tones, their spacing s in bins, and the way of the footprint in pitches per record up to which they suffice."""
+
+_TONES = np.array([tones for tones, _, _ in _CHANGES])
+_SPACING_BIN = np.array([spacing for _, spacing, _ in _CHANGES])
+_FARTHEST = np.array([way for _, _, way in _CHANGES])
+
+LINE_BIN2 = PITCH_W**2 / (2.0 * np.pi**2)
+"""Variance of the line's frequencies in bins² for a way of one pitch per record: (V⊥ T/(π √2 w))²."""
+
+
+class SpeckleChange(NamedTuple):
+    """Nodes and matrices for each number of tones in `_CHANGES`, up to the largest that is needed."""
+
+    node: FloatArray
+    """(levels, nodes) Times in records from the record's centre."""
+    tone_from_node: FloatArray
+    """(levels, 2, tones, nodes) E⁻¹, real and imaginary parts."""
+    values: FloatArray
+    """(nodes, 2, beamlets) The field at the nodes, overwritten."""
+
+
+def speckle_change(beamlets: int, level: int) -> SpeckleChange:
+    """Allocate and compute what beams of up to `beamlets` beamlets need, up to `level`."""
+    most = int(_TONES[level])
+    node, tone_from_node = np.zeros((level + 1, most)), np.zeros((level + 1, 2, most, most))
+    for i, (tones, spacing, _) in enumerate(_CHANGES[: level + 1]):
+        own = np.polynomial.legendre.leggauss(tones)[0] / 2.0
+        turns = spacing * np.outer(own, np.arange(tones) - (tones - 1) / 2.0)
+        inverse = np.linalg.inv(np.exp(2j * np.pi * turns))
+        node[i, :tones] = own
+        tone_from_node[i, 0, :tones, :tones], tone_from_node[i, 1, :tones, :tones] = (
+            inverse.real,
+            inverse.imag,
+        )
+    return SpeckleChange(node, tone_from_node, np.empty((most, 2, beamlets)))
+
+
+@kernel
+def level_for_way(way: float) -> int:
+    """First level of `_CHANGES` whose tones suffice for this way in pitches per record; the last for longer ones."""
+    level = 0
+    while level < len(_FARTHEST) - 1 and way > _FARTHEST[level]:
+        level += 1
+    return level
+
+
+@kernel
+def speckle_way(model: ReceiverModel, drift_per_s: FloatArray) -> float:
+    """Way of the footprint over the field in pitches per record, (2,) drift of a beam."""
+    if not model.speckle:
+        return 0.0
+    way: float = sqrt(drift_per_s[0] ** 2 + drift_per_s[1] ** 2) * model.record_time_s
+    return way
+
+
+@kernel
+def needed_level(model: ReceiverModel, drift_per_s: FloatArray, power_w: float) -> int:
+    """Level of a beam with this drift and power; 0, a constant field, where the line's scatter adds less than a share
+    `model.least_speckle_share` to the variance by noise and quantisation.
+
+    At the mean power the peak of a line of variance s² wanders by s²/2.
+    """
+    way = speckle_way(model, drift_per_s)
+    variance = EFFICIENCY[model.peak_method] * CRAMER_RAO_BIN2 / max(model.snr_per_w * power_w, 1e-30)
+    if model.peak_method == BIN_CENTRE:
+        variance += BIN_VARIANCE
+    if 0.5 * LINE_BIN2 * way * way <= model.least_speckle_share * variance:
+        return 0
+    return level_for_way(way)
+
+
+@kernel
+def tone_count(level: int) -> int:
+    """Tones of each beamlet."""
+    count: int = _TONES[level]
+    return count
+
+
+@kernel
+def tone_offset_bin(level: int, tone: int) -> float:
+    """Frequency of a tone from the beamlet's own, in bins."""
+    offset_bin: float = _SPACING_BIN[level] * (tone - 0.5 * (_TONES[level] - 1))
+    return offset_bin
+
+
+@kernel(outermost=True)
+def highest_level(models: NDArray[Any], drift_per_s: FloatArray) -> int:
+    """Highest level that any of the beams with these drifts (shots, beams, 2) may need, whatever its power."""
+    farthest = 0.0
+    for s in range(drift_per_s.shape[0]):
+        for b in range(drift_per_s.shape[1]):
+            farthest = max(farthest, speckle_way(models[0], drift_per_s[s, b]))
+    return level_for_way(farthest)
+
+
+@kernel
+def set_tone_weights(
+    seed: np.uint64,
+    beam: int,
+    place: FloatArray,
+    drift_per_s: FloatArray,
+    time_s: float,
+    record_s: float,
+    level: int,
+    field: SpeckleField,
+    change: SpeckleChange,
+) -> None:
+    """Set the weights of the tones of one record in `field`.
+
+    Args:
+        place: (2,) position at the time of validity, in pitches.
+        drift_per_s: (2,) its motion.
+        time_s: time from there to the record's centre.
+        record_s: length of the record.
+        level: of `_CHANGES`.
+    """
+    if level == 0:
+        east, north = place[0] + drift_per_s[0] * time_s, place[1] + drift_per_s[1] * time_s
+        set_weights(seed, beam, east, north, field, field.weights[0])
+        return
+    count = tone_count(level)
+    for p in range(count):
+        then_s = time_s + record_s * change.node[level, p]
+        east, north = place[0] + drift_per_s[0] * then_s, place[1] + drift_per_s[1] * then_s
+        set_weights(seed, beam, east, north, field, change.values[p])
+    field.weights[:count] = 0.0
+    for q in range(count):
+        to_re, to_im = field.weights[q, 0], field.weights[q, 1]
+        for p in range(count):
+            re, im = change.tone_from_node[level, 0, q, p], change.tone_from_node[level, 1, q, p]
+            at_re, at_im = change.values[p, 0], change.values[p, 1]
+            for i in range(len(to_re)):
+                to_re[i] += re * at_re[i] - im * at_im[i]
+                to_im[i] += re * at_im[i] + im * at_re[i]
