@@ -1,6 +1,6 @@
 """The statistical level: targets of one segment from a closed-form error model.
 
-The beam's tones are summed at one frequency, where their sum is strongest to first order, instead of in every bin.
+The beam's tones are summed at one frequency, the peak of their sum, instead of in every bin.
 Speckle, spread, smear and linewidth reduce that sum as they reduce the spectrum's peak. One complex Gaussian number
 represents the noise of the highest bin and decides on detection; the estimator's error is drawn from its variance.
 """
@@ -43,7 +43,7 @@ def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int)
         set_look_tones(model, work, beam, segment, look, tones)
         gain, distortion = clipping(model.response, tones, model.fft_length)
         factor, loss = gain * gain * (1.0 + model.signal_shot_per_w * beam.power_w), gain * kept
-        centre, re, im = _sum_at_peak(tones)
+        centre, re, im = _sum_at_peak(tones, work.beamlets.shape[1])
         k = min(max(np.rint(centre), 1.0), 0.5 * model.fft_length - 1.0)
         level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
         straddled = loss * window_gain(model, centre - k)
@@ -70,33 +70,57 @@ def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int)
 
 
 @kernel
-def _sum_at_peak(tones: FloatArray) -> tuple[float, float, float]:
-    """Frequency of the strongest sum of tones, to first order in their spread, and the sum there."""
-    re, im, power, moment = 0.0, 0.0, 0.0, 0.0
-    first = tones[0, 0]
-    moment_re, moment_im = 0.0, 0.0
+def _sum_at_peak(tones: FloatArray, columns: int) -> tuple[float, float, float]:
+    """Frequency of the peak near the tones' centre of power, and their sum there.
+
+    The frequency is that of a single tone with the same three Hann-windowed bins about the centre: q = (Y₊ - Y₋) / (2Y₀
+    - Y₋ - Y₊) = 3δ/(2(1 - δ²)). The tones of one beamlet, a block of `columns` apart, are one tone of changing speckle.
+    """
+    middle = _centre_of_power(tones, columns)
+    rise_re = rise_im = whole_re = whole_im = 0.0
     for i in range(tones.shape[1]):
-        place = (tones[0, i] - first) + tones[1, i]
-        re += tones[2, i]
-        im += tones[3, i]
-        moment_re += tones[2, i] * place
-        moment_im += tones[3, i] * place
-        strength = tones[2, i] ** 2 + tones[3, i] ** 2
-        power += strength
-        moment += strength * place
+        # Off the zeros of the denominators, by far less than a peak is accurate.
+        d = (tones[0, i] - tones[0, 0]) + tones[1, i] - middle + 1e-9
+        base = np.sin(pi * d) / d
+        here, before, after = (
+            2.0 / (1.0 - d * d),
+            1.0 / ((d + 1.0) * (d + 2.0)),
+            1.0 / ((d - 1.0) * (d - 2.0)),
+        )
+        rise, whole = base * (after - before), base * (here - before - after)
+        rise_re += tones[2, i] * rise
+        rise_im += tones[3, i] * rise
+        whole_re += tones[2, i] * whole
+        whole_im += tones[3, i] * whole
+    power = whole_re * whole_re + whole_im * whole_im
     if power <= 0.0:
-        return first, 0.0, 0.0
-    # Where the sum fades, the first order overshoots: it is limited to a bin around the centre of power.
-    middle = moment / power
-    whole = re * re + im * im
-    shift = (re * moment_re + im * moment_im) / whole - middle if whole > 0.0 else 0.0
-    centre = middle + min(max(shift, -0.5), 0.5)
+        return tones[0, 0] + middle, 0.0, 0.0
+    q = (rise_re * whole_re + rise_im * whole_im) / power
+    centre = middle + 4.0 * q / (3.0 + sqrt(9.0 + 16.0 * q * q))
     re = im = 0.0
     for i in range(tones.shape[1]):
-        kernel = _sinc((tones[0, i] - first) + tones[1, i] - centre)
+        kernel = _sinc((tones[0, i] - tones[0, 0]) + tones[1, i] - centre)
         re += tones[2, i] * kernel
         im += tones[3, i] * kernel
-    return first + centre, re, im
+    return tones[0, 0] + centre, re, im
+
+
+@kernel
+def _centre_of_power(tones: FloatArray, columns: int) -> float:
+    """Mean frequency of the beamlets by their power at the record's centre, in bins from the first tone's whole bin."""
+    power = moment = 0.0
+    blocks = tones.shape[1] // columns
+    for i in range(columns):
+        re = im = place = 0.0
+        for block in range(blocks):
+            tone = block * columns + i
+            re += tones[2, tone]
+            im += tones[3, tone]
+            place += (tones[0, tone] - tones[0, 0]) + tones[1, tone]
+        strength = re * re + im * im
+        power += strength
+        moment += strength * place / blocks
+    return moment / power if power > 0.0 else 0.0
 
 
 @kernel
