@@ -413,7 +413,7 @@ def test_whole_instrument_reports_alike() -> None:
 
 
 def test_level_draws_by_shot_and_beam_alone() -> None:
-    case = _case(20.0, speckle=True, beamlets=3)
+    case = _case(40.0, speckle=True, beamlets=3)
     echoes = case.echoes(4)
     whole = measure_echoes(case.instrument, case.model, echoes, np.arange(4), 3)
     last = Echoes(*(values[2:] for values in echoes))
