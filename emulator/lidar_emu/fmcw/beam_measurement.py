@@ -27,6 +27,7 @@ from lidar_emu.fmcw.segment_spectrum import set_spectrum
 from lidar_emu.fmcw.speckle import forget_corners
 from lidar_emu.fmcw.speckle_change import needed_level
 from lidar_emu.fmcw.spectrum import fold
+from lidar_emu.fmcw.stated_variance import inconsistency, state_variances
 from lidar_emu.fmcw.statistical_model import draw_targets
 from lidar_emu.fmcw.workspace import SpectrumWorkspace, as_workspace
 from lidar_emu.numerics.arrays import FloatArray
@@ -190,8 +191,10 @@ def _conclude(model: ReceiverModel, targets: NDArray[Any], row: Any) -> None:
         row.snr_db = 10.0 * log10(scale * power / detections)
     segments: Any = np.int64(row.segments)
     if detections >= model.least_segments:
-        _report(model, _estimate(model, segments, targets[:, 0]), row)
+        common = state_variances(model.variance_law, segments, targets[:, 0])
+        _report(model, _estimate(model, segments, targets[:, 0]), common, row)
     if row.returns > 1:
+        state_variances(model.variance_law, segments, targets[:, 1])
         second = _estimate(model, segments, targets[:, 1])
         distance_m = second.range_bin * model.range_bin_m
         if second.found and 0.0 <= distance_m <= model.maximum_range_m:
@@ -209,7 +212,7 @@ def _estimate(model: ReceiverModel, segments: int, targets: NDArray[Any]) -> Est
 
 
 @kernel
-def _report(model: ReceiverModel, estimate: Estimate, row: Any) -> None:
+def _report(model: ReceiverModel, estimate: Estimate, common_bin2: float, row: Any) -> None:
     """Report an estimate in SI units if it is allowed, otherwise the reason why not."""
     distance_m = estimate.range_bin * model.range_bin_m
     row.residual_mps = 0.5 * estimate.residual_bin * model.speed_bin_mps
@@ -230,5 +233,6 @@ def _report(model: ReceiverModel, estimate: Estimate, row: Any) -> None:
         row.sign_resolved = estimate.sign_resolved
         row.range_m = distance_m
         row.closing_speed_mps = estimate.doppler_bin * model.speed_bin_mps
-        row.sigma_range_m = sqrt(estimate.range_variance) * model.range_bin_m
-        row.sigma_speed_mps = sqrt(estimate.doppler_variance) * model.speed_bin_mps
+        factor = inconsistency(estimate.residual_bin, estimate.residual_variance)
+        row.sigma_range_m = sqrt(factor * estimate.range_variance) * model.range_bin_m
+        row.sigma_speed_mps = sqrt(factor * estimate.doppler_variance + common_bin2) * model.speed_bin_mps

@@ -7,13 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.beat_tones import RANGE_M
 from lidar_emu.fmcw.false_alarms import draw_alarms, insert_alarms
-from lidar_emu.fmcw.laser_phase_noise import line_variance
-from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, peak
+from lidar_emu.fmcw.peak_interpolation import peak
+from lidar_emu.fmcw.peak_shape import quadrature_offset, width_bin2
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, TAPS
-from lidar_emu.fmcw.sweep_error import sweep_variance
 from lidar_emu.fmcw.workspace import MAX_TARGETS, SpectrumWorkspace, Workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
@@ -51,16 +49,12 @@ def find_targets(
         spectra.peaks,
     )
     for g in range(groups):
-        _set_target(model, spectra, spectra.peaks[g], targets[g])
-        targets[g].variance_bin2 += sweep_variance(model, segment, work.beamlets[RANGE_M, 0]) / model.looks
-        if model.peak_method != BIN_CENTRE:
-            # The estimators take noise alone into account.
-            targets[g].variance_bin2 += line_variance(model, work.beamlets[RANGE_M, 0]) / model.looks
+        _set_target(model, spectra, spectra.peaks[g], count, targets[g])
     return insert_alarms(model, work.alarms[:alarms], highest, targets, groups)
 
 
 @kernel(inline="always")
-def _set_target(model: ReceiverModel, spectra: SpectrumWorkspace, j: int, target: Any) -> None:
+def _set_target(model: ReceiverModel, spectra: SpectrumWorkspace, j: int, count: int, target: Any) -> None:
     offset, variance = peak(
         model.peak_method,
         spectra.grid,
@@ -72,6 +66,9 @@ def _set_target(model: ReceiverModel, spectra: SpectrumWorkspace, j: int, target
     )
     target.frequency_bin = spectra.grid[BIN, j] + offset
     target.variance_bin2 = variance
+    quadrature, noise = quadrature_offset(spectra.grid, spectra.bins, j, model.fft_length)
+    target.quadrature_bin, target.quadrature_variance_bin2 = quadrature, noise
+    target.width_bin2 = width_bin2(spectra.grid, j, count, model.noise_power)
     target.power_over_noise = spectra.grid[POWER, j] / (spectra.grid[NOISE, j] * model.noise_power)
     target.power = spectra.grid[POWER, j]
 

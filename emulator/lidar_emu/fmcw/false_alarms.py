@@ -88,6 +88,8 @@ def draw_alarms(
         alarm = alarms[a]
         alarm.frequency_bin = k
         alarm.variance_bin2 = BIN_VARIANCE if model.peak_method == BIN_CENTRE else _VARIANCE_TIMES_SNR / below
+        alarm.quadrature_bin = alarm.width_bin2 = 0.0
+        alarm.quadrature_variance_bin2 = _VARIANCE_TIMES_SNR / below
         alarm.power_over_noise = below
         alarm.power = below * level * model.noise_power
     return MAX_TARGETS

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import hypot, sqrt
-
 import numpy as np
 
 from lidar_emu.errors import InputError
@@ -11,7 +9,7 @@ from lidar_emu.fmcw.analog_response import Response
 from lidar_emu.fmcw.carrier_to_noise import noise_over_shot, shot_a2_per_hz, snr_per_w
 from lidar_emu.fmcw.false_alarms import neighbour_exceedance
 from lidar_emu.fmcw.link_budget import haze_w_per_m
-from lidar_emu.fmcw.peak_interpolation import FLICKER_SCATTER, PEAK_METHODS
+from lidar_emu.fmcw.peak_interpolation import PEAK_METHODS
 from lidar_emu.fmcw.physical_constants import ELEMENTARY_CHARGE_C, PLANCK_J_S
 from lidar_emu.fmcw.range_speed_estimation import COMBINE_METHODS
 from lidar_emu.fmcw.receiver_model import Haze, ReceiverModel, SweepScatter
@@ -25,6 +23,7 @@ from lidar_emu.fmcw.skip_limits import (
     LEAST_SWEEP_SCATTER_BINS,
 )
 from lidar_emu.fmcw.spectrum import WINDOWS
+from lidar_emu.fmcw.stated_variance import build_variance_law, sweep_scatter
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.probability.noise import threshold_power
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
@@ -100,6 +99,7 @@ def build_receiver(
         peak_method=PEAK_METHODS[detection.peak],
         combine_method=COMBINE_METHODS[detection.combine],
         residual_limit=build_residual_limit(instrument),
+        variance_law=build_variance_law(waveform, detection),
         least_segments=2 if detection.rule == "any_two" else 3,
         maximum_range_m=detection.maximum_range_m,
         record_edge_range_m=waveform.record_edge_range_m,
@@ -158,17 +158,11 @@ def _haze(instrument: Instrument, site: Site | None, per_w: float) -> Haze:
 
 
 def _sweep_scatter(instrument: Instrument, exact: bool, in_turn: bool) -> SweepScatter:
-    """Errors of the sweep: an error Δ of its rate moves a beat by Δτ.
-
-    1/f noise changes the laser's frequency during a record at the rate `FLICKER_SCATTER` √k/T_rec, in neighbouring
-    records with the correlation -0.07, taken as 0.
-    """
-    waveform = instrument.waveform
-    scatter = FLICKER_SCATTER[PEAK_METHODS[instrument.detection.peak]]
-    flicker_hz_per_s = scatter * sqrt(waveform.flicker_hz2) / waveform.record_time_s
+    """Errors of the sweep."""
+    range_per_m, speed_mps_per_m = sweep_scatter(instrument.waveform, instrument.detection)
     return SweepScatter(
-        range_per_m=hypot(waveform.slope_scatter, flicker_hz_per_s / waveform.chirp_slope_hz_per_s),
-        speed_mps_per_m=waveform.wavelength_m * flicker_hz_per_s / SPEED_OF_LIGHT_MPS,
+        range_per_m=range_per_m,
+        speed_mps_per_m=speed_mps_per_m,
         least_bins=0.0 if exact else LEAST_SWEEP_SCATTER_BINS,
         per_beam=in_turn,
     )

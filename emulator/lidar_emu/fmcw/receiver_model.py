@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from lidar_emu.fmcw.analog_response import Response
 from lidar_emu.fmcw.residual_limit import ResidualLimit
+from lidar_emu.fmcw.stated_variance import VarianceLaw
 
 
 class Haze(NamedTuple):
@@ -79,6 +80,7 @@ class ReceiverModel(NamedTuple):
     peak_method: int
     combine_method: int
     residual_limit: ResidualLimit
+    variance_law: VarianceLaw
     least_segments: int
     maximum_range_m: float
     record_edge_range_m: float

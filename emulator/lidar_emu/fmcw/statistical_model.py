@@ -15,12 +15,13 @@ import numpy as np
 from lidar_emu.fmcw.analog_response import clipping, noise_level
 from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS
 from lidar_emu.fmcw.false_alarms import draw_alarms, insert_alarms
-from lidar_emu.fmcw.laser_phase_noise import line_share, line_variance
+from lidar_emu.fmcw.laser_phase_noise import line_share, phase_drift
 from lidar_emu.fmcw.motion_smear import smear_bins
-from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY
+from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY, HANN
+from lidar_emu.fmcw.peak_shape import MOST_QUADRATURE, WIDTH_BINS
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.segment_spectrum import SEGMENT_INDICES, set_look_tones
-from lidar_emu.fmcw.sweep_error import sweep_variance
+from lidar_emu.fmcw.stated_variance import TONE_WIDTH_BIN2, line_noise
 from lidar_emu.fmcw.workspace import Workspace, look_tones
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
@@ -38,12 +39,13 @@ def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int)
         return insert_alarms(model, work.alarms[:alarms], 0.0, targets, 0)
     kept = _filter_loss(model, work, segment, beam.smear_acceleration_mps2)
     power, frequency, weight = 0.0, 0.0, 0.0
+    quadrature, width = 0.0, 0.0
     for look in range(model.looks):
         tones = look_tones(work, beam, look)
         set_look_tones(model, work, beam, segment, look, tones)
         gain, distortion = clipping(model.response, tones, model.fft_length)
         factor, loss = gain * gain * (1.0 + model.signal_shot_per_w * beam.power_w), gain * kept
-        centre, re, im = _sum_at_peak(tones, work.beamlets.shape[1])
+        centre, quadrature_bin, tones_bin2, re, im = _sum_at_peak(tones, work.beamlets.shape[1])
         k = min(max(np.rint(centre), 1.0), 0.5 * model.fft_length - 1.0)
         level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
         straddled = loss * window_gain(model, centre - k)
@@ -53,15 +55,19 @@ def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int)
         power += ((straddled * re + scale * x) ** 2 + (straddled * im + scale * y) ** 2) / model.looks
         strength = loss * loss * (re * re + im * im)
         frequency += strength * centre
+        quadrature += strength * quadrature_bin
+        width += strength * tones_bin2
         weight += strength
     if weight <= 0.0:
         return 0
     centre, snr = frequency / weight, weight / level
+    quadrature_bin, width_bin2 = quadrature / weight, TONE_WIDTH_BIN2 + width / weight
     alarms = draw_alarms(model, beam, segment, power, level, 2.0, work.alarms)
     highest = max(power, work.alarms[0].power) if alarms > 0 else power
     groups = 0
     noise = level * model.noise_power
     if power > model.threshold * noise and power > model.group_power_share * highest:
+        targets[0].quadrature_bin, targets[0].width_bin2 = quadrature_bin, width_bin2
         _set_target(model, work, beam, segment, centre, snr, targets[0])
         targets[0].power_over_noise = power / noise
         targets[0].power = power
@@ -70,13 +76,14 @@ def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int)
 
 
 @kernel
-def _sum_at_peak(tones: FloatArray, columns: int) -> tuple[float, float, float]:
-    """Frequency of the peak near the tones' centre of power, and their sum there.
+def _sum_at_peak(tones: FloatArray, columns: int) -> tuple[float, float, float, float, float]:
+    """Frequency of the peak near the tones' centre of power, its quadrature (`peak_shape`), the second moment of the
+    beamlets, and the sum at the peak.
 
     The frequency is that of a single tone with the same three Hann-windowed bins about the centre: q = (Y₊ - Y₋) / (2Y₀
     - Y₋ - Y₊) = 3δ/(2(1 - δ²)). The tones of one beamlet, a block of `columns` apart, are one tone of changing speckle.
     """
-    middle = _centre_of_power(tones, columns)
+    middle, width = _centre_of_power(tones, columns)
     rise_re = rise_im = whole_re = whole_im = 0.0
     for i in range(tones.shape[1]):
         # Off the zeros of the denominators, by far less than a peak is accurate.
@@ -94,21 +101,27 @@ def _sum_at_peak(tones: FloatArray, columns: int) -> tuple[float, float, float]:
         whole_im += tones[3, i] * whole
     power = whole_re * whole_re + whole_im * whole_im
     if power <= 0.0:
-        return tones[0, 0] + middle, 0.0, 0.0
+        return tones[0, 0] + middle, 0.0, 0.0, 0.0, 0.0
     q = (rise_re * whole_re + rise_im * whole_im) / power
-    centre = middle + 4.0 * q / (3.0 + sqrt(9.0 + 16.0 * q * q))
+    offset = 4.0 * q / (3.0 + sqrt(9.0 + 16.0 * q * q))
+    centre = middle + offset
+    square = min(offset * offset, 0.5)
+    per_slope = (1.0 - square) ** 2 / (1.5 * (1.0 + square))
+    quadrature = (rise_im * whole_re - rise_re * whole_im) / power * per_slope
+    quadrature = min(max(quadrature, -MOST_QUADRATURE), MOST_QUADRATURE)
     re = im = 0.0
     for i in range(tones.shape[1]):
         kernel = _sinc((tones[0, i] - tones[0, 0]) + tones[1, i] - centre)
         re += tones[2, i] * kernel
         im += tones[3, i] * kernel
-    return tones[0, 0] + centre, re, im
+    return tones[0, 0] + centre, quadrature, width, re, im
 
 
 @kernel
-def _centre_of_power(tones: FloatArray, columns: int) -> float:
-    """Mean frequency of the beamlets by their power at the record's centre, in bins from the first tone's whole bin."""
-    power = moment = 0.0
+def _centre_of_power(tones: FloatArray, columns: int) -> tuple[float, float]:
+    """Mean frequency of the beamlets by their power at the record's centre, in bins from the first tone's whole bin,
+    and their second moment about it in bins²."""
+    power = moment = second = 0.0
     blocks = tones.shape[1] // columns
     for i in range(columns):
         re = im = place = 0.0
@@ -120,7 +133,11 @@ def _centre_of_power(tones: FloatArray, columns: int) -> float:
         strength = re * re + im * im
         power += strength
         moment += strength * place / blocks
-    return moment / power if power > 0.0 else 0.0
+        second += strength * (place / blocks) ** 2
+    if power <= 0.0:
+        return 0.0, 0.0
+    middle = moment / power
+    return middle, min(max(second / power - middle * middle, 0.0), 0.5 * WIDTH_BINS**2)
 
 
 @kernel
@@ -160,17 +177,20 @@ def _set_target(
     snr: float,
     target: Any,
 ) -> None:
-    """Set frequency and variance: the estimator's error, and the laser's drift over the delay."""
+    """Set frequency, quadrature and their variances: the errors by noise and by the laser's line."""
     method = model.peak_method
-    efficiency = EFFICIENCY[method]
-    line = line_variance(model, work.beamlets[RANGE_M, 0]) * efficiency / model.looks
+    law = model.variance_law
+    out_of_phase, in_phase = line_noise(law.line_rate, phase_drift(model, work.beamlets[RANGE_M, 0]))
     index = (segment + 1) * SEGMENT_INDICES - 1
-    error, _ = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, index)
-    variance = efficiency * CRAMER_RAO_BIN2 / snr + line
+    error, quadrature_error = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, index)
+    noise = EFFICIENCY[method] * CRAMER_RAO_BIN2 / snr
+    variance = noise + law.line_bin2 * out_of_phase
     target.frequency_bin = centre + min(max(sqrt(2.0 * variance) * error, -1.0), 1.0)
-    target.variance_bin2 = max(variance, 1e-12)
+    target.variance_bin2 = max(noise, 1e-12)
+    quadrature_noise = EFFICIENCY[HANN] * CRAMER_RAO_BIN2 / snr
+    quadrature_variance = quadrature_noise + law.quadrature_line_bin2 * in_phase
+    target.quadrature_bin += sqrt(2.0 * quadrature_variance) * quadrature_error
+    target.quadrature_variance_bin2 = max(quadrature_noise, 1e-12)
     if method == BIN_CENTRE:
         target.frequency_bin = min(max(np.rint(target.frequency_bin), 1.0), 0.5 * model.fft_length - 1.0)
         target.variance_bin2 = BIN_VARIANCE
-    # Drawn with the tones.
-    target.variance_bin2 += sweep_variance(model, segment, work.beamlets[RANGE_M, 0]) / model.looks

@@ -40,10 +40,19 @@ BEAM = np.dtype(
 of beamlets with light, their power, the taps of the filter on each side, and the level of `speckle_change`."""
 
 TARGET = np.dtype(
-    [("frequency_bin", "f8"), ("variance_bin2", "f8"), ("power_over_noise", "f8"), ("power", "f8")],
+    [
+        ("frequency_bin", "f8"),
+        ("variance_bin2", "f8"),
+        ("quadrature_bin", "f8"),
+        ("quadrature_variance_bin2", "f8"),
+        ("width_bin2", "f8"),
+        ("power_over_noise", "f8"),
+        ("power", "f8"),
+    ],
     align=True,
 )
-"""A target of one spectrum: frequency, its variance, and power of its highest bin."""
+"""A target of one spectrum: frequency and its variance, by noise until `stated_variance.state_variances`; quadrature
+with its variance by noise, and width, as in `peak_shape`; power of its highest bin."""
 
 
 class Workspace(NamedTuple):

@@ -30,11 +30,12 @@ from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.fmcw.spectrum import WINDOWS, fold
-from lidar_emu.fmcw.sweep_error import sweep_variance
+from lidar_emu.fmcw.stated_variance import line_bin2_at, sweep_bin2_at
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.detection_forecast import mean_straddling_gain, rule_probability
 from lidar_emu.probability.fading import detection_probability, shared_fade_probability
+from lidar_emu.scanner.wavefront import beam_radius_m
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
@@ -216,12 +217,12 @@ def _segment_variances_bin2(
     # Deep fades are not detected, and noise moves a detected peak by a bin at most.
     faintest = _faintest(instrument, snr)
     noise = _faded(noise, np.ones_like(noise), faintest, looks) if model.speckle else noise / looks
-    delay = hits.range_m * model.delay_per_m
-    drift = 6.0 * model.linewidth_bins / np.pi * delay**2 * efficiency / looks if model.homodyne_line else 0.0
-    alike = noise + drift + (BIN_VARIANCE if model.peak_method == BIN_CENTRE else 0.0)
-    range_m = np.nan_to_num(hits.range_m)
-    swept = np.vectorize(interpreted(sweep_variance), excluded=(0,), otypes=[float])
-    return np.stack([alike + swept(model, segment, range_m) / looks for segment in range(3)])
+    alike = noise + (BIN_VARIANCE if model.peak_method == BIN_CENTRE else 0.0)
+    law, range_bin = model.variance_law, np.nan_to_num(hits.range_m) / model.range_bin_m
+    line = np.vectorize(partial(interpreted(line_bin2_at), law), otypes=[float])
+    swept = np.vectorize(partial(interpreted(sweep_bin2_at), law), otypes=[float])
+    alike = alike + line(range_bin)
+    return np.stack([alike + swept(segment, range_bin) for segment in range(3)])
 
 
 def _faintest(instrument: Instrument, snr: FloatArray) -> FloatArray:
@@ -239,13 +240,15 @@ def _wander_bin2(
     spread: Spread,
     weights: FloatArray,
 ) -> FloatArray:
-    """(2, shots, beams) variances of range and speed by speckle within the footprint, in bins squared."""
+    """(2, shots, beams) variances of range and speed by speckle, in bins squared: within the footprint, and exchanged
+    within the record."""
     faintest = _faintest(instrument, snr)
+    exchange = _exchange_bin2(instrument, echoes)
 
     def wander(beat: float, doppler: float) -> FloatArray:
         if not model.speckle:
             return np.zeros_like(snr)
-        variance = spread.variance(beat, doppler)
+        variance = spread.variance(beat, doppler) + doppler**2 * exchange
         most = np.maximum(variance, BIN_VARIANCE)
         return _faded(0.5 * variance, most, faintest, instrument.detection.looks)
 
@@ -256,6 +259,15 @@ def _wander_bin2(
     shared = np.array([wander(1.0, 0.0), wander(0.0, 1.0)])
     variances: FloatArray = same * shared + (1.0 - same) * (weights**2 * own).sum(axis=1)
     return variances
+
+
+def _exchange_bin2(instrument: Instrument, echoes: Echoes) -> FloatArray:
+    """Variance in bins squared of the line by the exchange of scatterers as a footprint slides: v/(π√2 w) Hz."""
+    waveform, waist_m = instrument.waveform, instrument.optics.waist_radius_m
+    in_waists = echoes.speckle_drift_per_s * PITCH_W * waveform.record_time_s
+    radius_m = beam_radius_m(echoes.range_m[..., 0], waist_m, waveform.wavelength_m)
+    line: FloatArray = (in_waists**2).sum(axis=-1) / (2.0 * np.pi**2) * (waist_m / radius_m) ** 2
+    return line
 
 
 def _faded(at_mean: FloatArray, most: FloatArray, faintest: FloatArray, looks: int) -> FloatArray:

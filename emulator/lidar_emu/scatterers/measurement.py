@@ -33,16 +33,22 @@ def measure_records(
 ) -> Returns:
     """Measure a beam, (1,), from the light of up-chirp, constant segment and down-chirp; see `to_beam_result`."""
     waveform = receiver.waveform
-    level = receiver.noise_level * window_noise_power(detection.window, waveform.fft_length)
+    window_noise = window_noise_power(detection.window, waveform.fft_length)
+    level = receiver.noise_level * window_noise
     threshold = level * -detection.log_false_alarm_per_bin(waveform.fft_length)
-    windows: list[WindowName] = [detection.window]
-    if detection.peak == "hann":
-        windows.append("hann")
+    windows: list[WindowName] = [detection.window, "hann"]
     found = []
     for light in lights:
         bins = bins_of(receiver, light, windows, rng, laser_rng)
-        hann_bins = bins[1:] if len(bins) > 1 else None
         found.append(
-            find_targets(bins[:1], hann_bins, threshold, detection.group_fraction, receiver.noise_level)
+            find_targets(
+                bins[:1],
+                bins[1:],
+                detection.peak == "bin",
+                threshold,
+                detection.group_fraction,
+                receiver.noise_level,
+                window_noise,
+            )
         )
     return to_beam_result(waveform, detection, (found[0], found[1], found[2]), level, residual_limit)

@@ -128,7 +128,8 @@ def measure_waveform(
     records = weight.shape[0] if weight.ndim == 3 else 1
     weight = np.broadcast_to(weight, (records, 3, footprint.range_m.size))
     level = np.asarray(noise_level, dtype=float)
-    windowed_level = level * window_noise_power(detection.window, count)
+    window_noise = window_noise_power(detection.window, count)
+    windowed_level = level * window_noise
     threshold = windowed_level * -detection.log_false_alarm_per_bin(count)
 
     # A generator of its own, so that random numbers do not depend on the blocks.
@@ -153,8 +154,18 @@ def measure_waveform(
             if digitiser is not None:
                 samples = digitiser.digitise(samples)
             bins = transform(samples, detection.window)
-            hann_bins = transform(samples, "hann") if estimator == "hann" else None
-            parts.append(find_targets(bins, hann_bins, threshold, detection.group_fraction, level))
+            hann_bins = transform(samples, "hann")
+            parts.append(
+                find_targets(
+                    bins,
+                    hann_bins,
+                    estimator == "bin",
+                    threshold,
+                    detection.group_fraction,
+                    level,
+                    window_noise,
+                )
+            )
             if kept is not None:
                 kept[rows, s] = bins
         found.append(Targets(*(np.concatenate(column) for column in zip(*parts, strict=True))))

@@ -7,13 +7,16 @@ from typing import Literal, assert_never
 
 import numpy as np
 
+from lidar_emu.fmcw.range_speed_estimation import ALL
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.residual_limit import ResidualLimit, largest_residual_bin
 from lidar_emu.fmcw.returns import Returns
+from lidar_emu.fmcw.stated_variance import build_variance_law, inconsistency, state_variances
 from lidar_emu.fmcw.waveform.detection import Targets, window_gain, window_noise_power
 from lidar_emu.fmcw.waveform.estimation import Combined, chirp_minus_doppler, least_squares
-from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.numerics.kernels import interpreted
+from lidar_emu.fmcw.workspace import TARGET
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.kernels import interpreted, with_fields
 from lidar_emu.scenario.instrument import Detection, Waveform
 
 
@@ -82,10 +85,10 @@ def nothing(reason: Reason) -> Returns:
 def _combine(
     waveform: Waveform, detection: Detection, targets: tuple[Targets, Targets, Targets], rank: Literal[0, 1]
 ) -> Combined:
-    """Combine the targets of one rank where all three segments have one; NaN elsewhere."""
+    """Combine the targets of one rank where all three segments have one; NaN elsewhere. Variances are as stated."""
     observed = np.stack([target.frequency_bin[:, rank] for target in targets], axis=-1)
-    variance = np.stack([target.variance_bin2[:, rank] for target in targets], axis=-1)
-    there = np.isfinite(observed).all(axis=-1)
+    there = np.asarray(np.isfinite(observed).all(axis=-1))
+    variance, common = _stated_variances(waveform, detection, targets, rank, there)
     farthest_bin = waveform.record_edge_range_m / waveform.range_bin_m
     if detection.combine == "chirp_minus_doppler":
         some = chirp_minus_doppler(observed[there], variance[there], waveform.fft_length, farthest_bin)
@@ -100,7 +103,38 @@ def _combine(
     for name in Combined._fields[:-1]:
         columns[name] = np.full(len(observed), np.nan)
         columns[name][there] = getattr(some, name)
+    factor = [
+        interpreted(inconsistency)(*pair)
+        for pair in zip(some.residual_bin, some.residual_variance, strict=True)
+    ]
+    columns["range_variance"][there] *= factor
+    columns["doppler_variance"][there] = some.doppler_variance * factor + common[there]
     return Combined(**columns, sign_resolved=resolved)
+
+
+def _stated_variances(
+    waveform: Waveform,
+    detection: Detection,
+    targets: tuple[Targets, Targets, Targets],
+    rank: Literal[0, 1],
+    there: BoolArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Variances (records, 3) of the frequencies, and (records,) of the error in common; NaN unless all are there."""
+    law = build_variance_law(waveform, detection)
+    variance, common = np.full((len(there), 3), np.nan), np.full(len(there), np.nan)
+    for row in np.flatnonzero(there):
+        three = np.zeros(3, dtype=TARGET)
+        for name in (
+            "frequency_bin",
+            "variance_bin2",
+            "quadrature_bin",
+            "quadrature_variance_bin2",
+            "width_bin2",
+        ):
+            three[name] = [getattr(target, name)[row, rank] for target in targets]
+        common[row] = state_variances(law, ALL, with_fields(three))
+        variance[row] = three["variance_bin2"]
+    return variance, common
 
 
 def _snr_db(

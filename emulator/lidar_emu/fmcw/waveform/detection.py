@@ -32,7 +32,12 @@ class Targets(NamedTuple):
 
     frequency_bin: FloatArray
     variance_bin2: FloatArray
-    """Variance of the frequency as the estimator computes it."""
+    """Variance of the frequency by noise as the estimator computes it."""
+    quadrature_bin: FloatArray
+    """Quadrature of the offset by three Hann bins: its error's twin, as in `fmcw.peak_shape`."""
+    quadrature_variance_bin2: FloatArray
+    width_bin2: FloatArray
+    """Second moment of the powers around the peak."""
     power: FloatArray
     """Power of the highest bin with the window."""
     peak_bin: FloatArray
@@ -123,37 +128,56 @@ def find_peaks(power: FloatArray, threshold: float | FloatArray, group_fraction:
 
 def find_targets(
     bins: ComplexArray,
-    hann_bins: ComplexArray | None,
+    hann_bins: ComplexArray,
+    quantised: bool,
     threshold: float | FloatArray,
     group_fraction: float,
     noise_level: float | FloatArray = 1.0,
+    window_noise: float = 1.0,
 ) -> Targets:
     """Find the targets of records.
 
     Args:
         bins: (records, N/2 + 1) transform of the samples with the window of detection.
-        hann_bins: the same with a Hann window, for the three-bin formula; None: the frequency is the highest bin's.
+        hann_bins: the same with a Hann window, for the three-bin formula.
+        quantised: whether the frequency is the highest bin's.
         threshold, group_fraction: as in `find_peaks`.
         noise_level: mean noise power in a rectangular bin, one for all or (N/2 + 1,) for each.
+        window_noise: mean power of noise with the window of detection, relative to a rectangular bin.
     """
     power = np.square(bins.real) + np.square(bins.imag)
     peaks = find_peaks(power, threshold, group_fraction)
     found = peaks >= 0
     row, _ = np.nonzero(found)
     place = peaks[found]
-    values = np.full((4, *peaks.shape), np.nan)
-    offset, variance = np.zeros(place.size), np.full(place.size, _BIN_VARIANCE)
-    if hann_bins is not None:
-        level = np.broadcast_to(noise_level, bins.shape[1:])[place]
-        offset, variance = _hann_offset(hann_bins, row, place, level)
-    values[:, found] = place + offset, variance, power[row, place], place
+    values = np.full((7, *peaks.shape), np.nan)
+    level = np.broadcast_to(noise_level, bins.shape[1:])[place]
+    offset, variance, quadrature = _hann_offset(hann_bins, row, place, level)
+    own = variance
+    if quantised:
+        offset, own = np.zeros(place.size), np.full(place.size, _BIN_VARIANCE)
+    width = _width_bin2(power, row, place, level * window_noise)
+    values[:, found] = place + offset, own, quadrature, variance, width, power[row, place], place
     return Targets(*values)
+
+
+def _width_bin2(power: FloatArray, row: IntArray, place: IntArray, level: FloatArray) -> FloatArray:
+    """Second moment of the powers up to 8 bins from the peak, above 0.09 of it and 7 times the noise."""
+    around = np.arange(-8, 9)
+    near = place[:, None] + around
+    inner = (near > 0) & (near < power.shape[1] - 1)
+    here = power[row[:, None], np.where(inner, near, 0)]
+    floor = np.maximum(0.09 * power[row, place], 7.0 * level)
+    strong = np.where(inner & (here > floor[:, None]), here, 0.0)
+    total = np.maximum(strong.sum(axis=1), 1e-300)
+    centre = strong @ around / total
+    return np.asarray(strong @ np.square(around) / total - centre**2)
 
 
 def _hann_offset(
     bins: ComplexArray, row: IntArray, place: IntArray, level: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Offset from bin `place`, and variance in noise of that level there.
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Offset from bin `place`, variance in noise of that level there, and the offset's quadrature.
 
     For a tone δ off the middle bin q = Re[(H₋ - H₊)/(2 H₀ + H₋ + H₊)] is 3δ / (2 (1 - δ²)); the root is written in the
     form without 0/0. With θ = 2πn/N the two sums have the windows j (1 - cos θ) sin θ, of mean square 5/8, and sin²θ,
@@ -162,10 +186,12 @@ def _hann_offset(
     """
     before, here, after = bins[row, place - 1], bins[row, place], bins[row, place + 1]
     total = 2.0 * here + before + after
-    q = ((before - after) / total).real
+    ratio = (before - after) / total
+    q = ratio.real
     offset = 4.0 * q / (3.0 + np.sqrt(9.0 + 16.0 * q * q))
     slope = 1.5 * (1.0 + offset**2) / (1.0 - offset**2) ** 2
     variance = (5.0 + 3.0 * q * q) / 16.0 * level / np.square(np.abs(total) * slope)
     variance = np.clip(variance, _LEAST_VARIANCE, _MOST_VARIANCE)
     image = (place <= 2) | (place >= bins.shape[1] - 3)
-    return offset, np.where(image, np.maximum(variance, _BIN_VARIANCE), variance)
+    quadrature = np.where(image, 0.0, np.clip(ratio.imag / slope, -0.5, 0.5))
+    return offset, np.where(image, np.maximum(variance, _BIN_VARIANCE), variance), quadrature

@@ -1,0 +1,87 @@
+"""What a peak's bins show of its error: the quadrature of its offset, and the width of its line.
+
+An estimator's ratio of filters over the bins is complex, and its real part is the offset. White noise and speckle that
+changes within the record disturb the ratio by a circular Gaussian number: the imaginary part has the same distribution
+as the error, and is independent of it. Where light is a(x) exp(2πjgx), x from -1/2 to 1/2 within the record, the error
+is Im(a'/a)/2π to first order, and its quadrature -Re(a'/a)/2π: frequency modulation goes with amplitude modulation,
+and only the latter is seen. The laser's phase noise has no such quadrature while its drift is small.
+
+A line wider than a bin shows in the second moment of the powers around the peak.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.sine import FAST
+
+MOST_QUADRATURE = 0.5
+"""Limit of a quadrature in bins, at which the bins are nothing like a tone's."""
+
+WIDTH_BINS = 8
+"""Bins on each side of the peak whose powers give the width."""
+
+WIDTH_POWER_SHARE = 0.09
+"""Power of these bins relative to the peak, at least: 0.3 of its amplitude."""
+
+WIDTH_POWER_OVER_NOISE = 7.0
+"""Power of these bins relative to the noise, at least."""
+
+
+@kernel(fastmath=FAST)
+def quadrature_offset(grid: FloatArray, bins: FloatArray, j: int, length: float) -> tuple[float, float]:
+    """Quadrature of the offset by three Hann-weighted bins, in bins, and its variance by noise, in bins².
+
+    With the ratio q of `peak_interpolation` both are divided by the slope of q over the offset, which is positive. To
+    first order the slope follows from q alone.
+
+    Args:
+        grid, bins, j: as in `peak_interpolation.peak`.
+        length: N.
+    """
+    real = imaginary = power = 0.0
+    for look in range(bins.shape[0]):
+        re, im = bins[look, 0], bins[look, 1]
+        top_re = 2.0 * (re[j - 1] - re[j + 1]) - re[j - 2] + re[j + 2]
+        top_im = 2.0 * (im[j - 1] - im[j + 1]) - im[j - 2] + im[j + 2]
+        low_re = 2.0 * re[j] - re[j - 2] - re[j + 2]
+        low_im = 2.0 * im[j] - im[j - 2] - im[j + 2]
+        real += top_re * low_re + top_im * low_im
+        imaginary += top_im * low_re - top_re * low_im
+        power += low_re * low_re + low_im * low_im
+    looks = bins.shape[0]
+    signal = max(power - 6.0 * (looks - 1) * grid[NOISE, j], power / looks)
+    beside_image = grid[BIN, j] <= 2.0 or grid[BIN, j] >= 0.5 * length - 2.0
+    if not signal > 0.0 or beside_image:
+        return 0.0, 1.0
+    q = real / signal
+    offset = 2.0 * q / (1.5 + sqrt(2.25 + 4.0 * q * q))
+    square = min(offset * offset, 0.5)
+    per_slope = (1.0 - square) ** 2 / (1.5 * (1.0 + square))
+    noise = 10.0 + 6.0 * q * q
+    variance = 0.5 * grid[NOISE, j] * noise / signal * (power / signal) * per_slope * per_slope
+    quadrature = min(max(imaginary / signal * per_slope, -MOST_QUADRATURE), MOST_QUADRATURE)
+    return quadrature, min(max(variance, 1e-12), 1.0)
+
+
+@kernel(fastmath=FAST)
+def width_bin2(grid: FloatArray, j: int, count: int, noise_power: float) -> float:
+    """Second moment of the strong powers around the peak about their centre, in bins².
+
+    Args:
+        grid: (ROWS, capacity) of which `count` columns are in use; see `spectrum`.
+        j: column of the peak.
+        noise_power: mean noise power of a windowed bin relative to a rectangular one.
+    """
+    floor = max(WIDTH_POWER_SHARE * grid[POWER, j], WIDTH_POWER_OVER_NOISE * noise_power * grid[NOISE, j])
+    total = first = second = 0.0
+    for i in range(max(j - WIDTH_BINS, 0), min(j + WIDTH_BINS + 1, count)):
+        place = grid[BIN, i] - grid[BIN, j]
+        if grid[POWER, i] > floor and abs(place) <= WIDTH_BINS:
+            total += grid[POWER, i]
+            first += grid[POWER, i] * place
+            second += grid[POWER, i] * place * place
+    return (second - first * first / total) / total if total > 0.0 else 0.0

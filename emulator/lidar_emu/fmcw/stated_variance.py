@@ -1,0 +1,227 @@
+"""Variances of the three frequencies as the instrument states them: from its keys and the peaks, without the truth.
+
+A frequency's variance is the sum of
+
+* a bin's width, 1/12, where frequencies are rounded to bins;
+* the estimator's variance by noise, and its variance by the laser's line at the measured range;
+* random errors of the sweep at the measured range (`sweep_error`);
+* speckle within the record: the quadratures of the three offsets (`peak_shape`) have the variance of the errors. Their
+  mean square F over the variance by noise is 1 without speckle. What exceeds it scales the variance by noise: both are
+  inversely proportional to a record's power;
+* the width of a line beyond a bin: a share of the median second moment around the peaks.
+
+Slow speckle is the same in the three records. Its error is a Doppler shift that all three share, and leaves the range
+alone: the share of the error that is common falls with the width of the line that the excess shows.
+
+Three quadratures determine a variance as badly as three measurements would, and a single one if they are alike. In
+speckle errors over their standard deviation are therefore distributed like Student's t. The constants make the robust
+deviation of this ratio 1 in a Gaussian process of line widths from 0 to 3 bins (`tests/support/exchanged_speckle.py`).
+"""
+
+from __future__ import annotations
+
+from math import cosh, exp, hypot, pi, sinh, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.fmcw.peak_interpolation import (
+    BIN_CENTRE,
+    CRAMER_RAO_BIN2,
+    EFFICIENCY,
+    FLICKER_SCATTER,
+    HANN,
+    PEAK_METHODS,
+)
+from lidar_emu.fmcw.range_speed_estimation import ALL, CONSTANT, UP
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
+
+_NOISE_SHARE = 0.92
+"""Factor of the variance by noise: the excess is never negative, and raises it by chance."""
+
+_LEAST_EXCESS, _EXCESS_FACTOR = 1.25, 2.0
+"""F from which the variances of the frequencies grow, and how much they grow by."""
+
+_LEAST_COMMON_EXCESS, _COMMON_FACTOR = 1.5, 3.0
+"""The same for the error in common."""
+
+_COMMON_LINE_BINS = 0.04
+"""Width of a line whose error is common to the segments by half."""
+
+TONE_WIDTH_BIN2, _WIDTH_FACTOR = 0.29, 0.9
+"""Second moment of a windowed tone, and the variance of a peak per second moment beyond."""
+
+_MOST_PEDESTAL = 0.02
+"""Power of a bin beside the line by the laser's phase, relative to the line, above which widths say nothing."""
+
+_MOST_DRIFT = 30.0
+
+_LINE_POWER = 1.4
+"""Power of the line's bin for this comparison, as the mean noise power of both quadratures is 2: less by straddling."""
+
+_PEDESTAL_WIDTH = 0.09
+"""Standard deviation of the highest bin of the pedestal, relative to 2πΔν."""
+
+_MOST_EXPONENT = 30.0
+"""Exponent beyond which a probability is 0."""
+"""Limit of the phase drift, at which no line is left."""
+
+
+class VarianceLaw(NamedTuple):
+    """Constants of an instrument for `state_variances`."""
+
+    quantised: bool
+    line_rate: float
+    """2π times the linewidth in bins; 0 without a line."""
+    delay_per_bin: float
+    """The echo's delay in records per bin of range."""
+    line_bin2: float
+    """Variance of the estimator per unit of the line's noise over its power, in bins²."""
+    quadrature_line_bin2: float
+    """The same for the quadrature."""
+    sweep_share: tuple[float, float, float]
+    """Standard deviation of each segment's beat by errors of the laser's sweep, per bin of range."""
+
+
+def build_variance_law(waveform: Waveform, detection: Detection) -> VarianceLaw:
+    """Compute the constants from an instrument's keys."""
+    homodyne = waveform.linewidth_model == "homodyne"
+    method = PEAK_METHODS[detection.peak]
+    per_look = CRAMER_RAO_BIN2 / detection.looks
+    range_share, speed_mps_per_m = sweep_scatter(waveform, detection)
+    chirp_share = range_share / sqrt(detection.looks)
+    constant_share = speed_mps_per_m * waveform.range_bin_m / waveform.speed_bin_mps / sqrt(detection.looks)
+    return VarianceLaw(
+        quantised=method == BIN_CENTRE,
+        line_rate=2.0 * np.pi * waveform.linewidth_hz / waveform.bin_width_hz if homodyne else 0.0,
+        delay_per_bin=2.0 * waveform.range_bin_m / SPEED_OF_LIGHT_MPS / waveform.record_time_s,
+        line_bin2=EFFICIENCY[method] * per_look,
+        quadrature_line_bin2=EFFICIENCY[HANN] * per_look,
+        sweep_share=(chirp_share, constant_share, chirp_share),
+    )
+
+
+def sweep_scatter(waveform: Waveform, detection: Detection) -> tuple[float, float]:
+    """Standard deviations of range and closing speed per metre of range, by errors of the sweep: an error Δ of its rate
+    moves a beat by Δτ.
+
+    1/f noise changes the laser's frequency during a record at the rate `FLICKER_SCATTER` √k/T_rec, in neighbouring
+    records with the correlation -0.07, taken as 0.
+    """
+    scatter = FLICKER_SCATTER[PEAK_METHODS[detection.peak]]
+    flicker_hz_per_s = scatter * sqrt(waveform.flicker_hz2) / waveform.record_time_s
+    return (
+        hypot(waveform.slope_scatter, flicker_hz_per_s / waveform.chirp_slope_hz_per_s),
+        waveform.wavelength_m * flicker_hz_per_s / SPEED_OF_LIGHT_MPS,
+    )
+
+
+@kernel
+def line_noise(rate: float, drift: float) -> tuple[float, float]:
+    """Noise of the laser's line beside the line's centre, out of phase with the light and in phase.
+
+    Powers per rectangular bin relative to the power left in the line, P - Q and P + Q of `laser_phase_noise.line_taps`
+    at the frequency 0, as power of white noise with as much in each quadrature. To first order in the drift all of it
+    is out of phase, 4πΔντ².
+
+    Args:
+        rate: 2πΔν, Δν in bins.
+        drift: variance of the phase's drift within the delay.
+    """
+    if rate <= 0.0:
+        return 0.0, 0.0
+    bounded = min(drift, _MOST_DRIFT)
+    return 4.0 / rate * (cosh(bounded) - 1.0), 4.0 / rate * (sinh(bounded) - bounded)
+
+
+@kernel
+def line_bin2_at(law: VarianceLaw, range_bin: float) -> float:
+    """Variance in bins² of a frequency by the laser's line, at a beat of range.
+
+    Where little is left of the line, one of the 2Δν bins of its own pedestal may exceed it, each with an exponentially
+    distributed power: the frequency then lies anywhere within the pedestal.
+    """
+    if law.line_rate <= 0.0:
+        return 0.0
+    drift = min(law.line_rate * law.delay_per_bin * range_bin, _MOST_DRIFT)
+    out_of_phase, in_phase = line_noise(law.line_rate, drift)
+    beside = _LINE_POWER / (out_of_phase + in_phase)
+    wrong = 0.0
+    if beside < _MOST_EXPONENT:
+        wrong = 1.0 - (1.0 - exp(-beside)) ** max(1.0, law.line_rate / pi)
+    return law.line_bin2 * min(out_of_phase, 1.0) + (_PEDESTAL_WIDTH * law.line_rate * wrong) ** 2
+
+
+@kernel
+def sweep_bin2_at(law: VarianceLaw, segment: int, range_bin: float) -> float:
+    """Variance in bins² of a frequency by the random errors of the laser's sweep, at a beat of range."""
+    deviation = law.sweep_share[segment] * range_bin
+    return deviation * deviation
+
+
+@kernel
+def state_variances(law: VarianceLaw, mask: int, targets: NDArray[Any]) -> float:
+    """Set the variances of three frequencies, and return the variance of an error common to their Doppler shifts.
+
+    Args:
+        law: constants of the instrument.
+        mask: bits of the segments that have a target.
+        targets: (3,) of TARGET: one target per segment. Its `variance_bin2` is the estimator's by noise.
+
+    Returns:
+        The variance in bins² to be added to the variance of the Doppler shift.
+    """
+    up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
+    if mask & CONSTANT == 0:
+        range_bin = 0.5 * (up + down)
+    else:
+        range_bin = abs((max(up, down) if mask == ALL else (up if mask & UP else down)) - constant)
+    drift = law.line_rate * law.delay_per_bin * range_bin
+    out_of_phase, in_phase = line_noise(law.line_rate, drift)
+    in_phase *= law.quadrature_line_bin2
+    line = line_bin2_at(law, range_bin)
+    segments, squares, inverse = 0, 0.0, 0.0
+    narrowest, widest, width = np.inf, 0.0, 0.0
+    for segment in range(3):
+        if mask & (1 << segment):
+            target = targets[segment]
+            noise = target.quadrature_variance_bin2 + in_phase
+            squares += target.quadrature_bin**2 / noise
+            inverse += 1.0 / noise
+            segments += 1
+            narrowest, widest = min(narrowest, target.width_bin2), max(widest, target.width_bin2)
+            width += target.width_bin2
+    over_noise = squares / segments
+    mean_noise = segments / inverse
+    line_bin2 = 2.0 * max(over_noise - 1.0, 0.0) * mean_noise
+    common = _COMMON_LINE_BINS**2 / (_COMMON_LINE_BINS**2 + line_bin2)
+    excess = _EXCESS_FACTOR * (1.0 - common) * max(over_noise - _LEAST_EXCESS, 0.0)
+    width = width - narrowest - widest if segments == 3 else narrowest
+    wide = 0.0
+    # Beyond this the laser's own pedestal is what is wide.
+    if out_of_phase + in_phase < _MOST_PEDESTAL:
+        wide = _WIDTH_FACTOR * max(width - TONE_WIDTH_BIN2, 0.0)
+    for segment in range(3):
+        if mask & (1 << segment):
+            target = targets[segment]
+            speckle = excess * (target.quadrature_variance_bin2 + in_phase) + wide
+            noise = _NOISE_SHARE * target.variance_bin2
+            if law.quantised:
+                noise = target.variance_bin2 + target.quadrature_variance_bin2
+            target.variance_bin2 = noise + line + sweep_bin2_at(law, segment, range_bin) + speckle
+    return _COMMON_FACTOR * common * max(over_noise - _LEAST_COMMON_EXCESS, 0.0) * mean_noise
+
+
+@kernel
+def inconsistency(residual_bin: float, residual_variance: float) -> float:
+    """Factor of the variances where the residual of three frequencies contradicts them, 1 or more.
+
+    A bin, as everywhere, for the motion between the segments and their optical frequencies; beyond three standard
+    deviations the factor approaches the square of the residual over its own variance. NaN counts as consistent.
+    """
+    beyond = abs(residual_bin) - 1.0
+    if not beyond * beyond > 9.0 * residual_variance or beyond <= 0.0:
+        return 1.0
+    return beyond * beyond / residual_variance - 8.0
