@@ -64,6 +64,16 @@ class Measurement(BeamReport):
         BoolArray,
         Column("?", "", "Whether the truth bridges a gap in the table of the trajectory.", Group.TRUTH),
     ]
+    true_peak_source: Annotated[
+        NDArray[np.uint8],
+        Column(
+            "u1",
+            "",
+            "Source of a peak that is not the surface's, a code of `lidar_emu.fmcw.false_targets.FalseTarget`; "
+            "0: none known.",
+            Group.TRUTH,
+        ),
+    ]
     point_site_m: Annotated[
         FloatArray,
         Column("f8", "m", "End of the measured range along the published beam axis.", Group.POINT, (3,)),

@@ -116,7 +116,7 @@ def value_of(default: Any) -> str:
         return "on" if default else "off"
     if isinstance(default, tuple):
         return ", ".join(f"{each:g}" for each in default)
-    return "none" if default == [] else str(default)
+    return "none" if default in ([], None) else str(default)
 
 
 @pytest.mark.parametrize("row", rows("## Symbols and keys"), ids=lambda row: row[2])

@@ -28,7 +28,7 @@ TABLE = {
     "shot", "beam", "time_s", "fired", "beam_angle_deg", "range_m", "closing_speed_mps", "range_valid", "speed_valid",
     "sign_resolved", "reason", "segments", "snr_db", "residual_mps", "sigma_range_m", "sigma_speed_mps", "returns",
     "second_range_m", "true_range_m", "true_closing_speed_mps", "true_incidence_deg",
-    "true_in_gap", "point_east_m", "point_north_m", "point_up_m",
+    "true_in_gap", "true_peak_source", "point_east_m", "point_north_m", "point_up_m",
 }  # fmt: skip
 
 

@@ -90,14 +90,16 @@ def noise_level(response: Response, factor: float, added: float, k: float, sine:
 
 
 @kernel
-def clipping(response: Response, tones: FloatArray, length: float) -> tuple[float, float]:
-    """Gain and distortion of a clipping digitiser, for tones (4, tones) and noise that are treated as Gaussian
-    (Bussgang's theorem).
+def clipping(
+    response: Response, tones: FloatArray, length: float, others_power: float
+) -> tuple[float, float]:
+    """Gain and distortion of a clipping digitiser, for tones (4, tones), others of a sum of squares `others_power`, and
+    noise that are treated as Gaussian (Bussgang's theorem).
 
     Returns:
         Gain of the whole input, and power of the distortion per rectangular bin, treated as white.
     """
-    variance = response.mean_noise * length / 4.0
+    variance = response.mean_noise * length / 4.0 + 0.5 * others_power
     for i in range(tones.shape[1]):
         variance += 0.5 * (tones[2, i] ** 2 + tones[3, i] ** 2)
     if not response.full_scale < 7.0 * sqrt(variance):

@@ -73,7 +73,8 @@ def draw_alarms(
     """
     # In units of the mean noise power of a windowed bin; the noise elsewhere may be twice as strong as here.
     floor = max(model.threshold, model.group_power_share * highest / (2.0 * noisiest * model.noise_power))
-    bins = (0.5 * model.fft_length - 1.0 - computed) * model.independent_share
+    lowest = max(1.0, model.lowest_bin)
+    bins = (0.5 * model.fft_length - lowest - computed) * model.independent_share
     if bins < 1.0 or exceeding_bins(model.looks, floor, bins) <= model.least_false_alarm:
         return 0
     below = np.inf
@@ -81,7 +82,7 @@ def draw_alarms(
         below, place = noise_peak(model.looks, below, max(1.0, bins - a), beam, MAX_TARGETS * segment + a)
         if below <= model.threshold:
             return a
-        k = 1.0 + place * (0.5 * model.fft_length - 2.0)
+        k = lowest + place * (0.5 * model.fft_length - 1.0 - lowest)
         if model.peak_method == BIN_CENTRE:
             k = np.rint(k)
         level = noise_level(model.response, 1.0, 0.0, k, sin(pi * k / model.fft_length))

@@ -12,7 +12,7 @@ from lidar_emu.fmcw.link_budget import haze_w_per_m
 from lidar_emu.fmcw.peak_interpolation import PEAK_METHODS
 from lidar_emu.fmcw.physical_constants import ELEMENTARY_CHARGE_C, PLANCK_J_S
 from lidar_emu.fmcw.range_speed_estimation import COMBINE_METHODS
-from lidar_emu.fmcw.receiver_model import Haze, ReceiverModel, SweepScatter
+from lidar_emu.fmcw.receiver_model import BackReflection, Haze, ReceiverModel, SweepScatter
 from lidar_emu.fmcw.residual_limit import build_residual_limit
 from lidar_emu.fmcw.skip_limits import (
     LEAST_FALSE_ALARM,
@@ -85,6 +85,7 @@ def build_receiver(
         signal_shot_per_w=1.0 / (receiver.local_oscillator_power_w * amplifier),
         response=_response(instrument, amplifier, digitiser),
         haze=_haze(instrument, site, per_w),
+        back_reflection=_back_reflection(instrument, per_w),
         linewidth_bins=waveform.linewidth_hz / bin_hz,
         homodyne_line=waveform.linewidth_model == "homodyne",
         sweep_scatter=_sweep_scatter(instrument, exact, in_turn),
@@ -94,6 +95,7 @@ def build_receiver(
         noise_power=window.noise_power,
         # With averaged looks, the neighbours of a noise peak exceed the threshold nearly independently.
         independent_share=1.0 - neighbour_exceedance(window, threshold) if looks == 1 else 1.0,
+        lowest_bin=detection.lowest_beat_hz / bin_hz,
         threshold=threshold,
         group_power_share=detection.group_fraction**2,
         peak_method=PEAK_METHODS[detection.peak],
@@ -154,6 +156,15 @@ def _haze(instrument: Instrument, site: Site | None, per_w: float) -> Haze:
         snr_per_m=0.0 if air is None else haze_w_per_m(instrument, air) * per_w,
         extinction_per_m=0.0 if air is None else air.extinction_per_m,
         rayleigh_range_m=np.pi * waist_m**2 / wavelength_m,
+    )
+
+
+def _back_reflection(instrument: Instrument, per_w: float) -> BackReflection:
+    optics = instrument.optics
+    level_db = -np.inf if optics.back_reflection_db is None else optics.back_reflection_db
+    return BackReflection(
+        snr=float(per_w * optics.laser_power_w * 10.0 ** (level_db / 10.0)),
+        range_m=optics.back_reflection_range_m,
     )
 
 

@@ -33,6 +33,7 @@ def decimated(model: ReceiverModel, factor: int) -> ReceiverModel:
         sampled_length=model.sampled_length / factor,
         snr_per_w=model.snr_per_w / factor,
         signal_shot_per_w=model.signal_shot_per_w / factor,
+        back_reflection=model.back_reflection._replace(snr=model.back_reflection.snr / factor),
         independent_share=model.independent_share / factor,
     )
 
@@ -47,6 +48,7 @@ def noisier(model: ReceiverModel, detection: Detection, noise_db: float) -> Rece
         independent_share=1.0 - neighbour_exceedance(WINDOWS[detection.window], threshold) if single else 1.0,
         snr_per_w=model.snr_per_w / ratio,
         signal_shot_per_w=model.signal_shot_per_w / ratio,
+        back_reflection=model.back_reflection._replace(snr=model.back_reflection.snr / ratio),
         haze=model.haze._replace(snr_per_m=model.haze.snr_per_m / ratio),
         response=model.response._replace(full_scale=model.response.full_scale / ratio**0.5),
     )

@@ -19,6 +19,14 @@ class Haze(NamedTuple):
     """Rayleigh range, at which the beam's area has doubled."""
 
 
+class BackReflection(NamedTuple):
+    """Light that window and optics reflect."""
+
+    snr: float
+    """Power of its tone in a rectangular bin ahead of the poles, relative to the mean noise power there; 0: none."""
+    range_m: float
+
+
 class SweepScatter(NamedTuple):
     """Random errors of the laser's sweep, independent from segment to segment."""
 
@@ -64,6 +72,7 @@ class ReceiverModel(NamedTuple):
     """Shot noise of the echo relative to the amplifier's noise without an echo."""
     response: Response
     haze: Haze
+    back_reflection: BackReflection
     linewidth_bins: float
     homodyne_line: bool
     sweep_scatter: SweepScatter
@@ -74,6 +83,8 @@ class ReceiverModel(NamedTuple):
     """Mean noise power of a windowed bin relative to a rectangular one."""
     independent_share: float
     """Noise peaks above the threshold per bin, relative to a rectangular window."""
+    lowest_bin: float
+    """Lowest bin that is searched."""
     threshold: float
     """Minimum power of a detected bin relative to its mean noise power."""
     group_power_share: float

@@ -5,15 +5,28 @@ from __future__ import annotations
 from math import cos, pi, sin
 from typing import Any
 
+import numpy as np
+
 from lidar_emu.fmcw.analog_response import clipping, set_noise
-from lidar_emu.fmcw.beat_tones import RANGE_M, set_segment_tones
+from lidar_emu.fmcw.back_reflection import add_reflection, reflection_bin, reflection_power
+from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, set_segment_tones
 from lidar_emu.fmcw.bin_filter import filter_beam
 from lidar_emu.fmcw.close_tones import are_close, set_close_tones
 from lidar_emu.fmcw.haze import add_haze, set_haze_tone
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.speckle_change import set_tone_weights
-from lidar_emu.fmcw.spectrum import REACH, add_noise, lay_bins, mirror_ends, set_power, set_tones
+from lidar_emu.fmcw.spectrum import (
+    BIN,
+    POWER,
+    REACH,
+    add_noise,
+    fold,
+    lay_bins,
+    mirror_ends,
+    set_power,
+    set_tones,
+)
 from lidar_emu.fmcw.sweep_error import sweep_error
 from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace, look_tones
 from lidar_emu.numerics.arrays import FloatArray
@@ -34,22 +47,31 @@ def set_spectrum(
     Returns:
         The number of bins; 0 without light.
     """
-    if beam.lit_beamlets == 0:
+    reflected = model.back_reflection.snr > 0.0
+    if beam.lit_beamlets == 0 and not reflected:
         return 0
     haze = segment == 1 and model.haze.snr_per_m > 0.0
     count = 0
     for look in range(model.looks):
         tones = look_tones(work, beam, look)
-        set_look_tones(model, work, beam, segment, look, tones)
+        if beam.lit_beamlets > 0:
+            set_look_tones(model, work, beam, segment, look, tones)
+        else:
+            _set_no_tones(model, work, segment, tones)
         if haze:
             set_haze_tone(model, work, beam, look, tones)
         for i in range(tones.shape[1]):
             spectra.places[0, count + i] = tones[0, i]
         count += tones.shape[1]
     reach = REACH + max(0, beam.filter_taps - LEAST_TAPS)
+    others_power = 0.0
+    if reflected:
+        spectra.places[0, count], _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
+        count += 1
+        others_power = reflection_power(model, segment)
     places, scratch = spectra.places[0, :count], spectra.places[1]
     bins = lay_bins(places, float(reach), model.fft_length, scratch, spectra.grid)
-    gain, distortion = clipping(model.response, look_tones(work, beam, 0), model.fft_length)
+    gain, distortion = clipping(model.response, look_tones(work, beam, 0), model.fft_length, others_power)
     factor = gain * gain * (1.0 + model.signal_shot_per_w * beam.power_w)
     set_noise(model.response, factor, distortion, spectra.grid, bins)
     if model.haze.snr_per_m > 0.0 and segment != 1:
@@ -67,7 +89,20 @@ def set_spectrum(
         bins,
         spectra.bins,
     )
+    if model.lowest_bin > 0.0:
+        for j in range(bins):
+            if spectra.grid[BIN, j] < model.lowest_bin:
+                spectra.grid[POWER, j] = 0.0
     return bins
+
+
+@kernel
+def _set_no_tones(model: ReceiverModel, work: Workspace, segment: int, tones: FloatArray) -> None:
+    """Set tones without power at the beat of the back-reflection, the only light."""
+    work.beamlets[RANGE_M] = model.back_reflection.range_m
+    work.beamlets[SPEED_MPS] = 0.0
+    tones[:] = 0.0
+    tones[0], _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
 
 
 @kernel(inline="always")
@@ -131,6 +166,8 @@ def _set_look(
     if beam.filter_taps > 0:
         mirror_ends(length, grid, count, bins)
         filter_beam(model, work, spectra, beam, segment, look, count)
+    if model.back_reflection.snr > 0.0:
+        add_reflection(model, beam, segment, look, gain, grid, count, bins)
     first = (segment + 3 * look) * SEGMENT_INDICES
     add_noise(beam, first, length, grid, count, bins, spectra.words, spectra.noise)
     mirror_ends(length, grid, count, bins)

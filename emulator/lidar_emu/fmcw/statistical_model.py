@@ -43,7 +43,7 @@ def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int)
     for look in range(model.looks):
         tones = look_tones(work, beam, look)
         set_look_tones(model, work, beam, segment, look, tones)
-        gain, distortion = clipping(model.response, tones, model.fft_length)
+        gain, distortion = clipping(model.response, tones, model.fft_length, 0.0)
         factor, loss = gain * gain * (1.0 + model.signal_shot_per_w * beam.power_w), gain * kept
         centre, quadrature_bin, tones_bin2, re, im = _sum_at_peak(tones, work.beamlets.shape[1])
         k = min(max(np.rint(centre), 1.0), 0.5 * model.fft_length - 1.0)
@@ -66,7 +66,8 @@ def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int)
     highest = max(power, work.alarms[0].power) if alarms > 0 else power
     groups = 0
     noise = level * model.noise_power
-    if power > model.threshold * noise and power > model.group_power_share * highest:
+    searched = centre >= model.lowest_bin
+    if searched and power > model.threshold * noise and power > model.group_power_share * highest:
         targets[0].quadrature_bin, targets[0].width_bin2 = quadrature_bin, width_bin2
         _set_target(model, work, beam, segment, centre, snr, targets[0])
         targets[0].power_over_noise = power / noise

@@ -76,7 +76,8 @@ class SpectrumWorkspace(NamedTuple):
     """Arrays for the bins of spectra; their size limits beamlets, looks and the widest filter."""
 
     places: FloatArray
-    """(2, looks * tones) Nearest bins of all tones, one look after another, and a buffer to sort them."""
+    """(2, looks * tones + 1) Nearest bins of all tones, one look after another, and of the back-reflection; a buffer to
+    sort them."""
     residues: FloatArray
     grid: FloatArray
     bins: FloatArray
@@ -130,9 +131,9 @@ def build_spectrum_workspace(
     `taps` taps on each side."""
     tones = _columns(beamlets) * int(tone_count(speckle_level))
     reach = REACH + max(0, taps - LEAST_TAPS)
-    capacity = grid_capacity(looks * tones, reach, length)
+    capacity = grid_capacity(looks * tones + 1, reach, length)
     return SpectrumWorkspace(
-        places=np.empty((2, looks * tones)),
+        places=np.empty((2, looks * tones + 1)),
         residues=np.empty((2, tones)),
         grid=np.empty((ROWS, capacity)),
         bins=np.empty((looks, 2, capacity)),

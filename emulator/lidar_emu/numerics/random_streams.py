@@ -30,6 +30,8 @@ SCATTERERS = 5122
 """Purpose of a measurement's scatterers, noise and laser phase, as a key of `generator`."""
 SWEEP: Any = np.int64(5123)
 """Purpose of the errors of the laser's sweep; also a key of `generator`."""
+BACK_REFLECTION: Any = np.int64(5124)
+"""Purpose of the phase of light that the optics reflect."""
 
 RELIEF, CRATERS, ROCKS = range(3)
 """Keys of `generator`, after the seed of a generated ground."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lidar_emu.fmcw.back_reflection import reflection_bin, reflection_power
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.skip_limits import (
@@ -16,6 +17,7 @@ from lidar_emu.fmcw.skip_limits import (
     LEAST_SMEAR_BINS,
     LEAST_SWEEP_SCATTER_BINS,
 )
+from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.motion import MotionExtremes, largest
 from lidar_emu.plan.plan import Decision, at_most
 from lidar_emu.scenario.ambiguity import folded_range, folded_speed
@@ -56,6 +58,7 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes, motion: MotionExtrem
         _speckle(scenario),
         _response(scenario.instrument),
         _clipping(scenario.instrument),
+        _back_reflection(scenario, echoes),
         *_light(scenario),
         _false_alarms(scenario),
     ]
@@ -209,6 +212,28 @@ def _clipping(instrument: Instrument) -> Decision:
     bits = f"{instrument.receiver.adc.effective_bits:g} effective bits"
     bound = "harmonics of a clipped tone are modelled as noise; its gain is accurate to 12 %"
     return Decision("digitiser", True, "noise, clipping", bits, bound)
+
+
+def _back_reflection(scenario: FlightScenario, echoes: Echoes) -> Decision:
+    optics = scenario.instrument.optics
+    if optics.back_reflection_db is None:
+        return Decision("back-reflection", False, "-", "back_reflection_db is null", "exact")
+    model = build_receiver(scenario.instrument, scenario.site)
+    beat_bin, snr = interpreted(reflection_bin)(model, 2), interpreted(reflection_power)(model, 2)
+    brightest = largest(echoes.power_w) * model.snr_per_w
+    reason = (
+        f"{10.0 * np.log10(snr / brightest):.0f} dB over the strongest echo of a beamlet, "
+        f"at {beat_bin * model.bin_width_hz / 1e3:.3g} kHz"
+    )
+    if beat_bin + 2.0 < model.lowest_bin:
+        reason += ", below lowest_beat_hz"
+    return Decision(
+        "back-reflection",
+        True,
+        "a steady line of the chirps",
+        reason,
+        "weak echoes beside a clipped line to 5 dB",
+    )
 
 
 def _light(scenario: FlightScenario) -> list[Decision]:

@@ -49,6 +49,7 @@ def measure_records(
                 detection.group_fraction,
                 receiver.noise_level,
                 window_noise,
+                detection.lowest_beat_hz / waveform.bin_width_hz,
             )
         )
     return to_beam_result(waveform, detection, (found[0], found[1], found[2]), level, residual_limit)

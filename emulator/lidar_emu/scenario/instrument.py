@@ -124,6 +124,11 @@ class Optics(Part):
     """Fraction of the echo that returns in the received polarisation."""
     alignment_error_rad: NonNegative = 0.0
     """Angle between the transmitted and the received mode."""
+    back_reflection_db: Annotated[float, Field(ge=-200, le=-20)] | None = None
+    """Light that window and optics reflect into the mode of the echo, relative to the transmitted power of a beam;
+    null: none."""
+    back_reflection_range_m: Annotated[float, Field(gt=0, le=100)] = 1.0
+    """Range of the reflecting surface, by the delay of its light behind the local oscillator's."""
     speckle: Switch = True
     """Each beamlet's echo is a circular Gaussian number that changes as the beam moves; off: all add in phase."""
     beamlets: Literal[1, 7, 19, 37, 61, 91, 127] = 19
@@ -186,6 +191,8 @@ class Detection(Part):
     the Doppler line), or least squares over the three segments with the signs of least residual."""
     rule: Literal["all_three", "any_two"] = "all_three"
     """Segments that must hold a target; two suffice for least squares alone."""
+    lowest_beat_hz: NonNegative = 0.0
+    """Bins below are not searched: they hold the reflections of the instrument's own optics."""
     maximum_range_m: Positive = 12_000.0
     """Beyond it a return is reported as invalid."""
 

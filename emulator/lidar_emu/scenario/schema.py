@@ -183,6 +183,18 @@ class FlightScenario(Scenario):
         return self
 
     @model_validator(mode="after")
+    def _reflection_fits(self) -> Self:
+        level_db = self.instrument.optics.back_reflection_db
+        if level_db is None:
+            return self
+        key = "instrument.optics.back_reflection_db"
+        if self.level == "statistical":
+            raise unusable(key, level_db, "null at level statistical, which has one line a segment")
+        if self.waveform_echo != "beamlets":
+            raise unusable(key, level_db, "null with scatterers, anything with waveform_echo: beamlets")
+        return self
+
+    @model_validator(mode="after")
     def _waveform_can_measure(self) -> Self:
         detection, model = self.instrument.detection, self.instrument.waveform.linewidth_model
         for key, value, allowed in (

@@ -12,7 +12,10 @@ from lidar_emu.echo.echoes import EchoModel
 from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import Pointing, closing_speed_and_incidence, locate_points
+from lidar_emu.fmcw.false_targets import false_targets, has_false_targets
 from lidar_emu.fmcw.fidelity_levels import build_level
+from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
@@ -40,6 +43,7 @@ class FlightModel:
         )
         self.dust = _dust(scenario)
         self.level = build_level(scenario)
+        self.false_target_model = _false_target_model(scenario)
         self.scatterers = _scatterers(scenario, self.flight)
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
@@ -149,10 +153,29 @@ class FlightModel:
             true_closing_speed_mps=true_closing_mps,
             true_incidence_deg=true_incidence_deg,
             true_in_gap=pointing.in_gap,
+            true_peak_source=self._false_targets(returns, axis_hits, true_closing_mps),
             point_site_m=point_site_m,
             position_site_m=pointing.position_site_m,
             velocity_site_mps=pointing.velocity_site_mps,
         )
+
+    def _false_targets(
+        self, returns: Returns, axis_hits: Hits, true_closing_mps: FloatArray
+    ) -> NDArray[np.uint8]:
+        """(shots, beams) Codes of `FalseTarget`."""
+        if self.false_target_model is None:
+            return np.zeros(axis_hits.range_m.shape, dtype=np.uint8)
+        return false_targets(
+            self.false_target_model, returns.segment_peak_hz, axis_hits.range_m, true_closing_mps
+        )
+
+
+def _false_target_model(scenario: FlightScenario) -> ReceiverModel | None:
+    """Build the receiver with the sources of false targets; None without any."""
+    if scenario.level == "geometric":
+        return None
+    model = build_receiver(scenario.instrument, scenario.site)
+    return model if has_false_targets(model) else None
 
 
 def _scatterers(scenario: FlightScenario, flight: Flight) -> ScattererLevel | None:

@@ -95,6 +95,7 @@ def measure_waveform(
     response: AnalogResponse = FLAT,
     rng: np.random.Generator | None = None,
     laser_rng: np.random.Generator | None = None,
+    reflection: ScattererPatches | None = None,
     noise_share: float = 1.0,
     digitiser: Digitiser | None = None,
     noise_level: float | FloatArray = 1.0,
@@ -111,6 +112,7 @@ def measure_waveform(
         response: the receiver's poles.
         rng: random generator of noise and of the phase by the linewidth; None leaves both out.
         laser_rng: random generator of slopes, which all measurements share, and of 1/f noise; None leaves both out.
+        reflection: light that the optics reflect, without phase noise of the laser; None: none.
         noise_share: power of the noise ahead of the poles, relative to the squares of the weights.
         digitiser: None: ideal.
         noise_level: mean noise power in a rectangular bin as the detector assumes it, one for all bins or (N/2 + 1,).
@@ -148,6 +150,9 @@ def measure_waveform(
                 delay_s = 2.0 * float(beamlets.range_m[0]) / SPEED_OF_LIGHT_MPS
                 drift = draw_drift(line_rng, len(light), waveform, delay_s, laser_rng)
                 light *= drift if segment.beat_sign > 0 else drift.conj()
+            if reflection is not None:
+                steady = reflection.beamlets(segment, np.asarray(reflection.weight)[..., s, :])
+                light = light + receive_record(waveform, segment, steady, response)
             samples = np.ascontiguousarray(light.real)
             if rng is not None:
                 samples += np.sqrt(noise_share) * draw_noise(rng, len(samples), waveform, response)
@@ -164,6 +169,7 @@ def measure_waveform(
                     detection.group_fraction,
                     level,
                     window_noise,
+                    detection.lowest_beat_hz / waveform.bin_width_hz,
                 )
             )
             if kept is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from math import ceil
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -87,7 +88,9 @@ def window_noise_power(window: WindowName, count: int) -> float:
     return float(np.mean(np.square(window_samples(window, count))))
 
 
-def find_peaks(power: FloatArray, threshold: float | FloatArray, group_fraction: float) -> IntArray:
+def find_peaks(
+    power: FloatArray, threshold: float | FloatArray, group_fraction: float, lowest_bin: float = 0.0
+) -> IntArray:
     """Highest bins of the groups of contiguous strong bins.
 
     Bins 0 and N/2 hold no target. A group's bins exceed `group_fraction` of the spectrum's highest magnitude, and
@@ -97,6 +100,7 @@ def find_peaks(power: FloatArray, threshold: float | FloatArray, group_fraction:
         power: (records, N/2 + 1).
         threshold: power, for all bins or (N/2 + 1,) for each.
         group_fraction: fraction of magnitude, not of power.
+        lowest_bin: lowest bin that is searched.
 
     Returns:
         (records, TARGETS) indices of bins, strongest first, at equal power the lowest first; -1 where there are fewer.
@@ -104,6 +108,7 @@ def find_peaks(power: FloatArray, threshold: float | FloatArray, group_fraction:
     records = power.shape[0]
     inner = power.copy()
     inner[:, [0, -1]] = 0.0
+    inner[:, : ceil(lowest_bin)] = 0.0
     strong = inner > group_fraction**2 * inner.max(axis=1, keepdims=True)
     # The empty end bins separate the groups of consecutive records.
     flat = strong.ravel()
@@ -134,6 +139,7 @@ def find_targets(
     group_fraction: float,
     noise_level: float | FloatArray = 1.0,
     window_noise: float = 1.0,
+    lowest_bin: float = 0.0,
 ) -> Targets:
     """Find the targets of records.
 
@@ -141,12 +147,12 @@ def find_targets(
         bins: (records, N/2 + 1) transform of the samples with the window of detection.
         hann_bins: the same with a Hann window, for the three-bin formula.
         quantised: whether the frequency is the highest bin's.
-        threshold, group_fraction: as in `find_peaks`.
+        threshold, group_fraction, lowest_bin: as in `find_peaks`.
         noise_level: mean noise power in a rectangular bin, one for all or (N/2 + 1,) for each.
         window_noise: mean power of noise with the window of detection, relative to a rectangular bin.
     """
     power = np.square(bins.real) + np.square(bins.imag)
-    peaks = find_peaks(power, threshold, group_fraction)
+    peaks = find_peaks(power, threshold, group_fraction, lowest_bin)
     found = peaks >= 0
     row, _ = np.nonzero(found)
     place = peaks[found]

@@ -148,6 +148,7 @@ def _measure_records(
         response=response,
         rng=rng.beam,
         laser_rng=rng.laser,
+        reflection=_reflection(model, rng.beam),
         noise_share=share,
         digitiser=Digitiser.of(receiver, model.response),
         noise_level=level,
@@ -155,6 +156,15 @@ def _measure_records(
         edges=bool((range_m > model.record_edge_range_m).any()),
         keep_bins=keep_bins,
     )
+
+
+def _reflection(model: ReceiverModel, rng: np.random.Generator) -> ScattererPatches | None:
+    """Light that the optics reflect, at rest, with a phase of its own in each record; None: none."""
+    snr, range_m = model.back_reflection
+    if snr == 0.0:
+        return None
+    weight = np.sqrt(snr) * np.exp(2j * np.pi * rng.random((1, 3, 1)))
+    return ScattererPatches(np.array([range_m]), np.zeros(1), weight)
 
 
 def _finite(rate_mps: FloatArray) -> FloatArray:

@@ -1,0 +1,64 @@
+"""Sources of peaks that are not the surface's, by the beats that they would have."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.fmcw.beat_tones import signed_bin
+from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import interpreted
+
+_NEAR_BINS = 3.0
+"""Largest distance of a peak from the line of its source."""
+
+
+class FalseTarget(IntEnum):
+    """Source of a peak that is not the surface's."""
+
+    NONE = 0
+    BACK_REFLECTION = 1
+    """Light that window and optics reflect."""
+
+
+def has_false_targets(model: ReceiverModel) -> bool:
+    """Whether a receiver has a source of false targets."""
+    return model.back_reflection.snr > 0.0
+
+
+def false_targets(
+    model: ReceiverModel, segment_peak_hz: FloatArray, range_m: FloatArray, closing_speed_mps: FloatArray
+) -> NDArray[np.uint8]:
+    """Find the source of a peak that lies nearer to its line than to the surface's, in any segment.
+
+    Args:
+        model: from `build_receiver`.
+        segment_peak_hz: (shots, beams, 3) frequencies of the strongest peaks; NaN where there is none.
+        range_m, closing_speed_mps: (shots, beams) truth at the time of validity; NaN where there is no surface.
+
+    Returns:
+        (shots, beams) codes of `FalseTarget`.
+    """
+    found = np.zeros(range_m.shape, dtype=np.uint8)
+    for segment in (0, 2):
+        peak_bin = segment_peak_hz[..., segment] / model.bin_width_hz
+        then_m = range_m - (segment - 1) * model.segment_records * model.record_time_s * closing_speed_mps
+        surface = _observed(model, segment, then_m, closing_speed_mps)
+        reflection = _observed(model, segment, np.asarray(model.back_reflection.range_m), np.zeros(()))
+        away = np.abs(peak_bin - reflection)
+        nearer = ~(np.abs(peak_bin - surface) <= away)
+        found[(away <= _NEAR_BINS) & nearer] = FalseTarget.BACK_REFLECTION
+    return found
+
+
+def _observed(
+    model: ReceiverModel, segment: int, range_m: FloatArray, closing_speed_mps: FloatArray
+) -> FloatArray:
+    """Folded beats in bins, in the arguments' shape."""
+    signed: Any = interpreted(signed_bin)
+    beat = signed(model, segment, range_m, closing_speed_mps)
+    return np.asarray(np.abs(beat - model.fft_length * np.rint(beat / model.fft_length)))
