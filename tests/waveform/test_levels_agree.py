@@ -25,7 +25,7 @@ from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, noise_level
 from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, WaveformMeasurement, measure_waveform
-from lidar_emu.fmcw.waveform.level import measure_echoes
+from lidar_emu.fmcw.waveform.level import measure_echoes, scatterer_patches
 from lidar_emu.probability.fading import detection_probability, shared_fade_probability
 from lidar_emu.probability.false_lock import false_lock_probability
 from lidar_emu.scenario.instrument import (
@@ -181,6 +181,30 @@ def test_without_noise(
     apart_hz = spectral.segment_peak_hz[0] - exact.segment_peak_hz
     assert abs(apart_hz).max() < looser * bins * case.instrument.waveform.bin_width_hz
     assert abs(spectral.snr_db[0] - exact.snr_db) < looser * decibels
+
+
+@pytest.mark.parametrize("way", [0.3, 1.0, 3.0])
+@pytest.mark.parametrize("beamlets", [1, 7])
+def test_speckle_that_changes_within_the_record(way: float, beamlets: int) -> None:
+    """Without noise: three, five and nine tones for each beamlet."""
+    case = _case(130.0, LONG, FINE | {"window": "hann"}, {}, beamlets, True, (2000.0, 1.0), 0.2)
+    drift_per_s = np.reshape([0.8, -0.6], (1, 1, 2)) * way / case.model.record_time_s
+    echoes = case.echoes(6)
+    echoes = echoes._replace(speckle_drift_per_s=echoes.speckle_drift_per_s + drift_per_s)
+    spectral = receive(case.model, echoes, np.arange(6), 1)
+    field = echo_field(case.model, echoes, np.arange(6), 1)
+    waveform, detection = case.instrument.waveform, case.instrument.detection
+    apart_bin = []
+    for s in range(6):
+        exact = measure_waveform(waveform, detection, scatterer_patches(waveform, echoes, field, s, 0))
+        apart_hz = spectral.segment_peak_hz[s, 0] - exact.segment_peak_hz[0]
+        apart_bin.append(abs(apart_hz).max() / waveform.bin_width_hz)
+        assert abs(spectral.snr_db[s, 0] - exact.snr_db[0]) < 1e-3
+    # Migration within the record is smear to first order, and a fade makes more of the rest.
+    assert max(apart_bin) < 2e-4
+    assert np.median(apart_bin) < (1e-5 if beamlets == 1 else 5e-5)
+    steady = receive(case.model, case.echoes(6), np.arange(6), 1)
+    assert np.median(abs(spectral.segment_peak_hz - steady.segment_peak_hz)) > 0.02 * waveform.bin_width_hz
 
 
 def test_smear_and_migration_are_seen() -> None:

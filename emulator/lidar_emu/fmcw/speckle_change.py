@@ -6,8 +6,8 @@ Gauss-Legendre nodes of the record:
 
     a(t) = Σ c_q exp(j2π s (q - (Q - 1)/2) t/T),    c = E⁻¹ a,    E_pq = exp(j2π s (q - (Q - 1)/2) t_p/T).
 
-It follows the field between the nodes to 3 % of its change within the record (`_CHANGES`), and all that is made for
-steady tones applies: bins, images, folds, the receiver's poles.
+It follows the field between the nodes to 3 to 7 % of its change within the record (`_CHANGES`), and all that is made
+for steady tones applies: bins, images, folds, the receiver's poles.
 """
 
 from __future__ import annotations
@@ -30,10 +30,9 @@ _CHANGES = (
     (5, 0.4, 1.5),
     (9, 0.6, 3.5),
     (13, 0.65, 5.5),
-    (17, 0.7, 8.0),
-    (25, 0.7, 11.0),
-    (33, 0.7, 14.0),
-    (49, 0.7, 20.0),
+    (17, 0.65, 8.0),
+    (25, 0.6, 12.0),
+    (33, 0.6, 20.0),
 )
 """Tones, their spacing s in bins, and the way of the footprint in pitches per record up to which they suffice."""
 

@@ -29,6 +29,9 @@ from lidar_emu.numerics.philox import complex_normal
 from lidar_emu.numerics.random_streams import NOISE_BINS
 from lidar_emu.numerics.sine import sin_pi
 
+_FAR_BIN = 0.25
+"""A step this far from the centre of power is followed by a second one: bins beyond the three may be higher."""
+
 
 @kernel(inline="always")
 def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int) -> int:
@@ -81,14 +84,32 @@ def _sum_at_peak(tones: FloatArray, columns: int) -> tuple[float, float, float, 
     """Frequency of the peak near the tones' centre of power, its quadrature (`peak_shape`), the second moment of the
     beamlets, and the sum at the peak.
 
-    The frequency is that of a single tone with the same three Hann-windowed bins about the centre: q = (Y₊ - Y₋) / (2Y₀
-    - Y₋ - Y₊) = 3δ/(2(1 - δ²)). The tones of one beamlet, a block of `columns` apart, are one tone of changing speckle.
+    The tones of one beamlet, a block of `columns` apart, are one tone of changing speckle.
     """
-    middle, width = _centre_of_power(tones, columns)
+    centre, width = _centre_of_power(tones, columns)
+    step, quadrature = _step_to_peak(tones, centre)
+    if abs(step) > _FAR_BIN:
+        further, quadrature = _step_to_peak(tones, centre + step)
+        step += further
+    centre += step
+    re = im = 0.0
+    for i in range(tones.shape[1]):
+        kernel = _sinc((tones[0, i] - tones[0, 0]) + tones[1, i] - centre)
+        re += tones[2, i] * kernel
+        im += tones[3, i] * kernel
+    return tones[0, 0] + centre, quadrature, width, re, im
+
+
+@kernel
+def _step_to_peak(tones: FloatArray, centre: float) -> tuple[float, float]:
+    """Offset and quadrature of the single tone that has the same three Hann-windowed bins about a place.
+
+    q = (Y₊ - Y₋) / (2Y₀ - Y₋ - Y₊) = 3δ/(2(1 - δ²)); `centre` is in bins from the first tone's whole bin.
+    """
     rise_re = rise_im = whole_re = whole_im = 0.0
     for i in range(tones.shape[1]):
         # Off the zeros of the denominators, by far less than a peak is accurate.
-        d = (tones[0, i] - tones[0, 0]) + tones[1, i] - middle + 1e-9
+        d = (tones[0, i] - tones[0, 0]) + tones[1, i] - centre + 1e-9
         base = np.sin(pi * d) / d
         here, before, after = (
             2.0 / (1.0 - d * d),
@@ -102,20 +123,13 @@ def _sum_at_peak(tones: FloatArray, columns: int) -> tuple[float, float, float, 
         whole_im += tones[3, i] * whole
     power = whole_re * whole_re + whole_im * whole_im
     if power <= 0.0:
-        return tones[0, 0] + middle, 0.0, 0.0, 0.0, 0.0
+        return 0.0, 0.0
     q = (rise_re * whole_re + rise_im * whole_im) / power
     offset = 4.0 * q / (3.0 + sqrt(9.0 + 16.0 * q * q))
-    centre = middle + offset
     square = min(offset * offset, 0.5)
     per_slope = (1.0 - square) ** 2 / (1.5 * (1.0 + square))
     quadrature = (rise_im * whole_re - rise_re * whole_im) / power * per_slope
-    quadrature = min(max(quadrature, -MOST_QUADRATURE), MOST_QUADRATURE)
-    re = im = 0.0
-    for i in range(tones.shape[1]):
-        kernel = _sinc((tones[0, i] - tones[0, 0]) + tones[1, i] - centre)
-        re += tones[2, i] * kernel
-        im += tones[3, i] * kernel
-    return tones[0, 0] + centre, quadrature, width, re, im
+    return offset, min(max(quadrature, -MOST_QUADRATURE), MOST_QUADRATURE)
 
 
 @kernel

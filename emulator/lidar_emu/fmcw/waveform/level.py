@@ -18,7 +18,7 @@ from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
 from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import generator
-from lidar_emu.scenario.instrument import Instrument
+from lidar_emu.scenario.instrument import Instrument, Waveform
 
 _DARK = ScattererPatches(np.ones(1), np.zeros(1), np.zeros(1, dtype=complex))
 """Placeholder for no light: noise alone is measured."""
@@ -106,6 +106,27 @@ def _measure_beam(
     return measured
 
 
+def scatterer_patches(
+    waveform: Waveform, echoes: Echoes, field: EchoField, s: int, b: int
+) -> ScattererPatches:
+    """Patches of beam `b` of shot `s`: one for each tone of each beamlet."""
+    weight, offset_hz = field.weight[s, b], field.offset_bin[s, b] * waveform.bin_width_hz
+    tone, lit = np.nonzero(weight.any(axis=0))
+    if lit.size == 0:
+        return _DARK
+    return ScattererPatches(
+        echoes.range_m[s, b, lit],
+        echoes.closing_speed_mps[s, b, lit],
+        weight[None, :, tone, lit],
+        _finite(echoes.range_rate_mps[s, b, lit]),
+        float(echoes.closing_acceleration_mps2[s, b]),
+        float(echoes.smear_acceleration_mps2[s, b]),
+        float(echoes.closing_jerk_mps3[s, b]),
+        float(echoes.range_curvature_mps2[s, b]),
+        offset_hz[tone],
+    )
+
+
 def _measure_records(
     instrument: Instrument,
     model: ReceiverModel,
@@ -119,26 +140,11 @@ def _measure_records(
     """Measure the records of a beam."""
     range_m, power_w = echoes.range_m[s, b], echoes.power_w[s, b]
     waveform, receiver = instrument.waveform, instrument.receiver
-    weight, offset_hz = field.weight[s, b], field.offset_bin[s, b] * waveform.bin_width_hz
-    tone, lit = np.nonzero(np.abs(weight).max(axis=0))
-    footprint = _DARK
-    if lit.size > 0:
-        # One patch for each tone of a beamlet.
-        footprint = ScattererPatches(
-            range_m[lit],
-            echoes.closing_speed_mps[s, b, lit],
-            weight[None, :, tone, lit],
-            _finite(echoes.range_rate_mps[s, b, lit]),
-            float(echoes.closing_acceleration_mps2[s, b]),
-            float(echoes.smear_acceleration_mps2[s, b]),
-            float(echoes.closing_jerk_mps3[s, b]),
-            float(echoes.range_curvature_mps2[s, b]),
-            offset_hz[tone],
-        )
+    footprint = scatterer_patches(waveform, echoes, field, s, b)
     response = AnalogResponse.of(receiver)
     # The echo has shot noise of its own; the digitiser's noise arises behind the poles, by rounding.
     share = model.response.amplifier_noise * (
-        1.0 + model.signal_shot_per_w * float(power_w[np.unique(lit)].sum())
+        1.0 + model.signal_shot_per_w * float(power_w[field.weight[s, b].any(axis=(0, 1))].sum())
     )
     level = share * noise_level(waveform, response) + model.response.digitiser_noise
     return measure_waveform(
