@@ -108,6 +108,7 @@ def _glide(speed_mps: float, shots: int, **more: Any) -> dict[str, Any]:
     } | more
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", ["spectral", "statistical"])
 @pytest.mark.parametrize(("beamlets", "speed_mps"), [(1, 20.0), (1, 40.0), (19, 40.0), (1, 100.0)])
 def test_peaks_scatter_as_of_a_gaussian_process(level: str, beamlets: int, speed_mps: float) -> None:
