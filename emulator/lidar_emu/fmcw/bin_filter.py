@@ -1,4 +1,5 @@
-"""Filter over the bins of one beam's record: smear by motion and the laser's linewidth, where they matter.
+"""Filter over the bins of one beam's record: smear by motion, the laser's linewidth and the ripple of the chirps,
+where they matter.
 
 A factor m(t) common to all tones is a filter over rectangular bins, whose taps are the Fourier coefficients of m
 over the record.
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, signed_bin
+from lidar_emu.fmcw.chirp_ripple import ripple_index, ripple_reach, ripple_taps
 from lidar_emu.fmcw.laser_phase_noise import gaussian_line_taps, line_matters, line_taps, phase_drift
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS, smear_bins, smear_taps
 from lidar_emu.fmcw.receiver_model import ReceiverModel
@@ -46,6 +48,8 @@ def widest_filter(model: ReceiverModel, range_m: float, speed_mps: float, accele
         # Wide lines lose their central tap; the rest is as wide as the line itself.
         narrow = model.homodyne_line and phase_drift(model, range_m) < 0.5
         needed = max(needed, LEAST_TAPS + (0.0 if narrow else ceil(2.0 * model.linewidth_bins)))
+    if ripple_index(model, range_m) > 0.0:
+        needed = max(needed, LEAST_TAPS + ripple_reach(model))
     return int(min(needed, float(_MOST_TAPS)))
 
 
@@ -72,7 +76,7 @@ def filter_beam(
     look: int,
     count: int,
 ) -> None:
-    """Apply smear and linewidth, where they matter, to the first `count` bins of one record."""
+    """Apply smear, linewidth and ripple, where they matter, to the first `count` bins of one record."""
     half = beam.filter_taps
     range_m, speed_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
     by_smear, by_line, both = spectra.taps[0], spectra.taps[1], spectra.taps[2]
@@ -94,7 +98,17 @@ def filter_beam(
     if smeared and lined:
         convolve_taps(by_smear, by_line, half, both)
     taps = both if smeared and lined else (by_smear if smeared else by_line)
-    if smeared or lined:
+    index_of_ripple = ripple_index(model, range_m) if segment != 1 else 0.0
+    if index_of_ripple > 0.0:
+        by_ripple = spectra.taps[3]
+        ripple_taps(model, beam, segment, look, index_of_ripple, half, by_ripple)
+        if smeared or lined:
+            other = by_smear if smeared and lined else both
+            convolve_taps(taps, by_ripple, half, other)
+            taps = other
+        else:
+            taps = by_ripple
+    if smeared or lined or index_of_ripple > 0.0:
         beat = signed_bin(model, segment, range_m, speed_mps)
         nearest = beat - model.fft_length * np.rint(beat / model.fft_length)
         filter_bins(taps, half, nearest < 0.0, spectra.grid, count, spectra.bins[look], spectra.filtered)

@@ -23,11 +23,13 @@ class FalseTarget(IntEnum):
     NONE = 0
     BACK_REFLECTION = 1
     """Light that window and optics reflect."""
+    SIDE_LINE = 2
+    """Side line of the surface's line by a periodic non-linearity of the chirps."""
 
 
 def has_false_targets(model: ReceiverModel) -> bool:
     """Whether a receiver has a source of false targets."""
-    return model.back_reflection.snr > 0.0
+    return model.back_reflection.snr > 0.0 or model.ripple.largest_index > 0.0
 
 
 def false_targets(
@@ -48,6 +50,14 @@ def false_targets(
         peak_bin = segment_peak_hz[..., segment] / model.bin_width_hz
         then_m = range_m - (segment - 1) * model.segment_records * model.record_time_s * closing_speed_mps
         surface = _observed(model, segment, then_m, closing_speed_mps)
+        if model.ripple.largest_index > 0.0:
+            beside = np.abs(peak_bin - surface)
+            spacing, orders = model.ripple.frequency_bin, model.ripple.orders
+            order = np.clip(np.rint(beside / spacing), 1.0, orders)
+            away = np.abs(beside - order * spacing)
+            found[(away <= _NEAR_BINS) & (away < beside)] = FalseTarget.SIDE_LINE
+        if model.back_reflection.snr == 0.0:
+            continue
         reflection = _observed(model, segment, np.asarray(model.back_reflection.range_m), np.zeros(()))
         away = np.abs(peak_bin - reflection)
         nearer = ~(np.abs(peak_bin - surface) <= away)

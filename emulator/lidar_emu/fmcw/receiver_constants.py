@@ -12,12 +12,13 @@ from lidar_emu.fmcw.link_budget import haze_w_per_m
 from lidar_emu.fmcw.peak_interpolation import PEAK_METHODS
 from lidar_emu.fmcw.physical_constants import ELEMENTARY_CHARGE_C, PLANCK_J_S
 from lidar_emu.fmcw.range_speed_estimation import COMBINE_METHODS
-from lidar_emu.fmcw.receiver_model import BackReflection, Haze, ReceiverModel, SweepScatter
+from lidar_emu.fmcw.receiver_model import BackReflection, Haze, ReceiverModel, Ripple, SweepScatter
 from lidar_emu.fmcw.residual_limit import build_residual_limit
 from lidar_emu.fmcw.skip_limits import (
     LEAST_FALSE_ALARM,
     LEAST_LINE_DRIFT,
     LEAST_LINE_SCATTER_BINS,
+    LEAST_RIPPLE,
     LEAST_SMEAR_BINS,
     LEAST_SPECKLE_SHARE,
     LEAST_SWEEP_SCATTER_BINS,
@@ -26,7 +27,7 @@ from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.fmcw.stated_variance import build_variance_law, sweep_scatter
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.probability.noise import threshold_power
-from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Waveform
 from lidar_emu.scenario.site import Site
 
 
@@ -88,6 +89,7 @@ def build_receiver(
         back_reflection=_back_reflection(instrument, per_w),
         linewidth_bins=waveform.linewidth_hz / bin_hz,
         homodyne_line=waveform.linewidth_model == "homodyne",
+        ripple=_ripple(waveform, exact),
         sweep_scatter=_sweep_scatter(instrument, exact, in_turn),
         speckle=instrument.optics.speckle,
         window_centre=window.centre,
@@ -165,6 +167,15 @@ def _back_reflection(instrument: Instrument, per_w: float) -> BackReflection:
     return BackReflection(
         snr=float(per_w * optics.laser_power_w * 10.0 ** (level_db / 10.0)),
         range_m=optics.back_reflection_range_m,
+    )
+
+
+def _ripple(waveform: Waveform, exact: bool) -> Ripple:
+    return Ripple(
+        largest_index=2.0 * waveform.ripple_hz / waveform.ripple_frequency_hz,
+        frequency_bin=waveform.ripple_frequency_hz / waveform.bin_width_hz,
+        orders=float(waveform.ripple_orders),
+        least_index=0.0 if exact else LEAST_RIPPLE,
     )
 
 

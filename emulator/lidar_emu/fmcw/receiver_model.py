@@ -27,6 +27,18 @@ class BackReflection(NamedTuple):
     range_m: float
 
 
+class Ripple(NamedTuple):
+    """A periodic deviation of the laser's frequency in the chirps."""
+
+    largest_index: float
+    """Twice its amplitude over its frequency: the largest modulation of a beat's phase; 0: none."""
+    frequency_bin: float
+    orders: float
+    """Side lines to either side of a line."""
+    least_index: float
+    """Skip limit: smaller modulations are left out."""
+
+
 class SweepScatter(NamedTuple):
     """Random errors of the laser's sweep, independent from segment to segment."""
 
@@ -75,6 +87,7 @@ class ReceiverModel(NamedTuple):
     back_reflection: BackReflection
     linewidth_bins: float
     homodyne_line: bool
+    ripple: Ripple
     sweep_scatter: SweepScatter
     speckle: bool
     window_centre: float

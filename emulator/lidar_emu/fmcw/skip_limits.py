@@ -17,5 +17,9 @@ causes, σ = τ sqrt(6Δν/π) in bins and records, are smaller: an error of 1 %
 LEAST_SWEEP_SCATTER_BINS = 1e-3
 """Errors of the laser's sweep are left out where they scatter a beat by less: by 0.001 bin of range and speed."""
 
+LEAST_RIPPLE = 2e-3
+"""A periodic deviation of the sweep is left out where it modulates the beat's phase by less: side lines below 0.001 of
+the line's amplitude, and a shift of its frequency below 0.002 bin."""
+
 LEAST_FALSE_ALARM = 1e-9
 """Noise peaks that matter with a smaller probability are not drawn."""

@@ -85,7 +85,7 @@ class SpectrumWorkspace(NamedTuple):
     noise: FloatArray
     words: NDArray[np.uint64]
     taps: FloatArray
-    """(3, 2, taps) Taps of the smear, of the linewidth, and of both."""
+    """(4, 2, taps) Taps of the smear, of the linewidth, of both, and of the ripple."""
     peaks: NDArray[np.int64]
 
 
@@ -140,7 +140,7 @@ def build_spectrum_workspace(
         filtered=np.empty((4, capacity + 2 * taps + 4)),
         noise=np.empty((2, capacity + 4)),
         words=np.empty((4, capacity // 2 + 4), dtype=np.uint64),
-        taps=np.empty((3, 2, 2 * taps + 1)),
+        taps=np.empty((4, 2, 2 * taps + 1)),
         peaks=np.empty(MAX_TARGETS, dtype=np.int64),
     )
 

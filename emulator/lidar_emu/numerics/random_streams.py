@@ -32,6 +32,8 @@ SWEEP: Any = np.int64(5123)
 """Purpose of the errors of the laser's sweep; also a key of `generator`."""
 BACK_REFLECTION: Any = np.int64(5124)
 """Purpose of the phase of light that the optics reflect."""
+RIPPLE: Any = np.int64(5125)
+"""Purpose of the phase of the chirps' periodic non-linearity; also a key of `generator`."""
 
 RELIEF, CRATERS, ROCKS = range(3)
 """Keys of `generator`, after the seed of a generated ground."""

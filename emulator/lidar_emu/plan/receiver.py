@@ -14,6 +14,7 @@ from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.skip_limits import (
     LEAST_FALSE_ALARM,
     LEAST_LINE_DRIFT,
+    LEAST_RIPPLE,
     LEAST_SMEAR_BINS,
     LEAST_SWEEP_SCATTER_BINS,
 )
@@ -55,6 +56,7 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes, motion: MotionExtrem
         _smear(scenario, echoes),
         _line(scenario, echoes),
         _sweep(scenario, echoes),
+        _ripple(scenario.instrument.waveform, scenario.exact),
         _speckle(scenario),
         _response(scenario.instrument),
         _clipping(scenario.instrument),
@@ -188,6 +190,21 @@ def _sweep(scenario: FlightScenario, echoes: Echoes) -> Decision:
     if range_m < bound_m and speed_mps < bound_mps:
         return Decision("laser sweep", False, "-", reason, bound)
     return Decision("laser sweep", True, f"beams beyond {LEAST_SWEEP_SCATTER_BINS:g} bin", reason, bound)
+
+
+def _ripple(waveform: Waveform, exact: bool) -> Decision:
+    if waveform.ripple_hz == 0:
+        return Decision("ripple of the chirps", False, "-", "ripple_hz is 0", "exact")
+    index = 2.0 * waveform.ripple_hz / waveform.ripple_frequency_hz
+    reason = (
+        f"modulates beats by up to {index:.2g} rad, {waveform.ripple_frequency_hz / 1e3:g} kHz to either side"
+    )
+    if exact:
+        return Decision("ripple of the chirps", True, "filter over bins", reason, "exact")
+    bound = f"{0.5 * LEAST_RIPPLE:g} of a line's amplitude, {LEAST_RIPPLE * waveform.range_bin_m:.2g} m"
+    computed = index > LEAST_RIPPLE
+    how = f"filter over bins, beams beyond {LEAST_RIPPLE:g} rad" if computed else "-"
+    return Decision("ripple of the chirps", computed, how, reason, bound)
 
 
 def _speckle(scenario: FlightScenario) -> Decision:

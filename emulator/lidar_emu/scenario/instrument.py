@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import log
+from math import cbrt, ceil, log
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -10,6 +10,9 @@ from pydantic import Field, model_validator
 from lidar_emu.scenario.section import Fraction, NonNegative, Part, Positive, Switch, unusable
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
+
+_WIDEST_RIPPLE_BINS = 500
+"""Largest distance of a side line that the spectral level computes."""
 
 
 class Waveform(Part):
@@ -31,6 +34,10 @@ class Waveform(Part):
     slope_scatter: Annotated[float, Field(ge=0, lt=0.1)] = 0.0
     """Standard deviation of each chirp's own relative slope error, independent from chirp to chirp: the random part of
     the non-linearity that linearisation leaves. Beams that fire together share it."""
+    ripple_hz: NonNegative = 0.0
+    """Amplitude of a periodic deviation of the laser's frequency from the linear sweep, in the two chirps."""
+    ripple_frequency_hz: Positive = 10e3
+    """Frequency of that deviation: false targets appear at multiples of it to either side of a line."""
     flicker_hz2: NonNegative = 0.0
     """1/f noise of the laser's frequency: its one-sided density times the frequency. Beams that fire together share
     it."""
@@ -56,6 +63,28 @@ class Waveform(Part):
             allowed = f"at most {steepest:.6g}, a hundredth of the optical frequency in a segment"
             raise unusable("chirp_slope_hz_per_s", self.chirp_slope_hz_per_s, allowed)
         return self
+
+    @model_validator(mode="after")
+    def _ripple_fits(self) -> Self:
+        highest_hz = 50.0 * self.ripple_frequency_hz
+        if self.ripple_hz > highest_hz:
+            raise unusable(
+                "ripple_hz", self.ripple_hz, f"at most {highest_hz:.6g}, fifty times its frequency"
+            )
+        widest_hz = _WIDEST_RIPPLE_BINS * self.bin_width_hz / self.ripple_orders
+        if self.ripple_hz > 0 and self.ripple_frequency_hz > widest_hz:
+            allowed = (
+                f"at most {widest_hz:.6g}: {self.ripple_orders} side lines within {_WIDEST_RIPPLE_BINS} bins"
+            )
+            raise unusable("ripple_frequency_hz", self.ripple_frequency_hz, allowed)
+        return self
+
+    @property
+    def ripple_orders(self) -> int:
+        """Side lines to either side of a line that the periodic deviation can make stronger than -60 dB: orders of the
+        Bessel function of at most twice its amplitude over its frequency."""
+        index = 2.0 * self.ripple_hz / self.ripple_frequency_hz
+        return ceil(index + 2.0 * cbrt(index) + 1.0)
 
     @property
     def record_time_s(self) -> float:

@@ -183,15 +183,19 @@ class FlightScenario(Scenario):
         return self
 
     @model_validator(mode="after")
-    def _reflection_fits(self) -> Self:
-        level_db = self.instrument.optics.back_reflection_db
-        if level_db is None:
-            return self
-        key = "instrument.optics.back_reflection_db"
-        if self.level == "statistical":
-            raise unusable(key, level_db, "null at level statistical, which has one line a segment")
-        if self.waveform_echo != "beamlets":
-            raise unusable(key, level_db, "null with scatterers, anything with waveform_echo: beamlets")
+    def _false_targets_fit(self) -> Self:
+        level_db, ripple_hz = self.instrument.optics.back_reflection_db, self.instrument.waveform.ripple_hz
+        for key, value, off in (
+            ("instrument.optics.back_reflection_db", level_db, None),
+            ("instrument.waveform.ripple_hz", ripple_hz, 0.0),
+        ):
+            without = "null" if off is None else f"{off:g}"
+            if value != off and self.level == "statistical":
+                raise unusable(key, value, f"{without} at level statistical, which has one line a segment")
+            if value != off and self.waveform_echo != "beamlets":
+                raise unusable(
+                    key, value, f"{without} with scatterers, anything with waveform_echo: beamlets"
+                )
         return self
 
     @model_validator(mode="after")

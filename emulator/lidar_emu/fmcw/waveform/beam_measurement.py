@@ -18,7 +18,7 @@ from lidar_emu.fmcw.waveform.analog_receiver import (
 )
 from lidar_emu.fmcw.waveform.beam_result import to_beam_result
 from lidar_emu.fmcw.waveform.detection import Targets, find_targets, transform, window_noise_power
-from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift, has_phase_noise
+from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift, has_phase_noise, ripple_drift
 from lidar_emu.fmcw.waveform.record_samples import (
     Beamlets,
     ComplexArray,
@@ -111,7 +111,8 @@ def measure_waveform(
         footprint: scatterer patches; the squares of their weights are bin SNRs ahead of the poles.
         response: the receiver's poles.
         rng: random generator of noise and of the phase by the linewidth; None leaves both out.
-        laser_rng: random generator of slopes, which all measurements share, and of 1/f noise; None leaves both out.
+        laser_rng: random generator of slopes, which all measurements share, of ripple and of 1/f noise; None leaves
+            them out.
         reflection: light that the optics reflect, without phase noise of the laser; None: none.
         noise_share: power of the noise ahead of the poles, relative to the squares of the weights.
         digitiser: None: ideal.
@@ -150,6 +151,10 @@ def measure_waveform(
                 delay_s = 2.0 * float(beamlets.range_m[0]) / SPEED_OF_LIGHT_MPS
                 drift = draw_drift(line_rng, len(light), waveform, delay_s, laser_rng)
                 light *= drift if segment.beat_sign > 0 else drift.conj()
+            if laser_rng is not None and waveform.ripple_hz > 0.0 and segment.slope_hz_per_s != 0.0:
+                delay_s = 2.0 * float(beamlets.range_m[0]) / SPEED_OF_LIGHT_MPS
+                ripple = ripple_drift(laser_rng, len(light), waveform, delay_s)
+                light = light * (ripple if segment.beat_sign > 0 else ripple.conj())
             if reflection is not None:
                 steady = reflection.beamlets(segment, np.asarray(reflection.weight)[..., s, :])
                 light = light + receive_record(waveform, segment, steady, response)

@@ -1,0 +1,114 @@
+"""Periodic non-linearity of the chirps: side lines and shifts by closed forms, at level spectral and from samples."""
+
+from __future__ import annotations
+
+from math import pi, sin, sqrt
+
+import numpy as np
+import pytest
+from instruments import echoes, plain
+from scipy.special import jv
+
+from lidar_emu.errors import InputError
+from lidar_emu.fmcw.false_targets import FalseTarget, false_targets
+from lidar_emu.fmcw.receiver import receive
+from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.returns import Returns
+from lidar_emu.fmcw.waveform.level import measure_echoes
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
+from lidar_emu.scenario.load import load
+from lidar_emu.shots.model import build_model
+
+SHORT = {"fft_length": 2048, "sample_rate_hz": 600e6 / 64}
+"""The record of the defaults, with few samples."""
+BIN_HZ = 600e6 / 2**17
+RANGE_M, SPEED_MPS = 250.0, 0.2003
+DELAY_S = 2.0 * RANGE_M / SPEED_OF_LIGHT_MPS
+
+
+def _instrument(ripple_hz: float, frequency_hz: float) -> Instrument:
+    return plain(SHORT | {"ripple_hz": ripple_hz, "ripple_frequency_hz": frequency_hz}, peak="hann")
+
+
+def _both(instrument: Instrument, shots: int) -> tuple[Returns, Returns]:
+    """Spectral level and level waveform."""
+    model = build_receiver(instrument)
+    beams, shot = echoes(np.full((shots, 1, 1), RANGE_M), SPEED_MPS, 1e-11), np.arange(shots)
+    return receive(model, beams, shot, 1), measure_echoes(instrument, model, beams, shot, 2)
+
+
+def _ripple_of_index(index: float, frequency_hz: float) -> float:
+    return 0.5 * index * frequency_hz / sin(pi * frequency_hz * DELAY_S)
+
+
+def _hamming_power(place_bin: np.ndarray) -> np.ndarray:
+    """Power of the highest bin of tones."""
+    away = place_bin - np.rint(place_bin)
+    sides = np.sinc(away - 1.0) + np.sinc(away + 1.0)
+    return np.asarray((0.54 * np.sinc(away) + 0.23 * sides) ** 2)
+
+
+def test_chirps_lock_onto_the_strongest_side_line() -> None:
+    """At an index of 1.84 the first side lines are the strongest, and equally strong."""
+    spacing_bin, index, shots = 13, 1.84, 200
+    instrument = _instrument(_ripple_of_index(index, spacing_bin * BIN_HZ), spacing_bin * BIN_HZ)
+    truth = np.full((shots, 1), RANGE_M), np.full((shots, 1), SPEED_MPS)
+    for returns, without in zip(_both(instrument, shots), _both(_instrument(0.0, 1e4), 20), strict=True):
+        for segment in (0, 2):
+            line_hz = np.median(without.segment_peak_hz[:, 0, segment])
+            order = (returns.segment_peak_hz[:, 0, segment] - line_hz) / BIN_HZ / spacing_bin
+            np.testing.assert_allclose(np.abs(order), 1.0, atol=0.1 / spacing_bin)
+            assert np.mean(order > 0.0) == pytest.approx(0.5, abs=0.15)
+        np.testing.assert_allclose(
+            returns.segment_peak_hz[:, 0, 1], np.median(without.segment_peak_hz[:, 0, 1]), atol=0.1 * BIN_HZ
+        )
+        chirps = jv(1, index) ** 2
+        power = [np.mean(10.0 ** (each.snr_db / 10.0)) for each in (returns, without)]
+        up, constant, down = _hamming_power(np.median(without.segment_peak_hz[:, 0], axis=0) / BIN_HZ)
+        expected = (constant + chirps * (up + down)) / (up + constant + down)
+        assert power[0] / power[1] == pytest.approx(expected, rel=0.03)
+        found = false_targets(build_receiver(instrument), returns.segment_peak_hz, *truth)
+        assert (found == FalseTarget.SIDE_LINE).all()
+        unmoved = false_targets(
+            build_receiver(instrument), without.segment_peak_hz, truth[0][:20], truth[1][:20]
+        )
+        assert (unmoved == FalseTarget.NONE).all()
+
+
+def test_a_slow_ripple_moves_the_peak() -> None:
+    """By 2A sin(πf_mτ) times the transform of the estimator's weights on the frequency, the square of a Hann window."""
+    frequency_hz, index, shots = 2e3, 0.5, 600
+    instrument = _instrument(_ripple_of_index(index, frequency_hz), frequency_hz)
+    x = (np.arange(4096) + 0.5) / 4096 - 0.5
+    weights = (1.0 + np.cos(2.0 * pi * x)) ** 2
+    passed = np.sum(weights * np.cos(2.0 * pi * frequency_hz / BIN_HZ * x)) / weights.sum()
+    expected_hz = index * frequency_hz * passed / sqrt(2.0)
+    for returns in _both(instrument, shots):
+        for segment in (0, 2):
+            assert returns.segment_peak_hz[:, 0, segment].std() == pytest.approx(expected_hz, rel=0.05)
+
+
+def test_a_small_ripple_is_left_out() -> None:
+    small, above = (_instrument(_ripple_of_index(index, 6e4), 6e4) for index in (1.9e-3, 2.1e-3))
+    without = _instrument(0.0, 6e4)
+    beam, shot = echoes(RANGE_M, SPEED_MPS), np.arange(1)
+    range_m = [receive(build_receiver(each), beam, shot, 1).range_m[0, 0] for each in (small, without)]
+    assert range_m[0] == range_m[1]
+    for model in (build_receiver(above), build_receiver(small, exact=True)):
+        moved_m = abs(receive(model, beam, shot, 1).range_m[0, 0] - range_m[1])
+        assert 0.0 < moved_m < 2e-3 * without.waveform.range_bin_m
+
+
+def test_the_plan_has_its_line_and_impossible_ripples_are_refused() -> None:
+    ripple, frequency = "instrument.waveform.ripple_hz", "instrument.waveform.ripple_frequency_hz"
+    plan = build_model(load("descent.yaml", {ripple: "4e4", "duration_s": "0.5"})).plan
+    (row,) = (each for each in plan.decisions if each.stage == "ripple of the chirps")
+    assert row.computed
+    assert "8 rad, 10 kHz" in row.reason
+    for keys, key in (
+        ({ripple: "4e4", "level": "statistical"}, "ripple_hz"),
+        ({ripple: "6e5"}, "ripple_hz"),
+        ({ripple: "1e6", frequency: "1e6"}, "ripple_frequency_hz"),
+    ):
+        with pytest.raises(InputError, match=key):
+            load("descent.yaml", keys)
