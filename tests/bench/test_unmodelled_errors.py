@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, measure_waveform
+from lidar_emu.scenario.instrument import Detection, Waveform
+
 ROOT = Path(__file__).resolve().parents[2]
 _SPEC = importlib.util.spec_from_file_location("unmodelled_errors", ROOT / "tools" / "unmodelled_errors.py")
 assert _SPEC is not None
@@ -77,6 +80,26 @@ def test_aperture_jitter_is_noise_in_every_bin() -> None:
     elsewhere = np.abs(np.arange(power.shape[1]) - place) > 3
     expected = 2.0 * snr / count * (2 * pi * place * rate_hz / count * jitter_s) ** 2
     assert power[:, elsewhere].mean() == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("changed", "range_factor", "speed_factor"),
+    [("sample_rate_hz", 1.0 / 1.001, 1.0 / 1.001), ("wavelength_m", 1.0, 1.0 / 1.001)],
+)
+def test_a_wrong_clock_or_wavelength_scales_what_is_measured(
+    changed: str, range_factor: float, speed_factor: float
+) -> None:
+    """As a fault of kind `scale` does: the frequencies of a record, read with the nominal keys."""
+    nominal = Waveform(linewidth_hz=0.0)
+    true = nominal.model_copy(update={changed: 1.001 * getattr(nominal, changed)})
+    surface = ScattererPatches(np.array([500.0]), np.array([20.0]), np.array([1e3 + 0j]), range_rate_mps=0.0)
+    found = []
+    for waveform in (nominal, true):
+        targets = measure_waveform(waveform, Detection(peak="hann"), surface).targets
+        _, line, down = (float(each.frequency_bin[0, 0]) for each in targets)
+        found.append(((down - line) * nominal.range_bin_m, line * nominal.speed_bin_mps))
+    assert found[1][0] / found[0][0] == pytest.approx(range_factor, abs=5e-6)
+    assert found[1][1] / found[0][1] == pytest.approx(speed_factor, abs=5e-6)
 
 
 @pytest.mark.slow
