@@ -6,6 +6,8 @@ correlation exp(-(v t / w0)²), through up-chirp, constant segment and down-chir
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 WAIST_M, RECORD_S, SEGMENT_S = 0.017, 2**17 / 600e6, 300e-6
@@ -14,31 +16,53 @@ _PARTS = 128
 _DESIGN = np.array([[1.0, -1.0], [0.0, 1.0], [1.0, 1.0]])
 
 
+class Peaks(NamedTuple):
+    """Peaks of the three records, (shots, 3): three Hann bins about the highest Hamming bin."""
+
+    error_bin: np.ndarray
+    """Error of the signed beat: that of the up-chirp falls as the Doppler shift grows."""
+    variance_bin2: np.ndarray
+    """Variance of the error by noise."""
+    quadrature_bin: np.ndarray
+
+
 def robust(values: np.ndarray) -> float:
     """Standard deviation from the median distance from the median."""
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
 def scatter(speed_mps: float, snr: float, shots: int = 8000) -> tuple[float, float]:
-    """Robust standard deviations of range and closing speed: Hamming-windowed peaks, three Hann bins, least squares."""
+    """Robust standard deviations of range and closing speed by least squares."""
+    found = peaks(speed_mps, snr, shots)
+    errors, _ = solve(found.error_bin, found.variance_bin2)
+    return robust(errors[:, 0]) * RANGE_BIN_M, robust(errors[:, 1]) * SPEED_BIN_MPS
+
+
+def solve(error_bin: np.ndarray, variance_bin2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of beat and Doppler shift by weighted least squares, (shots, 2), and their variances."""
+    weighted = np.swapaxes(_DESIGN / variance_bin2[..., None], 1, 2)
+    normal = weighted @ _DESIGN
+    solved = np.linalg.solve(normal, weighted @ error_bin[..., None])[..., 0]
+    return solved, np.diagonal(np.linalg.inv(normal), axis1=1, axis2=2)
+
+
+def peaks(speed_mps: float, snr: float, shots: int = 8000) -> Peaks:
+    """Draw records and find their peaks."""
     rng = np.random.default_rng(5)
     place = (np.arange(_PARTS) + 0.5) / _PARTS
     time_s = np.concatenate([segment * SEGMENT_S + place * RECORD_S for segment in (-1, 0, 1)])
     power, modes = np.linalg.eigh(np.exp(-((speed_mps * (time_s[:, None] - time_s) / WAIST_M) ** 2)))
     kept = power > 1e-10 * power.max()
     field = _normal(rng, (shots, int(kept.sum()))) @ (modes[:, kept] * np.sqrt(power[kept])).T * np.sqrt(snr)
-    offset, variance = np.empty((2, shots, 3))
+    found = Peaks(*np.empty((3, shots, 3)))
     for segment in range(3):
         light = field[:, segment * _PARTS : (segment + 1) * _PARTS]
         beside = rng.uniform(-0.5, 0.5, (shots, 1))
         samples = light * np.exp(2j * np.pi * beside * place) + _normal(rng, light.shape) * np.sqrt(_PARTS)
-        found, variance[:, segment] = _peak(samples, place)
-        offset[:, segment] = found - beside[:, 0]
-    # The signed beat of the up-chirp falls as the Doppler shift grows.
-    offset[:, 0] *= -1.0
-    weighted = np.swapaxes(_DESIGN / variance[..., None], 1, 2)
-    solved = np.linalg.solve(weighted @ _DESIGN, weighted @ offset[..., None])[..., 0]
-    return robust(solved[:, 0]) * RANGE_BIN_M, robust(solved[:, 1]) * SPEED_BIN_MPS
+        offset, found.variance_bin2[:, segment], found.quadrature_bin[:, segment] = _peak(samples, place)
+        found.error_bin[:, segment] = offset - beside[:, 0]
+    found.error_bin[:, 0] *= -1.0
+    return found
 
 
 def _normal(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
@@ -46,16 +70,19 @@ def _normal(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2.0)
 
 
-def _peak(samples: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Frequency of each record's peak in bins, and its variance in noise of unit power per bin."""
+def _peak(samples: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frequency of each record's peak in bins, its variance in noise of unit power per bin, and its quadrature."""
     rows, near = np.arange(len(samples)), np.arange(-3, 4)
     hamming = np.fft.fft(samples * (0.54 - 0.46 * np.cos(2.0 * np.pi * place)), axis=1)
     hann = np.fft.fft(samples * (0.5 - 0.5 * np.cos(2.0 * np.pi * place)), axis=1) / _PARTS
+    # From the beginning of the record instead of the middle of its first part.
+    hann *= np.exp(-1j * np.pi * np.fft.fftfreq(_PARTS))
     peak = near[np.abs(hamming[:, near]).argmax(axis=1)]
     before, here, after = (hann[rows, peak + step] for step in (-1, 0, 1))
     total = 2.0 * here + before + after
-    q = ((before - after) / total).real
+    ratio = (before - after) / total
+    q = ratio.real
     offset = 4.0 * q / (3.0 + np.sqrt(9.0 + 16.0 * q * q))
     slope = 1.5 * (1.0 + offset**2) / (1.0 - offset**2) ** 2
     variance = (5.0 + 3.0 * q * q) / 16.0 / np.square(np.abs(total) * slope)
-    return peak + offset, np.clip(variance, 1e-12, 1.0 / 3.0)
+    return peak + offset, np.clip(variance, 1e-12, 1.0 / 3.0), ratio.imag / slope

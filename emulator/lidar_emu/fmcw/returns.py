@@ -99,8 +99,8 @@ class BeamReport:
     sigma_range_m: Annotated[
         FloatArray, Column("f8", "m", "Standard deviation of the range that the instrument states.")
     ]
-    """From the noise of the segments and the laser's linewidth; the wander of speckle within a footprint that spreads
-    over part of a bin, smear and motion are not included. NaN for invalid measurements."""
+    """From noise, the laser's keys and what the peaks show of speckle; bias by motion is not included. See
+    `stated_variance`. NaN for invalid measurements."""
     sigma_speed_mps: Annotated[
         FloatArray, Column("f8", "m/s", "Standard deviation of the closing speed that the instrument states.")
     ]
