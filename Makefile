@@ -56,7 +56,7 @@ docs: $(VENV)/.ready-dev
 speckle: $(VENV)/.ready-dev
 	$(BIN)/python tools/speckle_table.py
 
-# The table of docs/accuracy.md on the sigma that an instrument states, by Monte Carlo: twenty minutes.
+# The table of docs/accuracy.md on the sigma that an instrument states, by Monte Carlo: fifteen minutes.
 sigma: $(VENV)/.ready-dev
 	$(BIN)/python tools/sigma_table.py
 

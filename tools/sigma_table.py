@@ -1,6 +1,6 @@
 """Update the table of docs/accuracy.md on the stated sigma: errors in standard deviations, level by level.
 
-python tools/sigma_table.py                rewrites the table between the two markers; half an hour
+python tools/sigma_table.py                rewrites the table between the two markers; fifteen minutes
 python tools/sigma_table.py --print        prints it
 python tools/sigma_table.py --shots 100    with fewer measurements of the reference than 300 a cell
 

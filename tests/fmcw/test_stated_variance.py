@@ -19,7 +19,7 @@ from lidar_emu.fmcw.stated_variance import (
     VarianceLaw,
     build_variance_law,
     inconsistency,
-    line_bin2_at,
+    line_bin2,
     line_noise,
     state_variances,
     sweep_scatter,
@@ -90,12 +90,15 @@ def test_line_scatters_as_stated(drift: float) -> None:
     before, here, after = (light @ np.exp(-2j * pi * k * place) for k in (-1, 0, 1))
     q = ((before - after) / (2.0 * here + before + after)).real
     error = 4.0 * q / (3.0 + np.sqrt(9.0 + 16.0 * q * q)) - beside[:, 0]
-    law = VarianceLaw(False, 2.0 * pi * linewidth, delay / parts, 3.24 * 0.3898**2, 0.0, (0.0, 0.0, 0.0))
-    assert robust(error) == pytest.approx(sqrt(interpreted(line_bin2_at)(law, 1.0)), rel=0.12)
+    law = NO_LASER._replace(line_rate=2.0 * pi * linewidth, line_bin2=3.24 * 0.3898**2)
+    drift = law.line_rate * delay / parts
+    assert robust(error) == pytest.approx(
+        sqrt(interpreted(line_bin2)(law, *interpreted(line_noise)(law.line_rate, drift))), rel=0.12
+    )
 
 
 def test_without_a_line_nothing_is_added() -> None:
-    assert interpreted(line_bin2_at)(NO_LASER, 1e4) == 0.0
+    assert interpreted(line_noise)(0.0, 0.0) == (0.0, 0.0)
     # The convolution of the published simulation has no law over the delay.
     published = Waveform(linewidth_hz=3e4, linewidth_model="coherent")
     assert build_variance_law(published, Detection()).line_rate == 0.0

@@ -20,7 +20,7 @@ deviation of this ratio 1 in a Gaussian process of line widths from 0 to 3 bins 
 
 from __future__ import annotations
 
-from math import cosh, exp, hypot, pi, sinh, sqrt
+from math import exp, expm1, hypot, pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -68,7 +68,7 @@ _LINE_POWER = 1.4
 _PEDESTAL_WIDTH = 0.09
 """Standard deviation of the highest bin of the pedestal, relative to 2πΔν."""
 
-_MOST_EXPONENT = 30.0
+_MOST_EXPONENT = 15.0
 """Exponent beyond which a probability is 0."""
 """Limit of the phase drift, at which no line is left."""
 
@@ -137,25 +137,25 @@ def line_noise(rate: float, drift: float) -> tuple[float, float]:
     if rate <= 0.0:
         return 0.0, 0.0
     bounded = min(drift, _MOST_DRIFT)
-    return 4.0 / rate * (cosh(bounded) - 1.0), 4.0 / rate * (sinh(bounded) - bounded)
+    rise = expm1(bounded)
+    fall = rise / (1.0 + rise)
+    # cosh x - 1 and sinh x - x.
+    return 2.0 / rate * rise * fall, max(2.0 / rate * (rise + fall - 2.0 * bounded), 0.0)
 
 
 @kernel
-def line_bin2_at(law: VarianceLaw, range_bin: float) -> float:
-    """Variance in bins² of a frequency by the laser's line, at a beat of range.
+def line_bin2(law: VarianceLaw, out_of_phase: float, in_phase: float) -> float:
+    """Variance in bins² of a frequency by the laser's line with the noise of `line_noise`.
 
     Where little is left of the line, one of the 2Δν bins of its own pedestal may exceed it, each with an exponentially
     distributed power: the frequency then lies anywhere within the pedestal.
     """
-    if law.line_rate <= 0.0:
-        return 0.0
-    drift = min(law.line_rate * law.delay_per_bin * range_bin, _MOST_DRIFT)
-    out_of_phase, in_phase = line_noise(law.line_rate, drift)
-    beside = _LINE_POWER / (out_of_phase + in_phase)
-    wrong = 0.0
-    if beside < _MOST_EXPONENT:
-        wrong = 1.0 - (1.0 - exp(-beside)) ** max(1.0, law.line_rate / pi)
-    return law.line_bin2 * min(out_of_phase, 1.0) + (_PEDESTAL_WIDTH * law.line_rate * wrong) ** 2
+    pedestal = out_of_phase + in_phase
+    if pedestal * _MOST_EXPONENT < _LINE_POWER:
+        return law.line_bin2 * out_of_phase
+    wrong = 1.0 - (1.0 - exp(-_LINE_POWER / pedestal)) ** max(1.0, law.line_rate / pi)
+    variance: float = law.line_bin2 * min(out_of_phase, 1.0) + (_PEDESTAL_WIDTH * law.line_rate * wrong) ** 2
+    return variance
 
 
 @kernel
@@ -184,8 +184,9 @@ def state_variances(law: VarianceLaw, mask: int, targets: NDArray[Any]) -> float
         range_bin = abs((max(up, down) if mask == ALL else (up if mask & UP else down)) - constant)
     drift = law.line_rate * law.delay_per_bin * range_bin
     out_of_phase, in_phase = line_noise(law.line_rate, drift)
+    line = line_bin2(law, out_of_phase, in_phase)
+    narrow = out_of_phase + in_phase < _MOST_PEDESTAL
     in_phase *= law.quadrature_line_bin2
-    line = line_bin2_at(law, range_bin)
     segments, squares, inverse = 0, 0.0, 0.0
     narrowest, widest, width = np.inf, 0.0, 0.0
     for segment in range(3):
@@ -199,13 +200,13 @@ def state_variances(law: VarianceLaw, mask: int, targets: NDArray[Any]) -> float
             width += target.width_bin2
     over_noise = squares / segments
     mean_noise = segments / inverse
-    line_bin2 = 2.0 * max(over_noise - 1.0, 0.0) * mean_noise
-    common = _COMMON_LINE_BINS**2 / (_COMMON_LINE_BINS**2 + line_bin2)
+    exchange_bin2 = 2.0 * max(over_noise - 1.0, 0.0) * mean_noise
+    common = _COMMON_LINE_BINS**2 / (_COMMON_LINE_BINS**2 + exchange_bin2)
     excess = _EXCESS_FACTOR * (1.0 - common) * max(over_noise - _LEAST_EXCESS, 0.0)
     width = width - narrowest - widest if segments == 3 else narrowest
     wide = 0.0
     # Beyond this the laser's own pedestal is what is wide.
-    if out_of_phase + in_phase < _MOST_PEDESTAL:
+    if narrow:
         wide = _WIDTH_FACTOR * max(width - TONE_WIDTH_BIN2, 0.0)
     for segment in range(3):
         if mask & (1 << segment):

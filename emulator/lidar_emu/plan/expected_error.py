@@ -30,7 +30,7 @@ from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.fmcw.spectrum import WINDOWS, fold
-from lidar_emu.fmcw.stated_variance import line_bin2_at, sweep_bin2_at
+from lidar_emu.fmcw.stated_variance import line_bin2, line_noise, sweep_bin2_at
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.detection_forecast import mean_straddling_gain, rule_probability
@@ -219,9 +219,10 @@ def _segment_variances_bin2(
     noise = _faded(noise, np.ones_like(noise), faintest, looks) if model.speckle else noise / looks
     alike = noise + (BIN_VARIANCE if model.peak_method == BIN_CENTRE else 0.0)
     law, range_bin = model.variance_law, np.nan_to_num(hits.range_m) / model.range_bin_m
-    line = np.vectorize(partial(interpreted(line_bin2_at), law), otypes=[float])
     swept = np.vectorize(partial(interpreted(sweep_bin2_at), law), otypes=[float])
-    alike = alike + line(range_bin)
+    noise_of_line = np.vectorize(partial(interpreted(line_noise), law.line_rate), otypes=[float, float])
+    line = np.vectorize(partial(interpreted(line_bin2), law), otypes=[float])
+    alike = alike + line(*noise_of_line(law.line_rate * law.delay_per_bin * range_bin))
     return np.stack([alike + swept(segment, range_bin) for segment in range(3)])
 
 
