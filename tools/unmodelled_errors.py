@@ -240,6 +240,7 @@ SOURCES = [
         "√½ ε g(Δ) bin of each other beam",
         f"ε² -{CROSSTALK_DB:g} dB (assumed)",
         crosstalk,
+        "key `leakage_db`",
     ),
     Source(
         "1/f laser noise",

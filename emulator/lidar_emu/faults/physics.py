@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.echo.echoes import BeamletHits
+from lidar_emu.echo.leakage import leaked
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.light import LightFaults
 from lidar_emu.faults.receiver import FaultyReceivers
@@ -74,9 +75,18 @@ class PhysicsFaults:
         """Pointing with misaligned true directions; published directions are unchanged."""
         return self._light.tilted(pointing, shot)
 
-    def returns(self, echoes: Echoes, beamlet_hits: BeamletHits, shot: NDArray[np.int64]) -> Returns:
-        """Returns of echoes from beams whose light hit the ground at `beamlet_hits`."""
-        return self._level(self._light.modified(echoes, beamlet_hits, shot), shot)
+    def returns(
+        self,
+        echoes: Echoes,
+        beamlet_hits: BeamletHits,
+        shot: NDArray[np.int64],
+        leakage_db: float | None = None,
+    ) -> Returns:
+        """Returns of echoes from beams whose light hit the ground at `beamlet_hits`, with leakage between beams."""
+        echoes = self._light.modified(echoes, beamlet_hits, shot)
+        if leakage_db is not None:
+            echoes = leaked(echoes, leakage_db)
+        return self._level(echoes, shot)
 
     def occurrences(self, shot: NDArray[np.int64], fired: BoolArray) -> list[FaultOccurrence]:
         """Occurrences of faults in consecutive shots, whose fired beams are `fired`, (shots, beams)."""

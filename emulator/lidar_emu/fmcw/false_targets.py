@@ -17,6 +17,10 @@ _NEAR_BINS = 3.0
 """Largest distance of a peak from the line of its source."""
 
 
+_FOOTPRINT_BINS = 10.0
+"""Largest distance of a peak from the line of a surface, over its footprint and the motion between the segments."""
+
+
 class FalseTarget(IntEnum):
     """Source of a peak that is not the surface's."""
 
@@ -25,6 +29,8 @@ class FalseTarget(IntEnum):
     """Light that window and optics reflect."""
     SIDE_LINE = 2
     """Side line of the surface's line by a periodic non-linearity of the chirps."""
+    LEAKAGE = 3
+    """Echo of another beam."""
 
 
 def has_false_targets(model: ReceiverModel) -> bool:
@@ -33,7 +39,11 @@ def has_false_targets(model: ReceiverModel) -> bool:
 
 
 def false_targets(
-    model: ReceiverModel, segment_peak_hz: FloatArray, range_m: FloatArray, closing_speed_mps: FloatArray
+    model: ReceiverModel,
+    segment_peak_hz: FloatArray,
+    range_m: FloatArray,
+    closing_speed_mps: FloatArray,
+    leakage: bool = False,
 ) -> NDArray[np.uint8]:
     """Find the source of a peak that lies nearer to its line than to the surface's, in any segment.
 
@@ -41,15 +51,22 @@ def false_targets(
         model: from `build_receiver`.
         segment_peak_hz: (shots, beams, 3) frequencies of the strongest peaks; NaN where there is none.
         range_m, closing_speed_mps: (shots, beams) truth at the time of validity; NaN where there is no surface.
+        leakage: whether beams receive the echoes of others.
 
     Returns:
         (shots, beams) codes of `FalseTarget`.
     """
     found = np.zeros(range_m.shape, dtype=np.uint8)
-    for segment in (0, 2):
+    for segment in range(3):
         peak_bin = segment_peak_hz[..., segment] / model.bin_width_hz
         then_m = range_m - (segment - 1) * model.segment_records * model.record_time_s * closing_speed_mps
         surface = _observed(model, segment, then_m, closing_speed_mps)
+        if leakage:
+            others = np.abs(peak_bin[..., None] - surface[:, None, :])
+            near = (others <= _FOOTPRINT_BINS).any(axis=-1)
+            found[near & ~(np.abs(peak_bin - surface) <= _FOOTPRINT_BINS)] = FalseTarget.LEAKAGE
+        if segment == 1:
+            continue
         if model.ripple.largest_index > 0.0:
             beside = np.abs(peak_bin - surface)
             spacing, orders = model.ripple.frequency_bin, model.ripple.orders

@@ -21,5 +21,10 @@ LEAST_RIPPLE = 2e-3
 """A periodic deviation of the sweep is left out where it modulates the beat's phase by less: side lines below 0.001 of
 the line's amplitude, and a shift of its frequency below 0.002 bin."""
 
+LEAST_LEAKAGE = 1e-4
+LEAST_LEAKED_SNR = 1e-3
+"""Leakage between beams is left out where the amplitude of the strongest echo's leakage is less relative to the
+weakest echo, which it moves by less than 0.0001 bin, and its power in a bin less relative to the noise."""
+
 LEAST_FALSE_ALARM = 1e-9
 """Noise peaks that matter with a smaller probability are not drawn."""

@@ -22,7 +22,7 @@ from lidar_emu.plan.motion import (
 )
 from lidar_emu.plan.operations import Operations
 from lidar_emu.plan.plan import Decision, Plan
-from lidar_emu.plan.receiver import plan_receiver, plan_unknown_ambiguity
+from lidar_emu.plan.receiver import plan_leakage, plan_receiver, plan_unknown_ambiguity
 from lidar_emu.plan.run_time import count_operations
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.mesh_ground import Mesh
@@ -49,6 +49,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     motion = sweep_motion(flight, hits, least_cosine(pointing, hits))
     curvature, follows_chirps = plan_curvature(scenario, motion)
     lag, receiving_lag = plan_lag(scenario, motion, hits)
+    leakage = plan_leakage(scenario, echoes)
     # Scatterers are computed on the exact motion, whatever the plan.
     measured = scenario.level != "geometric" and scenario.waveform_echo == "beamlets"
     spread = spread_bins(scenario.instrument, pointing, hits)
@@ -61,11 +62,11 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
         *_dust(scenario, float(np.min(sensor_height_m(pointing, hits)))),
         footprint,
         *plan_receiver(scenario, echoes, motion),
-        *([curvature, lag, plan_delay(echoes)] if measured else []),
+        *([curvature, lag, plan_delay(echoes), leakage] if measured else []),
         *planned_faults(scenario),
         _run_time(operations, flight.shot_count * flight.period_ns * 1e-9),
     )
-    return Plan(decisions, beamlets, follows_chirps and measured, receiving_lag, operations)
+    return Plan(decisions, beamlets, follows_chirps and measured, receiving_lag, leakage.computed, operations)
 
 
 def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:

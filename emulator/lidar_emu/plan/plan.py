@@ -43,6 +43,8 @@ class Plan:
     """Whether beams are pointed at the times of the chirps' records, to follow the curvature of their motion."""
     receiving_lag: bool = True
     """Whether echoes are dimmed by the rotation of the beam while the light travels."""
+    leakage: bool = True
+    """Whether beams receive the echoes of others, if the instrument has leakage."""
     operations: Operations | None = None
     """Number of operations; None if it is not predicted."""
 

@@ -13,6 +13,8 @@ from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.skip_limits import (
     LEAST_FALSE_ALARM,
+    LEAST_LEAKAGE,
+    LEAST_LEAKED_SNR,
     LEAST_LINE_DRIFT,
     LEAST_RIPPLE,
     LEAST_SMEAR_BINS,
@@ -251,6 +253,26 @@ def _back_reflection(scenario: FlightScenario, echoes: Echoes) -> Decision:
         reason,
         "weak echoes beside a clipped line to 5 dB",
     )
+
+
+def plan_leakage(scenario: FlightScenario, echoes: Echoes) -> Decision:
+    """Decide whether beams receive the echoes of others."""
+    leakage_db = scenario.instrument.optics.leakage_db
+    if leakage_db is None or echoes.fired.shape[1] < 2:
+        reason = "leakage_db is null" if leakage_db is None else "there is one beam"
+        return Decision("leakage between beams", False, "-", reason, "exact")
+    power_w = echoes.power_w.sum(axis=-1)
+    power_w = power_w[power_w > 0.0]
+    strongest_w, weakest_w = (float(each) for each in (power_w.max(initial=0.0), power_w.min(initial=np.inf)))
+    share = 10.0 ** (leakage_db / 10.0)
+    amplitude = float(np.sqrt(share * strongest_w / weakest_w))
+    snr = share * strongest_w * build_receiver(scenario.instrument, scenario.site).snr_per_w
+    reason = f"up to {amplitude:.2g} of an echo's amplitude, {10.0 * np.log10(max(snr, 1e-30)):.0f} dB of the noise"
+    computed = scenario.exact or amplitude > LEAST_LEAKAGE or snr > LEAST_LEAKED_SNR
+    if computed:
+        return Decision("leakage between beams", True, "echoes of all beams", reason, "speckle of its own")
+    bound = f"{LEAST_LEAKAGE:g} bin, {LEAST_LEAKED_SNR:g} of the noise"
+    return Decision("leakage between beams", False, "-", reason, bound)
 
 
 def _light(scenario: FlightScenario) -> list[Decision]:

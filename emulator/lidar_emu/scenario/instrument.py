@@ -158,6 +158,8 @@ class Optics(Part):
     null: none."""
     back_reflection_range_m: Annotated[float, Field(gt=0, le=100)] = 1.0
     """Range of the reflecting surface, by the delay of its light behind the local oscillator's."""
+    leakage_db: Annotated[float, Field(ge=-200, le=-10)] | None = None
+    """Share of each beam's echo that the receiver of every other beam receives; null: none."""
     speckle: Switch = True
     """Each beamlet's echo is a circular Gaussian number that changes as the beam moves; off: all add in phase."""
     beamlets: Literal[1, 7, 19, 37, 61, 91, 127] = 19

@@ -184,9 +184,13 @@ class FlightScenario(Scenario):
 
     @model_validator(mode="after")
     def _false_targets_fit(self) -> Self:
+        leakage_db = self.instrument.optics.leakage_db
+        if leakage_db is not None and not self.instrument.optics.speckle:
+            raise unusable("instrument.optics.leakage_db", leakage_db, "null with optics.speckle: off")
         level_db, ripple_hz = self.instrument.optics.back_reflection_db, self.instrument.waveform.ripple_hz
         for key, value, off in (
             ("instrument.optics.back_reflection_db", level_db, None),
+            ("instrument.optics.leakage_db", leakage_db, None),
             ("instrument.waveform.ripple_hz", ripple_hz, 0.0),
         ):
             without = "null" if off is None else f"{off:g}"

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.echo.echoes import EchoModel
+from lidar_emu.echo.leakage import leaked
 from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import Pointing, closing_speed_and_incidence, locate_points
@@ -42,6 +43,7 @@ class FlightModel:
             scenario.instrument, scenario.site, self.flight, self.plan.beamlets, self.plan.receiving_lag
         )
         self.dust = _dust(scenario)
+        self.leakage_db = scenario.instrument.optics.leakage_db if self.plan.leakage else None
         self.level = build_level(scenario)
         self.false_target_model = _false_target_model(scenario)
         self.scatterers = _scatterers(scenario, self.flight)
@@ -96,9 +98,11 @@ class FlightModel:
         echoes = self.echo_model.echoes(pointing, axis_hits)
         if self.dust is not None:
             echoes = self.dust.raised(echoes, pointing, axis_hits, shot)
-        if self.physics is None:
-            return self.level(echoes, shot)
-        return self.physics.returns(echoes, self.echo_model.beamlet_hits, shot)
+        if self.physics is not None:
+            return self.physics.returns(echoes, self.echo_model.beamlet_hits, shot, self.leakage_db)
+        if self.leakage_db is not None:
+            echoes = leaked(echoes, self.leakage_db)
+        return self.level(echoes, shot)
 
     def laser_off(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         """Compute the same shots with the laser off: only times and the vehicle's state."""
@@ -166,7 +170,11 @@ class FlightModel:
         if self.false_target_model is None:
             return np.zeros(axis_hits.range_m.shape, dtype=np.uint8)
         return false_targets(
-            self.false_target_model, returns.segment_peak_hz, axis_hits.range_m, true_closing_mps
+            self.false_target_model,
+            returns.segment_peak_hz,
+            axis_hits.range_m,
+            true_closing_mps,
+            self.leakage_db is not None,
         )
 
 
@@ -175,7 +183,8 @@ def _false_target_model(scenario: FlightScenario) -> ReceiverModel | None:
     if scenario.level == "geometric":
         return None
     model = build_receiver(scenario.instrument, scenario.site)
-    return model if has_false_targets(model) else None
+    found = has_false_targets(model) or scenario.instrument.optics.leakage_db is not None
+    return model if found else None
 
 
 def _scatterers(scenario: FlightScenario, flight: Flight) -> ScattererLevel | None:

@@ -1,0 +1,70 @@
+"""Leakage between beams: an echo of another beam, at level spectral and from samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from instruments import echoes, plain
+
+from lidar_emu.echo.leakage import leaked
+from lidar_emu.errors import InputError
+from lidar_emu.fmcw.false_targets import FalseTarget, false_targets
+from lidar_emu.fmcw.receiver import receive
+from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.waveform.level import measure_echoes
+from lidar_emu.scenario.instrument import Optics
+from lidar_emu.scenario.load import load
+from lidar_emu.shots.model import build_model, measure_whole
+
+SHORT = {"fft_length": 512, "sample_rate_hz": 600e6 / 256}
+INSTRUMENT = plain(SHORT, peak="hann").model_copy(update={"optics": Optics(leakage_db=-30.0)})
+MODEL = build_receiver(INSTRUMENT)
+
+
+@pytest.mark.parametrize("from_samples", [False, True])
+def test_a_beam_without_an_echo_measures_the_other_beam(from_samples: bool) -> None:
+    shots = 300
+    range_m, power_w = np.empty((shots, 2, 1)), np.zeros((shots, 2, 1))
+    range_m[:, 0], range_m[:, 1] = 30.0, 60.0
+    power_w[:, 1] = 1e-9
+    place = np.stack(np.broadcast_arrays(7.3 * np.arange(shots)[:, None], np.full((1, 2), 0.6)), axis=-1)
+    alone = echoes(range_m, 0.2, power_w, place=place)
+    both = leaked(alone, -30.0)
+    shot = np.arange(shots)
+    returns = (
+        measure_echoes(INSTRUMENT, MODEL, both, shot, 2) if from_samples else receive(MODEL, both, shot, 1)
+    )
+    strong_db, leaked_db = (
+        10.0 * np.log10(np.nanmean(10.0 ** (returns.snr_db[:, b] / 10.0))) for b in (1, 0)
+    )
+    assert strong_db - leaked_db == pytest.approx(30.0, abs=1.5)
+    assert returns.range_valid.mean(axis=0) == pytest.approx(1.0, abs=0.12)
+    assert np.nanmedian(returns.range_m, axis=0) == pytest.approx(60.0, abs=0.05)
+    found = false_targets(
+        MODEL, returns.segment_peak_hz, range_m[..., 0], np.full((shots, 2), 0.2), leakage=True
+    )
+    assert (found[returns.range_valid[:, 0], 0] == FalseTarget.LEAKAGE).all()
+    assert (found[returns.range_valid[:, 1], 1] == FalseTarget.NONE).all()
+    # Speckle of its own.
+    assert abs(np.corrcoef(np.nan_to_num(returns.snr_db).T)[0, 1]) < 0.25
+
+
+def test_a_beam_that_does_not_fire_leaks_nothing() -> None:
+    given = echoes([30.0, 70.0, 50.0], 0.2, 1e-9)
+    given.fired[0, 1] = False
+    both = leaked(given, -20.0)
+    assert both.range_m[0].tolist() == [[30.0, 70.0, 50.0], [70.0, 30.0, 50.0], [50.0, 30.0, 70.0]]
+    np.testing.assert_allclose(both.power_w[0], [[1e-9, 0, 1e-11], [0, 1e-11, 1e-11], [1e-9, 1e-11, 0]])
+
+
+def test_the_plan_leaves_out_what_changes_nothing() -> None:
+    runs = {}
+    for leakage in ("null", "-140", "-50"):
+        keys = {"instrument.optics.leakage_db": leakage, "duration_s": "0.5"}
+        model = build_model(load("descent.yaml", keys))
+        (row,) = (each for each in model.plan.decisions if each.stage == "leakage between beams")
+        assert row.computed is (leakage == "-50")
+        runs[leakage] = measure_whole(model).range_m
+    np.testing.assert_array_equal(runs["null"], runs["-140"])
+    with pytest.raises(InputError, match="leakage_db"):
+        load("descent.yaml", {"instrument.optics.leakage_db": "-50", "level": "statistical"})
