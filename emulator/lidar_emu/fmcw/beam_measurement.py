@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, gather_beamlets
 from lidar_emu.fmcw.bin_filter import widest_filter
 from lidar_emu.fmcw.detection import find_targets
+from lidar_emu.fmcw.haze import haze_snr
 from lidar_emu.fmcw.opposite_sign_fault import with_opposite_sign
 from lidar_emu.fmcw.range_speed_estimation import (
     CHIRP_MINUS_DOPPLER,
@@ -29,7 +30,7 @@ from lidar_emu.fmcw.speckle_change import needed_level
 from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.fmcw.stated_variance import inconsistency, state_variances
 from lidar_emu.fmcw.statistical_model import draw_targets
-from lidar_emu.fmcw.workspace import SpectrumWorkspace, as_workspace
+from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace, as_workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 
@@ -120,6 +121,8 @@ def measure_beams(
             beam.beam = b
             _set_motion(beam, echoes, s, b)
             beam.speckle_level = needed_level(model, beam.speckle_drift_per_s, beam.power_w)
+            if model.haze.snr_per_m > 0.0:
+                _set_haze(model, work, beam, echoes.air_speed_mps[s, b])
             forget_corners(work.speckle)
             if spectrum_arrays is not None:
                 beam.filter_taps = 0
@@ -147,6 +150,16 @@ def _set_motion(beam: Any, echoes: Echoes, s: int, b: int) -> None:
     for axis in range(2):
         beam.speckle_place[axis] = _bounded(echoes.speckle_place[s, b, axis])
         beam.speckle_drift_per_s[axis] = _bounded(echoes.speckle_drift_per_s[s, b, axis])
+
+
+@kernel
+def _set_haze(model: ReceiverModel, work: Workspace, beam: Any, air_speed_mps: float) -> None:
+    """Set speed and end of the haze in front of the surface, and add its light to the beam's."""
+    beam.air_speed_mps = _bounded(air_speed_mps)
+    beam.haze_range_m = model.record_edge_range_m
+    if beam.lit_beamlets > 0:
+        beam.haze_range_m = min(beam.haze_range_m, work.beamlets[RANGE_M, 0])
+    beam.power_w += haze_snr(model, beam.haze_range_m) / model.snr_per_w
 
 
 @kernel(forceinline=True)

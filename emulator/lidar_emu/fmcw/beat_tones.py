@@ -98,6 +98,8 @@ def gather_beamlets(
             snr = share[i] * scale
             amplitude[i] = sqrt(snr)
             share[i] = snr * per_root
+    elif model.haze.snr_per_m > 0.0:
+        beamlets[:] = 0.0
     beam.lit_beamlets, beam.power_w = count, total_w
     return reason
 

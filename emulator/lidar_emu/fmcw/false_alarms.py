@@ -86,14 +86,22 @@ def draw_alarms(
         if model.peak_method == BIN_CENTRE:
             k = np.rint(k)
         level = noise_level(model.response, 1.0, 0.0, k, sin(pi * k / model.fft_length))
-        alarm = alarms[a]
-        alarm.frequency_bin = k
-        alarm.variance_bin2 = BIN_VARIANCE if model.peak_method == BIN_CENTRE else _VARIANCE_TIMES_SNR / below
-        alarm.quadrature_bin = alarm.width_bin2 = 0.0
-        alarm.quadrature_variance_bin2 = _VARIANCE_TIMES_SNR / below
-        alarm.power_over_noise = below
-        alarm.power = below * level * model.noise_power
+        set_random_peak(model, k, below, below * level * model.noise_power, alarms[a])
     return MAX_TARGETS
+
+
+@kernel
+def set_random_peak(
+    model: ReceiverModel, k: float, power_over_noise: float, power: float, target: Any
+) -> None:
+    """Set a target from a peak of noise or haze at bin `k`, between bins that are not computed."""
+    rounded = model.peak_method == BIN_CENTRE
+    target.frequency_bin = np.rint(k) if rounded else k
+    target.variance_bin2 = BIN_VARIANCE if rounded else _VARIANCE_TIMES_SNR / power_over_noise
+    target.quadrature_bin = target.width_bin2 = 0.0
+    target.quadrature_variance_bin2 = _VARIANCE_TIMES_SNR / power_over_noise
+    target.power_over_noise = power_over_noise
+    target.power = power
 
 
 @kernel(inline="always")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.receiver_model import ALL_BEAMLETS
 from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.scenario.schema import FlightScenario
 
@@ -26,8 +27,8 @@ _BEYOND_RANGE = int(Reason.BEYOND_RANGE)
 _INSIDE_GROUND = int(Reason.INSIDE_GROUND)
 
 
-def build_level(scenario: FlightScenario) -> Level:
-    """Build the level that the scenario selects.
+def build_level(scenario: FlightScenario, ground_beamlets: int = ALL_BEAMLETS) -> Level:
+    """Build the level that the scenario selects, for footprints of `ground_beamlets` beamlets.
 
     Raises:
         InputError: the instrument is impossible.
@@ -39,7 +40,9 @@ def build_level(scenario: FlightScenario) -> Level:
 
     statistical = scenario.level == "statistical"
     in_turn = scenario.scanner.firing == "in_turn"
-    model = build_receiver(scenario.instrument, scenario.site, scenario.exact, statistical, in_turn)
+    model = build_receiver(
+        scenario.instrument, scenario.site, scenario.exact, statistical, in_turn, ground_beamlets
+    )
     if scenario.level == "waveform":
         from lidar_emu.fmcw.waveform.level import measure_echoes
 

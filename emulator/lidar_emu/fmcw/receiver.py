@@ -75,8 +75,9 @@ class FmcwReceiver:
             return
         self._work = plain(build_workspace(beamlets, model.looks, level))
         if not model.statistical:
+            band = model.haze.computed_range_m * model.beat_bin_per_m
             self._spectra = tuple(
-                build_spectrum_workspace(beamlets, model.looks, taps, model.fft_length, level)
+                build_spectrum_workspace(beamlets, model.looks, taps, model.fft_length, level, band)
             )
         self._beamlets, self._taps, self._level = beamlets, taps, level
 

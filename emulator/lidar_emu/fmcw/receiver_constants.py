@@ -12,10 +12,18 @@ from lidar_emu.fmcw.link_budget import haze_w_per_m
 from lidar_emu.fmcw.peak_interpolation import PEAK_METHODS
 from lidar_emu.fmcw.physical_constants import ELEMENTARY_CHARGE_C, PLANCK_J_S
 from lidar_emu.fmcw.range_speed_estimation import COMBINE_METHODS
-from lidar_emu.fmcw.receiver_model import BackReflection, Haze, ReceiverModel, Ripple, SweepScatter
+from lidar_emu.fmcw.receiver_model import (
+    ALL_BEAMLETS,
+    BackReflection,
+    Haze,
+    ReceiverModel,
+    Ripple,
+    SweepScatter,
+)
 from lidar_emu.fmcw.residual_limit import build_residual_limit
 from lidar_emu.fmcw.skip_limits import (
     LEAST_FALSE_ALARM,
+    LEAST_HAZE,
     LEAST_LINE_DRIFT,
     LEAST_LINE_SCATTER_BINS,
     LEAST_RIPPLE,
@@ -37,6 +45,7 @@ def build_receiver(
     exact: bool = False,
     statistical: bool = False,
     in_turn: bool = False,
+    ground_beamlets: int = ALL_BEAMLETS,
 ) -> ReceiverModel:
     """Compute the constants of an instrument's receiver.
 
@@ -49,6 +58,7 @@ def build_receiver(
         exact: apply no skip rules.
         statistical: draw from the closed-form error model instead of computing spectra.
         in_turn: beams are fired in turn, each in a cycle of the laser of its own.
+        ground_beamlets: see `ReceiverModel`.
 
     Raises:
         InputError: the responsivity exceeds one electron per photon.
@@ -85,7 +95,8 @@ def build_receiver(
         snr_per_w=per_w,
         signal_shot_per_w=1.0 / (receiver.local_oscillator_power_w * amplifier),
         response=_response(instrument, amplifier, digitiser),
-        haze=_haze(instrument, site, per_w),
+        ground_beamlets=ground_beamlets,
+        haze=_haze(instrument, site, per_w, threshold),
         back_reflection=_back_reflection(instrument, per_w),
         linewidth_bins=waveform.linewidth_hz / bin_hz,
         homodyne_line=waveform.linewidth_model == "homodyne",
@@ -151,14 +162,27 @@ def _passed(turns: float) -> float:
     return float(np.pi * turns) if np.isfinite(turns) else 1.0
 
 
-def _haze(instrument: Instrument, site: Site | None, per_w: float) -> Haze:
+def _haze(instrument: Instrument, site: Site | None, per_w: float, threshold: float) -> Haze:
     waist_m, wavelength_m = instrument.optics.waist_radius_m, instrument.waveform.wavelength_m
+    rayleigh_m = float(np.pi * waist_m**2 / wavelength_m)
     air = None if site is None else site.atmosphere
-    return Haze(
-        snr_per_m=0.0 if air is None else haze_w_per_m(instrument, air) * per_w,
-        extinction_per_m=0.0 if air is None else air.extinction_per_m,
-        rayleigh_range_m=np.pi * waist_m**2 / wavelength_m,
-    )
+    if air is None or air.backscatter_per_m_sr == 0.0:
+        return Haze(0.0, 0.0, rayleigh_m, 0.0)
+    snr_per_m = haze_w_per_m(instrument, air) * per_w
+    looks = instrument.detection.looks
+    typical = interpreted(threshold_power)(LEAST_HAZE, looks) / looks
+    # Haze that raises a bin's mean to this power exceeds the threshold with the probability exp(-LEAST_HAZE).
+    least_per_m = (threshold / typical - 1.0) / instrument.waveform.range_bin_m
+
+    def stronger(range_m: float) -> bool:
+        spread = 1.0 + (range_m / rayleigh_m) ** 2
+        return bool(snr_per_m * np.exp(-2.0 * air.extinction_per_m * range_m) / spread > least_per_m)
+
+    low_m, high_m = 0.0, instrument.waveform.record_edge_range_m
+    for _ in range(40):
+        middle_m = 0.5 * (low_m + high_m)
+        low_m, high_m = (middle_m, high_m) if stronger(middle_m) else (low_m, middle_m)
+    return Haze(snr_per_m, air.extinction_per_m, rayleigh_m, low_m if stronger(0.0) else 0.0)
 
 
 def _back_reflection(instrument: Instrument, per_w: float) -> BackReflection:

@@ -8,6 +8,9 @@ from lidar_emu.fmcw.analog_response import Response
 from lidar_emu.fmcw.residual_limit import ResidualLimit
 from lidar_emu.fmcw.stated_variance import VarianceLaw
 
+ALL_BEAMLETS = 2**31
+"""A number of beamlets that no footprint reaches: none is a line of its own."""
+
 
 class Haze(NamedTuple):
     """Backscatter of the atmosphere, relative to the noise power of a bin."""
@@ -17,6 +20,8 @@ class Haze(NamedTuple):
     extinction_per_m: float
     rayleigh_range_m: float
     """Rayleigh range, at which the beam's area has doubled."""
+    computed_range_m: float
+    """Range up to which the band of a chirp is computed bin by bin; beyond, only its highest bins are drawn."""
 
 
 class BackReflection(NamedTuple):
@@ -83,6 +88,8 @@ class ReceiverModel(NamedTuple):
     signal_shot_per_w: float
     """Shot noise of the echo relative to the amplifier's noise without an echo."""
     response: Response
+    ground_beamlets: int
+    """Beamlets of the footprint; level `statistical` treats further ones as lines of their own."""
     haze: Haze
     back_reflection: BackReflection
     linewidth_bins: float

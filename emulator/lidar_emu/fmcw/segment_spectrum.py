@@ -12,7 +12,7 @@ from lidar_emu.fmcw.back_reflection import add_reflection, reflection_bin, refle
 from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, set_segment_tones
 from lidar_emu.fmcw.bin_filter import filter_beam
 from lidar_emu.fmcw.close_tones import are_close, set_close_tones
-from lidar_emu.fmcw.haze import add_haze, set_haze_tone
+from lidar_emu.fmcw.haze import add_band_places, add_haze, set_haze_tone
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.speckle_change import set_tone_weights
@@ -28,14 +28,11 @@ from lidar_emu.fmcw.spectrum import (
     set_tones,
 )
 from lidar_emu.fmcw.sweep_error import sweep_error
-from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace, look_tones
+from lidar_emu.fmcw.workspace import SEGMENT_INDICES, SpectrumWorkspace, Workspace, look_tones
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import uniform_pair
 from lidar_emu.numerics.random_streams import PHASE
-
-SEGMENT_INDICES = 2**24
-"""Random number indices reserved for the bins of each record; N is at most 2**24."""
 
 
 @kernel(inline="always")
@@ -47,35 +44,35 @@ def set_spectrum(
     Returns:
         The number of bins; 0 without light.
     """
-    reflected = model.back_reflection.snr > 0.0
-    if beam.lit_beamlets == 0 and not reflected:
+    hazy, reflected = model.haze.snr_per_m > 0.0, model.back_reflection.snr > 0.0
+    if beam.lit_beamlets == 0 and not (hazy or reflected):
         return 0
-    haze = segment == 1 and model.haze.snr_per_m > 0.0
+    reach = float(REACH + max(0, beam.filter_taps - LEAST_TAPS))
+    places = spectra.places[0]
     count = 0
+    if hazy:
+        time_s = record_time_s(model, segment, 0)
+        count = add_band_places(model, beam, segment, time_s, 2.0 * reach + 1.0, places)
     for look in range(model.looks):
         tones = look_tones(work, beam, look)
         if beam.lit_beamlets > 0:
             set_look_tones(model, work, beam, segment, look, tones)
         else:
             _set_no_tones(model, work, segment, tones)
-        if haze:
-            set_haze_tone(model, work, beam, look, tones)
+        if hazy and segment == 1:
+            set_haze_tone(model, beam, look, record_time_s(model, segment, look), tones)
         for i in range(tones.shape[1]):
-            spectra.places[0, count + i] = tones[0, i]
+            places[count + i] = tones[0, i]
         count += tones.shape[1]
-    reach = REACH + max(0, beam.filter_taps - LEAST_TAPS)
     others_power = 0.0
     if reflected:
-        spectra.places[0, count], _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
+        places[count], _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
         count += 1
         others_power = reflection_power(model, segment)
-    places, scratch = spectra.places[0, :count], spectra.places[1]
-    bins = lay_bins(places, float(reach), model.fft_length, scratch, spectra.grid)
+    bins = lay_bins(places[:count], reach, model.fft_length, spectra.places[1], spectra.grid)
     gain, distortion = clipping(model.response, look_tones(work, beam, 0), model.fft_length, others_power)
     factor = gain * gain * (1.0 + model.signal_shot_per_w * beam.power_w)
     set_noise(model.response, factor, distortion, spectra.grid, bins)
-    if model.haze.snr_per_m > 0.0 and segment != 1:
-        add_haze(model, work, spectra.grid, segment, gain, bins)
     for look in range(model.looks):
         _set_look(model, work, spectra, beam, segment, look, gain, bins)
     cosine, sine = cos(pi / model.fft_length), sin(pi / model.fft_length)
@@ -105,13 +102,25 @@ def _set_no_tones(model: ReceiverModel, work: Workspace, segment: int, tones: Fl
     tones[0], _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
 
 
+@kernel
+def _record_time(model: ReceiverModel, segment: int, look: int) -> float:
+    """Time of a record's centre from the time of validity, in records."""
+    from_validity: float = (segment - 1) * model.segment_records
+    return from_validity + (look - 0.5 * (model.looks - 1)) * model.cycle_records
+
+
+@kernel
+def record_time_s(model: ReceiverModel, segment: int, look: int) -> float:
+    """Time of a record's centre from the time of validity."""
+    return _record_time(model, segment, look) * model.record_time_s
+
+
 @kernel(inline="always")
 def set_look_tones(
     model: ReceiverModel, work: Workspace, beam: Any, segment: int, look: int, tones: FloatArray
 ) -> None:
     """Set the tones of one record, with the speckle at its own time and a phase common to the beam."""
-    time_records = (segment - 1) * model.segment_records
-    time_records += (look - 0.5 * (model.looks - 1)) * model.cycle_records
+    time_records = _record_time(model, segment, look)
     time_s = time_records * model.record_time_s
     if model.speckle:
         set_tone_weights(
@@ -170,4 +179,6 @@ def _set_look(
         add_reflection(model, beam, segment, look, gain, grid, count, bins)
     first = (segment + 3 * look) * SEGMENT_INDICES
     add_noise(beam, first, length, grid, count, bins, spectra.words, spectra.noise)
+    if model.haze.snr_per_m > 0.0 and segment != 1:
+        add_haze(model, spectra, beam, segment, look, record_time_s(model, segment, look), gain, count)
     mirror_ends(length, grid, count, bins)

@@ -26,5 +26,9 @@ LEAST_LEAKED_SNR = 1e-3
 """Leakage between beams is left out where the amplitude of the strongest echo's leakage is less relative to the
 weakest echo, which it moves by less than 0.0001 bin, and its power in a bin less relative to the noise."""
 
+LEAST_HAZE = 6.9
+"""Bins of haze that exceed the threshold with a smaller probability than exp(-6.9), 1e-3, are not computed one by one:
+only the highest of them are drawn, as targets without neighbours."""
+
 LEAST_FALSE_ALARM = 1e-9
 """Noise peaks that matter with a smaller probability are not drawn."""

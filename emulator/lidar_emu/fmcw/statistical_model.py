@@ -13,16 +13,18 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.fmcw.analog_response import clipping, noise_level
-from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS
+from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, signed_bin
 from lidar_emu.fmcw.false_alarms import draw_alarms, insert_alarms
+from lidar_emu.fmcw.haze import air_speed_mps, draw_haze_peaks, haze_power, set_haze_tone
 from lidar_emu.fmcw.laser_phase_noise import line_share, phase_drift
 from lidar_emu.fmcw.motion_smear import smear_bins
 from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY, HANN
 from lidar_emu.fmcw.peak_shape import MOST_QUADRATURE, WIDTH_BINS
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.segment_spectrum import SEGMENT_INDICES, set_look_tones
+from lidar_emu.fmcw.segment_spectrum import record_time_s, set_look_tones
+from lidar_emu.fmcw.speckle_change import tone_count
 from lidar_emu.fmcw.stated_variance import TONE_WIDTH_BIN2, line_noise
-from lidar_emu.fmcw.workspace import Workspace, look_tones
+from lidar_emu.fmcw.workspace import SEGMENT_INDICES, Workspace, look_tones
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import complex_normal
@@ -33,50 +35,144 @@ _FAR_BIN = 0.25
 """A step this far from the centre of power is followed by a second one: bins beyond the three may be higher."""
 
 
+_APART_BINS = 1.5
+"""Lines nearer to the footprint's are one target with it."""
+
+
 @kernel(inline="always")
 def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int) -> int:
-    """Fill `work.targets[segment]`, like `set_spectrum` and `find_targets`, with at most one target of the ground."""
+    """Fill `work.targets[segment]`, like `set_spectrum` and `find_targets`: with one target of the footprint, one for
+    each line of dust, clutter or haze, and the highest peaks of a band of haze and of noise."""
     targets = work.targets[segment]
-    if beam.lit_beamlets == 0:
+    hazy = model.haze.snr_per_m > 0.0
+    if beam.lit_beamlets == 0 and not hazy:
         alarms = draw_alarms(model, beam, segment, 0.0, 1.0, 0.0, work.alarms)
         return insert_alarms(model, work.alarms[:alarms], 0.0, targets, 0)
     kept = _filter_loss(model, work, segment, beam.smear_acceleration_mps2)
-    power, frequency, weight = 0.0, 0.0, 0.0
-    quadrature, width = 0.0, 0.0
+    # The last column is the haze's.
+    first = min(model.ground_beamlets, work.beamlets.shape[1] - 1)
+    lines = min(work.beamlets.shape[1] - first, len(work.line_tones))
     for look in range(model.looks):
         tones = look_tones(work, beam, look)
         set_look_tones(model, work, beam, segment, look, tones)
+        if hazy and segment == 1:
+            set_haze_tone(model, beam, look, record_time_s(model, segment, look), tones)
+        for line in range(lines):
+            _take_line(work, beam, first + line, tones, _line_tones(work, beam, line, look))
+    level = _draw_line(model, work, beam, segment, 0, kept)
+    for line in range(lines):
+        work.lines[1 + line].power = 0.0
+        if _is_lit(_line_tones(work, beam, line, 0)):
+            _draw_line(model, work, beam, segment, 1 + line, kept)
+    highest = 0.0
+    for line in range(1 + lines):
+        highest = max(highest, work.lines[line].power)
+    alarms = draw_alarms(model, beam, segment, highest, level, 2.0, work.alarms)
+    if alarms > 0:
+        highest = max(highest, work.alarms[0].power)
+    peaks = 0
+    if hazy:
+        peaks = draw_haze_peaks(model, work, beam, segment, 0.0, highest)
+        if peaks > 0:
+            highest = max(highest, work.haze_peaks[0].power)
+    count = 0
+    for line in range(1 + lines):
+        if work.lines[line].power > 0.0 and work.lines[line].power_over_noise > model.threshold:
+            count = insert_alarms(model, work.lines[line : line + 1], highest, targets, count)
+    count = insert_alarms(model, work.alarms[:alarms], highest, targets, count)
+    return insert_alarms(model, work.haze_peaks[:peaks], highest, targets, count)
+
+
+@kernel(inline="always")
+def _line_tones(work: Workspace, beam: Any, line: int, look: int) -> FloatArray:
+    """Tones of a line beside the footprint's, (4, tones)."""
+    count = tone_count(beam.speckle_level)
+    tones: FloatArray = work.line_tones[line, look][: 4 * count].reshape((4, count))
+    return tones
+
+
+@kernel
+def _take_line(work: Workspace, beam: Any, column: int, tones: FloatArray, taken: FloatArray) -> None:
+    """Move the tones of a column from a record's to a line of its own, unless they are near the footprint's."""
+    columns = work.beamlets.shape[1]
+    last = tones.shape[1] - columns + column
+    apart = abs((tones[0, last] - tones[0, 0]) + tones[1, last] - tones[1, 0])
+    alone = beam.lit_beamlets == 0 or apart > _APART_BINS
+    for block in range(taken.shape[1]):
+        tone = block * columns + column
+        for row in range(4):
+            taken[row, block] = tones[row, tone]
+        for row in range(2, 4):
+            if alone:
+                tones[row, tone] = 0.0
+            else:
+                taken[row, block] = 0.0
+
+
+@kernel
+def _is_lit(tones: FloatArray) -> bool:
+    light = 0.0
+    for i in range(tones.shape[1]):
+        light += abs(tones[2, i]) + abs(tones[3, i])
+    return light > 0.0
+
+
+@kernel
+def _draw_line(
+    model: ReceiverModel, work: Workspace, beam: Any, segment: int, line: int, kept: float
+) -> float:
+    """Draw the highest bin of the footprint, line 0, or of a line beside it, into `work.lines`.
+
+    Returns:
+        Mean noise power of the rectangular bin there.
+    """
+    power, frequency, weight, level = 0.0, 0.0, 0.0, 1.0
+    quadrature, width, haze = 0.0, 0.0, 0.0
+    for look in range(model.looks):
+        tones, columns = look_tones(work, beam, look), work.beamlets.shape[1]
         gain, distortion = clipping(model.response, tones, model.fft_length, 0.0)
+        if line > 0:
+            tones, columns = _line_tones(work, beam, line - 1, look), 1
         factor, loss = gain * gain * (1.0 + model.signal_shot_per_w * beam.power_w), gain * kept
-        centre, quadrature_bin, tones_bin2, re, im = _sum_at_peak(tones, work.beamlets.shape[1])
+        centre, quadrature_bin, tones_bin2, re, im = _sum_at_peak(tones, columns)
         k = min(max(np.rint(centre), 1.0), 0.5 * model.fft_length - 1.0)
         level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
+        if model.haze.snr_per_m > 0.0 and segment != 1:
+            haze = gain * gain * _haze_around(model, beam, segment, centre)
         straddled = loss * window_gain(model, centre - k)
-        index = (segment + 3 * look) * SEGMENT_INDICES
+        index = (segment + 3 * look) * SEGMENT_INDICES + line
         x, y = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, index)
-        scale = sqrt(level * model.noise_power)
+        scale = sqrt((level + haze) * model.noise_power)
         power += ((straddled * re + scale * x) ** 2 + (straddled * im + scale * y) ** 2) / model.looks
         strength = loss * loss * (re * re + im * im)
         frequency += strength * centre
         quadrature += strength * quadrature_bin
         width += strength * tones_bin2
         weight += strength
-    if weight <= 0.0:
-        return 0
-    centre, snr = frequency / weight, weight / level
-    quadrature_bin, width_bin2 = quadrature / weight, TONE_WIDTH_BIN2 + width / weight
-    alarms = draw_alarms(model, beam, segment, power, level, 2.0, work.alarms)
-    highest = max(power, work.alarms[0].power) if alarms > 0 else power
-    groups = 0
-    noise = level * model.noise_power
-    searched = centre >= model.lowest_bin
-    if searched and power > model.threshold * noise and power > model.group_power_share * highest:
-        targets[0].quadrature_bin, targets[0].width_bin2 = quadrature_bin, width_bin2
-        _set_target(model, work, beam, segment, centre, snr, targets[0])
-        targets[0].power_over_noise = power / noise
-        targets[0].power = power
-        groups = 1
-    return insert_alarms(model, work.alarms[:alarms], highest, targets, groups)
+    target = work.lines[line]
+    target.power = 0.0
+    if weight > 0.0 and frequency / weight >= model.lowest_bin:
+        target.power, target.power_over_noise = power, power / (level * model.noise_power)
+        target.quadrature_bin, target.width_bin2 = quadrature / weight, TONE_WIDTH_BIN2 + width / weight
+        _set_frequency(model, work, beam, segment, line, frequency / weight, weight / level, target)
+    return level
+
+
+@kernel
+def _haze_around(model: ReceiverModel, beam: Any, segment: int, observed_bin: float) -> float:
+    """Mean power of the haze in the rectangular bin at a place: of the signed beats that appear there."""
+    speed_mps = air_speed_mps(beam, record_time_s(model, segment, 0))
+    zero = signed_bin(model, segment, 0.0, speed_mps)
+    end = signed_bin(model, segment, beam.haze_range_m, speed_mps)
+    power = 0.0
+    for beat in (
+        observed_bin,
+        -observed_bin,
+        observed_bin - model.fft_length,
+        model.fft_length - observed_bin,
+    ):
+        power += haze_power(model, zero, end, beat)
+    return power
 
 
 @kernel
@@ -182,12 +278,13 @@ def _filter_loss(
     return loss
 
 
-@kernel(inline="always")
-def _set_target(
+@kernel
+def _set_frequency(
     model: ReceiverModel,
     work: Workspace,
     beam: Any,
     segment: int,
+    line: int,
     centre: float,
     snr: float,
     target: Any,
@@ -196,7 +293,7 @@ def _set_target(
     method = model.peak_method
     law = model.variance_law
     out_of_phase, in_phase = line_noise(law.line_rate, phase_drift(model, work.beamlets[RANGE_M, 0]))
-    index = (segment + 1) * SEGMENT_INDICES - 1
+    index = (segment + 1) * SEGMENT_INDICES - 1 - line
     error, quadrature_error = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, index)
     noise = EFFICIENCY[method] * CRAMER_RAO_BIN2 / snr
     variance = noise + law.line_bin2 * out_of_phase

@@ -15,6 +15,15 @@ from lidar_emu.fmcw.spectrum import REACH, ROWS, grid_capacity
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel, with_fields
 
+SEGMENT_INDICES = 2**24
+"""Random number indices reserved for the bins of each record; N is at most 2**24."""
+
+HAZE_NODES = 48
+"""Parts of the band of haze over which the distribution of its highest bin is summed."""
+
+MAX_LINES = 16
+"""Maximum number of lines of dust, clutter and haze beside the footprint's at level `statistical`."""
+
 MAX_TARGETS = 4
 """Maximum number of targets kept per spectrum, the strongest."""
 
@@ -31,13 +40,16 @@ BEAM = np.dtype(
         ("speckle_drift_per_s", "f8", (2,)),
         ("lit_beamlets", "i8"),
         ("power_w", "f8"),
+        ("air_speed_mps", "f8"),
+        ("haze_range_m", "f8"),
         ("filter_taps", "i8"),
         ("speckle_level", "i8"),
     ],
     align=True,
 )
 """The beam being measured: seed, shot and beam number for the random numbers; motion and speckle as in `Echoes`; number
-of beamlets with light, their power, the taps of the filter on each side, and the level of `speckle_change`."""
+of beamlets with light, the power of all light, closing speed and end of the haze, the taps of the filter on each side,
+and the level of `speckle_change`."""
 
 TARGET = np.dtype(
     [
@@ -70,14 +82,22 @@ class Workspace(NamedTuple):
     """(3, MAX_TARGETS) Targets of each segment, records of TARGET, strongest first."""
     alarms: NDArray[Any]
     """(MAX_TARGETS,) Noise peaks, records of TARGET, strongest first."""
+    lines: NDArray[Any]
+    """(1 + MAX_LINES,) Targets of the footprint and of lines beside it at level `statistical`, records of TARGET."""
+    line_tones: FloatArray
+    """(MAX_LINES, looks, 4 * tones) Tones of these lines."""
+    haze_peaks: NDArray[Any]
+    """(MAX_TARGETS,) Peaks of haze in bins that are not computed, records of TARGET, strongest first."""
+    haze_nodes: FloatArray
+    """(3, HAZE_NODES) Parts of the band of haze: number of bins, mean power of each, and of its noise."""
 
 
 class SpectrumWorkspace(NamedTuple):
     """Arrays for the bins of spectra; their size limits beamlets, looks and the widest filter."""
 
     places: FloatArray
-    """(2, looks * tones + 1) Nearest bins of all tones, one look after another, and of the back-reflection; a buffer to
-    sort them."""
+    """(2, places) Nearest bins of all tones, one look after another, after places in the band of haze; last the
+    back-reflection's. A buffer to sort them."""
     residues: FloatArray
     grid: FloatArray
     bins: FloatArray
@@ -101,6 +121,10 @@ def build_workspace(beamlets: int, looks: int, speckle_level: int = 0) -> Worksp
         change=speckle_change(columns, speckle_level),
         targets=with_fields(np.empty((3, MAX_TARGETS), dtype=TARGET)),
         alarms=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
+        lines=with_fields(np.zeros(1 + MAX_LINES, dtype=TARGET)),
+        line_tones=np.zeros((MAX_LINES, looks, 4 * tones)),
+        haze_peaks=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
+        haze_nodes=np.empty((3, HAZE_NODES)),
     )
 
 
@@ -112,8 +136,13 @@ def plain(work: Workspace) -> tuple[Any, ...]:
 @kernel
 def as_workspace(arrays: tuple[Any, ...]) -> Workspace:
     """Workspace from the tuples of `plain`."""
-    beam, beamlets, tones, speckle, change, targets, alarms = arrays
-    return Workspace(beam, beamlets, tones, SpeckleField(*speckle), SpeckleChange(*change), targets, alarms)
+    beam, beamlets, tones, speckle, change, targets, alarms, lines, line_tones, haze_peaks, haze_nodes = (
+        arrays
+    )
+    field, changing = SpeckleField(*speckle), SpeckleChange(*change)
+    return Workspace(
+        beam, beamlets, tones, field, changing, targets, alarms, lines, line_tones, haze_peaks, haze_nodes
+    )
 
 
 @kernel(inline="always")
@@ -125,15 +154,16 @@ def look_tones(work: Workspace, beam: Any, look: int) -> FloatArray:
 
 
 def build_spectrum_workspace(
-    beamlets: int, looks: int, taps: int, length: float, speckle_level: int = 0
+    beamlets: int, looks: int, taps: int, length: float, speckle_level: int = 0, band: float = 0.0
 ) -> SpectrumWorkspace:
-    """Allocate arrays for beams of up to `beamlets` beamlets, whose speckle changes up to this level, and filters of
-    `taps` taps on each side."""
+    """Allocate arrays for beams of up to `beamlets` beamlets, whose speckle changes up to this level, filters of `taps`
+    taps on each side, and a band of haze of `band` bins."""
     tones = _columns(beamlets) * int(tone_count(speckle_level))
     reach = REACH + max(0, taps - LEAST_TAPS)
-    capacity = grid_capacity(looks * tones + 1, reach, length)
+    places = looks * tones + 1 + (int(band) // (2 * reach + 1) + 3 if band > 0.0 else 0)
+    capacity = grid_capacity(places, reach, length)
     return SpectrumWorkspace(
-        places=np.empty((2, looks * tones + 1)),
+        places=np.empty((2, places)),
         residues=np.empty((2, tones)),
         grid=np.empty((ROWS, capacity)),
         bins=np.empty((looks, 2, capacity)),

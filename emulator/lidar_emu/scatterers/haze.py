@@ -2,9 +2,10 @@
 
 A particle stands for the many of a volume, as a scatterer for the grains of its patch (`scatterers.surface`): a volume
 V returns the radiant intensity β V I, without depolarisation, since the particles are taken to be spheres. Particles
-lie at random depths, one in each slice of a sixteenth of a range bin. Across the beam they are drawn from a mixture of
-Gaussians along the beam's path, with the density q, and stand for the area 1/q; the numbers drawn are a sequence of low
-discrepancy with a random origin, so that neighbouring slices together scatter the mean power.
+lie at random depths, one in each slice of a quarter of a range bin. Across the beam they are drawn from a mixture of
+Gaussians along the beam's path, with the density q, and stand for the area 1/q. The Gaussians have the profile
+exp(-4r²/w²) of the two-way intensity: all particles of a beam at rest return the same mean power, so that few of them
+make a bin of Gaussian light. The numbers drawn are a sequence of low discrepancy with a random origin.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from lidar_emu.scatterers.record_light import GaussianMode, PosesAt, Scatterers
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.site import Atmosphere
 
-_SLICES_PER_BIN = 16.0
+_SLICES_PER_BIN = 4.0
 
 _MOST_PLACES = 256
-"""Places along the path of the beam, at most; they are half a radius apart."""
+"""Places along the path of the beam, at most; they are a third of a radius apart."""
 
 _STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)
 """Steps of a sequence of low discrepancy in three dimensions: powers of the root of x⁴ = x + 1."""
@@ -73,7 +74,7 @@ def strew_haze(
     chosen = (drawn[:, 0] * len(start_m)).astype(int)
     first = unit_across(axis)
     plane = np.stack([first, np.cross(axis, first)])
-    away_m = radius_m * np.sqrt(-0.5 * np.log1p(-drawn[:, 1]))
+    away_m = radius_m * np.sqrt(-0.25 * np.log1p(-drawn[:, 1]))
     turn = 2.0 * np.pi * drawn[:, 2]
     centre_m = (start_m[chosen] + depth_m[:, None] * slope[chosen]) @ plane.T
     place_m = centre_m + away_m[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
@@ -100,7 +101,7 @@ def _path(
     moved_m = np.linalg.norm(np.diff(ends.sensor_m, axis=0) - (to_s - from_s) * beam.wind_mps)
     swept_m = np.linalg.norm(np.diff(ends.transmitted, axis=0)) * range_m
     steps = moved_m / beam.mode.waist_m + swept_m / beam.mode.radius_m(range_m)
-    places = min(_MOST_PLACES, 2 + int(2.0 * steps))
+    places = min(_MOST_PLACES, 2 + int(3.0 * steps))
     time_s = np.linspace(from_s, to_s, places)
     poses = poses_at(time_s)
     offset_m = poses.sensor_m - sensor_m - time_s[:, None] * beam.wind_mps
@@ -115,5 +116,5 @@ def _density(
     total = np.zeros(len(depth_m))
     for begins_m, leans in zip(start_m, slope, strict=True):
         apart_m = place_m - begins_m - depth_m[:, None] * leans
-        total += np.exp(-2.0 * np.sum(apart_m**2, axis=1) / radius_m**2)
-    return np.asarray(total * 2.0 / (np.pi * radius_m**2 * len(start_m)))
+        total += np.exp(-4.0 * np.sum(apart_m**2, axis=1) / radius_m**2)
+    return np.asarray(total * 4.0 / (np.pi * radius_m**2 * len(start_m)))

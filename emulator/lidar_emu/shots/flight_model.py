@@ -44,7 +44,7 @@ class FlightModel:
         )
         self.dust = _dust(scenario)
         self.leakage_db = scenario.instrument.optics.leakage_db if self.plan.leakage else None
-        self.level = build_level(scenario)
+        self.level = build_level(scenario, self.plan.beamlets)
         self.false_target_model = _false_target_model(scenario)
         self.scatterers = _scatterers(scenario, self.flight)
         self.beam_count = self.flight.scanner.beam_count
