@@ -71,16 +71,20 @@ def quadrature_offset(grid: FloatArray, bins: FloatArray, j: int, length: float)
 def width_bin2(grid: FloatArray, j: int, count: int, noise_power: float) -> float:
     """Second moment of the strong powers around the peak about their centre, in bins².
 
+    Beside a narrow line the second neighbours are weak. What is strong farther away is then not part of it.
+
     Args:
         grid: (ROWS, capacity) of which `count` columns are in use; see `spectrum`.
         j: column of the peak.
         noise_power: mean noise power of a windowed bin relative to a rectangular one.
     """
     floor = max(WIDTH_POWER_SHARE * grid[POWER, j], WIDTH_POWER_OVER_NOISE * noise_power * grid[NOISE, j])
+    next_but_one = max(grid[POWER, max(j - 2, 0)], grid[POWER, min(j + 2, count - 1)])
+    reach = WIDTH_BINS if next_but_one > floor else 1
     total = first = second = 0.0
-    for i in range(max(j - WIDTH_BINS, 0), min(j + WIDTH_BINS + 1, count)):
+    for i in range(max(j - reach, 0), min(j + reach + 1, count)):
         place = grid[BIN, i] - grid[BIN, j]
-        if grid[POWER, i] > floor and abs(place) <= WIDTH_BINS:
+        if grid[POWER, i] > floor and abs(place) <= reach:
             total += grid[POWER, i]
             first += grid[POWER, i] * place
             second += grid[POWER, i] * place * place

@@ -234,6 +234,7 @@ def _centre_of_power(tones: FloatArray, columns: int) -> tuple[float, float]:
     and their second moment about it in bins²."""
     power = moment = second = 0.0
     blocks = tones.shape[1] // columns
+    per_block = 1.0 / blocks
     for i in range(columns):
         re = im = place = 0.0
         for block in range(blocks):
@@ -243,8 +244,9 @@ def _centre_of_power(tones: FloatArray, columns: int) -> tuple[float, float]:
             place += (tones[0, tone] - tones[0, 0]) + tones[1, tone]
         strength = re * re + im * im
         power += strength
-        moment += strength * place / blocks
-        second += strength * (place / blocks) ** 2
+        place *= per_block
+        moment += strength * place
+        second += strength * place * place
     if power <= 0.0:
         return 0.0, 0.0
     middle = moment / power

@@ -168,13 +168,16 @@ def find_targets(
 
 
 def _width_bin2(power: FloatArray, row: IntArray, place: IntArray, level: FloatArray) -> FloatArray:
-    """Second moment of the powers up to 8 bins from the peak, above 0.09 of it and 7 times the noise."""
+    """Second moment of the powers up to 8 bins from the peak, above 0.09 of it and 7 times the noise: only of those
+    beside the peak where the next but one are weaker."""
     around = np.arange(-8, 9)
     near = place[:, None] + around
     inner = (near > 0) & (near < power.shape[1] - 1)
     here = power[row[:, None], np.where(inner, near, 0)]
     floor = np.maximum(0.09 * power[row, place], 7.0 * level)
     strong = np.where(inner & (here > floor[:, None]), here, 0.0)
+    narrow = np.maximum(strong[:, 6], strong[:, 10]) == 0.0
+    strong[np.ix_(narrow, np.abs(around) > 1)] = 0.0
     total = np.maximum(strong.sum(axis=1), 1e-300)
     centre = strong @ around / total
     return np.asarray(strong @ np.square(around) / total - centre**2)
