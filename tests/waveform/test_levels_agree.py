@@ -140,7 +140,7 @@ def _case(
     # As of a slope: the farther, the faster.
     return Case(
         instrument,
-        build_receiver(instrument, exact=True),
+        build_receiver(instrument, left_out_share=0.0),
         place[0] + depth_m * across,
         place[1] + 0.02 * depth_m * across,
         10 ** (snr_db / 10),

@@ -37,7 +37,9 @@ class FaultyReceivers:
         self._scenario = scenario
         statistical = scenario.level == "statistical"
         in_turn = scenario.scanner.firing == "in_turn"
-        self._model = build_receiver(scenario.instrument, scenario.site, scenario.exact, statistical, in_turn)
+        self._model = build_receiver(
+            scenario.instrument, scenario.site, scenario.tolerated_share, statistical, in_turn
+        )
         self._receivers: dict[int, Level] = {0: sound}
         # Built before the run for each single fault; combinations are built when they first occur.
         for bit in range(len(faults)):

@@ -26,7 +26,7 @@ from lidar_emu.fmcw.residual_limit import largest_residual_bin
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes
 from lidar_emu.fmcw.segment_spectrum import set_spectrum
 from lidar_emu.fmcw.speckle import forget_corners
-from lidar_emu.fmcw.speckle_change import needed_level
+from lidar_emu.fmcw.speckle_change import needed_level, negligible_bin2
 from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.fmcw.stated_variance import inconsistency, state_variances
 from lidar_emu.fmcw.statistical_model import draw_targets
@@ -53,7 +53,7 @@ _AMBIGUOUS = int(Reason.AMBIGUOUS)
 def most_taps(
     models: NDArray[Any], range_m: FloatArray, closing_speed_mps: FloatArray, smear_mps2: FloatArray
 ) -> int:
-    """Taps on each side of the widest filter that any beam needs."""
+    """Taps on each side of the widest filter that any beam may need, whatever its power."""
     model = models[0]
     most = 0
     shots, beams, beamlets = range_m.shape
@@ -61,7 +61,9 @@ def most_taps(
         for b in range(beams):
             acceleration_mps2 = _bounded(smear_mps2[s, b])
             for i in range(beamlets):
-                taps = widest_filter(model, range_m[s, b, i], closing_speed_mps[s, b, i], acceleration_mps2)
+                taps = widest_filter(
+                    model, range_m[s, b, i], closing_speed_mps[s, b, i], acceleration_mps2, 0.0
+                )
                 most = max(most, taps)
     return most
 
@@ -120,7 +122,8 @@ def measure_beams(
                 continue
             beam.beam = b
             _set_motion(beam, echoes, s, b)
-            beam.speckle_level = needed_level(model, beam.speckle_drift_per_s, beam.power_w)
+            beam.left_out_bin2 = negligible_bin2(model, beam.power_w)
+            beam.speckle_level = needed_level(model, beam.speckle_drift_per_s, beam.left_out_bin2)
             if model.haze.snr_per_m > 0.0:
                 _set_haze(model, work, beam, echoes.air_speed_mps[s, b])
             forget_corners(work.speckle)
@@ -128,7 +131,9 @@ def measure_beams(
                 beam.filter_taps = 0
                 if beam.lit_beamlets > 0:
                     first_m, first_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
-                    beam.filter_taps = widest_filter(model, first_m, first_mps, beam.smear_acceleration_mps2)
+                    beam.filter_taps = widest_filter(
+                        model, first_m, first_mps, beam.smear_acceleration_mps2, beam.left_out_bin2
+                    )
             for segment in range(3):
                 if spectrum_arrays is None:
                     targets = draw_targets(model, work, beam, segment)

@@ -18,6 +18,7 @@ from lidar_emu.fmcw.chirp_ripple import ripple_index, ripple_reach, ripple_taps
 from lidar_emu.fmcw.laser_phase_noise import gaussian_line_taps, line_matters, line_taps, phase_drift
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS, smear_bins, smear_taps
 from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.speckle_change import negligible_bin2
 from lidar_emu.fmcw.spectrum import BIN
 from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace
 from lidar_emu.numerics.arrays import FloatArray
@@ -36,15 +37,21 @@ _LANES = 4
 
 
 @kernel
-def widest_filter(model: ReceiverModel, range_m: float, speed_mps: float, acceleration_mps2: float) -> int:
-    """Taps on each side that the segments of a beam need; 0 if none does."""
+def widest_filter(
+    model: ReceiverModel, range_m: float, speed_mps: float, acceleration_mps2: float, left_out_bin2: float
+) -> int:
+    """Taps on each side that the segments of a beam need; 0 if none does.
+
+    Args:
+        left_out_bin2: variance of a beat below which a line is left out.
+    """
     smear = 0.0
     for segment in range(3):
         smear = max(smear, abs(smear_bins(model, segment, speed_mps, acceleration_mps2)))
     needed = 0.0
     if smear > model.least_smear_bins:
         needed = LEAST_TAPS + floor(0.5 * min(smear, _MOST_SMEAR_BINS))
-    if line_matters(model, range_m):
+    if line_matters(model, range_m, left_out_bin2):
         # Wide lines lose their central tap; the rest is as wide as the line itself.
         narrow = model.homodyne_line and phase_drift(model, range_m) < 0.5
         needed = max(needed, LEAST_TAPS + (0.0 if narrow else ceil(2.0 * model.linewidth_bins)))
@@ -59,11 +66,13 @@ def set_widest_filters(
     range_m: FloatArray,
     speed_mps: FloatArray,
     acceleration_mps2: FloatArray,
+    power_w: FloatArray,
     taps: FloatArray,
 ) -> None:
     """Set the taps (n,) on each side that beams (n,) need, by `widest_filter`."""
     for i in range(len(taps)):
-        taps[i] = widest_filter(models[0], range_m[i], speed_mps[i], acceleration_mps2[i])
+        left_out_bin2 = negligible_bin2(models[0], power_w[i])
+        taps[i] = widest_filter(models[0], range_m[i], speed_mps[i], acceleration_mps2[i], left_out_bin2)
 
 
 @kernel(inline="always")
@@ -81,7 +90,7 @@ def filter_beam(
     range_m, speed_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
     by_smear, by_line, both = spectra.taps[0], spectra.taps[1], spectra.taps[2]
     smear = smear_bins(model, segment, speed_mps, beam.smear_acceleration_mps2)
-    smeared, lined = abs(smear) > model.least_smear_bins, line_matters(model, range_m)
+    smeared, lined = abs(smear) > model.least_smear_bins, line_matters(model, range_m, beam.left_out_bin2)
     index = (segment + 3 * look) * _INDICES
     if lined and model.homodyne_line:
         delay = model.delay_per_m * range_m

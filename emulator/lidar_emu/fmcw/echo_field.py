@@ -14,6 +14,7 @@ from lidar_emu.fmcw.speckle import forget_corners
 from lidar_emu.fmcw.speckle_change import (
     highest_level,
     needed_level,
+    negligible_bin2,
     set_tone_weights,
     tone_count,
     tone_offset_bin,
@@ -97,7 +98,7 @@ def _set_field(
         for b in range(range_m.shape[1]):
             forget_corners(work.speckle)
             place, drift_per_s = echoes.speckle_place[s, b], echoes.speckle_drift_per_s[s, b]
-            level = needed_level(model, drift_per_s, power_w[s, b])
+            level = needed_level(model, drift_per_s, negligible_bin2(model, power_w[s, b]))
             for tone in range(tone_count(level)):
                 offset_bin[s, b, tone] = tone_offset_bin(level, tone)
             for segment in range(3):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import cos, erf, exp, log, pi, sin, sqrt
 from typing import Any
 
+from lidar_emu.fmcw.peak_interpolation import EFFICIENCY
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
@@ -34,10 +35,11 @@ def phase_drift(model: ReceiverModel, range_m: float) -> float:
 
 
 @kernel
-def line_matters(model: ReceiverModel, range_m: float) -> bool:
+def line_matters(model: ReceiverModel, range_m: float, left_out_bin2: float) -> bool:
+    """Whether the line scatters a beat by more than `left_out_bin2`, or changes the echo's power."""
     if model.linewidth_bins == 0.0 or not model.homodyne_line:
         return model.linewidth_bins > 0.0
-    scattered = line_variance(model, range_m) > model.least_line_scatter_bins**2
+    scattered = EFFICIENCY[model.peak_method] * line_variance(model, range_m) > left_out_bin2
     return scattered or phase_drift(model, range_m) > model.least_line_drift
 
 

@@ -25,24 +25,24 @@ from lidar_emu.fmcw.skip_limits import (
     LEAST_FALSE_ALARM,
     LEAST_HAZE,
     LEAST_LINE_DRIFT,
-    LEAST_LINE_SCATTER_BINS,
     LEAST_RIPPLE,
     LEAST_SMEAR_BINS,
-    LEAST_SPECKLE_SHARE,
     LEAST_SWEEP_SCATTER_BINS,
+    variance_share,
 )
 from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.fmcw.stated_variance import build_variance_law, sweep_scatter
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.probability.noise import threshold_power
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Waveform
+from lidar_emu.scenario.schema import LEFT_OUT_SHARE
 from lidar_emu.scenario.site import Site
 
 
 def build_receiver(
     instrument: Instrument,
     site: Site | None = None,
-    exact: bool = False,
+    left_out_share: float = LEFT_OUT_SHARE,
     statistical: bool = False,
     in_turn: bool = False,
     ground_beamlets: int = ALL_BEAMLETS,
@@ -55,7 +55,7 @@ def build_receiver(
     Args:
         instrument: the instrument.
         site: site, for sunlight and atmosphere; None: night in vacuum.
-        exact: apply no skip rules.
+        left_out_share: see `FlightScenario`; 0 applies no skip rules.
         statistical: draw from the closed-form error model instead of computing spectra.
         in_turn: beams are fired in turn, each in a cycle of the laser of its own.
         ground_beamlets: see `ReceiverModel`.
@@ -63,6 +63,7 @@ def build_receiver(
     Raises:
         InputError: the responsivity exceeds one electron per photon.
     """
+    exact = left_out_share == 0.0
     waveform, detection, receiver = instrument.waveform, instrument.detection, instrument.receiver
     _refuse_gain(instrument)
     slope = waveform.chirp_slope_hz_per_s * (1.0 + waveform.slope_error)
@@ -118,10 +119,9 @@ def build_receiver(
         least_segments=2 if detection.rule == "any_two" else 3,
         maximum_range_m=detection.maximum_range_m,
         record_edge_range_m=waveform.record_edge_range_m,
-        least_speckle_share=0.0 if exact else LEAST_SPECKLE_SHARE,
+        variance_share=variance_share(left_out_share),
         least_smear_bins=0.0 if exact else LEAST_SMEAR_BINS,
         least_line_drift=0.0 if exact else LEAST_LINE_DRIFT,
-        least_line_scatter_bins=0.0 if exact else LEAST_LINE_SCATTER_BINS,
         least_false_alarm=0.0 if exact else LEAST_FALSE_ALARM,
         sampled_length=float(waveform.fft_length),
         lost_segments=0,

@@ -115,13 +115,12 @@ class ReceiverModel(NamedTuple):
     least_segments: int
     maximum_range_m: float
     record_edge_range_m: float
-    least_speckle_share: float
-    """Skip limit of the change of speckle within a record: a smaller share of a beat's variance is left out."""
+    variance_share: float
+    """Skip limit of stages that scatter a beat: a smaller share of its variance by noise and quantisation."""
     least_smear_bins: float
     """Skip limit of the smear: smaller changes of a beat during a record are left out."""
     least_line_drift: float
-    least_line_scatter_bins: float
-    """Skip limits of the linewidth, which is left out where both quantities are smaller."""
+    """Skip limit of the linewidth's phase variance over the delay."""
     least_false_alarm: float
     """Skip limit of false alarms: smaller probabilities are left out."""
     sampled_length: float

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-LEAST_SPECKLE_SHARE = 0.02
-"""Speckle is constant within a record where its change would add less than this share to the variance of a beat by
-noise and quantisation: 1 % of sigma."""
+_SCATTERS = 3
+"""Stages that are left out by their scatter: change of speckle within a record, laser line, beamlets."""
+
+
+def variance_share(left_out_share: float) -> float:
+    """Share of a beat's variance that each stage may leave out, so that sigma changes by `left_out_share` at most."""
+    return ((1.0 + left_out_share) ** 2 - 1.0) / _SCATTERS
+
 
 LEAST_SMEAR_BINS = 0.05
 """A beat that changes by less during its record is not smeared: an error of 0.8 % of the line's amplitude beside it."""
 
 LEAST_LINE_DRIFT = 0.01
-LEAST_LINE_SCATTER_BINS = 0.005
-"""The laser's linewidth is left out where both its phase variance over the delay and the frequency scatter that it
-causes, σ = τ sqrt(6Δν/π) in bins and records, are smaller: an error of 1 % of the echo's power."""
+"""The laser's linewidth is left out where its phase variance over the delay is smaller, 1 % of the echo's power, unless
+its scatter matters."""
 
 LEAST_SWEEP_SCATTER_BINS = 1e-3
 """Errors of the laser's sweep are left out where they scatter a beat by less: by 0.001 bin of range and speed."""

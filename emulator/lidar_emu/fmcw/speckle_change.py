@@ -44,6 +44,10 @@ LINE_BIN2 = PITCH_W**2 / (2.0 * np.pi**2)
 """Variance of the line's frequencies in bins² for a way of one pitch per record: (V⊥ T/(π √2 w))²."""
 
 
+_LEAST_WAY = 1e-6
+"""Way in pitches per record in which the field changes by rounding."""
+
+
 class SpeckleChange(NamedTuple):
     """Nodes and matrices for each number of tones in `_CHANGES`, up to the largest that is needed."""
 
@@ -90,17 +94,23 @@ def speckle_way(model: ReceiverModel, drift_per_s: FloatArray) -> float:
 
 
 @kernel
-def needed_level(model: ReceiverModel, drift_per_s: FloatArray, power_w: float) -> int:
-    """Level of a beam with this drift and power; 0, a constant field, where the line's scatter adds less than a share
-    `model.least_speckle_share` to the variance by noise and quantisation.
+def negligible_bin2(model: ReceiverModel, power_w: float) -> float:
+    """Variance of a beat in bins² below which a stage is left out, for a beam of this power: a share of the variance by
+    noise and quantisation."""
+    variance = EFFICIENCY[model.peak_method] * CRAMER_RAO_BIN2 / max(model.snr_per_w * power_w, 1e-30)
+    if model.peak_method == BIN_CENTRE:
+        variance += BIN_VARIANCE
+    return model.variance_share * variance
+
+
+@kernel
+def needed_level(model: ReceiverModel, drift_per_s: FloatArray, left_out_bin2: float) -> int:
+    """Level of a beam with this drift; 0, a constant field, where the line's scatter is at most `left_out_bin2`.
 
     At the mean power the peak of a line of variance s² wanders by s²/2.
     """
     way = speckle_way(model, drift_per_s)
-    variance = EFFICIENCY[model.peak_method] * CRAMER_RAO_BIN2 / max(model.snr_per_w * power_w, 1e-30)
-    if model.peak_method == BIN_CENTRE:
-        variance += BIN_VARIANCE
-    if 0.5 * LINE_BIN2 * way * way <= model.least_speckle_share * variance:
+    if way < _LEAST_WAY or 0.5 * LINE_BIN2 * way * way <= left_out_bin2:
         return 0
     return level_for_way(way)
 
@@ -110,6 +120,16 @@ def tone_count(level: int) -> int:
     """Tones of each beamlet."""
     count: int = _TONES[level]
     return count
+
+
+@kernel(outermost=True)
+def count_tones(
+    models: NDArray[Any], drift_per_s: FloatArray, power_w: FloatArray, tones: FloatArray
+) -> None:
+    """Set the tones (n,) per beamlet of beams with drifts (n, 2) and powers (n,)."""
+    for i in range(len(tones)):
+        left_out_bin2 = negligible_bin2(models[0], power_w[i])
+        tones[i] = tone_count(needed_level(models[0], drift_per_s[i], left_out_bin2))
 
 
 @kernel

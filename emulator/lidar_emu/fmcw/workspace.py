@@ -44,12 +44,13 @@ BEAM = np.dtype(
         ("haze_range_m", "f8"),
         ("filter_taps", "i8"),
         ("speckle_level", "i8"),
+        ("left_out_bin2", "f8"),
     ],
     align=True,
 )
 """The beam being measured: seed, shot and beam number for the random numbers; motion and speckle as in `Echoes`; number
 of beamlets with light, the power of all light, closing speed and end of the haze, the taps of the filter on each side,
-and the level of `speckle_change`."""
+the level of `speckle_change`, and the variance of a beat below which a stage is left out."""
 
 TARGET = np.dtype(
     [

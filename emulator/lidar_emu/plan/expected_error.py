@@ -89,7 +89,7 @@ def beam_errors(scenario: FlightScenario, flight: Flight, beamlets: int) -> Beam
     pointing, _ = flight.point(shot, flight.scanner.initial)
     hits = flight.cast(pointing)
     echoes = compute_echoes(instrument, site, flight, 1, pointing, hits)
-    model = build_receiver(instrument, site, scenario.exact)
+    model = build_receiver(instrument, site, scenario.tolerated_share)
     spread = spread_bins(instrument, pointing, hits) if beamlets > 1 else no_spread(hits)
 
     beats = _beats_bin(instrument, model, echoes)

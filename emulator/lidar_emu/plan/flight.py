@@ -10,9 +10,13 @@ from lidar_emu.echo.echoes import compute_echoes
 from lidar_emu.echo.spectral_spread import spread_bins
 from lidar_emu.flight.flight import Flight, sensor_height_m
 from lidar_emu.flight.pointing import Pointing
+from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.fmcw.skip_limits import variance_share
 from lidar_emu.plan.faults import planned_faults
 from lidar_emu.plan.ground import plan_objects, plan_parts
+from lidar_emu.plan.least_sigma import beat_variance_bin2, least_sigma
 from lidar_emu.plan.motion import (
+    largest,
     least_cosine,
     plan_curvature,
     plan_delay,
@@ -21,7 +25,7 @@ from lidar_emu.plan.motion import (
     sweep_motion,
 )
 from lidar_emu.plan.operations import Operations
-from lidar_emu.plan.plan import Decision, Plan
+from lidar_emu.plan.plan import Decision, Plan, at_most
 from lidar_emu.plan.receiver import plan_leakage, plan_receiver, plan_unknown_ambiguity
 from lidar_emu.plan.run_time import count_operations
 from lidar_emu.scenario.generated_ground import Generated
@@ -36,6 +40,8 @@ if TYPE_CHECKING:
     from lidar_emu.flight.recorded_file import GeometryFile
 
 ONE_BEAMLET_BELOW_BINS = 0.1
+"""Rms width of the spectrum by the depth of a footprint below which one beamlet may represent it: 3 % of power."""
+
 _SAMPLE_EVERY_S = 0.1
 
 
@@ -45,9 +51,9 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
         return _plan_unknown(scenario, flight)
     pointing, hits = _sample_flight(flight)
     echoes = compute_echoes(scenario.instrument, scenario.site, flight, 1, pointing, hits)
-    footprint, beamlets = _footprint(scenario, pointing, hits)
+    footprint, beamlets = _footprint(scenario, pointing, hits, echoes)
     motion = sweep_motion(flight, hits, least_cosine(pointing, hits))
-    curvature, follows_chirps = plan_curvature(scenario, motion)
+    curvature, follows_chirps = plan_curvature(scenario, motion, least_sigma(scenario, echoes))
     lag, receiving_lag = plan_lag(scenario, motion, hits)
     leakage = plan_leakage(scenario, echoes)
     # Scatterers are computed on the exact motion, whatever the plan.
@@ -223,11 +229,14 @@ def _switching(flight: Flight) -> list[Decision]:
     return [Decision("ground altitude", False, "-", "no pattern switch uses it", "exact")]
 
 
-def _footprint(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> tuple[Decision, int]:
+def _footprint(
+    scenario: FlightScenario, pointing: Pointing, hits: Hits, echoes: Echoes
+) -> tuple[Decision, int]:
     """Decide how many beamlets represent the footprint.
 
-    One beamlet suffices if the footprint's spectrum is narrow compared with a bin. That is known before the run only
-    over a plane or a sphere without objects. The peak of a spectrum of rms width s bins is lower by pi² s²/3.
+    One beamlet has the whole line by motion across the beam, and no depth. It suffices if the depth adds little to the
+    scatter of the beats. That is known before the run only over a plane or a sphere without objects. The peak of a
+    spectrum of rms width s bins wanders by s/√2 and is lower by pi² s²/3.
     """
     beamlets = scenario.instrument.optics.beamlets
     if scenario.level == "geometric":
@@ -239,10 +248,20 @@ def _footprint(scenario: FlightScenario, pointing: Pointing, hits: Hits) -> tupl
         return Decision("footprint", False, "1 beamlet", "the instrument has one", "as specified"), 1
     if not scenario.site.is_smooth:
         return Decision("footprint", True, f"{beamlets} beamlets", "ground slopes vary", "sampled"), beamlets
-    spread = float(np.nanmax(spread_bins(scenario.instrument, pointing, hits).widest(), initial=0.0))
-    reason = f"rms spectral spread at most {spread:.3f} bin"
-    if spread < ONE_BEAMLET_BELOW_BINS and not scenario.exact:
-        bound = f"{100 * np.pi**2 / 3 * spread**2:.2g} % of the peak power"
+    spread = spread_bins(scenario.instrument, pointing, hits)
+    speckle = scenario.instrument.optics.speckle
+    # Without speckle nothing wanders, and one beamlet has no width at all.
+    by_motion = spread.variance(0.0, 1.0) if speckle else 0.0
+    by_depth = np.maximum(
+        np.abs(spread.variance(1.0, 1.0) - by_motion), np.abs(spread.variance(1.0, -1.0) - by_motion)
+    )
+    share = 0.5 * by_depth / beat_variance_bin2(scenario, echoes)
+    width_bins = float(np.sqrt(largest(by_depth)))
+    grown = float(np.nanmax(share, initial=0.0)) if speckle else 0.0
+    reason = f"its depth spreads beats by at most {width_bins:.2g} bin, {50 * grown:.2g} % of sigma"
+    enough = width_bins < ONE_BEAMLET_BELOW_BINS and grown <= variance_share(scenario.tolerated_share)
+    if enough and scenario.tolerated_share > 0.0:
+        bound = f"{at_most(50 * grown)} % of sigma, {at_most(100 * np.pi**2 / 3 * width_bins**2)} % of the peak power"
         return Decision("footprint", False, "1 beamlet", reason, bound), 1
     return Decision("footprint", True, f"{beamlets} beamlets", reason, "sampled"), beamlets
 

@@ -18,9 +18,8 @@ from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
 
-LEAST_CURVATURE_M = 1e-4
-LEAST_CURVATURE_MPS = 1e-6
-"""Errors of range and closing speed below which the curvature of the motion between the records is left out."""
+CURVATURE_SHARE = 0.5
+"""Share of the tolerated bias by which the curvature of the motion between the records may be left out."""
 
 LEAST_LAG_DB = 0.01
 """Loss below which the lag of the receiving beam is left out: 0.1 % of a detection probability at most."""
@@ -105,8 +104,11 @@ def least_cosine(pointing: Pointing, hits: Hits) -> float:
     return max(float(np.nanmin(cosine, initial=1.0)), LEAST_COSINE)
 
 
-def plan_curvature(scenario: FlightScenario, motion: MotionExtremes) -> tuple[Decision, bool]:
-    """Decide whether beams are pointed at each record's time, or continue with their rates.
+def plan_curvature(
+    scenario: FlightScenario, motion: MotionExtremes, least_sigma: tuple[float, float]
+) -> tuple[Decision, bool]:
+    """Decide whether beams are pointed at each record's time, or continue with their rates, from the least standard
+    deviations of range and closing speed.
 
     A change δv of closing speed between chirp and constant segment changes range by c δv / (λ S), as an acceleration
     does.
@@ -121,7 +123,9 @@ def plan_curvature(scenario: FlightScenario, motion: MotionExtremes) -> tuple[De
     reason = (
         f"{motion.jerk_mps3:.3g} m/s³ of jerk, {motion.bend_m:.2g} m of range's curvature to the next record"
     )
-    follows = scenario.exact or range_m > LEAST_CURVATURE_M or speed_mps > LEAST_CURVATURE_MPS
+    share = CURVATURE_SHARE * scenario.tolerated_share
+    least_m, least_mps = share * least_sigma[0], share * least_sigma[1]
+    follows = share == 0.0 or range_m > least_m or speed_mps > least_mps
     if follows:
         how = "beams at each record's own time"
         return Decision(
@@ -159,7 +163,7 @@ def plan_lag(scenario: FlightScenario, motion: MotionExtremes, hits: Hits) -> tu
     radius_m = beam_radius_m(range_m, optics.waist_radius_m, waveform.wavelength_m)
     loss_db = float(10.0 * np.log10(np.e) * (apart_m / radius_m) ** 2)
     reason = f"beams turn at up to {motion.turning_radps:.3g} rad/s"
-    if scenario.exact or loss_db > LEAST_LAG_DB:
+    if loss_db > (LEAST_LAG_DB if scenario.tolerated_share > 0.0 else 0.0):
         how = f"up to {loss_db:.2g} dB of power"
         return Decision("lag of the receiving beam", True, how, reason, "exact"), True
     bound = f"{at_most(loss_db)} dB of power" if loss_db > 0 else "exact"

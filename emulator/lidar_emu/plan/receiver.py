@@ -19,7 +19,9 @@ from lidar_emu.fmcw.skip_limits import (
     LEAST_RIPPLE,
     LEAST_SMEAR_BINS,
     LEAST_SWEEP_SCATTER_BINS,
+    variance_share,
 )
+from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.motion import MotionExtremes, largest
 from lidar_emu.plan.plan import Decision, at_most
@@ -30,8 +32,8 @@ from lidar_emu.scenario.schema import FlightScenario
 SMEAR_BOUND = LEAST_SMEAR_BINS / (2 * np.pi)
 """Amplitude beside a line of the smear that is left out, relative to the line."""
 
-LINE_BOUND_POWER, LINE_BOUND_BINS = 0.03, 0.03
-"""Change of an echo's power and frequency by the laser linewidth that is left out: four sigma."""
+LINE_BOUND_POWER = 0.03
+"""Change of an echo's power by the laser linewidth that is left out: four sigma."""
 
 
 def plan_receiver(scenario: FlightScenario, echoes: Echoes, motion: MotionExtremes) -> list[Decision]:
@@ -58,8 +60,8 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes, motion: MotionExtrem
         _smear(scenario, echoes),
         _line(scenario, echoes),
         _sweep(scenario, echoes),
-        _ripple(scenario.instrument.waveform, scenario.exact),
-        _speckle(scenario),
+        _ripple(scenario.instrument.waveform, scenario.tolerated_share == 0.0),
+        *_speckle(scenario, echoes),
         _response(scenario.instrument),
         _clipping(scenario.instrument),
         _back_reflection(scenario, echoes),
@@ -139,7 +141,7 @@ def _smear(scenario: FlightScenario, echoes: Echoes) -> Decision:
     waveform = scenario.instrument.waveform
     smear_bins = largest_smear_bins(waveform, echoes)
     reason = f"beats drift by up to {smear_bins:.2g} bin in a record"
-    if scenario.exact:
+    if scenario.tolerated_share == 0.0:
         return Decision("smear and migration", True, "filter over bins", reason, "exact")
     bound = f"{100 * SMEAR_BOUND:.1g} % of a line's amplitude beside it"
     if smear_bins <= LEAST_SMEAR_BINS:
@@ -167,12 +169,11 @@ def _line(scenario: FlightScenario, echoes: Echoes) -> Decision:
     farthest_m = largest(echoes.range_m)
     drift = 4 * np.pi * waveform.linewidth_hz * farthest_m / SPEED_OF_LIGHT_MPS
     reason = f"phase variance up to {drift:.2g} over {farthest_m:.0f} m"
-    if scenario.exact:
+    if scenario.tolerated_share == 0.0:
         return Decision("laser line", True, "filter over bins", reason, "exact")
-    bound = f"{100 * LINE_BOUND_POWER:g} % of an echo's power, {LINE_BOUND_BINS:g} bin"
-    if drift <= LEAST_LINE_DRIFT:
-        return Decision("laser line", False, "-", reason, bound)
-    return Decision("laser line", True, f"beams beyond {LEAST_LINE_DRIFT:g}", reason, bound)
+    bound = f"{100 * LINE_BOUND_POWER:g} % of an echo's power, {_sigma_share(scenario)}"
+    how = f"beams beyond {LEAST_LINE_DRIFT:g}, or whose scatter matters"
+    return Decision("laser line", True, how, reason, bound)
 
 
 def _sweep(scenario: FlightScenario, echoes: Echoes) -> Decision:
@@ -183,7 +184,7 @@ def _sweep(scenario: FlightScenario, echoes: Echoes) -> Decision:
     farthest_m = largest(echoes.range_m)
     range_m, speed_mps = scatter.range_per_m * farthest_m, scatter.speed_mps_per_m * farthest_m
     reason = f"chirps off by {range_m:.2g} m, constant segment by {speed_mps:.2g} m/s at {farthest_m:.0f} m"
-    if scenario.exact:
+    if scenario.tolerated_share == 0.0:
         return Decision("laser sweep", True, "errors of each segment", reason, "exact")
     bound_m, bound_mps = (
         LEAST_SWEEP_SCATTER_BINS * each for each in (waveform.range_bin_m, waveform.speed_bin_mps)
@@ -209,10 +210,25 @@ def _ripple(waveform: Waveform, exact: bool) -> Decision:
     return Decision("ripple of the chirps", computed, how, reason, bound)
 
 
-def _speckle(scenario: FlightScenario) -> Decision:
+def _speckle(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
     if not scenario.instrument.optics.speckle:
-        return Decision("speckle", False, "-", "the instrument has none", "exact")
-    return Decision("speckle", True, "a Gaussian weight per beamlet", "echoes fade", "correlation to 0.035")
+        return [Decision("speckle", False, "-", "the instrument has none", "exact")]
+    field = Decision("speckle", True, "a Gaussian weight per beamlet", "echoes fade", "correlation to 0.03")
+    way = PITCH_W * largest(np.hypot(*np.moveaxis(echoes.speckle_drift_per_s, -1, 0)))
+    way *= scenario.instrument.waveform.record_time_s
+    what, reason = "speckle within a record", f"up to {way:.2g} waists of way in a record"
+    if way == 0.0:
+        return [field, Decision(what, False, "-", reason, "exact")]
+    if scenario.tolerated_share == 0.0:
+        return [field, Decision(what, True, "several tones per beamlet", reason, "7 % of the change")]
+    how = "beams whose scatter by it matters"
+    return [field, Decision(what, True, how, reason, _sigma_share(scenario))]
+
+
+def _sigma_share(scenario: FlightScenario) -> str:
+    """Bound of a stage that is left out by its share of a beat's variance."""
+    share = variance_share(scenario.tolerated_share)
+    return f"{at_most(50.0 * share)} % of sigma"
 
 
 def _response(instrument: Instrument) -> Decision:
@@ -299,7 +315,7 @@ def _light(scenario: FlightScenario) -> list[Decision]:
 
 
 def _false_alarms(scenario: FlightScenario) -> Decision:
-    if scenario.exact:
+    if scenario.tolerated_share == 0.0:
         return Decision("false alarms", True, "highest of all bins", "every bin has noise", "exact")
     bound = f"{LEAST_FALSE_ALARM:g} of the spectra"
     return Decision("false alarms", True, "unless the echo is too strong", "every bin has noise", bound)

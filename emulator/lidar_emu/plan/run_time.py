@@ -15,6 +15,7 @@ from lidar_emu.numerics.arrays import BoolArray
 from lidar_emu.numerics.records import as_record
 from lidar_emu.plan.motion import largest
 from lidar_emu.plan.operations import Operations
+from lidar_emu.scanner.wavefront import beam_radius_m
 from lidar_emu.scenario.schema import FlightScenario
 
 _DUST_BEAMLETS = 9
@@ -48,7 +49,8 @@ def count_operations(
     elif level == "spectral" and lit.any():
         each = _spectral(scenario, echoes, spread, beamlets, lit)
     elif level == "statistical":
-        each = {"records": records, "tones": records * _padded(beamlets)}
+        tones = _padded(beamlets) * _tones_per_beamlet(scenario, echoes, beamlets, lit)
+        each = {"records": records, "tones": records * tones}
     if scenario.plume is not None and level != "geometric":
         each["parcels of dust"] = float(_DUST_BEAMLETS)
     return Operations(count | {kind: measured * number for kind, number in each.items()})
@@ -72,11 +74,12 @@ def _spectral(
 
     instrument, waveform = scenario.instrument, scenario.instrument.waveform
     looks = instrument.detection.looks
-    model = build_receiver(instrument, scenario.site, scenario.exact)
+    model = build_receiver(instrument, scenario.site, scenario.tolerated_share)
     range_m, speed_mps = echoes.range_m[..., 0][lit], echoes.closing_speed_mps[..., 0][lit]
     smear_mps2 = np.nan_to_num(echoes.smear_acceleration_mps2[lit])
+    power_w = echoes.power_w[..., 0][lit]
     half = np.empty(len(range_m))
-    set_widest_filters(as_record(model), range_m, speed_mps, smear_mps2, half)
+    set_widest_filters(as_record(model), range_m, speed_mps, smear_mps2, power_w, half)
     taps = np.where(half > 0.0, 2.0 * half + 1.0, 0.0)
     nodes = np.vectorize(integral_nodes, otypes=[float])(half)
     # Between looks the surface comes nearer and changes its speed, and their bins are computed together.
@@ -85,10 +88,11 @@ def _spectral(
     width += abs(echoes.closing_acceleration_mps2[lit]) * lasting_s / waveform.speed_bin_mps
     if beamlets > 1:
         width += _EXTENT_RMS * spread.widest()[lit]
+    each = _tones_per_beamlet(scenario, echoes, beamlets, lit)
     interval = 2.0 * (REACH + np.maximum(0.0, half - LEAST_TAPS)) + 1.0
-    tones, bins = _padded(beamlets), interval + width
+    tones, bins = each * _padded(beamlets), interval + width
     if scenario.plume is not None:
-        tones, bins = _padded(beamlets + _DUST_BEAMLETS), bins + _DUST_BEAMLETS * interval
+        tones, bins = each * _padded(beamlets + _DUST_BEAMLETS), bins + _DUST_BEAMLETS * interval
     bins = np.minimum(bins, 0.5 * waveform.fft_length)
     records = 3.0 * looks
     return {
@@ -99,6 +103,26 @@ def _spectral(
         "taps in bins": records * float((taps * (bins + taps)).mean()),
         "nodes of taps": records * float(nodes.mean()),
     }
+
+
+def _tones_per_beamlet(scenario: FlightScenario, echoes: Echoes, beamlets: int, lit: BoolArray) -> float:
+    """Tones of a beamlet by the change of its speckle within a record, mean over the sampled beams."""
+    from lidar_emu.fmcw.receiver_constants import build_receiver
+    from lidar_emu.fmcw.speckle_change import count_tones
+
+    if not lit.any():
+        return 1.0
+    instrument = scenario.instrument
+    drift_per_s = echoes.speckle_drift_per_s[lit]
+    if beamlets > 1:
+        # Several beamlets have Doppler shifts of their own: the exchange is slower by the growth of the beam.
+        waist_m = instrument.optics.waist_radius_m
+        radius_m = beam_radius_m(echoes.range_m[..., 0][lit], waist_m, instrument.waveform.wavelength_m)
+        drift_per_s = drift_per_s * (waist_m / radius_m)[:, None]
+    tones = np.empty(len(drift_per_s))
+    model = as_record(build_receiver(instrument, scenario.site, scenario.tolerated_share))
+    count_tones(model, drift_per_s, echoes.power_w[..., 0][lit], tones)
+    return float(tones.mean())
 
 
 def _waveform(scenario: FlightScenario, echoes: Echoes, beamlets: int) -> dict[str, float]:

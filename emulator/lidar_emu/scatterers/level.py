@@ -50,7 +50,7 @@ class ScattererLevel:
         self._scenario, self._flight = scenario, flight
         instrument = scenario.instrument
         in_turn = scenario.scanner.firing == "in_turn"
-        self._model = build_receiver(instrument, scenario.site, exact=True, in_turn=in_turn)
+        self._model = build_receiver(instrument, scenario.site, left_out_share=0.0, in_turn=in_turn)
         self._strewing = Strewing.of(instrument, scenario.site, self._model.snr_per_w)
         air = scenario.site.atmosphere
         self._haze = None

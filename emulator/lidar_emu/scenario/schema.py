@@ -62,6 +62,10 @@ class Timing(Part):
         return max(1, -(-round(duration_s * 1e9) // self.period_ns))
 
 
+LEFT_OUT_SHARE = 0.05
+"""Default of `FlightScenario.left_out_share`."""
+
+
 class Wire(Part):
     """Messages and unit number on the wire."""
 
@@ -127,6 +131,14 @@ class FlightScenario(Scenario):
     digitiser as noise (tens of milliseconds)."""
     exact: Switch = False
     """Compute every stage of the model, including stages whose effect is below its bound."""
+    left_out_share: Annotated[float, Field(ge=0, le=0.5)] = LEFT_OUT_SHARE
+    """Share of the expected sigma of range and closing speed by which all stages that are left out may change the
+    errors together. 0 leaves out nothing."""
+
+    @property
+    def tolerated_share(self) -> float:
+        """`left_out_share`, or 0 where `exact` leaves out nothing."""
+        return 0.0 if self.exact else self.left_out_share
 
     @property
     def live(self) -> Live | None:

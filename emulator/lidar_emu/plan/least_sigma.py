@@ -1,0 +1,50 @@
+"""Least scatter of a flight's measurements: by noise, quantisation and speckle at the mean power of each beam."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lidar_emu.fmcw.carrier_to_noise import snr_per_w
+from lidar_emu.fmcw.peak_interpolation import (
+    BIN_CENTRE,
+    BIN_VARIANCE,
+    CRAMER_RAO_BIN2,
+    EFFICIENCY,
+    PEAK_METHODS,
+)
+from lidar_emu.fmcw.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
+from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.fmcw.speckle_change import LINE_BIN2
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.scenario.schema import FlightScenario
+
+
+def beat_variance_bin2(scenario: FlightScenario, echoes: Echoes) -> FloatArray:
+    """Variance of a beat in bins squared, (shots, beams), from echoes of one beamlet; NaN without light.
+
+    Speckle that changes within a record makes a line of variance s², whose peak wanders by s²/2 at the mean power and
+    by more in a fade. The laser's line and the slope of the ground add to the variance.
+    """
+    instrument = scenario.instrument
+    method = PEAK_METHODS[instrument.detection.peak]
+    power_w = np.where(echoes.power_w[..., 0] > 0.0, echoes.power_w[..., 0], np.nan)
+    variance = EFFICIENCY[method] * CRAMER_RAO_BIN2 / (snr_per_w(instrument, scenario.site) * power_w)
+    if method == BIN_CENTRE:
+        variance = variance + BIN_VARIANCE
+    if instrument.optics.speckle:
+        way2 = (echoes.speckle_drift_per_s**2).sum(axis=-1) * instrument.waveform.record_time_s**2
+        variance = variance + 0.5 * LINE_BIN2 * way2
+    return np.asarray(variance / instrument.detection.looks)
+
+
+def least_sigma(scenario: FlightScenario, echoes: Echoes) -> tuple[float, float]:
+    """Least standard deviations of range in m and closing speed in m/s of any beam; 0 without light."""
+    instrument = scenario.instrument
+    least = float(np.nanmin(beat_variance_bin2(scenario, echoes), initial=np.inf))
+    weights = BEAT_WEIGHTS[COMBINE_METHODS[instrument.detection.combine]]
+    range_m, speed_mps = np.sqrt(least * (weights**2).sum(axis=-1).min(axis=0))
+    if not np.isfinite(least):
+        return 0.0, 0.0
+    return float(range_m * instrument.waveform.range_bin_m), float(
+        speed_mps * instrument.waveform.speed_bin_mps
+    )
