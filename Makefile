@@ -11,7 +11,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all soak checks-and-kernels check style types imports kernels docs speckle sigma mutants clean
+.PHONY: run test test-all soak checks-and-kernels check style types imports kernels docs speckle haze sigma mutants clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -59,6 +59,10 @@ speckle: $(VENV)/.ready-dev
 # The table of docs/accuracy.md on the sigma that an instrument states, by Monte Carlo: fifteen minutes.
 sigma: $(VENV)/.ready-dev
 	$(BIN)/python tools/sigma_table.py
+
+# The table of docs/accuracy.md on haze as a target, by Monte Carlo: an hour.
+haze: $(VENV)/.ready-dev
+	$(BIN)/python tools/haze_table.py
 
 # The stamps are written last: an environment without one was left half made and is made again.
 $(VENV)/.ready: pyproject.toml

@@ -65,7 +65,7 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes, motion: MotionExtrem
         _response(scenario.instrument),
         _clipping(scenario.instrument),
         _back_reflection(scenario, echoes),
-        *_light(scenario),
+        *_light(scenario, echoes),
         _false_alarms(scenario),
     ]
 
@@ -291,7 +291,7 @@ def plan_leakage(scenario: FlightScenario, echoes: Echoes) -> Decision:
     return Decision("leakage between beams", False, "-", reason, bound)
 
 
-def _light(scenario: FlightScenario) -> list[Decision]:
+def _light(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
     from lidar_emu.fmcw.link_budget import sunlight_over_shot
 
     site = scenario.site
@@ -302,16 +302,27 @@ def _light(scenario: FlightScenario) -> list[Decision]:
         sun = Decision("sunlight", True, "noise", f"{10 * np.log10(ratio):.0f} dB of shot noise", "exact")
     air = site.atmosphere
     if air is None or air.backscatter_per_m_sr == 0:
-        return [sun, Decision("backscatter", False, "-", f"{site.name} has no haze", "exact")]
-    if scenario.level != "spectral":
-        missing = "no line of the air's backscatter"
-        return [sun, Decision("backscatter", False, "-", f"not at level {scenario.level}", missing)]
-    return [
-        sun,
-        Decision(
-            "backscatter", True, "a line and noise", f"{air.backscatter_per_m_sr:g} /m/sr", "first order"
-        ),
-    ]
+        return [sun, Decision("haze", False, "-", f"{site.name} has no backscatter", "exact")]
+    if scenario.level == "waveform":
+        return [
+            sun,
+            Decision("haze", False, "-", "not with beamlets of level waveform", "no light of the haze"),
+        ]
+    return [sun, _haze(scenario, echoes)]
+
+
+def _haze(scenario: FlightScenario, echoes: Echoes) -> Decision:
+    """State the probability that the detector chooses haze in a chirp."""
+    from lidar_emu.plan.haze import largest_haze_locks
+
+    model = build_receiver(scenario.instrument, scenario.site)
+    chirp, constant = largest_haze_locks(model, echoes)
+    computed_m = model.haze.computed_range_m
+    how = "a line; a band in the chirps"
+    how += f", bin by bin up to {computed_m:.0f} m" if computed_m > 0.0 else ", its highest bins"
+    chirps, segments = (f"{at_most(100.0 * share)} %" for share in (chirp, constant))
+    reason = f"up to {chirps} of chirps and {segments} of constant segments lock on it"
+    return Decision("haze", True, how, reason, "single scattering, independent records")
 
 
 def _false_alarms(scenario: FlightScenario) -> Decision:
