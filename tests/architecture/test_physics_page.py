@@ -237,9 +237,10 @@ def lattice_correlation(away: FloatArray) -> FloatArray:
     here = (np.arange(2000) + 0.5) / 2000
 
     def weight(place: FloatArray, corner: int) -> FloatArray:
-        return np.where(np.abs(place - corner) < 1.0, np.cos(0.5 * pi * (place - corner)), 0.0)
+        near = np.abs(place - corner) < 1.5
+        return np.where(near, sqrt(8.0 / 9.0) * np.cos(pi / 3.0 * (place - corner)) ** 2, 0.0)
 
-    corners = range(-1, 6)
+    corners = range(-2, 7)
     return np.array([np.mean(sum(weight(here, k) * weight(here + x, k) for k in corners)) for x in away])
 
 
@@ -267,9 +268,10 @@ def check_values() -> dict[str, tuple[float, float]]:
     per_hz = site.surface.reflectance * 270e6 * LAMBDA**4 / (2.0 * pi * C)
     beats = [interpreted(signed_bin)(model, segment, *place) for segment in range(3)]
     by_phase = beats_by_phase_bin(*place)
-    away = np.linspace(0.0, 2.0, 81)
-    gaussian = np.exp(-(pi**2) / 8.0 * away**2)
-    closed = (1.0 - away / 2.0) * np.cos(pi * away / 2.0) + np.sin(pi * away / 2.0) / pi
+    away = np.linspace(0.0, 3.0, 121)
+    gaussian = np.exp(-2.0 * pi**2 / 27.0 * away**2)
+    slope, wave = (3.0 - away) * (1.0 + 0.5 * np.cos(2.0 * pi * away / 3.0)), np.sin(2.0 * pi * away / 3.0)
+    closed = 2.0 / 9.0 * (slope + 9.0 / (4.0 * pi) * wave)
     rate_hz_per_s = 2.0 * 3.0 / LAMBDA - 4.0 * SLOPE * 100.0 / C
     return {
         "range bin": (WAVE.range_bin_m, 0.5 * C / SLOPE / (131072 / 6e8)),

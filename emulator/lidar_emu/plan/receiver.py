@@ -284,7 +284,7 @@ def plan_leakage(scenario: FlightScenario, echoes: Echoes) -> Decision:
     amplitude = float(np.sqrt(share * strongest_w / weakest_w))
     snr = share * strongest_w * build_receiver(scenario.instrument, scenario.site).snr_per_w
     reason = f"up to {amplitude:.2g} of an echo's amplitude, {10.0 * np.log10(max(snr, 1e-30)):.0f} dB of the noise"
-    computed = scenario.exact or amplitude > LEAST_LEAKAGE or snr > LEAST_LEAKED_SNR
+    computed = scenario.tolerated_share == 0.0 or amplitude > LEAST_LEAKAGE or snr > LEAST_LEAKED_SNR
     if computed:
         return Decision("leakage between beams", True, "echoes of all beams", reason, "speckle of its own")
     bound = f"{LEAST_LEAKAGE:g} bin, {LEAST_LEAKED_SNR:g} of the noise"
