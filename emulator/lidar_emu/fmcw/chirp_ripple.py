@@ -24,6 +24,8 @@ from lidar_emu.numerics.random_streams import RIPPLE, WHOLE_SHOT
 @kernel
 def ripple_index(model: ReceiverModel, range_m: float) -> float:
     """Modulation index m of a beat; 0 where it is left out."""
+    if model.ripple.largest_index == 0.0:
+        return 0.0
     turns = model.ripple.frequency_bin * model.delay_per_m * range_m
     index: float = model.ripple.largest_index * abs(sin(pi * turns))
     return index if index > model.ripple.least_index else 0.0
