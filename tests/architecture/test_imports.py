@@ -40,7 +40,7 @@ OBJECTS = {"scene.mesh", "scene.objects"}
 SIMULATED = {
     "bench": set[str](),
     "descent": FLIGHT,
-    "dust_storm": FLIGHT | {"plan.haze", "plan.detection_forecast"},
+    "dust_storm": FLIGHT | {"probability.fading"},
     "dusty_landing": FLIGHT | {"echo.dust"},
     "hazards": FLIGHT | OBJECTS | {"scene.generated"},
     "homodyne_sign": FLIGHT | {"faults.physics", "fmcw.receiver_faults"},
