@@ -31,6 +31,9 @@ from lidar_emu.numerics.philox import complex_normal
 from lidar_emu.numerics.random_streams import NOISE_BINS
 from lidar_emu.numerics.sine import sin_pi
 
+_NARROW_BIN2 = 0.1
+"""Second moment below which the bins around a peak look like those of a single tone (`peak_shape.width_bin2`)."""
+
 _FAR_BIN = 0.25
 """A step this far from the centre of power is followed by a second one: bins beyond the three may be higher."""
 
@@ -153,7 +156,9 @@ def _draw_line(
     target.power = 0.0
     if weight > 0.0 and frequency / weight >= model.lowest_bin:
         target.power, target.power_over_noise = power, power / (level * model.noise_power)
-        target.quadrature_bin, target.width_bin2 = quadrature / weight, TONE_WIDTH_BIN2 + width / weight
+        target.quadrature_bin = quadrature / weight
+        spread_bin2 = width / weight
+        target.width_bin2 = TONE_WIDTH_BIN2 + (spread_bin2 if spread_bin2 > _NARROW_BIN2 else 0.0)
         _set_frequency(model, work, beam, segment, line, frequency / weight, weight / level, target)
     return level
 
