@@ -123,3 +123,13 @@ def test_the_truth_of_a_flight_names_it_and_the_plan_has_its_line() -> None:
 def test_levels_that_lack_it_refuse_it(other: dict[str, str]) -> None:
     with pytest.raises(InputError, match="back_reflection_db"):
         load("descent.yaml", other | {"instrument.optics.back_reflection_db": "-60"})
+
+
+@pytest.mark.parametrize(("beat_hz", "fits"), [("2.9e8", True), ("3.0e8", False), ("1e12", False)])
+def test_a_mask_leaves_beats_below_half_the_sample_rate(beat_hz: str, fits: bool) -> None:
+    settings = {"instrument.detection.lowest_beat_hz": beat_hz}
+    if fits:
+        load("descent", settings)
+        return
+    with pytest.raises(InputError, match="below 3e.08, half the sample rate"):
+        load("descent", settings)

@@ -268,6 +268,10 @@ class Instrument(Part):
         if self.receiver.ac_coupling_hz > highest_hz:
             allowed = f"at most {highest_hz:.6g}, a twentieth of the sample rate"
             raise unusable("receiver.ac_coupling_hz", self.receiver.ac_coupling_hz, allowed)
+        nyquist_hz = self.waveform.sample_rate_hz / 2
+        if self.detection.lowest_beat_hz >= nyquist_hz:
+            allowed = f"below {nyquist_hz:.6g}, half the sample rate"
+            raise unusable("detection.lowest_beat_hz", self.detection.lowest_beat_hz, allowed)
         steps_hz = (
             2 * self.waveform.chirp_slope_hz_per_s * self.detection.maximum_range_m / SPEED_OF_LIGHT_MPS
         )
