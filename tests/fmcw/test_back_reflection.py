@@ -131,5 +131,5 @@ def test_a_mask_leaves_beats_below_half_the_sample_rate(beat_hz: str, fits: bool
     if fits:
         load("descent", settings)
         return
-    with pytest.raises(InputError, match="below 3e.08, half the sample rate"):
+    with pytest.raises(InputError, match=r"below 3e\+08, half the sample rate"):
         load("descent", settings)
