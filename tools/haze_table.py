@@ -10,20 +10,17 @@ measurements that are right (range and closing speed within ten bins of the trut
 
 from __future__ import annotations
 
-import argparse
-from datetime import UTC, datetime
+from collections.abc import Iterator
 from math import cos, radians
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from page_table import update
 
 import lidar_emu
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.load import load
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "accuracy.md"
-BEGIN, END = "<!-- haze: begin -->", "<!-- haze: end -->"
 RATE_HZ, DOWN_MPS, TILT_DEG = 50.0, 5.0, 15.0
 SHOTS_PER_RUN = 20
 """A tenth of a metre apart: the speckle of each is new, and the height changes by 2 m."""
@@ -100,38 +97,16 @@ def apart(reference: FloatArray, shots: int, fast: FloatArray) -> float:
     return float(np.max(np.abs(fast - reference) / np.sqrt(variance)))
 
 
-def table(shots: int) -> str:
-    """The table in Markdown."""
-    headings = "range, β, α", *LEVELS, "spectral, statistical: errors apart"
-    rows: list[tuple[str, ...]] = [headings, ("---",) * len(headings)]
+def rows(shots: int) -> Iterator[tuple[str, ...]]:
+    """Rows of the table."""
     for scene in SCENES:
         reference, *fast = (
             shares(scene, level, shots if level == "reference" else FAST_TIMES * shots) for level in LEVELS
         )
         cells = [" / ".join(f"{share:.3f}" for share in found) for found in (reference, *fast)]
-        rows.append(
-            (str(scene), *cells, ", ".join(f"{apart(reference, shots, found):.1f}" for found in fast))
-        )
-        print("|", " | ".join(rows[-1]), "|", flush=True)
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
-
-
-def main() -> None:
-    """Print the table or write it to the page."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--print", action="store_true", dest="only_print")
-    parser.add_argument("--shots", type=int, default=1000)
-    options = parser.parse_args()
-    text = table(options.shots)
-    if options.only_print:
-        return
-    page = PAGE.read_text()
-    before, rest = page.split(BEGIN)
-    _, after = rest.split(END)
-    today = datetime.now(UTC).date()
-    stated = f"{options.shots} measurements of the reference, {FAST_TIMES * options.shots} of the others, on {today}"
-    PAGE.write_text(f"{before}{BEGIN}\n{text}\n\n{stated}, on one core of a 2.5 GHz Xeon.\n{END}{after}")
+        yield str(scene), *cells, ", ".join(f"{apart(reference, shots, found):.1f}" for found in fast)
 
 
 if __name__ == "__main__":
-    main()
+    headings = "range, β, α", *LEVELS, "spectral, statistical: errors apart"
+    update("haze", headings, rows, 1000, FAST_TIMES)

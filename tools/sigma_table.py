@@ -11,20 +11,17 @@ by the published detector. Only correct locks count, and only cells in which at 
 
 from __future__ import annotations
 
-import argparse
-from datetime import UTC, datetime
+from collections.abc import Iterator
 from itertools import product
 from math import atan2, degrees, hypot
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from page_table import update
 
 import lidar_emu
 from lidar_emu.scenario.load import load
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "accuracy.md"
-BEGIN, END = "<!-- sigma: begin -->", "<!-- sigma: end -->"
 HEADINGS = (
     "peak", "linewidth", "speckle", "altitude", "level", "correct",
     "range error / sigma", "beyond 2, 3 %", "speed error / sigma", "beyond 2, 3 %",
@@ -102,9 +99,8 @@ class Cell(NamedTuple):
         return float(good.mean()), ranges, speeds
 
 
-def rows(shots: int) -> list[tuple[str, ...]]:
+def rows(shots: int) -> Iterator[tuple[str, ...]]:
     """Rows of the table: the reference and the fast levels where there is speckle, the fast levels elsewhere."""
-    found = []
     peaks = "bin", "hann", "parabola", "jacobsen", "aboutanios_mulgrew"
     for peak, linewidth_hz, speckle in product(peaks, LINEWIDTHS_HZ, (True, False)):
         # Estimators differ in their response to noise and line, not to speckle.
@@ -126,28 +122,8 @@ def rows(shots: int) -> list[tuple[str, ...]]:
                     name, f"{share:.2f}", *cells,
                 )  # fmt: skip
                 if share >= 0.5:
-                    found.append(row)
-                    print("|", " | ".join(row), "|", flush=True)
-    return found
-
-
-def main() -> None:
-    """Print the table or write it to the page."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--print", action="store_true", dest="only_print")
-    parser.add_argument("--shots", type=int, default=300)
-    options = parser.parse_args()
-    body = [HEADINGS, ("---",) * len(HEADINGS), *rows(options.shots)]
-    if options.only_print:
-        return
-    page = PAGE.read_text()
-    before, rest = page.split(BEGIN)
-    _, after = rest.split(END)
-    text = "\n".join("| " + " | ".join(row) + " |" for row in body)
-    today = datetime.now(UTC).date()
-    stated = f"{options.shots} measurements of the reference a cell, {FAST_SHOTS * options.shots} of others, {today}"
-    PAGE.write_text(f"{before}{BEGIN}\n{text}\n\n{stated}.\n{END}{after}")
+                    yield row
 
 
 if __name__ == "__main__":
-    main()
+    update("sigma", HEADINGS, rows, 300, FAST_SHOTS)

@@ -11,19 +11,16 @@ the truth.
 
 from __future__ import annotations
 
-import argparse
-from datetime import UTC, datetime
+from collections.abc import Iterator
 from math import atan2, degrees, hypot
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from page_table import update
 
 import lidar_emu
 from lidar_emu.scenario.load import load
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "accuracy.md"
-BEGIN, END = "<!-- speckle: begin -->", "<!-- speckle: end -->"
 RATE_HZ = 100.0
 HEADINGS = "scene", "reference", "within, %", "spectral, 127 beamlets, exact", "spectral, default"
 FAST_RUNS = 4
@@ -100,34 +97,14 @@ def _relative_error(values: Any) -> float:
     return float(np.std(resampled) / _robust(values))
 
 
-def table(shots: int) -> str:
-    """The table in Markdown, with range in mm and speed in mm/s."""
-    rows = [HEADINGS, ("---",) * len(HEADINGS)]
+def rows(shots: int) -> Iterator[tuple[str, ...]]:
+    """Rows of the table, with range in mm and speed in mm/s."""
     for scene in SCENES:
         *reference, within = deviations(scene, shots, REFERENCE)
         fast = [deviations(scene, shots, level, FAST_RUNS)[:2] for level in FAST]
         cells = [f"{range_mm:.2g} / {speed_mm:.2g}" for range_mm, speed_mm in (reference, *fast)]
-        rows.append((str(scene), cells[0], f"{100 * within:.0f}", *cells[1:]))
-        print("|", " | ".join(rows[-1]), "|", flush=True)
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
-
-
-def main() -> None:
-    """Print the table or write it to the page."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--print", action="store_true", dest="only_print")
-    parser.add_argument("--shots", type=int, default=1000)
-    options = parser.parse_args()
-    text = table(options.shots)
-    if options.only_print:
-        return
-    page = PAGE.read_text()
-    before, rest = page.split(BEGIN)
-    _, after = rest.split(END)
-    today = datetime.now(UTC).date()
-    stated = f"{options.shots} measurements of the reference, {FAST_RUNS * options.shots} of the others, on {today}"
-    PAGE.write_text(f"{before}{BEGIN}\n{text}\n\n{stated}.\n{END}{after}")
+        yield str(scene), cells[0], f"{100 * within:.0f}", *cells[1:]
 
 
 if __name__ == "__main__":
-    main()
+    update("speckle", HEADINGS, rows, 1000, FAST_RUNS)

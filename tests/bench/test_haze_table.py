@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 from pathlib import Path
 
 import numpy as np
@@ -27,19 +27,15 @@ def committed_rows() -> list[list[str]]:
     ]
 
 
-def tool():
-    spec = importlib.util.spec_from_file_location("haze_table", ROOT / "tools" / "haze_table.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+@pytest.fixture
+def haze_table(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    return importlib.import_module("haze_table")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("level", ["spectral", "statistical"])
-def test_shares_are_those_of_the_reference(level: str) -> None:
-    haze_table = tool()
+def test_shares_are_those_of_the_reference(level: str, haze_table) -> None:
     rows = {row[0]: np.array(row[1].split("/"), dtype=float) for row in committed_rows()}
     for scene in haze_table.SCENES:
         expected = rows[str(scene)]
