@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.echo.echoes import BeamletHits
-from lidar_emu.echo.leakage import leaked
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.light import LightFaults
 from lidar_emu.faults.receiver import FaultyReceivers
@@ -17,7 +16,7 @@ from lidar_emu.faults.schedule import FaultInstance, FaultOccurrence
 from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import Pointing
 from lidar_emu.fmcw.fidelity_levels import Level
-from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import BoolArray
 from lidar_emu.scenario.faults import physics as kinds
 from lidar_emu.scenario.schema import FlightScenario
@@ -69,24 +68,15 @@ class PhysicsFaults:
             found = Finding(f"{len(receivers)} faults of the receiver")
             raise InputError(scenario.name, "faults", found, f"allowed: at most {_MAXIMUM_RECEIVER_FAULTS}")
         self._light = LightFaults(light, scenario, flight)
-        self._level = FaultyReceivers(receivers, scenario, level) if receivers else level
+        self.level = FaultyReceivers(receivers, scenario, level) if receivers else level
 
     def tilted(self, pointing: Pointing, shot: NDArray[np.int64]) -> Pointing:
         """Pointing with misaligned true directions; published directions are unchanged."""
         return self._light.tilted(pointing, shot)
 
-    def returns(
-        self,
-        echoes: Echoes,
-        beamlet_hits: BeamletHits,
-        shot: NDArray[np.int64],
-        leakage_db: float | None = None,
-    ) -> Returns:
-        """Returns of echoes from beams whose light hit the ground at `beamlet_hits`, with leakage between beams."""
-        echoes = self._light.modified(echoes, beamlet_hits, shot)
-        if leakage_db is not None:
-            echoes = leaked(echoes, leakage_db)
-        return self._level(echoes, shot)
+    def modified(self, echoes: Echoes, beamlet_hits: BeamletHits, shot: NDArray[np.int64]) -> Echoes:
+        """Echoes after faults of light, from beams whose light hit the ground at `beamlet_hits`."""
+        return self._light.modified(echoes, beamlet_hits, shot)
 
     def occurrences(self, shot: NDArray[np.int64], fired: BoolArray) -> list[FaultOccurrence]:
         """Occurrences of faults in consecutive shots, whose fired beams are `fired`, (shots, beams)."""

@@ -99,10 +99,10 @@ class FlightModel:
         if self.dust is not None:
             echoes = self.dust.raised(echoes, pointing, axis_hits, shot)
         if self.physics is not None:
-            return self.physics.returns(echoes, self.echo_model.beamlet_hits, shot, self.leakage_db)
+            echoes = self.physics.modified(echoes, self.echo_model.beamlet_hits, shot)
         if self.leakage_db is not None:
             echoes = leaked(echoes, self.leakage_db)
-        return self.level(echoes, shot)
+        return (self.level if self.physics is None else self.physics.level)(echoes, shot)
 
     def laser_off(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         """Compute the same shots with the laser off: only times and the vehicle's state."""
