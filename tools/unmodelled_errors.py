@@ -195,9 +195,9 @@ def pointing(flown: Flown) -> Errors:
 
 def travel_time(flown: Flown) -> Errors:
     """The light's travel time: range and speed are R/c old; the Doppler shift has the factor 1 + v/c."""
-    old_s, speed_mps = flown.delay_s / 2.0, flown.speed_mps
-    older_mps = flown.beams.echoes.closing_acceleration_mps2 * old_s
-    return speed_mps * old_s, speed_mps**2 / SPEED_OF_LIGHT_MPS - older_mps
+    old_s, echoes = flown.delay_s / 2.0, flown.beams.echoes
+    older_mps = echoes.closing_acceleration_mps2 * old_s
+    return echoes.range_rate_mps[..., 0] * old_s, flown.speed_mps**2 / SPEED_OF_LIGHT_MPS - older_mps
 
 
 def weaker_echo(loss: float) -> Callable[[Flown], Errors]:
@@ -270,7 +270,7 @@ SOURCES = [
         "fault `scale`",
     ),
     Source("sample clock", "R δ; v δ", f"δ {CLOCK_ERROR:g} (assumed)", clock, "fault `scale`"),
-    Source("light's travel time", "vR/c; v²/c - aR/c", "exact", travel_time),
+    Source("light's travel time", "R'R/c; v²/c - aR/c", "exact", travel_time, modelled_by="always computed"),
     Source(
         "sampling and trigger jitter",
         "noise 2K/N (2πgσ)²; v σ_t, a σ_t",

@@ -66,10 +66,13 @@ def reading(
     half_s = WAVEFORM.record_time_s / 2
     beats = []
     for segment, chirp, from_carrier_s in ((-1, -1, half_s), (0, 0, 0.0), (1, 1, SEGMENT_S - half_s)):
-        range_m, closing_mps = beam(path, time_s + segment * SEGMENT_S)
+        received_s = time_s + segment * SEGMENT_S
+        # The light met the ground R/c before.
+        range_m, closing_mps = beam(path, received_s - beam(path, received_s)[0] / C_MPS)
         shift_hz = slope * 2 * range_m / C_MPS
+        doppler = (1 + closing_mps / C_MPS) / (1 - closing_mps / C_MPS) - 1
         optical_hz = carrier_hz - slope * from_carrier_s + chirp * shift_hz
-        beats.append(shift_hz * abs(chirp) + (chirp or 1) * optical_hz * 2 * closing_mps / C_MPS)
+        beats.append(shift_hz * abs(chirp) + (chirp or 1) * optical_hz * doppler)
     up_hz, constant_hz, down_hz = beats
     if combine == "least_squares":
         beat_hz, doppler_hz = (up_hz + down_hz) / 2, (down_hz - up_hz + constant_hz) / 3

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import exp1, gammaincc
 
 from lidar_emu.echo.echoes import compute_echoes
+from lidar_emu.echo.light_delay import delay_echoes
 from lidar_emu.echo.spectral_spread import Spread, no_spread, spread_bins
 from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import Pointing
@@ -89,6 +90,8 @@ def beam_errors(scenario: FlightScenario, flight: Flight, beamlets: int) -> Beam
     pointing, _ = flight.point(shot, flight.scanner.initial)
     hits = flight.cast(pointing)
     echoes = compute_echoes(instrument, site, flight, 1, pointing, hits)
+    truth = np.stack([echoes.range_m[..., 0], echoes.closing_speed_mps[..., 0]])
+    delay_echoes(echoes)
     model = build_receiver(instrument, site, scenario.tolerated_share)
     spread = spread_bins(instrument, pointing, hits) if beamlets > 1 else no_spread(hits)
 
@@ -103,7 +106,7 @@ def beam_errors(scenario: FlightScenario, flight: Flight, beamlets: int) -> Beam
         echoes=echoes,
         beats_bin=beats,
         snr=snr,
-        bias=units * _biases_bin(model, echoes, beats, weights),
+        bias=units * (weights * beats).sum(axis=1) - truth,
         sigma=units
         * np.sqrt(
             (weights**2 * segments).sum(axis=1)
@@ -287,13 +290,6 @@ def _faded(at_mean: FloatArray, most: FloatArray, faintest: FloatArray, looks: i
         below = most * -np.expm1(faintest - knee)
         mean = below + at_mean * exp1(knee) * np.exp(faintest)
     return np.where(at_mean > 0.0, np.minimum(mean, most), 0.0)
-
-
-def _biases_bin(model: ReceiverModel, echoes: Echoes, beats: FloatArray, weights: FloatArray) -> FloatArray:
-    """(2, shots, beams) biases of range and speed, in bins: the three beats combined, minus the ground truth."""
-    true = echoes.range_m[..., 0] / model.range_bin_m, echoes.closing_speed_mps[..., 0] / model.speed_bin_mps
-    biases: FloatArray = (weights * beats).sum(axis=1) - np.array(true)
-    return biases
 
 
 def _beat_weights(model: ReceiverModel, echoes: Echoes, variances: FloatArray) -> FloatArray:

@@ -55,6 +55,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     motion = sweep_motion(flight, hits, least_cosine(pointing, hits))
     curvature, follows_chirps = plan_curvature(scenario, motion, least_sigma(scenario, echoes))
     lag, receiving_lag = plan_lag(scenario, motion, hits)
+    delay = plan_delay(echoes, motion, scenario.instrument.waveform.segment_time_s)
     leakage = plan_leakage(scenario, echoes)
     # Scatterers are computed on the exact motion, whatever the plan.
     measured = scenario.level != "geometric" and scenario.waveform_echo == "beamlets"
@@ -68,7 +69,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
         *_dust(scenario, float(np.min(sensor_height_m(pointing, hits)))),
         footprint,
         *plan_receiver(scenario, echoes, motion),
-        *([curvature, lag, plan_delay(echoes), leakage] if measured else []),
+        *([curvature, lag, delay, leakage] if measured else []),
         *planned_faults(scenario),
         _run_time(operations, flight.shot_count * flight.period_ns * 1e-9),
     )

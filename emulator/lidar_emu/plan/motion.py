@@ -144,15 +144,22 @@ def plan_unknown_curvature(waveform: Waveform) -> Decision:
     return Decision("curvature of motion", False, "-", "the motion after a shot is unknown", bound)
 
 
-def plan_delay(echoes: Echoes) -> Decision:
-    """Bound what the delay of the light to the ground leaves out of echoes sampled along the flight."""
+def plan_delay(echoes: Echoes, motion: MotionExtremes, segment_s: float) -> Decision:
+    """State how much the travel time of the light changes echoes sampled along the flight, and its second order."""
     delay_s = echoes.range_m[..., 0] / SPEED_OF_LIGHT_MPS
-    closing_mps = echoes.closing_speed_mps[..., 0]
-    range_m = largest(echoes.range_rate_mps[..., 0] * delay_s)
-    later_mps = np.abs(echoes.closing_acceleration_mps2) * delay_s + closing_mps**2 / SPEED_OF_LIGHT_MPS
-    bound = f"{at_most(range_m)} m, {at_most(largest(later_mps))} m/s"
-    reason = "echoes are evaluated at the time of reception"
-    return Decision("delay to the ground", False, "-", reason, bound)
+    closing_mps, rate_mps = echoes.closing_speed_mps[..., 0], echoes.range_rate_mps[..., 0]
+    acceleration_mps2 = np.abs(echoes.closing_acceleration_mps2)
+    range_m = largest(rate_mps * delay_s)
+    speed_mps = largest(closing_mps**2 / SPEED_OF_LIGHT_MPS + acceleration_mps2 * delay_s)
+    reason = f"changes ranges by up to {range_m:.2g} m, closing speeds by up to {speed_mps:.2g} m/s"
+    farthest_s = largest(delay_s)
+    second_m = motion.bend_m * (farthest_s / segment_s) ** 2 + largest(
+        rate_mps**2 * delay_s / SPEED_OF_LIGHT_MPS
+    )
+    slower = range_m / SPEED_OF_LIGHT_MPS
+    second_mps = 0.5 * motion.jerk_mps3 * farthest_s**2 + motion.acceleration_mps2 * slower
+    bound = f"{at_most(second_m)} m, {at_most(second_mps)} m/s"
+    return Decision("travel time of the light", True, "first order in R/c", reason, bound)
 
 
 def plan_lag(scenario: FlightScenario, motion: MotionExtremes, hits: Hits) -> tuple[Decision, bool]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.echo.echoes import EchoModel
 from lidar_emu.echo.leakage import leaked
+from lidar_emu.echo.light_delay import delay_echoes
 from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import Pointing, closing_speed_and_incidence, locate_points
@@ -102,6 +103,9 @@ class FlightModel:
             echoes = self.physics.modified(echoes, self.echo_model.beamlet_hits, shot)
         if self.leakage_db is not None:
             echoes = leaked(echoes, self.leakage_db)
+        # Level geometric reports the truth at the time of validity.
+        if self.scenario.level != "geometric":
+            delay_echoes(echoes)
         return (self.level if self.physics is None else self.physics.level)(echoes, shot)
 
     def laser_off(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
