@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from instruments import echoes, plain
 
+from lidar_emu.fmcw.false_targets import FalseTarget, false_targets
 from lidar_emu.fmcw.link_budget import haze_w_per_m
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
@@ -134,6 +135,37 @@ def test_a_beam_that_hits_nothing_sees_haze_up_to_the_record_edge(statistical: b
     found = receive(model, sky, np.arange(200), 1)
     assert np.mean(found.range_valid) > 0.9
     assert np.nanmedian(found.range_m) < 200.0
+
+
+@LEVELS
+@pytest.mark.parametrize("wind_mps", [0.0, 3.0])
+def test_the_truth_names_haze_where_a_peak_is_not_the_surfaces(statistical: bool, wind_mps: float) -> None:
+    """A peak beyond ten bins of the surface's beat is the haze's: noise alone hardly exceeds the threshold."""
+    model, shots = model_of(*DENSE, statistical), 2000
+    one = np.ones((shots, 1))
+    ground, speed_mps = 400.0 * one, 12.0 * one
+    air_mps = speed_mps + wind_mps
+    beams = echoes(ground[..., None], speed_mps[..., None], power_w=4e-13 * one[..., None])
+    found = receive(model, beams._replace(air_speed_mps=air_mps), np.arange(shots), 1)
+    peaks_bin = found.segment_peak_hz / WAVEFORM.bin_width_hz
+    beats_bin = np.array([400.0 / WAVEFORM.range_bin_m, 0.0, 400.0 / WAVEFORM.range_bin_m])
+    beats_bin += 12.0 / WAVEFORM.speed_bin_mps * np.array([-1.0, 1.0, 1.0])
+    wrong = (np.abs(peaks_bin - np.abs(beats_bin)) > 10.0).any(axis=-1)
+    assert wrong.mean() > 0.1
+    assert wind_mps > 0.0 or wrong.mean() < 0.9
+    source = false_targets(model, found.segment_peak_hz, ground, speed_mps, air_speed_mps=air_mps)
+    np.testing.assert_array_equal(source, np.where(wrong, FalseTarget.HAZE, FalseTarget.NONE))
+    clear = false_targets(model, found.segment_peak_hz, ground, speed_mps)
+    assert (clear == FalseTarget.NONE).all()
+
+
+def test_a_noise_peak_far_out_in_thin_haze_has_no_source() -> None:
+    model, shots = model_of(1e-9, 1e-4), 1000
+    one = np.ones((shots, 1))
+    at_bin = np.linspace(100.0, 3000.0, shots)[:, None]
+    peaks_hz = np.stack([at_bin, at_bin, at_bin], axis=-1) * WAVEFORM.bin_width_hz
+    source = false_targets(model, peaks_hz, 4000.0 * one, 0.0 * one, air_speed_mps=0.0 * one)
+    assert (source == FalseTarget.NONE).all()
 
 
 def test_bits_do_not_depend_on_the_block() -> None:

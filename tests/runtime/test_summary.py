@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lidar_emu.cli.summary_lines import beam_lines
+from lidar_emu.fmcw.false_targets import FalseTarget
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus
 from lidar_emu.runtime.summary import Tally
@@ -60,6 +62,20 @@ def test_counts_of_shots_and_of_their_errors():
     }
     for name, value in expected.items():
         np.testing.assert_allclose(reported["range_error_m"][name], value, rtol=1e-12, err_msg=name)
+
+
+def test_false_targets_are_counted_among_valid_measurements():
+    run = simulate(load("dust_storm", {"duration_s": "2"}))
+    tally = Tally(Pace.MAX)
+    for block in (run.part(0, 7), run.part(7, len(run))):
+        tally.add_measurement(block)
+    reported = tally.to_json()
+    of_haze = int(np.count_nonzero(run.range_valid & (run.true_peak_source == FalseTarget.HAZE)))
+    assert of_haze > 50
+    assert reported["false_targets"] == {"haze": of_haze}
+    valid = sum(counts["valid"] for counts in reported["beams"])
+    share = f"{100 * of_haze / valid:.1f}"
+    assert beam_lines(reported)[-1] == f"false      haze in {share} % of valid measurements"
 
 
 def test_pace_max_knows_no_lateness():

@@ -135,8 +135,16 @@ def shot_lines(summary: dict[str, Any], planned: str = "") -> list[str]:
 
 
 def beam_lines(summary: dict[str, Any]) -> list[str]:
-    """Validity of each beam's measurements."""
-    return [f"beam {beam:<6}{_reasons(counts)}" for beam, counts in enumerate(summary["beams"])]
+    """Validity of each beam's measurements, and false targets."""
+    lines = [f"beam {beam:<6}{_reasons(counts)}" for beam, counts in enumerate(summary["beams"])]
+    if summary["false_targets"]:
+        valid = sum(counts.get("valid", 0) for counts in summary["beams"])
+        shares = [
+            f"{name.replace('_', ' ')} in {100 * count / valid:.1f} %"
+            for name, count in summary["false_targets"].items()
+        ]
+        lines.append(f"false      {', '.join(shares)} of valid measurements")
+    return lines
 
 
 def error_line(summary: dict[str, Any], name: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from math import log
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.fmcw.beat_tones import signed_bin
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 
 _NEAR_BINS = 3.0
@@ -31,11 +32,13 @@ class FalseTarget(IntEnum):
     """Side line of the surface's line by a periodic non-linearity of the chirps."""
     LEAKAGE = 3
     """Echo of another beam."""
+    HAZE = 4
+    """Backscatter of the atmosphere."""
 
 
 def has_false_targets(model: ReceiverModel) -> bool:
     """Whether a receiver has a source of false targets."""
-    return model.back_reflection.snr > 0.0 or model.ripple.largest_index > 0.0
+    return model.back_reflection.snr > 0.0 or model.ripple.largest_index > 0.0 or model.haze.snr_per_m > 0.0
 
 
 def false_targets(
@@ -44,23 +47,30 @@ def false_targets(
     range_m: FloatArray,
     closing_speed_mps: FloatArray,
     leakage: bool = False,
+    air_speed_mps: FloatArray | None = None,
 ) -> NDArray[np.uint8]:
     """Find the source of a peak that lies nearer to its line than to the surface's, in any segment.
+
+    A peak in the band of haze before the surface is its own where haze makes it at least twice as likely as noise does.
 
     Args:
         model: from `build_receiver`.
         segment_peak_hz: (shots, beams, 3) frequencies of the strongest peaks; NaN where there is none.
         range_m, closing_speed_mps: (shots, beams) truth at the time of validity; NaN where there is no surface.
         leakage: whether beams receive the echoes of others.
+        air_speed_mps: (shots, beams) closing speed of the air; None marks no haze.
 
     Returns:
         (shots, beams) codes of `FalseTarget`.
     """
     found = np.zeros(range_m.shape, dtype=np.uint8)
+    hazy = np.zeros(range_m.shape, dtype=bool)
     for segment in range(3):
         peak_bin = segment_peak_hz[..., segment] / model.bin_width_hz
         then_m = range_m - (segment - 1) * model.segment_records * model.record_time_s * closing_speed_mps
         surface = _observed(model, segment, then_m, closing_speed_mps)
+        if air_speed_mps is not None:
+            hazy |= _is_haze(model, segment, peak_bin, surface, range_m, air_speed_mps)
         if leakage:
             others = np.abs(peak_bin[..., None] - surface[:, None, :])
             near = (others <= _FOOTPRINT_BINS).any(axis=-1)
@@ -79,7 +89,36 @@ def false_targets(
         away = np.abs(peak_bin - reflection)
         nearer = ~(np.abs(peak_bin - surface) <= away)
         found[(away <= _NEAR_BINS) & nearer] = FalseTarget.BACK_REFLECTION
+    found[hazy & (found == FalseTarget.NONE)] = FalseTarget.HAZE
     return found
+
+
+def _is_haze(
+    model: ReceiverModel,
+    segment: int,
+    peak_bin: FloatArray,
+    surface_bin: FloatArray,
+    range_m: FloatArray,
+    air_speed_mps: FloatArray,
+) -> BoolArray:
+    """Whether the peaks of a segment are the haze's: in its band in a chirp, on its line in the constant segment."""
+    beside = np.abs(peak_bin - surface_bin)
+    if segment == 1:
+        away = np.abs(peak_bin - _observed(model, 1, np.zeros(()), air_speed_mps))
+        return np.asarray((away <= _NEAR_BINS) & ~(beside <= away))
+    signed: Any = interpreted(signed_bin)
+    zero_bin = signed(model, segment, 0.0, air_speed_mps)
+    end_m = np.where(np.isnan(range_m), np.inf, range_m) - _FOOTPRINT_BINS / model.beat_bin_per_m
+    end_m = np.minimum(end_m, model.record_edge_range_m)
+    length, power = model.fft_length, np.zeros(range_m.shape)
+    for beat_bin in (peak_bin, -peak_bin, peak_bin - length, length - peak_bin):
+        r = (beat_bin - zero_bin) / model.beat_bin_per_m
+        spread = 1.0 + (r / model.haze.rayleigh_range_m) ** 2
+        density = np.exp(-2.0 * model.haze.extinction_per_m * np.maximum(r, 0.0)) / spread
+        power += np.where((r * model.beat_bin_per_m > -1.0) & (r < end_m), density, 0.0)
+    power *= model.haze.snr_per_m / model.beat_bin_per_m
+    likelier = model.looks * model.threshold * power / (1.0 + power) > log(2.0)
+    return np.asarray(likelier & ~(beside <= _FOOTPRINT_BINS))
 
 
 def _observed(

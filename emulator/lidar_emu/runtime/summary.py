@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from lidar_emu.fmcw.false_targets import FalseTarget
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
@@ -61,6 +62,8 @@ class Tally:
     range_error_m: ErrorStatistics = field(default_factory=ErrorStatistics)
     speed_error_mps: ErrorStatistics = field(default_factory=ErrorStatistics)
     reasons: list[Counter[int]] = field(default_factory=list)
+    false_targets: Counter[int] = field(default_factory=Counter)
+    """Valid measurements with a peak that is not the surface's, by its source."""
     faults: Counter[str] = field(default_factory=Counter)
     """Shots that a fault affected, by its kind."""
     silent: int = 0
@@ -74,6 +77,9 @@ class Tally:
             self.reasons = [Counter() for _ in range(block.beam_count)]
         for beam, counts in enumerate(self.reasons):
             counts.update(block.reason[:, beam].tolist())
+        self.false_targets.update(
+            block.true_peak_source[block.range_valid & (block.true_peak_source > 0)].tolist()
+        )
 
     def add_report(self, report: DeliveryReport, silent: bool = False) -> None:
         """Count the delivery status of a packet; `silent`: the device sent none."""
@@ -123,6 +129,9 @@ class Tally:
                 {Reason(code).name.lower(): count for code, count in sorted(counts.items())}
                 for counts in self.reasons
             ],
+            "false_targets": {
+                FalseTarget(code).name.lower(): count for code, count in sorted(self.false_targets.items())
+            },
             "faults": {
                 "shots": dict(sorted(self.faults.items())),
                 "suppressed": self.statuses[DeliveryStatus.SUPPRESSED] - self.silent,

@@ -21,6 +21,7 @@ from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.plan.flight import plan_flight
 from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.faults import Fault
@@ -161,14 +162,14 @@ class FlightModel:
             true_closing_speed_mps=true_closing_mps,
             true_incidence_deg=true_incidence_deg,
             true_in_gap=pointing.in_gap,
-            true_peak_source=self._false_targets(returns, axis_hits, true_closing_mps),
+            true_peak_source=self._false_targets(pointing, returns, axis_hits, true_closing_mps),
             point_site_m=point_site_m,
             position_site_m=pointing.position_site_m,
             velocity_site_mps=pointing.velocity_site_mps,
         )
 
     def _false_targets(
-        self, returns: Returns, axis_hits: Hits, true_closing_mps: FloatArray
+        self, pointing: Pointing, returns: Returns, axis_hits: Hits, true_closing_mps: FloatArray
     ) -> NDArray[np.uint8]:
         """(shots, beams) Codes of `FalseTarget`."""
         if self.false_target_model is None:
@@ -179,7 +180,15 @@ class FlightModel:
             axis_hits.range_m,
             true_closing_mps,
             self.leakage_db is not None,
+            self._air_speed_mps(pointing),
         )
+
+    def _air_speed_mps(self, pointing: Pointing) -> FloatArray | None:
+        """(shots, beams) Closing speed of the haze along the true axes; None without haze."""
+        air = self.scenario.site.atmosphere
+        if air is None or air.backscatter_per_m_sr == 0.0:
+            return None
+        return np.asarray(dot(pointing.sensor_velocity_site_mps - np.array(air.wind_mps), pointing.true_site))
 
 
 def _false_target_model(scenario: FlightScenario) -> ReceiverModel | None:
@@ -187,6 +196,9 @@ def _false_target_model(scenario: FlightScenario) -> ReceiverModel | None:
     if scenario.level == "geometric":
         return None
     model = build_receiver(scenario.instrument, scenario.site)
+    if scenario.level == "waveform" and scenario.waveform_echo == "beamlets":
+        # These have no light of the haze.
+        model = model._replace(haze=model.haze._replace(snr_per_m=0.0))
     found = has_false_targets(model) or scenario.instrument.optics.leakage_db is not None
     return model if found else None
 
