@@ -70,6 +70,7 @@ def test_its_power_is_that_of_an_echo() -> None:
         assert (returns.reason == Reason.NO_SURFACE).all()
 
 
+@pytest.mark.slow
 def test_a_mask_leaves_the_echo_as_it_is() -> None:
     masked = _instrument(-90.0, window="hamming", lowest_beat_hz=80e3)
     undisturbed = _instrument(None)

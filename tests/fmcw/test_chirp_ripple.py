@@ -75,6 +75,7 @@ def test_chirps_lock_onto_the_strongest_side_line() -> None:
         assert (unmoved == FalseTarget.NONE).all()
 
 
+@pytest.mark.slow
 def test_a_slow_ripple_moves_the_peak() -> None:
     """By 2A sin(πf_mτ) times the transform of the estimator's weights on the frequency, the square of a Hann window."""
     frequency_hz, index, shots = 2e3, 0.5, 600

@@ -59,6 +59,7 @@ def test_beats_scatter_by_the_closed_form(error: str, statistical: bool, in_turn
         assert np.corrcoef(values.T)[0, 1] == pytest.approx(0.0 if in_turn else 1.0, abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", ERRORS)
 def test_records_of_such_a_laser_scatter_alike(error: str) -> None:
     instrument, shots = plain(SHORT | ERRORS[error], **FINE), 600

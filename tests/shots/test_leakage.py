@@ -21,7 +21,7 @@ INSTRUMENT = plain(SHORT, peak="hann").model_copy(update={"optics": Optics(leaka
 MODEL = build_receiver(INSTRUMENT)
 
 
-@pytest.mark.parametrize("from_samples", [False, True])
+@pytest.mark.parametrize("from_samples", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_beam_without_an_echo_measures_the_other_beam(from_samples: bool) -> None:
     shots = 300
     range_m, power_w = np.empty((shots, 2, 1)), np.zeros((shots, 2, 1))
