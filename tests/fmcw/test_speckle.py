@@ -50,7 +50,7 @@ def test_weights_are_circular_gaussian_numbers() -> None:
 
 
 def _correlation(x: float) -> float:
-    """Of the weights cos²(πx/3) √(8/9) within 3/2, with themselves."""
+    """Autocorrelation of the weights cos²(πx/3) √(8/9) within 3/2."""
     place = np.linspace(-3, 3, 6001)
     weight = np.sqrt(8 / 9) * np.cos(np.pi * place / 3) ** 2 * (abs(place) <= 1.5)
     return float(np.trapezoid(weight * np.interp(place - x, place, weight, 0, 0), place))

@@ -20,7 +20,7 @@ class Peaks(NamedTuple):
     """Peaks of the three records, (shots, 3): three Hann bins about the highest Hamming bin."""
 
     error_bin: np.ndarray
-    """Error of the signed beat: that of the up-chirp falls as the Doppler shift grows."""
+    """Error of the signed beat. The up-chirp's beat falls as the Doppler shift grows."""
     variance_bin2: np.ndarray
     """Variance of the error by noise."""
     quadrature_bin: np.ndarray

@@ -9,10 +9,10 @@ from lidar_emu.numerics.arrays import FloatArray
 
 
 def leaked(echoes: Echoes, leakage_db: float) -> Echoes:
-    """Append the beamlets of all other beams that fire to those of each beam, with this share of their power.
+    """Append to each beam's beamlets the beamlets of all other beams that fire, with this share of their power.
 
-    They share the beam's acceleration and smear, and their speckle is their own: it is independent of the other
-    beam's, of which one beam does not know.
+    The copies have the acceleration and the smear of the beam that receives them. Their speckle is independent of the
+    other beam's.
     """
     beams = echoes.fired.shape[1]
     others = np.array([[other for other in range(beams) if other != b] for b in range(beams)], dtype=int)

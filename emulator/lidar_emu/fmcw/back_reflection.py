@@ -1,7 +1,7 @@
 """Back-reflection of window and optics: a steady line at the beat of a short range, in the chirps alone.
 
 It stays where it is, so that the constant segment has it at frequency 0, and its delay is too short for the laser's
-phase noise. Its phase is that of an interferometer, drawn for each record.
+phase noise. Its interferometric phase is drawn for each record.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ def peak(
     """Offset from column `j` of the tone that has its peak there, and the estimate's variance.
 
     Within two bins of 0 and N/2, where a tone's own image biases every formula by up to half a bin, the variance
-    is that of a rounded bin at least.
+    is at least a rounded bin's.
 
     Args:
         method: one of PEAK_METHODS.

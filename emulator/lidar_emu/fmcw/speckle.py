@@ -2,8 +2,8 @@
 
 The numbers are a random field over the position of the footprint, so that any shot can be computed alone: independent
 Gaussian numbers at the corners of a lattice, interpolated along each axis with the weights cos²(πx/3) √(8/9) of the
-three nearest corners at distances x. Their squares sum to 1, and those of their slopes to 4π²/27 at any place. Averaged
-over the cell, the correlation over a distance x in pitches is
+three nearest corners at distances x. The squares of the weights sum to 1 at any place, and the squares of their
+slopes to 4π²/27. Averaged over the cell, the correlation over a distance x in pitches is
 
     2/9 [(3 - |x|) (1 + ½ cos(2πx/3)) + 9/(4π) sin(2π|x|/3)] for |x| < 3,
 

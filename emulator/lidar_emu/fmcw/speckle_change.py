@@ -43,7 +43,6 @@ _FARTHEST = np.array([way for _, _, way in _CHANGES])
 LINE_BIN2 = PITCH_W**2 / (2.0 * np.pi**2)
 """Variance of the line's frequencies in bins² for a way of one pitch per record: (V⊥ T/(π √2 w))²."""
 
-
 _LEAST_WAY = 1e-6
 """Way in pitches per record in which the field changes by rounding."""
 

@@ -61,6 +61,7 @@ _MOST_PEDESTAL = 0.02
 """Power of a bin beside the line by the laser's phase, relative to the line, above which widths say nothing."""
 
 _MOST_DRIFT = 30.0
+"""Limit of the phase drift, at which no line is left."""
 
 _LINE_POWER = 1.4
 """Power of the line's bin for this comparison, as the mean noise power of both quadratures is 2: less by straddling."""
@@ -70,7 +71,6 @@ _PEDESTAL_WIDTH = 0.09
 
 _MOST_EXPONENT = 15.0
 """Exponent beyond which a probability is 0."""
-"""Limit of the phase drift, at which no line is left."""
 
 
 class VarianceLaw(NamedTuple):

@@ -32,11 +32,10 @@ from lidar_emu.numerics.random_streams import NOISE_BINS
 from lidar_emu.numerics.sine import sin_pi
 
 _NARROW_BIN2 = 0.1
-"""Second moment below which the bins around a peak look like those of a single tone (`peak_shape.width_bin2`)."""
+"""Second moment below which `peak_shape.width_bin2` does not distinguish a line from a single tone."""
 
 _FAR_BIN = 0.25
 """A step this far from the centre of power is followed by a second one: bins beyond the three may be higher."""
-
 
 _APART_BINS = 1.5
 """Lines nearer to the footprint's are one target with it."""
