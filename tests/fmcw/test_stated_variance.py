@@ -58,6 +58,13 @@ def test_sigma_of_speckle_within_a_record(speed_mps: float, snr_db: float) -> No
     assert 0.8 < robust(score[:, 1]) < 1.3
 
 
+def test_noise_alone_is_seldom_taken_for_speckle() -> None:
+    """The same fade in all records leaves noise, which three quadratures exceed by chance."""
+    score = _scores(peaks(0.0, 10**4.2, 4000))
+    assert 0.92 < robust(score[:, 0]) < 1.08
+    assert 0.92 < robust(score[:, 1]) < 1.08
+
+
 def test_quadrature_is_distributed_like_the_error() -> None:
     for speed_mps, snr in ((0.0, 1e3), (20.0, 1e4), (40.0, 1e2)):
         found = peaks(speed_mps, snr, 4000)

@@ -11,7 +11,8 @@ A frequency's variance is the sum of
 * the width of a line beyond a bin: a share of the median second moment around the peaks.
 
 Slow speckle is the same in the three records. Its error is a Doppler shift that all three share, and leaves the range
-alone: the share of the error that is common falls with the width of the line that the excess shows.
+alone: the share of the error that is common falls with the width of the line that the excess shows. The three
+quadratures then agree, unless the middle of a fade is between them: noise seldom has a mean so far from 0.
 
 Three quadratures determine a variance as badly as three measurements would, and a single one if they are alike. In
 speckle errors over their standard deviation are therefore distributed like Student's t. The constants make the robust
@@ -48,8 +49,9 @@ _NOISE_SHARE = 0.88
 _LEAST_EXCESS, _EXCESS_FACTOR = 1.25, 2.0
 """F from which the variances of the frequencies grow, and how much they grow by."""
 
-_LEAST_COMMON_EXCESS, _COMMON_FACTOR = 1.5, 3.0
-"""The same for the error in common."""
+_LEAST_COMMON, _COMMON_FACTOR, _COMMON_NOISE = 3.0, 3.0, 0.5
+"""The error in common counts where F, or the squared mean of the quadratures over its variance by noise, is larger, as
+it is by chance in one measurement of twelve. The factor applies to F less the third constant."""
 
 _COMMON_LINE_BINS = 0.04
 """Width of a line whose error is common to the segments by half."""
@@ -187,13 +189,14 @@ def state_variances(law: VarianceLaw, mask: int, targets: NDArray[Any]) -> float
     line = line_bin2(law, out_of_phase, in_phase)
     narrow = out_of_phase + in_phase < _MOST_PEDESTAL
     in_phase *= law.quadrature_line_bin2
-    segments, squares, inverse = 0, 0.0, 0.0
+    segments, squares, weighted, inverse = 0, 0.0, 0.0, 0.0
     narrowest, widest, width = np.inf, 0.0, 0.0
     for segment in range(3):
         if mask & (1 << segment):
             target = targets[segment]
             noise = target.quadrature_variance_bin2 + in_phase
             squares += target.quadrature_bin**2 / noise
+            weighted += target.quadrature_bin / noise
             inverse += 1.0 / noise
             segments += 1
             narrowest, widest = min(narrowest, target.width_bin2), max(widest, target.width_bin2)
@@ -216,7 +219,9 @@ def state_variances(law: VarianceLaw, mask: int, targets: NDArray[Any]) -> float
             if law.quantised:
                 noise = target.variance_bin2 + target.quadrature_variance_bin2
             target.variance_bin2 = noise + line + sweep_bin2_at(law, segment, range_bin) + speckle
-    return _COMMON_FACTOR * common * max(over_noise - _LEAST_COMMON_EXCESS, 0.0) * mean_noise
+    if max(over_noise, weighted**2 / inverse) < _LEAST_COMMON:
+        return 0.0
+    return _COMMON_FACTOR * common * max(over_noise - _COMMON_NOISE, 0.0) * mean_noise
 
 
 @kernel
