@@ -16,6 +16,7 @@ from lidar_emu.faults.schedule import FaultInstance, FaultOccurrence
 from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import Pointing
 from lidar_emu.fmcw.fidelity_levels import Level
+from lidar_emu.fmcw.receiver import FmcwReceiver
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import BoolArray
 from lidar_emu.scenario.faults import physics as kinds
@@ -68,7 +69,11 @@ class PhysicsFaults:
             found = Finding(f"{len(receivers)} faults of the receiver")
             raise InputError(scenario.name, "faults", found, f"allowed: at most {_MAXIMUM_RECEIVER_FAULTS}")
         self._light = LightFaults(light, scenario, flight)
-        self.level = FaultyReceivers(receivers, scenario, level) if receivers else level
+        self.level = level
+        if receivers:
+            # `_check` admits their faults at the levels of this receiver alone.
+            assert isinstance(level, FmcwReceiver)
+            self.level = FaultyReceivers(receivers, scenario, level)
 
     def tilted(self, pointing: Pointing, shot: NDArray[np.int64]) -> Pointing:
         """Pointing with misaligned true directions; published directions are unchanged."""

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.faults.schedule import FaultInstance
-from lidar_emu.fmcw.fidelity_levels import Level
 from lidar_emu.fmcw.receiver import FmcwReceiver
-from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_faults import decimated, noisier, with_opposite_doppler_sign, without_segments
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes, Returns
@@ -28,19 +26,16 @@ class FaultyReceivers:
 
     Args:
         faults: faults in the order in which they act.
-        scenario: scenario with level `statistical` or `spectral`.
+        scenario: scenario with the faults.
         sound: receiver without faults.
     """
 
-    def __init__(self, faults: Sequence[FaultInstance], scenario: FlightScenario, sound: Level) -> None:
+    def __init__(
+        self, faults: Sequence[FaultInstance], scenario: FlightScenario, sound: FmcwReceiver
+    ) -> None:
         self._faults = faults
         self._scenario = scenario
-        statistical = scenario.level == "statistical"
-        in_turn = scenario.scanner.firing == "in_turn"
-        self._model = build_receiver(
-            scenario.instrument, scenario.site, scenario.tolerated_share, statistical, in_turn
-        )
-        self._receivers: dict[int, Level] = {0: sound}
+        self._receivers = {0: sound}
         # Built before the run for each single fault; combinations are built when they first occur.
         for bit in range(len(faults)):
             self._receiver(1 << bit)
@@ -59,10 +54,10 @@ class FaultyReceivers:
     def _only(self, echoes: Echoes, beams: BoolArray) -> Echoes:
         return echoes if beams.all() else echoes._replace(fired=echoes.fired & beams)
 
-    def _receiver(self, acting: int) -> Level:
+    def _receiver(self, acting: int) -> FmcwReceiver:
         """Receiver with the faults whose bits are set."""
         if acting not in self._receivers:
-            model = self._model
+            model = self._receivers[0].model
             for bit, each in enumerate(self._faults):
                 if acting >> bit & 1:
                     model = _faulty(model, each.fault, self._scenario)

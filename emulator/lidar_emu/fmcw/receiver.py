@@ -36,7 +36,7 @@ class FmcwReceiver:
     """
 
     def __init__(self, model: ReceiverModel, seed: int) -> None:
-        self._model = model
+        self.model = model
         self._records = as_record(model)
         self._seed = np.uint64(seed)
         # The type checker cannot analyse kernels.
@@ -65,7 +65,7 @@ class FmcwReceiver:
 
     def _reserve(self, echoes: Echoes) -> None:
         """Enlarge the workspaces to the size that these echoes need."""
-        model, beamlets = self._model, echoes.range_m.shape[2]
+        model, beamlets = self.model, echoes.range_m.shape[2]
         level = self._highest_level(self._records, echoes.speckle_drift_per_s)
         taps = 0
         if not model.statistical:
