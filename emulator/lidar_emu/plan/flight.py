@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from lidar_emu.echo.echoes import compute_echoes
-from lidar_emu.echo.spectral_spread import spread_bins
+from lidar_emu.echo.spectral_spread import Spread, spread_bins
 from lidar_emu.flight.flight import Flight, sensor_height_m
 from lidar_emu.flight.pointing import Pointing
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.skip_limits import variance_share
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.faults import planned_faults
 from lidar_emu.plan.ground import plan_objects, plan_parts
 from lidar_emu.plan.least_sigma import beat_variance_bin2, least_sigma
 from lidar_emu.plan.motion import (
+    MotionExtremes,
     largest,
     least_cosine,
     plan_curvature,
     plan_delay,
     plan_lag,
+    plan_steady_motion,
     plan_unknown_curvature,
     sweep_motion,
 )
@@ -51,15 +54,14 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
         return _plan_unknown(scenario, flight)
     pointing, hits = _sample_flight(flight)
     echoes = compute_echoes(scenario.instrument, scenario.site, flight, 1, pointing, hits)
-    footprint, beamlets = _footprint(scenario, pointing, hits, echoes)
-    motion = sweep_motion(flight, hits, least_cosine(pointing, hits))
-    curvature, follows_chirps = plan_curvature(scenario, motion, least_sigma(scenario, echoes))
-    lag, receiving_lag = plan_lag(scenario, motion, hits)
-    delay = plan_delay(echoes, motion, scenario.instrument.waveform.segment_time_s)
-    leakage = plan_leakage(scenario, echoes)
-    # Scatterers are computed on the exact motion, whatever the plan.
-    measured = scenario.level != "geometric" and scenario.waveform_echo == "beamlets"
+    variance_bin2 = beat_variance_bin2(scenario, echoes)
     spread = spread_bins(scenario.instrument, pointing, hits)
+    footprint, beamlets = _footprint(scenario, spread, variance_bin2)
+    effects = _NO_EFFECTS
+    # Level geometric has none, and scatterers are computed with all of them, whatever the plan.
+    if scenario.level != "geometric" and scenario.waveform_echo == "beamlets":
+        motion = sweep_motion(flight, hits, least_cosine(pointing, hits))
+        effects = _plan_effects(scenario, motion, hits, echoes, variance_bin2)
     operations = None
     if scenario.waveform_echo == "beamlets":
         operations = count_operations(scenario, flight.shot_count, echoes, spread, beamlets)
@@ -68,12 +70,45 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
         _air(scenario),
         *_dust(scenario, float(np.min(sensor_height_m(pointing, hits)))),
         footprint,
-        *plan_receiver(scenario, echoes, motion),
-        *([curvature, lag, delay, leakage] if measured else []),
+        *plan_receiver(scenario, echoes),
+        *effects.decisions,
         *planned_faults(scenario),
         _run_time(operations, flight.shot_count * flight.period_ns * 1e-9),
     )
-    return Plan(decisions, beamlets, follows_chirps and measured, receiving_lag, leakage.computed, operations)
+    return Plan(
+        decisions, beamlets, effects.follows_chirps, effects.receiving_lag, effects.leakage, operations
+    )
+
+
+class _Effects(NamedTuple):
+    """Effects of motion, and between beams, on the echoes of beamlets."""
+
+    decisions: tuple[Decision, ...]
+    follows_chirps: bool
+    receiving_lag: bool
+    leakage: bool
+
+
+_NO_EFFECTS = _Effects((), False, False, False)
+
+
+def _plan_effects(
+    scenario: FlightScenario,
+    motion: MotionExtremes,
+    hits: Hits,
+    echoes: Echoes,
+    variance_bin2: FloatArray,
+) -> _Effects:
+    """Decide on the effects, from the largest motion of the flight and its sampled hits and echoes."""
+    waveform = scenario.instrument.waveform
+    curvature, follows_chirps = plan_curvature(
+        scenario, motion, least_sigma(scenario.instrument, variance_bin2)
+    )
+    lag, receiving_lag = plan_lag(scenario, motion, hits)
+    delay = plan_delay(echoes, motion, waveform.segment_time_s)
+    leakage = plan_leakage(scenario, echoes)
+    decisions = plan_steady_motion(waveform, motion), curvature, lag, delay, leakage
+    return _Effects(decisions, follows_chirps, receiving_lag, leakage.computed)
 
 
 def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
@@ -230,9 +265,7 @@ def _switching(flight: Flight) -> list[Decision]:
     return [Decision("ground altitude", False, "-", "no pattern switch uses it", "exact")]
 
 
-def _footprint(
-    scenario: FlightScenario, pointing: Pointing, hits: Hits, echoes: Echoes
-) -> tuple[Decision, int]:
+def _footprint(scenario: FlightScenario, spread: Spread, variance_bin2: FloatArray) -> tuple[Decision, int]:
     """Decide how many beamlets represent the footprint.
 
     One beamlet has the whole line by motion across the beam, and no depth. It suffices if the depth adds little to the
@@ -249,14 +282,13 @@ def _footprint(
         return Decision("footprint", False, "1 beamlet", "the instrument has one", "as specified"), 1
     if not scenario.site.is_smooth:
         return Decision("footprint", True, f"{beamlets} beamlets", "ground slopes vary", "sampled"), beamlets
-    spread = spread_bins(scenario.instrument, pointing, hits)
     speckle = scenario.instrument.optics.speckle
     # Without speckle nothing wanders, and one beamlet has no width at all.
     by_motion = spread.variance(0.0, 1.0) if speckle else 0.0
     by_depth = np.maximum(
         np.abs(spread.variance(1.0, 1.0) - by_motion), np.abs(spread.variance(1.0, -1.0) - by_motion)
     )
-    share = 0.5 * by_depth / beat_variance_bin2(scenario, echoes)
+    share = 0.5 * by_depth / variance_bin2
     width_bins = float(np.sqrt(largest(by_depth)))
     grown = float(np.nanmax(share, initial=0.0)) if speckle else 0.0
     reason = f"its depth spreads beats by at most {width_bins:.2g} bin, {50 * grown:.2g} % of sigma"

@@ -16,6 +16,7 @@ from lidar_emu.fmcw.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.speckle_change import LINE_BIN2
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.schema import FlightScenario
 
 
@@ -37,10 +38,10 @@ def beat_variance_bin2(scenario: FlightScenario, echoes: Echoes) -> FloatArray:
     return np.asarray(variance / instrument.detection.looks)
 
 
-def least_sigma(scenario: FlightScenario, echoes: Echoes) -> tuple[float, float]:
-    """Least standard deviations of range in m and closing speed in m/s of any beam; 0 without light."""
-    instrument = scenario.instrument
-    least = float(np.nanmin(beat_variance_bin2(scenario, echoes), initial=np.inf))
+def least_sigma(instrument: Instrument, variance_bin2: FloatArray) -> tuple[float, float]:
+    """Least standard deviations of range in m and closing speed in m/s of beams whose beats have these variances; 0
+    without light."""
+    least = float(np.nanmin(variance_bin2, initial=np.inf))
     weights = BEAT_WEIGHTS[COMBINE_METHODS[instrument.detection.combine]]
     range_m, speed_mps = np.sqrt(least * (weights**2).sum(axis=-1).min(axis=0))
     if not np.isfinite(least):

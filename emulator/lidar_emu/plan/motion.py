@@ -104,6 +104,15 @@ def least_cosine(pointing: Pointing, hits: Hits) -> float:
     return max(float(np.nanmin(cosine, initial=1.0)), LEAST_COSINE)
 
 
+def plan_steady_motion(waveform: Waveform, motion: MotionExtremes) -> Decision:
+    """State the range error by the steady change of the closing speed from segment to segment."""
+    fastest_mps2 = motion.acceleration_mps2
+    # Between up- and down-chirp the speed changes by 2 T a, which causes a range error.
+    bias_m = waveform.range_per_speed_s * waveform.segment_time_s * fastest_mps2
+    reason = f"{fastest_mps2:.3g} m/s² makes {bias_m:.2g} m of range error, short while decelerating"
+    return Decision("motion in a shot", True, "each segment's own time", reason, "exact for steady rates")
+
+
 def plan_curvature(
     scenario: FlightScenario, motion: MotionExtremes, least_sigma: tuple[float, float]
 ) -> tuple[Decision, bool]:

@@ -23,7 +23,7 @@ from lidar_emu.fmcw.skip_limits import (
 )
 from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.numerics.kernels import interpreted
-from lidar_emu.plan.motion import MotionExtremes, largest
+from lidar_emu.plan.motion import largest
 from lidar_emu.plan.plan import Decision, at_most
 from lidar_emu.scenario.ambiguity import folded_range, folded_speed
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Instrument, Waveform
@@ -36,7 +36,7 @@ LINE_BOUND_POWER = 0.03
 """Change of an echo's power by the laser linewidth that is left out: four sigma."""
 
 
-def plan_receiver(scenario: FlightScenario, echoes: Echoes, motion: MotionExtremes) -> list[Decision]:
+def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
     """Decide the receiver's stages from echoes sampled along the flight, with one beamlet per beam."""
     if scenario.level == "geometric":
         return [
@@ -56,7 +56,6 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes, motion: MotionExtrem
     return [
         level,
         folds,
-        _motion(scenario.instrument.waveform, motion),
         _smear(scenario, echoes),
         _line(scenario, echoes),
         _sweep(scenario, echoes),
@@ -127,14 +126,6 @@ def _choice_of_folds(detection: Detection) -> str:
     if detection.combine == "least_squares":
         return "the signs of least residual"
     return "the published detector ignores folds and errs there"
-
-
-def _motion(waveform: Waveform, motion: MotionExtremes) -> Decision:
-    fastest_mps2 = motion.acceleration_mps2
-    # Between up- and down-chirp the speed changes by 2 T a, which causes a range error.
-    bias_m = waveform.range_per_speed_s * waveform.segment_time_s * fastest_mps2
-    reason = f"{fastest_mps2:.3g} m/s² makes {bias_m:.2g} m of range error, short while decelerating"
-    return Decision("motion in a shot", True, "each segment's own time", reason, "exact for steady rates")
 
 
 def _smear(scenario: FlightScenario, echoes: Echoes) -> Decision:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from lidar_emu.echo.spectral_spread import Spread
+from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import BoolArray
 from lidar_emu.numerics.records import as_record
@@ -42,15 +43,12 @@ def count_operations(
     lit = fired & np.isfinite(echoes.range_m[..., 0])
     measured = shots * lit.mean() * lit.shape[1]
     count = {"beams": beams, "rays": beams * beamlets}
-    level, records = scenario.level, 3.0 * scenario.instrument.detection.looks
+    level = scenario.level
     each = {}
     if level == "waveform":
         each = _waveform(scenario, echoes, beamlets)
-    elif level == "spectral" and lit.any():
-        each = _spectral(scenario, echoes, spread, beamlets, lit)
-    elif level == "statistical":
-        tones = _padded(beamlets) * _tones_per_beamlet(scenario, echoes, beamlets, lit)
-        each = {"records": records, "tones": records * tones}
+    elif level != "geometric" and lit.any():
+        each = _frequencies(scenario, echoes, spread, beamlets, lit)
     if scenario.plume is not None and level != "geometric":
         each["parcels of dust"] = float(_DUST_BEAMLETS)
     return Operations(count | {kind: measured * number for kind, number in each.items()})
@@ -63,18 +61,36 @@ def _padded(beamlets: int) -> int:
     return -(-(beamlets + 1) // TONES_PER_DIVISION) * TONES_PER_DIVISION
 
 
-def _spectral(
+def _frequencies(
     scenario: FlightScenario, echoes: Echoes, spread: Spread, beamlets: int, lit: BoolArray
 ) -> dict[str, float]:
-    """Operations of a beam measurement, mean over the sampled beams."""
+    """Operations of a beam measurement at level statistical or spectral, mean over the sampled beams."""
+    from lidar_emu.fmcw.receiver_constants import build_receiver
+
+    model = build_receiver(scenario.instrument, scenario.site, scenario.tolerated_share)
+    records = 3.0 * model.looks
+    each = _tones_per_beamlet(scenario, model, echoes, beamlets, lit)
+    count = {"records": records, "tones": records * each * _padded(beamlets)}
+    if scenario.level == "spectral":
+        count |= _bins(scenario, model, echoes, spread, beamlets, lit, each)
+    return count
+
+
+def _bins(
+    scenario: FlightScenario,
+    model: ReceiverModel,
+    echoes: Echoes,
+    spread: Spread,
+    beamlets: int,
+    lit: BoolArray,
+    each: float,
+) -> dict[str, float]:
+    """Operations on the bins of a spectrum, for `each` tones of a beamlet."""
     from lidar_emu.fmcw.bin_filter import set_widest_filters
     from lidar_emu.fmcw.motion_smear import LEAST_TAPS, integral_nodes
-    from lidar_emu.fmcw.receiver_constants import build_receiver
     from lidar_emu.fmcw.spectrum import REACH
 
-    instrument, waveform = scenario.instrument, scenario.instrument.waveform
-    looks = instrument.detection.looks
-    model = build_receiver(instrument, scenario.site, scenario.tolerated_share)
+    waveform, looks = scenario.instrument.waveform, model.looks
     range_m, speed_mps = echoes.range_m[..., 0][lit], echoes.closing_speed_mps[..., 0][lit]
     smear_mps2 = np.nan_to_num(echoes.smear_acceleration_mps2[lit])
     power_w = echoes.power_w[..., 0][lit]
@@ -88,7 +104,6 @@ def _spectral(
     width += abs(echoes.closing_acceleration_mps2[lit]) * lasting_s / waveform.speed_bin_mps
     if beamlets > 1:
         width += _EXTENT_RMS * spread.widest()[lit]
-    each = _tones_per_beamlet(scenario, echoes, beamlets, lit)
     interval = 2.0 * (REACH + np.maximum(0.0, half - LEAST_TAPS)) + 1.0
     tones, bins = each * _padded(beamlets), interval + width
     if scenario.plume is not None:
@@ -96,7 +111,6 @@ def _spectral(
     bins = np.minimum(bins, 0.5 * waveform.fft_length)
     records = 3.0 * looks
     return {
-        "records": records,
         "tones": records * tones,
         "bins": records * float(bins.mean()),
         "tones in bins": records * tones * float(bins.mean()),
@@ -105,23 +119,22 @@ def _spectral(
     }
 
 
-def _tones_per_beamlet(scenario: FlightScenario, echoes: Echoes, beamlets: int, lit: BoolArray) -> float:
+def _tones_per_beamlet(
+    scenario: FlightScenario, model: ReceiverModel, echoes: Echoes, beamlets: int, lit: BoolArray
+) -> float:
     """Tones of a beamlet by the change of its speckle within a record, mean over the sampled beams."""
-    from lidar_emu.fmcw.receiver_constants import build_receiver
     from lidar_emu.fmcw.speckle_change import count_tones
 
-    if not lit.any():
-        return 1.0
-    instrument = scenario.instrument
     drift_per_s = echoes.speckle_drift_per_s[lit]
     if beamlets > 1:
         # Several beamlets have Doppler shifts of their own: the exchange is slower by the growth of the beam.
-        waist_m = instrument.optics.waist_radius_m
-        radius_m = beam_radius_m(echoes.range_m[..., 0][lit], waist_m, instrument.waveform.wavelength_m)
+        waist_m = scenario.instrument.optics.waist_radius_m
+        radius_m = beam_radius_m(
+            echoes.range_m[..., 0][lit], waist_m, scenario.instrument.waveform.wavelength_m
+        )
         drift_per_s = drift_per_s * (waist_m / radius_m)[:, None]
     tones = np.empty(len(drift_per_s))
-    model = as_record(build_receiver(instrument, scenario.site, scenario.tolerated_share))
-    count_tones(model, drift_per_s, echoes.power_w[..., 0][lit], tones)
+    count_tones(as_record(model), drift_per_s, echoes.power_w[..., 0][lit], tones)
     return float(tones.mean())
 
 
