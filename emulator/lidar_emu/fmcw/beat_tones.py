@@ -115,6 +115,32 @@ def _record_share(model: ReceiverModel, lost: float) -> float:
     return 1.0 - lost - model.window_side / model.window_centre * sin(2.0 * pi * lost) / pi
 
 
+@kernel
+def record_time(model: ReceiverModel, segment: int, look: int) -> float:
+    """Time of a record's centre from the time of validity, in records."""
+    from_validity: float = (segment - 1) * model.segment_records
+    return from_validity + (look - 0.5 * (model.looks - 1)) * model.cycle_records
+
+
+@kernel
+def record_time_s(model: ReceiverModel, segment: int, look: int) -> float:
+    """Time of a record's centre from the time of validity."""
+    return record_time(model, segment, look) * model.record_time_s
+
+
+@kernel
+def speed_change_mps(beam: Any, time_s: float) -> float:
+    """Change of all closing speeds of a beam, from the time of validity."""
+    change_mps: float = (beam.closing_acceleration_mps2 + 0.5 * beam.closing_jerk_mps3 * time_s) * time_s
+    return change_mps
+
+
+@kernel(fastmath=FAST, forceinline=True)
+def field_sense(segment: int) -> float:
+    """-1 in the up-chirp, where the beat rises with the delay and the echo field enters as its conjugate."""
+    return -1.0 if segment == 0 else 1.0
+
+
 @kernel(fastmath=FAST, forceinline=True)
 def signed_bin(model: ReceiverModel, segment: int, range_m: float, speed_mps: float) -> float:
     """Beat in bins: g₊, g₀ or g₋."""
@@ -235,7 +261,7 @@ def _set_phasors(
     sine: FloatArray,
 ) -> None:
     """Set the phase of each beamlet."""
-    sense = _sense(segment)
+    sense = field_sense(segment)
     range_m, speed_mps = beamlets[RANGE_M], beamlets[SPEED_MPS]
     # The phase is linear in the differences between a beamlet and the first.
     per_m = sense * relative_turn(model, segment, time_records, range_m[0], 1.0, 0.0)
@@ -248,18 +274,12 @@ def _set_phasors(
         cosine[i], sine[i] = unit_phasor(cosine[i])
 
 
-@kernel(fastmath=FAST, forceinline=True)
-def _sense(segment: int) -> float:
-    """-1 in the up-chirp, where the beat rises with the delay and the echo field enters as its conjugate."""
-    return -1.0 if segment == 0 else 1.0
-
-
 @kernel(fastmath=FAST)
 def _set_speckled(
     segment: int, block: int, offset_bin: float, beamlets: FloatArray, weights: FloatArray, tones: FloatArray
 ) -> None:
     """Set one tone of each beamlet in its block of columns, from places and phasors in the first block."""
-    sense = _sense(segment)
+    sense = field_sense(segment)
     amplitude, field_re, field_im = beamlets[AMPLITUDE], weights[0], weights[1]
     columns = len(amplitude)
     first = block * columns

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.beat_tones import relative_turn
+from lidar_emu.fmcw.beat_tones import field_sense, record_time, relative_turn
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes, contiguous_echoes
 from lidar_emu.fmcw.speckle import forget_corners
@@ -102,7 +102,7 @@ def _set_field(
             for tone in range(tone_count(level)):
                 offset_bin[s, b, tone] = tone_offset_bin(level, tone)
             for segment in range(3):
-                time_records = (segment - 1) * model.segment_records
+                time_records = record_time(model, segment, 0)
                 time_s = time_records * model.record_time_s
                 common_turn, _ = uniform_pair(seed, shot[s], b, PHASE, segment)
                 if model.speckle:
@@ -117,7 +117,7 @@ def _set_field(
                         work.speckle,
                         work.change,
                     )
-                sense = -1.0 if segment == 0 else 1.0
+                sense = field_sense(segment)
                 first = -1
                 for i in range(beamlets):
                     if not lit[s, b, i]:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.fmcw.analog_response import noise_level, tone_gain
-from lidar_emu.fmcw.beat_tones import signed_bin
+from lidar_emu.fmcw.beat_tones import record_time_s, signed_bin, speed_change_mps
 from lidar_emu.fmcw.false_alarms import set_random_peak
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.spectrum import BIN, fold
@@ -51,8 +51,7 @@ def haze_snr(model: ReceiverModel, range_m: float) -> float:
 @kernel
 def air_speed_mps(beam: Any, time_s: float) -> float:
     """Closing speed of the haze at a time from the time of validity; it changes with the sensor's."""
-    change_mps = (beam.closing_acceleration_mps2 + 0.5 * beam.closing_jerk_mps3 * time_s) * time_s
-    speed_mps: float = beam.air_speed_mps + change_mps
+    speed_mps: float = beam.air_speed_mps + speed_change_mps(beam, time_s)
     return speed_mps
 
 
@@ -209,8 +208,7 @@ def draw_haze_peaks(
     span_m = beam.haze_range_m - from_m
     if segment == 1 or span_m <= 0.0:
         return 0
-    time_s = (segment - 1) * model.segment_records * model.record_time_s
-    zero = signed_bin(model, segment, 0.0, air_speed_mps(beam, time_s))
+    zero = signed_bin(model, segment, 0.0, air_speed_mps(beam, record_time_s(model, segment, 0)))
     rise_m = min(
         span_m, 1.0 / (20.0 * (2.0 * model.haze.extinction_per_m + 1.0 / model.haze.rayleigh_range_m))
     )

@@ -9,7 +9,14 @@ import numpy as np
 
 from lidar_emu.fmcw.analog_response import clipping, set_noise
 from lidar_emu.fmcw.back_reflection import add_reflection, reflection_bin, reflection_power
-from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, set_segment_tones
+from lidar_emu.fmcw.beat_tones import (
+    RANGE_M,
+    SPEED_MPS,
+    record_time,
+    record_time_s,
+    set_segment_tones,
+    speed_change_mps,
+)
 from lidar_emu.fmcw.bin_filter import filter_beam
 from lidar_emu.fmcw.close_tones import are_close, set_close_tones
 from lidar_emu.fmcw.haze import add_band_places, add_haze, set_haze_tone
@@ -102,25 +109,12 @@ def _set_no_tones(model: ReceiverModel, work: Workspace, segment: int, tones: Fl
     tones[0], _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
 
 
-@kernel
-def _record_time(model: ReceiverModel, segment: int, look: int) -> float:
-    """Time of a record's centre from the time of validity, in records."""
-    from_validity: float = (segment - 1) * model.segment_records
-    return from_validity + (look - 0.5 * (model.looks - 1)) * model.cycle_records
-
-
-@kernel
-def record_time_s(model: ReceiverModel, segment: int, look: int) -> float:
-    """Time of a record's centre from the time of validity."""
-    return _record_time(model, segment, look) * model.record_time_s
-
-
 @kernel(inline="always")
 def set_look_tones(
     model: ReceiverModel, work: Workspace, beam: Any, segment: int, look: int, tones: FloatArray
 ) -> None:
     """Set the tones of one record, with the speckle at its own time and a phase common to the beam."""
-    time_records = _record_time(model, segment, look)
+    time_records = record_time(model, segment, look)
     time_s = time_records * model.record_time_s
     if model.speckle:
         set_tone_weights(
@@ -140,7 +134,7 @@ def set_look_tones(
         model,
         segment,
         time_records,
-        (beam.closing_acceleration_mps2 + 0.5 * beam.closing_jerk_mps3 * time_s) * time_s + astray_mps,
+        speed_change_mps(beam, time_s) + astray_mps,
         astray_m + 0.5 * beam.range_curvature_mps2 * time_s * time_s,
         turn,
         work.beamlets,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.fmcw.analog_response import clipping, noise_level
-from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, signed_bin
+from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, record_time_s, signed_bin
 from lidar_emu.fmcw.false_alarms import draw_alarms, insert_alarms
 from lidar_emu.fmcw.haze import air_speed_mps, draw_haze_peaks, haze_power, set_haze_tone
 from lidar_emu.fmcw.laser_phase_noise import line_share, phase_drift
@@ -21,7 +21,7 @@ from lidar_emu.fmcw.motion_smear import smear_bins
 from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY, HANN
 from lidar_emu.fmcw.peak_shape import MOST_QUADRATURE, WIDTH_BINS
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.segment_spectrum import record_time_s, set_look_tones
+from lidar_emu.fmcw.segment_spectrum import set_look_tones
 from lidar_emu.fmcw.speckle_change import tone_count
 from lidar_emu.fmcw.stated_variance import TONE_WIDTH_BIN2, line_noise
 from lidar_emu.fmcw.workspace import SEGMENT_INDICES, Workspace, look_tones
