@@ -17,7 +17,7 @@ from lidar_emu.flight.pointing import Pointing
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Returns
-from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level
+from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level, noise_with_echo
 from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
 from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
 from lidar_emu.fmcw.waveform.record_samples import draw_frequency_plan, frequency_plan
@@ -170,14 +170,13 @@ class ScattererLevel:
             for segment in draw_frequency_plan(laser_rng, instrument.waveform)
         ]
         echo_w = sum(float(light.power.sum()) for light in lights) / (3.0 * model.snr_per_w)
-        # The echo has shot noise of its own; the digitiser's noise arises behind the poles, by rounding.
-        share = model.response.amplifier_noise * (1.0 + model.signal_shot_per_w * echo_w)
+        share, level = noise_with_echo(model, echo_w, self._noise_level)
         receiver = RecordReceiver(
             instrument.waveform,
             self._response,
             Digitiser.of(instrument.receiver, model.response),
             share,
-            share * self._noise_level + model.response.digitiser_noise,
+            level,
         )
         return measure_records(
             instrument.detection, receiver, lights, self._bins, rng, laser_rng, model.residual_limit

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar_emu.fmcw.analog_response import Response
+from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.waveform.record_samples import (
     Beamlets,
     ComplexArray,
@@ -222,6 +223,22 @@ def noise_level(waveform: Waveform, response: AnalogResponse) -> FloatArray:
     turning = np.exp(-2j * np.pi * frequency_hz / rate_hz)[:, None] * np.exp(-poles / rate_hz)
     series = 1.0 + 2.0 * (turning / (1.0 - turning)).real
     return np.asarray((amplitude * series).sum(axis=1), dtype=float)
+
+
+def noise_with_echo(
+    model: ReceiverModel, echo_w: float, amplifier_level: FloatArray
+) -> tuple[float, FloatArray]:
+    """Noise ahead of the poles with the shot noise of an echo, and its mean power (N/2 + 1,) in rectangular bins.
+
+    The digitiser's noise arises behind the poles, by rounding.
+
+    Args:
+        model: constants of the receiver.
+        echo_w: power of the echo.
+        amplifier_level: `noise_level` of the poles.
+    """
+    share = model.response.amplifier_noise * (1.0 + model.signal_shot_per_w * echo_w)
+    return share, share * amplifier_level + model.response.digitiser_noise
 
 
 def _high_passed(

@@ -11,7 +11,7 @@ from lidar_emu.fmcw.range_speed_estimation import ALL
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.residual_limit import ResidualLimit, largest_residual_bin
 from lidar_emu.fmcw.returns import Returns
-from lidar_emu.fmcw.stated_variance import build_variance_law, inconsistency, state_variances
+from lidar_emu.fmcw.stated_variance import VarianceLaw, build_variance_law, inconsistency, state_variances
 from lidar_emu.fmcw.waveform.detection import Targets, window_gain, window_noise_power
 from lidar_emu.fmcw.waveform.estimation import Combined, chirp_minus_doppler, least_squares
 from lidar_emu.fmcw.workspace import TARGET
@@ -38,7 +38,8 @@ def to_beam_result(
     range_per_bin_m, speed_per_bin_mps = waveform.range_bin_m, waveform.speed_bin_mps
     detected = np.isfinite([target.frequency_bin[:, 0] for target in targets])
     everywhere = detected.all(axis=0)
-    combined = _combine(waveform, detection, targets, 0)
+    law = build_variance_law(waveform, detection)
+    combined = _combine(waveform, detection, law, targets, 0)
     range_m = combined.range_bin * range_per_bin_m
     reason = np.full(range_m.shape, Reason.BELOW_THRESHOLD, dtype=np.int8)
     reason[everywhere] = Reason.VALID
@@ -49,7 +50,7 @@ def to_beam_result(
         largest_bin = largest(combined.range_bin, combined.doppler_bin, combined.residual_variance)
         reason[everywhere & (np.abs(combined.residual_bin) > largest_bin)] = Reason.AMBIGUOUS
     valid = reason == Reason.VALID
-    second_m = _combine(waveform, detection, targets, 1).range_bin * range_per_bin_m
+    second_m = _combine(waveform, detection, law, targets, 1).range_bin * range_per_bin_m
     second_m[~((second_m >= 0.0) & (second_m <= detection.maximum_range_m))] = np.nan
     return Returns.with_columns(
         range_m.shape,
@@ -83,12 +84,16 @@ def nothing(reason: Reason) -> Returns:
 
 
 def _combine(
-    waveform: Waveform, detection: Detection, targets: tuple[Targets, Targets, Targets], rank: Literal[0, 1]
+    waveform: Waveform,
+    detection: Detection,
+    law: VarianceLaw,
+    targets: tuple[Targets, Targets, Targets],
+    rank: Literal[0, 1],
 ) -> Combined:
     """Combine the targets of one rank where all three segments have one; NaN elsewhere. Variances are as stated."""
     observed = np.stack([target.frequency_bin[:, rank] for target in targets], axis=-1)
     there = np.asarray(np.isfinite(observed).all(axis=-1))
-    variance, common = _stated_variances(waveform, detection, targets, rank, there)
+    variance, common = _stated_variances(law, targets, rank, there)
     farthest_bin = waveform.record_edge_range_m / waveform.range_bin_m
     if detection.combine == "chirp_minus_doppler":
         some = chirp_minus_doppler(observed[there], variance[there], waveform.fft_length, farthest_bin)
@@ -113,14 +118,9 @@ def _combine(
 
 
 def _stated_variances(
-    waveform: Waveform,
-    detection: Detection,
-    targets: tuple[Targets, Targets, Targets],
-    rank: Literal[0, 1],
-    there: BoolArray,
+    law: VarianceLaw, targets: tuple[Targets, Targets, Targets], rank: Literal[0, 1], there: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Variances (records, 3) of the frequencies, and (records,) of the error in common; NaN unless all are there."""
-    law = build_variance_law(waveform, detection)
     variance, common = np.full((len(there), 3), np.nan), np.full(len(there), np.nan)
     for row in np.flatnonzero(there):
         three = np.zeros(3, dtype=TARGET)

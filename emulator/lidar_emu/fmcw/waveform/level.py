@@ -12,7 +12,7 @@ from lidar_emu.fmcw.echo_field import EchoField, echo_field
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Returns
-from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level
+from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level, noise_with_echo
 from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, WaveformMeasurement, measure_waveform
 from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
 from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
@@ -142,11 +142,8 @@ def _measure_records(
     waveform, receiver = instrument.waveform, instrument.receiver
     footprint = scatterer_patches(waveform, echoes, field, s, b)
     response = AnalogResponse.of(receiver)
-    # The echo has shot noise of its own; the digitiser's noise arises behind the poles, by rounding.
-    share = model.response.amplifier_noise * (
-        1.0 + model.signal_shot_per_w * float(power_w[field.weight[s, b].any(axis=(0, 1))].sum())
-    )
-    level = share * noise_level(waveform, response) + model.response.digitiser_noise
+    echo_w = float(power_w[field.weight[s, b].any(axis=(0, 1))].sum())
+    share, level = noise_with_echo(model, echo_w, noise_level(waveform, response))
     return measure_waveform(
         waveform,
         instrument.detection,
