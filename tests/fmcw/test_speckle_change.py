@@ -10,12 +10,12 @@ from exchanged_speckle import robust, scatter
 
 import lidar_emu
 from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.skip_limits import negligible_bin2
 from lidar_emu.fmcw.speckle import PITCH_W, forget_corners, set_weights, speckle_field
 from lidar_emu.fmcw.speckle_change import (
     LINE_BIN2,
     level_for_way,
     needed_level,
-    negligible_bin2,
     set_tone_weights,
     speckle_change,
     tone_count,

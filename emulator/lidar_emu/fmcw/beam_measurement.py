@@ -25,8 +25,9 @@ from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.residual_limit import largest_residual_bin
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes
 from lidar_emu.fmcw.segment_spectrum import set_spectrum
+from lidar_emu.fmcw.skip_limits import negligible_bin2
 from lidar_emu.fmcw.speckle import forget_corners
-from lidar_emu.fmcw.speckle_change import needed_level, negligible_bin2
+from lidar_emu.fmcw.speckle_change import needed_level
 from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.fmcw.stated_variance import inconsistency, state_variances
 from lidar_emu.fmcw.statistical_model import draw_targets

@@ -18,7 +18,7 @@ from lidar_emu.fmcw.chirp_ripple import ripple_index, ripple_reach, ripple_taps
 from lidar_emu.fmcw.laser_phase_noise import gaussian_line_taps, line_matters, line_taps, phase_drift
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS, smear_bins, smear_taps
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.speckle_change import negligible_bin2
+from lidar_emu.fmcw.skip_limits import negligible_bin2
 from lidar_emu.fmcw.spectrum import BIN
 from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace
 from lidar_emu.numerics.arrays import FloatArray

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from lidar_emu.fmcw.beat_tones import field_sense, record_time, relative_turn
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes, contiguous_echoes
+from lidar_emu.fmcw.skip_limits import negligible_bin2
 from lidar_emu.fmcw.speckle import forget_corners
 from lidar_emu.fmcw.speckle_change import (
     highest_level,
     needed_level,
-    negligible_bin2,
     set_tone_weights,
     tone_count,
     tone_offset_bin,

@@ -20,7 +20,7 @@ Cramér-Rao bound, 0.3898 bin / sqrt(snr). No formula includes the tone's own im
 from __future__ import annotations
 
 from math import asin, copysign, log, pi, sin, sqrt
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -66,6 +66,8 @@ _SPAN = 6
 """Bins on each side of the peak from which Aboutanios and Mulgrew's half-bin transforms are computed, where available.
 """
 
+_Numbers = TypeVar("_Numbers", float, FloatArray)
+
 _spans: Any = np.arange(1, 3)
 _ONE, _TWO = _spans
 """Taps on each side; variables, since numba would compile filters for each literal."""
@@ -76,6 +78,19 @@ _ITERATIONS = 3
 
 _BISECTIONS = 10
 """Iterations to the position in the half bin whose tone gives a parabola's vertex."""
+
+
+@kernel
+def noise_bin2(method: int, snr: _Numbers) -> _Numbers:
+    """Variance of a frequency by noise in bins², at the SNR of a rectangular bin."""
+    variance: _Numbers = EFFICIENCY[method] * CRAMER_RAO_BIN2 / snr
+    return variance
+
+
+@kernel
+def rounding_bin2(method: int) -> float:
+    """Variance of a frequency by rounding to bins, in bins²."""
+    return BIN_VARIANCE if method == BIN_CENTRE else 0.0
 
 
 @kernel

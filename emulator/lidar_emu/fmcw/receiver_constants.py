@@ -28,7 +28,7 @@ from lidar_emu.fmcw.skip_limits import (
     LEAST_RIPPLE,
     LEAST_SMEAR_BINS,
     LEAST_SWEEP_SCATTER_BINS,
-    variance_share,
+    allowed_variance_share,
 )
 from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.fmcw.stated_variance import build_variance_law, sweep_scatter
@@ -119,7 +119,7 @@ def build_receiver(
         least_segments=2 if detection.rule == "any_two" else 3,
         maximum_range_m=detection.maximum_range_m,
         record_edge_range_m=waveform.record_edge_range_m,
-        variance_share=variance_share(left_out_share),
+        variance_share=allowed_variance_share(left_out_share),
         least_smear_bins=0.0 if exact else LEAST_SMEAR_BINS,
         least_line_drift=0.0 if exact else LEAST_LINE_DRIFT,
         least_false_alarm=0.0 if exact else LEAST_FALSE_ALARM,

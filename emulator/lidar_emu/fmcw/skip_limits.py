@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+from lidar_emu.fmcw.peak_interpolation import noise_bin2, rounding_bin2
+from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.numerics.kernels import kernel
+
 _SCATTERS = 3
 """Stages that are left out by their scatter: change of speckle within a record, laser line, beamlets."""
 
 
-def variance_share(left_out_share: float) -> float:
+def allowed_variance_share(left_out_share: float) -> float:
     """Share of a beat's variance that each stage may leave out, so that sigma changes by `left_out_share` at most."""
     return ((1.0 + left_out_share) ** 2 - 1.0) / _SCATTERS
+
+
+@kernel
+def negligible_bin2(model: ReceiverModel, power_w: float) -> float:
+    """Variance of a beat in bins² below which a stage is left out, for a beam of this power: a share of the variance by
+    noise and quantisation."""
+    noise = noise_bin2(model.peak_method, max(model.snr_per_w * power_w, 1e-30))
+    return model.variance_share * (noise + rounding_bin2(model.peak_method))
 
 
 LEAST_SMEAR_BINS = 0.05

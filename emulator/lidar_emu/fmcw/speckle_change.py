@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY
 from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.skip_limits import negligible_bin2
 from lidar_emu.fmcw.speckle import PITCH_W, SpeckleField, set_weights
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
@@ -90,16 +90,6 @@ def speckle_way(model: ReceiverModel, drift_per_s: FloatArray) -> float:
         return 0.0
     way: float = sqrt(drift_per_s[0] ** 2 + drift_per_s[1] ** 2) * model.record_time_s
     return way
-
-
-@kernel
-def negligible_bin2(model: ReceiverModel, power_w: float) -> float:
-    """Variance of a beat in bins² below which a stage is left out, for a beam of this power: a share of the variance by
-    noise and quantisation."""
-    variance = EFFICIENCY[model.peak_method] * CRAMER_RAO_BIN2 / max(model.snr_per_w * power_w, 1e-30)
-    if model.peak_method == BIN_CENTRE:
-        variance += BIN_VARIANCE
-    return model.variance_share * variance
 
 
 @kernel

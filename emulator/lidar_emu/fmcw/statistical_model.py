@@ -18,7 +18,7 @@ from lidar_emu.fmcw.false_alarms import draw_alarms, insert_alarms
 from lidar_emu.fmcw.haze import air_speed_mps, draw_haze_peaks, haze_power, set_haze_tone
 from lidar_emu.fmcw.laser_phase_noise import line_share, phase_drift
 from lidar_emu.fmcw.motion_smear import smear_bins
-from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY, HANN
+from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, HANN, noise_bin2
 from lidar_emu.fmcw.peak_shape import MOST_QUADRATURE, WIDTH_BINS
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.segment_spectrum import set_look_tones
@@ -301,11 +301,11 @@ def _set_frequency(
     out_of_phase, in_phase = line_noise(law.line_rate, phase_drift(model, work.beamlets[RANGE_M, 0]))
     index = (segment + 1) * SEGMENT_INDICES - 1 - line
     error, quadrature_error = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, index)
-    noise = EFFICIENCY[method] * CRAMER_RAO_BIN2 / snr
+    noise = noise_bin2(method, snr)
     variance = noise + law.line_bin2 * out_of_phase
     target.frequency_bin = centre + min(max(sqrt(2.0 * variance) * error, -1.0), 1.0)
     target.variance_bin2 = max(noise, 1e-12)
-    quadrature_noise = EFFICIENCY[HANN] * CRAMER_RAO_BIN2 / snr
+    quadrature_noise = noise_bin2(HANN, snr)
     quadrature_variance = quadrature_noise + law.quadrature_line_bin2 * in_phase
     target.quadrature_bin += sqrt(2.0 * quadrature_variance) * quadrature_error
     target.quadrature_variance_bin2 = max(quadrature_noise, 1e-12)

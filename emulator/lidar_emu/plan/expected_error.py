@@ -24,7 +24,7 @@ from lidar_emu.flight.pointing import Pointing
 from lidar_emu.fmcw.analog_response import noise_level, tone_gain
 from lidar_emu.fmcw.beat_tones import signed_bin
 from lidar_emu.fmcw.laser_phase_noise import line_share
-from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, CRAMER_RAO_BIN2, EFFICIENCY
+from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE, noise_bin2, rounding_bin2
 from lidar_emu.fmcw.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
@@ -35,8 +35,8 @@ from lidar_emu.fmcw.stated_variance import line_bin2, line_noise, sweep_bin2_at
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.detection_forecast import mean_straddling_gain, rule_probability
+from lidar_emu.plan.speckle_exchange import exchange_bin2, grown_beam_drift_per_s
 from lidar_emu.probability.fading import detection_probability, shared_fade_probability
-from lidar_emu.scanner.wavefront import beam_radius_m
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
@@ -214,13 +214,12 @@ def _segment_variances_bin2(
 ) -> FloatArray:
     """(3, shots, beams) variances of the three beats that are independent from segment to segment, in bins squared."""
     looks = instrument.detection.looks
-    efficiency = EFFICIENCY[model.peak_method]
     with np.errstate(divide="ignore", over="ignore"):
-        noise = efficiency * CRAMER_RAO_BIN2 / snr
+        noise = interpreted(noise_bin2)(model.peak_method, snr)
     # Deep fades are not detected, and noise moves a detected peak by a bin at most.
     faintest = _faintest(instrument, snr)
     noise = _faded(noise, np.ones_like(noise), faintest, looks) if model.speckle else noise / looks
-    alike = noise + (BIN_VARIANCE if model.peak_method == BIN_CENTRE else 0.0)
+    alike = noise + interpreted(rounding_bin2)(model.peak_method)
     law, range_bin = model.variance_law, np.nan_to_num(hits.range_m) / model.range_bin_m
     swept = np.vectorize(partial(interpreted(sweep_bin2_at), law), otypes=[float])
     noise_of_line = np.vectorize(partial(interpreted(line_noise), law.line_rate), otypes=[float, float])
@@ -247,7 +246,7 @@ def _wander_bin2(
     """(2, shots, beams) variances of range and speed by speckle, in bins squared: within the footprint, and exchanged
     within the record."""
     faintest = _faintest(instrument, snr)
-    exchange = _exchange_bin2(instrument, echoes)
+    exchange = exchange_bin2(instrument, grown_beam_drift_per_s(instrument, echoes))
 
     def wander(beat: float, doppler: float) -> FloatArray:
         if not model.speckle:
@@ -263,15 +262,6 @@ def _wander_bin2(
     shared = np.array([wander(1.0, 0.0), wander(0.0, 1.0)])
     variances: FloatArray = same * shared + (1.0 - same) * (weights**2 * own).sum(axis=1)
     return variances
-
-
-def _exchange_bin2(instrument: Instrument, echoes: Echoes) -> FloatArray:
-    """Variance in bins squared of the line by the exchange of scatterers as a footprint slides: v/(π√2 w) Hz."""
-    waveform, waist_m = instrument.waveform, instrument.optics.waist_radius_m
-    in_waists = echoes.speckle_drift_per_s * PITCH_W * waveform.record_time_s
-    radius_m = beam_radius_m(echoes.range_m[..., 0], waist_m, waveform.wavelength_m)
-    line: FloatArray = (in_waists**2).sum(axis=-1) / (2.0 * np.pi**2) * (waist_m / radius_m) ** 2
-    return line
 
 
 def _faded(at_mean: FloatArray, most: FloatArray, faintest: FloatArray, looks: int) -> FloatArray:

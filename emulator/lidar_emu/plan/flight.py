@@ -11,7 +11,7 @@ from lidar_emu.echo.spectral_spread import Spread, spread_bins
 from lidar_emu.flight.flight import Flight, sensor_height_m
 from lidar_emu.flight.pointing import Pointing
 from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.skip_limits import variance_share
+from lidar_emu.fmcw.skip_limits import allowed_variance_share
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.faults import planned_faults
 from lidar_emu.plan.ground import plan_objects, plan_parts
@@ -292,7 +292,7 @@ def _footprint(scenario: FlightScenario, spread: Spread, variance_bin2: FloatArr
     width_bins = float(np.sqrt(largest(by_depth)))
     grown = float(np.nanmax(share, initial=0.0)) if speckle else 0.0
     reason = f"its depth spreads beats by at most {width_bins:.2g} bin, {50 * grown:.2g} % of sigma"
-    enough = width_bins < ONE_BEAMLET_BELOW_BINS and grown <= variance_share(scenario.tolerated_share)
+    enough = width_bins < ONE_BEAMLET_BELOW_BINS and grown <= allowed_variance_share(scenario.tolerated_share)
     if enough and scenario.tolerated_share > 0.0:
         bound = f"{at_most(50 * grown)} % of sigma, {at_most(100 * np.pi**2 / 3 * width_bins**2)} % of the peak power"
         return Decision("footprint", False, "1 beamlet", reason, bound), 1

@@ -5,17 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from lidar_emu.fmcw.carrier_to_noise import snr_per_w
-from lidar_emu.fmcw.peak_interpolation import (
-    BIN_CENTRE,
-    BIN_VARIANCE,
-    CRAMER_RAO_BIN2,
-    EFFICIENCY,
-    PEAK_METHODS,
-)
+from lidar_emu.fmcw.peak_interpolation import PEAK_METHODS, noise_bin2, rounding_bin2
 from lidar_emu.fmcw.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
 from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.speckle_change import LINE_BIN2
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import interpreted
+from lidar_emu.plan.speckle_exchange import exchange_bin2
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.schema import FlightScenario
 
@@ -29,12 +24,10 @@ def beat_variance_bin2(scenario: FlightScenario, echoes: Echoes) -> FloatArray:
     instrument = scenario.instrument
     method = PEAK_METHODS[instrument.detection.peak]
     power_w = np.where(echoes.power_w[..., 0] > 0.0, echoes.power_w[..., 0], np.nan)
-    variance = EFFICIENCY[method] * CRAMER_RAO_BIN2 / (snr_per_w(instrument, scenario.site) * power_w)
-    if method == BIN_CENTRE:
-        variance = variance + BIN_VARIANCE
+    noise = interpreted(noise_bin2)(method, snr_per_w(instrument, scenario.site) * power_w)
+    variance = noise + interpreted(rounding_bin2)(method)
     if instrument.optics.speckle:
-        way2 = (echoes.speckle_drift_per_s**2).sum(axis=-1) * instrument.waveform.record_time_s**2
-        variance = variance + 0.5 * LINE_BIN2 * way2
+        variance += 0.5 * exchange_bin2(instrument, echoes.speckle_drift_per_s)
     return np.asarray(variance / instrument.detection.looks)
 
 

@@ -19,7 +19,7 @@ from lidar_emu.fmcw.skip_limits import (
     LEAST_RIPPLE,
     LEAST_SMEAR_BINS,
     LEAST_SWEEP_SCATTER_BINS,
-    variance_share,
+    allowed_variance_share,
 )
 from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.numerics.kernels import interpreted
@@ -218,7 +218,7 @@ def _speckle(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
 
 def _sigma_share(scenario: FlightScenario) -> str:
     """Bound of a stage that is left out by its share of a beat's variance."""
-    share = variance_share(scenario.tolerated_share)
+    share = allowed_variance_share(scenario.tolerated_share)
     return f"{at_most(50.0 * share)} % of sigma"
 
 

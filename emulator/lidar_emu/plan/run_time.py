@@ -16,7 +16,7 @@ from lidar_emu.numerics.arrays import BoolArray
 from lidar_emu.numerics.records import as_record
 from lidar_emu.plan.motion import largest
 from lidar_emu.plan.operations import Operations
-from lidar_emu.scanner.wavefront import beam_radius_m
+from lidar_emu.plan.speckle_exchange import grown_beam_drift_per_s
 from lidar_emu.scenario.schema import FlightScenario
 
 _DUST_BEAMLETS = 9
@@ -125,14 +125,10 @@ def _tones_per_beamlet(
     """Tones of a beamlet by the change of its speckle within a record, mean over the sampled beams."""
     from lidar_emu.fmcw.speckle_change import count_tones
 
-    drift_per_s = echoes.speckle_drift_per_s[lit]
+    drift_per_s = echoes.speckle_drift_per_s
     if beamlets > 1:
-        # Several beamlets have Doppler shifts of their own: the exchange is slower by the growth of the beam.
-        waist_m = scenario.instrument.optics.waist_radius_m
-        radius_m = beam_radius_m(
-            echoes.range_m[..., 0][lit], waist_m, scenario.instrument.waveform.wavelength_m
-        )
-        drift_per_s = drift_per_s * (waist_m / radius_m)[:, None]
+        drift_per_s = grown_beam_drift_per_s(scenario.instrument, echoes)
+    drift_per_s = drift_per_s[lit]
     tones = np.empty(len(drift_per_s))
     count_tones(as_record(model), drift_per_s, echoes.power_w[..., 0][lit], tones)
     return float(tones.mean())
