@@ -89,15 +89,38 @@ def test_a_slow_ripple_moves_the_peak() -> None:
             assert returns.segment_peak_hz[:, 0, segment].std() == pytest.approx(expected_hz, rel=0.05)
 
 
-def test_a_small_ripple_is_left_out() -> None:
-    small, above = (_instrument(_ripple_of_index(index, 6e4), 6e4) for index in (1.9e-3, 2.1e-3))
-    without = _instrument(0.0, 6e4)
-    beam, shot = echoes(RANGE_M, SPEED_MPS), np.arange(1)
-    range_m = [receive(build_receiver(each), beam, shot, 1).range_m[0, 0] for each in (small, without)]
-    assert range_m[0] == range_m[1]
-    for model in (build_receiver(above), build_receiver(small, left_out_share=0.0)):
-        moved_m = abs(receive(model, beam, shot, 1).range_m[0, 0] - range_m[1])
-        assert 0.0 < moved_m < 2e-3 * without.waveform.range_bin_m
+def _range_m(
+    index: float, frequency_hz: float, power_w: float, shots: int, share: float = 0.05
+) -> np.ndarray:
+    instrument = _instrument(_ripple_of_index(index, frequency_hz), frequency_hz)
+    beams = echoes(np.full((shots, 1, 1), RANGE_M), SPEED_MPS, power_w)
+    returns = receive(build_receiver(instrument, left_out_share=share), beams, np.arange(shots), 1)
+    return np.asarray(returns.range_m[:, 0])
+
+
+@pytest.mark.parametrize("frequency_hz", [2e3, 6e4])
+def test_a_ripple_is_left_out_that_scatters_less_than_its_share(frequency_hz: float) -> None:
+    """A quarter of the growth of the variance by 5 % of sigma; the range has one chirp's beat."""
+    power_w, shots = 1e-10, 400
+    snr = build_receiver(_instrument(0.0, 1e4)).snr_per_w * power_w
+    noise_bin2 = 3.24 * 6.0 / (4.0 * pi**2 * snr)
+    left_out_bin2 = (1.05**2 - 1.0) / 4.0 * noise_bin2
+    limit = sqrt(2.0 * left_out_bin2) / min(frequency_hz / BIN_HZ, 0.7)
+    without = _range_m(1e-9, frequency_hz, power_w, shots)
+    np.testing.assert_array_equal(_range_m(0.99 * limit, frequency_hz, power_w, shots), without)
+    for moved in (
+        _range_m(1.01 * limit, frequency_hz, power_w, shots) - without,
+        _range_m(0.99 * limit, frequency_hz, power_w, shots, share=0.0) - without,
+    ):
+        bins = moved / _instrument(0.0, 1e4).waveform.range_bin_m
+        assert 0.0 < bins.std() < 1.05 * sqrt(left_out_bin2)
+
+
+def test_a_ripple_with_side_lines_is_computed_however_weak_the_echo() -> None:
+    power_w = 1e-15
+    without = _range_m(1e-9, 6e4, power_w, 3)
+    np.testing.assert_array_equal(_range_m(0.0199, 6e4, power_w, 3), without)
+    assert (_range_m(0.0201, 6e4, power_w, 3) != without).all()
 
 
 def test_the_plan_has_its_line_and_impossible_ripples_are_refused() -> None:

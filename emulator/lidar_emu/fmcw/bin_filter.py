@@ -43,7 +43,7 @@ def widest_filter(
     """Taps on each side that the segments of a beam need; 0 if none does.
 
     Args:
-        left_out_bin2: variance of a beat below which a line is left out.
+        left_out_bin2: variance of a beat below which a line or a ripple is left out.
     """
     smear = 0.0
     for segment in range(3):
@@ -55,7 +55,7 @@ def widest_filter(
         # Wide lines lose their central tap; the rest is as wide as the line itself.
         narrow = model.homodyne_line and phase_drift(model, range_m) < 0.5
         needed = max(needed, LEAST_TAPS + (0.0 if narrow else ceil(2.0 * model.linewidth_bins)))
-    if ripple_index(model, range_m) > 0.0:
+    if ripple_index(model, range_m, left_out_bin2) > 0.0:
         needed = max(needed, LEAST_TAPS + ripple_reach(model))
     return int(min(needed, float(_MOST_TAPS)))
 
@@ -107,7 +107,7 @@ def filter_beam(
     if smeared and lined:
         convolve_taps(by_smear, by_line, half, both)
     taps = both if smeared and lined else (by_smear if smeared else by_line)
-    index_of_ripple = ripple_index(model, range_m) if segment != 1 else 0.0
+    index_of_ripple = ripple_index(model, range_m, beam.left_out_bin2) if segment != 1 else 0.0
     if index_of_ripple > 0.0:
         by_ripple = spectra.taps[3]
         ripple_taps(model, beam, segment, look, index_of_ripple, half, by_ripple)

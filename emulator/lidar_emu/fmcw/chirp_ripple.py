@@ -22,13 +22,15 @@ from lidar_emu.numerics.random_streams import RIPPLE, WHOLE_SHOT
 
 
 @kernel
-def ripple_index(model: ReceiverModel, range_m: float) -> float:
-    """Modulation index m of a beat; 0 where it is left out."""
+def ripple_index(model: ReceiverModel, range_m: float, left_out_bin2: float) -> float:
+    """Modulation index m of a beat; 0 where it is left out, since it moves the beat by less than the variance
+    `left_out_bin2`."""
     if model.ripple.largest_index == 0.0:
         return 0.0
     turns = model.ripple.frequency_bin * model.delay_per_m * range_m
     index: float = model.ripple.largest_index * abs(sin(pi * turns))
-    return index if index > model.ripple.least_index else 0.0
+    moved_bin2 = 0.5 * (index * model.ripple.pull_bin) ** 2
+    return index if index > model.ripple.least_index or moved_bin2 > left_out_bin2 else 0.0
 
 
 @kernel

@@ -27,7 +27,7 @@ from lidar_emu.fmcw.skip_limits import (
     LEAST_LINE_DRIFT,
     LEAST_RIPPLE,
     LEAST_SMEAR_BINS,
-    LEAST_SWEEP_SCATTER_BINS,
+    MOST_PULL_BINS,
     allowed_variance_share,
 )
 from lidar_emu.fmcw.spectrum import WINDOWS
@@ -102,7 +102,7 @@ def build_receiver(
         linewidth_bins=waveform.linewidth_hz / bin_hz,
         homodyne_line=waveform.linewidth_model == "homodyne",
         ripple=_ripple(waveform, exact),
-        sweep_scatter=_sweep_scatter(instrument, exact, in_turn),
+        sweep_scatter=_sweep_scatter(instrument, in_turn),
         speckle=instrument.optics.speckle,
         window_centre=window.centre,
         window_side=window.side,
@@ -119,7 +119,7 @@ def build_receiver(
         least_segments=2 if detection.rule == "any_two" else 3,
         maximum_range_m=detection.maximum_range_m,
         record_edge_range_m=waveform.record_edge_range_m,
-        variance_share=allowed_variance_share(left_out_share),
+        variance_share=allowed_variance_share(left_out_share, instrument),
         least_smear_bins=0.0 if exact else LEAST_SMEAR_BINS,
         least_line_drift=0.0 if exact else LEAST_LINE_DRIFT,
         least_false_alarm=0.0 if exact else LEAST_FALSE_ALARM,
@@ -199,17 +199,17 @@ def _ripple(waveform: Waveform, exact: bool) -> Ripple:
         largest_index=2.0 * waveform.ripple_hz / waveform.ripple_frequency_hz,
         frequency_bin=waveform.ripple_frequency_hz / waveform.bin_width_hz,
         orders=float(waveform.ripple_orders),
+        pull_bin=min(waveform.ripple_frequency_hz / waveform.bin_width_hz, MOST_PULL_BINS),
         least_index=0.0 if exact else LEAST_RIPPLE,
     )
 
 
-def _sweep_scatter(instrument: Instrument, exact: bool, in_turn: bool) -> SweepScatter:
+def _sweep_scatter(instrument: Instrument, in_turn: bool) -> SweepScatter:
     """Errors of the sweep."""
     range_per_m, speed_mps_per_m = sweep_scatter(instrument.waveform, instrument.detection)
     return SweepScatter(
         range_per_m=range_per_m,
         speed_mps_per_m=speed_mps_per_m,
-        least_bins=0.0 if exact else LEAST_SWEEP_SCATTER_BINS,
         per_beam=in_turn,
     )
 

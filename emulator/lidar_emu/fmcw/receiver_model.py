@@ -40,8 +40,10 @@ class Ripple(NamedTuple):
     frequency_bin: float
     orders: float
     """Side lines to either side of a line."""
+    pull_bin: float
+    """Shift of a beat per unit of the index, at most."""
     least_index: float
-    """Skip limit: smaller modulations are left out."""
+    """Skip limit: smaller modulations may be left out."""
 
 
 class SweepScatter(NamedTuple):
@@ -51,8 +53,6 @@ class SweepScatter(NamedTuple):
     """Standard deviation of a chirp's apparent range, per metre of range."""
     speed_mps_per_m: float
     """Standard deviation of the constant segment's apparent closing speed, per metre of range."""
-    least_bins: float
-    """Skip limit: smaller standard deviations of a beat are left out."""
     per_beam: bool
     """Whether each beam has a cycle of its own; otherwise the beams of a shot share the laser's errors."""
 

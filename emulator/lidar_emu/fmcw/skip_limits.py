@@ -5,14 +5,19 @@ from __future__ import annotations
 from lidar_emu.fmcw.peak_interpolation import noise_bin2, rounding_bin2
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.numerics.kernels import kernel
-
-_SCATTERS = 3
-"""Stages that are left out by their scatter: change of speckle within a record, laser line, beamlets."""
+from lidar_emu.scenario.instrument import Instrument
 
 
-def allowed_variance_share(left_out_share: float) -> float:
-    """Share of a beat's variance that each stage may leave out, so that sigma changes by `left_out_share` at most."""
-    return ((1.0 + left_out_share) ** 2 - 1.0) / _SCATTERS
+def allowed_variance_share(left_out_share: float, instrument: Instrument) -> float:
+    """Share of a beat's variance that each stage may leave out, so that sigma changes by `left_out_share` at most.
+
+    The stages that are left out by their scatter are change of speckle within a record, laser line and beamlets, and
+    where the instrument has them errors of the sweep, its ripple and leakage between beams.
+    """
+    waveform = instrument.waveform
+    has_sweep_errors = waveform.slope_scatter > 0.0 or waveform.flicker_hz2 > 0.0
+    others = has_sweep_errors, waveform.ripple_hz > 0.0, instrument.optics.leakage_db is not None
+    return ((1.0 + left_out_share) ** 2 - 1.0) / (3 + sum(others))
 
 
 @kernel
@@ -30,17 +35,17 @@ LEAST_LINE_DRIFT = 0.01
 """The laser's linewidth is left out where its phase variance over the delay is smaller, 1 % of the echo's power, unless
 its scatter matters."""
 
-LEAST_SWEEP_SCATTER_BINS = 1e-3
-"""Errors of the laser's sweep are left out where they scatter a beat by less: by 0.001 bin of range and speed."""
+MOST_PULL_BINS = 0.7
+"""Shift of a peak by a weak tone, relative to its amplitude, at most. A tone f bins away modulates the frequency by f
+bins; an estimate is the mean of the frequency, whose weights pass the modulation by G(f)."""
 
-LEAST_RIPPLE = 2e-3
-"""A periodic deviation of the sweep is left out where it modulates the beat's phase by less: side lines below 0.001 of
-the line's amplitude, and a shift of its frequency below 0.002 bin."""
+LEAST_RIPPLE = 0.02
+"""A periodic deviation of the sweep may be left out by its scatter where it modulates the beat's phase by less: side
+lines of 0.01 of the line's amplitude, and 2e-4 of its power."""
 
-LEAST_LEAKAGE = 1e-4
-LEAST_LEAKED_SNR = 1e-3
-"""Leakage between beams is left out where the amplitude of the strongest echo's leakage is less relative to the
-weakest echo, which it moves by less than 0.0001 bin, and its power in a bin less relative to the noise."""
+LEAST_LEAKED_SNR = 0.1
+"""Leakage between beams may be left out by its scatter where its power in a bin is less relative to the noise: it
+exceeds the threshold no more often than five bins of noise do."""
 
 LEAST_HAZE = 6.9
 """Bins of haze that exceed the threshold with a smaller probability than exp(-6.9), 1e-3, are not computed one by one:

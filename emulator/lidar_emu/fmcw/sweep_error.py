@@ -25,7 +25,7 @@ def sweep_error(
         beam: record of the beam, `workspace.BEAM`.
         range_m: range of the echo.
     """
-    variance = sweep_variance(model, segment, range_m)
+    variance = sweep_variance(model, segment, range_m, beam.left_out_bin2)
     if variance == 0.0:
         return 0.0, 0.0
     laser = beam.beam if model.sweep_scatter.per_beam else WHOLE_SHOT
@@ -37,11 +37,12 @@ def sweep_error(
 
 
 @kernel
-def sweep_variance(model: ReceiverModel, segment: int, range_m: float) -> float:
-    """Variance of a beat in bins squared; 0 where it is left out."""
+def sweep_variance(model: ReceiverModel, segment: int, range_m: float, left_out_bin2: float) -> float:
+    """Variance of a beat in bins squared; 0 where it is at most `left_out_bin2`."""
     scatter = model.sweep_scatter
     if segment == 1:
         deviation = scatter.speed_mps_per_m * range_m / model.speed_bin_mps
     else:
         deviation = scatter.range_per_m * range_m * model.beat_bin_per_m
-    return deviation * deviation if deviation > scatter.least_bins else 0.0
+    variance: float = deviation * deviation
+    return variance if variance > left_out_bin2 else 0.0

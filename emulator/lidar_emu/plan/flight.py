@@ -292,7 +292,8 @@ def _footprint(scenario: FlightScenario, spread: Spread, variance_bin2: FloatArr
     width_bins = float(np.sqrt(largest(by_depth)))
     grown = float(np.nanmax(share, initial=0.0)) if speckle else 0.0
     reason = f"its depth spreads beats by at most {width_bins:.2g} bin, {50 * grown:.2g} % of sigma"
-    enough = width_bins < ONE_BEAMLET_BELOW_BINS and grown <= allowed_variance_share(scenario.tolerated_share)
+    allowed = allowed_variance_share(scenario.tolerated_share, scenario.instrument)
+    enough = width_bins < ONE_BEAMLET_BELOW_BINS and grown <= allowed
     if enough and scenario.tolerated_share > 0.0:
         bound = f"{at_most(50 * grown)} % of sigma, {at_most(100 * np.pi**2 / 3 * width_bins**2)} % of the peak power"
         return Decision("footprint", False, "1 beamlet", reason, bound), 1

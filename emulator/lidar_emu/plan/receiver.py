@@ -6,22 +6,27 @@ left out beam by beam.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from lidar_emu.fmcw.back_reflection import reflection_bin, reflection_power
+from lidar_emu.fmcw.chirp_ripple import ripple_index
 from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.skip_limits import (
     LEAST_FALSE_ALARM,
-    LEAST_LEAKAGE,
     LEAST_LEAKED_SNR,
     LEAST_LINE_DRIFT,
     LEAST_RIPPLE,
     LEAST_SMEAR_BINS,
-    LEAST_SWEEP_SCATTER_BINS,
+    MOST_PULL_BINS,
     allowed_variance_share,
+    negligible_bin2,
 )
 from lidar_emu.fmcw.speckle import PITCH_W
+from lidar_emu.fmcw.sweep_error import sweep_variance
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.motion import largest
 from lidar_emu.plan.plan import Decision, at_most
@@ -59,7 +64,7 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
         _smear(scenario, echoes),
         _line(scenario, echoes),
         _sweep(scenario, echoes),
-        _ripple(scenario.instrument.waveform, scenario.tolerated_share == 0.0),
+        _ripple(scenario, echoes),
         *_speckle(scenario, echoes),
         _response(scenario.instrument),
         _clipping(scenario.instrument),
@@ -171,34 +176,49 @@ def _sweep(scenario: FlightScenario, echoes: Echoes) -> Decision:
     waveform = scenario.instrument.waveform
     if waveform.slope_scatter == 0 and waveform.flicker_hz2 == 0:
         return Decision("laser sweep", False, "-", "slope_scatter and flicker_hz2 are 0", "exact")
-    scatter = build_receiver(scenario.instrument, scenario.site).sweep_scatter
+    model = build_receiver(scenario.instrument, scenario.site, scenario.tolerated_share)
     farthest_m = largest(echoes.range_m)
-    range_m, speed_mps = scatter.range_per_m * farthest_m, scatter.speed_mps_per_m * farthest_m
-    reason = f"chirps off by {range_m:.2g} m, constant segment by {speed_mps:.2g} m/s at {farthest_m:.0f} m"
+    range_m, speed_mps = model.sweep_scatter.range_per_m, model.sweep_scatter.speed_mps_per_m
+    reason = (
+        f"chirps off by {range_m * farthest_m:.2g} m, constant segment by {speed_mps * farthest_m:.2g} m/s "
+        f"at {farthest_m:.0f} m"
+    )
     if scenario.tolerated_share == 0.0:
         return Decision("laser sweep", True, "errors of each segment", reason, "exact")
-    bound_m, bound_mps = (
-        LEAST_SWEEP_SCATTER_BINS * each for each in (waveform.range_bin_m, waveform.speed_bin_mps)
+    matters = any(
+        interpreted(sweep_variance)(model, segment, range_m, left_out_bin2) > 0.0
+        for range_m, left_out_bin2 in _lit_beams(model, echoes)
+        for segment in (0, 1)
     )
-    bound = f"{at_most(1.5 * bound_m)} m, {at_most(1.5 * bound_mps)} m/s"
-    if range_m < bound_m and speed_mps < bound_mps:
-        return Decision("laser sweep", False, "-", reason, bound)
-    return Decision("laser sweep", True, f"beams beyond {LEAST_SWEEP_SCATTER_BINS:g} bin", reason, bound)
+    how = "beams whose scatter by it matters" if matters else "-"
+    return Decision("laser sweep", matters, how, reason, _sigma_share(scenario))
 
 
-def _ripple(waveform: Waveform, exact: bool) -> Decision:
+def _ripple(scenario: FlightScenario, echoes: Echoes) -> Decision:
+    waveform = scenario.instrument.waveform
     if waveform.ripple_hz == 0:
         return Decision("ripple of the chirps", False, "-", "ripple_hz is 0", "exact")
     index = 2.0 * waveform.ripple_hz / waveform.ripple_frequency_hz
     reason = (
         f"modulates beats by up to {index:.2g} rad, {waveform.ripple_frequency_hz / 1e3:g} kHz to either side"
     )
-    if exact:
+    if scenario.tolerated_share == 0.0:
         return Decision("ripple of the chirps", True, "filter over bins", reason, "exact")
-    bound = f"{0.5 * LEAST_RIPPLE:g} of a line's amplitude, {LEAST_RIPPLE * waveform.range_bin_m:.2g} m"
-    computed = index > LEAST_RIPPLE
-    how = f"filter over bins, beams beyond {LEAST_RIPPLE:g} rad" if computed else "-"
-    return Decision("ripple of the chirps", computed, how, reason, bound)
+    model = build_receiver(scenario.instrument, scenario.site, scenario.tolerated_share)
+    matters = any(
+        interpreted(ripple_index)(model, range_m, left_out_bin2) > 0.0
+        for range_m, left_out_bin2 in _lit_beams(model, echoes)
+    )
+    how = f"filter over bins, beams beyond {LEAST_RIPPLE:g} rad, or whose scatter matters" if matters else "-"
+    bound = f"{0.5 * LEAST_RIPPLE:g} of a line's amplitude, {_sigma_share(scenario)}"
+    return Decision("ripple of the chirps", matters, how, reason, bound)
+
+
+def _lit_beams(model: ReceiverModel, echoes: Echoes) -> Iterator[tuple[float, float]]:
+    """Range and negligible variance in bins² of the beams with an echo."""
+    power_w = echoes.power_w.sum(axis=-1)
+    for beam in zip(*np.nonzero(power_w > 0.0), strict=True):
+        yield float(echoes.range_m[beam][0]), interpreted(negligible_bin2)(model, float(power_w[beam]))
 
 
 def _speckle(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
@@ -218,7 +238,7 @@ def _speckle(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
 
 def _sigma_share(scenario: FlightScenario) -> str:
     """Bound of a stage that is left out by its share of a beat's variance."""
-    share = allowed_variance_share(scenario.tolerated_share)
+    share = allowed_variance_share(scenario.tolerated_share, scenario.instrument)
     return f"{at_most(50.0 * share)} % of sigma"
 
 
@@ -268,17 +288,22 @@ def plan_leakage(scenario: FlightScenario, echoes: Echoes) -> Decision:
     if leakage_db is None or echoes.fired.shape[1] < 2:
         reason = "leakage_db is null" if leakage_db is None else "there is one beam"
         return Decision("leakage between beams", False, "-", reason, "exact")
-    power_w = echoes.power_w.sum(axis=-1)
-    power_w = power_w[power_w > 0.0]
-    strongest_w, weakest_w = (float(each) for each in (power_w.max(initial=0.0), power_w.min(initial=np.inf)))
-    share = 10.0 ** (leakage_db / 10.0)
-    amplitude = float(np.sqrt(share * strongest_w / weakest_w))
-    snr = share * strongest_w * build_receiver(scenario.instrument, scenario.site).snr_per_w
-    reason = f"up to {amplitude:.2g} of an echo's amplitude, {10.0 * np.log10(max(snr, 1e-30)):.0f} dB of the noise"
-    computed = scenario.tolerated_share == 0.0 or amplitude > LEAST_LEAKAGE or snr > LEAST_LEAKED_SNR
-    if computed:
+    exact = scenario.tolerated_share == 0.0
+    model = build_receiver(scenario.instrument, scenario.site, scenario.tolerated_share)
+    power_w = np.where(echoes.fired, echoes.power_w.sum(axis=-1), 0.0)
+    leaked_w = 10.0 ** (leakage_db / 10.0) * (power_w.sum(axis=1, keepdims=True) - power_w)
+    lit = power_w > 0.0
+    share = leaked_w[lit] / power_w[lit]
+    snr = float(leaked_w.max(initial=0.0)) * model.snr_per_w
+    moved_bin2 = 0.5 * MOST_PULL_BINS**2 * share
+    left_out_bin2 = np.array([interpreted(negligible_bin2)(model, each) for each in power_w[lit]])
+    reason = (
+        f"up to {np.sqrt(share.max(initial=0.0)):.2g} of an echo's amplitude, "
+        f"{10.0 * np.log10(max(snr, 1e-30)):.0f} dB of the noise"
+    )
+    if exact or snr > LEAST_LEAKED_SNR or (moved_bin2 > left_out_bin2).any():
         return Decision("leakage between beams", True, "echoes of all beams", reason, "speckle of its own")
-    bound = f"{LEAST_LEAKAGE:g} bin, {LEAST_LEAKED_SNR:g} of the noise"
+    bound = f"{_sigma_share(scenario)}, {LEAST_LEAKED_SNR:g} of the noise"
     return Decision("leakage between beams", False, "-", reason, bound)
 
 
