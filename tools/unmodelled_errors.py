@@ -254,6 +254,7 @@ SOURCES = [
         "noise ℛP_LO RIN/(2qΣ CMRR) at its frequency",
         f"{RIN_PEAK_DB_PER_HZ:g} dB/Hz at {RIN_PEAK_HZ / 1e6:g} MHz, ± {RIN_HALF_WIDTH_HZ / 1e6:g} MHz [3]",
         rin_peak,
+        "key `intensity_noise_peak_db_per_hz`",
     ),
     Source(
         "drift of alignment",

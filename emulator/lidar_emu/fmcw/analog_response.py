@@ -27,6 +27,11 @@ class Response(NamedTuple):
     """Fraction of the noise that the poles shape; with `digitiser_noise` it sums to 1."""
     digitiser_noise: float
     """Fraction of the noise that arises after the poles."""
+    noise_peak: float
+    """Height of the peak of the laser's intensity noise ahead of the poles, not part of that sum."""
+    noise_peak_bin: float
+    noise_peak_half_bin: float
+    """Frequency of that peak, and half its width at half its height."""
     mean_noise: float
     """Mean over all bins of the noise behind poles and digitiser."""
     full_scale: float
@@ -56,7 +61,7 @@ def tone_gain(response: Response, signed_bin: float) -> tuple[float, float]:
 @kernel(fastmath=FAST)
 def set_noise(response: Response, factor: float, added: float, grid: FloatArray, count: int) -> None:
     """Set NOISE of the first `count` bins to their mean noise power; see `noise_level`."""
-    if is_flat(response):
+    if is_flat(response) and response.noise_peak == 0.0:
         grid[NOISE, :count] = factor * response.amplifier_noise + response.digitiser_noise + added
         return
     for j in range(count):
@@ -69,7 +74,7 @@ def noise_level(response: Response, factor: float, added: float, k: float, sine:
 
     Noise from beyond N/2 is aliased as tones are. For a single pole at c the sum over all Nyquist zones has the closed
     form (πc/N) sinh(2πc/N) / (cosh(2πc/N) - cos(2πk/N)), evaluated here in powers of exp(-2πc/N); the AC coupling
-    matters in the zone at 0 only.
+    matters in the zone at 0 only. So does the peak of the laser's intensity noise, a Lorentzian.
 
     Args:
         response: response of the receiver.
@@ -78,15 +83,20 @@ def noise_level(response: Response, factor: float, added: float, k: float, sine:
         k: index of the bin.
         sine: sine of πk/N.
     """
-    level, zone = 1.0, 1.0
+    level, zone, peak = 1.0, 1.0, 0.0
     if response.lowpass_bin < np.inf:
         apart = 1.0 - response.fold_decay
         level = response.fold_scale / (apart * apart + 4.0 * response.fold_decay * sine * sine)
         zone = 1.0 / (1.0 + (k / response.lowpass_bin) ** 2)
     if response.highpass_bin > 0.0:
         corner = response.highpass_bin * response.highpass_bin
-        level -= zone * corner / (corner + k * k)
-    return factor * response.amplifier_noise * max(level, 0.0) + response.digitiser_noise + added
+        blocked = zone * corner / (corner + k * k)
+        level -= blocked
+        zone -= blocked
+    if response.noise_peak > 0.0:
+        away = (k - response.noise_peak_bin) / response.noise_peak_half_bin
+        peak = zone * response.noise_peak / (1.0 + away * away)
+    return factor * response.amplifier_noise * max(level, 0.0) + peak + response.digitiser_noise + added
 
 
 @kernel

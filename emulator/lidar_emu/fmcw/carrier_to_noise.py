@@ -28,19 +28,29 @@ def noise_over_shot(instrument: Instrument, site: Site | None) -> tuple[float, f
     2^bits)² / 12 spread from 0 to half the sample rate.
     """
     receiver, waveform = instrument.receiver, instrument.waveform
-    current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
     shot_noise_a2_per_hz = shot_a2_per_hz(receiver)
     others = 4.0 * BOLTZMANN_J_PER_K * receiver.temperature_k / receiver.transimpedance_ohm
     others += 2.0 * ELEMENTARY_CHARGE_C * receiver.dark_current_a
-    if receiver.relative_intensity_noise_db_per_hz is not None:
-        rejected_db = receiver.relative_intensity_noise_db_per_hz - receiver.common_mode_rejection_db
-        others += 10.0 ** (rejected_db / 10.0) * current_a**2
+    others += _intensity_a2_per_hz(receiver, receiver.relative_intensity_noise_db_per_hz)
     digitiser = 0.0
     if receiver.adc is not None:
         step_v = receiver.adc.full_scale_v / 2.0**receiver.adc.effective_bits
         digitiser = step_v**2 / 12.0 / receiver.transimpedance_ohm**2 / (0.5 * waveform.sample_rate_hz)
     sunlight = 0.0 if site is None else sunlight_over_shot(instrument, site)
     return 1.0 + sunlight + others / shot_noise_a2_per_hz, digitiser / shot_noise_a2_per_hz
+
+
+def noise_peak_over_shot(receiver: Receiver) -> float:
+    """Ratio of the intensity noise at the peak of the relaxation oscillation to the local oscillator's shot noise."""
+    return _intensity_a2_per_hz(receiver, receiver.intensity_noise_peak_db_per_hz) / shot_a2_per_hz(receiver)
+
+
+def _intensity_a2_per_hz(receiver: Receiver, level_db_per_hz: float | None) -> float:
+    """Current noise density of relative intensity noise after common-mode rejection."""
+    if level_db_per_hz is None:
+        return 0.0
+    current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
+    return float(10.0 ** ((level_db_per_hz - receiver.common_mode_rejection_db) / 10.0) * current_a**2)
 
 
 def shot_a2_per_hz(receiver: Receiver) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.analog_response import Response
-from lidar_emu.fmcw.carrier_to_noise import noise_over_shot, shot_a2_per_hz, snr_per_w
+from lidar_emu.fmcw.carrier_to_noise import noise_over_shot, noise_peak_over_shot, shot_a2_per_hz, snr_per_w
 from lidar_emu.fmcw.false_alarms import neighbour_exceedance
 from lidar_emu.fmcw.link_budget import haze_w_per_m
 from lidar_emu.fmcw.peak_interpolation import PEAK_METHODS
@@ -141,16 +141,30 @@ def _response(instrument: Instrument, amplifier: float, digitiser: float) -> Res
         noise_v = receiver.transimpedance_ohm * np.sqrt(noise_a2)
         full_scale = 0.5 * receiver.adc.full_scale_v / noise_v * np.sqrt(length / 4.0)
     turns = lowpass_bin / length
+    peak = noise_peak_over_shot(receiver) / (amplifier + digitiser)
+    peak_bin, half_bin = (
+        hz / bin_hz for hz in (receiver.intensity_noise_peak_hz, 0.5 * receiver.intensity_noise_peak_width_hz)
+    )
     return Response(
         lowpass_bin=float(lowpass_bin),
         highpass_bin=receiver.ac_coupling_hz / bin_hz,
         fold_scale=float(np.pi * turns * -np.expm1(-4.0 * np.pi * turns)),
         fold_decay=float(np.exp(-2.0 * np.pi * turns)),
-        mean_noise=float((amplifier * _passed(turns) + digitiser) / (amplifier + digitiser)),
+        noise_peak=peak,
+        noise_peak_bin=peak_bin,
+        noise_peak_half_bin=half_bin,
+        mean_noise=float((amplifier * _passed(turns) + digitiser) / (amplifier + digitiser))
+        + peak * _mean_of_peak(peak_bin, half_bin, 0.5 * length),
         amplifier_noise=amplifier / (amplifier + digitiser),
         digitiser_noise=digitiser / (amplifier + digitiser),
         full_scale=float(full_scale),
     )
+
+
+def _mean_of_peak(peak_bin: float, half_bin: float, bins: float) -> float:
+    """Mean of a Lorentzian of unit height over bins 0 to `bins`."""
+    ends = np.arctan((bins - peak_bin) / half_bin) + np.arctan(peak_bin / half_bin)
+    return float(half_bin * ends / bins)
 
 
 def _passed(turns: float) -> float:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from lidar_emu.fmcw.back_reflection import reflection_bin, reflection_power
+from lidar_emu.fmcw.carrier_to_noise import noise_peak_over_shot
 from lidar_emu.fmcw.chirp_ripple import ripple_index
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
@@ -56,7 +57,8 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
     )
     folds = plan_ambiguity(scenario, largest(echoes.range_m), largest(echoes.closing_speed_mps))
     if scenario.waveform_echo != "beamlets":
-        receiver = _response(scenario.instrument), _clipping(scenario.instrument)
+        instrument = scenario.instrument
+        receiver = _response(instrument), _noise_peak(instrument), _clipping(instrument)
         return [level, folds, _scatterers(scenario), *receiver]
     return [
         level,
@@ -67,6 +69,7 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
         _ripple(scenario, echoes),
         *_speckle(scenario, echoes),
         _response(scenario.instrument),
+        _noise_peak(scenario.instrument),
         _clipping(scenario.instrument),
         _back_reflection(scenario, echoes),
         *_light(scenario, echoes),
@@ -250,6 +253,15 @@ def _response(instrument: Instrument) -> Decision:
     return Decision(
         "frequency response", True, "gain of each tone, coloured noise", ", ".join(poles), "exact"
     )
+
+
+def _noise_peak(instrument: Instrument) -> Decision:
+    stage, receiver = "peak of intensity noise", instrument.receiver
+    if receiver.intensity_noise_peak_db_per_hz is None:
+        return Decision(stage, False, "-", "intensity_noise_peak_db_per_hz is null", "exact")
+    excess_db = 10.0 * np.log10(noise_peak_over_shot(receiver))
+    reason = f"{excess_db:.0f} dB of shot noise at {receiver.intensity_noise_peak_hz / 1e3:g} kHz"
+    return Decision(stage, True, "noise of each bin", reason, "folded flanks left out")
 
 
 def _clipping(instrument: Instrument) -> Decision:

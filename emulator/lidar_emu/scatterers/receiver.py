@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser
+from lidar_emu.fmcw.waveform.intensity_noise import NoisePeak
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.instrument import Waveform
 
@@ -16,6 +17,8 @@ class RecordReceiver(NamedTuple):
     response: AnalogResponse
     digitiser: Digitiser | None
     noise_share: float
-    """Power of the noise ahead of the poles."""
+    """Power of the white noise ahead of the poles."""
     noise_level: FloatArray
-    """(N/2 + 1,) Mean noise power in a rectangular bin, with the digitiser's."""
+    """(N/2 + 1,) Mean noise power in a rectangular bin, of all of it."""
+    noise_peak: NoisePeak | None = None
+    """Peak of the laser's intensity noise."""

@@ -190,7 +190,14 @@ class Receiver(Part):
     dark_current_a: Annotated[float, Field(ge=0, le=1)] = 1e-8
     """Dark current of the pair of detectors."""
     relative_intensity_noise_db_per_hz: Annotated[float, Field(ge=-300, le=0)] | None = -150.0
-    """Relative intensity noise of the laser; null: none."""
+    """Relative intensity noise of the laser, alike at all frequencies; null: none."""
+    intensity_noise_peak_db_per_hz: Annotated[float, Field(ge=-300, le=0)] | None = None
+    """Relative intensity noise at the peak of the laser's relaxation oscillation, a Lorentzian that adds to the rest;
+    null: none."""
+    intensity_noise_peak_hz: Positive = 1e6
+    """Frequency of that peak, below half the sample rate."""
+    intensity_noise_peak_width_hz: Positive = 200e3
+    """Full width of that peak at half its height."""
     common_mode_rejection_db: NonNegative = 30.0
     """Suppression of intensity noise by the balanced pair."""
     bandwidth_hz: Positive | None = 300e6
@@ -253,6 +260,12 @@ class Instrument(Part):
     """Signal processing."""
 
     @property
+    def _noise_peak_hz(self) -> float:
+        """Frequency of the peak of intensity noise; 0 without one."""
+        receiver = self.receiver
+        return 0.0 if receiver.intensity_noise_peak_db_per_hz is None else receiver.intensity_noise_peak_hz
+
+    @property
     def furthest_record_s(self) -> float:
         """Time from the time of validity to the centres of the first and the last record."""
         return self.waveform.segment_time_s * (1.5 * self.detection.looks - 0.5)
@@ -269,9 +282,12 @@ class Instrument(Part):
             allowed = f"at most {highest_hz:.6g}, a twentieth of the sample rate"
             raise unusable("receiver.ac_coupling_hz", self.receiver.ac_coupling_hz, allowed)
         nyquist_hz = self.waveform.sample_rate_hz / 2
-        if self.detection.lowest_beat_hz >= nyquist_hz:
-            allowed = f"below {nyquist_hz:.6g}, half the sample rate"
-            raise unusable("detection.lowest_beat_hz", self.detection.lowest_beat_hz, allowed)
+        for key, value in (
+            ("detection.lowest_beat_hz", self.detection.lowest_beat_hz),
+            ("receiver.intensity_noise_peak_hz", self._noise_peak_hz),
+        ):
+            if value >= nyquist_hz:
+                raise unusable(key, value, f"below {nyquist_hz:.6g}, half the sample rate")
         steps_hz = (
             2 * self.waveform.chirp_slope_hz_per_s * self.detection.maximum_range_m / SPEED_OF_LIGHT_MPS
         )

@@ -18,6 +18,7 @@ from lidar_emu.fmcw.waveform.analog_receiver import (
 )
 from lidar_emu.fmcw.waveform.beam_result import to_beam_result
 from lidar_emu.fmcw.waveform.detection import Targets, find_targets, transform, window_noise_power
+from lidar_emu.fmcw.waveform.intensity_noise import NoisePeak
 from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift, has_phase_noise, ripple_drift
 from lidar_emu.fmcw.waveform.record_samples import (
     Beamlets,
@@ -97,6 +98,7 @@ def measure_waveform(
     laser_rng: np.random.Generator | None = None,
     reflection: ScattererPatches | None = None,
     noise_share: float = 1.0,
+    noise_peak: NoisePeak | None = None,
     digitiser: Digitiser | None = None,
     noise_level: float | FloatArray = 1.0,
     residual_limit: ResidualLimit | None = None,
@@ -114,7 +116,8 @@ def measure_waveform(
         laser_rng: random generator of slopes, which all measurements share, of ripple and of 1/f noise; None leaves
             them out.
         reflection: light that the optics reflect, without phase noise of the laser; None: none.
-        noise_share: power of the noise ahead of the poles, relative to the squares of the weights.
+        noise_share: power of the white noise ahead of the poles, relative to the squares of the weights.
+        noise_peak: peak of the laser's intensity noise; None: none.
         digitiser: None: ideal.
         noise_level: mean noise power in a rectangular bin as the detector assumes it, one for all bins or (N/2 + 1,).
         residual_limit: limit of the residual, which the published detector does not check; None: none.
@@ -161,6 +164,8 @@ def measure_waveform(
             samples = np.ascontiguousarray(light.real)
             if rng is not None:
                 samples += np.sqrt(noise_share) * draw_noise(rng, len(samples), waveform, response)
+            if rng is not None and noise_peak is not None:
+                samples += noise_peak.draw(rng, len(samples), waveform, response)
             if digitiser is not None:
                 samples = digitiser.digitise(samples)
             bins = transform(samples, detection.window)

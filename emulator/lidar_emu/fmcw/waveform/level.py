@@ -15,6 +15,7 @@ from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Returns
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level, noise_with_echo
 from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, WaveformMeasurement, measure_waveform
 from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
+from lidar_emu.fmcw.waveform.intensity_noise import NoisePeak
 from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import generator
@@ -144,6 +145,9 @@ def _measure_records(
     response = AnalogResponse.of(receiver)
     echo_w = float(power_w[field.weight[s, b].any(axis=(0, 1))].sum())
     share, level = noise_with_echo(model, echo_w, noise_level(waveform, response))
+    peak = NoisePeak.of(receiver, model.response)
+    if peak is not None:
+        level = level + peak.bins(waveform, response)
     return measure_waveform(
         waveform,
         instrument.detection,
@@ -153,6 +157,7 @@ def _measure_records(
         laser_rng=rng.laser,
         reflection=_reflection(model, rng.beam),
         noise_share=share,
+        noise_peak=peak,
         digitiser=Digitiser.of(receiver, model.response),
         noise_level=level,
         residual_limit=model.residual_limit,
