@@ -200,6 +200,11 @@ def travel_time(flown: Flown) -> Errors:
     return echoes.range_rate_mps[..., 0] * old_s, flown.speed_mps**2 / SPEED_OF_LIGHT_MPS - older_mps
 
 
+def settling_s(flown: Flown) -> float:
+    """Time from the beginning of a segment to its record."""
+    return flown.instrument.waveform.segment_time_s - flown.instrument.waveform.record_time_s
+
+
 def weaker_echo(loss: float) -> Callable[[Flown], Errors]:
     """Errors by a loss of the echo's power: the noise grows by the same share."""
 
@@ -379,7 +384,9 @@ def table(flights: list[Flown]) -> str:
         "AC coupling: all chirps lock onto it. Modelled by key `back_reflection_db`.",
         "",
         f"Saturation: the strongest echo of any flight is {-brightest:.0f} dB below full scale; on these flights there "
-        "is none. It needs a retroreflector, which a fault of kind `reflectance_patch` places.",
+        "is none. It needs a retroreflector, which a fault of kind `reflectance_patch` places; key `adc` models the "
+        "clipping. Recovery afterwards is not modelled: an amplifier recovers within a microsecond (assumed), and "
+        f"records begin {min(map(settling_s, flights)) * 1e6:.0f} µs after their segments at the earliest.",
     ]
     return "\n".join(lines) + "\n"
 
