@@ -119,32 +119,6 @@ def test_closing_acceleration_follows_the_beam_from_segment_to_segment(make_flig
     np.testing.assert_allclose(echoes.closing_acceleration_mps2[1], by_difference, atol=1e-5)
 
 
-@pytest.mark.parametrize("altitude_m", [30, 300, 4000])
-def test_smear_is_of_a_point_that_stays_on_the_ground(make_flight, altitude_m) -> None:
-    pointing, hits, echoes = look(make_flight(**tumbling(altitude_m)), [0, 1, 2], period_ns=1_000_000)
-    point = pointing.sensor_site_m + hits.range_m[..., None] * pointing.true_site
-    path = path_m(pointing, point[1][:, None])[..., 0]
-    by_difference = -(path[2] - 2 * path[1] + path[0]) / 1e-6
-    np.testing.assert_allclose(echoes.smear_acceleration_mps2[1], by_difference, atol=2e-3)
-    assert np.max(np.abs(echoes.smear_acceleration_mps2[1] - echoes.closing_acceleration_mps2[1])) > 0.1
-
-
-def test_far_away_smear_is_the_centripetal_term(make_flight) -> None:
-    """Level at 40 m/s over a point 50 km below: v²/R less; right above it the wavefront is flat."""
-    for altitude_m, expected in ((50_000, 1600 / 50_000), (1, 1600 / (1 + RAYLEIGH_M**2))):
-        level = {
-            "kind": "profile",
-            "path_angle_deg": 0.1,
-            "waypoints": [
-                {"altitude_m": altitude_m, "speed_mps": 40},
-                {"altitude_m": altitude_m - 0.01, "speed_mps": 40},
-            ],
-        }
-        _, _, echoes = look(make_flight(scanner=NADIR, trajectory=level), [0], beamlets=1)
-        assert -echoes.smear_acceleration_mps2[0, 0] == pytest.approx(expected, rel=2e-4)
-        assert abs(echoes.closing_acceleration_mps2[0, 0]) < 1e-12
-
-
 @pytest.mark.parametrize("range_m", [50, 200, 585, 2000, 10_000])
 @pytest.mark.parametrize(
     ("speed_mps", "rate_radps"),
@@ -209,7 +183,6 @@ def test_beams_that_meet_nothing_or_do_not_fire_have_a_place(make_flight) -> Non
     assert not pointing.fired.all()
     np.testing.assert_array_equal(echoes.speckle_drift_per_s[nothing], 0)
     assert np.isfinite(echoes.speckle_place).all()
-    assert np.isfinite(echoes.smear_acceleration_mps2[pointing.fired]).all()
     assert np.isfinite(echoes.closing_acceleration_mps2[pointing.fired]).all()
     np.testing.assert_array_equal(np.isnan(echoes.range_rate_mps), np.isnan(echoes.range_m))
     np.testing.assert_array_equal(echoes.power_w[np.isnan(echoes.range_m)], 0)

@@ -40,7 +40,6 @@ def _echoes(
         closing_acceleration_mps2=acceleration_mps2 * one,
         closing_jerk_mps3=0 * one,
         range_curvature_mps2=0 * one,
-        smear_acceleration_mps2=acceleration_mps2 * one,
         air_speed_mps=speed_mps * one,
         speckle_place=rng.uniform(-1e6, 1e6, (SHOTS, 1, 2)),
         speckle_drift_per_s=np.full((SHOTS, 1, 2), 200.0),

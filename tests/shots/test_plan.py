@@ -93,3 +93,15 @@ def test_bounds_of_what_is_left_out_follow_the_flight():
     assert f"makes {bias_m:.2g} m of range" in reasons["motion in a shot"]
     away_m = 2000 * np.tan(np.radians(22.5))
     assert bounds["curvature of the grid"].startswith(f"{away_m**2 / 2 / 1737.4e3:.2g} m")
+
+
+@pytest.mark.parametrize(("spin_radps", "narrow"), [(15.0, False), (30.0, True)])
+def test_a_beam_that_turns_too_fast_has_lines_of_a_bounded_width(
+    make_flight, spin_radps: float, narrow: bool
+) -> None:
+    """At 22.5 degrees the beam turns at 0.38 of the spin; the limit is 61.6 waists a record, of λ/(π w0) each."""
+    spinning = FAST | {"attitude": {"body_rate_radps": (0.0, 0.0, spin_radps)}}
+    decisions = build_model(make_flight(trajectory=spinning)).plan.decisions
+    (decision,) = (each for each in decisions if each.stage == "speckle within a record")
+    assert decision.computed
+    assert ("as wide as of 61.6 waists" in decision.bound) is narrow

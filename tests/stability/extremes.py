@@ -47,9 +47,7 @@ def _point(
     rate = -speed_mps if rate_mps is None else rate_mps
     beams = echoes(range_m, speed_mps, _power_w(instrument, snr_db), range_rate_mps=rate)
     acceleration = np.full(beams.fired.shape, acceleration_mps2)
-    return instrument, beams._replace(
-        closing_acceleration_mps2=acceleration, smear_acceleration_mps2=acceleration
-    )
+    return instrument, beams._replace(closing_acceleration_mps2=acceleration)
 
 
 def _footprint(instrument: Instrument, spread_bin: float, beamlets: int, shots: int, seed: int = 5) -> Beams:

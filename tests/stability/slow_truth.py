@@ -20,7 +20,7 @@ def _measure(range_m: float, speed_mps: float, acceleration_mps2: float) -> Outc
     model, waveform = build_receiver(_JOINT, left_out_share=0.0), _JOINT.waveform
     beams = echoes(range_m, speed_mps, _SNR / model.snr_per_w, range_rate_mps=-speed_mps)
     acceleration = np.full((1, 1), acceleration_mps2)
-    beams = beams._replace(closing_acceleration_mps2=acceleration, smear_acceleration_mps2=acceleration)
+    beams = beams._replace(closing_acceleration_mps2=acceleration)
     returns = receive(model, beams, np.zeros(1, dtype=np.int64), 1)
     check_report(returns, _JOINT.detection.maximum_range_m)
     footprint = ScattererPatches(

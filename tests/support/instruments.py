@@ -56,7 +56,7 @@ def echoes(
     fired = np.ones(beams, dtype=bool)
     return Echoes(
         *shaped,
-        *(np.zeros(beams) for _ in range(5)),
+        *(np.zeros(beams) for _ in range(4)),
         np.broadcast_to(np.asarray(place, dtype=float), (*beams, 2)).copy(),
         np.broadcast_to(np.asarray(drift_per_s, dtype=float), (*beams, 2)).copy(),
         fired,

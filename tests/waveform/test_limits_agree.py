@@ -49,7 +49,6 @@ def _echoes(
         still,
         still,
         still,
-        still,
         place,
         0.0 * place,
         still == 0.0,

@@ -8,14 +8,16 @@ radius of the beam's wavefront. Its closing speed -dL/dt is, to first order in x
 
 Speckle: as the footprint moves by D over the ground, its scatterers are exchanged, which gives the echo field the
 correlation exp(-D²/w²). With the beamlets' own closing speeds the correlation is exp(-d²/w0²) for a sensor that moves
-by d across the beam, exp(-(π w0 θ/λ)²) for one that rotates by θ, at any range, and the product for both.
+by d across the beam, exp(-(π w0 θ/λ)²) for one that rotates by θ, at any range, and the product for both. The process
+is stationary: the acceleration of a fixed point that crosses the footprint does not appear in it, and within a record,
+too, frequencies change by the closing acceleration along the axis alone.
 
 Where the surface moves, v is the velocity of the sensor relative to it.
 """
 
 from __future__ import annotations
 
-from math import nan, sqrt
+from math import hypot, nan, sqrt
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -87,7 +89,6 @@ class _Buffers(NamedTuple):
                 closing_acceleration_mps2=np.empty(shape),
                 closing_jerk_mps3=np.zeros(shape),
                 range_curvature_mps2=np.zeros(shape),
-                smear_acceleration_mps2=np.empty(shape),
                 air_speed_mps=np.empty(shape),
                 speckle_place=np.empty((*shape, 2)),
                 speckle_drift_per_s=np.empty((*shape, 2)),
@@ -230,14 +231,10 @@ def _set_echoes(
             first_mps = _relative_speed(surface_mps, on_axis, velocity, first)
             second_mps = _relative_speed(surface_mps, on_axis, velocity, second)
             first_radps, second_radps = dot(swing_radps, first), dot(swing_radps, second)
-            along_mps2 = dot(vectors.acceleration_mps2[s, b], axis)
             coriolis_mps2 = first_mps * first_radps + second_mps * second_radps
-            passing_m2ps2 = first_mps * first_mps + second_mps * second_mps
-            squared_radps2 = first_radps * first_radps + second_radps * second_radps
-            turning_radps = sqrt(squared_radps2)
-            echoes.closing_acceleration_mps2[s, b] = along_mps2 + coriolis_mps2
-            echoes.smear_acceleration_mps2[s, b] = along_mps2 + _point_acceleration_mps2(
-                passing_m2ps2, coriolis_mps2, squared_radps2, away_m, rayleigh_m
+            turning_radps = sqrt(first_radps * first_radps + second_radps * second_radps)
+            echoes.closing_acceleration_mps2[s, b] = (
+                dot(vectors.acceleration_mps2[s, b], axis) + coriolis_mps2
             )
             # Across the beam, in pitches: from shot to shot the echo field is the whole beam's and changes with
             # exp(-d²/w0²). A rotation of the beam changes it too, by the sensor's distance from the origin times the
@@ -253,9 +250,11 @@ def _set_echoes(
                 nan_to_zero(first_m / waist_pitch_m),
                 nan_to_zero(second_m / waist_pitch_m),
             )
-            arm_m, pitch_m = _speckle_scale(beamlets, away_m, waist_m, rayleigh_m)
-            echoes.speckle_drift_per_s[s, b, 0] = nan_to_zero((first_mps + arm_m * first_radps) / pitch_m)
-            echoes.speckle_drift_per_s[s, b, 1] = nan_to_zero((second_mps + arm_m * second_radps) / pitch_m)
+            slides_mps, pitch_m = _speckle_motion(
+                beamlets, (first_mps, second_mps), (first_radps, second_radps), away_m, waist_m, rayleigh_m
+            )
+            echoes.speckle_drift_per_s[s, b, 0] = nan_to_zero(slides_mps[0] / pitch_m)
+            echoes.speckle_drift_per_s[s, b, 1] = nan_to_zero(slides_mps[1] / pitch_m)
             for i in range(beamlets):
                 ray_i = on_axis + i
                 facet = normals[ray_i]
@@ -343,29 +342,26 @@ def _relative_speed(surface_mps: FloatArray, ray: int, velocity: FloatArray, alo
 
 
 @kernel
-def _point_acceleration_mps2(
-    passing_m2ps2: float, coriolis_mps2: float, squared_radps2: float, range_m: float, rayleigh_m: float
-) -> float:
-    """Closing acceleration -d²L/dt² of the point of the ground on the axis, less a·u; 0 where the axis hits nothing.
+def _speckle_motion(
+    beamlets: int,
+    across_mps: tuple[float, float],
+    swing_radps: tuple[float, float],
+    range_m: float,
+    waist_m: float,
+    rayleigh_m: float,
+) -> tuple[tuple[float, float], float]:
+    """Motion of the field within a measurement, in m/s along both axes across the beam, and the pitch of its lattice.
 
-    The value is (1 - R/Rc) (2 v·u' + R u'²) - v²/Rc, v across the beam. In the far field this is -v²/R for any rotation
-    of the beam, since the distance to a fixed point does not depend on the beam.
-    """
-    squared_m2 = range_m * range_m + rayleigh_m * rayleigh_m
-    flatness = rayleigh_m * rayleigh_m / squared_m2
-    turning_mps2 = 2 * coriolis_mps2 + range_m * squared_radps2
-    return nan_to_zero(flatness * turning_mps2 - passing_m2ps2 * range_m / squared_m2)
-
-
-@kernel
-def _speckle_scale(beamlets: int, range_m: float, waist_m: float, rayleigh_m: float) -> tuple[float, float]:
-    """Shift of the field per rotation of the beam, and pitch of the field's lattice, within a measurement, both in
-    metres.
-
-    Several beamlets have their own Doppler shifts, so that the field only represents the exchange of scatterers; with a
-    single beamlet it represents both.
+    Several beamlets have their own Doppler shifts, so that the field only represents the exchange of scatterers: it
+    moves with the footprint. With a single beamlet it represents both, and the correlations over a shift and over a
+    rotation multiply, whatever their directions.
     """
     if beamlets == 1:
-        return rayleigh_m, PITCH_W * waist_m
+        slides_mps = (
+            hypot(across_mps[0], rayleigh_m * swing_radps[0]),
+            hypot(across_mps[1], rayleigh_m * swing_radps[1]),
+        )
+        return slides_mps, PITCH_W * waist_m
     farness = range_m / rayleigh_m
-    return range_m, PITCH_W * waist_m * sqrt(1 + farness * farness)
+    slides_mps = across_mps[0] + range_m * swing_radps[0], across_mps[1] + range_m * swing_radps[1]
+    return slides_mps, PITCH_W * waist_m * sqrt(1 + farness * farness)

@@ -133,7 +133,7 @@ def measure_beams(
                 if beam.lit_beamlets > 0:
                     first_m, first_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
                     beam.filter_taps = widest_filter(
-                        model, first_m, first_mps, beam.smear_acceleration_mps2, beam.left_out_bin2
+                        model, first_m, first_mps, beam.closing_acceleration_mps2, beam.left_out_bin2
                     )
             for segment in range(3):
                 if spectrum_arrays is None:
@@ -152,7 +152,6 @@ def _set_motion(beam: Any, echoes: Echoes, s: int, b: int) -> None:
     beam.closing_acceleration_mps2 = _bounded(echoes.closing_acceleration_mps2[s, b])
     beam.closing_jerk_mps3 = _bounded(echoes.closing_jerk_mps3[s, b])
     beam.range_curvature_mps2 = _bounded(echoes.range_curvature_mps2[s, b])
-    beam.smear_acceleration_mps2 = _bounded(echoes.smear_acceleration_mps2[s, b])
     for axis in range(2):
         beam.speckle_place[axis] = _bounded(echoes.speckle_place[s, b, axis])
         beam.speckle_drift_per_s[axis] = _bounded(echoes.speckle_drift_per_s[s, b, axis])

@@ -89,7 +89,7 @@ def filter_beam(
     half = beam.filter_taps
     range_m, speed_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
     by_smear, by_line, both = spectra.taps[0], spectra.taps[1], spectra.taps[2]
-    smear = smear_bins(model, segment, speed_mps, beam.smear_acceleration_mps2)
+    smear = smear_bins(model, segment, speed_mps, beam.closing_acceleration_mps2)
     smeared, lined = abs(smear) > model.least_smear_bins, line_matters(model, range_m, beam.left_out_bin2)
     index = (segment + 3 * look) * _INDICES
     if lined and model.homodyne_line:

@@ -69,7 +69,7 @@ class FmcwReceiver:
         level = self._highest_level(self._records, echoes.speckle_drift_per_s)
         taps = 0
         if not model.statistical:
-            motion = echoes.closing_speed_mps, echoes.smear_acceleration_mps2
+            motion = echoes.closing_speed_mps, echoes.closing_acceleration_mps2
             taps = self._most_taps(self._records, echoes.range_m, *motion)
         if self._beamlets == beamlets and self._taps >= taps and self._level >= level:
             return

@@ -27,13 +27,11 @@ class Echoes(NamedTuple):
     """(shots, beams, beamlets) Rate of `range_m` as the moving beam slides over the ground; it differs from minus the
     closing speed unless the beam stays at the same point."""
     closing_acceleration_mps2: FloatArray
-    """(shots, beams) Rate of the closing speed along the moving beam, from segment to segment."""
+    """(shots, beams) Rate of the closing speed along the moving beam."""
     closing_jerk_mps3: FloatArray
     """(shots, beams) Rate of `closing_acceleration_mps2`; 0 where the run leaves it out."""
     range_curvature_mps2: FloatArray
     """(shots, beams) Rate of `range_rate_mps` on the axis; 0 where the run leaves it out."""
-    smear_acceleration_mps2: FloatArray
-    """(shots, beams) Closing acceleration of a point of the ground, which applies within a record."""
     air_speed_mps: FloatArray
     """(shots, beams) Closing speed of the air along the axis, which all haze on it has."""
     speckle_place: FloatArray

@@ -7,7 +7,8 @@ Gauss-Legendre nodes of the record:
     a(t) = Σ c_q exp(j2π s (q - (Q - 1)/2) t/T),    c = E⁻¹ a,    E_pq = exp(j2π s (q - (Q - 1)/2) t_p/T).
 
 It follows the field between the nodes to 3 to 7 % of its change within the record (`_CHANGES`), and all that is made
-for steady tones applies: bins, images, folds, the receiver's poles.
+for steady tones applies: bins, images, folds, the receiver's poles. With many tones E is ill-conditioned between the
+nodes: there are more nodes than tones, and E⁻¹ is the inverse by least squares.
 """
 
 from __future__ import annotations
@@ -33,12 +34,22 @@ _CHANGES = (
     (17, 0.65, 8.0),
     (25, 0.6, 12.0),
     (33, 0.6, 20.0),
+    (47, 0.8, 32.0),
+    (75, 0.8, 48.0),
+    (111, 0.8, 72.0),
 )
 """Tones, their spacing s in bins, and the way of the footprint in pitches per record up to which they suffice."""
 
 _TONES = np.array([tones for tones, _, _ in _CHANGES])
+_NODES = np.where(_TONES <= 33, _TONES, _TONES * 4 // 3)
 _SPACING_BIN = np.array([spacing for _, spacing, _ in _CHANGES])
 _FARTHEST = np.array([way for _, _, way in _CHANGES])
+
+LONGEST_WAY = float(_FARTHEST[-1])
+"""Way in pitches per record beyond which lines are narrower than in truth."""
+
+_LEAST_SINGULAR = 1e-2
+"""Singular values of E that are left out, relative to the largest, where there are more nodes than tones."""
 
 LINE_BIN2 = PITCH_W**2 / (2.0 * np.pi**2)
 """Variance of the line's frequencies in bins² for a way of one pitch per record: (V⊥ T/(π √2 w))²."""
@@ -60,17 +71,21 @@ class SpeckleChange(NamedTuple):
 
 def speckle_change(beamlets: int, level: int) -> SpeckleChange:
     """Allocate and compute what beams of up to `beamlets` beamlets need, up to `level`."""
-    most = int(_TONES[level])
-    node, tone_from_node = np.zeros((level + 1, most)), np.zeros((level + 1, 2, most, most))
+    most = int(_NODES[level])
+    node, tone_from_node = np.zeros((level + 1, most)), np.zeros((level + 1, 2, int(_TONES[level]), most))
     for i, (tones, spacing, _) in enumerate(_CHANGES[: level + 1]):
-        own = np.polynomial.legendre.leggauss(tones)[0] / 2.0
-        turns = spacing * np.outer(own, np.arange(tones) - (tones - 1) / 2.0)
-        inverse = np.linalg.inv(np.exp(2j * np.pi * turns))
-        node[i, :tones] = own
-        tone_from_node[i, 0, :tones, :tones], tone_from_node[i, 1, :tones, :tones] = (
-            inverse.real,
-            inverse.imag,
-        )
+        nodes = int(_NODES[i])
+        place, weight = np.polynomial.legendre.leggauss(nodes)
+        node[i, :nodes] = place / 2.0
+        turns = spacing * np.outer(node[i, :nodes], np.arange(tones) - (tones - 1) / 2.0)
+        matrix = np.exp(2j * np.pi * turns)
+        if nodes == tones:
+            inverse = np.linalg.inv(matrix)
+        else:
+            root = np.sqrt(weight)
+            inverse = np.linalg.pinv(root[:, None] * matrix, rcond=_LEAST_SINGULAR) * root
+        tone_from_node[i, 0, :tones, :nodes] = inverse.real
+        tone_from_node[i, 1, :tones, :nodes] = inverse.imag
     return SpeckleChange(node, tone_from_node, np.empty((most, 2, beamlets)))
 
 
@@ -108,6 +123,13 @@ def needed_level(model: ReceiverModel, drift_per_s: FloatArray, left_out_bin2: f
 def tone_count(level: int) -> int:
     """Tones of each beamlet."""
     count: int = _TONES[level]
+    return count
+
+
+@kernel
+def node_count(level: int) -> int:
+    """Times within a record at which the field is evaluated."""
+    count: int = _NODES[level]
     return count
 
 
@@ -163,15 +185,15 @@ def set_tone_weights(
         east, north = place[0] + drift_per_s[0] * time_s, place[1] + drift_per_s[1] * time_s
         set_weights(seed, beam, east, north, field, field.weights[0])
         return
-    count = tone_count(level)
-    for p in range(count):
+    count, nodes = tone_count(level), node_count(level)
+    for p in range(nodes):
         then_s = time_s + record_s * change.node[level, p]
         east, north = place[0] + drift_per_s[0] * then_s, place[1] + drift_per_s[1] * then_s
         set_weights(seed, beam, east, north, field, change.values[p])
     field.weights[:count] = 0.0
     for q in range(count):
         to_re, to_im = field.weights[q, 0], field.weights[q, 1]
-        for p in range(count):
+        for p in range(nodes):
             re, im = change.tone_from_node[level, 0, q, p], change.tone_from_node[level, 1, q, p]
             at_re, at_im = change.values[p, 0], change.values[p, 1]
             for i in range(len(to_re)):

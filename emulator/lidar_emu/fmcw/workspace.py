@@ -35,7 +35,6 @@ BEAM = np.dtype(
         ("closing_acceleration_mps2", "f8"),
         ("closing_jerk_mps3", "f8"),
         ("range_curvature_mps2", "f8"),
-        ("smear_acceleration_mps2", "f8"),
         ("speckle_place", "f8", (2,)),
         ("speckle_drift_per_s", "f8", (2,)),
         ("lit_beamlets", "i8"),

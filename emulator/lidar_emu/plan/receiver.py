@@ -27,6 +27,7 @@ from lidar_emu.fmcw.skip_limits import (
     negligible_bin2,
 )
 from lidar_emu.fmcw.speckle import PITCH_W
+from lidar_emu.fmcw.speckle_change import LONGEST_WAY
 from lidar_emu.fmcw.sweep_error import sweep_variance
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.motion import largest
@@ -151,7 +152,7 @@ def _smear(scenario: FlightScenario, echoes: Echoes) -> Decision:
 def largest_smear_bins(waveform: Waveform, echoes: Echoes) -> float:
     """Compute the largest drift of a beat during its record by acceleration and range migration, in bins."""
     record_s = waveform.record_time_s
-    by_motion = 2 * largest(echoes.smear_acceleration_mps2) / waveform.wavelength_m
+    by_motion = 2 * largest(echoes.closing_acceleration_mps2) / waveform.wavelength_m
     slope = waveform.chirp_slope_hz_per_s * (1 + waveform.slope_error)
     by_migration = 4 * slope * largest(echoes.closing_speed_mps) / SPEED_OF_LIGHT_MPS
     return float((by_motion + by_migration) * record_s**2)
@@ -233,10 +234,13 @@ def _speckle(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
     what, reason = "speckle within a record", f"up to {way:.2g} waists of way in a record"
     if way == 0.0:
         return [field, Decision(what, False, "-", reason, "exact")]
-    if scenario.tolerated_share == 0.0:
-        return [field, Decision(what, True, "several tones per beamlet", reason, "7 % of the change")]
-    how = "beams whose scatter by it matters"
-    return [field, Decision(what, True, how, reason, _sigma_share(scenario))]
+    exact = scenario.tolerated_share == 0.0
+    how = "several tones per beamlet" if exact else "beams whose scatter by it matters"
+    bound = "7 % of the change" if exact else _sigma_share(scenario)
+    longest = PITCH_W * LONGEST_WAY
+    if way > longest:
+        bound = f"lines at most as wide as of {longest:.3g} waists: spread and loss too small beyond"
+    return [field, Decision(what, True, how, reason, bound)]
 
 
 def _sigma_share(scenario: FlightScenario) -> str:

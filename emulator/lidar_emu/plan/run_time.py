@@ -92,7 +92,7 @@ def _bins(
 
     waveform, looks = scenario.instrument.waveform, model.looks
     range_m, speed_mps = echoes.range_m[..., 0][lit], echoes.closing_speed_mps[..., 0][lit]
-    smear_mps2 = np.nan_to_num(echoes.smear_acceleration_mps2[lit])
+    smear_mps2 = np.nan_to_num(echoes.closing_acceleration_mps2[lit])
     power_w = echoes.power_w[..., 0][lit]
     half = np.empty(len(range_m))
     set_widest_filters(as_record(model), range_m, speed_mps, smear_mps2, power_w, half)

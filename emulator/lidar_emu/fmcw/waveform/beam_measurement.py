@@ -48,9 +48,7 @@ class ScattererPatches:
     range_rate_mps: float | FloatArray | None = None
     """Range rate of the beam's axis along the ground, between segments; None: minus the closing speed."""
     closing_acceleration_mps2: float = 0.0
-    """Acceleration along the moving beam, from segment to segment."""
-    smear_acceleration_mps2: float | None = None
-    """Acceleration of a point of the ground, within a record; None: as between segments."""
+    """Acceleration along the moving beam."""
     closing_jerk_mps3: float = 0.0
     """Rate of the acceleration along the moving beam, from segment to segment."""
     range_curvature_mps2: float = 0.0
@@ -62,13 +60,12 @@ class ScattererPatches:
     def beamlets(self, segment: Segment, weight: ComplexArray) -> Beamlets:
         """Patches at the centre of one segment's record, with weights (..., n) there."""
         range_rate_mps = -self.closing_speed_mps if self.range_rate_mps is None else self.range_rate_mps
-        smear_mps2 = self.smear_acceleration_mps2
         time_s = segment.centre_s
         return Beamlets(
             self.range_m + (range_rate_mps + 0.5 * self.range_curvature_mps2 * time_s) * time_s,
             self.closing_speed_mps
             + (self.closing_acceleration_mps2 + 0.5 * self.closing_jerk_mps3 * time_s) * time_s,
-            self.closing_acceleration_mps2 if smear_mps2 is None else smear_mps2,
+            self.closing_acceleration_mps2,
             weight,
             None if self.offset_hz is None else -segment.beat_sign * self.offset_hz,
         )

@@ -121,7 +121,6 @@ def scatterer_patches(
         weight[None, :, tone, lit],
         _finite(echoes.range_rate_mps[s, b, lit]),
         float(echoes.closing_acceleration_mps2[s, b]),
-        float(echoes.smear_acceleration_mps2[s, b]),
         float(echoes.closing_jerk_mps3[s, b]),
         float(echoes.range_curvature_mps2[s, b]),
         offset_hz[tone],
