@@ -1,6 +1,7 @@
 """The statistical level: targets of one segment from a closed-form error model.
 
-The beam's tones are summed at one frequency, the peak of their sum, instead of in every bin.
+The beam's tones are summed at one frequency, the peak of their sum, instead of in every bin; where their line is wide,
+the peak is sought among the bins of the line.
 Speckle, spread, smear and linewidth reduce that sum as they reduce the spectrum's peak. One complex Gaussian number
 represents the noise of the highest bin and decides on detection; the estimator's error is drawn from its variance.
 """
@@ -22,9 +23,9 @@ from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, HANN, no
 from lidar_emu.fmcw.peak_shape import MOST_QUADRATURE, WIDTH_BINS
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.segment_spectrum import set_look_tones
-from lidar_emu.fmcw.speckle_change import tone_count
+from lidar_emu.fmcw.speckle_change import LINE_BIN2, speckle_way, tone_count
 from lidar_emu.fmcw.stated_variance import TONE_WIDTH_BIN2, line_noise
-from lidar_emu.fmcw.workspace import SEGMENT_INDICES, Workspace, look_tones
+from lidar_emu.fmcw.workspace import MAX_LINES, SEGMENT_INDICES, Workspace, look_tones
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import complex_normal
@@ -33,6 +34,12 @@ from lidar_emu.numerics.sine import sin_pi
 
 _NARROW_BIN2 = 0.1
 """Second moment below which `peak_shape.width_bin2` does not distinguish a line from a single tone."""
+
+_REACH_LINES = 4.0
+"""Standard deviations of a wide line on each side of its centre among which its peak is sought."""
+
+_WIDEST_BIN2 = 20.0
+"""Second moment that the bins around the peak of the widest line have; of narrower lines they have half."""
 
 _FAR_BIN = 0.25
 """A step this far from the centre of power is followed by a second one: bins beyond the three may be higher."""
@@ -50,7 +57,7 @@ def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int)
     if beam.lit_beamlets == 0 and not hazy:
         alarms = draw_alarms(model, beam, segment, 0.0, 1.0, 0.0, work.alarms)
         return insert_alarms(model, work.alarms[:alarms], 0.0, targets, 0)
-    kept = _filter_loss(model, work, segment, beam.smear_acceleration_mps2)
+    kept = _filter_loss(model, work, segment, beam.closing_acceleration_mps2)
     # The last column is the haze's.
     first = min(model.ground_beamlets, work.beamlets.shape[1] - 1)
     lines = min(work.beamlets.shape[1] - first, len(work.line_tones))
@@ -136,20 +143,35 @@ def _draw_line(
         if line > 0:
             tones, columns = _line_tones(work, beam, line - 1, look), 1
         factor, loss = gain * gain * (1.0 + model.signal_shot_per_w * beam.power_w), gain * kept
-        centre, quadrature_bin, tones_bin2, re, im = _sum_at_peak(tones, columns)
-        k = min(max(np.rint(centre), 1.0), 0.5 * model.fft_length - 1.0)
-        level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
-        if model.haze.snr_per_m > 0.0 and segment != 1:
-            haze = gain * gain * _haze_around(model, beam, segment, centre)
-        straddled = loss * window_gain(model, centre - k)
+        beamlets_bin, beamlets_bin2 = _centre_of_power(tones, columns)
+        line_bin2 = _line_variance(model, beam)
         index = (segment + 3 * look) * SEGMENT_INDICES + line
-        x, y = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, index)
-        scale = sqrt((level + haze) * model.noise_power)
-        power += ((straddled * re + scale * x) ** 2 + (straddled * im + scale * y) ** 2) / model.looks
-        strength = loss * loss * (re * re + im * im)
+        if beamlets_bin2 + line_bin2 > _NARROW_BIN2:
+            k = _inner_bin(model, tones[0, 0] + beamlets_bin)
+            level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
+            if model.haze.snr_per_m > 0.0 and segment != 1:
+                haze = gain * gain * _haze_around(model, beam, segment, k)
+            reach = _REACH_LINES * sqrt(beamlets_bin2 + line_bin2) + 2.0
+            place, x, y = _highest_bin(
+                model, beam, index, tones, beamlets_bin, reach, loss, sqrt(level + haze)
+            )
+            step, quadrature_bin = _step_to_peak(tones, place)
+            centre, strength = tones[0, 0] + place + step, (x * x + y * y) / model.window_centre**2
+        else:
+            centre, quadrature_bin, re, im = _sum_at_peak(tones, beamlets_bin)
+            k = _inner_bin(model, centre)
+            level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
+            if model.haze.snr_per_m > 0.0 and segment != 1:
+                haze = gain * gain * _haze_around(model, beam, segment, centre)
+            straddled = loss * window_gain(model, centre - k)
+            x, y = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, index)
+            scale = sqrt((level + haze) * model.noise_power)
+            x, y = straddled * re + scale * x, straddled * im + scale * y
+            strength = loss * loss * (re * re + im * im)
+        power += (x * x + y * y) / model.looks
         frequency += strength * centre
         quadrature += strength * quadrature_bin
-        width += strength * tones_bin2
+        width += strength * (beamlets_bin2 + line_bin2 / (2.0 + line_bin2 / _WIDEST_BIN2))
         weight += strength
     target = work.lines[line]
     target.power = 0.0
@@ -180,13 +202,89 @@ def _haze_around(model: ReceiverModel, beam: Any, segment: int, observed_bin: fl
 
 
 @kernel
-def _sum_at_peak(tones: FloatArray, columns: int) -> tuple[float, float, float, float, float]:
-    """Frequency of the peak near the tones' centre of power, its quadrature (`peak_shape`), the second moment of the
-    beamlets, and the sum at the peak.
+def _line_variance(model: ReceiverModel, beam: Any) -> float:
+    """Variance in bins² of the line of each beamlet, by its change of speckle."""
+    if beam.speckle_level == 0:
+        return 0.0
+    way = speckle_way(model, beam.speckle_drift_per_s)
+    variance: float = LINE_BIN2 * way * way
+    return variance
 
-    The tones of one beamlet, a block of `columns` apart, are one tone of changing speckle.
+
+@kernel
+def _inner_bin(model: ReceiverModel, place: float) -> float:
+    """Nearest bin that can hold a target."""
+    k: float = min(max(np.rint(place), 1.0), 0.5 * model.fft_length - 1.0)
+    return k
+
+
+@kernel
+def _highest_bin(
+    model: ReceiverModel,
+    beam: Any,
+    first_index: int,
+    tones: FloatArray,
+    centre: float,
+    reach: float,
+    loss: float,
+    noise: float,
+) -> tuple[float, float, float]:
+    """Highest windowed bin of tones and noise within `reach` of a place.
+
+    Args:
+        first_index: index of the random numbers for the place's bin.
+        centre: place in bins from the first tone's whole bin, like the place returned.
+        reach: bins on each side.
+        loss: amplitude of the tones.
+        noise: amplitude of the noise of a rectangular bin.
+
+    Returns:
+        Its place, real and imaginary part.
     """
-    centre, width = _centre_of_power(tones, columns)
+    sides = int(reach)
+    highest, place, highest_re, highest_im = -1.0, np.rint(centre), 0.0, 0.0
+    before_x, before_y = _bin_noise(beam, first_index, -sides - 1)
+    x, y = _bin_noise(beam, first_index, -sides)
+    for side in range(-sides, sides + 1):
+        after_x, after_y = _bin_noise(beam, first_index, side + 1)
+        k = np.rint(centre) + side
+        if 0.0 < tones[0, 0] + k < 0.5 * model.fft_length:
+            re, im = _windowed_sum(model, tones, k)
+            re = loss * re + noise * (model.window_centre * x + model.window_side * (before_x + after_x))
+            im = loss * im + noise * (model.window_centre * y + model.window_side * (before_y + after_y))
+            if re * re + im * im > highest:
+                highest, place, highest_re, highest_im = re * re + im * im, k, re, im
+        before_x, before_y, x, y = x, y, after_x, after_y
+    return place, highest_re, highest_im
+
+
+@kernel
+def _bin_noise(beam: Any, first_index: int, side: int) -> tuple[float, float]:
+    """Noise of unit power of the bin `side` bins from a line's middle."""
+    place = 2 * side if side >= 0 else -2 * side - 1
+    x, y = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, first_index + place * (MAX_LINES + 1))
+    return x, y
+
+
+@kernel
+def _windowed_sum(model: ReceiverModel, tones: FloatArray, k: float) -> tuple[float, float]:
+    """Windowed bin of the tones' sum, `k` bins from the first tone's whole bin."""
+    re = im = 0.0
+    for i in range(tones.shape[1]):
+        # Off the zeros of the denominators, by far less than a peak is accurate.
+        d = (tones[0, i] - tones[0, 0]) + tones[1, i] - k + 1e-9
+        kernel = np.sin(pi * d) / pi * (model.window_centre / d + 2.0 * model.window_side * d / (d * d - 1.0))
+        re += tones[2, i] * kernel
+        im += tones[3, i] * kernel
+    return re, im
+
+
+@kernel
+def _sum_at_peak(tones: FloatArray, centre: float) -> tuple[float, float, float, float]:
+    """Frequency of the peak near the tones' centre of power, its quadrature (`peak_shape`), and the sum at the peak.
+
+    `centre` is in bins from the first tone's whole bin.
+    """
     step, quadrature = _step_to_peak(tones, centre)
     if abs(step) > _FAR_BIN:
         further, quadrature = _step_to_peak(tones, centre + step)
@@ -197,7 +295,7 @@ def _sum_at_peak(tones: FloatArray, columns: int) -> tuple[float, float, float, 
         kernel = _sinc((tones[0, i] - tones[0, 0]) + tones[1, i] - centre)
         re += tones[2, i] * kernel
         im += tones[3, i] * kernel
-    return tones[0, 0] + centre, quadrature, width, re, im
+    return tones[0, 0] + centre, quadrature, re, im
 
 
 @kernel
@@ -273,10 +371,10 @@ def window_gain(model: ReceiverModel, offset: float) -> float:
 
 @kernel(inline="always")
 def _filter_loss(
-    model: ReceiverModel, work: Workspace, segment: int, smear_acceleration_mps2: float
+    model: ReceiverModel, work: Workspace, segment: int, closing_acceleration_mps2: float
 ) -> float:
     """Amplitude of the central tap under smear and the laser's line."""
-    smear = smear_bins(model, segment, work.beamlets[SPEED_MPS, 0], smear_acceleration_mps2)
+    smear = smear_bins(model, segment, work.beamlets[SPEED_MPS, 0], closing_acceleration_mps2)
     # For a chirp of β bins the peak falls as 1 - (πβ)²/360, and as β^-1/2 for large β.
     chirped = 1.0 / (1.0 + (pi * smear) ** 2 / 90.0) ** 0.25
     share: float = line_share(model, work.beamlets[RANGE_M, 0])
