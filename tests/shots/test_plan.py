@@ -101,7 +101,7 @@ def test_a_beam_that_turns_too_fast_has_lines_of_a_bounded_width(
 ) -> None:
     """At 22.5 degrees the beam turns at 0.38 of the spin; the limit is 61.6 waists a record, of λ/(π w0) each."""
     spinning = FAST | {"attitude": {"body_rate_radps": (0.0, 0.0, spin_radps)}}
-    decisions = build_model(make_flight(trajectory=spinning)).plan.decisions
+    decisions = build_model(make_flight(trajectory=spinning, instrument={})).plan.decisions
     (decision,) = (each for each in decisions if each.stage == "speckle within a record")
     assert decision.computed
     assert ("as wide as of 61.6 waists" in decision.bound) is narrow
