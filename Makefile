@@ -11,7 +11,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all soak checks-and-kernels check style types imports kernels docs speckle haze sigma mutants clean
+.PHONY: run test test-all soak checks-and-kernels check style types imports kernels docs speckle haze plume sigma mutants clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -63,6 +63,10 @@ sigma: $(VENV)/.ready-dev
 # The table of docs/accuracy.md on haze as a target, by Monte Carlo: an hour.
 haze: $(VENV)/.ready-dev
 	$(BIN)/python tools/haze_table.py
+
+# The table of docs/accuracy.md on dust of a plume, by Monte Carlo: a quarter of an hour.
+plume: $(VENV)/.ready-dev
+	$(BIN)/python tools/plume_table.py
 
 # The stamps are written last: an environment without one was left half made and is made again.
 $(VENV)/.ready: pyproject.toml

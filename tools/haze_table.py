@@ -10,9 +10,10 @@ measurements that are right (range and closing speed within ten bins of the trut
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from functools import partial
 from math import cos, radians
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from page_table import update
@@ -65,6 +66,13 @@ class Scene(NamedTuple):
         }
 
 
+class FlownScene(Protocol):
+    """A scene of a table of shares."""
+
+    def settings(self) -> dict[str, str]:
+        """Keys of a scenario that flies the scene."""
+
+
 SCENES = (
     Scene(200.0, 3e-4, 1e-2),
     Scene(100.0, 1e-3, 2e-2),
@@ -74,7 +82,7 @@ SCENES = (
 )
 
 
-def shares(scene: Scene, level: str, shots: int) -> FloatArray:
+def shares(scene: FlownScene, level: str, shots: int) -> FloatArray:
     """Shares (3,) of measurements that are right, valid but wrong, and invalid."""
     scenario = load("descent", scene.settings() | LEVELS[level])
     waveform = scenario.instrument.waveform
@@ -97,9 +105,9 @@ def apart(reference: FloatArray, shots: int, fast: FloatArray) -> float:
     return float(np.max(np.abs(fast - reference) / np.sqrt(variance)))
 
 
-def rows(shots: int) -> Iterator[tuple[str, ...]]:
-    """Rows of the table."""
-    for scene in SCENES:
+def rows(scenes: Iterable[FlownScene], shots: int) -> Iterator[tuple[str, ...]]:
+    """Rows of a table."""
+    for scene in scenes:
         reference, *fast = (
             shares(scene, level, shots if level == "reference" else FAST_TIMES * shots) for level in LEVELS
         )
@@ -109,4 +117,4 @@ def rows(shots: int) -> Iterator[tuple[str, ...]]:
 
 if __name__ == "__main__":
     headings = "range, β, α", *LEVELS, "spectral, statistical: errors apart"
-    update("haze", headings, rows, 1000, FAST_TIMES)
+    update("haze", headings, partial(rows, SCENES), 1000, FAST_TIMES)

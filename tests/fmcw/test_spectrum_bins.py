@@ -145,7 +145,7 @@ def test_bins_laid_are_the_union_around_the_tones(places: list[int]) -> None:
 def _add_noise(shot: int, first_index: int, length: float, grid: np.ndarray, bins: np.ndarray) -> None:
     columns = grid.shape[1]
     words, scratch = np.empty((4, columns), dtype=np.uint64), np.empty((2, columns + 2))
-    add_noise(beam_record(shot, 0, seed=3), first_index, length, grid, columns, bins, words, scratch)
+    add_noise(beam_record(shot, 0, seed=3), first_index, length, grid, NOISE, columns, bins, words, scratch)
     mirror_ends(length, grid, grid.shape[1], bins)
 
 

@@ -8,7 +8,7 @@ from moving_beams import gliding, turning
 
 from lidar_emu.fmcw.link_budget import haze_w_per_m
 from lidar_emu.fmcw.waveform.record_samples import frequency_plan
-from lidar_emu.scatterers.haze import HazyBeam, strew_haze
+from lidar_emu.scatterers.haze import ParticleBeam, strew
 from lidar_emu.scatterers.record_light import GaussianMode, PosesAt, RecordLight, record_light
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.load import load
@@ -29,8 +29,8 @@ MOTIONS = {
 
 
 def light(poses_at: PosesAt, range_m: float, segment, seed: int = 1, air: Atmosphere = AIR) -> RecordLight:
-    beam = HazyBeam.of(INSTRUMENT, air, 1.0)
-    particles = strew_haze(beam, poses_at, *SPAN_S, range_m, np.random.default_rng(seed))
+    beam = ParticleBeam.of(INSTRUMENT, 1.0)
+    particles, _ = strew(beam, beam.haze(air, range_m), poses_at, *SPAN_S, np.random.default_rng(seed))
     half_s = 0.5 * WAVEFORM.record_time_s
     return record_light(MODE, segment, poses_at, particles, -half_s, half_s)
 

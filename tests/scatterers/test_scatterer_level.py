@@ -133,7 +133,6 @@ def test_beams_that_meet_nothing_hold_noise_alone() -> None:
     [
         ({"level": "spectral"}, "waveform_echo"),
         ({"instrument.optics.speckle": "false"}, "speckle"),
-        ({"plume": "{optical_depth: 0.5}"}, "plume"),
         ({"instrument.detection.looks": "2", "timing.rate_hz": "10"}, "looks"),
     ],
 )

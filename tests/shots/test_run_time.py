@@ -61,6 +61,19 @@ def test_a_wide_line_and_many_looks_multiply():
     assert many["bins"] > 16 * wide["bins"]
 
 
+def test_bins_of_haze_are_those_before_the_surface():
+    """With haze that is computed everywhere: 100 m are 292 range bins, in two chirps."""
+    near = (
+        "{kind: profile, waypoints: [{altitude_m: 100, speed_mps: 0.01}, {altitude_m: 99, speed_mps: 0.01}]}"
+    )
+    air = "{base: flat, atmosphere: {extinction_per_m: 1.0e-4, backscatter_per_m_sr: 1.0e-3}}"
+    hazy, clear = operations(trajectory=near, site=air), operations(trajectory=near)
+    beats = 100.0 / Waveform().range_bin_m
+    assert hazy["bins of bands"] == pytest.approx(20 * 2 * beats, rel=0.02)
+    assert hazy["bins"] - clear["bins"] == pytest.approx(hazy["bins of bands"], rel=0.02)
+    assert clear["bins of bands"] == 0
+
+
 @pytest.mark.parametrize("corner_hz", [25.0, 50e3])
 def test_samples_are_those_that_pass_the_poles(corner_hz):
     found = operations(

@@ -14,7 +14,7 @@ from lidar_emu.faults.schedule import FaultInstance
 from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import BeamVectors, ChirpBeams, Pointing
 from lidar_emu.fmcw.link_budget import coherent_power_w
-from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.fmcw.returns import DUST_W, Echoes
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.vector_arrays import from_rotation_vector, rotate
 from lidar_emu.scanner.model import mounting_rotation
@@ -114,7 +114,10 @@ class LightFaults:
 
 def _faded(echoes: Echoes, active: _ActiveLightFault) -> Echoes:
     factor = 10.0 ** (-active.fault.loss_db * active.ramp / 10.0)
-    return echoes._replace(power_w=np.where(active.affected, factor, 1.0)[..., None] * echoes.power_w)
+    share = np.where(active.affected, factor, 1.0)[..., None]
+    dust = echoes.dust.copy()
+    dust[..., DUST_W : DUST_W + 1] *= share if dust.size else 1.0
+    return echoes._replace(power_w=share * echoes.power_w, dust=dust)
 
 
 def _patched(echoes: Echoes, active: _ActiveLightFault) -> Echoes:

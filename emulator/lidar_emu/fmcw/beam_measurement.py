@@ -23,7 +23,7 @@ from lidar_emu.fmcw.range_speed_estimation import (
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.residual_limit import largest_residual_bin
-from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes
+from lidar_emu.fmcw.returns import DUST_W, RETURN_COLUMNS, Echoes
 from lidar_emu.fmcw.segment_spectrum import set_spectrum
 from lidar_emu.fmcw.skip_limits import negligible_bin2
 from lidar_emu.fmcw.speckle import forget_corners
@@ -127,6 +127,9 @@ def measure_beams(
             beam.speckle_level = needed_level(model, beam.speckle_drift_per_s, beam.left_out_bin2)
             if model.haze.snr_per_m > 0.0:
                 _set_haze(model, work, beam, echoes.air_speed_mps[s, b])
+            beam.dust_snr = 0.0
+            if echoes.dust.shape[2] > 0 and echoes.dust[s, b, DUST_W] > 0.0:
+                _set_dust(model, beam, echoes.dust[s, b])
             forget_corners(work.speckle)
             if spectrum_arrays is not None:
                 beam.filter_taps = 0
@@ -164,7 +167,17 @@ def _set_haze(model: ReceiverModel, work: Workspace, beam: Any, air_speed_mps: f
     beam.haze_range_m = model.record_edge_range_m
     if beam.lit_beamlets > 0:
         beam.haze_range_m = min(beam.haze_range_m, work.beamlets[RANGE_M, 0])
-    beam.power_w += haze_snr(model, beam.haze_range_m) / model.snr_per_w
+    beam.haze_snr = haze_snr(model, beam.haze_range_m)
+    beam.power_w += beam.haze_snr / model.snr_per_w
+
+
+@kernel
+def _set_dust(model: ReceiverModel, beam: Any, dust: FloatArray) -> None:
+    """Set the dust in front of the surface, and add its light to the beam's."""
+    for column in range(len(dust)):
+        beam.dust[column] = _bounded(dust[column])
+    beam.dust_snr = beam.dust[DUST_W] * model.snr_per_w
+    beam.power_w += beam.dust[DUST_W]
 
 
 @kernel(forceinline=True)

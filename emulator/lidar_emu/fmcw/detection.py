@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.false_alarms import draw_alarms, insert_alarms
-from lidar_emu.fmcw.haze import draw_haze_peaks
 from lidar_emu.fmcw.peak_interpolation import peak
 from lidar_emu.fmcw.peak_shape import quadrature_offset, width_bin2
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, TAPS
+from lidar_emu.fmcw.volume_light import COMPUTED_DUST_BINS, has_band
+from lidar_emu.fmcw.volume_peaks import draw_volume_peaks
 from lidar_emu.fmcw.workspace import MAX_TARGETS, SpectrumWorkspace, Workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
@@ -42,11 +43,12 @@ def find_targets(
     alarms = draw_alarms(model, beam, segment, highest, noisiest, computed, work.alarms)
     if alarms > 0:
         highest = max(highest, work.alarms[0].power)
-    hazy = 0
-    if model.haze.snr_per_m > 0.0:
-        hazy = draw_haze_peaks(model, work, beam, segment, model.haze.computed_range_m, highest)
-        if hazy > 0:
-            highest = max(highest, work.haze_peaks[0].power)
+    peaks = 0
+    if has_band(beam):
+        computed_m = model.haze.computed_range_m
+        peaks = draw_volume_peaks(model, work, beam, segment, computed_m, COMPUTED_DUST_BINS, highest)
+        if peaks > 0:
+            highest = max(highest, work.volume_peaks[0].power)
     groups = find_groups(
         spectra.grid[POWER, :count],
         spectra.grid[NOISE, :count],
@@ -57,7 +59,7 @@ def find_targets(
     for g in range(groups):
         _set_target(model, spectra, spectra.peaks[g], count, targets[g])
     groups = insert_alarms(model, work.alarms[:alarms], highest, targets, groups)
-    return insert_alarms(model, work.haze_peaks[:hazy], highest, targets, groups)
+    return insert_alarms(model, work.volume_peaks[:peaks], highest, targets, groups)
 
 
 @kernel(inline="always")

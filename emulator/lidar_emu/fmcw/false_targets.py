@@ -11,6 +11,13 @@ from numpy.typing import NDArray
 
 from lidar_emu.fmcw.beat_tones import signed_bin
 from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.returns import (
+    DUST_FAR_M,
+    DUST_FASTEST_MPS,
+    DUST_NEAR_M,
+    DUST_SLOWEST_MPS,
+    DUST_W,
+)
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 
@@ -34,6 +41,8 @@ class FalseTarget(IntEnum):
     """Echo of another beam."""
     HAZE = 4
     """Backscatter of the atmosphere."""
+    DUST = 5
+    """Dust of the plume."""
 
 
 def has_false_targets(model: ReceiverModel) -> bool:
@@ -48,10 +57,11 @@ def false_targets(
     closing_speed_mps: FloatArray,
     leakage: bool = False,
     air_speed_mps: FloatArray | None = None,
+    dust: FloatArray | None = None,
 ) -> NDArray[np.uint8]:
     """Find the source of a peak that lies nearer to its line than to the surface's, in any segment.
 
-    A peak in the band of haze before the surface is its own where haze makes it at least twice as likely as noise does.
+    A peak in a band of haze or dust is its own where the light makes it at least twice as likely as noise does.
 
     Args:
         model: from `build_receiver`.
@@ -59,18 +69,21 @@ def false_targets(
         range_m, closing_speed_mps: (shots, beams) truth at the time of validity; NaN where there is no surface.
         leakage: whether beams receive the echoes of others.
         air_speed_mps: (shots, beams) closing speed of the air; None marks no haze.
+        dust: see `Echoes`; None marks no dust.
 
     Returns:
         (shots, beams) codes of `FalseTarget`.
     """
     found = np.zeros(range_m.shape, dtype=np.uint8)
-    hazy = np.zeros(range_m.shape, dtype=bool)
+    hazy, dusty = np.zeros((2, *range_m.shape), dtype=bool)
     for segment in range(3):
         peak_bin = segment_peak_hz[..., segment] / model.bin_width_hz
         then_m = range_m - (segment - 1) * model.segment_records * model.record_time_s * closing_speed_mps
         surface = _observed(model, segment, then_m, closing_speed_mps)
         if air_speed_mps is not None:
             hazy |= _is_haze(model, segment, peak_bin, surface, range_m, air_speed_mps)
+        if dust is not None:
+            dusty |= _is_dust(model, segment, peak_bin, surface, dust)
         if leakage:
             others = np.abs(peak_bin[..., None] - surface[:, None, :])
             near = (others <= _FOOTPRINT_BINS).any(axis=-1)
@@ -90,7 +103,28 @@ def false_targets(
         nearer = ~(np.abs(peak_bin - surface) <= away)
         found[(away <= _NEAR_BINS) & nearer] = FalseTarget.BACK_REFLECTION
     found[hazy & (found == FalseTarget.NONE)] = FalseTarget.HAZE
+    found[dusty & (found == FalseTarget.NONE)] = FalseTarget.DUST
     return found
+
+
+def _is_dust(
+    model: ReceiverModel, segment: int, peak_bin: FloatArray, surface_bin: FloatArray, dust: FloatArray
+) -> BoolArray:
+    """Whether the peaks of a segment are in the dust's band."""
+    signed: Any = interpreted(signed_bin)
+    near_m, far_m = dust[..., DUST_NEAR_M], dust[..., DUST_FAR_M]
+    slow_bin = signed(model, segment, near_m, dust[..., DUST_SLOWEST_MPS])
+    fast_bin = signed(model, segment, near_m, dust[..., DUST_FASTEST_MPS])
+    length_bin = signed(model, segment, far_m, dust[..., DUST_SLOWEST_MPS]) - slow_bin
+    first_bin = np.minimum(slow_bin, fast_bin) - _NEAR_BINS
+    last_bin = np.maximum(slow_bin, fast_bin) + length_bin + _NEAR_BINS
+    width_bin = np.maximum(np.abs(fast_bin - slow_bin), 1.0)
+    within = np.zeros(peak_bin.shape, dtype=bool)
+    for image_bin in (peak_bin, -peak_bin):
+        folds = np.ceil((first_bin - image_bin) / model.fft_length)
+        within |= image_bin + folds * model.fft_length <= last_bin
+    strong = _is_likely(model, dust[..., DUST_W] * model.snr_per_w / width_bin)
+    return np.asarray(within & strong & ~(np.abs(peak_bin - surface_bin) <= _FOOTPRINT_BINS))
 
 
 def _is_haze(
@@ -117,8 +151,12 @@ def _is_haze(
         density = np.exp(-2.0 * model.haze.extinction_per_m * np.maximum(r, 0.0)) / spread
         power += np.where((r * model.beat_bin_per_m > -1.0) & (r < end_m), density, 0.0)
     power *= model.haze.snr_per_m / model.beat_bin_per_m
-    likelier = model.looks * model.threshold * power / (1.0 + power) > log(2.0)
-    return np.asarray(likelier & ~(beside <= _FOOTPRINT_BINS))
+    return np.asarray(_is_likely(model, power) & ~(beside <= _FOOTPRINT_BINS))
+
+
+def _is_likely(model: ReceiverModel, power: FloatArray) -> BoolArray:
+    """Whether light of this power in a bin makes a peak there twice as likely as noise does."""
+    return np.asarray(model.looks * model.threshold * power / (1.0 + power) > log(2.0))
 
 
 def _observed(

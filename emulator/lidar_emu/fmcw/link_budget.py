@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidar_emu.fmcw.physical_constants import ELEMENTARY_CHARGE_C
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import interpreted, kernel
 from lidar_emu.numerics.vectors import Vector
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
@@ -103,15 +104,25 @@ def coherent_power_w(
     return np.asarray(np.vectorize(law, otypes=[float])(range_m, cos_incidence, turning_radps))
 
 
-def haze_w_per_m(instrument: Instrument, atmosphere: Atmosphere) -> float:
-    """Power that each metre of air just before the sensor returns in the mode of the local oscillator.
+def backscatter_w(instrument: Instrument, atmosphere: Atmosphere | None, range_m: FloatArray) -> FloatArray:
+    """Power that a thin layer returns in the mode of the local oscillator, per backscatter of 1/sr, in range_m's shape.
 
-    The value is P_t η β λ²/(π w0²): as for a surface, with the backscatter coefficient β instead of its radiance, and
-    without depolarisation, since the particles are assumed to be spherical.
+    The value is P_t η λ²/(π w(R)²) exp(-2αR): as for a surface, with the backscatter coefficient times the thickness
+    instead of its radiance, and without depolarisation, since the particles are assumed to be spherical.
     """
-    optics = instrument.optics
-    coupling = instrument.waveform.wavelength_m**2 / (np.pi * optics.waist_radius_m**2)
-    return optics.laser_power_w * optics.optical_efficiency * atmosphere.backscatter_per_m_sr * coupling
+    optics, wavelength_m = instrument.optics, instrument.waveform.wavelength_m
+    area_m2 = np.pi * optics.waist_radius_m**2
+    spread = 1.0 + np.square(range_m * wavelength_m / area_m2)
+    extinction_per_m = 0.0 if atmosphere is None else atmosphere.extinction_per_m
+    emitted_w = optics.laser_power_w * optics.optical_efficiency
+    dimmed = np.exp(-2.0 * extinction_per_m * range_m) / spread
+    return np.asarray(emitted_w * wavelength_m**2 / area_m2 * dimmed)
+
+
+def haze_w_per_m(instrument: Instrument, atmosphere: Atmosphere) -> float:
+    """Power that each metre of air just before the sensor returns in the mode of the local oscillator: P_t η β
+    λ²/(π w0²), see `backscatter_w`."""
+    return float(backscatter_w(instrument, None, np.zeros(()))) * atmosphere.backscatter_per_m_sr
 
 
 def sunlight_over_shot(instrument: Instrument, site: Site) -> float:

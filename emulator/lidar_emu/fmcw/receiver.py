@@ -11,6 +11,7 @@ from lidar_emu.fmcw.beam_measurement import BEAM_RETURN, measure_beams, most_tap
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Returns, contiguous_echoes
 from lidar_emu.fmcw.speckle_change import highest_level
+from lidar_emu.fmcw.volume_light import COMPUTED_DUST_BINS
 from lidar_emu.fmcw.workspace import build_spectrum_workspace, build_workspace, plain
 from lidar_emu.numerics.kernels import with_fields
 from lidar_emu.numerics.records import as_record
@@ -43,7 +44,7 @@ class FmcwReceiver:
         self._measure: Any = measure_beams
         self._most_taps: Any = most_taps
         self._highest_level: Any = highest_level
-        self._beamlets, self._taps, self._level = 0, -1, 0
+        self._beamlets, self._taps, self._level, self._dusty = 0, -1, 0, False
         self._work: tuple[Any, ...]
         self._spectra: tuple[Any, ...] | None = None
 
@@ -71,15 +72,17 @@ class FmcwReceiver:
         if not model.statistical:
             motion = echoes.closing_speed_mps, echoes.closing_acceleration_mps2
             taps = self._most_taps(self._records, echoes.range_m, *motion)
-        if self._beamlets == beamlets and self._taps >= taps and self._level >= level:
+        dusty = self._dusty or echoes.dust.size > 0
+        enough = self._taps >= taps and self._level >= level and self._dusty == dusty
+        if self._beamlets == beamlets and enough:
             return
         self._work = plain(build_workspace(beamlets, model.looks, level))
         if not model.statistical:
-            band = model.haze.computed_range_m * model.beat_bin_per_m
+            band = model.haze.computed_range_m * model.beat_bin_per_m + dusty * COMPUTED_DUST_BINS
             self._spectra = tuple(
                 build_spectrum_workspace(beamlets, model.looks, taps, model.fft_length, level, band)
             )
-        self._beamlets, self._taps, self._level = beamlets, taps, level
+        self._beamlets, self._taps, self._level, self._dusty = beamlets, taps, level, dusty
 
 
 def receive(model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed: int) -> Returns:

@@ -12,6 +12,12 @@ from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.columns import Column, columns, missing_columns
 
+NO_DUST = np.zeros((0, 0, 0))
+"""`Echoes.dust` of beams without dust."""
+
+DUST_W, DUST_NEAR_M, DUST_FAR_M, DUST_DEPTH, DUST_SLOWEST_MPS, DUST_FASTEST_MPS = range(6)
+"""Columns of `Echoes.dust`."""
+
 
 class Echoes(NamedTuple):
     """Echoes of all beamlets of all beams, for kernels."""
@@ -42,6 +48,9 @@ class Echoes(NamedTuple):
     """(shots, beams) Whether the beam fires."""
     inside: BoolArray
     """(shots, beams) Whether the sensor is below the ground."""
+    dust: FloatArray = NO_DUST
+    """(shots, beams, 6) Dust before the surface: power in the mode of the local oscillator, ranges of its ends, its
+    optical depth, lowest and highest closing speed, over which its light is uniform. Empty without dust."""
 
 
 _FLAGS = ("fired", "inside")

@@ -19,12 +19,13 @@ from lidar_emu.fmcw.beat_tones import (
 )
 from lidar_emu.fmcw.bin_filter import filter_beam
 from lidar_emu.fmcw.close_tones import are_close, set_close_tones
-from lidar_emu.fmcw.haze import add_band_places, add_haze, set_haze_tone
+from lidar_emu.fmcw.haze import set_haze_tone
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.speckle_change import set_tone_weights
 from lidar_emu.fmcw.spectrum import (
     BIN,
+    NOISE,
     POWER,
     REACH,
     add_noise,
@@ -35,6 +36,7 @@ from lidar_emu.fmcw.spectrum import (
     set_tones,
 )
 from lidar_emu.fmcw.sweep_error import sweep_error
+from lidar_emu.fmcw.volume_light import add_band_places, band_snr, has_band, set_bands, set_level
 from lidar_emu.fmcw.workspace import SEGMENT_INDICES, SpectrumWorkspace, Workspace, look_tones
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
@@ -52,14 +54,15 @@ def set_spectrum(
         The number of bins; 0 without light.
     """
     hazy, reflected = model.haze.snr_per_m > 0.0, model.back_reflection.snr > 0.0
-    if beam.lit_beamlets == 0 and not (hazy or reflected):
+    if beam.lit_beamlets == 0 and not (hazy or reflected or beam.dust_snr > 0.0):
         return 0
+    set_bands(model, beam, segment, record_time_s(model, segment, 0))
+    banded = has_band(beam)
     reach = float(REACH + max(0, beam.filter_taps - LEAST_TAPS))
     places = spectra.places[0]
     count = 0
-    if hazy:
-        time_s = record_time_s(model, segment, 0)
-        count = add_band_places(model, beam, segment, time_s, 2.0 * reach + 1.0, places)
+    if banded:
+        count = add_band_places(model, beam, 2.0 * reach + 1.0, places)
     for look in range(model.looks):
         tones = look_tones(work, beam, look)
         if beam.lit_beamlets > 0:
@@ -71,11 +74,11 @@ def set_spectrum(
         for i in range(tones.shape[1]):
             places[count + i] = tones[0, i]
         count += tones.shape[1]
-    others_power = 0.0
+    others_power = band_snr(beam) if banded else 0.0
     if reflected:
         places[count], _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
         count += 1
-        others_power = reflection_power(model, segment)
+        others_power += reflection_power(model, segment)
     bins = lay_bins(places[:count], reach, model.fft_length, spectra.places[1], spectra.grid)
     gain, distortion = clipping(model.response, look_tones(work, beam, 0), model.fft_length, others_power)
     factor = gain * gain * (1.0 + model.signal_shot_per_w * beam.power_w)
@@ -171,8 +174,11 @@ def _set_look(
         filter_beam(model, work, spectra, beam, segment, look, count)
     if model.back_reflection.snr > 0.0:
         add_reflection(model, beam, segment, look, gain, grid, count, bins)
+    level = NOISE
+    if has_band(beam):
+        level = POWER
+        set_bands(model, beam, segment, record_time_s(model, segment, look))
+        set_level(model, beam, gain, grid, count)
     first = (segment + 3 * look) * SEGMENT_INDICES
-    add_noise(beam, first, length, grid, count, bins, spectra.words, spectra.noise)
-    if model.haze.snr_per_m > 0.0 and segment != 1:
-        add_haze(model, spectra, beam, segment, look, record_time_s(model, segment, look), gain, count)
+    add_noise(beam, first, length, grid, level, count, bins, spectra.words, spectra.noise)
     mirror_ends(length, grid, count, bins)

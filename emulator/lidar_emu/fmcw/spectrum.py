@@ -192,16 +192,18 @@ def add_noise(
     first_index: int,
     length: float,
     grid: FloatArray,
+    level: int,
     count: int,
     bins: FloatArray,
     words: NDArray[np.uint64],
     scratch: FloatArray,
 ) -> None:
-    """Add noise of mean power NOISE; a bin's noise depends on its own index alone.
+    """Add noise to rectangular bins; a bin's noise depends on its own index alone.
 
     Args:
         beam: record of the beam, `workspace.BEAM`.
         first_index: even; index of bin 0.
+        level: row of the grid with the mean power.
         words, scratch: (4, capacity / 2), (2, capacity) overwritten, two columns longer than any interval.
     """
     start = int(np.int64(0))  # A variable, since numba would compile `_add` once more for a literal.
@@ -216,29 +218,36 @@ def add_noise(
         drawn = needed + needed % 2
         pair = (first_index + first) // 2
         fill_complex_normals(beam.seed, beam.shot, beam.beam, NOISE_BINS, pair, drawn, words, scratch)
-        _add(scratch, first % 2 - start - skipped, start, stop, length, grid, bins)
+        _add(scratch, first % 2 - start - skipped, start, stop, length, grid, grid[level], bins)
         start = stop
 
 
 @kernel(fastmath=FAST)
 def _add(
-    normals: FloatArray, shift: int, start: int, stop: int, length: float, grid: FloatArray, bins: FloatArray
+    normals: FloatArray,
+    shift: int,
+    start: int,
+    stop: int,
+    length: float,
+    grid: FloatArray,
+    power: FloatArray,
+    bins: FloatArray,
 ) -> None:
     """Add noise to one interval; bin j's is in column j + `shift`."""
     half = 0.5 * length
     zero = start - int(grid[BIN, start])
     nyquist = zero + int(half)
     first, last = max(start, zero + 1), min(stop, nyquist)
-    noise, x, y = grid[NOISE, first:last], normals[0, first + shift :], normals[1, first + shift :]
+    noise, x, y = power[first:last], normals[0, first + shift :], normals[1, first + shift :]
     re, im = bins[0, first:last], bins[1, first:last]
     for j in range(last - first):
         level = np.sqrt(noise[j])
         re[j], im[j] = re[j] + level * x[j], im[j] + level * y[j]
     # The transform of a real record is real at 0 and imaginary at N/2, with the same mean power.
     if start <= zero < stop:
-        bins[0, zero] += sqrt(2.0 * grid[NOISE, zero]) * normals[0, zero + shift]
+        bins[0, zero] += sqrt(2.0 * power[zero]) * normals[0, zero + shift]
     if start <= nyquist < stop:
-        bins[1, nyquist] += sqrt(2.0 * grid[NOISE, nyquist]) * normals[1, nyquist + shift]
+        bins[1, nyquist] += sqrt(2.0 * power[nyquist]) * normals[1, nyquist + shift]
 
 
 @kernel

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.fmcw.analog_response import clipping, noise_level
-from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, record_time_s, signed_bin
+from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, record_time_s
 from lidar_emu.fmcw.false_alarms import draw_alarms, insert_alarms
-from lidar_emu.fmcw.haze import air_speed_mps, draw_haze_peaks, haze_power, set_haze_tone
+from lidar_emu.fmcw.haze import set_haze_tone
 from lidar_emu.fmcw.laser_phase_noise import line_share, phase_drift
 from lidar_emu.fmcw.motion_smear import smear_bins
 from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, HANN, noise_bin2
@@ -25,6 +25,8 @@ from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.segment_spectrum import set_look_tones
 from lidar_emu.fmcw.speckle_change import LINE_BIN2, speckle_way, tone_count
 from lidar_emu.fmcw.stated_variance import TONE_WIDTH_BIN2, line_noise
+from lidar_emu.fmcw.volume_light import band_snr, has_band, set_bands, volume_in_bin
+from lidar_emu.fmcw.volume_peaks import draw_volume_peaks
 from lidar_emu.fmcw.workspace import MAX_LINES, SEGMENT_INDICES, Workspace, look_tones
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
@@ -51,12 +53,14 @@ _APART_BINS = 1.5
 @kernel(inline="always")
 def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int) -> int:
     """Fill `work.targets[segment]`, like `set_spectrum` and `find_targets`: with one target of the footprint, one for
-    each line of dust, clutter or haze, and the highest peaks of a band of haze and of noise."""
+    each line of a streak, clutter or haze, and the highest peaks of bands of haze and dust, and of noise."""
     targets = work.targets[segment]
     hazy = model.haze.snr_per_m > 0.0
-    if beam.lit_beamlets == 0 and not hazy:
+    if beam.lit_beamlets == 0 and not (hazy or beam.dust_snr > 0.0):
         alarms = draw_alarms(model, beam, segment, 0.0, 1.0, 0.0, work.alarms)
         return insert_alarms(model, work.alarms[:alarms], 0.0, targets, 0)
+    set_bands(model, beam, segment, record_time_s(model, segment, 0))
+    banded = has_band(beam)
     kept = _filter_loss(model, work, segment, beam.closing_acceleration_mps2)
     # The last column is the haze's.
     first = min(model.ground_beamlets, work.beamlets.shape[1] - 1)
@@ -80,16 +84,16 @@ def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int)
     if alarms > 0:
         highest = max(highest, work.alarms[0].power)
     peaks = 0
-    if hazy:
-        peaks = draw_haze_peaks(model, work, beam, segment, 0.0, highest)
+    if banded:
+        peaks = draw_volume_peaks(model, work, beam, segment, 0.0, 0.0, highest)
         if peaks > 0:
-            highest = max(highest, work.haze_peaks[0].power)
+            highest = max(highest, work.volume_peaks[0].power)
     count = 0
     for line in range(1 + lines):
         if work.lines[line].power > 0.0 and work.lines[line].power_over_noise > model.threshold:
             count = insert_alarms(model, work.lines[line : line + 1], highest, targets, count)
     count = insert_alarms(model, work.alarms[:alarms], highest, targets, count)
-    return insert_alarms(model, work.haze_peaks[:peaks], highest, targets, count)
+    return insert_alarms(model, work.volume_peaks[:peaks], highest, targets, count)
 
 
 @kernel(inline="always")
@@ -136,10 +140,13 @@ def _draw_line(
         Mean noise power of the rectangular bin there.
     """
     power, frequency, weight, level = 0.0, 0.0, 0.0, 1.0
-    quadrature, width, haze = 0.0, 0.0, 0.0
+    quadrature, width, volume = 0.0, 0.0, 0.0
+    banded = has_band(beam)
     for look in range(model.looks):
         tones, columns = look_tones(work, beam, look), work.beamlets.shape[1]
-        gain, distortion = clipping(model.response, tones, model.fft_length, 0.0)
+        gain, distortion = clipping(
+            model.response, tones, model.fft_length, band_snr(beam) if banded else 0.0
+        )
         if line > 0:
             tones, columns = _line_tones(work, beam, line - 1, look), 1
         factor, loss = gain * gain * (1.0 + model.signal_shot_per_w * beam.power_w), gain * kept
@@ -149,11 +156,11 @@ def _draw_line(
         if beamlets_bin2 + line_bin2 > _NARROW_BIN2:
             k = _inner_bin(model, tones[0, 0] + beamlets_bin)
             level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
-            if model.haze.snr_per_m > 0.0 and segment != 1:
-                haze = gain * gain * _haze_around(model, beam, segment, k)
+            if banded:
+                volume = gain * gain * volume_in_bin(model, beam, k)
             reach = _REACH_LINES * sqrt(beamlets_bin2 + line_bin2) + 2.0
             place, x, y = _highest_bin(
-                model, beam, index, tones, beamlets_bin, reach, loss, sqrt(level + haze)
+                model, beam, index, tones, beamlets_bin, reach, loss, sqrt(level + volume)
             )
             step, quadrature_bin = _step_to_peak(tones, place)
             centre, strength = tones[0, 0] + place + step, (x * x + y * y) / model.window_centre**2
@@ -161,11 +168,11 @@ def _draw_line(
             centre, quadrature_bin, re, im = _sum_at_peak(tones, beamlets_bin)
             k = _inner_bin(model, centre)
             level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
-            if model.haze.snr_per_m > 0.0 and segment != 1:
-                haze = gain * gain * _haze_around(model, beam, segment, centre)
+            if banded:
+                volume = gain * gain * volume_in_bin(model, beam, centre)
             straddled = loss * window_gain(model, centre - k)
             x, y = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, index)
-            scale = sqrt((level + haze) * model.noise_power)
+            scale = sqrt((level + volume) * model.noise_power)
             x, y = straddled * re + scale * x, straddled * im + scale * y
             strength = loss * loss * (re * re + im * im)
         power += (x * x + y * y) / model.looks
@@ -182,23 +189,6 @@ def _draw_line(
         target.width_bin2 = TONE_WIDTH_BIN2 + (spread_bin2 if spread_bin2 > _NARROW_BIN2 else 0.0)
         _set_frequency(model, work, beam, segment, line, frequency / weight, weight / level, target)
     return level
-
-
-@kernel
-def _haze_around(model: ReceiverModel, beam: Any, segment: int, observed_bin: float) -> float:
-    """Mean power of the haze in the rectangular bin at a place: of the signed beats that appear there."""
-    speed_mps = air_speed_mps(beam, record_time_s(model, segment, 0))
-    zero = signed_bin(model, segment, 0.0, speed_mps)
-    end = signed_bin(model, segment, beam.haze_range_m, speed_mps)
-    power = 0.0
-    for beat in (
-        observed_bin,
-        -observed_bin,
-        observed_bin - model.fft_length,
-        model.fft_length - observed_bin,
-    ):
-        power += haze_power(model, zero, end, beat)
-    return power
 
 
 @kernel

@@ -18,8 +18,8 @@ from lidar_emu.numerics.kernels import kernel, with_fields
 SEGMENT_INDICES = 2**24
 """Random number indices reserved for the bins of each record; N is at most 2**24."""
 
-HAZE_NODES = 48
-"""Parts of the band of haze over which the distribution of its highest bin is summed."""
+VOLUME_NODES = 64
+"""Parts of the bands of haze and dust in `volume_peaks`."""
 
 MAX_LINES = 16
 """Maximum number of lines of dust, clutter and haze beside the footprint's at level `statistical`."""
@@ -41,6 +41,11 @@ BEAM = np.dtype(
         ("power_w", "f8"),
         ("air_speed_mps", "f8"),
         ("haze_range_m", "f8"),
+        ("haze_snr", "f8"),
+        ("haze_beats", "f8", (2,)),
+        ("dust_snr", "f8"),
+        ("dust", "f8", (6,)),
+        ("dust_beats", "f8", (3,)),
         ("filter_taps", "i8"),
         ("speckle_level", "i8"),
         ("left_out_bin2", "f8"),
@@ -48,8 +53,9 @@ BEAM = np.dtype(
     align=True,
 )
 """The beam being measured: seed, shot and beam number for the random numbers; motion and speckle as in `Echoes`; number
-of beamlets with light, the power of all light, closing speed and end of the haze, the taps of the filter on each side,
-the level of `speckle_change`, and the variance of a beat below which a stage is left out."""
+of beamlets with light, the power of all light, closing speed, end, SNR and beats of the haze, SNR, row of `Echoes.dust`
+and beats of the dust (`volume_light`), the taps of the filter on each side, the level of `speckle_change`, and the
+variance of a beat below which a stage is left out."""
 
 TARGET = np.dtype(
     [
@@ -86,10 +92,10 @@ class Workspace(NamedTuple):
     """(1 + MAX_LINES,) Targets of the footprint and of lines beside it at level `statistical`, records of TARGET."""
     line_tones: FloatArray
     """(MAX_LINES, looks, 4 * tones) Tones of these lines."""
-    haze_peaks: NDArray[Any]
-    """(MAX_TARGETS,) Peaks of haze in bins that are not computed, records of TARGET, strongest first."""
-    haze_nodes: FloatArray
-    """(3, HAZE_NODES) Parts of the band of haze: number of bins, mean power of each, and of its noise."""
+    volume_peaks: NDArray[Any]
+    """(MAX_TARGETS,) Peaks of haze and dust in bins that are not computed, records of TARGET, strongest first."""
+    volume_nodes: FloatArray
+    """(VOLUME_NODES, 5) Buffer of `volume_peaks`."""
 
 
 class SpectrumWorkspace(NamedTuple):
@@ -123,8 +129,8 @@ def build_workspace(beamlets: int, looks: int, speckle_level: int = 0) -> Worksp
         alarms=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
         lines=with_fields(np.zeros(1 + MAX_LINES, dtype=TARGET)),
         line_tones=np.zeros((MAX_LINES, looks, 4 * tones)),
-        haze_peaks=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
-        haze_nodes=np.empty((3, HAZE_NODES)),
+        volume_peaks=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
+        volume_nodes=np.empty((VOLUME_NODES, 5)),
     )
 
 
@@ -136,12 +142,12 @@ def plain(work: Workspace) -> tuple[Any, ...]:
 @kernel
 def as_workspace(arrays: tuple[Any, ...]) -> Workspace:
     """Workspace from the tuples of `plain`."""
-    beam, beamlets, tones, speckle, change, targets, alarms, lines, line_tones, haze_peaks, haze_nodes = (
+    beam, beamlets, tones, speckle, change, targets, alarms, lines, line_tones, volume_peaks, volume_nodes = (
         arrays
     )
     field, changing = SpeckleField(*speckle), SpeckleChange(*change)
     return Workspace(
-        beam, beamlets, tones, field, changing, targets, alarms, lines, line_tones, haze_peaks, haze_nodes
+        beam, beamlets, tones, field, changing, targets, alarms, lines, line_tones, volume_peaks, volume_nodes
     )
 
 
@@ -157,10 +163,10 @@ def build_spectrum_workspace(
     beamlets: int, looks: int, taps: int, length: float, speckle_level: int = 0, band: float = 0.0
 ) -> SpectrumWorkspace:
     """Allocate arrays for beams of up to `beamlets` beamlets, whose speckle changes up to this level, filters of `taps`
-    taps on each side, and a band of haze of `band` bins."""
+    taps on each side, and bands of haze and dust of `band` bins."""
     tones = _columns(beamlets) * int(tone_count(speckle_level))
     reach = REACH + max(0, taps - LEAST_TAPS)
-    places = looks * tones + 1 + (int(band) // (2 * reach + 1) + 3 if band > 0.0 else 0)
+    places = looks * tones + 1 + (int(band) // (2 * reach + 1) + 6 if band > 0.0 else 0)
     capacity = grid_capacity(places, reach, length)
     return SpectrumWorkspace(
         places=np.empty((2, places)),

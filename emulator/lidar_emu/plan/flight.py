@@ -253,10 +253,10 @@ def _dust(scenario: FlightScenario, lowest_m: float) -> list[Decision]:
         reason = f"lowest sensor height {lowest_m:.1f} m, dust onset at {plume.onset_height_m:g} m"
         return [Decision("dust", False, "-", reason, "exact")]
     reason = f"lowest sensor height {lowest_m:.1f} m, dust onset at {plume.onset_height_m:g} m"
-    if level == "statistical":
-        bound = "no echo of the dust sheet; only the stronger of ground and streak is detected"
-        return [Decision("dust", True, "extinction, streaks", reason, bound)]
-    return [Decision("dust", True, "extinction, sheet in parcels, streaks", reason, "single scattering")]
+    if level == "waveform" and scenario.waveform_echo == "beamlets":
+        return [Decision("dust", True, "extinction, streaks", reason, "no light of the sheet")]
+    how = "extinction, a band of the sheet, streaks"
+    return [Decision("dust", True, how, reason, "single scattering, independent records")]
 
 
 def _switching(flight: Flight) -> list[Decision]:

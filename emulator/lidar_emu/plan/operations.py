@@ -7,7 +7,8 @@ from dataclasses import dataclass
 _COSTS = {
     "beams": (1.2e-6, "beams pointed and reported"),
     "rays": (0.07e-6, "rays and their echoes"),
-    "parcels of dust": (0.8e-6, "parcels of dust"),
+    "bins of bands": (40e-9, "bins of haze"),
+    "nodes of bands": (0.3e-6, "parts of bands of haze and dust"),
     "records": (1.5e-6, "records"),
     "tones": (0.06e-6, "tones"),
     "bins": (0.03e-6, "bins"),

@@ -19,8 +19,8 @@ from lidar_emu.plan.operations import Operations
 from lidar_emu.plan.speckle_exchange import grown_beam_drift_per_s
 from lidar_emu.scenario.schema import FlightScenario
 
-_DUST_BEAMLETS = 9
-"""Parcels and streak of `echo.dust`, each in an interval of bins of its own."""
+_STREAKS = 1
+"""Beamlets that `echo.dust` adds, in an interval of bins of their own."""
 
 _EXTENT_RMS = 5.0
 """Width of the beamlets' spectrum in rms widths of the footprint's."""
@@ -49,9 +49,20 @@ def count_operations(
         each = _waveform(scenario, echoes, beamlets)
     elif level != "geometric" and lit.any():
         each = _frequencies(scenario, echoes, spread, beamlets, lit)
-    if scenario.plume is not None and level != "geometric":
-        each["parcels of dust"] = float(_DUST_BEAMLETS)
     return Operations(count | {kind: measured * number for kind, number in each.items()})
+
+
+def _band_nodes(scenario: FlightScenario) -> float:
+    """Parts of the bands of haze and dust whose highest bins a beam measurement draws."""
+    from lidar_emu.fmcw.volume_peaks import DUST_NODES, HAZE_NODES
+
+    # Haze is a line in the constant segment.
+    return 2.0 * HAZE_NODES * _is_hazy(scenario) + 3.0 * DUST_NODES * (scenario.plume is not None)
+
+
+def _is_hazy(scenario: FlightScenario) -> bool:
+    air = scenario.site.atmosphere
+    return air is not None and air.backscatter_per_m_sr > 0.0
 
 
 def _padded(beamlets: int) -> int:
@@ -71,6 +82,9 @@ def _frequencies(
     records = 3.0 * model.looks
     each = _tones_per_beamlet(scenario, model, echoes, beamlets, lit)
     count = {"records": records, "tones": records * each * _padded(beamlets)}
+    nodes = _band_nodes(scenario)
+    if nodes > 0.0:
+        count["nodes of bands"] = nodes
     if scenario.level == "spectral":
         count |= _bins(scenario, model, echoes, spread, beamlets, lit, each)
     return count
@@ -107,12 +121,14 @@ def _bins(
     interval = 2.0 * (REACH + np.maximum(0.0, half - LEAST_TAPS)) + 1.0
     tones, bins = each * _padded(beamlets), interval + width
     if scenario.plume is not None:
-        tones, bins = each * _padded(beamlets + _DUST_BEAMLETS), bins + _DUST_BEAMLETS * interval
-    bins = np.minimum(bins, 0.5 * waveform.fft_length)
+        tones, bins = each * _padded(beamlets + _STREAKS), bins + _STREAKS * interval
+    hazy = np.minimum(range_m, model.haze.computed_range_m) * model.beat_bin_per_m
+    bins = np.minimum(bins + 2.0 / 3.0 * hazy, 0.5 * waveform.fft_length)
     records = 3.0 * looks
     return {
         "tones": records * tones,
         "bins": records * float(bins.mean()),
+        "bins of bands": 2.0 * looks * float(hazy.mean()),
         "tones in bins": records * tones * float(bins.mean()),
         "taps in bins": records * float((taps * (bins + taps)).mean()),
         "nodes of taps": records * float(nodes.mean()),

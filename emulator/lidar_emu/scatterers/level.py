@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.flight.flight import Flight
+from lidar_emu.flight.plume import DustPaths, PlumeGeometry
 from lidar_emu.flight.pointing import Pointing
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_constants import build_receiver
@@ -25,9 +26,10 @@ from lidar_emu.fmcw.waveform.record_samples import draw_frequency_plan, frequenc
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import SCATTERERS, generator
 from lidar_emu.numerics.vector_arrays import rotate, unit_across
-from lidar_emu.scatterers.haze import HazyBeam, strew_haze
+from lidar_emu.scatterers.haze import ParticleBeam, strew
 from lidar_emu.scatterers.measurement import measure_records
 from lidar_emu.scatterers.narrowband import narrowband_bins
+from lidar_emu.scatterers.plume import DustyBeam
 from lidar_emu.scatterers.receiver import RecordReceiver
 from lidar_emu.scatterers.record_light import NO_SCATTERERS, BeamPoses, PosesAt, Scatterers, record_light
 from lidar_emu.scatterers.samples import record_span_s, sampled_bins
@@ -53,10 +55,14 @@ class ScattererLevel:
         in_turn = scenario.scanner.firing == "in_turn"
         self._model = build_receiver(instrument, scenario.site, left_out_share=0.0, in_turn=in_turn)
         self._strewing = Strewing.of(instrument, scenario.site, self._model.snr_per_w)
-        air = scenario.site.atmosphere
-        self._haze = None
-        if air is not None and air.backscatter_per_m_sr > 0.0:
-            self._haze = HazyBeam.of(instrument, air, self._model.snr_per_w)
+        air, plume = scenario.site.atmosphere, scenario.plume
+        self._particles = ParticleBeam.of(instrument, self._model.snr_per_w)
+        self._haze = air if air is not None and air.backscatter_per_m_sr > 0.0 else None
+        self._plume = self._dust = None
+        if plume is not None:
+            extinction_per_m = 0.0 if air is None else air.extinction_per_m
+            self._plume = PlumeGeometry(plume, scenario.seed)
+            self._dust = DustyBeam(self._particles, plume, instrument.waveform, extinction_per_m)
         waveform, receiver = instrument.waveform, instrument.receiver
         response = AnalogResponse.of(receiver)
         self._segments = frequency_plan(waveform)
@@ -68,15 +74,19 @@ class ScattererLevel:
 
     def measure(self, pointing: Pointing, axis_hits: Hits, shot: NDArray[np.int64]) -> Returns:
         """Returns of beams (shots, beams) whose axes hit at `axis_hits`."""
+        paths = None if self._plume is None else self._plume.paths(pointing, axis_hits, shot)
         beams = [
-            self._beam(pointing, axis_hits, int(shot[s]), s, b) for s, b in np.ndindex(pointing.fired.shape)
+            self._beam(pointing, axis_hits, paths, int(shot[s]), s, b)
+            for s, b in np.ndindex(pointing.fired.shape)
         ]
         columns = {name: np.concatenate([getattr(beam, name) for beam in beams]) for name in RETURN_COLUMNS}
         return Returns(
             **{name: a.reshape(*pointing.fired.shape, *a.shape[1:]) for name, a in columns.items()}
         )
 
-    def _beam(self, pointing: Pointing, axis_hits: Hits, shot: int, s: int, b: int) -> Returns:
+    def _beam(
+        self, pointing: Pointing, axis_hits: Hits, paths: DustPaths | None, shot: int, s: int, b: int
+    ) -> Returns:
         """Measure one beam of one shot."""
         if not pointing.fired[s, b]:
             return nothing(Reason.NOT_FIRED)
@@ -88,10 +98,16 @@ class ScattererLevel:
         closing_mps = float(pointing.sensor_velocity_site_mps[s, b] @ pointing.true_site[s, b])
         if (range_m <= self._model.furthest_record_s * abs(closing_mps)).any():
             return nothing(Reason.INSIDE_GROUND)
+        nearest_m = float(np.nanmin(range_m, initial=self._model.record_edge_range_m))
+        span_s = self._span_s(nearest_m)
+        if self._dust is not None and paths is not None:
+            strewn, passed = self._dust.strew(paths, s, b, poses_at, *span_s, rng)
+            scatterers = scatterers._replace(amplitude=passed * scatterers.amplitude)
+            for dust in strewn:
+                scatterers = scatterers.joined(dust)
         if self._haze is not None:
-            nearest_m = float(np.nanmin(range_m, initial=self._model.record_edge_range_m))
-            span_s = self._span_s(nearest_m)
-            scatterers = scatterers.joined(strew_haze(self._haze, poses_at, *span_s, nearest_m, rng))
+            volume = self._particles.haze(self._haze, nearest_m)
+            scatterers = scatterers.joined(strew(self._particles, volume, poses_at, *span_s, rng)[0])
         measured = self._records(
             poses_at, scatterers, rng, laser_generator(self._model, self._scenario.seed, shot, b)
         )

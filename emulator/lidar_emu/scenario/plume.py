@@ -34,7 +34,7 @@ class Plume(Part):
     speed_mps: Annotated[float, Field(ge=0, le=3000)] = 20.0
     """Outward speed of the dust over the ground, away from below the vehicle."""
     speed_spread: Share = 0.5
-    """Speeds are uniform within this fraction of `speed_mps` around it."""
+    """Speeds of the particles are uniform within this fraction of `speed_mps` around it."""
 
     @model_validator(mode="after")
     def _grows_downward(self) -> Self:

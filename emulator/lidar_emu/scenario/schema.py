@@ -190,8 +190,6 @@ class FlightScenario(Scenario):
             raise unusable("waveform_echo", self.waveform_echo, "beamlets, or level: waveform with it")
         if not self.instrument.optics.speckle:
             raise unusable("instrument.optics.speckle", False, "true with scatterers, which cause it")
-        if self.plume is not None:
-            raise unusable("plume", Finding("a plume"), "none with scatterers")
         return self
 
     @model_validator(mode="after")

@@ -162,14 +162,19 @@ class FlightModel:
             true_closing_speed_mps=true_closing_mps,
             true_incidence_deg=true_incidence_deg,
             true_in_gap=pointing.in_gap,
-            true_peak_source=self._false_targets(pointing, returns, axis_hits, true_closing_mps),
+            true_peak_source=self._false_targets(shot, pointing, returns, axis_hits, true_closing_mps),
             point_site_m=point_site_m,
             position_site_m=pointing.position_site_m,
             velocity_site_mps=pointing.velocity_site_mps,
         )
 
     def _false_targets(
-        self, pointing: Pointing, returns: Returns, axis_hits: Hits, true_closing_mps: FloatArray
+        self,
+        shot: NDArray[np.int64],
+        pointing: Pointing,
+        returns: Returns,
+        axis_hits: Hits,
+        true_closing_mps: FloatArray,
     ) -> NDArray[np.uint8]:
         """(shots, beams) Codes of `FalseTarget`."""
         if self.false_target_model is None:
@@ -181,6 +186,7 @@ class FlightModel:
             true_closing_mps,
             self.leakage_db is not None,
             self._air_speed_mps(pointing),
+            None if self.dust is None else self.dust.light(pointing, axis_hits, shot),
         )
 
     def _air_speed_mps(self, pointing: Pointing) -> FloatArray | None:
@@ -199,8 +205,8 @@ def _false_target_model(scenario: FlightScenario) -> ReceiverModel | None:
     if scenario.level == "waveform" and scenario.waveform_echo == "beamlets":
         # These have no light of the haze.
         model = model._replace(haze=model.haze._replace(snr_per_m=0.0))
-    found = has_false_targets(model) or scenario.instrument.optics.leakage_db is not None
-    return model if found else None
+    others = scenario.instrument.optics.leakage_db is not None or scenario.plume is not None
+    return model if others or has_false_targets(model) else None
 
 
 def _scatterers(scenario: FlightScenario, flight: Flight) -> ScattererLevel | None:

@@ -1,0 +1,161 @@
+"""Light of the volume in the bins of a record: haze, and the dust of a plume.
+
+Particles at random places are noise with a spectrum of its own. Haze fills a band in the chirps (`haze`). The plume's
+dust lies between two ranges and has speeds between two limits; its light falls with the optical depth τ of the path as
+the light of haze does. With the SNR s of all of it, the beat b0 of its beginning at the mean speed, the beats L of its
+path and the beats W of its speeds, 1 at least, a rectangular bin at the beat b has the mean power
+
+    s [F((b - b0 + W/2)/L) - F((b - b0 - W/2)/L)]/W,   F(x) = (1 - exp(-2τx))/(1 - exp(-2τ)) from 0 to 1.
+
+In the constant segment L is 0. A wide band of dust is not computed: its highest bins are drawn (`volume_peaks`).
+"""
+
+from __future__ import annotations
+
+from math import ceil, expm1
+from typing import Any
+
+import numpy as np
+
+from lidar_emu.fmcw.analog_response import tone_gain
+from lidar_emu.fmcw.beat_tones import signed_bin, speed_change_mps
+from lidar_emu.fmcw.haze import haze_power
+from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.returns import DUST_DEPTH, DUST_FAR_M, DUST_FASTEST_MPS, DUST_NEAR_M, DUST_SLOWEST_MPS
+from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, fold
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+
+COMPUTED_DUST_BINS = 256.0
+"""Width of a band of dust up to which its bins are computed one by one."""
+
+
+@kernel
+def set_bands(model: ReceiverModel, beam: Any, segment: int, time_s: float) -> None:
+    """Set the signed beats of haze and dust in a record at a time from the time of validity."""
+    change_mps = speed_change_mps(beam, time_s)
+    beam.haze_beats[:] = 0.0
+    if model.haze.snr_per_m > 0.0 and segment != 1:
+        speed_mps = beam.air_speed_mps + change_mps
+        beam.haze_beats[0] = signed_bin(model, segment, 0.0, speed_mps)
+        beam.haze_beats[1] = signed_bin(model, segment, beam.haze_range_m, speed_mps)
+    if beam.dust_snr > 0.0:
+        near_m, far_m = beam.dust[DUST_NEAR_M], beam.dust[DUST_FAR_M]
+        slowest_mps = beam.dust[DUST_SLOWEST_MPS] + change_mps
+        slow = signed_bin(model, segment, near_m, slowest_mps)
+        fast = signed_bin(model, segment, near_m, beam.dust[DUST_FASTEST_MPS] + change_mps)
+        beam.dust_beats[0] = 0.5 * (slow + fast)
+        beam.dust_beats[1] = 0.5 * max(abs(fast - slow), 1.0)
+        beam.dust_beats[2] = signed_bin(model, segment, far_m, slowest_mps) - slow
+
+
+@kernel
+def has_band(beam: Any) -> bool:
+    """Whether haze or dust has a band in the record of `set_bands`."""
+    banded: bool = beam.haze_beats[1] > beam.haze_beats[0] or beam.dust_snr > 0.0
+    return banded
+
+
+@kernel
+def band_snr(beam: Any) -> float:
+    """SNR of all bands in the record of `set_bands`."""
+    haze: float = beam.haze_snr if beam.haze_beats[1] > beam.haze_beats[0] else 0.0
+    snr: float = haze + beam.dust_snr
+    return snr
+
+
+@kernel
+def dust_ends(beam: Any) -> tuple[float, float]:
+    """Signed beats between which the dust has light."""
+    middle, half, length = beam.dust_beats[0], beam.dust_beats[1], beam.dust_beats[2]
+    return middle - half, middle + half + length
+
+
+@kernel
+def dust_power(model: ReceiverModel, beam: Any, beat: float) -> float:
+    """Mean power of the dust in the rectangular bin at a signed beat."""
+    middle, half = beam.dust_beats[0], beam.dust_beats[1]
+    share = _share_within(beam, beat + half - middle) - _share_within(beam, beat - half - middle)
+    if share <= 0.0:
+        return 0.0
+    gain_re, gain_im = tone_gain(model.response, beat)
+    power: float = (gain_re * gain_re + gain_im * gain_im) * beam.dust_snr * share / (2.0 * half)
+    return power
+
+
+@kernel
+def _share_within(beam: Any, beats: float) -> float:
+    """Share of the dust's light from the first `beats` of its path."""
+    length, depth = beam.dust_beats[2], beam.dust[DUST_DEPTH]
+    if beats <= 0.0:
+        return 0.0
+    if beats >= length:
+        return 1.0
+    share: float = expm1(-2.0 * depth * beats / length) / expm1(-2.0 * depth)
+    return share
+
+
+@kernel
+def volume_in_bin(model: ReceiverModel, beam: Any, observed_bin: float) -> float:
+    """Mean power of haze and dust in the rectangular bin at a place: of all signed beats that appear there."""
+    length, power = model.fft_length, 0.0
+    if beam.haze_beats[1] > beam.haze_beats[0]:
+        for beat in (observed_bin, -observed_bin, observed_bin - length, length - observed_bin):
+            power += haze_power(model, beam.haze_beats[0], beam.haze_beats[1], beat)
+    if beam.dust_snr > 0.0:
+        first, last = dust_ends(beam)
+        for image in (observed_bin, -observed_bin):
+            beat = image + length * ceil((first - image) / length)
+            while beat <= last:
+                power += dust_power(model, beam, beat)
+                beat += length
+    return power
+
+
+@kernel
+def set_level(model: ReceiverModel, beam: Any, gain: float, grid: FloatArray, count: int) -> None:
+    """Set POWER of the first `count` bins to the mean power of noise, haze and dust in the record of `set_bands`."""
+    for j in range(count):
+        grid[POWER, j] = grid[NOISE, j] + gain * gain * volume_in_bin(model, beam, grid[BIN, j])
+
+
+@kernel
+def add_band_places(model: ReceiverModel, beam: Any, step: float, places: FloatArray) -> int:
+    """Set places `step` bins apart over the parts of the bands that are computed.
+
+    Returns:
+        The number of places.
+    """
+    count = int(np.int64(0))
+    zero, end = beam.haze_beats[0], beam.haze_beats[1]
+    end = min(end, zero + model.haze.computed_range_m * model.beat_bin_per_m)
+    if end > zero:
+        count = _add_places(model, zero, end, step, places, count)
+    if beam.dust_snr > 0.0:
+        first, last = dust_ends(beam)
+        if last - first <= COMPUTED_DUST_BINS:
+            count = _add_places(model, first, last, step, places, count)
+    return count
+
+
+@kernel
+def _add_places(
+    model: ReceiverModel, first: float, last: float, step: float, places: FloatArray, count: int
+) -> int:
+    """Add places over the bins in which a band of signed beats appears; returns their number."""
+    length = model.fft_length
+    one, _, _ = fold(first, length)
+    other, _, _ = fold(last, length)
+    # A continuous band folds into a continuous one.
+    low, high = min(one, other), max(one, other)
+    if ceil(first / length) * length <= last:
+        low = 0.0
+    if (ceil(first / length - 0.5) + 0.5) * length <= last:
+        high = 0.5 * length
+    place, stop = np.rint(low), np.rint(high)
+    while place < stop:
+        places[count] = place
+        count += 1
+        place += step
+    places[count] = stop
+    return count + 1
