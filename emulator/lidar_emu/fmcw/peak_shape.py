@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from math import sqrt
 
+from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
@@ -33,7 +34,8 @@ WIDTH_POWER_OVER_NOISE = 7.0
 
 @kernel(fastmath=FAST)
 def quadrature_offset(grid: FloatArray, bins: FloatArray, j: int, length: float) -> tuple[float, float]:
-    """Quadrature of the offset by three Hann-weighted bins, in bins, and its variance by noise, in bins².
+    """Quadrature of the offset by three Hann-weighted bins, in bins, and its variance by noise, in bins²: 0 and a bin's
+    width where the tone is beside its image, at 0 and N/2.
 
     With the ratio q of `peak_interpolation` both are divided by the slope of q over the offset, which is positive. To
     first order the slope follows from q alone.
@@ -55,8 +57,10 @@ def quadrature_offset(grid: FloatArray, bins: FloatArray, j: int, length: float)
     looks = bins.shape[0]
     signal = max(power - 6.0 * (looks - 1) * grid[NOISE, j], power / looks)
     beside_image = grid[BIN, j] <= 2.0 or grid[BIN, j] >= 0.5 * length - 2.0
-    if not signal > 0.0 or beside_image:
+    if not signal > 0.0:
         return 0.0, 1.0
+    if beside_image:
+        return 0.0, BIN_VARIANCE
     q = real / signal
     offset = 2.0 * q / (1.5 + sqrt(2.25 + 4.0 * q * q))
     square = min(offset * offset, 0.5)
