@@ -82,10 +82,12 @@ class BeamErrors(NamedTuple):
     """Whether the beam fires at the ground."""
 
 
-def beam_errors(scenario: FlightScenario, flight: Flight, beamlets: int) -> BeamErrors:
+def beam_errors(
+    scenario: FlightScenario, flight: Flight, beamlets: int, sampled_shots: int = _SAMPLED_SHOTS
+) -> BeamErrors:
     """Compute the errors of the beams of shots sampled along a flight, with this number of beamlets per beam."""
     instrument, site = scenario.instrument, scenario.site
-    count = min(_SAMPLED_SHOTS, flight.shot_count)
+    count = min(sampled_shots, flight.shot_count)
     shot = np.unique(np.linspace(0, flight.shot_count - 1, count).astype(np.int64))
     pointing, _ = flight.point(shot, flight.scanner.initial)
     hits = flight.cast(pointing)
