@@ -19,9 +19,9 @@ ROOT = Path(__file__).resolve().parents[2]
 SHOTS = 400
 
 
-def committed_rows() -> list[list[str]]:
+def committed_rows(name: str) -> list[list[str]]:
     page = (ROOT / "docs" / "accuracy.md").read_text()
-    table = page.split("<!-- haze: begin -->")[1].split("<!-- haze: end -->")[0]
+    table = page.split(f"<!-- {name}: begin -->")[1].split(f"<!-- {name}: end -->")[0]
     return [
         [cell.strip() for cell in line.strip("|").split("|")] for line in table.split("\n") if "/" in line
     ]
@@ -35,12 +35,15 @@ def haze_table(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("level", ["spectral", "statistical"])
-def test_shares_are_those_of_the_reference(level: str, haze_table) -> None:
-    rows = {row[0]: np.array(row[1].split("/"), dtype=float) for row in committed_rows()}
-    for scene in haze_table.SCENES:
+@pytest.mark.parametrize(("table", "measured"), [("haze", 1000), ("plume", 400)])
+def test_shares_are_those_of_the_reference(table: str, measured: int, level: str, haze_table) -> None:
+    rows = {row[0]: np.array(row[1].split("/"), dtype=float) for row in committed_rows(table)}
+    for scene in importlib.import_module(f"{table}_table").SCENES:
+        if getattr(scene, "streak_optical_depth", 0.0) > 0.0:
+            continue  # Their fades differ: docs/accuracy.md.
         expected = rows[str(scene)]
         found = haze_table.shares(scene, level, SHOTS)
-        variance = np.maximum(expected * (1.0 - expected), 1.0 / SHOTS) * (1.0 / SHOTS + 1.0 / 1000)
+        variance = np.maximum(expected * (1.0 - expected), 1.0 / SHOTS) * (1.0 / SHOTS + 1.0 / measured)
         assert (np.abs(found - expected) < 3.5 * np.sqrt(variance)).all(), scene
 
 
