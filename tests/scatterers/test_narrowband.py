@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+from math import pi, sin
+
 import numpy as np
 import pytest
 from moving_beams import even_plane, gliding, speckled, turning
+from scipy.special import jv
 
 from lidar_emu.fmcw.waveform.analog_receiver import FLAT, AnalogResponse
 from lidar_emu.fmcw.waveform.detection import WindowName, transform
 from lidar_emu.fmcw.waveform.record_samples import frequency_plan
 from lidar_emu.scatterers.narrowband import add_narrowband, narrowband_bins
 from lidar_emu.scatterers.receiver import RecordReceiver
-from lidar_emu.scatterers.record_light import NO_SCATTERERS, GaussianMode, PosesAt, record_light
+from lidar_emu.scatterers.record_light import (
+    NO_SCATTERERS,
+    GaussianMode,
+    PosesAt,
+    Scatterers,
+    record_light,
+    reflected_light,
+)
 from lidar_emu.scatterers.samples import received_light, record_span_s, sampled_bins
-from lidar_emu.scenario.instrument import Instrument
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 
 INSTRUMENT = Instrument.model_validate({"waveform": {"linewidth_hz": 0.0}})
 WAVEFORM = INSTRUMENT.waveform
@@ -66,7 +76,61 @@ def test_noise_has_its_level_in_every_bin_and_window() -> None:
     rng = np.random.default_rng(3)
     means = []
     for bins_of in (narrowband_bins, sampled_bins):
-        power = np.abs(bins_of(receiver, dark, WINDOWS, rng, rng)[:, 1:-1]) ** 2
+        power = np.abs(bins_of(receiver, [dark], WINDOWS, rng, rng)[:, 1:-1]) ** 2
         means.append(power[:, : 65 * 1008].reshape(len(WINDOWS), 65, -1).mean(axis=2))
     np.testing.assert_allclose(means[0], means[1], rtol=0.3)
     assert np.mean(means[0] / means[1]) == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("response", [FLAT, POLES], ids=["flat", "poles"])
+def test_ripple_and_reflection_are_those_of_all_samples(response: AnalogResponse) -> None:
+    """Around the echo with its side lines, relative to it; the reflection also against its own amplitude."""
+    index, spacing_bin, range_m, near_m = 1.0, 13, 300.0, 30.0
+    delay_s = 2.0 * range_m / SPEED_OF_LIGHT_MPS
+    ripple_hz = spacing_bin * WAVEFORM.bin_width_hz
+    amplitude_hz = 0.5 * index * ripple_hz / sin(pi * ripple_hz * delay_s)
+    waveform = WAVEFORM.model_copy(update={"ripple_hz": amplitude_hz, "ripple_frequency_hz": ripple_hz})
+    level = np.zeros(WAVEFORM.fft_length // 2 + 1)
+    receiver = RecordReceiver(waveform, response, None, 0.0, level)
+    scatterers = speckled(even_plane(INSTRUMENT, range_m, 0.0, 21), 7)
+    found = {}
+    for segment in (frequency_plan(waveform)[0], frequency_plan(waveform)[2]):
+        for bins_of, covered in ((narrowband_bins, FLAT), (sampled_bins, response)):
+            span_s = record_span_s(waveform, covered)
+            echo = record_light(MODE, segment, gliding([0.0, 0.0, 0.0]), scatterers, *span_s)
+            mirror = reflected_light(segment, near_m, 1.0 + 2.0j, *span_s)
+            rng = np.random.default_rng(0)
+            lights = [echo._replace(ripple_turns=0.2), mirror]
+            found[bins_of] = bins_of(receiver, lights, ["hann"], rng, rng)[0]
+        whole, narrow = found[sampled_bins], found[narrowband_bins]
+        beats = [2.0 * waveform.chirp_slope_hz_per_s * r / SPEED_OF_LIGHT_MPS for r in (range_m, near_m)]
+        for beat_hz in beats:
+            middle = round(beat_hz / waveform.bin_width_hz)
+            near = slice(middle - 40, middle + 41)
+            np.testing.assert_allclose(
+                narrow[near], whole[near], rtol=0, atol=3e-3 * np.abs(whole[near]).max()
+            )
+        middle_hz = round(beats[1] / waveform.bin_width_hz) * waveform.bin_width_hz
+        passed = np.abs(response.gain(np.array(beats[1])))
+        rest = (beats[1] - middle_hz) / waveform.bin_width_hz
+        hann = 0.5 * np.sinc(rest) + 0.25 * (np.sinc(rest - 1.0) + np.sinc(rest + 1.0))
+        line = round(beats[1] / waveform.bin_width_hz)
+        assert np.abs(whole[line]) == pytest.approx(np.sqrt(5.0) * passed * hann, rel=0.02)
+
+
+def test_ripple_has_the_side_lines_of_bessel_functions() -> None:
+    """A scatterer on the axis of a beam at rest has lines J_n(m) at n f_m from its beat, m = (2A/f_m) sin(πf_mτ)."""
+    spacing_bin, amplitude_hz = 13, 4e4
+    ripple_hz = spacing_bin * WAVEFORM.bin_width_hz
+    waveform = WAVEFORM.model_copy(update={"ripple_hz": amplitude_hz, "ripple_frequency_hz": ripple_hz})
+    scatterer = Scatterers(np.array([[0.0, 0.0, -200.0]]), np.zeros((1, 3)), np.ones(1, dtype=complex))
+    segment = frequency_plan(waveform)[2]
+    light = record_light(MODE, segment, gliding([0, 0, 0]), scatterer, *record_span_s(waveform, FLAT))
+    receiver = RecordReceiver(waveform, FLAT, None, 0.0, np.zeros(waveform.fft_length // 2 + 1))
+    rng = np.random.default_rng(0)
+    bins = narrowband_bins(receiver, [light._replace(ripple_turns=0.7)], ["hann"], rng, rng)[0]
+    index = 2.0 * amplitude_hz / ripple_hz * sin(pi * ripple_hz * light.mean_delay_s)
+    line = round(abs(light.middle_frequency_hz[0]) / waveform.bin_width_hz)
+    orders = np.arange(-3, 4)
+    lines = np.abs(bins[line + spacing_bin * orders])
+    np.testing.assert_allclose(lines / lines[3], np.abs(jv(orders, index) / jv(0, index)), rtol=0.01)

@@ -11,6 +11,7 @@ from exchanged_speckle import robust, scatter
 
 from lidar_emu.errors import InputError
 from lidar_emu.flight.flight import Flight
+from lidar_emu.fmcw.false_targets import FalseTarget
 from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.waveform.record_samples import frequency_plan
@@ -190,3 +191,20 @@ def test_rolling_about_a_lever_arm_biases_the_range(tmp_path: Path) -> None:
     seen = run.range_valid[:, 0]
     found = error_m[seen] @ bias_m[seen] / (bias_m[seen] @ bias_m[seen])
     assert found == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("echo", ["scatterers", "scatterers_narrowband"])
+def test_chirps_lock_onto_a_back_reflection(echo: str) -> None:
+    settings = level_flight(1000.0, 45.0, 20.0, 0.0, shots=1)
+    scenario, run = flown(settings, waveform_echo=echo, **{"instrument.optics.back_reflection_db": "-60"})
+    assert (run.true_peak_source == FalseTarget.BACK_REFLECTION).all()
+    (row,) = (each for each in build_model(scenario).plan.decisions if each.stage == "back-reflection")
+    assert row.computed
+
+
+def test_chirps_lock_onto_a_side_line_of_a_ripple() -> None:
+    """At an index of 1.84 the first side lines are the strongest."""
+    keys = {"ripple_hz": "5.8e4", "ripple_frequency_hz": "6e4"}
+    settings = level_flight(1000.0, 45.0, 20.0, 0.0, shots=4)
+    _, run = flown(settings, **{f"instrument.waveform.{key}": value for key, value in keys.items()})
+    assert (run.true_peak_source == FalseTarget.SIDE_LINE).sum() >= 3

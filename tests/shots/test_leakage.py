@@ -101,6 +101,15 @@ def test_the_plan_leaves_out_what_changes_nothing(instrument: str, limit: float)
         assert with_it < 1.05 * without_it
 
 
-def test_the_statistical_level_has_no_leakage() -> None:
+def test_levels_without_leakage_refuse_it() -> None:
     with pytest.raises(InputError, match="leakage_db"):
         load("descent.yaml", {"instrument.optics.leakage_db": "-50", "level": "statistical"})
+    with pytest.raises(InputError, match="leakage_db"):
+        load(
+            "descent.yaml",
+            {
+                "instrument.optics.leakage_db": "-50",
+                "level": "waveform",
+                "waveform_echo": "scatterers_narrowband",
+            },
+        )

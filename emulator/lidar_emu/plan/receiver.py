@@ -59,8 +59,16 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
     folds = plan_ambiguity(scenario, largest(echoes.range_m), largest(echoes.closing_speed_mps))
     if scenario.waveform_echo != "beamlets":
         instrument = scenario.instrument
-        receiver = _response(instrument), _noise_peak(instrument), _clipping(instrument)
-        return [level, folds, _scatterers(scenario), *receiver]
+        return [
+            level,
+            folds,
+            _scatterers(scenario),
+            _ripple(scenario, echoes),
+            _response(instrument),
+            _noise_peak(instrument),
+            _clipping(instrument),
+            _back_reflection(scenario, echoes),
+        ]
     return [
         level,
         folds,
@@ -206,8 +214,9 @@ def _ripple(scenario: FlightScenario, echoes: Echoes) -> Decision:
     reason = (
         f"modulates beats by up to {index:.2g} rad, {waveform.ripple_frequency_hz / 1e3:g} kHz to either side"
     )
-    if scenario.tolerated_share == 0.0:
-        return Decision("ripple of the chirps", True, "filter over bins", reason, "exact")
+    if scenario.tolerated_share == 0.0 or scenario.waveform_echo != "beamlets":
+        how = "filter over bins" if scenario.level == "spectral" else "phase of the light"
+        return Decision("ripple of the chirps", True, how, reason, "exact")
     model = build_receiver(scenario.instrument, scenario.site, scenario.tolerated_share)
     matters = any(
         interpreted(ripple_index)(model, range_m, left_out_bin2) > 0.0

@@ -22,7 +22,7 @@ from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, n
 from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
 from lidar_emu.fmcw.waveform.intensity_noise import NoisePeak
 from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
-from lidar_emu.fmcw.waveform.record_samples import draw_frequency_plan, frequency_plan
+from lidar_emu.fmcw.waveform.record_samples import Segment, draw_frequency_plan, frequency_plan
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import SCATTERERS, generator
 from lidar_emu.numerics.vector_arrays import rotate, unit_across
@@ -31,7 +31,15 @@ from lidar_emu.scatterers.measurement import measure_records
 from lidar_emu.scatterers.narrowband import narrowband_bins
 from lidar_emu.scatterers.plume import DustyBeam
 from lidar_emu.scatterers.receiver import RecordReceiver
-from lidar_emu.scatterers.record_light import NO_SCATTERERS, BeamPoses, PosesAt, Scatterers, record_light
+from lidar_emu.scatterers.record_light import (
+    NO_SCATTERERS,
+    BeamPoses,
+    PosesAt,
+    RecordLight,
+    Scatterers,
+    record_light,
+    reflected_light,
+)
 from lidar_emu.scatterers.samples import record_span_s, sampled_bins
 from lidar_emu.scatterers.surface import Strewing, footprint_plane, strew_surface
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS
@@ -183,11 +191,8 @@ class ScattererLevel:
     ) -> Returns:
         """Measure the three records of a beam."""
         instrument, model = self._scenario.instrument, self._model
-        lights = [
-            record_light(self._strewing.mode, segment, poses_at, scatterers, *self._covered_s)
-            for segment in draw_frequency_plan(laser_rng, instrument.waveform)
-        ]
-        echo_w = sum(float(light.power.sum()) for light in lights) / (3.0 * model.snr_per_w)
+        lights = self._lights(poses_at, scatterers, rng, laser_rng)
+        echo_w = sum(float(echo.power.sum()) for echo, *_ in lights) / (3.0 * model.snr_per_w)
         share, level = noise_with_echo(model, echo_w, self._noise_level)
         if self._noise_peak is not None:
             level = level + self._noise_peak.bins(instrument.waveform, self._response)
@@ -202,3 +207,28 @@ class ScattererLevel:
         return measure_records(
             instrument.detection, receiver, lights, self._bins, rng, laser_rng, model.residual_limit
         )
+
+    def _lights(
+        self,
+        poses_at: PosesAt,
+        scatterers: Scatterers,
+        rng: np.random.Generator,
+        laser_rng: np.random.Generator,
+    ) -> list[list[RecordLight]]:
+        """Light of the three records: of the scatterers, and of the optics where they reflect."""
+        waveform = self._scenario.instrument.waveform
+        lights = []
+        for segment in draw_frequency_plan(laser_rng, waveform):
+            echo = record_light(self._strewing.mode, segment, poses_at, scatterers, *self._covered_s)
+            if waveform.ripple_hz > 0.0 and segment.slope_hz_per_s != 0.0:
+                echo = echo._replace(ripple_turns=float(laser_rng.random()))
+            lights.append([echo, *self._reflected(segment, rng)])
+        return lights
+
+    def _reflected(self, segment: Segment, rng: np.random.Generator) -> list[RecordLight]:
+        """Light that the optics reflect, with a phase of its own in each record."""
+        snr, range_m = self._model.back_reflection
+        if snr == 0.0:
+            return []
+        amplitude = sqrt(snr) * np.exp(2j * pi * rng.random())
+        return [reflected_light(segment, range_m, amplitude, *self._covered_s)]

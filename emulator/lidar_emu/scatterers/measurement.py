@@ -16,30 +16,31 @@ from lidar_emu.scatterers.record_light import RecordLight
 from lidar_emu.scenario.instrument import Detection
 
 RecordBins = Callable[
-    [RecordReceiver, RecordLight, Sequence[WindowName], np.random.Generator, np.random.Generator],
+    [RecordReceiver, Sequence[RecordLight], Sequence[WindowName], np.random.Generator, np.random.Generator],
     ComplexArray,
 ]
-"""Bins (windows, N/2 + 1) of a record with its noise, from random generators of the beam and of the laser."""
+"""Bins (windows, N/2 + 1) of a record with all its light and noise, from random generators of the beam and of the
+laser."""
 
 
 def measure_records(
     detection: Detection,
     receiver: RecordReceiver,
-    lights: Sequence[RecordLight],
+    records: Sequence[Sequence[RecordLight]],
     bins_of: RecordBins,
     rng: np.random.Generator,
     laser_rng: np.random.Generator,
     residual_limit: ResidualLimit | None = None,
 ) -> Returns:
-    """Measure a beam, (1,), from the light of up-chirp, constant segment and down-chirp; see `to_beam_result`."""
+    """Measure a beam, (1,), from all light of up-chirp, constant segment and down-chirp; see `to_beam_result`."""
     waveform = receiver.waveform
     window_noise = window_noise_power(detection.window, waveform.fft_length)
     level = receiver.noise_level * window_noise
     threshold = level * -detection.log_false_alarm_per_bin(waveform.fft_length)
     windows: list[WindowName] = [detection.window, "hann"]
     found = []
-    for light in lights:
-        bins = bins_of(receiver, light, windows, rng, laser_rng)
+    for lights in records:
+        bins = bins_of(receiver, lights, windows, rng, laser_rng)
         found.append(
             find_targets(
                 bins[:1],

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lidar_emu.fmcw.waveform.detection import WindowName, window_at, windowed
-from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift, has_phase_noise
+from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift, has_phase_noise, ripple_drift
 from lidar_emu.fmcw.waveform.record_samples import ComplexArray
 from lidar_emu.numerics.arrays import IntArray
 from lidar_emu.scatterers.receiver import RecordReceiver
@@ -31,7 +31,7 @@ _LINE_STEPS = 2**13
 
 def narrowband_bins(
     receiver: RecordReceiver,
-    light: RecordLight,
+    lights: Sequence[RecordLight],
     windows: Sequence[WindowName],
     rng: np.random.Generator,
     laser_rng: np.random.Generator,
@@ -40,7 +40,7 @@ def narrowband_bins(
     deviation = np.sqrt(0.5 * receiver.noise_level)
     noise = deviation * rng.standard_normal(2 * len(deviation)).view(complex)
     bins = np.stack([windowed(noise, window) for window in windows])
-    if len(light.coefficients):
+    for light in lights:
         add_narrowband(receiver, light, windows, bins, rng, laser_rng)
     return bins
 
@@ -54,6 +54,8 @@ def add_narrowband(
     laser_rng: np.random.Generator,
 ) -> None:
     """Add the light of scatterers to the bins (windows, N/2 + 1) of a record of real samples."""
+    if not len(light.coefficients):
+        return
     bin_number = np.floor(light.middle_frequency_hz * receiver.waveform.record_time_s / _GROUP_BINS)
     if np.ptp(bin_number) <= 1.0:
         bin_number[:] = 0.0
@@ -75,16 +77,23 @@ def _add_group(
     lowest_hz, highest_hz = light.frequencies_hz()
     centre = round(0.5 * (lowest_hz + highest_hz) * record_s)
     width = (highest_hz - lowest_hz) * record_s + 2 * _MARGIN_BINS
+    if light.ripple_turns is not None:
+        width += 2 * waveform.ripple_orders * waveform.ripple_frequency_hz * record_s
     count = min(length, 2 ** int(np.ceil(np.log2(width))))
     passed = light
     if not receiver.response.flat:
-        passed = light.times(receiver.response.gain(light.middle_frequency_hz))
+        gain = receiver.response.gain(light.middle_frequency_hz)
+        if not gain.all():
+            return
+        passed = light.times(gain)
     # In records, from the record's centre: each sample is in the middle of its part.
     place = (np.arange(count) - 0.5 * (count - 1)) / count
     envelope = np.zeros(count, dtype=complex)
     passed.shifted(-centre / record_s).add_to(envelope, place[0] * record_s, record_s / count)
-    if has_phase_noise(waveform):
+    if has_phase_noise(waveform) and not light.steady:
         envelope *= _drift(waveform, light.mean_delay_s, count, rng, laser_rng)
+    if light.ripple_turns is not None:
+        envelope *= ripple_drift(waveform, light.mean_delay_s, light.ripple_turns, place * record_s)
     # A transform's origin is the first sample, half a step after the record's beginning.
     before = 0.5 - 0.5 / length
     offset = np.arange(count) - count // 2

@@ -113,6 +113,10 @@ class RecordLight(NamedTuple):
     """(n,) Time from the record's centre at which light of this segment arrives; before, there is none."""
     delay_s: FloatArray
     """(n,)"""
+    ripple_turns: float | None = None
+    """Phase of the chirp's periodic deviation at the record's centre, in turns; None: none."""
+    steady: bool = False
+    """Whether its delay is too short for the laser's phase noise."""
 
     @property
     def mean_delay_s(self) -> float:
@@ -185,7 +189,7 @@ def record_light(
     middle_s, half_s = 0.5 * (from_s + to_s), 0.5 * (to_s - from_s)
     if not len(scatterers.amplitude):
         return RecordLight(np.empty((0, _NODES), dtype=complex), middle_s, half_s, *np.empty((3, 0)))
-    place = -np.cos(np.pi * np.arange(_NODES) / (_NODES - 1))
+    place, to_powers = _nodes()
     node_s = middle_s + half_s * place
     origin_m = poses_at(np.array([segment.centre_s + middle_s])).sensor_m[0]
     position_m = scatterers.position_m - origin_m + segment.centre_s * scatterers.velocity_mps
@@ -194,7 +198,6 @@ def record_light(
     pose_middle_s, pose_half_s = 0.5 * (pose_from_s + to_s), 0.5 * (to_s - pose_from_s)
     poses = poses_at(segment.centre_s + pose_middle_s + pose_half_s * place)
     vectors = np.concatenate([poses.sensor_m - origin_m, poses.transmitted, poses.received], axis=1)
-    to_powers = np.linalg.inv(np.vander(place, increasing=True))
     shape = len(position_m), _NODES
     log_mode, delay_s = np.empty(shape), np.empty(shape)
     _evaluate(
@@ -216,6 +219,27 @@ def record_light(
     middle_delay_s = delay_s[lit, _NODES // 2]
     arrival_s = middle_delay_s - segment.start_to_centre_s
     return RecordLight(coefficients[lit], middle_s, half_s, power[lit], arrival_s, middle_delay_s)
+
+
+def reflected_light(
+    segment: Segment, range_m: float, amplitude: complex, from_s: float, to_s: float
+) -> RecordLight:
+    """Compute the light that a surface at rest in the instrument returns to one record; see `record_light`."""
+    middle_s, half_s = 0.5 * (from_s + to_s), 0.5 * (to_s - from_s)
+    place, to_powers = _nodes()
+    delay_s = np.full((1, _NODES), 2.0 * range_m * _S_PER_M)
+    cycles = _phase_cycles(segment, middle_s + half_s * place, delay_s)
+    coefficients = 2j * np.pi * cycles @ to_powers.T
+    coefficients[:, 0] += np.log(amplitude)
+    power, first_s = np.array([abs(amplitude) ** 2]), delay_s[:, 0]
+    arrival_s = first_s - segment.start_to_centre_s
+    return RecordLight(coefficients, middle_s, half_s, power, arrival_s, first_s, steady=True)
+
+
+def _nodes() -> tuple[FloatArray, FloatArray]:
+    """Places (K,) of the nodes from -1 to 1, and the matrix (K, K) from values there to coefficients of powers."""
+    place = -np.cos(np.pi * np.arange(_NODES) / (_NODES - 1))
+    return place, np.linalg.inv(np.vander(place, increasing=True))
 
 
 def _phase_cycles(segment: Segment, node_s: FloatArray, delay_s: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Poles, draw_noise
 from lidar_emu.fmcw.waveform.detection import WindowName, transform
-from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift, has_phase_noise
+from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift, has_phase_noise, ripple_drift
 from lidar_emu.fmcw.waveform.record_samples import ComplexArray, record_times
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scatterers.receiver import RecordReceiver
@@ -29,22 +29,33 @@ def record_span_s(waveform: Waveform, response: AnalogResponse) -> tuple[float, 
 
 def sampled_bins(
     receiver: RecordReceiver,
-    light: RecordLight,
+    lights: Sequence[RecordLight],
     windows: Sequence[WindowName],
     rng: np.random.Generator,
     laser_rng: np.random.Generator,
 ) -> ComplexArray:
     """Compute the bins (windows, N/2 + 1) of a record from its samples."""
     waveform = receiver.waveform
-    record = received_light(receiver, light)
-    if has_phase_noise(waveform) and light.mean_delay_s > 0.0:
-        record *= draw_drift(rng, 1, waveform, light.mean_delay_s, laser_rng)[0]
+    record = np.sum([_modulated_light(receiver, light, rng, laser_rng) for light in lights], axis=0)
     samples = record.real + np.sqrt(receiver.noise_share) * draw_noise(rng, 1, waveform, receiver.response)[0]
     if receiver.noise_peak is not None:
         samples += receiver.noise_peak.draw(rng, 1, waveform, receiver.response)[0]
     if receiver.digitiser is not None:
         samples = receiver.digitiser.digitise(samples)
     return np.stack([transform(samples, window) for window in windows])
+
+
+def _modulated_light(
+    receiver: RecordReceiver, light: RecordLight, rng: np.random.Generator, laser_rng: np.random.Generator
+) -> ComplexArray:
+    """Light (N,) behind the poles, with the phase of a laser that is not perfect."""
+    waveform, delay_s = receiver.waveform, light.mean_delay_s
+    record = received_light(receiver, light)
+    if has_phase_noise(waveform) and delay_s > 0.0 and not light.steady:
+        record *= draw_drift(rng, 1, waveform, delay_s, laser_rng)[0]
+    if light.ripple_turns is not None:
+        record *= ripple_drift(waveform, delay_s, light.ripple_turns, record_times(waveform))
+    return record
 
 
 def received_light(receiver: RecordReceiver, light: RecordLight) -> ComplexArray:

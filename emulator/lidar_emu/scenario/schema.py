@@ -206,10 +206,9 @@ class FlightScenario(Scenario):
             without = "null" if off is None else f"{off:g}"
             if value != off and self.level == "statistical":
                 raise unusable(key, value, f"{without} at level statistical, which has one line a segment")
-            if value != off and self.waveform_echo != "beamlets":
-                raise unusable(
-                    key, value, f"{without} with scatterers, anything with waveform_echo: beamlets"
-                )
+        if leakage_db is not None and self.waveform_echo != "beamlets":
+            allowed = "null with scatterers, anything with waveform_echo: beamlets"
+            raise unusable("instrument.optics.leakage_db", leakage_db, allowed)
         return self
 
     @model_validator(mode="after")

@@ -26,6 +26,7 @@ from lidar_emu.fmcw.waveform.record_samples import (
     Segment,
     draw_frequency_plan,
     frequency_plan,
+    record_times,
 )
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
@@ -153,7 +154,8 @@ def measure_waveform(
                 light *= drift if segment.beat_sign > 0 else drift.conj()
             if laser_rng is not None and waveform.ripple_hz > 0.0 and segment.slope_hz_per_s != 0.0:
                 delay_s = 2.0 * float(beamlets.range_m[0]) / SPEED_OF_LIGHT_MPS
-                ripple = ripple_drift(laser_rng, len(light), waveform, delay_s)
+                turns = laser_rng.random((len(light), 1))
+                ripple = ripple_drift(waveform, delay_s, turns, record_times(waveform))
                 light = light * (ripple if segment.beat_sign > 0 else ripple.conj())
             if reflection is not None:
                 steady = reflection.beamlets(segment, np.asarray(reflection.weight)[..., s, :])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.waveform.record_samples import ComplexArray, record_times
+from lidar_emu.fmcw.waveform.record_samples import ComplexArray
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import SWEEP, WHOLE_SHOT, generator
 from lidar_emu.scenario.instrument import Waveform
@@ -14,19 +14,21 @@ _FLICKER_RECORDS = 8
 """Records over which 1/f noise is synthesised: slower parts change the frequency within a record by 1 % of its rms."""
 
 
-def ripple_drift(rng: np.random.Generator, records: int, waveform: Waveform, delay_s: float) -> ComplexArray:
-    """Draw exp(j[φ(t) - φ(t - τ)]) over records of a chirp with a periodic deviation of its frequency, (records, N).
+def ripple_drift(
+    waveform: Waveform, delay_s: float, turns: FloatArray | float, time_s: FloatArray
+) -> ComplexArray:
+    """Compute exp(j[φ(t) - φ(t - τ)]) in a chirp with a periodic deviation of its frequency.
 
     Args:
-        rng: random generator of the deviation's phase.
+        waveform: amplitude and frequency of the deviation.
         delay_s: delay τ, constant within the record.
+        turns: phase of the deviation at the record's centre, in turns.
+        time_s: times t from the record's centre; the result has their shape, broadcast with `turns`.
     """
-    start = rng.random((records, 1))
-    time_s = record_times(waveform)
 
     def phase(at_s: FloatArray) -> FloatArray:
         # The integral of 2πA sin(2πft).
-        turn = 2.0 * np.pi * (waveform.ripple_frequency_hz * at_s + start)
+        turn = 2.0 * np.pi * (waveform.ripple_frequency_hz * at_s + turns)
         return np.asarray(-waveform.ripple_hz / waveform.ripple_frequency_hz * np.cos(turn))
 
     return np.asarray(np.exp(1j * (phase(time_s) - phase(time_s - delay_s))))
