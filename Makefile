@@ -11,7 +11,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all soak checks-and-kernels check style types imports kernels docs speckle haze plume sigma mutants clean
+.PHONY: run test test-all soak checks-and-kernels check style types imports kernels docs speckle left-out haze plume sigma mutants clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -55,6 +55,10 @@ docs: $(VENV)/.ready-dev
 # The table of docs/accuracy.md on speckle that changes within a record, by Monte Carlo: twenty minutes.
 speckle: $(VENV)/.ready-dev
 	$(BIN)/python tools/speckle_table.py
+
+# The table of docs/accuracy.md on what is left out, by Monte Carlo: ten minutes.
+left-out: $(VENV)/.ready-dev
+	$(BIN)/python tools/left_out_table.py
 
 # The table of docs/accuracy.md on the sigma that an instrument states, by Monte Carlo: fifteen minutes.
 sigma: $(VENV)/.ready-dev

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -74,6 +76,25 @@ def test_random_scenes_scatter_alike(seed: int) -> None:
         # Deviations of n errors are known to 0.9/√n; most of it is common to the two.
         assert grown < (0.05 + 2.0 / np.sqrt(moved.size)) * expected + 3.0 * doubt
         assert abs(middle) < most * expected + 3.0 * doubt
+
+
+@pytest.fixture
+def left_out_table(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "tools"))
+    return importlib.import_module("left_out_table")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("quantised", [False, True])
+def test_the_default_scatters_like_the_reference(quantised: bool, left_out_table) -> None:
+    """Eight scenes of `make left-out` pooled: what the default leaves out, and what all levels assume."""
+    scenes = (left_out_table.Scene.draw(seed) for seed in range(40))
+    chosen = [scene for scene in scenes if scene.quantised == quantised and scene.smooth][:8]
+    found = [left_out_table.compare(scene, 24) for scene in chosen]
+    value, error = (np.array([getattr(each, name) for each in found if each]) for name in ("value", "error"))
+    assert len(value) >= 6
+    pooled = np.sqrt((error**2).sum(axis=0)) / len(value)
+    assert (np.abs(value.mean(axis=0)) < 0.05 + 3.5 * pooled).all()
 
 
 @pytest.mark.slow
