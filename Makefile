@@ -52,7 +52,7 @@ docs: $(VENV)/.ready-dev
 	$(BIN)/python -c 'from lidar_emu.report.columns_page import markdown; print(markdown(), end="")' > docs/columns.md
 	$(BIN)/lidar-emu icd --out protocol/lidar_protocol
 
-# The table of docs/accuracy.md on speckle that changes within a record, by Monte Carlo: twenty minutes.
+# The table of docs/accuracy.md on speckle and motion, from 20 m to 5 km, by Monte Carlo: forty minutes.
 speckle: $(VENV)/.ready-dev
 	$(BIN)/python tools/speckle_table.py
 

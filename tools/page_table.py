@@ -12,7 +12,14 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "accuracy.md"
 Rows = Callable[[int], Iterable[tuple[str, ...]]]
 
 
-def update(name: str, headings: tuple[str, ...], rows: Rows, shots: int, fast_times: int) -> None:
+def update(
+    name: str,
+    headings: tuple[str, ...],
+    rows: Rows,
+    shots: int,
+    fast_times: int,
+    arguments: list[str] | None = None,
+) -> None:
     """Print the rows of a table as they are measured, and write them to the page unless asked not to.
 
     Args:
@@ -21,11 +28,12 @@ def update(name: str, headings: tuple[str, ...], rows: Rows, shots: int, fast_ti
         rows: generator of the rows from the number of measurements of the reference.
         shots: that number unless the command line has another.
         fast_times: measurements of the fast levels per measurement of the reference.
+        arguments: the command line's, if the tool has taken some.
     """
     parser = argparse.ArgumentParser()
     parser.add_argument("--print", action="store_true", dest="only_print")
     parser.add_argument("--shots", type=int, default=shots)
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     lines = [_line(headings), _line(("---",) * len(headings))]
     for row in rows(options.shots):
         lines.append(_line(row))
