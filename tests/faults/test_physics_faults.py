@@ -323,3 +323,15 @@ def test_what_a_flight_cannot_do_is_refused(fault: str, keys: dict[str, str], re
 def test_a_bench_pattern_has_no_physics(bench: Any) -> None:
     with pytest.raises(InputError, match=r"faults.0.kind: wrong_branch on a bench pattern"):
         build_model(bench({"kind": "wrong_branch"}))
+
+
+def test_a_receiver_with_negligible_noise_sees_a_plume_as_the_sound_one() -> None:
+    """Streaks of dust stay targets of their own beside the footprint's."""
+    keys = {"level": "statistical", "timing.rate_hz": "5"}
+    fault = "[{kind: false_alarms, noise_db: 1.0e-9}]"
+    sound, faulty = (
+        simulate(lidar_emu.load("dusty_landing", keys | more)) for more in ({}, {"faults": fault})
+    )
+    assert (sound.returns > 1).any()
+    np.testing.assert_array_equal(faulty.returns, sound.returns)
+    np.testing.assert_allclose(faulty.range_m, sound.range_m, rtol=1e-6)
