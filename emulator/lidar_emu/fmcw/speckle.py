@@ -13,14 +13,14 @@ which has the curvature of the Gaussian exp(-D²/w²) at x = 0 with the pitch π
 from __future__ import annotations
 
 from math import floor, pi, sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.philox import fill_complex_normals
+from lidar_emu.numerics.philox import fill_normals_of_shots
 from lidar_emu.numerics.random_streams import SPECKLE
 from lidar_emu.numerics.sine import sin_pi
 
@@ -31,9 +31,6 @@ SLOTS = 9
 """Corners cached, by their coordinates modulo 3: the corners of one position."""
 
 _SHARE = sqrt(8.0 / 9.0)
-
-_FIRST: Any = np.int64(0)
-"""A variable, since numba would compile the drawing of the numbers once more for a literal."""
 
 _LOW_WORD = np.int64(0x7FFFFFFF)
 """Mask of a coordinate: two of them fit into a word beside the sign bit."""
@@ -47,20 +44,27 @@ class SpeckleField(NamedTuple):
     power."""
     held: NDArray[np.int64]
     """(SLOTS, 2) Coordinates of the corners in `corners`."""
+    places: NDArray[np.int64]
+    """(SLOTS,) Coordinates of corners to be drawn, overwritten."""
     corners: FloatArray
-    """(SLOTS, 2, beamlets) Numbers at these corners."""
+    """(2, SLOTS, beamlets) Real and imaginary parts of the numbers at these corners."""
+    numbers: FloatArray
+    """(2, SLOTS * beamlets) The same numbers, one slot after another."""
     words: NDArray[np.uint64]
-    """(4, beamlets / 2 or more) Random words, overwritten."""
+    """(4, SLOTS * beamlets / 2) Random words, overwritten."""
 
 
 def speckle_field(beamlets: int, tones: int = 1) -> SpeckleField:
     """Allocate the field of beams with up to `beamlets` beamlets, an even number, of up to `tones` tones each;
     `forget_corners` clears it."""
+    numbers = np.empty((2, SLOTS * beamlets))
     return SpeckleField(
         weights=np.empty((tones, 2, beamlets)),
         held=np.empty((SLOTS, 2), dtype=np.int64),
-        corners=np.empty((SLOTS, 2, beamlets)),
-        words=np.empty((4, beamlets), dtype=np.uint64),
+        places=np.empty(SLOTS, dtype=np.int64),
+        corners=numbers.reshape(2, SLOTS, beamlets),
+        numbers=numbers,
+        words=np.empty((4, SLOTS * beamlets // 2), dtype=np.uint64),
     )
 
 
@@ -69,18 +73,26 @@ def set_weights(
     seed: np.uint64, beam: int, east: float, north: float, field: SpeckleField, weights: FloatArray
 ) -> None:
     """Set `weights`, (2, beamlets), to the field at a position in pitches."""
-    corners = field.corners
-    weights[:] = 0.0
     nearest_east, nearest_north = floor(east + 0.5), floor(north + 0.5)
-    for x in range(-1, 2):
-        share_east = _share(east - nearest_east - x)
-        for y in range(-1, 2):
-            share = share_east * _share(north - nearest_north - y)
-            slot = _slot_of(seed, beam, int(nearest_east) + x, int(nearest_north) + y, field)
-            for part in range(2):
-                weight, normal = weights[part], corners[slot, part]
-                for i in range(len(weight)):
-                    weight[i] += share * normal[i]
+    x, y = int(nearest_east), int(nearest_north)
+    _draw_corners(seed, beam, x, y, field)
+    weights[:] = 0.0
+    east -= nearest_east
+    north -= nearest_north
+    south_share, share, north_share = _share(north + 1.0), _share(north), _share(north - 1.0)
+    for step in range(-1, 2):
+        share_east = _share(east - step)
+        slot = 3 * ((x + step) % 3)
+        for part in range(2):
+            below, here, above = (
+                field.corners[part, slot + (y - 1) % 3],
+                field.corners[part, slot + y % 3],
+                field.corners[part, slot + (y + 1) % 3],
+            )
+            weight = weights[part]
+            a, b, c = share_east * south_share, share_east * share, share_east * north_share
+            for i in range(len(weight)):
+                weight[i] = weight[i] + a * below[i] + b * here[i] + c * above[i]
 
 
 @kernel
@@ -97,12 +109,20 @@ def _share(distance: float) -> float:
 
 
 @kernel
-def _slot_of(seed: np.uint64, beam: int, x: int, y: int, field: SpeckleField) -> int:
-    """Slot of a corner, drawn unless it is cached."""
-    held, corners, words = field.held, field.corners, field.words
-    slot = 3 * (x % 3) + y % 3
-    if held[slot, 0] != x or held[slot, 1] != y:
-        held[slot, 0], held[slot, 1] = x, y
-        place = int(((x & _LOW_WORD) << 32) | (y & _LOW_WORD))
-        fill_complex_normals(seed, place, beam, SPECKLE, _FIRST, corners.shape[2], words, corners[slot])
-    return slot
+def _draw_corners(seed: np.uint64, beam: int, east: int, north: int, field: SpeckleField) -> None:
+    """Draw the corners around the nearest one that are not cached, those in neighbouring slots together."""
+    held, numbers, columns = field.held, field.numbers, field.corners.shape[2]
+    drawn = 0
+    for slot in range(SLOTS + 1):
+        if slot < SLOTS:
+            x, y = east - 1 + (slot // 3 + 1 - east) % 3, north - 1 + (slot % 3 + 1 - north) % 3
+            if held[slot, 0] != x or held[slot, 1] != y:
+                held[slot, 0], held[slot, 1] = x, y
+                field.places[drawn] = ((x & _LOW_WORD) << 32) | (y & _LOW_WORD)
+                drawn += 1
+                continue
+        if drawn > 0:
+            first, last = (slot - drawn) * columns, slot * columns
+            re, im = numbers[0, first:last], numbers[1, first:last]
+            fill_normals_of_shots(seed, field.places[:drawn], beam, SPECKLE, columns, field.words, re, im)
+            drawn = 0

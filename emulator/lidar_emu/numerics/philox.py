@@ -119,11 +119,28 @@ def fill_complex_normals(
     no power exceeds 22.9, which has a probability of 1e-10. `words` (4, count/2 or more) is overwritten. The stages
     have no branches, so that they are vectorised.
     """
-    number = np.uint64(shot)
     use = (np.uint64(purpose) << _SHIFT_16) | np.uint64(beam)
-    _fill_words(seed, number, use, np.uint64(first_pair), count // 2, words)
-    _fill_uniforms(words, out, count)
-    _box_muller(out[0, :count], out[1, :count])
+    _fill_words(seed, np.uint64(shot), use, np.uint64(first_pair), count // 2, words, int(np.int64(0)))
+    _to_normals(words, out[0, :count], out[1, :count])
+
+
+@kernel
+def fill_normals_of_shots(
+    seed: np.uint64,
+    shots: NDArray[np.int64],
+    beam: int,
+    purpose: int,
+    count: int,
+    words: NDArray[np.uint64],
+    re: FloatArray,
+    im: FloatArray,
+) -> None:
+    """Fill `re` and `im`, each (shots * count,), with the first `count` numbers of each shot of `fill_complex_normals`,
+    whose few numbers a shot would take vectors of their own."""
+    use = (np.uint64(purpose) << _SHIFT_16) | np.uint64(beam)
+    for s in range(len(shots)):
+        _fill_words(seed, np.uint64(shots[s]), use, np.uint64(0), count // 2, words, s * count // 2)
+    _to_normals(words, re, im)
 
 
 @kernel
@@ -134,23 +151,30 @@ def _fill_words(
     first: np.uint64,
     count: int,
     words: NDArray[np.uint64],
+    column: int,
 ) -> None:
     k0, k1 = seed & _LOW, seed >> _WORD
     low, high = number & _LOW, number >> _WORD
     # Rows are selected before the loops: selection within a loop prevents vectorisation.
-    words_0, words_1, words_2, words_3 = words[0], words[1], words[2], words[3]
+    words_0, words_1 = words[0, column:], words[1, column:]
+    words_2, words_3 = words[2, column:], words[3, column:]
     for i in range(count):
         a, b, c, d = philox4x32(low, high, use, (first + np.uint64(i)) & _LOW, k0, k1)
         words_0[i], words_1[i], words_2[i], words_3[i] = a, b, c, d
 
 
 @kernel
-def _fill_uniforms(words: NDArray[np.uint64], out: FloatArray, count: int) -> None:
-    for part in range(2):
-        row, even, odd = out[part], words[part], words[part + 2]
-        for i in range(count // 2):
-            row[2 * i] = (np.float64(np.int64(even[i])) + 0.5) * 2.0**-32
-            row[2 * i + 1] = (np.float64(np.int64(odd[i])) + 0.5) * 2.0**-32
+def _to_normals(words: NDArray[np.uint64], re: FloatArray, im: FloatArray) -> None:
+    _fill_uniforms(words[0], words[2], re)
+    _fill_uniforms(words[1], words[3], im)
+    _box_muller(re, im)
+
+
+@kernel
+def _fill_uniforms(even: NDArray[np.uint64], odd: NDArray[np.uint64], out: FloatArray) -> None:
+    for i in range(len(out) // 2):
+        out[2 * i] = (np.float64(np.int64(even[i])) + 0.5) * 2.0**-32
+        out[2 * i + 1] = (np.float64(np.int64(odd[i])) + 0.5) * 2.0**-32
 
 
 @kernel(fastmath=FAST)
