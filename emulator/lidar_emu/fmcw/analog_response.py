@@ -109,6 +109,8 @@ def clipping(
     Returns:
         Gain of the whole input, and power of the distortion per rectangular bin, treated as white.
     """
+    if response.full_scale == np.inf:
+        return 1.0, 0.0
     variance = response.mean_noise * length / 4.0 + 0.5 * others_power
     for i in range(tones.shape[1]):
         variance += 0.5 * (tones[2, i] ** 2 + tones[3, i] ** 2)

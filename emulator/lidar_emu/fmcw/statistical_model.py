@@ -32,7 +32,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import complex_normal
 from lidar_emu.numerics.random_streams import NOISE_BINS
-from lidar_emu.numerics.sine import sin_pi
+from lidar_emu.numerics.sine import sin_pi, sin_pi_anywhere
 
 _NARROW_BIN2 = 0.1
 """Second moment below which `peak_shape.width_bin2` does not distinguish a line from a single tone."""
@@ -45,6 +45,9 @@ _WIDEST_BIN2 = 20.0
 
 _FAR_BIN = 0.25
 """A step this far from the centre of power is followed by a second one: bins beyond the three may be higher."""
+
+_OFF_ZERO = 1e-9
+"""Distance in bins from the zeros of denominators, far less than a peak is accurate."""
 
 _APART_BINS = 1.5
 """Lines nearer to the footprint's are one target with it."""
@@ -282,7 +285,8 @@ def _sum_at_peak(tones: FloatArray, centre: float) -> tuple[float, float, float,
     centre += step
     re = im = 0.0
     for i in range(tones.shape[1]):
-        kernel = _sinc((tones[0, i] - tones[0, 0]) + tones[1, i] - centre)
+        d = (tones[0, i] - tones[0, 0]) + tones[1, i] - centre + _OFF_ZERO
+        kernel = sin_pi_anywhere(d) / (pi * d)
         re += tones[2, i] * kernel
         im += tones[3, i] * kernel
     return tones[0, 0] + centre, quadrature, re, im
@@ -296,15 +300,11 @@ def _step_to_peak(tones: FloatArray, centre: float) -> tuple[float, float]:
     """
     rise_re = rise_im = whole_re = whole_im = 0.0
     for i in range(tones.shape[1]):
-        # Off the zeros of the denominators, by far less than a peak is accurate.
-        d = (tones[0, i] - tones[0, 0]) + tones[1, i] - centre + 1e-9
-        base = np.sin(pi * d) / d
-        here, before, after = (
-            2.0 / (1.0 - d * d),
-            1.0 / ((d + 1.0) * (d + 2.0)),
-            1.0 / ((d - 1.0) * (d - 2.0)),
-        )
-        rise, whole = base * (after - before), base * (here - before - after)
+        d = (tones[0, i] - tones[0, 0]) + tones[1, i] - centre + _OFF_ZERO
+        beside = 1.0 - d * d
+        # The bins are sin(πd) / (d (1 - d²)), in terms of their own distances: common denominators of their sums.
+        common = sin_pi_anywhere(d) / (d * beside * (4.0 - d * d))
+        rise, whole = 3.0 * d * common, 2.0 * beside * common
         rise_re += tones[2, i] * rise
         rise_im += tones[3, i] * rise
         whole_re += tones[2, i] * whole
@@ -317,7 +317,8 @@ def _step_to_peak(tones: FloatArray, centre: float) -> tuple[float, float]:
     square = min(offset * offset, 0.5)
     per_slope = (1.0 - square) ** 2 / (1.5 * (1.0 + square))
     quadrature = (rise_im * whole_re - rise_re * whole_im) / power * per_slope
-    return offset, min(max(quadrature, -MOST_QUADRATURE), MOST_QUADRATURE)
+    # The offset is from the place that the distances were moved to: without it the next ones could be 0 again.
+    return offset - _OFF_ZERO, min(max(quadrature, -MOST_QUADRATURE), MOST_QUADRATURE)
 
 
 @kernel
@@ -346,16 +347,11 @@ def _centre_of_power(tones: FloatArray, columns: int) -> tuple[float, float]:
 
 
 @kernel
-def _sinc(x: float) -> float:
-    value: float = 1.0 if abs(x) < 1e-9 else np.sin(pi * x) / (pi * x)
-    return value
-
-
-@kernel
 def window_gain(model: ReceiverModel, offset: float) -> float:
     """Magnitude of a windowed bin beside a tone of unit weight."""
-    sides = _sinc(offset - 1.0) + _sinc(offset + 1.0)
-    gain: float = model.window_centre * _sinc(offset) - model.window_side * sides
+    d = offset + _OFF_ZERO
+    sides = 2.0 * d / (1.0 - d * d)
+    gain: float = sin_pi_anywhere(d) / pi * (model.window_centre / d - model.window_side * sides)
     return gain
 
 
@@ -366,7 +362,7 @@ def _filter_loss(
     """Amplitude of the central tap under smear and the laser's line."""
     smear = smear_bins(model, segment, work.beamlets[SPEED_MPS, 0], closing_acceleration_mps2)
     # For a chirp of β bins the peak falls as 1 - (πβ)²/360, and as β^-1/2 for large β.
-    chirped = 1.0 / (1.0 + (pi * smear) ** 2 / 90.0) ** 0.25
+    chirped = 1.0 / sqrt(sqrt(1.0 + (pi * smear) ** 2 / 90.0))
     share: float = line_share(model, work.beamlets[RANGE_M, 0])
     loss: float = chirped * sqrt(share)
     return loss
