@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.false_targets import FalseTarget
+from lidar_emu.fmcw.reasons import FalseTarget
 from lidar_emu.fmcw.returns import BeamReport
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.columns import Column, Group, columns, in_groups, missing_columns
@@ -70,7 +70,7 @@ class Measurement(BeamReport):
         Column(
             "u1",
             "",
-            "Source of a peak that is not the surface's, a code of `lidar_emu.fmcw.false_targets.FalseTarget`: "
+            "Source of a peak that is not the surface's, a code of `lidar_emu.fmcw.reasons.FalseTarget`: "
             + ", ".join(f"{each.value} {each.name.lower().replace('_', ' ')}" for each in FalseTarget)
             + ".",
             Group.TRUTH,

@@ -8,9 +8,9 @@ from instruments import PLAIN, PLAIN_RECEIVER, echoes, plain
 
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.back_reflection import reflection_power
-from lidar_emu.fmcw.false_targets import FalseTarget, false_targets
+from lidar_emu.fmcw.false_targets import false_targets
 from lidar_emu.fmcw.range_speed_estimation import DOWN, UP
-from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.reasons import FalseTarget, Reason
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import Returns

@@ -10,7 +10,8 @@ from instruments import echoes, plain
 from scipy.special import jv
 
 from lidar_emu.errors import InputError
-from lidar_emu.fmcw.false_targets import FalseTarget, false_targets
+from lidar_emu.fmcw.false_targets import false_targets
+from lidar_emu.fmcw.reasons import FalseTarget
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import Returns

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from instruments import echoes, plain
 
-from lidar_emu.fmcw.false_targets import FalseTarget, false_targets
+from lidar_emu.fmcw.false_targets import false_targets
 from lidar_emu.fmcw.link_budget import haze_w_per_m
+from lidar_emu.fmcw.reasons import FalseTarget
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel

@@ -298,7 +298,7 @@ def _some_echoes(shots: int, beams: int = 4, beamlets: int = 7) -> Echoes:
         speed_mps,
         power_w,
         -speed_mps + rng.normal(0, 0.1, shape),
-        *(rng.normal(0, 5, shape[:2]) for _ in range(5)),
+        *(rng.normal(0, 5, shape[:2]) for _ in range(4)),
         rng.uniform(-1e6, 1e6, (*shape[:2], 2)),
         rng.normal(0, 1e3, (*shape[:2], 2)),
         rng.random(shape[:2]) < 0.9,

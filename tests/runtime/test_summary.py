@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidar_emu.cli.summary_lines import beam_lines
-from lidar_emu.fmcw.false_targets import FalseTarget
+from lidar_emu.fmcw.reasons import FalseTarget
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus
 from lidar_emu.runtime.summary import Tally

@@ -11,8 +11,8 @@ from exchanged_speckle import robust, scatter
 
 from lidar_emu.errors import InputError
 from lidar_emu.flight.flight import Flight
-from lidar_emu.fmcw.false_targets import FalseTarget
 from lidar_emu.fmcw.link_budget import coherent_power_w
+from lidar_emu.fmcw.reasons import FalseTarget
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.waveform.record_samples import frequency_plan
 from lidar_emu.measurement import Measurement

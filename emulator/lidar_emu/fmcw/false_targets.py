@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import IntEnum
 from math import log
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.beat_tones import signed_bin
+from lidar_emu.fmcw.reasons import FalseTarget
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import (
     DUST_FAR_M,
@@ -27,22 +27,6 @@ _NEAR_BINS = 3.0
 
 _FOOTPRINT_BINS = 10.0
 """Largest distance of a peak from the line of a surface, over its footprint and the motion between the segments."""
-
-
-class FalseTarget(IntEnum):
-    """Source of a peak that is not the surface's."""
-
-    NONE = 0
-    BACK_REFLECTION = 1
-    """Light that window and optics reflect."""
-    SIDE_LINE = 2
-    """Side line of the surface's line by a periodic non-linearity of the chirps."""
-    LEAKAGE = 3
-    """Echo of another beam."""
-    HAZE = 4
-    """Backscatter of the atmosphere."""
-    DUST = 5
-    """Dust of the plume."""
 
 
 def has_false_targets(model: ReceiverModel) -> bool:

@@ -1,4 +1,4 @@
-"""Reasons why a beam has no valid measurement."""
+"""Reasons why a beam has no valid measurement, and sources of peaks that are not the surface's."""
 
 from __future__ import annotations
 
@@ -21,3 +21,19 @@ class Reason(IntEnum):
     AMBIGUOUS = 6
     """No choice of signs and folds gives a range that the instrument can measure, or the three frequencies do not
     belong to one surface (`lidar_emu.fmcw.residual_limit`)."""
+
+
+class FalseTarget(IntEnum):
+    """Source of a peak that is not the surface's."""
+
+    NONE = 0
+    BACK_REFLECTION = 1
+    """Light that window and optics reflect."""
+    SIDE_LINE = 2
+    """Side line of the surface's line by a periodic non-linearity of the chirps."""
+    LEAKAGE = 3
+    """Echo of another beam."""
+    HAZE = 4
+    """Backscatter of the atmosphere."""
+    DUST = 5
+    """Dust of the plume."""

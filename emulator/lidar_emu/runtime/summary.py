@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.fmcw.false_targets import FalseTarget
-from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.reasons import FalseTarget, Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.runtime.lateness_statistics import LatenessHistogram, RollingLateness
