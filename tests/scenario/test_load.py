@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from lidar_emu.errors import InputError
+from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.load import load, shipped, shipped_scenarios
 from lidar_emu.scenario.scanner import AltitudeSwitch, Square
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
@@ -155,6 +156,55 @@ def test_a_base_gives_what_is_not_stated(folder: Path) -> None:
     assert site.surface.reflectance == 0.3
     assert site.surface.lommel_seeliger_share == mars.surface.lommel_seeliger_share == 0.5
     assert site.body == mars.body
+
+
+def test_a_file_of_its_own_may_have_a_base(folder: Path) -> None:
+    inline = "{base: ndl_four_beam, optics: {laser_power_w: 0.5}}"
+    (folder / "my_lidar.yaml").write_text("base: ndl_four_beam\noptics: {laser_power_w: 0.5}\n")
+    (folder / "brighter.yaml").write_text("base: my_lidar\noptics: {laser_power_w: 0.8}\n")
+
+    def instrument(part: str, overrides: dict[str, str] | None = None) -> Instrument:
+        return flight(folder, "flat", {"instrument": part} | (overrides or {})).instrument
+
+    assert instrument("my_lidar") == instrument(inline) != instrument("ndl_four_beam")
+    assert instrument("brighter").optics.laser_power_w == 0.8
+    changed = instrument("{base: brighter, optics: {laser_power_w: 0.9}}")
+    assert changed == instrument("brighter", {"instrument.optics.laser_power_w": "0.9"})
+
+
+def test_files_of_a_base_are_relative_to_the_base(folder: Path) -> None:
+    (folder / "parts").mkdir()
+    (folder / "parts" / "crater.yaml").write_text("ground: {kind: grid, file: crater.npz}\n")
+    (folder / "parts" / "bright.yaml").write_text("base: crater\nsurface: {reflectance: 0.4}\n")
+    site = flight(folder, "parts/bright.yaml").site
+    assert isinstance(site.ground, ElevationGrid)
+    assert (Path(site.ground.file), site.surface.reflectance) == (folder / "parts" / "crater.npz", 0.4)
+
+
+def test_a_file_of_a_shipped_name_may_be_based_on_the_shipped_one(folder: Path) -> None:
+    (folder / "mars.yaml").write_text("base: mars\nsurface: {reflectance: 0.3}\n")
+    site = flight(folder, "mars").site
+    assert (site.body.name, site.surface.reflectance) == ("Mars", 0.3)
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "finding"),
+    [
+        ("base: nosuch", "base", "'nosuch' is not usable; no other such file"),
+        ("base: second", "base", "'first' is not usable; no other such file"),
+        ("base: [mars]", "base", '["mars"] is not usable; allowed: the name of a file'),
+        ("base: mars\nsurface: {reflectance: 3}", "surface.reflectance", "3 is not usable"),
+        ("base: mars\nsurface: {shine: 3}", "surface.shine", "no such key"),
+    ],
+)
+def test_a_wrong_base_of_a_file_is_refused(folder: Path, text: str, key: str, finding: str) -> None:
+    (folder / "first.yaml").write_text(text)
+    (folder / "second.yaml").write_text("base: first")
+    with pytest.raises(InputError) as refused:
+        flight(folder, "first")
+    assert Path(refused.value.where).name == ("second.yaml" if text == "base: second" else "first.yaml")
+    assert refused.value.key == key
+    assert finding in str(refused.value)
 
 
 def test_another_kind_replaces_the_ground_of_a_base(folder: Path) -> None:

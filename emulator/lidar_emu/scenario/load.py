@@ -166,45 +166,51 @@ def _refuse_foreign(part: str, value: Any, model: type[Any], sources: Sources) -
         raise InputError(source_of((part,), sources).name, part, value, allowed)
 
 
-def _resolve_part(part: str, value: Any, owner: Path, sources: Sources) -> Any:
-    """A part given in place, by the name of a file, or as a `base` file with keys that replace its own."""
+def _resolve_part(part: str, value: Any, owner: Path, sources: Sources, opened: tuple[Path, ...] = ()) -> Any:
+    """A part given in place, by the name of a file, or as a `base` file with keys that replace its own.
+
+    `owner` is the file that states the value; `opened` are the files of this part on the way to it.
+    """
     source = source_of((part,), sources)
     if isinstance(value, str):
-        return _read_part(part, value, owner, source, sources)
+        return _read_part(part, value, owner, sources, opened)
     if not isinstance(value, dict):
         allowed = "allowed: a mapping of keys to values, or the name of a file"
         raise InputError(source.name, part, value, allowed)
     own = {key: item for key, item in value.items() if key != "base"}
-    _anchor_files(own, owner.parent, source.name, part)
+    _anchor_files(own, owner.parent, source.name, dotted((part,)[source.outer :]))
     if "base" not in value:
         return own
     if not isinstance(value["base"], str):
-        raise InputError(source.name, f"{part}.base", value["base"], "allowed: the name of a file")
+        key = dotted((part, "base")[source.outer :])
+        raise InputError(source.name, key, value["base"], "allowed: the name of a file")
     # From here on, keys below the part belong to the base, except these.
-    sources.update({key: source_of(key, sources) for key in _leaves(own, (part,))})
-    return _merged(_read_part(part, value["base"], owner, source, sources), own, (part,), sources)
+    for leaf in _leaves(own, (part,)):
+        sources.setdefault(leaf, source_of(leaf, sources))
+    return _merged(_read_part(part, value["base"], owner, sources, opened), own, (part,), sources)
 
 
-def _read_part(part: str, name: str, owner: Path, source: Source, sources: Sources) -> Tree:
-    path = _find_part(part, name, owner, source)
+def _read_part(part: str, name: str, owner: Path, sources: Sources, opened: tuple[Path, ...]) -> Any:
+    path = _find_part(part, name, owner, source_of((part,), sources), opened)
     sources[(part,)] = Source(str(path), outer=1)
-    tree = read_mapping(path)
-    _anchor_files(tree, path.parent, str(path), None)
-    return tree
+    return _resolve_part(part, read_mapping(path), path, sources, (*opened, path.resolve()))
 
 
-def _find_part(part: str, name: str, owner: Path, source: Source) -> Path:
+def _find_part(part: str, name: str, owner: Path, source: Source, opened: tuple[Path, ...]) -> Path:
+    """The file of a part; a file that is already open is not its own base, so that one beside the scenario may be
+    based on the shipped one of the same name."""
     folders = (owner.parent, shipped(PART_FOLDERS[part]))
     for folder in folders:
         for candidate in (folder / name, folder / f"{name}.yaml"):
-            if _is(candidate.is_file):
+            if _is(candidate.is_file) and candidate.resolve() not in opened:
                 return candidate
     known = ", ".join(sorted(path.stem for path in folders[1].glob("*.yaml"))) or "none"
+    found, place = ("no other such file", "this one") if opened else ("no such file", "the scenario")
     raise InputError(
         source.name,
-        part,
+        "base" if opened else part,
         name,
-        f"no such file; allowed: a file beside the scenario, or one of those shipped: {known}",
+        f"{found}; allowed: a file beside {place}, or one of those shipped: {known}",
     )
 
 

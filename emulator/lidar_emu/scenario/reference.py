@@ -38,8 +38,9 @@ site:
 ```
 
 Mappings are merged key by key, except that a mapping of another `kind` replaces the base's; lists are replaced
-whole. A base states its own values and has no `base` itself. File names inside a part are relative to the file
-that states them.
+whole. A named file may have a `base` itself: with `base: ndl_four_beam` and the keys that differ, `my_lidar.yaml` is
+an instrument of its own, for any scenario beside it. File names inside a part are relative to the file that states
+them.
 
 {shipped}
 
