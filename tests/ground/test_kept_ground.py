@@ -91,7 +91,10 @@ def test_it_is_flown_as_a_grid(ground):
     origin = np.stack([column - 128.0, 128.0 - row, np.full(4, 500.0)], axis=1)
     hits = scene.cast(origin, np.tile([0.0, 0.0, -1.0], (4, 1)))
     np.testing.assert_allclose(500 - hits.range_m, height[row, column] - height[128, 128], atol=1e-9)
-    assert scene.description == "grid generated (seed 1), 257 x 257 samples at 1 m; beyond: plane"
+    size = "257 x 257 samples at 1 m, 256 m x 256 m"
+    heights = f"heights {height.min():.2f} to {height.max():.2f} m"
+    assert scene.description.startswith(f"grid generated (seed 1), {size}, {heights}, largest step ")
+    assert scene.description.endswith(" m; beyond: plane")
     assert scene.height_m(np.array([900.0]), np.array([0.0]))[0] == 0
     beyond_none = build_scene(Site(ground=ground(**ALL)))
     assert np.isnan(beyond_none.height_m(np.array([900.0]), np.array([0.0]))[0])

@@ -87,7 +87,9 @@ def test_rows_run_from_north_to_south(tmp_path):
     assert ground.origin_altitude_m == 95.0
     east, north = np.array([0.0, -4.0, 4.0, 4.0]), np.array([0.0, 3.0, 3.0, -3.0])
     np.testing.assert_array_equal(ground.height_m(east, north), [0, 0 - 95, 40 - 95, 190 - 95])
-    assert ground.description == "grid a.npz, 5 x 4 samples at 2 m; beyond: none"
+    assert ground.description == (
+        "grid a.npz, 5 x 4 samples at 2 m, 8 m x 6 m, heights 0 to 190 m, largest step 50 m; beyond: none"
+    )
 
 
 def test_origin_altitude_shifts_the_ground(tmp_path):

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.scene.terrain.frame import LocalFrame
+from lidar_emu.scene.terrain.heights import height_range
 
 MAXIMUM_SAMPLES = 100_000_000
 
@@ -53,11 +54,13 @@ class Terrain:
         missing = np.isnan(self.elevation_m).mean()
         holes = f", {missing:.2%} missing" if missing else ""
         details = [
+            str(height_range(self.elevation_m)),
             self.placed,
             _range("albedo", self.reflectance),
             _range("rock abundance", self.rock_abundance),
         ]
-        grid = f"grid {Path(self.source).name}, {columns} x {rows} samples at {pixel}{holes}"
+        size = f"{(columns - 1) * self.pixel_east_m:.6g} m x {(rows - 1) * self.pixel_north_m:.6g} m"
+        grid = f"grid {Path(self.source).name}, {columns} x {rows} samples at {pixel}, {size}{holes}"
         return ", ".join([grid, *filter(None, details)])
 
 

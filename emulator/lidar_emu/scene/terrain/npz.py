@@ -13,6 +13,7 @@ from numpy.lib.npyio import NpzFile
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.flat import FlatMap
+from lidar_emu.scene.terrain.heights import check_heights
 from lidar_emu.scene.terrain.model import check_size, numbers
 
 Content = dict[str, npt.NDArray[np.generic]]
@@ -26,7 +27,7 @@ def read_npz(ground: ElevationGrid) -> FlatMap:
     """Read an `.npz` file as a map.
 
     Raises:
-        InputError: an array is missing, unknown or of another type, or the file is damaged.
+        InputError: an array is missing, unknown or of another type, numbers cannot be heights, or the file is damaged.
     """
     _check_keys(ground)
     content = _load(ground.file)
@@ -40,8 +41,10 @@ def read_npz(ground: ElevationGrid) -> FlatMap:
         raise InputError(ground.file, "pixel_m", pixel_m, "allowed: a positive length")
     has_map = "map_x_m" in content or "map_y_m" in content
     scale = 1.0 if ground.elevation_scale is None else ground.elevation_scale
+    elevation_m = numbers(elevation, ground.nodata) * scale + ground.elevation_offset_m
+    check_heights(ground.file, elevation, elevation_m, ground.nodata)
     return FlatMap(
-        elevation_m=numbers(elevation, ground.nodata) * scale + ground.elevation_offset_m,
+        elevation_m=elevation_m,
         first_x_m=_number(ground.file, content, "map_x_m") if has_map else 0.0,
         first_y_m=_number(ground.file, content, "map_y_m") if has_map else 0.0,
         pixel_x_m=pixel_m,

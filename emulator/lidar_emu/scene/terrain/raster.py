@@ -9,9 +9,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.site import ElevationGrid
+from lidar_emu.scene.terrain.ascii_grid import check_ascii_grid
+from lidar_emu.scene.terrain.heights import check_heights
 from lidar_emu.scene.terrain.model import numbers
 
 _METRES_PER_UNIT = {
@@ -28,7 +33,7 @@ def open_raster(path: str) -> Iterator[Any]:
     """Open a raster file as a `rasterio.DatasetReader`.
 
     Raises:
-        InputError: rasterio is not installed, or the file is damaged or of another format.
+        InputError: rasterio is not installed, or the file is damaged, incomplete or of another format.
     """
     rasterio = _import_rasterio(path)
     try:
@@ -36,9 +41,11 @@ def open_raster(path: str) -> Iterator[Any]:
             # A file without a position on a map is refused elsewhere, with the project's own message.
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             with rasterio.Env(**_settings(rasterio, path)), rasterio.open(path) as file:
+                if file.driver == "AAIGrid":
+                    check_ascii_grid(path, file.height, file.width)
                 yield file
     except failures() as error:
-        raise InputError(path, None, Finding("unreadable"), f"{error}; {_allowed(path)}") from None
+        raise InputError(path, None, Finding("unreadable"), f"{_cause(error)}; {_allowed(path)}") from None
 
 
 def failures() -> tuple[type[Exception], ...]:
@@ -70,31 +77,23 @@ def band_number(path: str, file: Any, key: str, band: str | int) -> int:
     raise InputError(path, f"ground.{key}", band, allowed)
 
 
-def read_band(path: str, file: Any, band: int, marker: float | None, window: Any = None) -> FloatArray:
-    """Read the physical values (rows, columns) of a band, in its own unit; NaN where missing.
+def elevations_m(ground: ElevationGrid, file: Any, band: int, window: Any = None) -> FloatArray:
+    """Read elevations (rows, columns) in metres above the site's datum, NaN where missing.
 
     Args:
-        path: path of the file, for refusals.
+        ground: the scenario's keys of the file.
         file: the open file.
         band: number of the band.
-        marker: number that marks a missing sample, in addition to the file's own.
         window: a `rasterio.windows.Window`; None: the whole band.
 
     Raises:
-        InputError: the band does not hold real numbers.
+        InputError: the band does not hold real numbers, or numbers that cannot be heights.
     """
-    stored = file.read(band, window=window)
-    if stored.dtype.kind not in "fiu":
-        raise InputError(path, "ground.band", str(stored.dtype), "allowed: a band of real numbers")
-    values = numbers(stored, marker, file.read_masks(band, window=window) == 0)
-    return values * float(file.scales[band - 1]) + float(file.offsets[band - 1])
-
-
-def elevations_m(ground: ElevationGrid, file: Any, band: int, window: Any = None) -> FloatArray:
-    """Elevations (rows, columns) in metres above the site's datum, NaN where missing; see `read_band`."""
-    values = read_band(ground.file, file, band, ground.nodata, window)
+    stored, values = _read_band(ground, file, band, window)
     scale = _metres_per_unit(file, band) if ground.elevation_scale is None else ground.elevation_scale
-    return values * scale + ground.elevation_offset_m
+    elevation_m = values * scale + ground.elevation_offset_m
+    check_heights(ground.file, stored, elevation_m, ground.nodata)
+    return elevation_m
 
 
 def other_bands(ground: ElevationGrid, file: Any) -> dict[str, int]:
@@ -112,18 +111,29 @@ def other_bands(ground: ElevationGrid, file: Any) -> dict[str, int]:
 
 
 def shares(ground: ElevationGrid, file: Any, name: str, number: int, window: Any = None) -> FloatArray:
-    """Values (rows, columns) of one of the other bands, NaN where missing; see `read_band`.
+    """Values (rows, columns) of one of the other bands, NaN where missing; see `elevations_m`.
 
     Raises:
         InputError: a value is outside 0 to 1.
     """
-    values = read_band(ground.file, file, number, ground.nodata, window)
+    _, values = _read_band(ground, file, number, window)
     outside = values[(values < 0) | (values > 1)]
     if outside.size:
         raise InputError(
             ground.file, f"ground.{name}_band", float(outside[0]), "allowed: numbers from 0 to 1"
         )
     return values
+
+
+def _read_band(
+    ground: ElevationGrid, file: Any, band: int, window: Any
+) -> tuple[npt.NDArray[np.generic], FloatArray]:
+    """Numbers (rows, columns) of a band as stored, and as physical values in its own unit, NaN where missing."""
+    stored = file.read(band, window=window)
+    if stored.dtype.kind not in "fiu":
+        raise InputError(ground.file, "ground.band", str(stored.dtype), "allowed: a band of real numbers")
+    values = numbers(stored, ground.nodata, file.read_masks(band, window=window) == 0)
+    return stored, values * float(file.scales[band - 1]) + float(file.offsets[band - 1])
 
 
 def place_in_pixel(ground: ElevationGrid, file: Any) -> float:
@@ -150,6 +160,13 @@ def _import_rasterio(where: str) -> Any:
             "it needs rasterio (pip install 'lidar-emu[geo]'); allowed without it: .npz",
         ) from None
     return rasterio
+
+
+def _cause(error: BaseException) -> BaseException:
+    """The first of a chain of errors: rasterio's own only refers to it."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return error
 
 
 def _settings(rasterio: Any, path: str) -> dict[str, str]:
