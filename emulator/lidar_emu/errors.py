@@ -40,6 +40,8 @@ class Finding(str):
 
 def shown(value: object, limit: int = 60) -> str:
     """Short text for a value in a message, much as an author would write it."""
+    if not isinstance(value, str | bytes | float | int | list | tuple | dict | None):
+        return f"a value of type {type(value).__name__}"
     try:
         text = (
             repr(value)

@@ -9,7 +9,7 @@ from ruamel.yaml import YAML
 from lidar_emu.campaign.read import read_campaign
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.json_schema import campaign_schema
-from lidar_emu.scenario.load import shipped, shipped_names
+from lidar_emu.scenario.parts import shipped, shipped_names
 
 VALIDATOR = jsonschema.Draft202012Validator(campaign_schema())
 KEY = "site.surface.reflectance"

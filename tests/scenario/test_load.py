@@ -9,7 +9,8 @@ import pytest
 
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.instrument import Instrument
-from lidar_emu.scenario.load import load, shipped, shipped_scenarios
+from lidar_emu.scenario.load import load, shipped_scenarios
+from lidar_emu.scenario.parts import shipped
 from lidar_emu.scenario.scanner import AltitudeSwitch, Square
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.site import ElevationGrid, Plane
@@ -306,14 +307,14 @@ def test_seed_and_duration_are_overrides_like_others() -> None:
         ("{base: bad_site}", {}, "bad_site.yaml", "surface.reflectance"),
         ("{base: bad_site, surface: {reflectance: 3}}", {}, "hop.yaml", "site.surface.reflectance"),
         ("{base: bad_site, name: own}", {}, "bad_site.yaml", "surface.reflectance"),
-        ("bad_site", {"site.surface.reflectance": "3"}, "--set", "site.surface.reflectance"),
+        ("bad_site", {"site.surface.reflectance": "3"}, "overrides", "site.surface.reflectance"),
         ("bad_site", {"site.name": "own"}, "bad_site.yaml", "surface.reflectance"),
         ("flat", {"site": "bad_site"}, "bad_site.yaml", "surface.reflectance"),
-        ("flat", {"site.surface.shine": "1"}, "--set", "site.surface.shine"),
+        ("flat", {"site.surface.shine": "1"}, "overrides", "site.surface.shine"),
         (
             "flat",
             {"site": "{base: bad_site, surface: {reflectance: 3}}"},
-            "--set",
+            "overrides",
             "site.surface.reflectance",
         ),
     ],

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lidar_emu.errors import InputError
-from lidar_emu.scenario.load import load, shipped
+from lidar_emu.scenario.load import load
+from lidar_emu.scenario.parts import shipped
 
 DESCENT = (shipped("scenarios") / "descent.yaml").read_text()
 BENCH = (shipped("scenarios") / "bench.yaml").read_text()

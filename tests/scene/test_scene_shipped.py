@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from lidar_emu.scenario.load import shipped
+from lidar_emu.scenario.parts import shipped
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene import build_scene
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,8 @@ from lidar_emu.campaign.draw import DrawnValues, draw
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.campaign import Campaign
 from lidar_emu.scenario.explain import Source, explained
-from lidar_emu.scenario.load import find_file, load
+from lidar_emu.scenario.load import find_file, read_scenario
+from lidar_emu.scenario.parts import CAMPAIGN, ChangedKey
 from lidar_emu.scenario.required import require_flight, require_known_flight
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.yaml_text import Key, parse, read_mapping
@@ -39,7 +41,8 @@ class Base:
         """
         # Parents first, so that keys can be set within a part that is chosen by name.
         stated = sorted({**self.fixed, **values}.items(), key=lambda item: item[0].count("."))
-        scenario = require_flight(load(self.scenario, campaign=dict(stated)))
+        changes = [ChangedKey(key, deepcopy(value), CAMPAIGN) for key, value in stated]
+        scenario = require_flight(read_scenario(Path(self.scenario), changes))
         require_known_flight(scenario)
         return scenario
 

@@ -13,7 +13,7 @@ from lidar_emu.errors import Finding, InputError, RunError
 @click.command(short_help="List the shipped scenarios and campaigns.")
 def scenarios() -> None:
     """List the shipped scenarios and campaigns, and the folder from which to copy them."""
-    from lidar_emu.scenario.load import shipped, shipped_names
+    from lidar_emu.scenario.parts import shipped, shipped_names
 
     for folder in ("scenarios", "campaigns"):
         for name in shipped_names(folder):

@@ -76,7 +76,7 @@ def load_scenario(
     Raises:
         InputError: a setting without a key or a value, or an error of `load`, under the option's own name.
     """
-    from lidar_emu.scenario.load import load
+    from lidar_emu.scenario.load import load_with_settings
 
     options = {
         "duration_s": ("--duration", duration),
@@ -85,7 +85,9 @@ def load_scenario(
     }
     given = {key: (option, text) for key, (option, text) in options.items() if text is not None}
     try:
-        return load(scenario, keys_and_values(settings) | {key: text for key, (_, text) in given.items()})
+        return load_with_settings(
+            scenario, keys_and_values(settings) | {key: text for key, (_, text) in given.items()}
+        )
     except InputError as error:
         for key, (option, _) in given.items():
             if (error.where, error.key) == ("--set", key) or error.where == f"--set {key}":

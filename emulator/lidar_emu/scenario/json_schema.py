@@ -9,7 +9,7 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
 from lidar_emu.scenario.campaign import Campaign
-from lidar_emu.scenario.load import PART_FOLDERS, shipped
+from lidar_emu.scenario.parts import PART_FOLDERS, shipped
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 
 Node = dict[str, Any]

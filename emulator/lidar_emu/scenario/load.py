@@ -1,39 +1,20 @@
-"""Reading a scenario: YAML files with parts by reference, checked once, here."""
+"""Reading a scenario: files, mappings and changed keys, checked once, here."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator, Mapping
-from copy import deepcopy
-from importlib.resources import files
+from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from lidar_emu.errors import Finding, InputError, warn_once
 from lidar_emu.scenario.ambiguity import ambiguities
-from lidar_emu.scenario.explain import Source, explained, source_of
-from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.scenario.yaml_text import MAXIMUM_DEPTH, Key, Tree, dotted, parse, read_mapping
+from lidar_emu.scenario.parts import OPTION, ChangedKey, checked, is_true, shipped, shipped_names
+from lidar_emu.scenario.plain_values import changed_keys, plain_mapping
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario
+from lidar_emu.scenario.yaml_text import Tree, parse, read_mapping
 
-Sources = dict[Key, Source]
-
-PART_FOLDERS = {
-    "instrument": "instruments",
-    "site": "sites",
-    "trajectory": "trajectories",
-    "scanner": "scanners",
-    "bench_pattern": "bench_patterns",
-}
-_OPTION, _CAMPAIGN = "--set", "campaign"
-_FILE_KEYS = (("ground", "file"), ("ground", "grids", "*", "file"), ("objects", "*", "file"), ("file",))
-"""Where parts name files; `*` is every entry of a list."""
-
-
-def shipped(folder: str) -> Path:
-    """A folder of files that come with the package."""
-    return Path(str(files("lidar_emu"))) / "shipped" / folder
+_IN_PYTHON = "scenario"
 
 
 def shipped_scenarios() -> list[str]:
@@ -41,57 +22,64 @@ def shipped_scenarios() -> list[str]:
     return shipped_names("scenarios")
 
 
-def shipped_names(folder: str) -> list[str]:
-    """Names of the YAML files that come with the package in one of its folders."""
-    return sorted(path.name for path in shipped(folder).glob("*.yaml"))
-
-
 def load(
-    scenario: str | Path,
-    overrides: Mapping[str, str] | None = None,
-    campaign: Mapping[str, Any] | None = None,
+    scenario: str | PathLike[str] | Mapping[str, Any] | Scenario,
+    overrides: Mapping[str, Any] | None = None,
+    **keys: Any,
 ) -> FlightScenario | BenchScenario:
     """Read and check a scenario; warn of ranges and speeds that its instrument cannot tell from others.
 
     Args:
-        scenario: path of a YAML file, or the name of a shipped one (`descent.yaml` or `descent`).
-        overrides: dotted keys and YAML values that replace the file's, e.g. `{"timing.rate_hz": "100"}`.
-        campaign: dotted keys and values drawn by a campaign; they replace both.
+        scenario: path of a YAML file; the name of a shipped scenario (`descent.yaml` or `descent`); a mapping with
+            the keys of a file; or a scenario, which is checked again.
+        overrides: dotted keys and values that replace the scenario's, e.g. `{"timing.rate_hz": 100}`. Text is read as
+            YAML, as on the command line: `{"site": "mare"}`, `{"faults": "[{kind: dropout, beams: [2]}]"}`.
+        keys: the same for keys without a dot, e.g. `duration_s=5`.
+
+    Files that a mapping or an override names are relative to the scenario's file, or to the working directory if the
+    scenario is not from a file.
 
     Raises:
-        InputError: names the file, key and value that cannot be used, and what is allowed.
+        InputError: one line that names the file or argument, the key and the value that cannot be used, and what is
+            allowed.
     """
-    path = find_file(Path(scenario), "scenarios")
-    tree = read_mapping(path)
-    sources: Sources = {(): Source(str(path))}
-    for key, text in (overrides or {}).items():
-        _override(tree, key, parse(text, f"{_OPTION} {key}"), _OPTION, sources)
-    for key, value in (campaign or {}).items():
-        _override(tree, key, deepcopy(value), _CAMPAIGN, sources)
-    _anchor_interface(tree, path.parent, sources)
-    model = BenchScenario if "bench_pattern" in tree else FlightScenario
-    for part in PART_FOLDERS:
-        if part in tree:
-            _refuse_foreign(part, tree[part], model, sources)
-            tree[part] = _resolve_part(part, tree[part], path, sources)
-    try:
-        checked = model.model_validate_json(json.dumps(tree))
-    except ValidationError as error:
-        raise explained(error, model, tree, sources) from None
-    for line in ambiguities(checked):
-        warn_once(line, f"{path.name}: {line}")
-    return checked
+    if isinstance(scenario, FlightScenario | BenchScenario):
+        return _warned(scenario.with_(overrides, **keys), scenario.name)
+    changes = changed_keys(overrides, keys)
+    if isinstance(scenario, Mapping):
+        return _checked(plain_mapping(scenario, _IN_PYTHON), changes, Path(), _IN_PYTHON)
+    if not isinstance(scenario, str | PathLike):
+        allowed = "allowed: a path, the name of a shipped scenario, a mapping, or a scenario"
+        raise InputError(_IN_PYTHON, None, scenario, allowed)
+    return read_scenario(Path(scenario), changes)
 
 
-def _anchor_interface(tree: Tree, folder: Path, sources: Sources) -> None:
-    """Resolve an interface's file relative to the scenario that names it; named by an option, to the working
-    directory."""
-    wire = tree.get("wire")
-    if not isinstance(wire, dict) or source_of(("wire", "interface"), sources).name == _OPTION:
-        return
-    name = wire.get("interface")
-    if isinstance(name, str) and name.endswith(".toml"):
-        wire["interface"] = str(folder / name)
+def load_with_settings(scenario: str, settings: Mapping[str, str]) -> FlightScenario | BenchScenario:
+    """Read and check a scenario with dotted keys and YAML values from the command line, see `load`."""
+    changes = [ChangedKey(key, parse(text, f"{OPTION} {key}"), OPTION) for key, text in settings.items()]
+    return read_scenario(Path(scenario), changes)
+
+
+def read_scenario(scenario: Path, changes: list[ChangedKey]) -> FlightScenario | BenchScenario:
+    """Read and check a scenario's file, or a shipped one's, with changed keys, see `load`."""
+    path = find_file(scenario, "scenarios")
+    return _checked(read_mapping(path), changes, path, str(path))
+
+
+def _checked(
+    tree: Tree, changes: list[ChangedKey], owner: Path, where: str
+) -> FlightScenario | BenchScenario:
+    stated = {*tree, *(change.key.partition(".")[0] for change in changes)}
+    kind: type[FlightScenario | BenchScenario] = (
+        BenchScenario if "bench_pattern" in stated else FlightScenario
+    )
+    return _warned(checked(tree, changes, kind, owner, where), Path(where).name)
+
+
+def _warned(scenario: FlightScenario | BenchScenario, name: str) -> FlightScenario | BenchScenario:
+    for line in ambiguities(scenario):
+        warn_once(line, f"{name}: {line}")
+    return scenario
 
 
 def find_file(given: Path, folder: str) -> Path:
@@ -100,7 +88,7 @@ def find_file(given: Path, folder: str) -> Path:
     Raises:
         InputError: there is none.
     """
-    if _is(given.is_file):
+    if is_true(given.is_file):
         return given
     names = shipped_names(folder)
     for name in (given.name, given.name + ".yaml"):
@@ -109,160 +97,6 @@ def find_file(given: Path, folder: str) -> Path:
     raise InputError(
         str(given),
         None,
-        Finding("a folder" if _is(given.is_dir) else "no such file"),
+        Finding("a folder" if is_true(given.is_dir) else "no such file"),
         f"allowed: a path to a YAML file, or one of those shipped: {', '.join(names)}",
     )
-
-
-def _is(check: Callable[[], bool]) -> bool:
-    """Result of a check of the file system; False for a name that no file can have."""
-    try:
-        return check()
-    except (OSError, ValueError):
-        return False
-
-
-def _override(tree: Tree, key: str, value: Any, stated_by: str, sources: Sources) -> None:
-    """Set one dotted key; a part that is named by reference keeps its reference as `base`."""
-    steps = key.split(".")
-    if len(steps) > MAXIMUM_DEPTH:
-        raise InputError(stated_by, key[:60], Finding(f"{len(steps)} steps"), f"allowed: {MAXIMUM_DEPTH}")
-    node: Any = tree
-    for depth, name in enumerate(steps[:-1]):
-        step = _step(node, name, key, stated_by)
-        child = node.get(step) if isinstance(node, dict) else node[step]
-        if depth == 0 and isinstance(child, str) and step in PART_FOLDERS:
-            child = node[step] = {"base": child}
-        elif child is None:
-            child = node[step] = {}
-            sources[_key(steps[: depth + 1])] = Source(stated_by)
-        node = child
-    node[_step(node, steps[-1], key, stated_by)] = value
-    sources[_key(steps)] = Source(stated_by)
-
-
-def _key(steps: list[str]) -> Key:
-    return tuple(int(step) if step.isdecimal() else step for step in steps)
-
-
-def _step(node: Any, name: str, key: str, stated_by: str) -> str | int:
-    """One step of a dotted key: a key of a mapping, or an index into a list."""
-    if isinstance(node, dict):
-        return name
-    if not isinstance(node, list):
-        raise InputError(stated_by, key, name, "allowed: a key that has keys below it")
-    return _index(node, name, key, stated_by)
-
-
-def _index(entries: list[Any], name: str, key: str, stated_by: str) -> int:
-    if name.isdecimal() and int(name) < len(entries):
-        return int(name)
-    raise InputError(stated_by, key, name, f"allowed: an index from 0 to {len(entries) - 1}")
-
-
-def _refuse_foreign(part: str, value: Any, model: type[Any], sources: Sources) -> None:
-    if part not in model.model_fields:
-        allowed = "not together with bench_pattern; allowed: bench_pattern, or the parts of a flight"
-        raise InputError(source_of((part,), sources).name, part, value, allowed)
-
-
-def _resolve_part(part: str, value: Any, owner: Path, sources: Sources, opened: tuple[Path, ...] = ()) -> Any:
-    """A part given in place, by the name of a file, or as a `base` file with keys that replace its own.
-
-    `owner` is the file that states the value; `opened` are the files of this part on the way to it.
-    """
-    source = source_of((part,), sources)
-    if isinstance(value, str):
-        return _read_part(part, value, owner, sources, opened)
-    if not isinstance(value, dict):
-        allowed = "allowed: a mapping of keys to values, or the name of a file"
-        raise InputError(source.name, part, value, allowed)
-    own = {key: item for key, item in value.items() if key != "base"}
-    _anchor_files(own, owner.parent, source.name, dotted((part,)[source.outer :]))
-    if "base" not in value:
-        return own
-    if not isinstance(value["base"], str):
-        key = dotted((part, "base")[source.outer :])
-        raise InputError(source.name, key, value["base"], "allowed: the name of a file")
-    # From here on, keys below the part belong to the base, except these.
-    for leaf in _leaves(own, (part,)):
-        sources.setdefault(leaf, source_of(leaf, sources))
-    return _merged(_read_part(part, value["base"], owner, sources, opened), own, (part,), sources)
-
-
-def _read_part(part: str, name: str, owner: Path, sources: Sources, opened: tuple[Path, ...]) -> Any:
-    path = _find_part(part, name, owner, source_of((part,), sources), opened)
-    sources[(part,)] = Source(str(path), outer=1)
-    return _resolve_part(part, read_mapping(path), path, sources, (*opened, path.resolve()))
-
-
-def _find_part(part: str, name: str, owner: Path, source: Source, opened: tuple[Path, ...]) -> Path:
-    """The file of a part; a file that is already open is not its own base, so that one beside the scenario may be
-    based on the shipped one of the same name."""
-    folders = (owner.parent, shipped(PART_FOLDERS[part]))
-    for folder in folders:
-        for candidate in (folder / name, folder / f"{name}.yaml"):
-            if _is(candidate.is_file) and candidate.resolve() not in opened:
-                return candidate
-    known = ", ".join(sorted(path.stem for path in folders[1].glob("*.yaml"))) or "none"
-    found, place = ("no other such file", "this one") if opened else ("no such file", "the scenario")
-    raise InputError(
-        source.name,
-        "base" if opened else part,
-        name,
-        f"{found}; allowed: a file beside {place}, or one of those shipped: {known}",
-    )
-
-
-def _leaves(node: Any, key: Key) -> list[Key]:
-    if not isinstance(node, dict):
-        return [key]
-    return [leaf for step, child in node.items() for leaf in _leaves(child, (*key, step))]
-
-
-def _merged(base: Any, own: Any, key: Key, sources: Sources) -> Any:
-    """`own` laid over `base`, mappings key by key; a mapping of another `kind` replaces the base's.
-
-    Overrides state entries of a list of the base by index.
-    """
-    if isinstance(base, list) and isinstance(own, dict) and own and all(map(str.isdecimal, own)):
-        entries = {}
-        for name, item in own.items():
-            at = (*key, int(name))
-            entries[_index(base, name, dotted(at) or "", source_of(at, sources).name)] = item
-        return [_merged(old, entries.get(k, old), (*key, k), sources) for k, old in enumerate(base)]
-    if not (isinstance(base, dict) and isinstance(own, dict)):
-        return own
-    if own.get("kind", base.get("kind")) != base.get("kind"):
-        return own
-    both = own.keys() & base.keys()
-    return base | own | {name: _merged(base[name], own[name], (*key, name), sources) for name in both}
-
-
-def _anchor_files(tree: Tree, folder: Path, where: str, part: str | None) -> None:
-    """File names in a part are relative to the file that states them, or name shipped ground."""
-    for keys in _FILE_KEYS:
-        for node, way in _nodes(tree, keys[:-1]):
-            if isinstance(node, dict) and isinstance(node.get(keys[-1]), str):
-                key = ".".join((*([part] if part else []), *way, keys[-1]))
-                node[keys[-1]] = str(_anchored(node[keys[-1]], folder, where, key))
-
-
-def _nodes(node: Any, keys: tuple[str, ...]) -> Iterator[tuple[Any, tuple[str, ...]]]:
-    """Nodes at these keys, each with its path; `*` matches any key. Entries of a list may be stated by index."""
-    if not keys:
-        yield node, ()
-        return
-    children = dict(enumerate(node)) if isinstance(node, list) else node if isinstance(node, dict) else {}
-    for name, child in children.items():
-        if keys[0] in ("*", name):
-            yield from ((found, (str(name), *way)) for found, way in _nodes(child, keys[1:]))
-
-
-def _anchored(name: str, folder: Path, where: str, key: str) -> Path:
-    beside, own = folder / name, shipped("ground") / name
-    try:
-        return own if own.is_file() and not beside.exists() else beside
-    except OSError as error:
-        allowed = f"{error.strerror}; allowed: the name of a file"
-        raise InputError(where, key, name, allowed) from None

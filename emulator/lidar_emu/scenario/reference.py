@@ -8,7 +8,8 @@ from typing import Any
 
 from lidar_emu.scenario.campaign import Campaign
 from lidar_emu.scenario.json_schema import Node, choices, models_schema, shipped_parts, target
-from lidar_emu.scenario.load import PART_FOLDERS, shipped_scenarios
+from lidar_emu.scenario.load import shipped_scenarios
+from lidar_emu.scenario.parts import PART_FOLDERS
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 
 _INTRODUCTION = """\

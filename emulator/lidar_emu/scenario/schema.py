@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Annotated, Literal, Self
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -12,6 +14,8 @@ from lidar_emu.scenario.bench_pattern import BenchPattern
 from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.instrument import Instrument
+from lidar_emu.scenario.parts import checked
+from lidar_emu.scenario.plain_values import changed_keys
 from lidar_emu.scenario.plume import Plume
 from lidar_emu.scenario.scanner import Mounting, Scanner
 from lidar_emu.scenario.section import Part, Switch, unusable
@@ -94,6 +98,19 @@ class Scenario(Part):
     """The device around the lidar: modes, clock, housekeeping."""
     faults: Annotated[list[Fault], Field(min_length=0, max_length=256)] = []
     """Injected faults, applied in this order."""
+
+    def with_(self, overrides: Mapping[str, Any] | None = None, **keys: Any) -> Self:
+        """A copy with other values, checked as by `load`; `model_copy` checks nothing.
+
+        Args:
+            overrides: dotted keys and values, see `load`.
+            keys: the same for keys without a dot.
+
+        Raises:
+            InputError: one line that names key, value and what is allowed.
+        """
+        tree = self.model_dump(mode="json", exclude_unset=True)
+        return checked(tree, changed_keys(overrides, keys), type(self), Path(), self.name)
 
     @property
     def live(self) -> Live | None:

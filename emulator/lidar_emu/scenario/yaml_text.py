@@ -68,7 +68,7 @@ def parse(text: str, where: str) -> Any:
             tree = read_values(text)
     except Exception as error:  # values with explicit tags may raise anything
         raise InputError(where, _line_of(error), _problem_of(error), _allowed(error)) from None
-    _check_values(tree, where)
+    check_values(tree, where)
     return tree
 
 
@@ -96,7 +96,7 @@ def _allowed(error: Exception) -> str:
     return "allowed: each key once" if isinstance(error, DuplicateKeyError) else "allowed: YAML 1.2"
 
 
-def _check_values(tree: Any, where: str) -> None:
+def check_values(tree: Any, where: str) -> None:
     """Refuse values that no key takes, and aliases that expand without bound."""
     for count, (key, node) in enumerate(_nodes(tree, ())):
         if len(key) >= MAXIMUM_DEPTH or count >= _MAXIMUM_NODES:

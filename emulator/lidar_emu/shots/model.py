@@ -6,18 +6,20 @@ depend on the block size.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.plan.plan import Plan
 from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.faults import Fault
+from lidar_emu.scenario.load import load
 from lidar_emu.scenario.required import require_flight, require_known_flight
-from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario
 
 if TYPE_CHECKING:
     from lidar_emu.faults.beams import BeamFaults, Held
@@ -154,21 +156,28 @@ def measure_whole(model: Model) -> Measurement:
     return Measurement.concatenate(list(measure_in_blocks(model)))
 
 
-def simulate(scenario: FlightScenario | BenchScenario, seed: int | None = None) -> Measurement:
+def simulate(
+    scenario: str | PathLike[str] | Mapping[str, Any] | Scenario,
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    seed: int | None = None,
+    **keys: Any,
+) -> Measurement:
     """Measure a whole scenario without clock and link.
 
     Args:
-        scenario: as read by `load`.
-        seed: replaces the scenario's seed.
+        scenario, overrides, keys: see `load`.
+        seed: replaces the scenario's seed; None: keep it.
 
     Returns:
         Arrays shaped (shots, beams), with the values that a run sends for the same seed.
 
     Raises:
-        InputError: a file named by the scenario cannot be used, or the flight leaves the ground.
-        ValueError: the seed is out of range.
+        InputError: see `load`; or a file named by the scenario cannot be used, the flight leaves the ground, or its
+            truth is live.
     """
     if seed is not None:
-        scenario = type(scenario).model_validate({**dict(scenario), "seed": seed})
-    require_known_flight(scenario)
-    return measure_whole(build_model(scenario))
+        keys["seed"] = seed
+    known = load(scenario, overrides, **keys)
+    require_known_flight(known)
+    return measure_whole(build_model(known))
