@@ -19,7 +19,7 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
     ("start in the past", "run my.yaml --record out.mcap --start 2001-01-01T00:00:00Z",
      ("--start: '2001-01-01T00:00:00Z'", "past", "allowed: now")),
     ("start garbage", "run my.yaml --start soon", ("--start: 'soon'", "allowed: now")),
-    ("start by command, no port", "run my.yaml --start on-command", ("--start: on-command", "loopback", "--port")),
+    ("start by command, no port", "run my.yaml --start on-command", ("on-command with", "loopback", "allowed: now")),
     ("control without a name", "run my.yaml --control=", ("--control: ''", "allowed: a path")),
     ("an argument twice", "send --port /dev/nowhere set_mode mode=track mode=safe",
      ("'mode=safe'", "has mode already")),

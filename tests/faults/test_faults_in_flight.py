@@ -331,7 +331,7 @@ def test_faults_are_injected_by_command(tmp_path: Path) -> None:
     assert (third.returncode, third.stdout) == (1, "")
     assert "rejected: bench: faults.2.beams: [7] is not usable" in third.stderr
     out, _ = running.communicate(timeout=LIMIT_S)
-    summary = json.loads(out)
+    summary = json.loads(out.splitlines()[-1])
     assert running.returncode == 0
     dropout, disconnect = summary["faults_in_flight"]["injected"]
     first_s = dropout.get("from_s", 0.0)

@@ -69,6 +69,20 @@ def test_a_signal_while_the_start_is_awaited(start: Start, tmp_path: Path) -> No
     assert read_summary(tmp_path / "s.json")["shots"]["due"] == 0
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_host_is_awaited(number: signal.Signals, start: Start, tmp_path: Path) -> None:
+    run = start("run", "descent.yaml", "--port", f"pty:{tmp_path}/lidar", "--summary", "s.json")
+    assert run.word_after("descent on ") == f"{tmp_path}/lidar"
+    port = run.port_process()
+    run.signal(number)
+    run.succeed()
+    assert "waits for a host to open it, at most 60 s; Ctrl-C ends it" in run.out
+    assert "0 due of 1008 planned" in run.out
+    assert "the run was interrupted" in run.out
+    assert not is_running(port)
+    assert not (tmp_path / "lidar").is_symlink()
+
+
 def test_a_port_that_is_not_there(start: Start) -> None:
     run = start("run", "descent.yaml", "--port", "/dev/no-such-port", "--duration", "1")
     assert run.wait() == 2

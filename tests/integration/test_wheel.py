@@ -90,9 +90,8 @@ def test_a_wheel_flies_from_an_empty_folder(installed: Path, empty: Path) -> Non
     where = done(installed / "python", "-c", "import lidar_emu; print(lidar_emu.__file__)", folder=empty)
     assert Path(where.strip()).is_relative_to(installed.parent)
     assert "descent.yaml" in done(installed / "lidar-emu", "scenarios", folder=empty)
-    reported = json.loads(
-        done(installed / "lidar-emu", "run", "descent.yaml", "--pace", "max", "--json", folder=empty)
-    )
+    run = done(installed / "lidar-emu", "run", "descent.yaml", "--pace", "max", "--json", folder=empty)
+    reported = json.loads(run.splitlines()[-1])
     assert reported["shots"]["sent"] == reported["planned_shots"] == 1008
     assert reported["far_end"]["messages"] == 1008 + reported["housekeeping"]["sent"]
     assert list(empty.iterdir()) == []

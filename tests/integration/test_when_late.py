@@ -40,9 +40,10 @@ def test_a_late_packet_ends_a_run_that_wants_it_so(run):
     assert reported["interrupted"] is False
 
 
-def test_by_default_the_run_goes_on(run):
+def test_by_default_the_run_goes_on_to_its_end_and_states_that_it_sent_nothing(run):
     done, reported = run()
-    assert done.exception is None
+    assert isinstance(done.exception, RunError)
+    assert str(done.exception) == "in-memory loopback: none of 20 shots was sent: 20 late"
     assert reported["error"] is None
     assert reported["shots"]["late"] == reported["shots"]["due"] == 20
 

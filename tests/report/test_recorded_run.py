@@ -16,6 +16,7 @@ from lidar_emu.report.figures import draw_figures
 from lidar_emu.report.recorded_run import RecordedRun, read_recorded_run
 from lidar_emu.runtime.port.packets import DeliveryStatus
 
+READY = '{"ready": {"port": "in-memory loopback"}}\n'
 FAULTS = "faults=[{kind: dropout, beams: [2], from_s: 0.5, to_s: 1}, {kind: lost, from_s: 1, to_s: 1.2}]"
 
 
@@ -40,7 +41,9 @@ def test_it_is_the_summary_of_the_run(tmp_path, monkeypatch):
     ]
     report = ["report", "r.mcap", "--json", "--out", "r.npz", "--out", "r.pcap"]
     monkeypatch.chdir(tmp_path)
-    ran, reported = (json.loads(CliRunner().invoke(cli, words).stdout) for words in (run, report))
+    ran, reported = (
+        json.loads(CliRunner().invoke(cli, words).stdout.removeprefix(READY)) for words in (run, report)
+    )
     same = (
         "scenario",
         "seed",

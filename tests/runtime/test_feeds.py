@@ -57,6 +57,9 @@ class World:
     def stopped(self) -> bool:
         return self.error is not None
 
+    def may_wait(self) -> bool:
+        return not self.stopped
+
     def begin(self, start_ns: int) -> None:
         self.begun.append((start_ns, len(self.computed)))
 

@@ -6,6 +6,7 @@ import os
 import socket
 import termios
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -220,3 +221,54 @@ def test_a_url_without_a_descriptor_works() -> None:
     channel.close()
     with pytest.raises(LinkLostError):
         channel.send(b"x")
+
+
+def test_a_pty_has_a_second_name_as_long_as_it_is_open(tmp_path: Path) -> None:
+    link = tmp_path / "lidar"
+    link.symlink_to("/dev/pts/999999")  # left by a killed process
+    channel = open_byte_channel(PortSpec(Kind.PTY, str(link)))
+    assert channel.description == str(link)
+    host = os.open(link, os.O_RDWR | os.O_NOCTTY)
+    assert channel.connected()
+    assert channel.send(ALL_BYTES)
+    assert os.read(host, 1000) == ALL_BYTES
+    os.close(host)
+    channel.close()
+    assert not link.is_symlink()
+
+
+def test_a_link_that_another_process_has_made_since_stays(tmp_path: Path) -> None:
+    link = tmp_path / "lidar"
+    channel = open_byte_channel(PortSpec(Kind.PTY, str(link)))
+    link.unlink()
+    link.symlink_to("/dev/pts/999999")
+    channel.close()
+    assert link.is_symlink()
+
+
+@pytest.mark.parametrize(
+    "obstacle", ["file", "folder", "link to a file", "dangling link", "link to a terminal"]
+)
+def test_what_is_in_the_way_of_a_link_stays(obstacle: str, tmp_path: Path, raw_pty: Any) -> None:
+    link = tmp_path / "lidar"
+    match obstacle:
+        case "file":
+            link.write_text("mine")
+        case "folder":
+            link.mkdir()
+        case "link to a file":
+            link.symlink_to(__file__)
+        case "dangling link":
+            link.symlink_to(tmp_path / "nowhere")
+        case "link to a terminal":
+            link.symlink_to(raw_pty.path)
+    before = link.lstat()
+    with pytest.raises(InputError, match="it exists; allowed: a path that does not exist yet") as refused:
+        open_byte_channel(PortSpec(Kind.PTY, str(link)))
+    assert refused.value.value == f"pty:{link}"
+    assert link.lstat() == before
+
+
+def test_a_link_needs_its_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No such file or directory"):
+        open_byte_channel(PortSpec(Kind.PTY, str(tmp_path / "no" / "lidar")))

@@ -4,8 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 
+import pytest
+
 from lidar_emu.errors import InputError
-from lidar_emu.transports.link import DeliveryStatus, DriverFeatures, Link, LinkDiagnostics, LinkLostError
+from lidar_emu.transports.link import (
+    DeliveryStatus,
+    DriverFeatures,
+    HostAbsentError,
+    Link,
+    LinkDiagnostics,
+    LinkLostError,
+)
 
 MS = 1_000_000
 
@@ -164,3 +173,33 @@ def test_what_the_channel_noticed_is_reported_and_added_up_before_a_break_and_af
     link.receive(2 * MS)
     assert texts(link) == [(1, "error passive"), (2, "link broken: pulled")]
     assert link.counts == {"error_frames": 3, "lost_frames": 5}
+
+
+def test_a_host_that_does_not_listen_yet_is_called_again_until_it_does() -> None:
+    cable = Cable()
+
+    def open_channel() -> Plug:
+        if not cable.somebody:
+            raise HostAbsentError("--port", None, "cable", "connection refused")
+        return cable.open()
+
+    cable.somebody = False
+    with pytest.raises(HostAbsentError):
+        Link(open_channel)
+    link = Link(open_channel, absent="cable")
+    assert (link.description, link.connected) == ("cable", False)
+    link.service(0)
+    cable.somebody = True
+    link.service(50 * MS)
+    assert not link.connected, "the first call was at 0, the next one follows after 100 ms"
+    link.service(100 * MS)
+    assert link.connected
+    assert link.take_events() == [(100 * MS, "connected")]
+    assert link.send(b"packet", 101 * MS) is DeliveryStatus.SENT
+
+
+def test_a_port_that_cannot_be_opened_is_refused_whoever_is_absent() -> None:
+    cable = Cable()
+    cable.plugged = False
+    with pytest.raises(InputError, match="no such port"):
+        Link(cable.open, absent="cable")

@@ -132,7 +132,8 @@ def test_what_does_not_fit_is_refused(wire: Wire, can: bool, beams: int, reporte
 def test_a_run_listens_to_itself_with_the_same_interface(tmp_path: Path) -> None:
     path = str(scenario(tmp_path, "altimeter"))
     done = CliRunner().invoke(cli, ["run", path, "--pace", "max", "--json"], catch_exceptions=False)
-    reported = json.loads(done.stdout)
+    ready, reported = map(json.loads, done.stdout.splitlines())
+    assert ready == {"ready": {"port": "in-memory loopback"}}
     assert reported["shots"]["sent"] == 10
     assert reported["far_end"]["messages"] == 10 + reported["housekeeping"]["sent"] == 11
     assert reported["far_end"]["skipped_bytes"] == 0

@@ -20,7 +20,7 @@ from lidar_emu.numerics.arrays import IntArray
 from lidar_emu.recording.write import Recorder
 from lidar_emu.runtime.lateness_statistics import steal_ticks
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.options import RunOptions
+from lidar_emu.runtime.options import RunOptions, StartEvent
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, payload_of
 from lidar_emu.runtime.run import Run
 from lidar_emu.scenario.load import load
@@ -103,7 +103,7 @@ def measure_realtime(options: RealtimeOptions, progress: Progress) -> RealtimeRe
     scenario = scenario_of(options)
     model = build_model(scenario)
     log = _ReportLog(progress)
-    run_options = RunOptions(PortSpec(Kind.PTY, baud=_BAUD))
+    run_options = RunOptions(PortSpec(Kind.PTY, baud=_BAUD), start=StartEvent.NOW)
     run = Run(scenario, model, run_options, [log])
     with ExitStack() as stack:
         if options.recording:

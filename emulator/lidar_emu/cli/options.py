@@ -38,6 +38,17 @@ fail_on_option = click.option(
     default="",
     help="Exit 1 if packets were late or dropped (late,dropped: either), or if Ctrl-C interrupted the run.",
 )
+wait_limit_option = click.option(
+    "--wait-limit",
+    metavar="S",
+    help="Give up waiting for the start.  [default: 60 for a host, no limit for truth and commands]",
+)
+json_lines_option = click.option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    help='Print two lines of JSON instead: {"ready": ...} once the port is open, and the summary.',
+)
 plain_option = click.option("--plain", is_flag=True, help="Print lines instead of a live display.")
 _SCENARIO_OPTIONS = (
     scenario_argument,

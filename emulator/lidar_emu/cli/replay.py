@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.options import as_number, fail_on_option, failures_named, has_failed, require_port
+from lidar_emu.cli.options import (
+    as_number,
+    fail_on_option,
+    failures_named,
+    has_failed,
+    json_lines_option,
+    require_port,
+    wait_limit_option,
+)
 from lidar_emu.cli.output import print_line, write_text
 from lidar_emu.cli.progress import COMPILING, busy
 from lidar_emu.errors import Finding, InputError, RunError
@@ -28,6 +36,12 @@ if TYPE_CHECKING:
 @click.option(
     "--speed", default="1", show_default=True, metavar="X", help="Speed relative to the recording, or max."
 )
+@click.option(
+    "--start",
+    type=click.Choice(["now", "on-connect"]),
+    help="Start at once, or when the host opens the port (the default on a pty or TCP).",
+)
+@wait_limit_option
 @click.option("--from", "from_s", metavar="S", help="Start at this instant, in seconds of the recording.")
 @click.option("--until", "until_s", metavar="S", help="Stop before this instant.")
 @click.option("--loop", is_flag=True, help="Repeat until Ctrl-C.")
@@ -35,11 +49,13 @@ if TYPE_CHECKING:
 @click.option("--recompute", is_flag=True, help="Recompute the run and compare packet by packet.")
 @click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
 @fail_on_option
-@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON, nothing else.")
+@json_lines_option
 def replay(
     file: str,
     port: PortSpec,
     speed: str,
+    start: str | None,
+    wait_limit: str | None,
     from_s: str | None,
     until_s: str | None,
     loop: bool,
@@ -67,6 +83,8 @@ def replay(
     times_s = _instant("--from", from_s), _instant("--until", until_s)
     sending = {
         "--speed": speed if speed != "1" else None,
+        "--start": start,
+        "--wait-limit": wait_limit,
         "--loop": loop or None,
         "--fail-on": fail_on or None,
     }
@@ -78,22 +96,25 @@ def replay(
         _reject("--to", {**sending, "--summary": summary_file, **_port_option(port)})
         _write(Path(file), Path(to), *times_s)
         return 0
-    return _send(Path(file), port, speed, times_s, loop, failures, summary_file, as_json)
+    starting = start, None if wait_limit is None else as_number("--wait-limit", wait_limit)
+    return _send(Path(file), port, speed, starting, times_s, loop, failures, summary_file, as_json)
 
 
 def _send(
     file: Path,
     port: PortSpec,
     speed: str,
+    starting: tuple[str | None, float | None],
     times_s: tuple[float | None, float | None],
     loop: bool,
     failures: set[str],
     summary_file: str | None,
     as_json: bool,
 ) -> int:
-    from lidar_emu.cli.run_observers import Announcer, LoopbackView, ProgressLine
-    from lidar_emu.cli.summary_lines import replay_lines
+    from lidar_emu.cli.run_observers import Announcer, LoopbackView, ProgressLine, ReadyLine
+    from lidar_emu.cli.summary_lines import replay_lines, why_nothing_sent
     from lidar_emu.recording.traffic import read_traffic
+    from lidar_emu.runtime.options import StartEvent
     from lidar_emu.runtime.port.pacing import Pace
     from lidar_emu.runtime.replay import Replay
     from lidar_emu.transports.spec import Kind
@@ -107,10 +128,12 @@ def _send(
     recording = traffic.recording
     view = LoopbackView(default_interface() if recording is None else recording.interface, quiet=as_json)
     shown = "max" if pace is Pace.MAX else "as recorded" if factor == 1 else f"{factor:g} times as recorded"
-    observers: list[Observer] = [view] if as_json else [Announcer(file.name, shown), view]
+    observers: list[Observer] = [ReadyLine() if as_json else Announcer(file.name, shown), view]
     packets = traffic.scheduled(factor, None if loop else 1)
     longest = max(len(payload) for _, payload in traffic.packets)
-    this_replay = Replay(packets, longest, port, pace, load, observers)
+    start, limit_s = starting
+    event = None if start is None else StartEvent(start)
+    this_replay = Replay(packets, longest, port, pace, load, observers, event, limit_s)
     if port.kind is not Kind.LOOPBACK and sys.stderr is not None and sys.stderr.isatty():
         observers.append(ProgressLine(this_replay.tally))
     summary: dict[str, Any] = {
@@ -121,8 +144,9 @@ def _send(
         "far_end": view.counters(),
     }
     _print(summary, replay_lines(summary), summary_file, as_json)
-    if summary["error"] is not None:
-        raise RunError(summary["error"])
+    for error in (summary["error"], why_nothing_sent(summary, "packets")):
+        if error is not None:
+            raise RunError(error)
     # --loop has no other end than Ctrl-C.
     return int(has_failed(this_replay.tally, summary["interrupted"] and not loop, failures))
 
@@ -180,10 +204,9 @@ def _write(file: Path, to: Path, from_s: float | None, until_s: float | None) ->
 
 
 def _print(summary: dict[str, Any], lines: list[str], summary_file: str | None, as_json: bool) -> None:
-    text = json.dumps(summary, indent=2)
-    print_line(text if as_json else "\n".join(lines))
+    print_line(json.dumps(summary) if as_json else "\n".join(lines))
     if summary_file is not None:
-        write_text(Path(summary_file), text + "\n")
+        write_text(Path(summary_file), json.dumps(summary, indent=2) + "\n")
 
 
 def _port_option(port: PortSpec) -> dict[str, str | None]:

@@ -12,12 +12,15 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import (
+    as_number,
     fail_on_option,
     failures_named,
     has_failed,
+    json_lines_option,
     load_scenario,
     plain_option,
     scenario_options,
+    wait_limit_option,
 )
 from lidar_emu.cli.output import print_line, write_text
 from lidar_emu.cli.progress import COMPILING, busy
@@ -28,6 +31,7 @@ from lidar_emu.transports.options import port_options
 if TYPE_CHECKING:
     from lidar_emu.cli.dashboard import Dashboard
     from lidar_emu.runtime.observer import Observer
+    from lidar_emu.runtime.options import StartEvent
     from lidar_emu.runtime.summary import Tally
     from lidar_emu.scenario.schema import BenchScenario, FlightScenario
     from lidar_emu.transports.spec import PortSpec
@@ -39,9 +43,10 @@ if TYPE_CHECKING:
 @port_options
 @click.option("--pace", type=click.Choice(["wall", "max", "lockstep"]), default="wall", show_default=True,
               help="In real time, as fast as the link accepts packets, or in lockstep with a simulator.")  # fmt: skip
-@click.option("--start", default=None, metavar="now|on-truth|on-command|UTC",
-              help="Start of scenario time: a UTC instant, e.g. 2030-01-01T12:00:00Z, the first live truth, or the "
-                   "command that makes the device acquire.")  # fmt: skip
+@click.option("--start", default=None, metavar="now|on-connect|on-command|on-truth|UTC",
+              help="Start of scenario time: the host opens the port (the default on a pty or TCP), a command makes "
+                   "the device acquire, live truth arrives, or a UTC instant: 2030-01-01T12:00:00Z.")  # fmt: skip
+@wait_limit_option
 @click.option(
     "--control", metavar="PATH", help="Accept fault injections on this Unix socket: lidar-emu inject PATH."
 )
@@ -49,7 +54,7 @@ if TYPE_CHECKING:
 @click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
 @fail_on_option
 @plain_option
-@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON, nothing else.")
+@json_lines_option
 def run(
     scenario: str,
     duration: str | None,
@@ -59,6 +64,7 @@ def run(
     port: PortSpec,
     pace: str,
     start: str | None,
+    wait_limit: str | None,
     control: str | None,
     record: str | None,
     summary_file: str | None,
@@ -72,7 +78,7 @@ def run(
 
     \b
     lidar-emu run descent.yaml
-    lidar-emu run descent.yaml --port pty
+    lidar-emu run descent.yaml --port pty --wait-limit 600
     lidar-emu run descent.yaml --port /dev/ttyUSB0 --baud 921600 --record flight.mcap
     lidar-emu run descent.yaml -i slcan -c /dev/ttyACM0 --bitrate 1000000
     lidar-emu run live.yaml --port /dev/ttyUSB0 --start on-truth
@@ -84,22 +90,22 @@ def run(
     failures = failures_named(fail_on)
     if control == "":  # the system would choose an abstract name, open to every user
         raise InputError("--control", None, control, "allowed: a path that does not exist yet")
-    start_utc = _start(start)
+    starts = _start(start)
+    limit_s = None if wait_limit is None else as_number("--wait-limit", wait_limit)
     for option, file in (("--record", record), ("--summary", summary_file)):
         if file is not None:
             check_destination(Path(file), option)
     if record is not None and record == summary_file:
         raise InputError("--summary", None, summary_file, "it is the recording; allowed: another file")
     from lidar_emu.cli.dashboard import Dashboard, has_terminal
-    from lidar_emu.cli.run_observers import Announcer, LoopbackView, ProgressLine
-    from lidar_emu.cli.summary_lines import summary_lines
+    from lidar_emu.cli.run_observers import Announcer, LoopbackView, ProgressLine, ReadyLine
+    from lidar_emu.cli.summary_lines import summary_lines, why_nothing_sent
     from lidar_emu.runtime.options import RunOptions
     from lidar_emu.runtime.port.pacing import Pace
     from lidar_emu.runtime.run import Run
     from lidar_emu.transports.spec import Kind
 
     flown = load_scenario(scenario, duration, seed, settings, exact)
-    _check_start(start, flown)
     from lidar_emu.shots.model import build_model
     from lidar_emu.wire import interface_named
 
@@ -109,7 +115,7 @@ def run(
     observers: list[Observer] = [view]
     with busy(COMPILING):
         model = build_model(flown)
-        options = RunOptions(port, Pace(pace), start_utc, start == "on-command", control)
+        options = RunOptions(port, Pace(pace), starts, limit_s, control)
         this_run = Run(flown, model, options, observers)
     if not (draws or port.kind is Kind.LOOPBACK) and sys.stderr is not None and sys.stderr.isatty():
         observers.append(ProgressLine(this_run.tally))
@@ -124,16 +130,18 @@ def run(
     with Dashboard() if draws else nullcontext() as dashboard, recorder or nullcontext():
         if dashboard is not None:
             observers += _display(dashboard, flown, interface, this_run.tally, port, pace)
-        elif not as_json:
-            observers.insert(0, Announcer(flown.name, pace))
+        else:
+            observers.insert(0, ReadyLine() if as_json else Announcer(flown.name, pace))
         outcome = this_run.fly()
     recording_error = None if recorder is None else recorder.error
     summary = outcome.to_json() | {"far_end": view.counters(), "recording_error": recording_error}
-    text = json.dumps(summary, indent=2)
-    print_line(text if as_json else "\n".join(summary_lines(summary)))
+    if as_json:
+        print_line(json.dumps(summary))
+    elif outcome.error is None or outcome.details["started_utc"] is not None:
+        print_line("\n".join(summary_lines(summary)))
     if summary_file is not None:
-        write_text(Path(summary_file), text + "\n")
-    for error in (recording_error, outcome.error):
+        write_text(Path(summary_file), json.dumps(summary, indent=2) + "\n")
+    for error in (recording_error, outcome.error, why_nothing_sent(summary, "shots")):
         if error is not None:
             raise RunError(error)
     return int(has_failed(outcome.tally, outcome.details["interrupted"], failures))
@@ -156,23 +164,16 @@ def _display(
     return [Announcer(flown.name, pace, dashboard.print_line), display]
 
 
-def _check_start(text: str | None, flown: FlightScenario | BenchScenario) -> None:
-    live = flown.live is not None
-    if text == ("now" if live else "on-truth"):
-        allowed = "on-truth (the default) or an instant" if live else "now (the default) or an instant"
-        kind = "live" if live else "not live"
-        raise InputError("--start", None, text, f"allowed as trajectory.kind is {kind}: {allowed}")
-
-
-def _start(text: str | None) -> datetime | None:
+def _start(text: str | None) -> StartEvent | datetime | None:
     from lidar_emu.runtime.clock import Clock
+    from lidar_emu.runtime.options import StartEvent
 
-    if text in (None, "now", "on-truth", "on-command"):
-        return None
+    if text is None or text in tuple(StartEvent):
+        return None if text is None else StartEvent(text)
     try:
         instant = datetime.fromisoformat(text)
     except ValueError:
-        allowed = "allowed: now, on-truth, on-command, or an instant as 2030-01-01T12:00:00Z"
+        allowed = f"allowed: {', '.join(StartEvent)}, or an instant as 2030-01-01T12:00:00Z"
         raise InputError("--start", None, text, allowed) from None
     instant = instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant
     # Checked again when the run begins; here, before the kernels are compiled, the error comes sooner.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from datetime import datetime
 
@@ -39,6 +40,14 @@ class Announcer(Observer):
     def on_process_event(self, time_ns: int, what: str) -> None:
         """Print that a process has stalled, or resumed."""
         self._print_line(at_time(time_ns * 1e-9, what))
+
+
+class ReadyLine(Observer):
+    """Prints one line of JSON as soon as the port is open."""
+
+    def on_ready(self, port: str) -> None:
+        """Print the port."""
+        print_line(json.dumps({"ready": {"port": port}}))
 
 
 class ProgressLine(Observer):

@@ -159,6 +159,24 @@ def dropped_text(dropped: dict[str, int]) -> str:
     return f"{sum(dropped.values())} dropped" + (f" ({why})" if why else "")
 
 
+def why_nothing_sent(summary: dict[str, Any], what: str) -> str | None:
+    """One line with the reasons why none of the `shots` or `packets` of a summary was sent; None if some were, if none
+    was due, or if the user interrupted the run."""
+    counts = summary[what]
+    if counts["sent"] or not counts["due"] or summary["interrupted"]:
+        return None
+    by_faults = summary["faults"]["suppressed"] if "faults" in summary else 0
+    causes = {
+        "late": counts["late"],
+        "not fired": counts.get("suppressed", 0),
+        "suppressed by faults": by_faults,
+    }
+    texts = [f"{count} {cause}" for cause, count in causes.items() if count]
+    if any(counts["dropped"].values()):
+        texts.append(dropped_text(counts["dropped"]))
+    return f"{summary['port']}: none of {counts['due']} {what} was sent: {', '.join(texts)}"
+
+
 def lateness_lines(lateness: dict[str, Any], steal_ticks: int | None) -> list[str]:
     """Lateness of packets; nothing if none obtained a due time."""
     if not lateness["count"]:

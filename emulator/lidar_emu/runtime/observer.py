@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 class Observer:
     """Callbacks of a run; each observer overrides the ones that it needs. They are called in the loop of the run."""
 
+    def on_ready(self, port: str) -> None:
+        """The port is open under this name: a host can open it."""
+
     def on_waiting(self, port: str, what: str) -> None:
         """The port is open under this name, and the run waits for `what`."""
 

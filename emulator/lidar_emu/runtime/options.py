@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from enum import StrEnum
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.runtime.clock import Clock
@@ -12,6 +13,21 @@ from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.transports.spec import Kind, PortSpec
 
+_HOST_LIMIT_S = 60.0
+
+
+class StartEvent(StrEnum):
+    """The event that starts a run."""
+
+    NOW = "now"
+    """The first shots are computed."""
+    ON_CONNECT = "on-connect"
+    """The other end has opened the port."""
+    ON_TRUTH = "on-truth"
+    """The first live truth arrives, which defines scenario time 0."""
+    ON_COMMAND = "on-command"
+    """A command makes the device acquire."""
+
 
 @dataclass(frozen=True)
 class RunOptions:
@@ -19,11 +35,11 @@ class RunOptions:
 
     port: PortSpec
     pace: Pace = Pace.WALL
-    start: datetime | None = None
-    """UTC instant of scenario time 0; None: as soon as the first shots are computed or, with live truth, as the first
-    datagram defines it."""
-    on_command: bool = False
-    """Scenario time 0 follows the command that makes the device acquire."""
+    start: StartEvent | datetime | None = None
+    """Event, or UTC instant of scenario time 0; None: with live truth its arrival, on a port that shows its host the
+    opening by it, otherwise now."""
+    wait_limit_s: float | None = None
+    """Limit of the wait for the event; None: a minute for a host, none for truth and commands."""
     control: str | None = None
     """Path of the socket on which faults are injected in flight; None: there is none."""
 
@@ -32,7 +48,7 @@ def live_part(scenario: Scenario, options: RunOptions) -> Live | None:
     """The live trajectory of a scenario; None if it has another one.
 
     Raises:
-        InputError: the pace or the start does not suit it.
+        InputError: the pace does not suit it.
     """
     live = scenario.live
     if live is None and options.pace is Pace.LOCKSTEP:
@@ -41,23 +57,46 @@ def live_part(scenario: Scenario, options: RunOptions) -> Live | None:
         )
     if live is not None and options.pace is Pace.MAX:
         raise InputError("--pace", None, "max", "allowed with trajectory.kind live: wall, lockstep")
-    if options.pace is Pace.LOCKSTEP and options.start is not None:
-        raise InputError(
-            "--start", None, options.start.isoformat(), "allowed in lockstep: on-truth (the default)"
-        )
-    if options.on_command and (live is not None or options.pace is not Pace.WALL):
-        found = "trajectory.kind live" if live is not None else f"pace {options.pace}"
-        raise InputError(
-            "--start", None, Finding(f"on-command with {found}"), "allowed: a planned flight at pace wall"
-        )
-    if options.on_command and options.port.kind is Kind.LOOPBACK:
-        raise InputError(
-            "--start",
-            None,
-            Finding("on-command on the in-memory loopback"),
-            "allowed with --port or --interface",
-        )
     return live
+
+
+def start_of(scenario: Scenario, options: RunOptions) -> StartEvent | datetime:
+    """What starts the run.
+
+    Raises:
+        InputError: the start does not suit scenario, port or pace.
+    """
+    start, port = options.start, options.port
+    if scenario.live is not None:
+        default, allowed = StartEvent.ON_TRUTH, "on-truth (the default) or an instant"
+        is_allowed = start is StartEvent.ON_TRUTH or isinstance(start, datetime)
+        if options.pace is Pace.LOCKSTEP:
+            is_allowed, allowed = start is StartEvent.ON_TRUTH, "on-truth (the default)"
+        circumstances = f"live truth and --pace {options.pace}"
+    else:
+        default = default_start(port)
+        events = {StartEvent.NOW}
+        if port.shows_host:
+            events.add(StartEvent.ON_CONNECT)
+        if port.kind is not Kind.LOOPBACK and options.pace is Pace.WALL:
+            events.add(StartEvent.ON_COMMAND)
+        is_allowed = start in events or isinstance(start, datetime)
+        allowed = f"{', '.join(sorted(events))} or an instant; the default is {default}"
+        circumstances = f"{port} and --pace {options.pace}"
+    if start is not None and not is_allowed:
+        found = start.isoformat() if isinstance(start, datetime) else str(start)
+        raise InputError("--start", None, Finding(f"{found} with {circumstances}"), f"allowed: {allowed}")
+    return default if start is None else start
+
+
+def default_start(port: PortSpec) -> StartEvent:
+    """What starts a planned flight or a replay on a port, unless the user states it."""
+    return StartEvent.ON_CONNECT if port.shows_host else StartEvent.NOW
+
+
+def wait_limit_s(start: StartEvent | datetime, stated_s: float | None) -> float | None:
+    """Limit of the wait for what starts a run; None: there is none."""
+    return _HOST_LIMIT_S if stated_s is None and start is StartEvent.ON_CONNECT else stated_s
 
 
 def port_of(scenario: Scenario, options: RunOptions) -> PortSpec:
@@ -65,14 +104,14 @@ def port_of(scenario: Scenario, options: RunOptions) -> PortSpec:
     return replace(options.port, pulse_line=scenario.device.clock.pulse_line or "")
 
 
-def start_instant_ns(options: RunOptions, clock: Clock) -> int | None:
+def start_instant_ns(start: StartEvent | datetime, clock: Clock) -> int | None:
     """Scenario time 0 on the monotonic clock; None if the feed defines it.
 
     Raises:
         InputError: it lies in the past.
     """
-    start, now_ns, now = options.start, clock.now_ns(), clock.utc_now()
-    if start is None:
+    now_ns, now = clock.now_ns(), clock.utc_now()
+    if not isinstance(start, datetime):
         return None
     if start < now:
         raise InputError("--start", None, start.isoformat(), "allowed: now, or a future instant")

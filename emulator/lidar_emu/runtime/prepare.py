@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.device.constants import DeviceConstants, device_constants
@@ -13,7 +14,7 @@ from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
 from lidar_emu.runtime.device_link.final_message import why_no_final_message
 from lidar_emu.runtime.feed.on_command import waiting_device
 from lidar_emu.runtime.feed.planned import PlannedShots
-from lidar_emu.runtime.options import RunOptions, live_part
+from lidar_emu.runtime.options import RunOptions, StartEvent, live_part, start_of
 from lidar_emu.runtime.port.packets import payload_of
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
@@ -41,6 +42,8 @@ class PreparedRun:
     options: RunOptions
     live: Live | None
     """The live trajectory; None if the scenario has another one."""
+    start: StartEvent | datetime
+    """Event, or UTC instant of scenario time 0."""
     encoder: Encoder
     downlink: DownlinkEncoder
     device: DeviceTimeline
@@ -80,10 +83,11 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
             does not suit the scenario.
     """
     live, port, rate_hz = live_part(scenario, options), options.port, scenario.timing.rate_hz
-    can = port.kind is Kind.CAN
+    can, start = port.kind is Kind.CAN, start_of(scenario, options)
+    on_command = start is StartEvent.ON_COMMAND
     encoder = Encoder(scenario.wire, can, port.fd, model.beam_count)
     downlink = DownlinkEncoder(encoder.interface, scenario.wire.unit, can)
-    if options.on_command and not downlink.has_commands:
+    if on_command and not downlink.has_commands:
         allowed = "allowed with an interface that has commands on this link"
         raise InputError("--start", None, "on-command", allowed)
     faulty = faulty_encoder_of(scenario, encoder, can)
@@ -92,7 +96,7 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     block_shots = max(1, min(128, round(rate_hz * _BLOCK_S)))
     slots = max(2 * block_shots, round(rate_hz * _LOOK_AHEAD_S))
     session = Session(model, encoder, slots + 1, faulty, constants)
-    known = live is None and not options.on_command
+    known = live is None and not on_command
     shots = PlannedShots(session, model, encoder, block_shots, known)
     longest = max((payload_of(packet) for packet in encoder.packets(shots.sample.measurement)), key=len)
     faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
@@ -104,9 +108,10 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
         model,
         options,
         live,
+        start,
         encoder,
         downlink,
-        waiting_device(constants) if options.on_command else DeviceTimeline(constants, initial(constants)),
+        waiting_device(constants) if on_command else DeviceTimeline(constants, initial(constants)),
         session,
         shots,
         slots,

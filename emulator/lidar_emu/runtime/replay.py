@@ -6,9 +6,12 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Any
 
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.feed.base import POLL_NS
+from lidar_emu.runtime.host_wait import wait_for_host
 from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.options import StartEvent, default_start, wait_limit_s
 from lidar_emu.runtime.port.child import PortDiedError
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import OutgoingPacket
@@ -33,6 +36,11 @@ class Replay:
         pace: by the clock, or as fast as the link takes them.
         load: share of the link's capacity that the packets take.
         observers: called in the loop: they must be quick.
+        start: `NOW` or `ON_CONNECT`; None: the port's default.
+        limit_s: limit of the wait for a host; None: a minute.
+
+    Raises:
+        InputError: the port does not show its host.
     """
 
     def __init__(
@@ -43,7 +51,13 @@ class Replay:
         pace: Pace,
         load: float,
         observers: Sequence[Observer],
+        start: StartEvent | None = None,
+        limit_s: float | None = None,
     ) -> None:
+        self._start = start or default_start(port)
+        if self._start is StartEvent.ON_CONNECT and not port.shows_host:
+            raise InputError("--start", None, Finding(f"on-connect with {port}"), "allowed: now")
+        self._limit_s = wait_limit_s(self._start, limit_s)
         self._packets, self._longest_bytes = packets, longest_bytes
         self._spec, self._pace, self._load = port, pace, load
         self._observers = observers
@@ -62,10 +76,12 @@ class Replay:
         status = self._status
         with status.interruptible(), PortRunner(_SLOTS, self._longest_bytes, status.on_stall) as port:
             with suppress(KeyboardInterrupt):
-                description = port.start(self._spec)
-                status.opening = False
+                waits = self._start is StartEvent.ON_CONNECT
+                description = port.start(self._spec, may_be_absent=waits)
+                status.ready(description)
                 try:
-                    self._send(port, description)
+                    if self._has_host(port, description):
+                        self._send(port, description)
                 except PortDiedError as death:
                     status.fail(str(death))
             port.close()
@@ -76,6 +92,12 @@ class Replay:
             "packets": {name: shots[name] for name in ("due", "sent", "late", "dropped")},
             "lateness": self.tally.to_json()["lateness"],
         }
+
+    def _has_host(self, port: PortRunner, description: str) -> bool:
+        if self._start is StartEvent.NOW:
+            return True
+        self._status.wait_for("a host to open it", description, self._limit_s, self._clock.now_ns())
+        return wait_for_host(port, self._clock, lambda: self._status.may_wait(self._clock.now_ns()))
 
     def _send(self, port: PortRunner, description: str) -> None:
         start_ns = self._clock.now_ns() + _LEAD_NS

@@ -20,10 +20,11 @@ from lidar_emu.runtime.feed.live import LiveFeed, LiveTiming
 from lidar_emu.runtime.feed.live_truth_source import TruthSource, truth_socket
 from lidar_emu.runtime.feed.lockstep import LockstepFeed
 from lidar_emu.runtime.feed.on_command import OnCommandFeed
+from lidar_emu.runtime.feed.on_connect import OnConnectFeed
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
 from lidar_emu.runtime.feed.planned import PlannedFeed
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.options import RunOptions, port_of, start_instant_ns
+from lidar_emu.runtime.options import RunOptions, StartEvent, port_of, start_instant_ns, wait_limit_s
 from lidar_emu.runtime.port.child import PortDiedError
 from lidar_emu.runtime.port.pacing import Pace, WhenLate
 from lidar_emu.runtime.port.runner import PortRunner
@@ -103,8 +104,9 @@ class Run:
             packets = PacketQueue(self._port, self._observers, self.tally, prepared.slots)
             changes = ChangeQueue(self._port, self._commands, self._injector)
             with suppress(KeyboardInterrupt):
-                self._port.start(port_of(prepared.scenario, self._options), prepared.port_faults)
-                self._status.opening = False
+                spec = port_of(prepared.scenario, self._options)
+                waits = prepared.start is StartEvent.ON_CONNECT
+                self._status.ready(self._port.start(spec, prepared.port_faults, may_be_absent=waits))
                 with self._record_port_death():
                     self._feed(packets, changes).run()
             if self._housekeeping is not None:
@@ -121,6 +123,10 @@ class Run:
             observer.on_opened(self._port.status.description, start_utc)
         timing = self._timing
         self._port.begin(start_ns, timing.late_after_ns, self._options.pace, WhenLate(timing.when_late))
+
+    def may_wait(self) -> bool:
+        """See `RunControl`."""
+        return self._status.may_wait(self.clock.now_ns())
 
     def fail(self, error: str) -> None:
         """See `RunControl`."""
@@ -187,10 +193,10 @@ class Run:
 
     def _feed(self, packets: PacketQueue, changes: ChangeQueue) -> Feed:
         prepared, shots = self._prepared, self._prepared.shots
-        start_ns = start_instant_ns(self._options, self.clock)
+        start_ns = start_instant_ns(prepared.start, self.clock)
         shared = self, prepared.session, packets, changes
         if self._truth is not None and (live := prepared.live) is not None:
-            self._notify_waiting(f"truth on {live.listen}")
+            self._wait_for(f"truth on {live.listen}")
             if self._options.pace is Pace.LOCKSTEP:
                 return LockstepFeed(*shared, self._truth)
             timing = LiveTiming(
@@ -204,9 +210,12 @@ class Run:
         def planned(start_ns: int | None) -> Feed:
             return PlannedFeed(*shared, shots.first(), shots.block_shots, start_ns, self._options.pace)
 
-        if not self._options.on_command:
+        if prepared.start is StartEvent.ON_CONNECT:
+            self._wait_for("a host to open it")
+            return OnConnectFeed(*shared, planned(None))
+        if prepared.start is not StartEvent.ON_COMMAND:
             return planned(start_ns)
-        self._notify_waiting("set_mode acquire or track")
+        self._wait_for("set_mode acquire or track")
         return OnCommandFeed(
             *shared, prepared.device, self._housekeeping, planned, self._notify_flight_started
         )
@@ -220,9 +229,9 @@ class Run:
             if self._final_message is not None:
                 self._final_message.send(self._options.port, self.clock)
 
-    def _notify_waiting(self, what: str) -> None:
-        for observer in self._observers:
-            observer.on_waiting(self._port.status.description, what)
+    def _wait_for(self, what: str) -> None:
+        limit_s = wait_limit_s(self._prepared.start, self._options.wait_limit_s)
+        self._status.wait_for(what, self._port.status.description, limit_s, self.clock.now_ns())
 
     def _notify_flight_started(self, waited_ns: int) -> None:
         for observer in self._observers:

@@ -31,6 +31,7 @@ class RunStatus:
         self.interrupted = False
         self.error: str | None = None
         """Why the run ended early, if that is an error."""
+        self._wait: tuple[int, str] | None = None
         self.start_utc: datetime | None = None
         """Scenario time 0; None as long as no flight has begun."""
 
@@ -50,6 +51,27 @@ class RunStatus:
         self._steal_ticks = steal_ticks()
         with on_signals(self._interrupt):
             yield
+
+    def ready(self, port: str) -> None:
+        """The port is open: from here on a signal ends the run between packets."""
+        self.opening = False
+        for observer in self._observers:
+            observer.on_ready(port)
+
+    def wait_for(self, what: str, port: str, limit_s: float | None, now_ns: int) -> None:
+        """Begin to wait for the event that starts the run, from `now_ns` on; `limit_s` None: without a limit."""
+        limit = ""
+        if limit_s is not None:
+            error = f"{port}: waited {limit_s:g} s for {what}; --wait-limit S allows more"
+            self._wait, limit = (now_ns + round(limit_s * 1e9), error), f", at most {limit_s:g} s"
+        for observer in self._observers:
+            observer.on_waiting(port, what + limit)
+
+    def may_wait(self, now_ns: int) -> bool:
+        """Whether the run may go on waiting; fails the run once the limit has passed."""
+        if self._wait is not None and now_ns >= self._wait[0]:
+            self.fail(self._wait[1])
+        return not self.stopped
 
     def begin(self, start_ns: int, clock: Clock) -> datetime:
         """Set the start to an instant of the monotonic clock; returns it as UTC."""

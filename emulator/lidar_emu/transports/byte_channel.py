@@ -10,10 +10,12 @@ import termios
 import tty
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 
 from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, LinkDiagnostics, LinkLostError
 
 _READ_BYTES = 4096
+_TERMINALS = Path("/dev/pts")
 _INT = struct.Struct("i")
 
 
@@ -122,17 +124,41 @@ class DescriptorChannel:
 
 
 class PtyChannel(DescriptorChannel):
-    """The master end of a pseudo terminal made here; `description` is the path that a program opens."""
+    """The master end of a pseudo terminal made here; `description` is the path that a program opens.
 
-    def __init__(self) -> None:
+    Args:
+        link: symbolic link to the terminal, made here and removed at the end; a dangling one to a terminal that is gone
+            is replaced. None: no link.
+
+    Raises:
+        OSError: the link cannot be made.
+    """
+
+    def __init__(self, link: Path | None = None) -> None:
+        if link is not None:
+            # First, as the new terminal may have the name of the one that is gone.
+            _remove_dangling(link)
         master, slave = os.openpty()
         # Cooked mode would swallow control bytes and echo the rest.
         tty.setraw(slave)
-        path = os.ttyname(slave)
+        self._path, self._link = os.ttyname(slave), link
         # Once this process has closed the slave end, a hang-up means that no other program has it open.
         os.close(slave)
-        super().__init__(master, path, lambda: os.close(master))
+        super().__init__(master, self._path if link is None else str(link), lambda: os.close(master))
         self._had_reader = False
+        if link is not None:
+            try:
+                link.symlink_to(self._path)
+            except OSError:
+                os.close(master)
+                raise
+
+    def close(self) -> None:
+        """Close the terminal and remove the link to it; never raises."""
+        with suppress(OSError):
+            if self._link is not None and self._link.readlink() == Path(self._path):
+                self._link.unlink()
+        super().close()
 
     def connected(self) -> bool:
         """Whether a program has the other end open."""
@@ -173,11 +199,17 @@ class PtyChannel(DescriptorChannel):
 
     def _on_slave(self, action: Callable[[int], object]) -> None:
         with suppress(OSError, termios.error):
-            slave = os.open(self.description, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            slave = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
             try:
                 action(slave)
             finally:
                 os.close(slave)
+
+
+def _remove_dangling(link: Path) -> None:
+    """Remove a link that a killed process has left."""
+    if link.is_symlink() and link.readlink().parent == _TERMINALS and not link.exists():
+        link.unlink()
 
 
 def queued_bytes(descriptor: int, request: int = termios.TIOCOUTQ) -> int:

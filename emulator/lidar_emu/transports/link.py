@@ -39,6 +39,10 @@ class LinkLostError(Exception):
     """The link broke: the cable was pulled, the interface went down, or the other end has gone."""
 
 
+class HostAbsentError(InputError):
+    """Nobody listens at the address of the port yet."""
+
+
 COUNTED = ("error_frames", "ignored_frames", "lost_frames")
 """Counted besides data: error frames, ignored frames, frames (or datagrams) lost because they arrived too fast."""
 
@@ -112,14 +116,24 @@ class PortChannel(Protocol):
 class Link:
     """A channel, reopened with back-off when it is lost.
 
+    Args:
+        open_channel: opens the channel, at the start and after a break.
+        absent: name of a port whose other end need not listen yet; None: it must.
+
     Raises:
         InputError: the port cannot be opened at the start.
     """
 
-    def __init__(self, open_channel: Callable[[], PortChannel]) -> None:
+    def __init__(self, open_channel: Callable[[], PortChannel], absent: str | None = None) -> None:
         self._open = open_channel
-        self._channel: PortChannel | None = open_channel()
-        self.description = self._channel.description
+        self._channel: PortChannel | None = None
+        try:
+            self._channel = open_channel()
+        except HostAbsentError:
+            if absent is None:
+                raise
+        self.description = absent or "" if self._channel is None else self._channel.description
+        self._was_open = self._channel is not None
         self._connected = True
         self._retry_at_ns = 0
         self._back_off_ns = _FIRST_RETRY_NS
@@ -171,6 +185,11 @@ class Link:
             self._take_diagnostics(self._channel, now_ns)
         except LinkLostError as lost:
             self._lose(str(lost), now_ns)
+
+    @property
+    def connected(self) -> bool:
+        """Whether the other end is connected, as far as is known; `service` finds out."""
+        return self._channel is not None and self._connected
 
     @property
     def driver_features(self) -> DriverFeatures:
@@ -257,7 +276,8 @@ class Link:
         except InputError:
             self._retry_later(now_ns)
         else:
-            self.add_event("reopened", now_ns)
+            self.add_event("reopened" if self._was_open else "connected", now_ns)
+            self._was_open = True
 
     def _retry_later(self, now_ns: int) -> None:
         # The back-off restarts only with the next packet sent, so that a port that fails at once adds few events.

@@ -18,7 +18,9 @@ from lidar_emu.transports.spec import (
 Command = Callable[..., Any]
 
 _OPTIONS = (
-    click.option("--port", metavar="PORT", help="Serial device, pyserial URL, udp:[HOST:]PORT, or pty."),
+    click.option(
+        "--port", metavar="PORT", help="Serial device, pyserial URL, udp:[HOST:]PORT, pty, or pty:LINK."
+    ),
     click.option(
         "--baud", type=int, metavar="N", help=f"Serial bit rate in bit/s.  [default: {DEFAULT_BAUD}]"
     ),

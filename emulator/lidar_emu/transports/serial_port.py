@@ -9,11 +9,19 @@ import termios
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
-from lidar_emu.errors import InputError, one_line
+from lidar_emu.errors import InputError, one_line, reason_of
 from lidar_emu.transports.byte_channel import DescriptorChannel, PtyChannel
-from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, LinkDiagnostics, LinkLostError, PortChannel
+from lidar_emu.transports.link import (
+    NO_DRIVER_FEATURES,
+    NOTHING,
+    HostAbsentError,
+    LinkDiagnostics,
+    LinkLostError,
+    PortChannel,
+)
 from lidar_emu.transports.serial_line import SerialChannel, users_of
 from lidar_emu.transports.spec import Kind, PortSpec
 
@@ -54,7 +62,15 @@ def open_byte_channel(spec: PortSpec, now_ns: Callable[[], int] | None = None) -
     Raises:
         InputError: it cannot be opened.
     """
-    return PtyChannel() if spec.kind is Kind.PTY else _open_serial(spec, now_ns)
+    if spec.kind is not Kind.PTY:
+        return _open_serial(spec, now_ns)
+    try:
+        return PtyChannel(Path(spec.path) if spec.path else None)
+    except OSError as error:
+        why = "it exists" if error.errno == errno.EEXIST else reason_of(error)
+        raise InputError(
+            "--port", None, str(spec), f"{why}; allowed: a path that does not exist yet"
+        ) from None
 
 
 def _open_serial(spec: PortSpec, now_ns: Callable[[], int] | None) -> PortChannel:
@@ -88,6 +104,8 @@ def _open_tcp(spec: PortSpec) -> PortChannel:
         if not number.isdecimal():
             raise ValueError("allowed: socket://HOST:PORT")
         sock = socket.create_connection((host.strip("[]"), int(number)), _CONNECT_TIMEOUT_S)
+    except (ConnectionRefusedError, TimeoutError) as error:
+        raise HostAbsentError("--port", None, spec.path, _reason(error, spec.path)) from None
     except (OSError, ValueError, OverflowError) as error:
         raise InputError("--port", None, spec.path, _reason(error, spec.path)) from None
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -13,6 +13,7 @@ DEFAULT_BITRATE = 500_000
 DEFAULT_DATA_BITRATE = 2_000_000
 _URLS_WITHOUT_A_BIT_RATE = ("socket", "loop")
 _UDP = "udp:"
+_PTY = "pty:"
 _THIS_MACHINE = "127.0.0.1"
 
 
@@ -32,7 +33,7 @@ class PortSpec:
 
     kind: Kind = Kind.LOOPBACK
     path: str = ""
-    """Device path or pyserial URL (serial); HOST:PORT of the other end (UDP)."""
+    """Device path or pyserial URL (serial); HOST:PORT of the other end (UDP); symbolic link to make (pty), or empty."""
     baud: int = DEFAULT_BAUD
     """Bits per second on a serial line; on a pty, which has none, the rate of the line that it represents; on UDP the
     rate of the line behind the bridge, or 0."""
@@ -61,12 +62,17 @@ class PortSpec:
             return self.baud > 0
         return self.kind is not Kind.LOOPBACK and self.scheme not in _URLS_WITHOUT_A_BIT_RATE
 
+    @property
+    def shows_host(self) -> bool:
+        """Whether the port shows that the other end has opened it: a cable, a bus and a datagram do not."""
+        return self.kind is Kind.PTY or self.scheme == "socket"
+
     def __str__(self) -> str:
         match self.kind:
             case Kind.LOOPBACK:
                 return "in-memory loopback"
             case Kind.PTY:
-                return "pty"
+                return _PTY + self.path if self.path else "pty"
             case Kind.SERIAL:
                 return self.path
             case Kind.UDP:
@@ -123,13 +129,14 @@ def _bytes(port: str | None, baud: int | None, rs485: bool) -> PortSpec:
     if port is None:
         _refuse_given({"--baud": baud, "--rs485": rs485 or None}, "allowed: only together with --port")
         return PortSpec()
-    if not port:
-        raise InputError("--port", None, port, "allowed: a device, a pyserial URL, udp:[HOST:]PORT, or pty")
-    if port == "pty" or port.startswith(_UDP):
+    if port in ("", _PTY):
+        allowed = "allowed: a device, a pyserial URL, udp:[HOST:]PORT, pty, or pty:LINK"
+        raise InputError("--port", None, port, allowed)
+    if port == "pty" or port.startswith((_PTY, _UDP)):
         _refuse_given({"--rs485": rs485 or None}, "allowed: only with a serial device")
     speed = DEFAULT_BAUD if baud is None else baud
-    if port == "pty":
-        return PortSpec(Kind.PTY, baud=speed)
+    if port == "pty" or port.startswith(_PTY):
+        return PortSpec(Kind.PTY, path=port.removeprefix(_PTY) if port != "pty" else "", baud=speed)
     if port.startswith(_UDP):
         return PortSpec(Kind.UDP, path=_udp_address(port), baud=baud or 0)
     return PortSpec(Kind.SERIAL, path=port, baud=speed, rs485=rs485)

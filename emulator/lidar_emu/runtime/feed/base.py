@@ -24,6 +24,9 @@ class RunControl(Protocol):
     def stopped(self) -> bool:
         """Whether the run was interrupted or has failed."""
 
+    def may_wait(self) -> bool:
+        """Whether the run may go on waiting for its start; fails the run once the limit has passed."""
+
     def begin(self, start_ns: int) -> None:
         """Begin the flight: scenario time 0 is at this instant of the monotonic clock."""
 

@@ -86,7 +86,7 @@ class LiveFeed(Feed):
             self._compute(shot)
 
     def _wait_for_first(self) -> ReceivedTruth | None:
-        while not self._control.stopped:
+        while self._control.may_wait():
             self._port.wait(self._clock.now_ns() + POLL_NS, [self._source.fileno()])
             self._changes.receive(0)
             accepted = [each for each in self._source.receive() if each.verdict is Verdict.ACCEPTED]

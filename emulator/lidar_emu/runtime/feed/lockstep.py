@@ -43,7 +43,7 @@ class LockstepFeed(Feed):
 
     def run(self) -> None:
         """See `Feed`."""
-        while not (self._ended or self._control.stopped):
+        while not self._ended and self._goes_on():
             self._port.wait(self._clock.now_ns() + POLL_NS, [self._source.fileno()])
             self._changes.receive(0 if self._source.newest is None else self._source.newest.time_ns)
             for received in self._source.receive():
@@ -53,6 +53,9 @@ class LockstepFeed(Feed):
             self._linger()
             self._source.notify()
             self._finish()
+
+    def _goes_on(self) -> bool:
+        return not self._control.stopped if self._begun else self._control.may_wait()
 
     def _linger(self) -> None:
         """Answer repeated truths for a while, since the last answer may have been lost."""

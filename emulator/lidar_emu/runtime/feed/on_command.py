@@ -67,7 +67,7 @@ class OnCommandFeed(Feed):
 
     def _wait_for_command(self, powered_ns: int) -> bool:
         """Wait for the command; False if the run was stopped."""
-        while not self._control.stopped:
+        while self._control.may_wait():
             now_ns = self._clock.now_ns() - powered_ns
             self._changes.receive(now_ns, powered_ns)
             while self._changes.first is not None:

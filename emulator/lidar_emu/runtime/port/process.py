@@ -6,7 +6,8 @@ model process announced an orderly end, no further packet is sent but the final 
 Both pipes carry one JSON object per line:
 
     in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "faults": [a PortFault] or null}
-                                                     once; also "loopback": fd, "stderr": fd
+                                                     once; also "loopback": fd, "stderr": fd, and
+                                                     "absent": true if the other end need not listen yet
          {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ..., "when_late": ...}}    monotonic clock
          {"fault": a PortFault}                      one more, if there was a list at the start
          {"finish": true}                            no more packets will follow
@@ -15,6 +16,7 @@ Both pipes carry one JSON object per line:
          {"final_message": hex}                      to be sent if the model process dies
          {"end": is orderly}                         before the end of file, unless the model process died
     out  {"ready": description} or {"refused": [where, key, value, allowed]}
+         {"connected": is connected}                 before the run begins, at first and at every change
          {"granted": [name], "missing": {name: command}}     real-time privileges
          {"received": [time_ns, hex, pulse_ns]}      arrived on the port, and when the last pulse came, or null; lost
                                                      while the model process does not read
@@ -75,7 +77,7 @@ def main() -> None:
     open_port = opener(spec, settings.get("loopback"), clock.now_ns)
     faulty = None if settings["faults"] is None else _faulty(open_port, spec, settings["faults"], clock)
     try:
-        link = Link(faulty or open_port)
+        link = Link(faulty or open_port, str(spec) if settings["absent"] else None)
     except InputError as error:
         status.send(refused=[error.where, error.key, _plain(error.value), error.allowed])
         status.close()
@@ -124,6 +126,7 @@ class _PortLoop:
         self._unscheduled_bytes = 0
         self._tx_dropped = 0
         self._is_lockstep = False
+        self._reported_connected: bool | None = None
         self._reported_completed = 0
         self._event_count = 0
         self._busy_until_ns = 0
@@ -141,6 +144,7 @@ class _PortLoop:
             wait = self._sender.step() if self._sender is not None else Wait()
             self._link.service(self._clock.now_ns())
             self._report_events()
+            self._report_connected()
             self._report_completed()
             drain_ns = self._drain_until_ns(wait)
             self._status.flush()
@@ -261,6 +265,12 @@ class _PortLoop:
         for time_ns, text in self._link.take_events():
             self._event_count += 1
             self._status.send_if_idle(event=[self._event_count, time_ns, text])
+
+    def _report_connected(self) -> None:
+        """Report whether the other end has opened the port, as long as the run may wait for that."""
+        if self._sender is None and self._link.connected is not self._reported_connected:
+            self._reported_connected = self._link.connected
+            self._status.send(connected=self._reported_connected)
 
     def _report_completed(self) -> None:
         """Report completed packets in lockstep, where the model process waits for them, as the simulator does."""

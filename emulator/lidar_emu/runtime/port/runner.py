@@ -73,12 +73,15 @@ class PortRunner:
     ) -> None:
         self.close(orderly=kind is None or issubclass(kind, InputError | KeyboardInterrupt))
 
-    def start(self, spec: PortSpec, faults: list[dict[str, Any]] | None = None) -> str:
+    def start(
+        self, spec: PortSpec, faults: list[dict[str, Any]] | None = None, may_be_absent: bool = False
+    ) -> str:
         """Start the process and open the port; return its description.
 
         Args:
             spec: the port.
             faults: faults of the port, each a `PortFault` as a mapping; None: there are none, and none can be injected.
+            may_be_absent: whether the other end need not listen yet; `status.connected` shows when it does.
 
         Raises:
             InputError: the port cannot be opened.
@@ -91,7 +94,7 @@ class PortRunner:
                 self._child = PortChild(inherited | {"loopback": device_end.fileno()})
         else:
             self._child = PortChild(inherited)
-        self._child.send(port=spec.to_json(), faults=faults, **self._child.inherited)
+        self._child.send(port=spec.to_json(), faults=faults, absent=may_be_absent, **self._child.inherited)
         deadline_ns = self._clock.now_ns() + _START_LIMIT_NS
         while not self.status.description:
             if self._clock.now_ns() > deadline_ns:

@@ -59,6 +59,8 @@ class PortStatus:
 
     description: str = ""
     """Name of the port; of a pty, the path that the host opens."""
+    connected: bool = False
+    """Whether the other end has opened the port, as far as can be known; kept up to date until the run begins."""
     sent_bytes: int | None = None
     """Known at the end; None if the process died before it could report."""
     received_bytes: int | None = None
@@ -124,6 +126,8 @@ class PortStatus:
                 raise InputError(*refusal)
             case {"ready": description}:
                 self.description = description
+            case {"connected": connected}:
+                self.connected = connected
             case {"granted": granted, "missing": missing}:
                 self.granted, self.missing = granted, missing
             case {"event": [number, time_ns, text]}:

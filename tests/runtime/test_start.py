@@ -1,0 +1,151 @@
+"""What starts a run, and how long it waits for that, on times that the test chooses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+from typing import Any
+
+import pytest
+
+from lidar_emu.errors import InputError
+from lidar_emu.runtime.host_wait import wait_for_host
+from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.options import RunOptions, StartEvent, start_of, wait_limit_s
+from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.status import PortStatus
+from lidar_emu.runtime.run_status import RunStatus
+from lidar_emu.scenario.load import load
+from lidar_emu.transports.spec import Kind, PortSpec
+
+MS = 1_000_000
+SECOND_NS = 1_000_000_000
+PTY, TCP = PortSpec(Kind.PTY), PortSpec(Kind.SERIAL, "socket://127.0.0.1:5600")
+DEVICE, UDP = PortSpec(Kind.SERIAL, "/dev/ttyUSB0"), PortSpec(Kind.UDP, "127.0.0.1:5600")
+CAN, LOOPBACK = PortSpec(Kind.CAN, interface="socketcan", channel="vcan0"), PortSpec()
+AT_NOON = datetime(2030, 1, 1, 12, tzinfo=UTC)
+
+
+@pytest.mark.parametrize(
+    ("port", "expected"),
+    [
+        (PTY, StartEvent.ON_CONNECT),
+        (TCP, StartEvent.ON_CONNECT),
+        (DEVICE, StartEvent.NOW),
+        (UDP, StartEvent.NOW),
+        (CAN, StartEvent.NOW),
+        (LOOPBACK, StartEvent.NOW),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("pace", [Pace.WALL, Pace.MAX])
+def test_a_run_waits_for_a_host_where_the_port_shows_one(
+    port: PortSpec, expected: StartEvent, pace: Pace
+) -> None:
+    assert start_of(load("bench.yaml"), RunOptions(port, pace)) is expected
+
+
+@pytest.mark.parametrize("pace", [Pace.WALL, Pace.LOCKSTEP])
+def test_live_truth_starts_a_run_on_any_port(pace: Pace) -> None:
+    assert start_of(load("live.yaml"), RunOptions(PTY, pace)) is StartEvent.ON_TRUTH
+
+
+@pytest.mark.parametrize("start", [StartEvent.NOW, StartEvent.ON_CONNECT, StartEvent.ON_COMMAND, AT_NOON])
+def test_the_user_may_state_another_start(start: StartEvent | datetime) -> None:
+    assert start_of(load("bench.yaml"), RunOptions(PTY, start=start)) == start
+
+
+@pytest.mark.parametrize(
+    ("scenario", "options", "allowed"),
+    [
+        ("bench.yaml", RunOptions(UDP, start=StartEvent.ON_CONNECT), "now, on-command or an instant"),
+        ("bench.yaml", RunOptions(LOOPBACK, start=StartEvent.ON_COMMAND), "now or an instant"),
+        ("bench.yaml", RunOptions(PTY, Pace.MAX, StartEvent.ON_COMMAND), "now, on-connect or an instant"),
+        (
+            "bench.yaml",
+            RunOptions(PTY, start=StartEvent.ON_TRUTH),
+            "now, on-command, on-connect or an instant",
+        ),
+        ("live.yaml", RunOptions(PTY, start=StartEvent.NOW), "on-truth (the default) or an instant"),
+        ("live.yaml", RunOptions(PTY, start=StartEvent.ON_CONNECT), "on-truth (the default) or an instant"),
+        ("live.yaml", RunOptions(PTY, Pace.LOCKSTEP, AT_NOON), "on-truth (the default)"),
+    ],
+)
+def test_a_start_that_cannot_happen_is_refused(scenario: str, options: RunOptions, allowed: str) -> None:
+    with pytest.raises(InputError, match=r"^--start: ") as refused:
+        start_of(load(scenario), options)
+    assert f"allowed: {allowed}" in str(refused.value)
+
+
+def test_only_the_wait_for_a_host_is_limited_unless_the_user_limits_another() -> None:
+    assert wait_limit_s(StartEvent.ON_CONNECT, None) == 60.0
+    assert [wait_limit_s(event, None) for event in (StartEvent.ON_COMMAND, StartEvent.ON_TRUTH)] == [None] * 2
+    assert {wait_limit_s(event, 7.0) for event in StartEvent} == {7.0}
+
+
+class Notes(Observer):
+    """Keeps what the run waits for."""
+
+    def __init__(self) -> None:
+        self.waits: list[tuple[str, str]] = []
+
+    def on_waiting(self, port: str, what: str) -> None:
+        self.waits.append((port, what))
+
+
+def test_the_limit_ends_the_wait_with_an_error_that_names_port_event_and_option() -> None:
+    notes = Notes()
+    status = RunStatus([notes])
+    status.wait_for("a host to open it", "/dev/pts/9", 5.0, now_ns=SECOND_NS)
+    assert notes.waits == [("/dev/pts/9", "a host to open it, at most 5 s")]
+    assert status.may_wait(6 * SECOND_NS - 1)
+    assert status.error is None
+    assert not status.may_wait(6 * SECOND_NS)
+    assert status.error == "/dev/pts/9: waited 5 s for a host to open it; --wait-limit S allows more"
+
+
+def test_without_a_limit_only_an_interruption_ends_the_wait() -> None:
+    status = RunStatus([])
+    status.wait_for("truth on unix:t", "pty", None, now_ns=0)
+    assert status.may_wait(10**6 * SECOND_NS)
+    status.interrupted = True
+    assert not status.may_wait(0)
+    assert status.error is None
+
+
+class Port:
+    """A port that its host opens and closes at chosen instants; it is also the clock, which only waiting moves."""
+
+    def __init__(self, *changes_ms: int) -> None:
+        self.now = 0
+        self._changes_ns = [change * MS for change in changes_ms]
+        self.status = PortStatus()
+
+    def now_ns(self) -> int:
+        return self.now
+
+    def wait(self, until_ns: int) -> None:
+        pending = [change for change in self._changes_ns if change > self.now]
+        self.now = min(until_ns, *pending[:1], until_ns)
+        self.status.connected = sum(change <= self.now for change in self._changes_ns) % 2 == 1
+
+
+def waited_ms(port: Any, may_wait: Callable[[], bool]) -> float | None:
+    """When the host was there; None: the wait was given up."""
+    return port.now / MS if wait_for_host(port, port, may_wait) else None
+
+
+@pytest.mark.parametrize(
+    ("changes_ms", "begins_ms"),
+    [
+        ((1000,), 1100),  # opened once and for good
+        ((1000, 1010, 3000), 3100),  # `stty` sets the terminal, `cat` opens it later
+        ((0, 50, 60, 130, 140), 240),  # opened and closed all the time: counted from the last opening
+        ((), None),
+        ((1000, 1050), None),
+    ],
+)
+def test_the_host_is_there_once_it_has_stayed(changes_ms: tuple[int, ...], begins_ms: int | None) -> None:
+    port = Port(*changes_ms)
+    began_ms = waited_ms(port, lambda: port.now < 60 * SECOND_NS)
+    assert began_ms == begins_ms if begins_ms is None else began_ms == pytest.approx(begins_ms, abs=20)
