@@ -136,16 +136,20 @@ def measure(scene: Scene, level: dict[str, str], shots: int, seed: int) -> tuple
     return error, run.range_valid & (np.abs(error[0]) < NEAR_M)
 
 
-def compare(scene: Scene, measurements: int, repeats: int = REPEATS) -> Difference | None:
-    """Compare the default with the reference; None where fewer than half of the measurements are right."""
+def compare(scene: Scene, seed: int, measurements: int, repeats: int = REPEATS) -> Difference | None:
+    """Compare the default with the reference; None where fewer than half of the measurements are right.
+
+    Each scene needs a seed of its own: with the same random numbers the errors of all scenes have the same sign.
+    """
+    first_seed = seed * (repeats + 1)
     shots = measurements // _BEAMS
-    error, right = measure(scene, REFERENCE, shots, 1)
+    error, right = measure(scene, REFERENCE, shots, first_seed + repeats)
     reference = _errors(error, right)
     at_once = min(repeats, int(_MOST_SHOTS_HZ * scene.flown_s / shots))
     defaults = []
-    for seed in range(repeats // at_once):
-        error, right = measure(scene, {}, shots * at_once, seed)
-        defaults += [_errors(error[:, k::at_once], right[k::at_once]) for k in range(at_once)]
+    for k in range(repeats // at_once):
+        error, right = measure(scene, {}, shots * at_once, first_seed + k)
+        defaults += [_errors(error[:, i::at_once], right[i::at_once]) for i in range(at_once)]
     if min(reference.right, np.mean([each.right for each in defaults])) < 0.5:
         return None
     scatter = [np.log(np.maximum(each.scatter(scene.quantised), 1e-9)) for each in (reference, *defaults)]
@@ -171,10 +175,10 @@ def differences(measurements: int) -> list[tuple[Scene, Difference]]:
     compared = []
     for seed in range(SCENES):
         scene = Scene.draw(seed)
-        found = compare(scene, measurements)
+        found = compare(scene, seed, measurements)
         if found and (np.abs(found.errors_apart) > _MOST_ERRORS).any():
             print(f"again: {seed} {scene} {np.round(found.errors_apart, 1)}", flush=True)
-            found = compare(scene, _AGAIN * measurements, REPEATS // _AGAIN)
+            found = compare(scene, seed, _AGAIN * measurements, REPEATS // _AGAIN)
             if found:
                 print(f"  now {np.round(found.errors_apart, 1)} {np.round(found.value, 3)}", flush=True)
         if found:

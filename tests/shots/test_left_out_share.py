@@ -90,7 +90,7 @@ def test_the_default_scatters_like_the_reference(quantised: bool, left_out_table
     """Eight scenes of `make left-out` pooled: what the default leaves out, and what all levels assume."""
     scenes = (left_out_table.Scene.draw(seed) for seed in range(40))
     chosen = [scene for scene in scenes if scene.quantised == quantised and scene.smooth][:8]
-    found = [left_out_table.compare(scene, 24) for scene in chosen]
+    found = [left_out_table.compare(scene, seed, 24) for seed, scene in enumerate(chosen)]
     value, error = (np.array([getattr(each, name) for each in found if each]) for name in ("value", "error"))
     assert len(value) >= 6
     pooled = np.sqrt((error**2).sum(axis=0)) / len(value)
