@@ -228,7 +228,10 @@ def test_a_closed_mesh_is_reported_and_turned_outward(tmp_path: Path, suffix: st
     assert file.is_closed
     assert file.turned
     assert enclosed_m3(file.corner_m) == pytest.approx(48.0)
-    assert file.description == f"mesh box.{suffix}, 12 triangles, 2 x 4 x 6 m, closed, faced inward: inverted"
+    assert file.description == (
+        f"mesh box.{suffix}, 12 triangles, 2 x 4 x 6 m, closed, volume 48 m³, radii 3.742 to 3.742 m, "
+        "faced inward: inverted"
+    )
 
 
 def test_an_open_mesh_and_one_at_odds_with_itself_are_reported(tmp_path: Path) -> None:
@@ -260,7 +263,7 @@ def test_triangles_without_area_are_left_out(tmp_path: Path) -> None:
         ("points.obj", "v 0 0 0\nv 1 0 0\n", "no triangles"),
         ("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not a number"),
         ("line.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no triangle has an area"),
-        ("index.obj", "v 0 0 0\nf 1 2 3\n", "allowed: an OBJ, PLY or STL"),
+        ("index.obj", "v 0 0 0\nf 1 2 3\n", "line 2: face 1 2 3; allowed: vertex numbers from 1 to 1"),
         ("mesh.gltf", "{}", "allowed: an OBJ, PLY or STL"),
         (
             "half.ply",
@@ -375,7 +378,7 @@ def test_an_open_mesh_that_faces_down_is_still_ground(tmp_path: Path) -> None:
     corner_m = hills(9)[:, ::-1]
     path = write(trimesh.Trimesh(**trimesh.triangles.to_kwargs(corner_m)), tmp_path / "patch.obj")
     file = read_mesh(str(path), "m")
-    scene = place_mesh(file, MeshOrigin(), Site(ground=Sphere(kind="sphere")))
+    scene = place_mesh(file, MeshPart(kind="mesh", file="", unit="m"), Site(ground=Sphere(kind="sphere")))
     found = scene.cast(np.array([[4.0, 4.0, 9.0], [4.0, 4.0, -9.0]]), np.array([[0, 0, -1.0], [0, 0, 1.0]]))
     assert found.range_m[0] < 9
     assert found.normal_site[0, 2] > 0
@@ -390,7 +393,8 @@ def test_a_small_body_is_as_it_is_known(public_data: Path) -> None:
     assert file.is_closed
     assert enclosed_m3(file.corner_m) == pytest.approx(0.017786e9, rel=1e-4)
     part = Site(ground=Sphere(kind="sphere"), body=Body(radius_m=162.0))
-    scene = place_mesh(file, MeshOrigin(latitude_deg=20.0, longitude_deg=30.0), part)
+    origin = MeshOrigin(latitude_deg=20.0, longitude_deg=30.0)
+    scene = place_mesh(file, MeshPart(kind="mesh", file="", unit="km", origin=origin), part)
     target = file.corner_m.mean(axis=(0, 1))
     origin = 500 * units(RNG(1).normal(size=(40, 3))) + target
     direction = units(target - origin + 50 * RNG(2).normal(size=(40, 3)))

@@ -7,7 +7,7 @@ from typing import Literal, Self
 from pydantic import model_validator
 
 from lidar_emu.errors import Finding
-from lidar_emu.scenario.section import Latitude, Longitude, Part, Vector3, unusable
+from lidar_emu.scenario.section import Albedo, Latitude, Longitude, Part, Vector3, unusable
 
 MeshUnit = Literal["m", "km"]
 
@@ -48,8 +48,14 @@ class Mesh(Part):
     kind: Literal["mesh"]
     """Chooses this kind of ground."""
     file: str
-    """OBJ, PLY or STL (extra `mesh`). Relative to the file that names it."""
+    """OBJ, PLY or STL (the latter two with extra `mesh`), a shape table (`.tab`), or a SPICE DSK (`.bds`, extra
+    `spice`). Relative to the file that names it."""
     unit: MeshUnit
-    """Unit of the file's coordinates."""
+    """Unit of the file's coordinates; `km` for a DSK."""
+    first_index: Literal[0, 1] | None = None
+    """Number of a shape table's first vertex. Left out: as its plates show."""
+    material_reflectance: dict[str, Albedo] = {}
+    """Albedo by the names of an OBJ's materials (`usemtl`), at the laser's wavelength. Others have that of
+    `surface.reflectance`."""
     origin: MeshOrigin = MeshOrigin()
     """The point of the mesh that becomes the origin of the site frame."""

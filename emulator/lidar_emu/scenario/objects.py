@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.mesh_ground import MeshUnit
-from lidar_emu.scenario.section import NonNegative, Part, Positive, Vector3, unusable
+from lidar_emu.scenario.section import Albedo, NonNegative, Part, Positive, Vector3, unusable
 
 MOST_COPIES = 100_000
 
@@ -87,7 +87,7 @@ class Placed(Part):
     """Angle of the forward axis above the horizontal."""
     roll_deg: Angle = 0.0
     """Angle by which the right axis is turned down."""
-    reflectance: Annotated[float, Field(ge=0, le=1)] | None = None
+    reflectance: Albedo | None = None
     """Albedo. Left out: the site's."""
     scatter: Scatter | None = None
     """Left out: a single object."""
@@ -194,9 +194,11 @@ class MeshObject(Placed):
     kind: Literal["mesh"]
     """Chooses this object."""
     file: str
-    """OBJ, PLY or STL (extra `mesh`). Relative to the file that names it."""
+    """OBJ, PLY or STL (the latter two with extra `mesh`). Relative to the file that names it."""
     unit: MeshUnit
     """Unit of the file's coordinates."""
+    material_reflectance: dict[str, Albedo] = {}
+    """Albedo by the names of an OBJ's materials (`usemtl`). Others have `reflectance`."""
     scale: Positive = 1.0
     """Scale factor on the file's coordinates."""
 

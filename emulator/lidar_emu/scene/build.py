@@ -60,7 +60,8 @@ def build_ground(part: site.Site, reach: Reach | None = None) -> Scene:
         from lidar_emu.scene.mesh.file import read_mesh
         from lidar_emu.scene.mesh.ground import place_mesh
 
-        return place_mesh(read_mesh(part.ground.file, part.ground.unit), part.ground.origin, part)
+        file = read_mesh(part.ground.file, part.ground.unit, part.ground.first_index)
+        return place_mesh(file, part.ground, part)
     return _sphere(part, part.body.radius_m, part.origin_altitude_m or 0.0)
 
 

@@ -1,7 +1,8 @@
-"""Reading of triangle meshes, with their topology."""
+"""Reading of triangle meshes of any format, with their topology."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,18 @@ import numpy as np
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.scene.mesh.dsk import read_dsk
+from lidar_emu.scene.mesh.indexed import IndexedMesh
+from lidar_emu.scene.mesh.obj import read_obj
+from lidar_emu.scene.mesh.shape_table import read_shape_table
+from lidar_emu.scene.mesh.topology import equal_places, topology, weld, without_edges
 
 MAXIMUM_TRIANGLES = 20_000_000
+LARGEST_M = 1e8
+"""Larger than any planet."""
 _METRES = {"m": 1.0, "km": 1000.0}
-_SUFFIXES = (".obj", ".ply", ".stl")
-_KINDS = "allowed: an OBJ, PLY or STL file with triangles"
+_SUFFIXES = (".obj", ".ply", ".stl", ".tab", ".bds", ".dsk")
+_KINDS = "allowed: an OBJ, PLY or STL file, a shape table (.tab) or a DSK (.bds), with triangles"
 
 
 @dataclass(frozen=True)
@@ -32,6 +40,12 @@ class MeshFile:
     """Whether the triangles of a closed mesh faced inward in the file."""
     flat: int = 0
     """Number of triangles without area, which are left out."""
+    welded: int = 0
+    """Number of vertices that were moved to nearly equal ones, which closed the mesh."""
+    material: IntArray | None = None
+    """(triangles,) Material of each, as an index into `materials`; None: the format has none."""
+    materials: tuple[str, ...] = ()
+    """Names of the materials; empty for triangles without one."""
 
     @property
     def size_m(self) -> FloatArray:
@@ -46,42 +60,113 @@ class MeshFile:
         words = [
             f"mesh {Path(self.source).name}, {len(self.corner_m)} triangles, {x_m:.4g} x {y_m:.4g} x {z_m:.4g} m"
         ]
-        words.append("closed" if self.is_closed else "open")
+        words.append(self._enclosed if self.is_closed else "open")
         if not self.faces_one_way:
             words.append("inconsistent face orientation: treated as a sheet")
         if self.turned:
             words.append("faced inward: inverted")
         if self.flat:
             words.append(f"{self.flat} triangles without area left out")
+        if self.welded:
+            words.append(f"{self.welded} vertices welded to nearly equal ones")
         return ", ".join(words)
 
+    @property
+    def _enclosed(self) -> str:
+        """Volume of a closed mesh, and distances of its vertices from the origin of the file."""
+        if not self.faces_one_way:
+            return "closed"
+        from_zero_m = np.sqrt((self.corner_m.reshape(-1, 3) ** 2).sum(axis=1))
+        unit, length_m = ("km", 1000.0) if from_zero_m.max() >= 1000.0 else ("m", 1.0)
+        volume = abs(enclosed_m3(self.corner_m)) / length_m**3
+        low, high = from_zero_m.min() / length_m, from_zero_m.max() / length_m
+        return f"closed, volume {volume:.5g} {unit}³, radii {low:.4g} to {high:.4g} {unit}"
 
-def read_mesh(file: str, unit: str) -> MeshFile:
+    def albedo(self, key: str, by_material: Mapping[str, float], other: float) -> FloatArray:
+        """Albedo (triangles,) by the names of materials; `other` for those that are not named.
+
+        Raises:
+            InputError: a name that the file does not have; names `key`.
+        """
+        names = [name for name in self.materials if name]
+        for name in by_material:
+            if name not in names:
+                allowed = f"allowed: {', '.join(names) or 'none, the file names no materials'}"
+                raise InputError(self.source, key, name, allowed)
+        if self.material is None:
+            return np.full(len(self.corner_m), other)
+        return np.array([by_material.get(name, other) for name in self.materials])[self.material]
+
+
+def read_mesh(file: str, unit: str, first_index: int | None = None) -> MeshFile:
     """Read a mesh in metres; a closed mesh is made to face outward.
 
+    Args:
+        file: path of the file.
+        unit: unit of its coordinates, `m` or `km`.
+        first_index: number of the first vertex of a shape table, 0 or 1; None: as its plates show.
+
     Raises:
-        InputError: the file is missing, damaged, of another format, without triangles or too large, or trimesh is not
-            installed.
+        InputError: the file is missing, damaged, of another format, without triangles or too large, or the package
+            that reads its format is not installed.
     """
     path = Path(file)
     if not path.is_file():
         raise InputError(file, None, Finding("no such file"), _KINDS)
-    if path.suffix.lower() not in _SUFFIXES:
-        raise InputError(file, None, path.suffix or path.name, _KINDS)
-    mesh = _load(path)
-    vertex_m = np.asarray(mesh.vertices, dtype=np.float64) * _METRES[unit]
-    if not np.isfinite(vertex_m).all():
-        raise InputError(file, None, Finding("vertices that are infinite or not a number"), _KINDS)
-    corner_m = vertex_m[np.asarray(mesh.faces)]
-    is_closed, faces_one_way = _topology(vertex_m, np.asarray(mesh.faces))
-    turned = is_closed and faces_one_way and enclosed_m3(corner_m) < 0
+    mesh = _read(path, unit, first_index)
+    if len(mesh.face) == 0:
+        raise InputError(file, None, Finding("no triangles"), _KINDS)
+    if len(mesh.face) > MAXIMUM_TRIANGLES:
+        allowed = f"allowed: at most {MAXIMUM_TRIANGLES} triangles; cut out the site's area"
+        raise InputError(file, None, f"{len(mesh.face)} triangles", allowed)
+    vertex_m = mesh.vertex * _METRES[unit]
+    if not (np.abs(vertex_m) <= LARGEST_M).all():
+        found = f"vertices that are infinite, not a number, or beyond {LARGEST_M:g} m"
+        raise InputError(file, None, Finding(found), _KINDS)
+    return _examined(file, mesh, vertex_m)
+
+
+def _examined(file: str, mesh: IndexedMesh, vertex_m: FloatArray) -> MeshFile:
+    place, welded = equal_places(vertex_m), 0
+    joined = topology(place, mesh.face)
+    if not joined.is_closed and (closing := weld(vertex_m, mesh.face, place)) is not None:
+        vertex_m, welded = closing
+        joined = topology(*without_edges(equal_places(vertex_m), mesh.face))
+    corner_m = vertex_m[mesh.face]
+    turned = joined.is_closed and joined.faces_one_way and enclosed_m3(corner_m) < 0
     if turned:
         corner_m = turned_over(corner_m)
     edges = corner_m[:, 1:] - corner_m[:, :1]
     has_area = np.cross(edges[:, 0], edges[:, 1]).any(axis=1)
     if not has_area.any():
         raise InputError(file, None, Finding("no triangle has an area"), _KINDS)
-    return MeshFile(file, corner_m[has_area], is_closed, faces_one_way, turned, int((~has_area).sum()))
+    return MeshFile(
+        source=file,
+        corner_m=corner_m[has_area],
+        is_closed=joined.is_closed,
+        faces_one_way=joined.faces_one_way,
+        turned=turned,
+        flat=int((~has_area).sum()),
+        welded=welded,
+        material=None if mesh.material is None else mesh.material[has_area],
+        materials=mesh.materials,
+    )
+
+
+def _read(path: Path, unit: str, first_index: int | None) -> IndexedMesh:
+    suffix = path.suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise InputError(str(path), None, path.suffix or path.name, _KINDS)
+    if suffix == ".obj":
+        return read_obj(path)
+    if suffix == ".tab":
+        return read_shape_table(path, first_index)
+    if suffix in (".bds", ".dsk"):
+        if unit != "km":
+            raise InputError(str(path), "unit", unit, "allowed: km, the unit of every DSK")
+        return read_dsk(path)
+    mesh = _load(path)
+    return IndexedMesh(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces))
 
 
 def enclosed_m3(corner_m: FloatArray) -> float:
@@ -93,22 +178,6 @@ def enclosed_m3(corner_m: FloatArray) -> float:
 def turned_over(corner_m: FloatArray) -> FloatArray:
     """The same triangles with opposite orientation."""
     return np.ascontiguousarray(corner_m[:, ::-1])
-
-
-def _topology(vertex_m: FloatArray, faces: IntArray) -> tuple[bool, bool]:
-    """Whether every edge joins two triangles, and whether neighbours have consistent orientation.
-
-    Vertices at the same position are merged: an STL file repeats the corners for each triangle.
-    """
-    _, place = np.unique(vertex_m + 0.0, axis=0, return_inverse=True)
-    corners = place.reshape(-1)[faces]
-    start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
-    # Sorted rather than by np.unique, which takes ten times as long for a million triangles.
-    ways = np.sort(np.minimum(start, end) * len(place) + np.maximum(start, end))
-    by_twos = len(ways) % 2 == 0 and bool((ways[::2] == ways[1::2]).all())
-    is_closed = by_twos and bool((ways[1:-1:2] != ways[2::2]).all())
-    runs = np.sort(start * len(place) + end)
-    return is_closed, bool((runs[1:] != runs[:-1]).all())
 
 
 def _load(path: Path) -> Any:
@@ -125,11 +194,8 @@ def _load(path: Path) -> Any:
         raise InputError(str(path), None, Finding("unreadable"), f"{_reason(error)}; {_KINDS}") from None
     if isinstance(mesh, trimesh.Scene):
         mesh = mesh.to_mesh() if mesh.geometry else None
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+    if not isinstance(mesh, trimesh.Trimesh):
         raise InputError(str(path), None, Finding("no triangles"), _KINDS)
-    if len(mesh.faces) > MAXIMUM_TRIANGLES:
-        allowed = f"allowed: at most {MAXIMUM_TRIANGLES} triangles; cut out the site's area"
-        raise InputError(str(path), None, f"{len(mesh.faces)} triangles", allowed)
     return mesh
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from lidar_emu.errors import InputError
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.vector_arrays import rotate
-from lidar_emu.scenario.mesh_ground import MeshOrigin
+from lidar_emu.scenario.mesh_ground import Mesh, MeshOrigin
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene.mesh.file import MeshFile, enclosed_m3, turned_over
 from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
@@ -61,19 +61,21 @@ class MeshGround:
         return np.asarray(within | self._closed)
 
 
-def place_mesh(file: MeshFile, origin: MeshOrigin, part: Site) -> MeshGround:
+def place_mesh(file: MeshFile, ground: Mesh, part: Site) -> MeshGround:
     """Place a mesh in the site frame.
 
     Raises:
-        InputError: the mesh has no surface at the origin, or its size contradicts the body's radius.
+        InputError: the mesh lacks a material, has no surface at the origin, or a size that contradicts the body's
+            radius.
     """
-    corner_m, altitude_m = file.corner_m, 0.0
+    corner_m, altitude_m, origin = file.corner_m, 0.0, ground.origin
     if origin.is_body_fixed:
         corner_m, radius_m = _at_place(file, origin, part)
         altitude_m = radius_m - part.body.radius_m
     if not file.is_closed and file.faces_one_way:
         corner_m = _facing_up(corner_m, altitude_m + part.body.radius_m if origin.is_body_fixed else None)
-    triangles = Triangles.alike(corner_m, part.surface.reflectance, sheet=not file.faces_one_way)
+    albedo = file.albedo("ground.material_reflectance", ground.material_reflectance, part.surface.reflectance)
+    triangles = Triangles.alike(corner_m, albedo, sheet=not file.faces_one_way)
     if part.origin_altitude_m is not None:
         altitude_m = part.origin_altitude_m
     return MeshGround(TriangleMesh(triangles), file.is_closed, file.description, altitude_m)

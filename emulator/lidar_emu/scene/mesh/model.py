@@ -29,9 +29,13 @@ class Triangles(NamedTuple):
 
     @classmethod
     def alike(
-        cls, corner_m: FloatArray, reflectance: float, sheet: bool = False, object_id: int = GROUND
+        cls,
+        corner_m: FloatArray,
+        reflectance: float | FloatArray,
+        sheet: bool = False,
+        object_id: int = GROUND,
     ) -> Self:
-        """Triangles that share all attributes but the corners."""
+        """Triangles that share all attributes but the corners, and the albedo if it is a single one."""
         count = len(corner_m)
         return cls(
             corner_m,

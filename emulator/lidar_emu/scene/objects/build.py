@@ -117,15 +117,17 @@ def _counted(parts: list[PlacedObject], triangles: int) -> str:
 def _triangles(part: PlacedObject, object_id: int, reflectance: float) -> Triangles:
     """Triangles of an object about its position, in the site's axes."""
     sheet = False
+    own = reflectance if part.reflectance is None else part.reflectance
+    albedo: float | FloatArray = own
     if isinstance(part, MeshObject):
         file = read_mesh(part.file, part.unit)
         corner_m, sheet = part.scale * file.corner_m, not (file.is_closed and file.faces_one_way)
+        albedo = file.albedo(f"objects.{part.name}.material_reflectance", part.material_reflectance, own)
     else:
         corner_m = corners_m(part)
     yaw, pitch, roll = (np.radians(angle) for angle in (part.yaw_deg, part.pitch_deg, part.roll_deg))
     ned_from_object = compose(from_yaw_pitch_roll(yaw, pitch, roll), _NED_FROM_OBJECT)
     turned_m = rotate(compose(SITE_FROM_NED, ned_from_object), corner_m)
-    albedo = reflectance if part.reflectance is None else part.reflectance
     return Triangles.alike(turned_m, albedo, sheet, object_id)
 
 

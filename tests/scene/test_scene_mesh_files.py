@@ -1,0 +1,239 @@
+"""Files of meshes: counted right, closed where they should be, and never silently wrong."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from twins import ITOKAWA
+
+from lidar_emu.errors import InputError
+from lidar_emu.scenario.site import Site
+from lidar_emu.scene.build import build_scene
+from lidar_emu.scene.mesh.file import MeshFile, enclosed_m3, read_mesh
+
+CUBE = np.array([[x, y, z] for x in (0.0, 2.0) for y in (0.0, 2.0) for z in (0.0, 2.0)])
+QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+"""Faces of the cube, outward, counted from 0."""
+TRIANGLES = np.concatenate([QUADS[:, [0, 1, 2]], QUADS[:, [0, 2, 3]]])
+
+
+def rows(key: str, table: np.ndarray) -> str:
+    return "".join(f"{key}{' '.join(map(str, row))}\n" for row in table.tolist())
+
+
+def written(folder: Path, name: str, text: str) -> str:
+    (folder / name).write_text(text)
+    return str(folder / name)
+
+
+def assert_cube(file: MeshFile, side_m: float = 2.0) -> None:
+    assert (file.is_closed, file.faces_one_way, file.turned) == (True, True, False)
+    assert enclosed_m3(file.corner_m) == pytest.approx(side_m**3, rel=1e-12)
+    np.testing.assert_allclose(file.corner_m.max(axis=(0, 1)), side_m)
+
+
+def refusal(path: str, first_index: int | None = None) -> str:
+    with pytest.raises(InputError) as refused:
+        read_mesh(path, "m", first_index)
+    assert "\n" not in str(refused.value)
+    return str(refused.value)
+
+
+# OBJ
+
+
+@pytest.mark.parametrize("faces", [QUADS, TRIANGLES], ids=["quads", "triangles"])
+@pytest.mark.parametrize("style", ["{}", "{}/7", "{}//3", "{}/1/2"])
+def test_faces_of_any_style_make_the_cube(tmp_path: Path, faces: np.ndarray, style: str) -> None:
+    text = rows("v ", CUBE) + "vn 0 0 1\n" * 3
+    text += "".join(f"f {' '.join(style.format(k + 1) for k in face)} # a face\n" for face in faces)
+    assert_cube(read_mesh(written(tmp_path, "cube.obj", text), "m"))
+    crlf = text.replace("\n", "\r\n").replace(" # a face", "").replace("f ", "f \\\r\n ")
+    assert_cube(read_mesh(written(tmp_path, "again.obj", crlf), "m"))
+
+
+def test_negative_indices_count_back_from_the_face(tmp_path: Path) -> None:
+    # Every face repeats its own corners, and states them by their distance to the end so far.
+    text = "".join(rows("v ", CUBE[face]) + "f -4 -3 -2 -1\n" for face in QUADS)
+    assert_cube(read_mesh(written(tmp_path, "cube.obj", text), "m"))
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("f 0 1 2", ("line 9: face 0 1 2", "from 1 to 8", "add 1 to all indices")),
+        ("f 1 2 9", ("line 9: face 1 2 9", "from 1 to 8")),
+        ("f 1/1 2/1 0/1", ("line 9: face 1/1 2/1 0/1", "add 1")),
+        ("f -9 1 2", ("line 9: face -9 1 2", "from 1 to 8")),
+        ("f 1 2", ("line 9: face 1 2;", "three or more")),
+        ("f 1 2 x", ("line 9: face 1 2 x;", "whole vertex numbers")),
+        ("f 1 2 3.5", ("line 9: face 1 2 3.5", "whole vertex numbers")),
+        ("v 1 2", ("line 9: 'v 1 2'", "three numbers")),
+        ("v 1 2 x", ("line 9: 'v 1 2 x'", "three numbers")),
+        ("v 1 2 1e300", ("beyond 1e+08 m",)),
+        ("v 1 2 nan", ("not a number",)),
+    ],
+)
+def test_what_is_no_obj_is_refused_by_its_line(tmp_path: Path, line: str, words: tuple[str, ...]) -> None:
+    path = written(tmp_path, "cube.obj", rows("v ", CUBE) + f"{line}\n" + rows("f ", TRIANGLES + 1))
+    message = refusal(path)
+    assert all(word in message for word in words), message
+
+
+def test_an_obj_that_counts_from_0_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, "cube.obj", rows("v ", CUBE) + rows("f ", TRIANGLES))
+    assert "add 1 to all indices of a file that counts from 0" in refusal(path)
+
+
+def test_materials_have_their_own_albedo(tmp_path: Path) -> None:
+    text = "mtllib cube.mtl\n" + rows("v ", CUBE)
+    text += rows("f ", QUADS[:4] + 1) + "usemtl dark rock\n" + rows("f ", QUADS[4:5] + 1)
+    text += "usemtl dust\n" + rows("f ", QUADS[5:] + 1)
+    path = written(tmp_path, "cube.obj", text)
+
+    def albedo(**stated: float) -> list[float]:
+        ground = {"kind": "mesh", "file": path, "unit": "m", "material_reflectance": stated}
+        scene = build_scene(Site.model_validate({"ground": ground, "surface": {"reflectance": 0.2}}))
+        # From the west, from below and from above: no material, dark rock, dust.
+        origin = np.array([[-5.0, 1.0, 1.0], [1.0, 1.0, -5.0], [1.0, 1.0, 5.0]])
+        return scene.cast(origin, np.array([[1.0, 0, 0], [0, 0, 1.0], [0, 0, -1.0]])).reflectance.tolist()
+
+    assert albedo() == [0.2, 0.2, 0.2]
+    assert albedo(**{"dark rock": 0.05, "dust": 0.4}) == [0.2, 0.05, 0.4]
+    with pytest.raises(
+        InputError, match=r"material_reflectance: 'rock' is not usable; allowed: dark rock, dust"
+    ):
+        albedo(rock=0.1)
+
+
+# Shape tables
+
+
+def numbered(table: np.ndarray, first: int) -> np.ndarray:
+    return np.column_stack([np.arange(first, first + len(table)), table])
+
+
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("style", ["lettered", "counted", "numbered", "head"])
+def test_shape_tables_count_from_0_or_1(tmp_path: Path, first: int, style: str) -> None:
+    plates = TRIANGLES + first
+    text = {
+        "lettered": rows("v ", CUBE) + rows("f ", plates),
+        "counted": f"8\n{rows('', CUBE)}12\n{rows('', plates)}",
+        "numbered": f" 8\n{rows(' ', numbered(CUBE, first).astype(object))} 12\n{rows(' ', numbered(plates, first))}",
+        "head": f"8 12\n{rows('', CUBE)}{rows('', plates)}",
+    }[style]
+    path = written(tmp_path, "cube.tab", text)
+    assert_cube(read_mesh(path, "km"), 2000.0)
+    assert_cube(read_mesh(path, "m", first))
+    assert f"allowed: from {1 - first}, as ground.first_index states" in refusal(path, 1 - first)
+
+
+def test_a_table_that_does_not_show_what_it_counts_from_is_asked_about(tmp_path: Path) -> None:
+    # Neither the first nor the last vertex has a plate.
+    text = rows("v ", np.vstack([[9, 9, 9], CUBE, [9, 9, 9]])) + rows("f ", TRIANGLES + 1)
+    path = written(tmp_path, "cube.tab", text)
+    assert "from 1 to 8; allowed: from 0 or from 1; state ground.first_index: 0 or 1" in refusal(path)
+    assert_cube(read_mesh(path, "m", 0))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (rows("v ", CUBE) + rows("f ", TRIANGLES + 2), "from 2 to 9; allowed: from 0 or from 1"),
+        (rows("v ", CUBE) + rows("f ", TRIANGLES + 0.5), "fractions"),
+        (f"8\n{rows('', CUBE)}13\n{rows('', TRIANGLES)}", "8 rows of vertices and 12 of plates"),
+        (f"9\n{rows('', CUBE)}", "no shape table"),
+        ("0 0 1.5\n0 5 1.4\n", "no shape table"),
+        ("8\n" + "a b c\n" * 8 + "1\n1 2 3\n", "vertices that are not three numbers"),
+        ("", "no shape table"),
+    ],
+)
+def test_tables_that_are_no_shapes_are_refused(tmp_path: Path, text: str, words: str) -> None:
+    assert words in refusal(written(tmp_path, "cube.tab", text))
+
+
+# Welding
+
+
+def globe(noise_m: float, radius_m: float = 1000.0) -> str:
+    """A sphere by latitude and longitude, with 72 vertices at each pole, and its seam twice; quads, outward."""
+    latitude, longitude = np.radians(np.linspace(-90, 90, 37)), np.radians(np.linspace(0, 360, 73))
+    north, east = np.meshgrid(latitude, longitude, indexing="ij")
+    vertex = radius_m * np.stack(
+        [np.cos(north) * np.cos(east), np.cos(north) * np.sin(east), np.sin(north)], axis=-1
+    )
+    vertex += noise_m * np.random.default_rng(3).uniform(-0.5, 0.5, vertex.shape)
+    number = np.arange(north.size).reshape(north.shape) + 1
+    quads = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=-1)
+    return rows("v ", vertex.reshape(-1, 3)) + rows("f ", quads.reshape(-1, 4))
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 1e-9, 1e-3])
+def test_a_globe_with_a_vertex_per_longitude_at_its_poles_is_closed(tmp_path: Path, noise_m: float) -> None:
+    file = read_mesh(written(tmp_path, "globe.obj", globe(noise_m)), "m")
+    assert (file.is_closed, file.faces_one_way) == (True, True)
+    assert "welded to nearly equal ones" in file.description
+    # A polyhedron within the sphere, a thousandth smaller for each 5 degrees.
+    assert enclosed_m3(file.corner_m) == pytest.approx(4 / 3 * math.pi * 1e9, rel=5e-3)
+    assert f"volume {enclosed_m3(file.corner_m) / 1e9:.5g} km³" in file.description
+
+
+def test_a_real_gap_is_not_welded(tmp_path: Path) -> None:
+    file = read_mesh(written(tmp_path, "globe.obj", globe(1.0)), "m")
+    assert not file.is_closed
+    assert file.welded == 0
+    assert ", open" in file.description
+
+
+def test_what_is_welded_leaks_no_ray(tmp_path: Path) -> None:
+    ground = {"kind": "mesh", "file": written(tmp_path, "globe.obj", globe(1e-3)), "unit": "m"}
+    scene = build_scene(Site.model_validate({"ground": ground}))
+    rng = np.random.default_rng(5)
+    target = np.column_stack([rng.uniform(-1e-3, 1e-3, (5000, 2)), np.full(5000, 1000.0)])
+    way = target - [0.0, 0.0, 5000.0]
+    found = scene.cast(np.tile([0.0, 0.0, 5000.0], (5000, 1)), way / np.linalg.norm(way, axis=1)[:, None])
+    np.testing.assert_allclose(found.range_m, 4000.0, atol=2e-3)
+
+
+# SPICE
+
+
+def test_a_dsk_is_read(tmp_path: Path) -> None:
+    spiceypy = pytest.importorskip("spiceypy", reason="the extra spice is not installed")
+    path = tmp_path / "cube.bds"
+    handle = spiceypy.dskopn(str(path), "cube", 0)
+    vertex, plate = CUBE - 1.0, np.ascontiguousarray(TRIANGLES + 1)
+    spaixd, spaixi = spiceypy.dskmi2(vertex, plate, 1.0, 4, 10_000, 10_000, 10_000, True, 200_000)
+    spiceypy.dskw02(
+        handle, 2000433, 1, 2, "IAU_EROS", 1, np.zeros(10),
+        -math.pi, math.pi, -math.pi / 2, math.pi / 2, 1.0, 2.0, -1e9, 1e9, vertex, plate, spaixd, spaixi,
+    )  # fmt: skip
+    spiceypy.dskcls(handle, True)
+    file = read_mesh(str(path), "km")
+    assert (file.is_closed, len(file.corner_m)) == (True, 12)
+    assert enclosed_m3(file.corner_m) == pytest.approx(8e9, rel=1e-12)
+    assert "allowed: km, the unit of every DSK" in refusal(str(path))
+
+
+def test_a_file_that_is_no_dsk_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("spiceypy", reason="the extra spice is not installed")
+    path = written(tmp_path, "cube.bds", "no kernel" * 300)
+    with pytest.raises(InputError, match="allowed: a DSK with segments of type 2"):
+        read_mesh(path, "km")
+
+
+# Real ones
+
+
+def test_itokawa_in_a_table_is_itokawa(public_data: Path, tmp_path: Path) -> None:
+    lines = (public_data / ITOKAWA).read_text().splitlines()
+    vertices = [line[2:] for line in lines if line.startswith("v ")]
+    plates = [line[2:] for line in lines if line.startswith("f ")]
+    text = "\n".join([str(len(vertices)), *vertices, str(len(plates)), *plates])
+    file = read_mesh(written(tmp_path, "itokawa.tab", text), "km")
+    assert enclosed_m3(file.corner_m) == pytest.approx(0.017786e9, rel=1e-4)
+    assert "closed, volume 1.7786e+07 m³, radii" in file.description
