@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock, Timeout
 
 from lidar_emu import __version__
 from lidar_emu.campaign.batch import part_path
@@ -32,17 +33,15 @@ def campaign_folder(folder: Path, prepared: PreparedCampaign, batch_runs: int) -
         folder.mkdir(parents=True, exist_ok=True)
         if not (folder / _STATED).exists() and any(entry.name != ".lock" for entry in folder.iterdir()):
             raise InputError("--out", None, Finding(f"{folder} holds other files"), _ALLOWED)
-        lock = (folder / ".lock").open("w")
+        lock = FileLock(folder / ".lock").acquire(blocking=False)
+    except Timeout:
+        raise InputError(
+            "--out", None, Finding(f"{folder} is in use"), "allowed: one campaign command at a time"
+        ) from None
     except (OSError, ValueError) as error:
         reason = Finding(f"{folder}: {reason_of(error)}")
         raise InputError("--out", None, reason, "allowed: a writable folder") from None
     with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise InputError(
-                "--out", None, Finding(f"{folder} is in use"), "allowed: one campaign command at a time"
-            ) from None
         _claim(folder, stated)
         _sweep(folder)
         try:

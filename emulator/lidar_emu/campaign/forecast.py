@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
@@ -29,8 +28,8 @@ class Forecast(NamedTuple):
     """Median time of one core per run, including storing it."""
     flight_s: float
     """Median duration of the flights."""
-    process_bytes: int
-    """Memory of a worker: the peak of this process after the same runs."""
+    process_bytes: int | None
+    """Memory of a worker: the peak of this process after the same runs; None where the system does not state it."""
     run_bytes: int
     """Mean disk space per run."""
 
@@ -74,9 +73,17 @@ def forecast(prepared: PreparedCampaign) -> Forecast:
         flown=len(times_s),
         run_s=float(np.median(times_s)),
         flight_s=float(np.median(flights_s)),
-        process_bytes=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _BYTES_PER_KIB,
+        process_bytes=_peak_bytes(),
         run_bytes=round(float(np.mean(sizes))),
     )
+
+
+def _peak_bytes() -> int | None:
+    try:
+        import resource
+    except ModuleNotFoundError:
+        return None
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _BYTES_PER_KIB
 
 
 def _kept_bytes(prepared: PreparedCampaign, flown: RunResult) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import sys
 
 import click
@@ -26,6 +27,8 @@ from lidar_emu.cli.simulate import simulate
 from lidar_emu.errors import InputError, RunError, one_line
 
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+_OF_LINUX = ("fcntl", "resource", "termios", "tty")
+"""Modules that Python has on Linux alone, or not on Windows: ports and the real-time clock need them."""
 
 
 @click.group(
@@ -95,6 +98,14 @@ def main() -> None:
         if isinstance(end.__cause__, EOFError):  # click takes it for Ctrl-D at a prompt; no command prompts
             raise end.__cause__ from None
         sys.exit(EXIT_INTERRUPTED)
+    except ModuleNotFoundError as error:
+        if error.name not in _OF_LINUX:
+            raise
+        _fail(
+            f"this command needs Linux: no {error.name} on {platform.system()}; "
+            "allowed here: simulate, campaign, plan, detection, hazards, ground, report",
+            EXIT_USAGE,
+        )
     except MemoryError:
         _fail("not enough memory; a shorter --duration or a lower timing.rate_hz needs less", EXIT_FAILED)
     except OSError as error:

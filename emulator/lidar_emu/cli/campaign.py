@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -65,7 +64,9 @@ def campaign(
         raise InputError("campaign", None, found, "allowed: --out DIR, or --plan")
     if workers is not None and scheduler is not None:
         raise InputError("--workers", None, Finding("with --scheduler"), "allowed: one of them")
-    slots = as_whole("--workers", workers) if workers is not None else _cores()
+    from lidar_emu.campaign.pools import usable_cores
+
+    slots = as_whole("--workers", workers) if workers is not None else usable_cores()
     count = None if runs is None else as_whole("--runs", runs)
     _check_extras(plot)
     from lidar_emu.campaign.read import prepare
@@ -76,10 +77,6 @@ def campaign(
         return
     progress = _fly(prepared, Path(out), _pool_maker(slots, scheduler))
     _conclude(prepared, Path(out), plot, progress, as_json)
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0))
 
 
 def _check_extras(plot: str | None) -> None:
@@ -228,7 +225,7 @@ def _print_plan(prepared: PreparedCampaign, workers: int, as_json: bool) -> None
         f"{_duration(estimate.hours(1))} of one core"
     )
     click.echo(
-        f"memory {_size(estimate.process_bytes)} per worker; "
+        f"memory {'unknown' if estimate.process_bytes is None else _size(estimate.process_bytes)} per worker; "
         f"disk {_size(estimate.disk_bytes)}, {_size(estimate.run_bytes)} a run"
     )
     click.echo(f"(measured: {estimate.flown} runs flown one after another in one process of this machine)")

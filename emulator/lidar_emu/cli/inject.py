@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from lidar_emu.cli.output import print_line
-from lidar_emu.errors import InputError, RunError
+from lidar_emu.errors import Finding, InputError, RunError
 
 _TIMEOUT_S = 5.0
 _LONGEST_BYTES = 65536
@@ -48,6 +48,8 @@ def _mapping(words: tuple[str, ...]) -> str:
 
 
 def _request(path: str, fault: str) -> dict[str, Any]:
+    if not hasattr(socket, "AF_UNIX"):
+        raise InputError("inject", None, Finding("no Unix sockets on this system"), "allowed: on Linux")
     with (
         tempfile.TemporaryDirectory(prefix="lidar-emu-") as folder,
         socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as requester,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict
 
 import click
@@ -23,9 +22,11 @@ def campaign(workers: str | None, runs: str, as_json: bool) -> None:
     lidar-emu bench campaign
     lidar-emu bench campaign --runs 2000 --json
     """
-    count = len(os.sched_getaffinity(0)) if workers is None else as_whole("--workers", workers)
-    run_count = as_whole("--runs", runs)
     from lidar_emu.bench.campaign import measure_cores, measure_scaling
+    from lidar_emu.campaign.pools import usable_cores
+
+    count = usable_cores() if workers is None else as_whole("--workers", workers)
+    run_count = as_whole("--runs", runs)
 
     cores = measure_cores(show_step)
     scaling = measure_scaling(count, run_count, show_step)
