@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import sys
+import warnings
+
+# NumPy's warnings of overflow and of empty slices are for those who write the code. Here, so that spawned processes,
+# which import the main module, are silent too; at the end of the list, so that `python -W error` still sees them.
+warnings.filterwarnings("ignore", category=RuntimeWarning, append=True)
 
 
 def main() -> None:

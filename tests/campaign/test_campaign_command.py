@@ -64,6 +64,10 @@ def test_the_plan_is_reported_and_nothing_kept(campaign_file, tmp_path, monkeypa
     assert list(tmp_path.iterdir()) == [path]
 
 
+TIMING = "  timing: {kind: choice, of: [{rate_hz: 20}]}"
+RATE = "  timing.rate_hz: {kind: uniform, low: 5, high: 9}"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "reported"),
     [
@@ -79,6 +83,9 @@ def test_the_plan_is_reported_and_nothing_kept(campaign_file, tmp_path, monkeypa
         ("scenario: descent.yaml", "scenario: nowhere.yaml", "nowhere.yaml: no such file"),
         ("scenario: descent.yaml", "scenario: bench.yaml", "bench.yaml|campaign: "),
         ("site: flat,", "site.surface.reflectance: 0.2,", "site.surface.reflectance twice"),
+        ("dispersions:", f"dispersions:\n{TIMING}\n{RATE}",
+         "dispersions.timing.rate_hz: drawn beside timing; allowed: a key or keys below it"),
+        ("dispersions:", f"dispersions:\n{RATE}\n{TIMING}", "dispersions.timing: drawn beside timing.rate_hz"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_file_is_reported(campaign_file, tmp_path, old, new, reported):
@@ -90,6 +97,12 @@ def test_what_is_wrong_with_a_file_is_reported(campaign_file, tmp_path, old, new
     assert re.search(reported, line), line
     assert "\n" not in line
     assert not (tmp_path / "out").exists()
+
+
+def test_keys_below_a_part_drawn_by_name_are_drawn_beside_it(campaign_file):
+    power = "  instrument.optics.laser_power_w: {{kind: uniform, low: 1, high: 2}}"
+    path = campaign_file(SMALL.replace("dispersions:", f"dispersions:\n{power}"))
+    assert run(path, "--plan").exit_code == 0
 
 
 @pytest.mark.parametrize("text", ["", "[]", "a", "name: x", "{}", "\0"])

@@ -97,14 +97,26 @@ def test_an_older_recording_outlives_a_refused_run(tmp_path: Path, monkeypatch: 
     assert older.read_bytes() == b"precious"
 
 
-def test_without_a_command_the_help_is_shown(
+def test_without_a_command_the_help_is_an_error(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["lidar-emu"])
     with pytest.raises(SystemExit) as ended:
         cli.main()
     printed = capsys.readouterr()
-    assert not ended.value.code
-    assert printed.err == ""
-    assert printed.out.startswith("Usage: lidar-emu [")
-    assert printed.out.count("\n") > 10
+    assert ended.value.code == 2
+    assert printed.out == ""
+    assert printed.err.startswith("Usage: lidar-emu [")
+    assert printed.err.count("\n") > 10
+
+
+def test_warnings_of_numpy_stay_silent_unless_asked_for() -> None:
+    program = "import lidar_emu.__main__, numpy; numpy.float64(1e300) * numpy.full(1, 1e300); numpy.mean([])"
+
+    def run(*flags: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, *flags, "-c", program], check=False, capture_output=True, text=True
+        )
+
+    assert run().stderr == ""
+    assert "RuntimeWarning: overflow" in run("-W", "error").stderr

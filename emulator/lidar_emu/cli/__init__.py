@@ -17,6 +17,7 @@ from lidar_emu.cli.ground import ground
 from lidar_emu.cli.hazards import hazards
 from lidar_emu.cli.inject import inject
 from lidar_emu.cli.listen import listen
+from lidar_emu.cli.options import refuse_empty_values
 from lidar_emu.cli.output import silence
 from lidar_emu.cli.plan import plan
 from lidar_emu.cli.replay import replay
@@ -59,7 +60,8 @@ def cli(context: click.Context) -> None:
     lidar-emu bench realtime                          lateness and jitter of packets on this machine
     """
     if context.invoked_subcommand is None:
-        click.echo(context.get_help())
+        click.echo(context.get_help(), err=True)
+        context.exit(EXIT_USAGE)
 
 
 for command in (
@@ -81,6 +83,7 @@ for command in (
     icd,
 ):
     cli.add_command(command)
+refuse_empty_values(cli)
 
 
 def main() -> None:

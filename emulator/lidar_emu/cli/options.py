@@ -35,7 +35,6 @@ _FAILURES = ("late", "dropped")
 fail_on_option = click.option(
     "--fail-on",
     metavar="WHAT",
-    default="",
     help="Exit 1 if packets were late or dropped (late,dropped: either), or if Ctrl-C interrupted the run.",
 )
 wait_limit_option = click.option(
@@ -66,6 +65,22 @@ def scenario_options(command: Command) -> Command:
     return command
 
 
+def refuse_empty_values(command: click.Command) -> None:
+    """Refuse, for a command and those below it, an empty value of any option: a script's empty variable, mostly."""
+    if isinstance(command, click.Group):
+        for below in command.commands.values():
+            refuse_empty_values(below)
+    for parameter in command.params:
+        if isinstance(parameter, click.Option) and parameter.callback is None:
+            parameter.callback = _not_empty
+
+
+def _not_empty(_context: click.Context, option: click.Parameter, value: Any) -> Any:
+    if value == "" or (isinstance(value, tuple) and "" in value):
+        raise InputError(option.opts[-1], None, "", f"allowed: a value, or no {option.opts[-1]}")
+    return value
+
+
 def require_port(port: PortSpec, command: str) -> None:
     """Reject the loopback for a command that needs another program at the other end.
 
@@ -85,9 +100,11 @@ def load_scenario(
     """Load a scenario with the changes given by options.
 
     Raises:
-        InputError: a setting without a key or a value, or an error of `load`, under the option's own name.
+        InputError: a setting without a key or a value, an interface that cannot be used, or an error of `load`, under
+            the option's own name.
     """
     from lidar_emu.scenario.load import load_with_settings
+    from lidar_emu.wire import interface_named
 
     options = {
         "duration_s": ("--duration", duration),
@@ -96,7 +113,7 @@ def load_scenario(
     }
     given = {key: (option, text) for key, (option, text) in options.items() if text is not None}
     try:
-        return load_with_settings(
+        flown = load_with_settings(
             scenario, keys_and_values(settings) | {key: text for key, (_, text) in given.items()}
         )
     except InputError as error:
@@ -104,6 +121,8 @@ def load_scenario(
             if (error.where, error.key) == ("--set", key) or error.where == f"--set {key}":
                 raise InputError(option, None, error.value, error.allowed) from None
         raise
+    interface_named(flown.wire.interface, "scenario", "wire.interface")
+    return flown
 
 
 def as_number(option: str, text: str) -> float:
@@ -147,15 +166,17 @@ def keys_and_values(settings: tuple[str, ...]) -> dict[str, str]:
     return result
 
 
-def failures_named(text: str) -> set[str]:
-    """The failures listed by `--fail-on`.
+def failures_named(text: str | None) -> set[str]:
+    """The failures listed by `--fail-on`; none without it.
 
     Raises:
-        InputError: an unknown word.
+        InputError: an unknown word, or no word at all.
     """
-    names = {name.strip() for name in text.split(",") if name.strip()}
+    names = {name.strip() for name in (text or "").split(",") if name.strip()}
     for name in sorted(names - set(_FAILURES)):
         raise InputError("--fail-on", None, name, f"allowed: {', '.join(_FAILURES)}")
+    if text is not None and not names:
+        raise InputError("--fail-on", None, text, f"allowed: {', '.join(_FAILURES)}")
     return names
 
 

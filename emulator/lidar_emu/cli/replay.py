@@ -62,7 +62,7 @@ def replay(
     to: str | None,
     recompute: bool,
     summary_file: str | None,
-    fail_on: str,
+    fail_on: str | None,
     as_json: bool,
 ) -> int:
     """Send the packets of FILE again, each when it is due, byte for byte.
@@ -86,7 +86,7 @@ def replay(
         "--start": start,
         "--wait-limit": wait_limit,
         "--loop": loop or None,
-        "--fail-on": fail_on or None,
+        "--fail-on": fail_on,
     }
     windows = {"--from": from_s, "--until": until_s}
     if recompute:

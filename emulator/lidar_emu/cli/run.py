@@ -68,7 +68,7 @@ def run(
     control: str | None,
     record: str | None,
     summary_file: str | None,
-    fail_on: str,
+    fail_on: str | None,
     plain: bool,
     as_json: bool,
 ) -> int:

@@ -176,16 +176,28 @@ class Campaign(Part):
 
     @model_validator(mode="after")
     def _keys_once(self) -> Self:
-        seen = {*self.set}
+        drawn = list[str]()
         for place, keys in (
             *((f"dispersions.{key}", [key]) for key in self.dispersions),
             *((f"joint_normals.{i}.keys", joint.keys) for i, joint in enumerate(self.joint_normals)),
         ):
             for key in keys:
-                if key in seen:
+                if key in self.set or key in drawn:
                     raise unusable(place, Finding(f"{key} twice"), "each key in one place")
-                seen.add(key)
+                for other in drawn:
+                    if self._replaces(key, other) or self._replaces(other, key):
+                        found = Finding(f"drawn beside {other}")
+                        raise unusable(place, found, "a key or keys below it: one would replace the other")
+                drawn.append(key)
         return self
+
+    def _replaces(self, key: str, other: str) -> bool:
+        """Whether a key lies below another one whose drawn values contain it. Keys below the name of a part, such as
+        the power of a drawn instrument, act on that part."""
+        if not key.startswith(f"{other}."):
+            return False
+        above = self.dispersions.get(other)
+        return not (isinstance(above, Choice) and all(isinstance(name, str) for name in above.of))
 
     @model_validator(mode="after")
     def _correlated_are_dispersed(self) -> Self:

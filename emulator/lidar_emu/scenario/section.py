@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from functools import cache
+from typing import Annotated, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
+
+LONGEST_M = 1e9
+"""Largest length, coordinate or height in a scenario: larger than the Sun; float64 resolves 0.1 um there."""
 
 
 class Part(BaseModel):
@@ -19,6 +23,21 @@ class Part(BaseModel):
         use_attribute_docstrings=True,
         validate_default=True,
     )
+
+    @model_validator(mode="after")
+    def _lengths_have_a_limit(self) -> Self:
+        for key in _length_keys(type(self)):
+            value = getattr(self, key)
+            for length_m in value if isinstance(value, tuple) else (value,):
+                if isinstance(length_m, float) and abs(length_m) > LONGEST_M:
+                    raise unusable(key, value, f"lengths up to {LONGEST_M:g} m")
+        return self
+
+
+@cache
+def _length_keys(part: type[Part]) -> tuple[str, ...]:
+    """Keys of a part in metres."""
+    return tuple(key for key in part.model_fields if key.endswith("_m"))
 
 
 def unusable(key: str, value: object, allowed: str) -> PydanticCustomError:
