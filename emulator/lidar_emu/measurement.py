@@ -6,20 +6,64 @@ docs/columns.md follow from the declarations.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.reasons import FalseTarget
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.fmcw.reasons import FalseTarget, Reason
 from lidar_emu.fmcw.returns import BeamReport
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.columns import Column, Group, columns, in_groups, missing_columns
+from lidar_emu.scene.ray_hits import NOTHING
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_SITE_AXES = ("east", "north", "up")
 
 
-@dataclass(frozen=True, kw_only=True)
+def _vehicle_column(unit: str, meaning: str, in_table: str, axes: tuple[str, ...]) -> Column:
+    return Column(
+        "f8", unit, meaning, Group.VEHICLE, (len(axes),), per_shot=True, in_table=in_table, axes=axes
+    )
+
+
+class Truth(NamedTuple):
+    """The ground truth of a measurement: arrays of shots and beams in SI units, NaN where nothing is known.
+
+    The site frame has its axes east, north and up, from the site's origin; the body frame is x forward, y right,
+    z down. The vehicle's arrays hold at the first beam's time of validity, the beams' at their own.
+    """
+
+    position_site_m: FloatArray
+    """(shots, 3) Position of the vehicle's reference point."""
+    velocity_site_mps: FloatArray
+    """(shots, 3) Velocity of the vehicle."""
+    acceleration_site_mps2: FloatArray
+    """(shots, 3) Acceleration of the vehicle, the rate of its velocity."""
+    site_from_body: FloatArray
+    """(shots, 4) Attitude: unit quaternion w, x, y, z (Hamilton) that turns body vectors to the site frame, w >= 0."""
+    body_rate_radps: FloatArray
+    """(shots, 3) Angular rate of the body against the site, about body x, y, z."""
+    range_m: FloatArray
+    """(shots, beams) Range along the true beam axis; NaN where it hits nothing."""
+    closing_speed_mps: FloatArray
+    """(shots, beams) Closing speed of the sensor along the true beam axis, positive toward the ground."""
+    incidence_deg: FloatArray
+    """(shots, beams) Angle between the true beam axis and the ground's normal."""
+    point_site_m: FloatArray
+    """(shots, beams, 3) Hit point of the true beam axis."""
+    object: NDArray[np.int16]
+    """(shots, beams) What is hit: 0 the ground, 1, 2, ... the site's objects in order, -1 nothing."""
+    sensor_site_m: FloatArray
+    """(shots, beams, 3) Position of the sensor's aperture."""
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Measurement(BeamReport):
     """Shots of all beams in SI units; NaN where a beam did not fire or a value is missing.
 
@@ -76,21 +120,80 @@ class Measurement(BeamReport):
             Group.TRUTH,
         ),
     ]
-    point_site_m: Annotated[
-        FloatArray,
-        Column("f8", "m", "End of the measured range along the published beam axis.", Group.POINT, (3,)),
-    ]
-    position_site_m: Annotated[
-        FloatArray,
+    true_object: Annotated[
+        NDArray[np.int16],
         Column(
-            "f8", "m", "True position of the vehicle: east, north, up.", Group.VEHICLE, (3,), per_shot=True
+            "i2",
+            "",
+            "What the true beam axis hits: 0 the ground, 1, 2, ... the site's objects in order, -1 nothing.",
+            Group.TRUTH,
+            missing=NOTHING,
         ),
     ]
-    """At the first beam's time of validity."""
-    velocity_site_mps: Annotated[
+    true_point_site_m: Annotated[
         FloatArray,
         Column(
-            "f8", "m/s", "True velocity of the vehicle: east, north, up.", Group.VEHICLE, (3,), per_shot=True
+            "f8",
+            "m",
+            "True hit point of the true beam axis.",
+            Group.TRUTH,
+            (3,),
+            in_table="true_point_{}_m",
+            axes=_SITE_AXES,
+        ),
+    ]
+    true_sensor_site_m: Annotated[
+        FloatArray,
+        Column(
+            "f8",
+            "m",
+            "True position of the sensor's aperture.",
+            Group.TRUTH,
+            (3,),
+            in_table="true_sensor_{}_m",
+            axes=_SITE_AXES,
+        ),
+    ]
+    """At the beam's time of validity."""
+    point_site_m: Annotated[
+        FloatArray,
+        Column(
+            "f8",
+            "m",
+            "End of the measured range along the published beam axis.",
+            Group.POINT,
+            (3,),
+            in_table="point_{}_m",
+            axes=_SITE_AXES,
+        ),
+    ]
+    position_site_m: Annotated[
+        FloatArray, _vehicle_column("m", "True position of the vehicle.", "position_{}_m", _SITE_AXES)
+    ]
+    """At the first beam's time of validity, like the following."""
+    velocity_site_mps: Annotated[
+        FloatArray, _vehicle_column("m/s", "True velocity of the vehicle.", "velocity_{}_mps", _SITE_AXES)
+    ]
+    acceleration_site_mps2: Annotated[
+        FloatArray,
+        _vehicle_column("m/s²", "True acceleration of the vehicle.", "acceleration_{}_mps2", _SITE_AXES),
+    ]
+    site_from_body: Annotated[
+        FloatArray,
+        _vehicle_column(
+            "",
+            "True attitude of the vehicle: unit quaternion that turns body vectors to the site frame, w >= 0.",
+            "site_from_body_{}",
+            ("w", "x", "y", "z"),
+        ),
+    ]
+    body_rate_radps: Annotated[
+        FloatArray,
+        _vehicle_column(
+            "rad/s",
+            "True angular rate of the vehicle against the site, about its body axes.",
+            "body_rate_{}_radps",
+            ("x", "y", "z"),
         ),
     ]
 
@@ -113,12 +216,66 @@ class Measurement(BeamReport):
         return np.where(self.fired, self.time_ns * 1e-9, np.nan)
 
     @property
+    def truth(self) -> Truth:
+        """The ground truth of vehicle and beams."""
+        own = {name: getattr(self, name) for name in in_groups(COLUMNS, Group.VEHICLE)}
+        return Truth(
+            **own, **{name: getattr(self, f"true_{name}") for name in Truth._fields if name not in own}
+        )
+
+    @property
+    def reason_name(self) -> NDArray[np.str_]:
+        """(shots, beams) Name of `Reason` of each beam, e.g. `VALID`; `reason` holds its codes."""
+        return _REASON_NAMES[self.reason]
+
+    @property
     def beam_count(self) -> int:
         """Number of beams per shot, including beams that did not fire."""
         return int(self.fired.shape[1])
 
     def __len__(self) -> int:
         return len(self.shot)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {', '.join(f'{what} {value}' for what, value in self._summary().items())}>"
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><th style='text-align:left'>{what}</th><td>{value}</td></tr>"
+            for what, value in self._summary().items()
+        )
+        return f"<table><caption>Measurement</caption>{rows}</table>"
+
+    def _summary(self) -> dict[str, str]:
+        """Values for a reader, by their meaning."""
+        known_s = self.time_s[self.fired]
+        codes, counts = np.unique(self.reason, return_counts=True)
+        reasons = (
+            f"{_REASON_NAMES[code]} {100 * count / self.reason.size:.3g} %"
+            for code, count in zip(codes, counts, strict=True)
+        )
+        return {
+            "shots": f"{len(self)}",
+            "beams": f"{self.beam_count}",
+            "time": f"{known_s.min():.6g} to {known_s.max():.6g} s" if known_s.size else "none",
+            "reasons": ", ".join(reasons),
+        }
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Build a table with one row per shot and beam as a `pandas.DataFrame`.
+
+        Its columns are those of `table`, with `reason` as a categorical of the names of `Reason`.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError:
+            allowed = "allowed after: pip install 'lidar-emu[pandas]'"
+            raise InputError("to_pandas", None, Finding("pandas is not installed"), allowed) from None
+        reason = pd.Categorical.from_codes(self.reason.ravel(), categories=[each.name for each in Reason])
+        return pd.DataFrame(self.table() | {"reason": reason})
 
     def part(self, first: int, end: int) -> Measurement:
         """Select the shots in rows `first` to `end - 1`."""
@@ -137,36 +294,54 @@ class Measurement(BeamReport):
             blank[name] = np.where(fires[..., None] if column.components else fires, values, missing)
         return replace(self, **blank)
 
-    def table(self) -> dict[str, NDArray[np.generic]]:
+    def table(self, names: Iterable[str] | None = None) -> dict[str, NDArray[np.generic]]:
         """Build a table with one row per shot and beam.
 
         Its columns are the columns of `simulate --out` and, except for the ground truth, the keys of `listen --json`.
-        """
-        shots, beams = self.fired.shape
-        derived = {
-            "shot": np.repeat(self.shot, beams),
-            "beam": np.tile(np.arange(beams), shots),
-            **{name: self.point_site_m[..., axis].ravel() for axis, name in enumerate(POINT_COLUMNS)},
-        }
-        return {name: derived[name] if name in derived else getattr(self, name).ravel() for name in TABLE}
 
+        Args:
+            names: names of the columns; None: all.
+        """
+        return {name: self._rows(name) for name in (TABLE if names is None else names)}
+
+    def _rows(self, name: str) -> NDArray[np.generic]:
+        """(rows,) A column of the table."""
+        shots, beams = self.fired.shape
+        if name == "beam":
+            return np.tile(np.arange(beams), shots)
+        if name == "time_s":
+            return self.time_s.ravel()
+        array, component = IN_TABLE[name]
+        values: NDArray[np.generic] = getattr(self, array)
+        if component is not None:
+            values = values[..., component]
+        return np.repeat(values, beams) if COLUMNS[array].per_shot else values.ravel()
+
+
+_REASON_NAMES = np.array([each.name for each in Reason])
 
 COLUMNS = columns(Measurement)
 """All arrays of a measurement."""
 
-POINT_COLUMNS = ("point_east_m", "point_north_m", "point_up_m")
-"""The components of `point_site_m` in a table."""
-
 TABLE = {
-    "shot": replace(COLUMNS["shot"], per_shot=False),
+    **COLUMNS["shot"].in_rows("shot"),
     "beam": Column("i8", "", "Number of the beam, from 0.", Group.TIMING),
     "time_s": Column(
         "f8", "s", "Time of validity since the epoch; NaN: the beam did not fire.", Group.TIMING
     ),
-    **in_groups(COLUMNS, Group.POINTING, Group.REPORT, Group.TRUTH),
     **{
-        name: Column("f8", "m", f"End of the measured range: {axis}.", Group.POINT)
-        for name, axis in zip(POINT_COLUMNS, ("east", "north", "up"), strict=True)
+        row: declared
+        for name, column in in_groups(
+            COLUMNS, Group.POINTING, Group.REPORT, Group.TRUTH, Group.POINT, Group.VEHICLE
+        ).items()
+        for row, declared in column.in_rows(name).items()
     },
 }
 """The columns of a table, in order."""
+
+IN_TABLE: dict[str, tuple[str, int | None]] = {
+    row: (name, place if column.components else None)
+    for name, column in COLUMNS.items()
+    for place, row in enumerate(column.in_rows(name))
+}
+"""The array, and the component of it, that each column of a table holds."""

@@ -28,7 +28,14 @@ TABLE = {
     "shot", "beam", "time_s", "fired", "beam_angle_deg", "range_m", "closing_speed_mps", "range_valid", "speed_valid",
     "sign_resolved", "reason", "segments", "snr_db", "residual_mps", "sigma_range_m", "sigma_speed_mps", "returns",
     "second_range_m", "true_range_m", "true_closing_speed_mps", "true_incidence_deg",
-    "true_in_gap", "true_peak_source", "point_east_m", "point_north_m", "point_up_m",
+    "true_in_gap", "true_peak_source", "true_object", "point_east_m", "point_north_m", "point_up_m",
+    "true_point_east_m", "true_point_north_m", "true_point_up_m",
+    "true_sensor_east_m", "true_sensor_north_m", "true_sensor_up_m",
+    "position_east_m", "position_north_m", "position_up_m",
+    "velocity_east_mps", "velocity_north_mps", "velocity_up_mps",
+    "acceleration_east_mps2", "acceleration_north_mps2", "acceleration_up_mps2",
+    "site_from_body_w", "site_from_body_x", "site_from_body_y", "site_from_body_z",
+    "body_rate_x_radps", "body_rate_y_radps", "body_rate_z_radps",
 }  # fmt: skip
 
 

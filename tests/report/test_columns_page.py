@@ -13,7 +13,9 @@ from lidar_emu.report.exports import export
 from lidar_protocol import shipped_interface
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "columns.md"
-UNITS = {"m": "m", "mps": "m/s", "deg": "deg", "db": "dB", "s": "s", "ns": "ns"}
+UNITS = {
+    "m": "m", "mps": "m/s", "mps2": "m/s²", "deg": "deg", "radps": "rad/s", "db": "dB", "s": "s", "ns": "ns"
+}  # fmt: skip
 NOT_OF_A_MEASUREMENT = {"time_offset_s"}
 
 

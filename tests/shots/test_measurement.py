@@ -16,6 +16,9 @@ OF_SHOTS = {
     "due_ns": (SHOTS,),
     "position_site_m": (SHOTS, 3),
     "velocity_site_mps": (SHOTS, 3),
+    "acceleration_site_mps2": (SHOTS, 3),
+    "site_from_body": (SHOTS, 4),
+    "body_rate_radps": (SHOTS, 3),
 }
 KEPT = {*OF_SHOTS, "time_ns"}
 """Columns of the shot, and times, which a beam has whether or not it fires."""
@@ -29,8 +32,6 @@ def measured() -> Measurement:
         np.zeros(SHOTS, dtype=np.int64),
         np.zeros(shape, dtype=np.int64),
         np.zeros(SHOTS, dtype=np.int64),
-        position_site_m=np.zeros((SHOTS, 3)),
-        velocity_site_mps=np.zeros((SHOTS, 3)),
     )
     columns = {}
     for field in fields(Measurement):

@@ -216,8 +216,8 @@ def test_a_file_that_was_cut_damaged_or_is_none_is_refused(recorded, tmp_path):
     with pytest.raises(InputError, match="damaged"):
         measured(flown(WAY), swapped)
     newer = rewritten(recorded, tmp_path / "newer.npz", lambda data: data.replace(
-        '"version": 2,'.encode("utf-32-le"), '"version": 3,'.encode("utf-32-le")))  # fmt: skip
-    with pytest.raises(InputError, match="version: 3 is not usable; allowed: version 2"):
+        '"version": 3,'.encode("utf-32-le"), '"version": 4,'.encode("utf-32-le")))  # fmt: skip
+    with pytest.raises(InputError, match="version: 4 is not usable; allowed: version 3"):
         build_model(flown(WAY), newer)
 
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from lidar_emu.files import whole_file
-from lidar_emu.measurement import Measurement
+from lidar_emu.measurement import TABLE, Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.columns import Group
 from lidar_emu.scenario.campaign import Campaign, Choice, Integer
 
 if TYPE_CHECKING:
@@ -125,4 +126,7 @@ def write_table(table: pa.Table, path: Path) -> None:
         parquet.write_table(table, file, compression="zstd", use_dictionary=repeating)
 
 
-_REPEATING = ("run", "beam", "reason", "segments", "returns", "beam_angle_deg")
+_REPEATING = {
+    *("run", "beam", "reason", "segments", "returns", "beam_angle_deg", "true_object", "true_peak_source"),
+    *(name for name, column in TABLE.items() if column.group is Group.VEHICLE),
+}

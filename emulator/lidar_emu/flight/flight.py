@@ -151,6 +151,7 @@ class Flight:
             pointing.angle_deg,
             pointing.beams,
             pointing.vehicle,
+            pointing.site_from_body,
         )
         if follows_chirps:
             chirping = self.trajectory.state(self.chirp_times_s(pointing).reshape(-1))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.rotations import rotate
+from lidar_emu.numerics.rotations import rotate, to_quaternion
 from lidar_emu.numerics.vectors import add, cross, dot, nan_to_zero, store
 from lidar_emu.trajectory.state import VehicleState
 
@@ -73,7 +73,10 @@ class Pointing(NamedTuple):
     beams: FloatArray
     """(6, shots, beams, 3) The arrays of `BeamVectors`, stacked: passing one array to a kernel is faster than six."""
     vehicle: FloatArray
-    """(2, shots, 3) Position and velocity."""
+    """(4, shots, 3) Position, velocity, acceleration, and angular rate about the body's axes, at the first beam's time
+    of validity."""
+    site_from_body: FloatArray
+    """(shots, 4) Attitude at that time: unit quaternion w, x, y, z with w >= 0."""
     at_chirps: FloatArray
     """(3, 2, shots, beams, 3) The arrays of `ChirpBeams`, stacked; empty where the run leaves curvature of the motion
     out."""
@@ -94,7 +97,8 @@ class Pointing(NamedTuple):
             fired=np.empty(shape, dtype=np.bool_),
             angle_deg=np.empty(shape),
             beams=np.empty((6, *shape, 3)),
-            vehicle=np.empty((2, len(shot), 3)),
+            vehicle=np.empty((4, len(shot), 3)),
+            site_from_body=np.empty((len(shot), 4)),
             at_chirps=np.empty((3, 2, *shape, 3) if follows_chirps else (3, 2, 0, 0, 3)),
         )
 
@@ -124,6 +128,11 @@ class Pointing(NamedTuple):
         return self._vectors("true")
 
     @property
+    def published_site(self) -> FloatArray:
+        """Unit vectors along the beam axes that packets publish."""
+        return self._vectors("published")
+
+    @property
     def position_site_m(self) -> FloatArray:
         """(shots, 3) Position of the vehicle at the first beam's time of validity."""
         return np.asarray(self.vehicle[0])
@@ -132,6 +141,17 @@ class Pointing(NamedTuple):
     def velocity_site_mps(self) -> FloatArray:
         """(shots, 3) Velocity of the vehicle at the first beam's time of validity."""
         return np.asarray(self.vehicle[1])
+
+    def vehicle_columns(self) -> dict[str, Any]:
+        """The vehicle's columns of a measurement, by name."""
+        position_m, velocity_mps, acceleration_mps2, body_rate_radps = self.vehicle
+        return {
+            "position_site_m": position_m,
+            "velocity_site_mps": velocity_mps,
+            "acceleration_site_mps2": acceleration_mps2,
+            "site_from_body": self.site_from_body,
+            "body_rate_radps": body_rate_radps,
+        }
 
     def _vectors(self, name: str) -> FloatArray:
         vectors: FloatArray = self.beams[_PLACES[name]]
@@ -181,6 +201,7 @@ def point_beams(
     angle_deg: FloatArray,
     stacked: FloatArray,
     vehicle: FloatArray,
+    site_from_body: FloatArray,
 ) -> None:
     """Fill the arrays of `Pointing` that depend on the motion of the vehicle.
 
@@ -194,7 +215,7 @@ def point_beams(
         directions: (rows, beams) of `DIRECTION`.
         fired, angle_deg: (shots, beams), see `Pointing`.
         stacked: (6, shots, beams, 3), see `Pointing.beams`.
-        vehicle: (2, shots, 3) Position and velocity of the vehicle at the first beam's time of validity.
+        vehicle, site_from_body: see `Pointing`.
     """
     state, vectors = VehicleState(*state_arrays), beam_vectors(stacked)
     position_m, velocity_mps = state.position_site_m, state.velocity_site_mps
@@ -216,9 +237,15 @@ def point_beams(
             store(vectors.published[s, b], 0, rotate(rotation, direction.published_body))
             angle_deg[s, b] = direction.angle_deg
             fired[s, b] = angle_deg[s, b] == angle_deg[s, b]
+        k = s * (1 + beams) + 1
         for axis in range(3):
-            vehicle[0, s, axis] = position_m[s * (1 + beams) + 1, axis]
-            vehicle[1, s, axis] = velocity_mps[s * (1 + beams) + 1, axis]
+            vehicle[0, s, axis] = position_m[k, axis]
+            vehicle[1, s, axis] = velocity_mps[k, axis]
+            vehicle[2, s, axis] = state.acceleration_site_mps2[k, axis]
+            vehicle[3, s, axis] = state.body_rate_radps[k, axis]
+        w, x, y, z = to_quaternion(state.site_from_body[k])
+        site_from_body[s, 0] = w
+        store(site_from_body[s], 1, (x, y, z))
 
 
 @kernel(outermost=True)
@@ -276,11 +303,12 @@ def closing_speed_and_incidence(
 
 
 @kernel(outermost=True)
-def locate_points(stacked: FloatArray, range_m: FloatArray, point_site_m: FloatArray) -> None:
-    """Set the points at the measured range along the published axes."""
-    beams = beam_vectors(stacked)
+def locate_points(
+    sensor_site_m: FloatArray, axis_site: FloatArray, range_m: FloatArray, point_site_m: FloatArray
+) -> None:
+    """Set the points (shots, beams, 3) at ranges along axes."""
     for s in range(range_m.shape[0]):
         for b in range(range_m.shape[1]):
             for axis in range(3):
-                along_m = range_m[s, b] * beams.published[s, b, axis]
-                point_site_m[s, b, axis] = beams.sensor_m[s, b, axis] + along_m
+                along_m = range_m[s, b] * axis_site[s, b, axis]
+                point_site_m[s, b, axis] = sensor_site_m[s, b, axis] + along_m

@@ -25,7 +25,7 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.flight.pointing import Pointing
 from lidar_emu.scene.ray_hits import Hits
 
-FORMAT, VERSION = "lidar-emu geometry", 2
+FORMAT, VERSION = "lidar-emu geometry", 3
 BLOCK_SHOTS = 1024
 
 _ABOUT = "about"

@@ -7,7 +7,7 @@ declarations back. Allocation, tables, the schema of recordings and documents de
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import Enum, auto
 from functools import cached_property
 from typing import Any, get_args, get_type_hints
@@ -50,6 +50,10 @@ class Column:
     """Whether there is one entry per shot instead of one per beam."""
     missing: float | None = None
     """Entry for an unknown value; None: NaN, or 0 for integers and flags."""
+    in_table: str = ""
+    """Name of a component's column in a table, with `{}` for its axis."""
+    axes: tuple[str, ...] = ()
+    """Axes of the components."""
 
     @property
     def is_float(self) -> bool:
@@ -62,6 +66,14 @@ class Column:
         if self.missing is not None:
             return self.missing
         return np.nan if self.is_float else 0
+
+    def in_rows(self, name: str) -> dict[str, Column]:
+        """Columns of a table that hold this column, by name: itself, or one per component."""
+        row = replace(self, per_shot=False, components=(), in_table="", axes=())
+        if not self.components:
+            return {name: row}
+        meaning = self.meaning.removesuffix(".")
+        return {self.in_table.format(axis): replace(row, meaning=f"{meaning}: {axis}.") for axis in self.axes}
 
 
 def columns(declared: type) -> dict[str, Column]:

@@ -100,6 +100,24 @@ def set_from_quaternion(w: float, x: float, y: float, z: float, matrix: FloatArr
 
 
 @kernel
+def to_quaternion(parent_from_child: FloatArray) -> Quaternion:
+    """Unit quaternion with w >= 0 of a rotation (3, 3), from whichever component is largest (Shepperd, 1978)."""
+    m = parent_from_child
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    if trace >= max(m[0, 0], m[1, 1], m[2, 2]):
+        q = (1 + trace, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1])
+    elif m[0, 0] >= max(m[1, 1], m[2, 2]):
+        q = (m[2, 1] - m[1, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], m[1, 0] + m[0, 1], m[2, 0] + m[0, 2])
+    elif m[1, 1] >= m[2, 2]:
+        q = (m[0, 2] - m[2, 0], m[1, 0] + m[0, 1], 1 + m[1, 1] - m[2, 2] - m[0, 0], m[2, 1] + m[1, 2])
+    else:
+        q = (m[1, 0] - m[0, 1], m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], 1 + m[2, 2] - m[0, 0] - m[1, 1])
+    length = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    length = -length if q[0] < 0.0 else length
+    return q[0] / length, q[1] / length, q[2] / length, q[3] / length
+
+
+@kernel
 def quaternion_at(array: FloatArray, place: int) -> Quaternion:
     """Quaternion in an array (n,), starting at an index."""
     return array[place], array[place + 1], array[place + 2], array[place + 3]

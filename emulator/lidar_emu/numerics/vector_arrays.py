@@ -118,21 +118,3 @@ def conjugate_product(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatAr
     scalar = a_scalar * b_scalar + dot(a_vector, b_vector)
     vector = a_scalar[:, None] * b_vector - b_scalar[:, None] * a_vector - cross(a_vector, b_vector)
     return scalar, vector
-
-
-def to_quaternion(parent_from_child: FloatArray) -> FloatArray:
-    """Unit quaternion (4,) of a rotation (3, 3), from whichever of its components is largest (Shepperd, 1978)."""
-    m, trace = parent_from_child, np.trace(parent_from_child)
-    squares = np.array([trace, m[0, 0], m[1, 1], m[2, 2]])
-    largest = int(np.argmax(squares))
-    if largest == 0:
-        raw = [1 + trace, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]
-    else:
-        i = largest - 1
-        j, k = (i + 1) % 3, (i + 2) % 3
-        raw = [0.0] * 4
-        raw[0] = m[k, j] - m[j, k]
-        raw[1 + i] = 1 + m[i, i] - m[j, j] - m[k, k]
-        raw[1 + j], raw[1 + k] = m[j, i] + m[i, j], m[k, i] + m[i, k]
-    quaternion = np.array(raw)
-    return np.asarray(quaternion / np.sqrt(np.sum(quaternion**2)))

@@ -81,7 +81,13 @@ MEASUREMENT = Channel(
     "/measurement",
     "Measurements of a shot, a list entry per beam: the columns of `simulate --out`. Log time as in /truth.",
     {
-        **_recorded({name: column for name, column in TABLE.items() if column.group is not Group.TRUTH}),
+        **_recorded(
+            {
+                name: column
+                for name, column in TABLE.items()
+                if column.group not in (Group.TRUTH, Group.VEHICLE)
+            }
+        ),
         **_recorded({name: COLUMNS[name] for name in ("time_ns", "due_ns")}),
     },
 )

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.measurement import COLUMNS, POINT_COLUMNS, Measurement
+from lidar_emu.measurement import COLUMNS, Measurement
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import Channel
 from lidar_emu.recording.mcap_file import ALLOWED, McapFile
@@ -203,8 +203,9 @@ class Recording:
 def _measured(shots: list[dict[str, Any]]) -> Measurement:
     """Convert shots to arrays, which take a tenth of the memory."""
     rows: dict[str, list[Any]] = {name: [] for name in COLUMNS}
+    point_columns = COLUMNS["point_site_m"].in_rows("point_site_m")
     for values in shots:
-        values["point_site_m"] = list(zip(*(values[name] for name in POINT_COLUMNS), strict=True))
+        values["point_site_m"] = list(zip(*(values[name] for name in point_columns), strict=True))
         for name, entries in rows.items():
             entries.append(values[name])
     return Measurement(**{name: np.array(rows[name], dtype=column.dtype) for name, column in COLUMNS.items()})

@@ -19,7 +19,7 @@ from mcap.writer import CompressionType, Writer
 
 from lidar_emu import __version__
 from lidar_emu.errors import InputError
-from lidar_emu.measurement import COLUMNS, Measurement
+from lidar_emu.measurement import COLUMNS, TABLE, Measurement
 from lidar_emu.numerics.columns import Group, in_groups
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import Channel
@@ -213,14 +213,13 @@ class Recorder(Observer):
 
 def _truth_and_measurement(block: Measurement, row: int) -> tuple[dict[str, Any], dict[str, Any]]:
     one = block.one(row)
-    columns: dict[str, Any] = {name: values.tolist() for name, values in one.table().items()}
-    truth = {
-        "shot": int(one.shot[0]),
-        "position_site_m": one.position_site_m[0].tolist(),
-        "velocity_site_mps": one.velocity_site_mps[0].tolist(),
-        **{name: columns.pop(name) for name in in_groups(COLUMNS, Group.TRUTH)},
-    }
-    return truth, columns | {"time_ns": one.time_ns[0].tolist(), "due_ns": int(one.due_ns[0])}
+    truth = {"shot": int(one.shot[0])} | {name: getattr(one, name)[0].tolist() for name in _TRUE}
+    measured = {name: values.tolist() for name, values in one.table(_MEASURED).items()}
+    return truth, measured | {"time_ns": one.time_ns[0].tolist(), "due_ns": int(one.due_ns[0])}
+
+
+_TRUE = tuple(in_groups(COLUMNS, Group.VEHICLE, Group.TRUTH))
+_MEASURED = tuple(name for name, column in TABLE.items() if column.group not in (Group.VEHICLE, Group.TRUTH))
 
 
 def _json(values: dict[str, Any]) -> bytes:

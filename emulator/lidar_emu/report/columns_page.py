@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from lidar_emu.measurement import COLUMNS, TABLE
+from lidar_emu.measurement import COLUMNS, IN_TABLE, TABLE
 from lidar_emu.numerics.columns import Column, Group
 
 _INTRODUCTION = """\
@@ -15,14 +15,16 @@ are the columns of `simulate --out`, of a report's export and of a campaign's `b
 the keys of a recording's `/measurement` and `/truth`. The declarations in `lidar_emu/measurement.py` and
 `lidar_emu/fmcw/returns.py` define them all; `make docs` writes this page.
 
-Missing values are NaN in arrays and `.npz`, empty cells in CSV, and null in Parquet, JSON and recordings. Positions are
-in the site frame. A closing speed is positive toward the ground.
+Missing values are NaN in arrays and `.npz`, empty cells in CSV, and null in Parquet, JSON and recordings. A closing
+speed is positive toward the ground. The site frame has its axes east, north and up, in metres from the site's origin;
+the body frame is x forward, y right, z down. A table repeats the columns of the vehicle, which hold at the first beam's
+time of validity, for each beam.
 
 | column | type | shape | unit | table | recording | packet | meaning |
 |---|---|---|---|---|---|---|---|
 """
 
-_TYPES = {"f8": "float64", "i8": "int64", "?": "bool", "i1": "int8", "u1": "uint8"}
+_TYPES = {"f8": "float64", "i8": "int64", "?": "bool", "i1": "int8", "i2": "int16", "u1": "uint8"}
 
 
 def markdown() -> str:
@@ -32,17 +34,24 @@ def markdown() -> str:
 
 def _rows() -> Iterator[tuple[str, ...]]:
     for name, column in {**TABLE, **COLUMNS}.items():
-        topic = "/truth" if column.group in (Group.TRUTH, Group.VEHICLE) else "/measurement"
         yield (
             f"`{name}`",
             _TYPES[column.dtype],
             _shape(name, column),
             column.unit,
             "yes" if name in TABLE else "",
-            "as `point_*_m`" if column.group is Group.POINT and name not in TABLE else f"`{topic}`",
+            _recorded(name, column),
             "yes" if column.group in (Group.POINTING, Group.REPORT) else "",
             column.meaning,
         )
+
+
+def _recorded(name: str, column: Column) -> str:
+    """Topic of a recording that has the column, or the form in which it has it."""
+    if column.group not in (Group.TRUTH, Group.VEHICLE):
+        return f"as `{column.in_table.format('*')}`" if column.components else "`/measurement`"
+    array, component = IN_TABLE.get(name, (name, None))
+    return "`/truth`" if component is None else f"in `{array}`"
 
 
 def _shape(name: str, column: Column) -> str:

@@ -117,8 +117,7 @@ class FlightModel:
             shot,
             pointing.time_ns,
             self.flight.due_ns(shot),
-            position_site_m=pointing.position_site_m,
-            velocity_site_mps=pointing.velocity_site_mps,
+            **pointing.vehicle_columns(),
         )
         return measurement, state
 
@@ -129,9 +128,7 @@ class FlightModel:
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
         """(shots, beams, 3) End points of the measured ranges, from the scanner's state before the measurement."""
         pointing, _ = self.flight.point(measurement.shot, state)
-        point_site_m = np.empty((*pointing.fired.shape, 3))
-        locate_points(pointing.beams, measurement.range_m, point_site_m)
-        return point_site_m
+        return _points_site_m(pointing, pointing.published_site, measurement.range_m)
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
         """Compute the scanner's state after these shots without measuring them."""
@@ -141,7 +138,6 @@ class FlightModel:
         self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits, returns: Returns
     ) -> Measurement:
         true_closing_mps = np.empty(pointing.fired.shape)
-        point_site_m = np.empty((*pointing.fired.shape, 3))
         true_incidence_deg = np.empty(pointing.fired.shape)
         closing_speed_and_incidence(
             pointing.beams,
@@ -150,7 +146,6 @@ class FlightModel:
             true_closing_mps,
             true_incidence_deg,
         )
-        locate_points(pointing.beams, returns.range_m, point_site_m)
         return Measurement(
             **returns.report(),
             shot=shot,
@@ -163,9 +158,11 @@ class FlightModel:
             true_incidence_deg=true_incidence_deg,
             true_in_gap=pointing.in_gap,
             true_peak_source=self._false_targets(shot, pointing, returns, axis_hits, true_closing_mps),
-            point_site_m=point_site_m,
-            position_site_m=pointing.position_site_m,
-            velocity_site_mps=pointing.velocity_site_mps,
+            point_site_m=_points_site_m(pointing, pointing.published_site, returns.range_m),
+            true_sensor_site_m=pointing.sensor_site_m.copy(),
+            true_point_site_m=_points_site_m(pointing, pointing.true_site, axis_hits.range_m),
+            true_object=axis_hits.object_id,
+            **pointing.vehicle_columns(),
         )
 
     def _false_targets(
@@ -195,6 +192,13 @@ class FlightModel:
         if air is None or air.backscatter_per_m_sr == 0.0:
             return None
         return np.asarray(dot(pointing.sensor_velocity_site_mps - np.array(air.wind_mps), pointing.true_site))
+
+
+def _points_site_m(pointing: Pointing, axis_site: FloatArray, range_m: FloatArray) -> FloatArray:
+    """(shots, beams, 3) Points at ranges along axes (shots, beams, 3)."""
+    point_site_m = np.empty(axis_site.shape)
+    locate_points(pointing.sensor_site_m, axis_site, range_m, point_site_m)
+    return point_site_m
 
 
 def _false_target_model(scenario: FlightScenario) -> ReceiverModel | None:

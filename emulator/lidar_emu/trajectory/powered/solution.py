@@ -8,13 +8,13 @@ import numpy as np
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.rotations import to_quaternion
 from lidar_emu.numerics.vector_arrays import (
     SITE_FROM_NED,
     compose,
     cross,
     from_yaw_pitch_roll,
     rotate,
-    to_quaternion,
 )
 from lidar_emu.numerics.vectors import vector_at
 from lidar_emu.scenario.trajectory import Polynomial, PoweredDescent

@@ -1,0 +1,124 @@
+"""The ground truth of vehicle and beams against closed forms, differences in time, and scipy's rotations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import lidar_emu
+from lidar_emu.errors import InputError
+from lidar_emu.flight.flight import Flight
+from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.measurement import COLUMNS, Measurement, Truth
+from lidar_emu.numerics.columns import Group, in_groups
+
+LEVER_ARM_M = (2.0, 0.3, -0.5)
+TURNING = {
+    "trajectory": {
+        "kind": "profile",
+        "waypoints": [{"altitude_m": 1000, "speed_mps": 60}, {"altitude_m": 900, "speed_mps": 30}],
+        "attitude": {"roll_deg": 3, "pitch_deg": 2, "yaw_deg": 30, "body_rate_radps": [0.1, 0.5, -0.2]},
+    },
+    "mounting": {"lever_arm_m": LEVER_ARM_M},
+    "level": "geometric",
+    "timing": {"rate_hz": 500},
+}
+ANGLE = np.radians(22.5)
+
+
+def test_attitude_and_rates_of_a_turning_vehicle(make_flight: Any) -> None:
+    scenario = make_flight(**TURNING)
+    run = lidar_emu.simulate(scenario)
+    truth = run.truth
+    attitude = Rotation.from_quat(truth.site_from_body, scalar_first=True)
+    state = Flight(scenario).trajectory.state(run.time_ns[:, 0] * 1e-9)
+    np.testing.assert_allclose(attitude.as_matrix(), state.site_from_body, atol=1e-14)
+    assert (truth.site_from_body[:, 0] >= 0).all()
+    half = 1 / (2 * 500)
+    step = attitude[:-1].inv() * attitude[1:]
+    np.testing.assert_allclose(
+        step.as_rotvec() / (2 * half), (truth.body_rate_radps[1:] + truth.body_rate_radps[:-1]) / 2, atol=1e-6
+    )
+    for rate, value in (
+        (truth.acceleration_site_mps2, truth.velocity_site_mps),
+        (truth.velocity_site_mps, truth.position_site_m),
+    ):
+        np.testing.assert_allclose(rate[1:-1], (value[2:] - value[:-2]) / (4 * half), atol=1e-5)
+    arm_m = attitude.apply(LEVER_ARM_M)
+    np.testing.assert_allclose(truth.sensor_site_m[:, 0], truth.position_site_m + arm_m, atol=1e-9)
+
+
+def test_hit_points_on_flat_ground(make_flight: Any) -> None:
+    truth = lidar_emu.simulate(make_flight(level="geometric")).truth
+    height_m = truth.sensor_site_m[..., 2]
+    np.testing.assert_allclose(truth.point_site_m[..., 2], 0, atol=1e-9)
+    # Level at heading 0, sensor x points north and y east: beam at azimuth a looks sin a to the east.
+    azimuth = np.radians(45 + 90 * np.arange(4))
+    aside_m = height_m * np.tan(ANGLE)
+    east_m, north_m = np.moveaxis(truth.point_site_m - truth.sensor_site_m, -1, 0)[:2]
+    np.testing.assert_allclose(east_m, aside_m * np.sin(azimuth), atol=1e-9)
+    np.testing.assert_allclose(north_m, aside_m * np.cos(azimuth), atol=1e-9)
+    np.testing.assert_allclose(truth.range_m, height_m / np.cos(ANGLE), rtol=1e-12)
+    np.testing.assert_allclose(truth.incidence_deg, 22.5, rtol=1e-12)
+    assert (truth.object == 0).all()
+
+
+def test_what_is_hit(make_flight: Any) -> None:
+    """A slab below the eastern beams, and none of the ground beyond the plane's horizon for beams that look up."""
+    slab = {"name": "deck", "kind": "slab", "length_m": 2000, "width_m": 2000, "height_m": 5}
+    site = {"ground": {"kind": "plane"}, "objects": [slab | {"east_m": 1000, "reflectance": 0.5}]}
+    truth = lidar_emu.simulate(make_flight(site=site, level="geometric")).truth
+    is_east = truth.point_site_m[..., 0] > 0
+    assert is_east.any()
+    np.testing.assert_array_equal(truth.object, is_east)
+    np.testing.assert_allclose(truth.point_site_m[..., 2], 5.0 * is_east, atol=1e-9)
+    upward = lidar_emu.simulate(make_flight(mounting={"roll_deg": 180}, level="geometric")).truth
+    assert (upward.object == -1).all()
+    assert np.isnan(upward.point_site_m).all()
+    assert np.isfinite(upward.sensor_site_m).all()
+
+
+def test_the_view_names_every_true_column() -> None:
+    run = lidar_emu.simulate("bench", duration_s=1)
+    vehicle, beams = (set(in_groups(COLUMNS, group)) for group in (Group.VEHICLE, Group.TRUTH))
+    named = vehicle | {f"true_{name}" for name in set(Truth._fields) - vehicle}
+    assert vehicle | beams == named | {"true_in_gap", "true_peak_source"}
+    assert np.isnan(run.truth.site_from_body).all()  # a bench pattern has no vehicle
+    np.testing.assert_array_equal(run.truth.range_m, run.true_range_m)
+
+
+@pytest.fixture(scope="module")
+def run() -> Measurement:
+    return lidar_emu.simulate("descent", duration_s=2)
+
+
+def test_pandas_has_the_table_with_reasons_by_name(run: Measurement) -> None:
+    frame = run.to_pandas()
+    for name, column in run.table().items():
+        if name != "reason":
+            np.testing.assert_array_equal(frame[name], column, name)
+    assert list(frame.columns) == list(run.table())
+    np.testing.assert_array_equal(frame["reason"], run.reason_name.ravel())
+    np.testing.assert_array_equal(frame["reason"] == "VALID", run.range_valid.ravel())
+    assert list(frame["reason"].cat.categories) == [each.name for each in Reason]
+
+
+def test_without_pandas_one_line_names_the_extra(run: Measurement, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "pandas", None)
+    with pytest.raises(InputError) as refused:
+        run.to_pandas()
+    assert str(refused.value) == (
+        "to_pandas: pandas is not installed; allowed after: pip install 'lidar-emu[pandas]'"
+    )
+
+
+def test_a_reader_sees_a_summary(run: Measurement) -> None:
+    share = 100 * run.range_valid.mean()
+    for text in (repr(run), run._repr_html_()):
+        assert f"VALID {share:.3g} %" in text
+        assert "NOT_FIRED" not in text
+    assert "<td>40</td>" in run._repr_html_()
+    assert len(repr(run)) < 200
