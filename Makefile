@@ -11,7 +11,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all soak checks-and-kernels check style types imports kernels docs speckle left-out haze plume sigma mutants clean
+.PHONY: run test test-all soak checks-and-kernels check style types imports kernels docs site speckle left-out haze plume sigma mutants clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -51,6 +51,11 @@ docs: $(VENV)/.ready-dev
 	$(BIN)/lidar-emu schema --markdown > docs/scenario-reference.md
 	$(BIN)/python -c 'from lidar_emu.report.columns_page import markdown; print(markdown(), end="")' > docs/columns.md
 	$(BIN)/lidar-emu icd --out protocol/lidar_protocol
+
+# The documentation site in build/site, its notebooks executed: some minutes.
+site: $(VENV)/.ready-dev
+	$(INSTALL) '.[site]'
+	$(BIN)/python tools/build_site.py
 
 # The table of docs/accuracy.md on speckle and motion, from 20 m to 5 km, by Monte Carlo: forty minutes.
 speckle: $(VENV)/.ready-dev
@@ -92,4 +97,4 @@ mutants: $(VENV)/.ready-dev
 	$(BIN)/python tools/mutants.py run
 
 clean:
-	rm -rf $(VENV) dist
+	rm -rf $(VENV) build dist
