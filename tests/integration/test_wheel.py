@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import sysconfig
@@ -76,7 +77,12 @@ def test_the_wheel_holds_every_file_of_the_packages(wheel: Path) -> None:
     }
     with zipfile.ZipFile(wheel) as archive:
         packed = {name for name in archive.namelist() if ".dist-info/" not in name}
-    assert packed == in_tree
+    pages = {
+        str(Path("lidar_emu") / path.relative_to(TREE))
+        for path in (TREE / "docs").rglob("*")
+        if path.is_file()
+    }
+    assert packed == in_tree | pages
     assert {
         "lidar_protocol/lidar.dbc",
         "lidar_protocol/INTERFACE.md",
@@ -90,6 +96,12 @@ def test_a_wheel_flies_from_an_empty_folder(installed: Path, empty: Path) -> Non
     where = done(installed / "python", "-c", "import lidar_emu; print(lidar_emu.__file__)", folder=empty)
     assert Path(where.strip()).is_relative_to(installed.parent)
     assert "descent.yaml" in done(installed / "lidar-emu", "scenarios", folder=empty)
+    overview = done(installed / "lidar-emu", "--help", folder=empty)
+    (pages,) = re.findall(r"Pages named docs/... are in\s+(\S+)\n", overview)
+    for command in ("campaign", "bench accuracy", "bench casting", "bench realtime"):
+        shown = done(installed / "lidar-emu", *command.split(), "--help", folder=empty)
+        for page in re.findall(r"docs/[\w-]+\.md", shown):
+            assert (Path(pages) / page).is_file()
     run = done(installed / "lidar-emu", "run", "descent.yaml", "--pace", "max", "--json", folder=empty)
     reported = json.loads(run.splitlines()[-1])
     assert reported["shots"]["sent"] == reported["planned_shots"] == 1008

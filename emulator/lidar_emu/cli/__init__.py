@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import sys
+from pathlib import Path
 
 import click
 
@@ -30,9 +31,14 @@ from lidar_emu.errors import InputError, RunError, one_line
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 _OF_LINUX = ("fcntl", "resource", "termios", "tty")
 """Modules that Python has on Linux alone, or not on Windows: ports and the real-time clock need them."""
+_PACKAGE = Path(__file__).resolve().parents[1]
+_PAGES = next(
+    (path for path in (_PACKAGE / "docs", *_PACKAGE.parents[1].glob("docs")) if path.is_dir()), None
+)
 
 
 @click.group(
+    epilog=f"\b\nPages named docs/... are in\n{_PAGES.parent}" if _PAGES else None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     invoke_without_command=True,
 )
