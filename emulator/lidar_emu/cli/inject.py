@@ -31,7 +31,7 @@ def inject(path: str, fault: tuple[str, ...], as_json: bool) -> int:
     lidar-emu inject /tmp/lidar.sock '{kind: dropout, beams: [2], lasts_s: 2}'
     lidar-emu inject /tmp/lidar.sock kind=bias range_m=3 ramp_s=5
     """
-    reply = _request(path, _mapping(fault))
+    reply = request(path, _mapping(fault))
     if as_json:
         print_line(json.dumps(reply))
     elif reply["accepted"]:
@@ -47,7 +47,13 @@ def _mapping(words: tuple[str, ...]) -> str:
     return " ".join(words)
 
 
-def _request(path: str, fault: str) -> dict[str, Any]:
+def request(path: str, fault: str) -> dict[str, Any]:
+    """Inject a fault, in YAML, through the socket at `path`; return the reply.
+
+    Raises:
+        RunError: there was no reply.
+        InputError: `path` is not the socket of a run.
+    """
     if not hasattr(socket, "AF_UNIX"):
         raise InputError("inject", None, Finding("no Unix sockets on this system"), "allowed: on Linux")
     with (

@@ -1,0 +1,25 @@
+"""The pytest plugin: a fixture that starts emulated lidars for a test of flight software."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from lidar_emu.testing.emulator import StartEmulator
+
+
+@pytest.fixture
+def lidar_emulator(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartEmulator]:
+    """Start emulated lidars: `lidar = lidar_emulator("descent.yaml")`.
+
+    Arguments, result and errors are those of `lidar_emu.testing.emulator.start_emulator`, without the folder. All of
+    them end with the test, whether it passes or fails.
+    """
+    from lidar_emu.testing.emulator import emulators_in
+
+    with emulators_in(lambda: tmp_path_factory.mktemp("lidar")) as start:
+        yield start

@@ -1,0 +1,1 @@
+"""An emulated lidar in a process of its own, for tests of flight software."""
