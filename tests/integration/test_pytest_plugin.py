@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from waiting import eventually
 
 pytest_plugins = ["pytester"]
 
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "flight-software-ci.md"
 PLUGIN = ["-p", "lidar_emu.pytest_plugin", "-p", "no:cacheprovider"]
 HEAVY = {"numpy", "numba", "scipy", "pydantic", "can", "serial", "click", "ruamel", "mcap", "rich"}
 
@@ -166,6 +168,13 @@ def family(pids: list[int]) -> list[int]:
 def test_the_fixture_hands_over_ports_shots_and_faults(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(ON_EVERY_PORT)
     pytester.runpytest_subprocess(*PLUGIN).assert_outcomes(passed=7)
+
+
+@pytest.mark.slow
+def test_the_how_to_page_passes_as_printed(pytester: pytest.Pytester) -> None:
+    (program,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    pytester.makepyfile(program)
+    pytester.runpytest_subprocess(*PLUGIN).assert_outcomes(passed=1)
 
 
 @pytest.mark.slow

@@ -110,6 +110,14 @@ def test_a_wheel_flies_from_an_empty_folder(installed: Path, empty: Path) -> Non
 
 
 @pytest.mark.slow
+def test_a_wheel_brings_the_fixture_of_the_tests(installed: Path, empty: Path) -> None:
+    fixtures = done(
+        installed / "python", "-m", "pytest", "--fixtures", "-p", "no:cacheprovider", folder=empty
+    )
+    assert "lidar_emulator -- " in fixtures
+
+
+@pytest.mark.slow
 def test_the_tree_flies_from_an_empty_folder(empty: Path) -> None:
     assert "descent.yaml" in done(COMMAND, "scenarios", folder=empty)
     output = done(COMMAND, "run", "descent.yaml", "--pace", "max", folder=empty)

@@ -34,7 +34,7 @@ class StartEmulator(Protocol):
     def __call__(
         self,
         scenario: str | os.PathLike[str],
-        port: str = "pty",
+        port: str | None = "pty",
         *,
         settings: Mapping[str, object] | None = None,
         arguments: Sequence[str] = (),
@@ -221,7 +221,7 @@ class LidarEmulator:
 def start_emulator(
     folder: Path,
     scenario: str | os.PathLike[str],
-    port: str = "pty",
+    port: str | None = "pty",
     *,
     settings: Mapping[str, object] | None = None,
     arguments: Sequence[str] = (),
@@ -232,7 +232,7 @@ def start_emulator(
         folder: folder of the recording.
         scenario: a scenario's file or name.
         port: `pty`; `udp` for a free port of this machine; `can` for a virtual bus of its own (python-can's
-            `udp_multicast`); or any text that `lidar-emu run --port` takes.
+            `udp_multicast`); any text that `lidar-emu run --port` takes; None: the port is among the arguments.
         settings: replaced keys of the scenario, as `--set`.
         arguments: further options of `lidar-emu run`.
 
@@ -250,7 +250,7 @@ def emulators_in(new_folder: Callable[[], Path]) -> Iterator[StartEmulator]:
 
         def start(
             scenario: str | os.PathLike[str],
-            port: str = "pty",
+            port: str | None = "pty",
             *,
             settings: Mapping[str, object] | None = None,
             arguments: Sequence[str] = (),
@@ -262,7 +262,9 @@ def emulators_in(new_folder: Callable[[], Path]) -> Iterator[StartEmulator]:
         yield start
 
 
-def _port_options(port: str) -> list[str]:
+def _port_options(port: str | None) -> list[str]:
+    if port is None:
+        return []
     if port == "can":
         # An address for each bus: process and number; this block is free for use within an organisation.
         group = f"239.{os.getpid() >> 8 & 255}.{os.getpid() & 255}.{next(_numbers) % 254 + 1}"

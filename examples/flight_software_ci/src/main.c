@@ -1,0 +1,60 @@
+/* altimeter PORT: a line for every height, "stale" after half a second without one, counts at the end of the port. */
+#define _DEFAULT_SOURCE
+
+#include "altimeter.h"
+
+#include <fcntl.h>
+#include <inttypes.h>
+#include <poll.h>
+#include <stdio.h>
+#include <termios.h>
+#include <unistd.h>
+
+enum { STALE_AFTER_MS = 500 };
+
+static int open_raw(const char *path) {
+    struct termios settings;
+    const int port = open(path, O_RDWR | O_NOCTTY);
+    if (port < 0 || tcgetattr(port, &settings) != 0)
+        return -1;
+    cfmakeraw(&settings);
+    cfsetspeed(&settings, B921600);
+    return tcsetattr(port, TCSANOW, &settings) == 0 ? port : -1;
+}
+
+static void print_height(const altimeter_height *height) {
+    printf("height shot=%" PRIu64 " time_ns=%" PRId64 " beams=%u height_m=%.3f\n", height->shot, height->time_ns,
+           height->beams, height->height_m);
+}
+
+int main(int argc, char **argv) {
+    static altimeter lidar; /* too large for a small stack */
+    altimeter_height height;
+    uint8_t bytes[256];
+    bool is_stale = false;
+    const int port = argc == 2 ? open_raw(argv[1]) : -1;
+    if (port < 0) {
+        fprintf(stderr, "usage: altimeter PORT, a serial port that can be opened\n");
+        return 2;
+    }
+    setvbuf(stdout, NULL, _IOLBF, 0);
+    for (;;) {
+        struct pollfd waiting = {.fd = port, .events = POLLIN};
+        if (poll(&waiting, 1, STALE_AFTER_MS) == 0) {
+            if (!is_stale)
+                printf("stale\n");
+            is_stale = true;
+            continue;
+        }
+        const ssize_t count = read(port, bytes, sizeof bytes);
+        if (count <= 0)
+            break;
+        for (ssize_t k = 0; k < count; k++)
+            if (altimeter_feed(&lidar, bytes[k], &height)) {
+                print_height(&height);
+                is_stale = false;
+            }
+    }
+    printf("end bad_frames=%u\n", (unsigned)lidar.receiver.bad_frames);
+    return 0;
+}
