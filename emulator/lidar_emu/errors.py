@@ -1,4 +1,4 @@
-"""The two errors that end a command, invalid input and a run that failed, and warnings."""
+"""The two errors that end a command, invalid input and a run that failed, and lines for the log."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import logging
 from multiprocessing import parent_process
 
-_warned = set[str]()
+_noted = set[str]()
 
 
 class InputError(Exception):
@@ -65,6 +65,11 @@ def one_line(text: str) -> str:
 
 def warn_once(cause: str, text: str) -> None:
     """Warn once for each cause, and not in every worker of a pool."""
-    if cause not in _warned and parent_process() is None:
-        logging.getLogger(__name__).warning("lidar-emu: warning: %s", text)
-    _warned.add(cause)
+    note_once(cause, f"warning: {text}")
+
+
+def note_once(cause: str, text: str) -> None:
+    """Print a line once for each cause, and not in every worker of a pool, unless logging is set up otherwise."""
+    if cause not in _noted and parent_process() is None:
+        logging.getLogger(__name__).warning("lidar-emu: %s", text)
+    _noted.add(cause)

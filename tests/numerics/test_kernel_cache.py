@@ -22,6 +22,7 @@ from numba.core.dispatcher import Dispatcher
 import lidar_emu
 from lidar_emu import errors
 from lidar_emu.numerics import kernel_cache
+from lidar_emu.numerics.compilation import compilation_reported_to
 from lidar_emu.numerics.kernel_cache import digest
 
 SOURCE = '''
@@ -72,7 +73,7 @@ def start(source: str = SOURCE, x: float = 10.0) -> tuple[float, int]:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(errors, "_warned", set())
+    monkeypatch.setattr(errors, "_noted", set())
     return tmp_path / "kernels"
 
 
@@ -81,11 +82,30 @@ def warnings(caplog: pytest.LogCaptureFixture) -> Callable[[], list[str]]:
     """Returns and forgets the lines of warning."""
 
     def warnings() -> list[str]:
-        lines = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+        lines = [line for line in caplog.messages if "warning" in line]
         caplog.clear()
         return lines
 
     return warnings
+
+
+@pytest.mark.usefixtures("folder")
+def test_the_log_says_once_that_kernels_are_compiled(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO):
+        start()
+        start(x=10)
+    assert [record.levelno for record in caplog.records] == [logging.WARNING, logging.INFO, logging.INFO]
+    assert "first start" in caplog.messages[0]
+    assert caplog.messages[1:] == ["compiling made.outer"] * 2
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_display_shows_kernels_instead_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    shown = list[str]()
+    with compilation_reported_to(shown.append):
+        start()
+    assert shown == ["made.outer"]
+    assert caplog.messages == []
 
 
 def test_a_kernel_is_compiled_once_and_found_again(folder: Path, warnings: Callable[[], list[str]]) -> None:

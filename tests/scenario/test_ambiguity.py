@@ -31,7 +31,7 @@ SLOW_DIGITISER = {
 
 @pytest.fixture
 def warnings(monkeypatch, caplog):
-    monkeypatch.setattr(errors, "_warned", set())
+    monkeypatch.setattr(errors, "_noted", set())
     caplog.set_level(logging.WARNING)
     return caplog
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import as_whole, keys_and_values, settings_option
-from lidar_emu.cli.progress import COMPILING, busy
+from lidar_emu.cli.progress import PREPARING, busy
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def _fly(prepared: PreparedCampaign, out: Path, make_pool: Callable[[], Pool]) -
     from lidar_emu.campaign.run import fly_campaign
     from lidar_emu.shots.model import build_model, initial_state, measure
 
-    with busy(COMPILING):
+    with busy(PREPARING):
         # Compile the kernels once here, so that the workers find them in the cache.
         model = build_model(prepared.first)
         measure(model, 0, 1, initial_state(model))
@@ -203,7 +203,7 @@ def _print_plan(prepared: PreparedCampaign, workers: int, as_json: bool) -> None
     """Estimate time, memory and disk from a few runs flown now."""
     from lidar_emu.campaign.forecast import forecast
 
-    with busy(COMPILING):
+    with busy(PREPARING):
         estimate = forecast(prepared)
     if as_json:
         hours = estimate.hours(workers)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import load_scenario, scenario_argument, settings_option
-from lidar_emu.cli.progress import COMPILING, busy
+from lidar_emu.cli.progress import PREPARING, busy
 
 if TYPE_CHECKING:
     from lidar_emu.numerics.arrays import FloatArray
@@ -37,7 +37,7 @@ def hazards(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
     from lidar_emu.shots.flight_model import FlightModel
 
     require_known_flight(flown)
-    with busy(COMPILING):
+    with busy(PREPARING):
         cloud = cloud_of(FlightModel(require_flight(flown)))
     bands, shares = bands_of(cloud), touched_shares(cloud)
     if as_json:

@@ -3,39 +3,58 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import count
 from typing import Any
 
 import click
 
-COMPILING = "preparing (the first start compiles the kernels: about 20 s)"
+from lidar_emu.numerics.compilation import compilation_reported_to
+
+PREPARING = "preparing"
 
 
 @contextmanager
 def busy(what: str) -> Iterator[None]:
-    """Show `what` on a terminal during the block.
+    """Show `what` on a terminal during the block, with the time that it has taken, and each kernel that is compiled.
 
     Raises:
         KeyboardInterrupt: at the end of the block, if a callback swallowed one.
     """
-    with (
-        _keep_ctrl_c(),
-        _status(what) if sys.stderr is not None and sys.stderr.isatty() else nullcontext(),
-    ):
-        yield
+    with _keep_ctrl_c(), _display(what) as show:
+        number = count(1)
+
+        def compiling(kernel: str) -> None:
+            show(f"{what}: compiling, at the first start only, about 40 s; kernel {next(number)}, {kernel}")
+
+        with compilation_reported_to(compiling):
+            yield
 
 
 def show_step(what: str) -> None:
     """Replace the status line on a terminal; an empty text clears it."""
-    if sys.stderr is not None and sys.stderr.isatty():
+    if _is_terminal():
         click.echo(f"\r\x1b[K{what}", nl=False, err=True)
 
 
-def _status(what: str) -> Any:
-    from rich.console import Console
+def _is_terminal() -> bool:
+    return sys.stderr is not None and sys.stderr.isatty()
 
-    return Console(stderr=True).status(what)
+
+@contextmanager
+def _display(what: str) -> Iterator[Callable[[str], None]]:
+    """Show a line with a spinner and the time; yields the function that replaces its text."""
+    if not _is_terminal():
+        yield lambda _text: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = SpinnerColumn(), TimeElapsedColumn(), TextColumn("{task.description}")
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(what, total=None)
+        yield lambda text: progress.update(task, description=text)
 
 
 @contextmanager

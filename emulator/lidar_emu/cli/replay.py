@@ -19,7 +19,7 @@ from lidar_emu.cli.options import (
     wait_limit_option,
 )
 from lidar_emu.cli.output import print_line, write_text
-from lidar_emu.cli.progress import COMPILING, busy
+from lidar_emu.cli.progress import PREPARING, busy
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import check_destination
 from lidar_emu.transports.options import port_options
@@ -186,7 +186,7 @@ def _compare(file: Path, summary_file: str | None, as_json: bool) -> int:
     from lidar_emu.recording.read import read_recording
     from lidar_emu.recording.recompute import recompute
 
-    with busy(COMPILING):
+    with busy(PREPARING):
         comparison = recompute(read_recording(file)).to_json()
     _print(comparison, comparison_lines(comparison), summary_file, as_json)
     return int(comparison["different"] > 0)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lidar_emu.cli.output import print_line
-from lidar_emu.cli.progress import COMPILING, busy
+from lidar_emu.cli.progress import PREPARING, busy
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination
 
@@ -98,7 +98,7 @@ def _draw_paper_figure(figure: str, out: tuple[str, ...], others: dict[str, Any]
     from lidar_emu.report.paper_figures import errors_of, plot_paper_figure
 
     path = Path(out[0] if out else f"paper_fig{figure}.png")
-    with busy(COMPILING):
+    with busy(PREPARING):
         errors = errors_of(plot_paper_figure(figure, path))
     click.echo(f"{path}: figure {figure} of Budge et al., {errors.measured} of {errors.fired} beams measured")
     click.echo(
@@ -132,7 +132,7 @@ def _draw(
     from lidar_emu.report.page_style import write_png
 
     check_instants(flown, at_s)
-    with busy(COMPILING):
+    with busy(PREPARING):
         drawings, notes, plan = draw_figures(flown, at_s)
         written = []
         if page is not None:

@@ -23,7 +23,7 @@ from lidar_emu.cli.options import (
     wait_limit_option,
 )
 from lidar_emu.cli.output import print_line, write_text
-from lidar_emu.cli.progress import COMPILING, busy
+from lidar_emu.cli.progress import PREPARING, busy
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.files import check_destination
 from lidar_emu.transports.options import port_options
@@ -113,7 +113,7 @@ def run(
     draws = not (as_json or plain) and has_terminal()
     view = LoopbackView(interface, quiet=as_json or draws)
     observers: list[Observer] = [view]
-    with busy(COMPILING):
+    with busy(PREPARING):
         model = build_model(flown)
         options = RunOptions(port, Pace(pace), starts, limit_s, control)
         this_run = Run(flown, model, options, observers)

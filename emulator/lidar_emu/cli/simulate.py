@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import geometry_option, load_scenario, scenario_options
-from lidar_emu.cli.progress import COMPILING, busy
+from lidar_emu.cli.progress import PREPARING, busy
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def simulate(
         geometry = geometry_out  # the receiver measures the recorded geometry
     if out is None and plot is None:
         return
-    with busy(COMPILING):
+    with busy(PREPARING):
         model = build_model(flown, None if geometry is None else Path(geometry))
         measurement = measure_whole(model)
     # The plot first: if it has nothing to draw, no file must be left.
@@ -83,7 +83,7 @@ def _record(flown: FlightScenario | BenchScenario, path: Path) -> None:
     from lidar_emu.report.geometry_export import record_geometry
     from lidar_emu.scenario.required import require_flight
 
-    with busy(COMPILING):
+    with busy(PREPARING):
         about = record_geometry(require_flight(flown), path)
     size = path.stat().st_size
     each = f"{about.beams} beams, {about.beamlets} rays each"

@@ -31,6 +31,7 @@ from numba.core.serialize import dumps
 
 from lidar_emu.errors import InputError, RunError, reason_of, warn_once
 from lidar_emu.files import cache_folder, whole_file
+from lidar_emu.numerics.compilation import report_compilation
 
 _COMPILERS = (numba.__version__, np.__version__, sys.version_info[:2])
 _CHECK_SUM_BYTES = 32
@@ -54,6 +55,7 @@ class KernelCache(NullCache):
         try:
             kept = self._path(signature, target_context.codegen()).read_bytes()
         except (OSError, RuntimeError):  # Missing, not readable, or a user without a home folder.
+            report_compilation(self._name)
             return None
         check_sum, content = kept[:_CHECK_SUM_BYTES], kept[_CHECK_SUM_BYTES:]
         if sha256(content).digest() != check_sum:
@@ -79,9 +81,12 @@ class KernelCache(NullCache):
 
     def _path(self, signature: Any, codegen: Any) -> Path:
         target = *_COMPILERS, *codegen.magic_tuple(), *map(_spelt, signature)
+        return _folder() / f"{self._name}-{digest(self._kernel, repr(target))}"
+
+    @property
+    def _name(self) -> str:
         function = self._kernel.py_func
-        name = f"{function.__module__}.{function.__qualname__}".removeprefix("lidar_emu.")
-        return _folder() / f"{name}-{digest(self._kernel, repr(target))}"
+        return f"{function.__module__}.{function.__qualname__}".removeprefix("lidar_emu.")
 
 
 def _folder() -> Path:
