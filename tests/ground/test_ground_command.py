@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 
 import numpy as np
@@ -43,7 +44,7 @@ def test_json_compares_and_names_the_file(monkeypatch, capsys, cache):
 
 def test_table_and_picture(monkeypatch, capsys, tmp_path):
     path = tmp_path / "ground.png"
-    assert run(monkeypatch, *SMALL, "--plot", str(path)) == 0
+    assert run(monkeypatch, *SMALL, "--statistics", str(path)) == 0
     output = capsys.readouterr().out
     assert "Hurst exponent of the relief" in output
     assert "outside" not in output
@@ -52,6 +53,69 @@ def test_table_and_picture(monkeypatch, capsys, tmp_path):
     # The relief in low sun: neither blank nor black and white.
     shade = picture[250:800, 200:700, 0]
     assert 0.05 < shade.std() < 0.4
+
+
+def survey(monkeypatch, capsys, *words):
+    assert run(monkeypatch, *words, "--json") == 0
+    return json.loads(capsys.readouterr().out, parse_constant=pytest.fail)["survey"]
+
+
+def test_a_plane_has_one_slope_and_the_footprint_of_trigonometry(monkeypatch, capsys):
+    slope = "site.ground={kind: plane, slope_deg: 7, downhill_azimuth_deg: 30}"
+    found = survey(monkeypatch, capsys, "descent", "--set", "site=flat", "--set", slope)
+    assert found["slope_deg"] == pytest.approx({"median": 7, "p95": 7, "largest": 7}, abs=1e-6)
+    level = survey(monkeypatch, capsys, "descent", "--set", "site=flat")
+    # Four beams at 22.5 degrees, on the diagonals, from 2000 m.
+    reach_m = 2000 * math.tan(math.radians(22.5)) / math.sqrt(2)
+    assert level["footprint"]["area_m"] == pytest.approx(
+        {"west_m": -reach_m, "east_m": reach_m, "south_m": -reach_m, "north_m": reach_m}, abs=1
+    )
+    assert level["footprint"]["incidence_deg"]["largest"] == pytest.approx(22.5, abs=1e-6)
+    assert (level["footprint"]["no_ground_share"], level["missing_share"]) == (0, 0)
+    assert level["area_m"]["east_m"] == pytest.approx(1.5 * reach_m, abs=2)
+
+
+def test_a_cube_is_surveyed_over_its_sides(monkeypatch, capsys, tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((40.0, 20.0, 6.0)).export(tmp_path / "box.ply")
+    ground = f"site.ground={{kind: mesh, file: {tmp_path / 'box.ply'}, unit: m}}"
+    words = ("--set", "site=flat", "--set", ground, "--set", "trajectory.waypoints.1.altitude_m=100")
+    found = survey(monkeypatch, capsys, "descent", *words)
+    assert "closed, volume 4800 m³, radii 22.56 to 22.56 m" in found["description"]
+    assert found["area_m"] == pytest.approx({"west_m": -20, "east_m": 20, "south_m": -10, "north_m": 10})
+    # The lattice ends on the box's edges, where the top is barely missed.
+    assert found["highest_m"] == pytest.approx(3.0)
+    assert found["footprint"]["no_ground_share"] > 0.5
+
+
+def test_a_grid_is_surveyed_at_its_samples(monkeypatch, capsys, tmp_path):
+    height_m = np.zeros((41, 61))
+    height_m[20, 30], height_m[3, 5] = 8.0, np.nan
+    np.savez(tmp_path / "spike.npz", elevation_m=height_m, pixel_m=2.0)
+    ground = f"site.ground={{kind: grid, file: {tmp_path / 'spike.npz'}, beyond: none}}"
+    found = survey(monkeypatch, capsys, "live", "--set", ground)
+    assert found["area_m"] == {"west_m": -60, "east_m": 60, "south_m": -40, "north_m": 40}
+    assert found["sampled_every_m"] == [2, 2]
+    # The spike is the origin, and altitudes count from there.
+    assert (found["lowest_m"], found["highest_m"]) == (-8, 0)
+    assert found["slope_deg"]["largest"] == pytest.approx(math.degrees(math.atan(8 / 4)))
+    # The sample itself, and of its neighbours those whose cell it belongs to.
+    assert 1 <= round(found["missing_share"] * height_m.size) <= 4
+    assert found["footprint"] is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [("descent",), ("live",), ("descent", "--set", "site=flat"), SMALL])
+def test_any_ground_is_drawn(monkeypatch, capsys, tmp_path, words):
+    path = tmp_path / "survey.png"
+    assert run(monkeypatch, *words, "--plot", str(path)) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == str(path)
+    assert any(line.startswith("slope over ") and "95th percentile" in line for line in lines)
+    picture = imread(path)
+    assert picture.shape[:2] == (1040, 1280)
+    # The map of heights is coloured.
+    assert picture[150:450, 200:480, :3].std(axis=-1).max() > 0.1
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".tif", ".asc"])
@@ -74,8 +138,16 @@ def test_exported_ground_is_the_same_ground(monkeypatch, capsys, tmp_path, suffi
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (("descent",), ("descent: site.ground.kind: 'grid'", "allowed: generated")),
-        (("bench",), ("bench pattern", "allowed: a flight")),
+        (
+            ("descent", "--out", "ground.npz"),
+            ("site.ground.kind: a ground of kind grid", "with --out: generated"),
+        ),
+        (
+            ("descent", "--statistics", "a.png"),
+            ("ground of kind grid", "allowed with --statistics: generated"),
+        ),
+        (("bench",), ("bench pattern", "allowed: a scenario with a flight")),
+        ((*SMALL, "--statistics", "ground.jpg"), ("ground.jpg", "allowed: .png")),
         ((*SMALL, "--plot", "ground.jpg"), ("ground.jpg", "allowed: .png")),
         ((*SMALL, "--out", "ground.obj"), ("ground.obj", "allowed: .npz, .tif, .asc")),
         ((*SMALL, "--out", "nowhere/ground.npz"), ("nowhere/ground.npz", "no such folder")),

@@ -60,7 +60,7 @@ def cli(context: click.Context) -> None:
     lidar-emu report --paper-figure 2                 figures of the published simulation, reproduced
     lidar-emu detection descent.yaml                  detection probability by altitude
     lidar-emu hazards hazards.yaml                    boulders, steps and slopes detected in the points
-    lidar-emu ground descent.yaml --set site=cratered --plot ground.png
+    lidar-emu ground descent.yaml --plot survey.png   heights, slopes and the footprint of the flight
     lidar-emu plan descent.yaml                       what the run computes and leaves out
     lidar-emu bench accuracy descent.yaml             error and time of every level
     lidar-emu bench realtime                          lateness and jitter of packets on this machine

@@ -1,4 +1,4 @@
-"""`lidar-emu ground`: generate, measure, plot and export ground."""
+"""`lidar-emu ground`: survey any ground; generate, compare and export a generated one."""
 
 from __future__ import annotations
 
@@ -14,30 +14,70 @@ from lidar_emu.errors import Finding, InputError
 if TYPE_CHECKING:
     from lidar_emu.numerics.arrays import FloatArray
     from lidar_emu.scenario.generated_ground import Generated
+    from lidar_emu.scenario.schema import FlightScenario
     from lidar_emu.scene.generated.compare import StatisticCheck
 
 
-@click.command(short_help="Generate ground; measure, plot and export it.")
+@click.command(short_help="Survey a ground: heights, slopes, footprint of the flight.")
 @scenario_argument
 @settings_option
-@click.option("--plot", metavar="FILE.png", help="Plot the ground in low sun, and its statistics.")
-@click.option("--out", metavar="FILE", help="Elevations as .npz, .tif (GeoTIFF) or .asc (ESRI ASCII grid).")
+@click.option("--plot", metavar="FILE.png", help="Plot shaded relief, slope and the footprint of the flight.")
+@click.option("--statistics", metavar="FILE.png", help="Plot a generated ground and its statistics.")
+@click.option(
+    "--out", metavar="FILE", help="A generated ground as .npz, .tif (GeoTIFF) or .asc (ESRI ASCII grid)."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def ground(
-    scenario: str, settings: tuple[str, ...], plot: str | None, out: str | None, as_json: bool
+    scenario: str,
+    settings: tuple[str, ...],
+    plot: str | None,
+    statistics: str | None,
+    out: str | None,
+    as_json: bool,
 ) -> None:
-    """Generate the ground of SCENARIO's site, and compare its statistics with the requested ones.
+    """Survey the ground of SCENARIO's site, of any kind, and compare a generated one with what it specifies.
 
-    The ground is cached for later runs. An exported file can be used as `ground: {kind: grid, file: FILE}`, and by
-    other tools.
+    A generated ground is cached for later runs. An exported file can be used as `ground: {kind: grid, file: FILE}`, and
+    by other tools.
 
     \b
-    lidar-emu ground descent.yaml --set site=cratered --plot ground.png
+    lidar-emu ground descent.yaml --plot ground.png
+    lidar-emu ground descent.yaml --set site=cratered --statistics statistics.png
     lidar-emu ground descent.yaml --set site=cratered --set site.ground.seed=7 --out seed7.tif
     lidar-emu ground my.yaml --json
     """
-    _check_paths(plot, out)
-    specified = _generated(scenario, settings)
+    from lidar_emu.report.ground_survey import survey_ground
+    from lidar_emu.scenario.required import require_flight
+
+    _check_paths((plot, statistics), out)
+    flown = require_flight(load_scenario(scenario, None, None, settings))
+    specified = _generated(scenario, flown, {"--statistics": statistics, "--out": out})
+    document: dict[str, Any] = {"ground": flown.site.ground.model_dump()}
+    comparison = None
+    if specified is not None:
+        comparison, more = _compared(specified, statistics, out)
+        document |= more
+    survey, below = survey_ground(flown)
+    document["survey"] = survey.to_json()
+    if plot is not None:
+        from lidar_emu.report.ground_survey_plot import plot_survey
+
+        plot_survey(survey, below, f"{flown.name}: ground of {flown.site.name}", Path(plot))
+    if as_json:
+        click.echo(json.dumps(document, indent=2))
+        return
+    if specified is not None and comparison is not None:
+        _print_comparison(specified, comparison, document["whole_ground"])
+    _print_survey(document["survey"])
+    for path in (out, statistics, plot):
+        if path is not None:
+            click.echo(path)
+
+
+def _compared(
+    specified: Generated, statistics: str | None, out: str | None
+) -> tuple[list[StatisticCheck], dict[str, Any]]:
+    """Generate a ground, export and plot it, and compare it with what it specifies: rows, and keys of the document."""
     import numpy as np
 
     from lidar_emu.scene.generated.cache import keep
@@ -48,52 +88,79 @@ def ground(
     elevation_m = layers.elevation_m(specified)
     kept = keep(specified, elevation_m)
     found = compare(specified, layers)
-    whole = _whole(specified, elevation_m.astype(np.float64))
     if out is not None:
         from lidar_emu.report.ground_export import export_ground
 
         export_ground(specified, elevation_m, Path(out))
-    if plot is not None:
+    if statistics is not None:
         from lidar_emu.report.ground_plot import plot_ground
 
-        plot_ground(specified, layers, found, _title(specified), Path(plot))
-    if as_json:
-        document = {
-            "ground": specified.model_dump(),
-            "kept_in": None if kept is None else str(kept),
-            "whole_ground": whole,
-            "statistics": [{**vars(row), "within": row.within} for row in found],
-        }
-        click.echo(json.dumps(document, indent=2))
-        return
-    _print(specified, found, whole)
-    for path in (out, plot):
-        if path is not None:
-            click.echo(path)
+        plot_ground(specified, layers, found, _title(specified), Path(statistics))
+    return found, {
+        "kept_in": None if kept is None else str(kept),
+        "whole_ground": _whole(specified, elevation_m.astype(np.float64)),
+        "statistics": [{**vars(row), "within": row.within} for row in found],
+    }
 
 
-def _check_paths(plot: str | None, out: str | None) -> None:
-    if plot is not None:
-        from lidar_emu.report.png_file import check_plot_path
+def _check_paths(plots: tuple[str | None, ...], out: str | None) -> None:
+    for plot in plots:
+        if plot is not None:
+            from lidar_emu.report.png_file import check_plot_path
 
-        check_plot_path(Path(plot))
+            check_plot_path(Path(plot))
     if out is not None:
         from lidar_emu.report.ground_export import check_ground_path
 
         check_ground_path(Path(out))
 
 
-def _generated(scenario: str, settings: tuple[str, ...]) -> Generated:
-    flown = load_scenario(scenario, None, None, settings)
+def _generated(scenario: str, flown: FlightScenario, options: dict[str, str | None]) -> Generated | None:
+    """The generated ground of a site; None for one of another kind, which has none of these options."""
     from lidar_emu.scenario.generated_ground import Generated
-    from lidar_emu.scenario.schema import FlightScenario
 
-    if not isinstance(flown, FlightScenario):
-        raise InputError(scenario, None, Finding("a bench pattern"), "allowed: a flight, with a site")
-    if not isinstance(flown.site.ground, Generated):
-        allowed = "allowed: generated, as in --set site=cratered"
-        raise InputError(scenario, "site.ground.kind", flown.site.ground.kind, allowed)
-    return flown.site.ground
+    if isinstance(flown.site.ground, Generated):
+        return flown.site.ground
+    for option, value in options.items():
+        if value is not None:
+            found = Finding(f"a ground of kind {flown.site.ground.kind}")
+            raise InputError(scenario, "site.ground.kind", found, f"allowed with {option}: generated")
+    return None
+
+
+def _print_survey(survey: dict[str, Any]) -> None:
+    east_m, north_m = survey["sampled_every_m"]
+    click.echo(survey["description"])
+    click.echo(f"area: {_area_in_words(survey['area_m'])}")
+    if survey["lowest_m"] is not None:
+        low_m, high_m = (round(survey[key], 1) + 0.0 for key in ("lowest_m", "highest_m"))  # never minus zero
+        click.echo(
+            f"heights above the origin: {low_m} to {high_m} m, sampled every {east_m:.3g} m x {north_m:.3g} m"
+        )
+    if survey["missing_share"]:
+        click.echo(f"without ground: {survey['missing_share']:.2%} of the area")
+    click.echo(f"slope over {2 * east_m:.3g} m: {_percentiles_in_words(survey['slope_deg'])}")
+    footprint = survey["footprint"]
+    if footprint is None:
+        click.echo("footprint: the flight is not known before the run")
+        return
+    click.echo(f"footprint of the flight: {_area_in_words(footprint['area_m'])}")
+    click.echo(f"incidence of the beams: {_percentiles_in_words(footprint['incidence_deg'])}")
+    click.echo(f"beams without ground: {footprint['no_ground_share']:.2%}")
+
+
+def _area_in_words(area_m: dict[str, float]) -> str:
+    west, east, south, north = area_m.values()
+    return (
+        f"{east - west:.1f} m x {north - south:.1f} m, "
+        f"east {west:.1f} to {east:.1f} m, north {south:.1f} to {north:.1f} m"
+    )
+
+
+def _percentiles_in_words(degrees: dict[str, float] | None) -> str:
+    if degrees is None:
+        return "unknown"
+    return f"median {degrees['median']:.1f}°, 95th percentile {degrees['p95']:.1f}°, largest {degrees['largest']:.1f}°"
 
 
 def _title(specified: Generated) -> str:
@@ -119,7 +186,7 @@ def _whole(specified: Generated, elevation_m: FloatArray) -> dict[str, Any]:
     }
 
 
-def _print(specified: Generated, found: list[StatisticCheck], whole: dict[str, Any]) -> None:
+def _print_comparison(specified: Generated, found: list[StatisticCheck], whole: dict[str, Any]) -> None:
     from rich import box
     from rich.console import Console
     from rich.table import Table

@@ -11,6 +11,7 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.scenario.mesh_ground import Mesh, MeshOrigin
 from lidar_emu.scenario.site import Site
+from lidar_emu.scene.map_area import Rectangle
 from lidar_emu.scene.mesh.file import MeshFile, enclosed_m3, turned_over
 from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
 from lidar_emu.scene.ray_hits import Hits
@@ -53,11 +54,15 @@ class MeshGround:
         """Highest z straight above or below each point, (n,); NaN beside the mesh."""
         return self._mesh.top_m(east_m, north_m)
 
+    @property
+    def area(self) -> Rectangle:
+        """Bounding rectangle."""
+        low_m, high_m = self._mesh.low_m, self._mesh.high_m
+        return Rectangle(float(low_m[0]), float(high_m[0]), float(low_m[1]), float(high_m[1]))
+
     def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
         """True for a closed mesh, and within the bounding rectangle of an open one."""
-        east, north = np.broadcast_arrays(east_m, north_m)
-        low_m, high_m = self._mesh.low_m, self._mesh.high_m
-        within = (low_m[0] <= east) & (east <= high_m[0]) & (low_m[1] <= north) & (north <= high_m[1])
+        within = self.area.holds(*np.broadcast_arrays(east_m, north_m))
         return np.asarray(within | self._closed)
 
 
