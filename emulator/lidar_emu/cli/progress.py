@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from itertools import count
 from typing import Any
 
 import click
@@ -23,12 +22,9 @@ def busy(what: str) -> Iterator[None]:
         KeyboardInterrupt: at the end of the block, if a callback swallowed one.
     """
     with _keep_ctrl_c(), _display(what) as show:
-        number = count(1)
-
-        def compiling(kernel: str) -> None:
-            show(f"{what}: compiling, at the first start only, about 40 s; kernel {next(number)}, {kernel}")
-
-        with compilation_reported_to(compiling):
+        with compilation_reported_to(
+            lambda kernel: show(f"compiling, at the first start only, about 40 s: {kernel}")
+        ):
             yield
 
 
@@ -50,8 +46,11 @@ def _display(what: str) -> Iterator[Callable[[str], None]]:
         return
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.table import Column
 
-    columns = SpinnerColumn(), TimeElapsedColumn(), TextColumn("{task.description}")
+    # A table shortens its columns where a terminal is narrow: the text, not the time.
+    time = TimeElapsedColumn(table_column=Column(min_width=len("0:00:00")))
+    columns = SpinnerColumn(), time, TextColumn("{task.description}")
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(what, total=None)
         yield lambda text: progress.update(task, description=text)
