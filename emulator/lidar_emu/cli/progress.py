@@ -21,11 +21,12 @@ def busy(what: str) -> Iterator[None]:
     Raises:
         KeyboardInterrupt: at the end of the block, if a callback swallowed one.
     """
-    with _keep_ctrl_c(), _display(what) as show:
-        with compilation_reported_to(
-            lambda kernel: show(f"compiling, at the first start only, about 40 s: {kernel}")
-        ):
-            yield
+    with (
+        _keep_ctrl_c(),
+        _display(what) as show,
+        compilation_reported_to(lambda kernel: show(f"compiling (first start only, about 40 s): {kernel}")),
+    ):
+        yield
 
 
 def show_step(what: str) -> None:
@@ -50,7 +51,7 @@ def _display(what: str) -> Iterator[Callable[[str], None]]:
 
     # A table shortens its columns where a terminal is narrow: the text, not the time.
     time = TimeElapsedColumn(table_column=Column(min_width=len("0:00:00")))
-    columns = SpinnerColumn(), time, TextColumn("{task.description}")
+    columns = SpinnerColumn(), time, TextColumn("{task.description}", table_column=Column(no_wrap=True))
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(what, total=None)
         yield lambda text: progress.update(task, description=text)
