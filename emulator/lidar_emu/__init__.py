@@ -2,8 +2,13 @@
 
 import lidar_emu
 
-run = lidar_emu.simulate(lidar_emu.load("descent.yaml"), seed=1)
+run = lidar_emu.simulate("descent.yaml", seed=1)
 run.range_m            # (shots, beams), NaN where a beam has no valid range
+run.truth.range_m      # the ground truth
+run.to_pandas()        # a row per shot and beam
+
+The names in `__all__` are stable; docs/python.md shows each. Each is imported on first use, because the model takes a
+second to load.
 """
 
 from __future__ import annotations
@@ -11,19 +16,56 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from lidar_emu.api.campaign import CampaignResults as CampaignResults
+    from lidar_emu.api.campaign import run_campaign as run_campaign
+    from lidar_emu.api.embedded_device import EmbeddedDevice as EmbeddedDevice
+    from lidar_emu.api.ground import Ground as Ground
+    from lidar_emu.api.planning import detection_by_altitude as detection_by_altitude
+    from lidar_emu.api.planning import plan_run as plan_run
+    from lidar_emu.errors import InputError as InputError
+    from lidar_emu.errors import RunError as RunError
+    from lidar_emu.fmcw.reasons import Reason as Reason
+    from lidar_emu.measurement import GroundTruth as GroundTruth
+    from lidar_emu.measurement import Measurement as Measurement
+    from lidar_emu.recording.read import read_recording as read_recording
     from lidar_emu.scenario.load import load as load
+    from lidar_emu.scenario.load import shipped_scenarios as shipped_scenarios
+    from lidar_emu.scenario.schema import BenchScenario as BenchScenario
+    from lidar_emu.scenario.schema import FlightScenario as FlightScenario
     from lidar_emu.shots.model import simulate as simulate
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "load", "simulate"]
 
-_HOMES = {"load": "lidar_emu.scenario.load", "simulate": "lidar_emu.shots.model"}
+_HOMES = {
+    "BenchScenario": "scenario.schema",
+    "CampaignResults": "api.campaign",
+    "EmbeddedDevice": "api.embedded_device",
+    "FlightScenario": "scenario.schema",
+    "Ground": "api.ground",
+    "GroundTruth": "measurement",
+    "InputError": "errors",
+    "Measurement": "measurement",
+    "Reason": "fmcw.reasons",
+    "RunError": "errors",
+    "detection_by_altitude": "api.planning",
+    "load": "scenario.load",
+    "plan_run": "api.planning",
+    "read_recording": "recording.read",
+    "run_campaign": "api.campaign",
+    "shipped_scenarios": "scenario.load",
+    "simulate": "shots.model",
+}
+__all__ = ["__version__", *_HOMES]
 
 
 def __getattr__(name: str) -> Any:
-    """Import attributes on first use: the model takes a second to load, which `--help` must not."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(_HOMES[name]), name)
+    found = globals()[name] = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -32,7 +32,7 @@ def _vehicle_column(unit: str, meaning: str, in_table: str, axes: tuple[str, ...
     )
 
 
-class Truth(NamedTuple):
+class GroundTruth(NamedTuple):
     """The ground truth of a measurement: arrays of shots and beams in SI units, NaN where nothing is known.
 
     The site frame has its axes east, north and up, from the site's origin; the body frame is x forward, y right,
@@ -216,11 +216,11 @@ class Measurement(BeamReport):
         return np.where(self.fired, self.time_ns * 1e-9, np.nan)
 
     @property
-    def truth(self) -> Truth:
+    def truth(self) -> GroundTruth:
         """The ground truth of vehicle and beams."""
         own = {name: getattr(self, name) for name in in_groups(COLUMNS, Group.VEHICLE)}
-        return Truth(
-            **own, **{name: getattr(self, f"true_{name}") for name in Truth._fields if name not in own}
+        return GroundTruth(
+            **own, **{name: getattr(self, f"true_{name}") for name in GroundTruth._fields if name not in own}
         )
 
     @property

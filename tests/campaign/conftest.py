@@ -32,7 +32,7 @@ def fly(campaign_file, tmp_path):
     def flown(name="out", pool=None, text=SMALL, runs=12, reported=lambda _: None):
         pool = pool or Here()
         fly_campaign(
-            prepare(campaign_file(text, runs), {}, None), ROWS, tmp_path / name, lambda: pool, reported
+            prepare(campaign_file(text, runs), [], None), ROWS, tmp_path / name, lambda: pool, reported
         )
         return pool
 

@@ -191,7 +191,7 @@ def test_one_process_at_a_time(fly, tmp_path):
     ],
 )
 def test_files_are_neither_tiny_nor_huge(campaign_file, runs, rows, every, expected):
-    prepared = prepare(campaign_file(SMALL + f"beams_every: {every}\n", 1), {}, None)
+    prepared = prepare(campaign_file(SMALL + f"beams_every: {every}\n", 1), [], None)
     many = prepared.campaign.model_copy(update={"runs": runs})
     assert (
         runs_per_file(prepared.__class__(many, prepared.base, prepared.drawn, prepared.first), rows)
@@ -206,7 +206,7 @@ def test_a_full_disk_is_reported(campaign_file, tmp_path, monkeypatch):
     monkeypatch.setattr("lidar_emu.campaign.batch.write_table", full)
     pool = Here()
     with pytest.raises(RunError, match="No space left"):
-        fly_campaign(prepare(campaign_file(), {}, None), ROWS, tmp_path / "out", lambda: pool, lambda _: None)
+        fly_campaign(prepare(campaign_file(), [], None), ROWS, tmp_path / "out", lambda: pool, lambda _: None)
     assert pool.stopped
 
 
@@ -224,7 +224,7 @@ def test_kept_ground_and_trajectories_are_those_that_would_be_made(campaign_file
         "  trajectory.waypoints.0.speed_mps: {{kind: choice, of: [90.0, 100.0]}}\n"
     )
     text = text.replace("kind: normal, mean: 900, sigma: 60, low: 800", "kind: choice, of: [2000.0, 1900.0]")
-    prepared = prepare(campaign_file(text, 24), {}, None)
+    prepared = prepare(campaign_file(text, 24), [], None)
     for run in range(24):
         values = prepared.drawn.values(run)
         fresh = lidar_emu.simulate(prepared.base.scenario_of(values)).table()

@@ -16,6 +16,7 @@ from small_campaign import Here
 from lidar_emu.campaign.read import prepare
 from lidar_emu.campaign.run import fly_campaign
 from lidar_emu.campaign.statistics import ERRORS, campaign_statistics
+from lidar_emu.scenario.parts import ChangedKey
 
 RUNS = 50
 LEAST_BEAMS = 1000
@@ -32,7 +33,7 @@ def apart(one, other):
 def test_dropouts_and_errors_agree(tmp_path):
     bands = {}
     for level in ("statistical", "spectral"):
-        prepared = prepare(Path("dispersed_descent.yaml"), {"level": level}, RUNS)
+        prepared = prepare(Path("dispersed_descent.yaml"), [ChangedKey("level", level, "test")], RUNS)
         fly_campaign(prepared, 4032, tmp_path / level, Here, lambda _: None)
         reported = campaign_statistics(tmp_path / level)
         bands[level] = {(band.axis, band.low): band for band in reported if band.expected >= LEAST_BEAMS}

@@ -12,7 +12,7 @@ import lidar_emu
 from lidar_emu.errors import InputError
 from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.reasons import Reason
-from lidar_emu.measurement import COLUMNS, Measurement, Truth
+from lidar_emu.measurement import COLUMNS, GroundTruth, Measurement
 from lidar_emu.numerics.columns import Group, in_groups
 
 LEVER_ARM_M = (2.0, 0.3, -0.5)
@@ -84,7 +84,7 @@ def test_what_is_hit(make_flight: Any) -> None:
 def test_the_view_names_every_true_column() -> None:
     run = lidar_emu.simulate("bench", duration_s=1)
     vehicle, beams = (set(in_groups(COLUMNS, group)) for group in (Group.VEHICLE, Group.TRUTH))
-    named = vehicle | {f"true_{name}" for name in set(Truth._fields) - vehicle}
+    named = vehicle | {f"true_{name}" for name in set(GroundTruth._fields) - vehicle}
     assert vehicle | beams == named | {"true_in_gap", "true_peak_source"}
     assert np.isnan(run.truth.site_from_body).all()  # a bench pattern has no vehicle
     np.testing.assert_array_equal(run.truth.range_m, run.true_range_m)

@@ -17,6 +17,7 @@ from lidar_emu.campaign.read import PreparedCampaign, prepare
 from lidar_emu.campaign.run import fly_campaign
 from lidar_emu.campaign.tables import column_kinds
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.scenario.parts import ChangedKey
 from lidar_emu.shots.model import build_model
 
 CAMPAIGN = "dispersed_descent.yaml"
@@ -49,9 +50,13 @@ class Scaling:
     alone_s: float
 
 
+def _at(level: str) -> list[ChangedKey]:
+    return [ChangedKey("level", level, CAMPAIGN)]
+
+
 def measure_cores(show: Callable[[str], None]) -> list[CoreSpeed]:
     """Measure the levels in turn, round by round, so that other load on the machine affects all alike."""
-    prepared = {level: prepare(Path(CAMPAIGN), {"level": level}, _ROUNDS * _RUNS_A_ROUND) for level in LEVELS}
+    prepared = {level: prepare(Path(CAMPAIGN), _at(level), _ROUNDS * _RUNS_A_ROUND) for level in LEVELS}
     clock, wall_s, core_s = Clock(), np.empty((len(LEVELS), _ROUNDS)), np.empty((len(LEVELS), _ROUNDS))
     with tempfile.TemporaryDirectory() as kept:
         for one in prepared.values():
@@ -71,7 +76,7 @@ def measure_cores(show: Callable[[str], None]) -> list[CoreSpeed]:
 
 def measure_scaling(workers: int, runs: int, show: Callable[[str], None]) -> Scaling:
     """Fly `runs` at the statistical level, where the overhead of a pool matters most; medians of several rounds."""
-    prepared = prepare(Path(CAMPAIGN), {"level": LEVELS[0]}, runs)
+    prepared = prepare(Path(CAMPAIGN), _at(LEVELS[0]), runs)
     model = build_model(prepared.first)
     rows = model.shot_count * model.beam_count
     clock, times_s = Clock(), np.empty((2, _COMPARISONS))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ from lidar_emu.scenario.load import find_file, read_scenario
 from lidar_emu.scenario.parts import CAMPAIGN, ChangedKey
 from lidar_emu.scenario.required import require_flight, require_known_flight
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.scenario.yaml_text import Key, parse, read_mapping
+from lidar_emu.scenario.yaml_text import Key, read_mapping
 
 _FIRST_RUNS = 16
 
@@ -80,24 +80,25 @@ def read_campaign(path: Path, runs: int | None = None) -> tuple[Path, Campaign]:
         raise explained(error, Campaign, tree, sources) from None
 
 
-def prepare(path: Path, overrides: Mapping[str, str], runs: int | None) -> PreparedCampaign:
+def prepare(path: Path, changes: Sequence[ChangedKey], runs: int | None) -> PreparedCampaign:
     """Read a campaign and draw its values.
 
     Args:
         path: path of its file, or the name of a shipped campaign.
-        overrides: YAML values from the command line by dotted scenario key.
-        runs: number of runs from the command line; None: as in the file.
+        changes: keys that all runs have instead of the campaign's and the scenario's.
+        runs: number of runs; None: as in the file.
 
     Raises:
         InputError: the campaign or its scenario cannot be used, or the first runs are all invalid.
     """
     found, campaign = read_campaign(path, runs)
-    for key in overrides:
-        if key in campaign.drawn_keys:
-            raise InputError("--set", key, Finding("drawn"), f"allowed: keys that {found} does not draw")
+    for change in changes:
+        if change.key in campaign.drawn_keys:
+            allowed = f"allowed: keys that {found} does not draw"
+            raise InputError(change.stated_by, change.key, Finding("drawn"), allowed)
     beside = found.parent / campaign.scenario
     scenario = find_file(beside if beside.is_file() else Path(campaign.scenario), "scenarios")
-    fixed = campaign.set | {key: parse(text, f"--set {key}") for key, text in overrides.items()}
+    fixed = campaign.set | {change.key: change.value for change in changes}
     base = Base(str(scenario.resolve()), fixed)
     drawn = draw(campaign, str(found))
     return PreparedCampaign(campaign, base, drawn, _first_flown(base, drawn, campaign.runs))

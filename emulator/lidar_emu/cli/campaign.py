@@ -70,8 +70,9 @@ def campaign(
     count = None if runs is None else as_whole("--runs", runs)
     _check_extras(plot)
     from lidar_emu.campaign.read import prepare
+    from lidar_emu.scenario.load import settings_to_changes
 
-    prepared = prepare(Path(campaign), keys_and_values(settings), count)
+    prepared = prepare(Path(campaign), settings_to_changes(keys_and_values(settings)), count)
     if out is None:
         _print_plan(prepared, slots, as_json)
         return

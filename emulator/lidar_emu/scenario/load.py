@@ -56,8 +56,16 @@ def load(
 
 def load_with_settings(scenario: str, settings: Mapping[str, str]) -> FlightScenario | BenchScenario:
     """Read and check a scenario with dotted keys and YAML values from the command line, see `load`."""
-    changes = [ChangedKey(key, parse(text, f"{OPTION} {key}"), OPTION) for key, text in settings.items()]
-    return read_scenario(Path(scenario), changes)
+    return read_scenario(Path(scenario), settings_to_changes(settings))
+
+
+def settings_to_changes(settings: Mapping[str, str]) -> list[ChangedKey]:
+    """The changes that dotted keys and YAML values from the command line state.
+
+    Raises:
+        InputError: a value is not YAML.
+    """
+    return [ChangedKey(key, parse(text, f"{OPTION} {key}"), OPTION) for key, text in settings.items()]
 
 
 def read_scenario(scenario: Path, changes: list[ChangedKey]) -> FlightScenario | BenchScenario:
