@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from lidar_emu.report.recorded_run import read_recorded_run
 
 pytestmark = pytest.mark.slow
 CHROMIUM = shutil.which("chromium")
-FIGURES = ["path", "truth", "errors", "validity", "spectra"]
+FIGURES = ["path", "motion", "truth", "errors", "signal", "validity", "spectra"]
 DARK = "--blink-settings=preferredColorScheme=0"
 
 
@@ -66,6 +67,22 @@ def test_nothing_of_a_scenario_is_markup(flight_page):
     text = flight_page.read_text()
     assert "<script" not in text
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
+
+
+def test_every_key_of_scenario_and_instrument_is_in_the_page(flight_page):
+    from ruamel.yaml import YAML
+
+    from lidar_emu.scenario.load import load
+
+    blocks = [unescape(text) for text in re.findall(r"<pre>(.*?)</pre>", flight_page.read_text(), re.DOTALL)]
+    scenario, instrument = (YAML(typ="safe").load(text) for text in blocks)
+    flown = load("descent.yaml", {"duration_s": "1"}).model_dump(mode="json")
+    assert instrument["instrument"] == flown.pop("instrument")
+    assert scenario["faults"][0]["kind"] == "dropout"
+    changed = ("name", "faults")
+    assert {k: v for k, v in scenario.items() if k not in changed} == {
+        k: v for k, v in flown.items() if k not in changed
+    }
 
 
 def test_figures_are_pictures(flight_page):

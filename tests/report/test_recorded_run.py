@@ -112,7 +112,7 @@ def test_lateness_is_drawn_where_time_was_kept(bench_flown):
     drawings = {drawing.name: drawing for drawing in draw_figures(kept, ()).drawings}
     recording.origin = {**recording.origin, "pace": "max"}
     assert drawings["lateness"].description == (
-        "From due to written: median 2 us, 99 % below 2 us, largest 2 us."
+        "From due to written: 50th percentile 2 us, 99th 2 us, largest 2 us."
     )
 
 

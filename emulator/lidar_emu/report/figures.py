@@ -8,6 +8,7 @@ from typing import NamedTuple
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.plan.plan import Plan
 from lidar_emu.report import flight_figures, run_figures
+from lidar_emu.report.motion_figure import draw_motion
 from lidar_emu.report.page_style import Drawing
 from lidar_emu.report.recorded_run import RecordedRun
 from lidar_emu.report.spectra import NoSpectraError, choose_measurements, compute_spectra, draw_spectra
@@ -35,15 +36,18 @@ def draw_figures(run: RecordedRun, at_s: Sequence[float]) -> Figures:
     notes: list[str] = []
     model = _model(run, notes)
     measured, flight = run.measurement, model if isinstance(model, FlightModel) else None
-    drawings = [run_figures.draw_validity(measured), run_figures.draw_timeline(run)]
+    drawings = [
+        run_figures.draw_signal(measured),
+        run_figures.draw_validity(measured),
+        run_figures.draw_timeline(run),
+    ]
     if measured.range_valid.any() or measured.speed_valid.any():
         drawings[:0] = [flight_figures.draw_truth(measured), flight_figures.draw_errors(measured)]
     else:
         notes.append("No ranges, speeds and errors: no measurement is valid.")
     if run.is_flight:
-        drawings.insert(
-            0, flight_figures.draw_path(measured, None if flight is None else flight.flight.scene)
-        )
+        scene = None if flight is None else flight.flight.scene
+        drawings[:0] = [flight_figures.draw_path(measured, scene), draw_motion(measured, scene)]
         drawings.append(_spectra(run, flight, at_s, notes))
     else:
         notes.append("No path and spectra: a bench pattern has no position and no receiver.")

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.report.ground_below import extent_of, sample_ground, slope_to_sun
-from lidar_emu.report.page_style import GRID, Drawing, beam_points, draw_figure, name_beams, points
+from lidar_emu.report.axis_limits import (
+    Limits,
+    error_limits,
+    limited_points,
+    outside_words,
+    truth_limits,
+)
+from lidar_emu.report.ground_below import Extent, extent_of, sample_ground, slope_to_sun
+from lidar_emu.report.page_style import GRID, Drawing, draw_figure, name_beams, points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,62 +30,100 @@ _BAND_POINTS = 240
 _PATH = "#d1495b"
 _TRUTH = "#8a919c"
 _WIDEST_SIGMA = 5.0
+_LEAST_RANGE_ERROR_M, _LEAST_SPEED_ERROR_MPS = 0.01, 1e-4
+"""Least half width of the axes of errors: errors of a receiver without any are rounding."""
 
 
 def draw_path(measurement: Measurement, scene: Scene | None) -> Drawing:
-    """Draw path and measured points over the ground, from above and from the side."""
+    """Draw path and measured points over the ground, from above and from the side.
+
+    Both views are fitted to the path and the true hit points; measured points outside are marked by crosses.
+    """
+    extent = extent_of(measurement)
+    valid = measurement.range_valid
+    point_m = measurement.point_site_m[valid]
+    inside = np.all((point_m >= extent.low_m) & (point_m <= extent.high_m), axis=1)
 
     def plot(figure: Figure) -> None:
         above, side = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
-        ranges = _from_above(above, measurement, scene)
-        if measurement.range_valid.any():
+        ranges = _from_above(above, measurement, scene, extent, inside)
+        if inside.any():
             figure.colorbar(ranges, ax=above, shrink=0.8, label="range (m)")
-        _from_the_side(side, measurement)
+        _from_the_side(side, measurement, extent, inside)
 
     low_m, high_m = (f(measurement.position_site_m[:, 2]) for f in (np.nanmin, np.nanmax))
-    count = int(measurement.range_valid.sum())
+    outside = int(np.count_nonzero(~inside))
+    elsewhere = f", {outside} of them far from path and ground and marked by crosses" if outside else ""
     description = (
-        f"Path of the vehicle between {low_m:.0f} m and {high_m:.0f} m above the site's origin, and {count} measured "
-        "points on the ground, from above and from the side."
+        f"Path of the vehicle between {low_m:.0f} m and {high_m:.0f} m above the site's origin, and {len(point_m)} "
+        f"measured points on the ground{elsewhere}, from above and from the side."
     )
     return draw_figure("path", "Path and footprints", description, 4.4, plot)
 
 
-def _from_above(axes: Axes, measurement: Measurement, scene: Scene | None) -> PathCollection:
+def _from_above(
+    axes: Axes, measurement: Measurement, scene: Scene | None, extent: Extent, inside: BoolArray
+) -> PathCollection:
     """Draw the view from above; return the coloured points."""
-    extent = extent_of(measurement)
     if scene is not None:
         light = slope_to_sun(sample_ground(scene, extent, _GROUND_SAMPLES))
         edges = (extent.low_m[0], extent.high_m[0], extent.low_m[1], extent.high_m[1])
         axes.imshow(light, cmap="gray", vmin=-1.6, vmax=1.6, extent=edges, origin="lower", zorder=0)
     valid = measurement.range_valid
+    point_m = measurement.point_site_m[valid]
     drawn = axes.scatter(
-        measurement.point_site_m[valid, 0],
-        measurement.point_site_m[valid, 1],
-        c=measurement.range_m[valid],
-        s=4.0 if valid.sum() < 4000 else 1.0,
+        point_m[inside, 0],
+        point_m[inside, 1],
+        c=measurement.range_m[valid][inside],
+        s=4.0 if inside.sum() < 4000 else 1.0,
         linewidths=0,
         rasterized=True,
     )
+    _mark_outside(axes, *np.clip(point_m[~inside, :2], extent.low_m[:2], extent.high_m[:2]).T)
     axes.plot(*measurement.position_site_m[:, :2].T, color=_PATH, linewidth=1.5, label="path")
     axes.plot(*measurement.position_site_m[-1, :2], "o", color=_PATH, markersize=4, label="end of path")
     axes.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
+    axes.set(xlim=(extent.low_m[0], extent.high_m[0]), ylim=(extent.low_m[1], extent.high_m[1]))
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     return drawn
 
 
-def _from_the_side(axes: Axes, measurement: Measurement) -> None:
-    """Draw height over distance along the straight line from the start to the end of the path."""
+def _from_the_side(axes: Axes, measurement: Measurement, extent: Extent, inside: BoolArray) -> None:
+    """Draw height over horizontal distance along the straight line from the start to the end of the path."""
     position_m = measurement.position_site_m
     way_m = position_m[-1, :2] - position_m[0, :2]
     length_m = float(np.hypot(*way_m))
-    ahead = way_m / length_m if length_m > 1.0 else np.array([1.0, 0.0])
+    level = length_m > 0.05 * (extent.high_m[2] - extent.low_m[2])
+    ahead = way_m / length_m if level else np.array([1.0, 0.0])
     point_m = measurement.point_site_m[measurement.range_valid]
-    along_m = (point_m[:, :2] - position_m[0, :2]) @ ahead
-    points(axes, along_m, point_m[:, 2], color="C0", label="measured points")
+    box_m = np.clip(point_m, extent.low_m, extent.high_m)
+    along_m = (box_m[:, :2] - position_m[0, :2]) @ ahead
+    points(axes, along_m[inside], point_m[inside, 2], color="C0", label="measured points")
+    _mark_outside(axes, along_m[~inside], box_m[~inside, 2])
     axes.plot((position_m[:, :2] - position_m[0, :2]) @ ahead, position_m[:, 2], color=_PATH, linewidth=1.5)
-    towards = "along the path" if length_m > 1.0 else "east"
-    axes.set(xlabel=f"distance {towards} (m)", ylabel="up (m)")
+    axes.set(
+        xlabel=f"distance {'along the path' if level else 'east'} from its start (m)", ylabel="up (m)",
+        ylim=(extent.low_m[2], extent.high_m[2]),
+    )  # fmt: skip
+    if not level:
+        axes.set_xlim(extent.low_m[0] - position_m[0, 0], extent.high_m[0] - position_m[0, 0])
+    elif not (along_m < 0.0).any():
+        axes.set_xlim(left=0.0)
+
+
+def _mark_outside(axes: Axes, x: FloatArray, y: FloatArray) -> None:
+    """Mark points that lie outside the axes, at the nearest place on their edges."""
+    if len(x):
+        axes.plot(
+            x,
+            y,
+            "x",
+            color=_PATH,
+            markersize=4.0,
+            clip_on=False,
+            rasterized=True,
+            label="far from the ground",
+        )
 
 
 def draw_truth(measurement: Measurement) -> Drawing:
@@ -93,15 +138,20 @@ def draw_truth(measurement: Measurement) -> Drawing:
         ),
     )
     time_s = np.asarray(measurement.time_ns * 1e-9, dtype=np.float64)
+    limits = [truth_limits(measured[valid], true) for _, measured, true, valid in pairs]
 
     def plot(figure: Figure) -> None:
-        for axes, (label, measured, true, valid) in zip(figure.subplots(2, sharex=True), pairs, strict=True):
+        for axes, (label, measured, true, valid), own in zip(
+            figure.subplots(2, sharex=True), pairs, limits, strict=True
+        ):
             for beam in range(measurement.beam_count):
                 axes.plot(
                     time_s[:, beam], true[:, beam], color=_TRUTH, linewidth=0.8, zorder=1, rasterized=True
                 )
                 shown = valid[:, beam]
-                beam_points(axes, beam, measurement.beam_count, time_s[shown, beam], measured[shown, beam])
+                limited_points(
+                    axes, beam, measurement.beam_count, time_s[shown, beam], measured[shown, beam], own
+                )
                 axes.plot([], [], ".", color=f"C{beam % 10}", label=f"beam {beam}")
             axes.plot([], [], color=_TRUTH, label="ground truth")
             axes.set_ylabel(label)
@@ -110,9 +160,13 @@ def draw_truth(measurement: Measurement) -> Drawing:
 
     ranges = _span(measurement.range_m[measurement.range_valid], "m")
     speeds = _span(measurement.closing_speed_mps[measurement.speed_valid], "m/s")
+    outside = sum(
+        int(np.count_nonzero(~own.contain(measured[valid])))
+        for (_, measured, _, valid), own in zip(pairs, limits, strict=True)
+    )
     description = (
         f"Measured ranges ({ranges}) and closing speeds ({speeds}) of each beam over time, with their ground truth as "
-        "lines."
+        f"lines.{outside_words(outside)}"
     )
     return draw_figure("truth", "Range and speed against truth", description, 4.6, plot)
 
@@ -123,38 +177,63 @@ def _span(values: FloatArray, unit: str) -> str:
 
 def draw_errors(measurement: Measurement) -> Drawing:
     """Draw errors over time with the band of two stated sigma, and the distribution of error over stated sigma."""
-    rows = (
-        ("range error (m)", 1.0, measurement.range_m - measurement.true_range_m,
-         measurement.sigma_range_m, measurement.range_valid),
-        ("speed error (mm/s)", 1e3, measurement.closing_speed_mps - measurement.true_closing_speed_mps,
-         measurement.sigma_speed_mps, measurement.speed_valid),
-    )  # fmt: skip
+    rows = [
+        _ErrorRow("range error (m)", 1.0, measurement.range_m - measurement.true_range_m,
+                  measurement.sigma_range_m, measurement.range_valid, _LEAST_RANGE_ERROR_M),
+        _ErrorRow("speed error (mm/s)", 1e3, measurement.closing_speed_mps - measurement.true_closing_speed_mps,
+                  measurement.sigma_speed_mps, measurement.speed_valid, _LEAST_SPEED_ERROR_MPS),
+    ]  # fmt: skip
     time_s = np.asarray(measurement.time_ns * 1e-9, dtype=np.float64)
 
     def plot(figure: Figure) -> None:
         grid = figure.subplots(2, 2, width_ratios=(3.0, 1.0), sharex="col")
-        for (along, spread), (label, factor, error, sigma, valid) in zip(grid, rows, strict=True):
+        for (along, spread), row in zip(grid, rows, strict=True):
             for beam in range(measurement.beam_count):
-                shown = valid[:, beam]
-                beam_points(
-                    along, beam, measurement.beam_count, time_s[shown, beam], factor * error[shown, beam]
-                )
-            _add_band(along, time_s[valid], factor * sigma[valid])
-            along.set_ylabel(label)
-            _add_spread(spread, error[valid], sigma[valid])
+                shown = row.valid[:, beam]
+                own = row.factor * row.error[shown, beam]
+                limited_points(along, beam, measurement.beam_count, time_s[shown, beam], own, row.limits())
+            _add_band(along, time_s[row.valid], row.factor * row.sigma[row.valid])
+            along.set_ylabel(row.label)
+            _add_spread(spread, row.error[row.valid], row.sigma[row.valid])
         grid[1, 0].set_xlabel("time (s)")
         grid[1, 1].set_xlabel("error / stated sigma")
         if grid[0, 0].get_legend_handles_labels()[0]:
             grid[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
-            grid[0, 1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
+            grid[0, 1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
 
-    error_m, error_mps = (row[2][row[4]] for row in rows)
+    error_m, error_mps = (row.error[row.valid] for row in rows)
+    outside = sum(row.outside() for row in rows)
     description = (
         f"Errors of {error_m.size} ranges ({_moments(error_m, 1.0, 'm')}) and {error_mps.size} speeds "
         f"({_moments(error_mps, 1e3, 'mm/s')}) over time with the band of two stated standard deviations, and their "
         "distribution in units of the stated standard deviation beside the normal distribution."
+        f"{outside_words(outside)}"
     )
     return draw_figure("errors", "Errors and the stated sigma", description, 4.6, plot)
+
+
+class _ErrorRow(NamedTuple):
+    """Errors of one quantity, in SI units, and how they are shown."""
+
+    label: str
+    factor: float
+    """Shown value of one SI unit."""
+    error: FloatArray
+    sigma: FloatArray
+    valid: BoolArray
+    least: float
+    """Least half width of the axis."""
+
+    def limits(self) -> Limits:
+        """Compute the limits of the axis in the shown unit; they contain the band of the stated sigma."""
+        stated = self.sigma[self.valid & np.isfinite(self.sigma)]
+        band = 2.0 * float(np.median(stated)) if stated.size else 0.0
+        return error_limits(self.factor * self.error[self.valid], self.factor * max(band, self.least))
+
+    def outside(self) -> int:
+        """Count the errors beyond the limits."""
+        shown = self.factor * self.error[self.valid]
+        return int(np.count_nonzero(~self.limits().contain(shown) & np.isfinite(shown)))
 
 
 def _moments(error: FloatArray, factor: float, unit: str) -> str:
@@ -188,6 +267,15 @@ def _add_spread(axes: Axes, error: FloatArray, sigma: FloatArray) -> None:
         axes.text(0.5, 0.5, "no stated sigma", ha="center", transform=axes.transAxes)
         return
     bins = np.linspace(-_WIDEST_SIGMA, _WIDEST_SIGMA, 61)
-    clipped = np.clip(ratio, -_WIDEST_SIGMA, _WIDEST_SIGMA)
-    axes.hist(clipped, bins=bins.tolist(), density=True, color="C0", alpha=0.7, label="errors")
+    inside = np.abs(ratio) <= _WIDEST_SIGMA
+    weight = np.full(int(inside.sum()), 1.0 / (ratio.size * (bins[1] - bins[0])))
+    axes.hist(ratio[inside], bins=bins.tolist(), weights=weight, color="C0", alpha=0.7, label="errors")
     axes.plot(bins, np.exp(-0.5 * bins**2) / np.sqrt(2.0 * np.pi), color=_PATH, linewidth=1.3, label="normal")
+    axes.set_xlim(-1.15 * _WIDEST_SIGMA, 1.15 * _WIDEST_SIGMA)
+    for beyond, place, side, words in (
+        (ratio < -_WIDEST_SIGMA, 0.0, "left", f"below -{_WIDEST_SIGMA:g}"),
+        (ratio > _WIDEST_SIGMA, 1.0, "right", f"above {_WIDEST_SIGMA:g}"),
+    ):
+        if beyond.any():
+            text = f"{100.0 * beyond.mean():.2g} %\n{words}"
+            axes.text(place, 0.97, text, ha=side, va="top", fontsize=7.5, transform=axes.transAxes)

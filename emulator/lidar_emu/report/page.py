@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from html import escape
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,8 @@ table { border-collapse: collapse; font-size: 0.88rem; }
 th { text-align: left; font-weight: 600; }
 td, th { padding: 0.15rem 0.9rem 0.15rem 0; vertical-align: top; border-bottom: 1px solid var(--rule);
   overflow-wrap: anywhere; }
+summary { cursor: pointer; font-weight: 600; }
+pre { font-size: 0.8rem; line-height: 1.35; overflow-x: auto; }
 thead th { white-space: nowrap; overflow-wrap: normal; }
 tbody th { min-width: 6rem; max-width: 16rem; }
 """
@@ -70,6 +73,7 @@ def write_page(
         *(f'<p class="note">{escape(note)}</p>' for note in notes),
         *_events(run),
         *_left_out(plan),
+        *_scenario(run),
         "<h2>Origin</h2>",
         _table((), _origin(run)),
     ]
@@ -150,6 +154,30 @@ def _left_out(plan: Plan | None) -> list[str]:
     )
     heads = ("stage", "computed", "how", "reason", "bound")
     return ["<h2>Stages computed and left out</h2>", _table(heads, rows)]
+
+
+def _scenario(run: RecordedRun) -> list[str]:
+    """Show every key of the scenario with its value, defaults included; the instrument apart."""
+    tree = json.loads(run.recording.origin["scenario"])
+    instrument = tree.pop("instrument", None)
+    parts = {"Scenario": tree} | ({} if instrument is None else {"Instrument": {"instrument": instrument}})
+    note = '<p class="note">Every key with the value it had in this run, defaults included.</p>'
+    shown = (
+        f"<details><summary>{title}</summary><pre>{escape(_as_yaml(values))}</pre></details>"
+        for title, values in parts.items()
+    )
+    return ["<h2>Scenario and instrument</h2>", note, *shown]
+
+
+def _as_yaml(values: dict[str, Any]) -> str:
+    from ruamel.yaml import YAML
+
+    text = StringIO()
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style, yaml.sort_base_mapping_type_on_output = False, False  # type: ignore[assignment]
+    yaml.width = 100
+    yaml.dump(values, text)
+    return text.getvalue()
 
 
 def _origin(run: RecordedRun) -> list[tuple[str, str]]:

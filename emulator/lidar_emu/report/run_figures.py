@@ -10,7 +10,7 @@ from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.recording.read import JsonMessage
-from lidar_emu.report.page_style import Drawing, draw_figure
+from lidar_emu.report.page_style import Drawing, beam_points, draw_figure, name_beams
 from lidar_emu.report.recorded_run import RecordedRun
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _STRETCHES = 200
+_STRIP_STRETCHES = 800
 _LEAST_US = 1.0
 _COLOURS = {
     Reason.VALID: "#5aa469",
@@ -30,6 +31,46 @@ _COLOURS = {
 }
 _WRITTEN_OUT = 12
 """Largest number of rows in the timeline."""
+
+
+def draw_signal(measurement: Measurement) -> Drawing:
+    """Draw the signal-to-noise ratio of each beam, and its reasons for invalid ranges, over time."""
+    time_s = np.asarray(measurement.time_ns * 1e-9, dtype=np.float64)
+    beams = measurement.beam_count
+    stretches = np.array_split(np.arange(len(measurement)), min(_STRIP_STRETCHES, len(measurement)))
+    edges_s = np.append(time_s[[stretch[0] for stretch in stretches], 0], time_s[-1, 0])
+    tints = np.zeros((max(Reason) + 1, 3))
+    for reason, colour in _COLOURS.items():
+        tints[reason] = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    strip = np.stack([tints[measurement.reason[stretch]].mean(axis=0) for stretch in stretches], axis=1)
+    found = [Reason(code) for code in np.unique(measurement.reason)]
+
+    def plot(figure: Figure) -> None:
+        above, below = figure.subplots(2, sharex=True, height_ratios=(2.0, 1.0 + 0.1 * min(beams, 10)))
+        for beam in range(beams):
+            known = np.isfinite(measurement.snr_db[:, beam])
+            beam_points(above, beam, beams, time_s[known, beam], measurement.snr_db[known, beam])
+            above.plot([], [], ".", color=f"C{beam % 10}", label=f"beam {beam}")
+        above.set_ylabel("SNR (dB)")
+        name_beams(above, beams)
+        below.pcolormesh(edges_s, np.arange(beams + 1) - 0.5, strip, rasterized=True)
+        below.grid(visible=False)
+        below.yaxis.get_major_locator().set_params(integer=True)
+        below.set(ylabel="beam", xlabel="time (s)", ylim=(beams - 0.5, -0.5))
+        for reason in found:
+            below.plot([], [], "s", color=_COLOURS[reason], label=_words(reason))
+        below.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), handletextpad=0.1)
+
+    snr_db = measurement.snr_db[np.isfinite(measurement.snr_db)]
+    levels = (
+        "median {1:.1f} dB, 5th and 95th percentile {0:.1f} and {2:.1f} dB".format(
+            *np.quantile(snr_db, (0.05, 0.5, 0.95))
+        )
+        if snr_db.size
+        else "none stated"
+    )
+    description = f"Signal-to-noise ratio over time ({levels}), and validity of each beam over time."
+    return draw_figure("signal", "Signal and validity of each beam", description, 3.6, plot)
 
 
 def draw_validity(measurement: Measurement) -> Drawing:
@@ -80,14 +121,14 @@ def draw_lateness(run: RecordedRun) -> Drawing | None:
         )
         stretches = np.array_split(np.argsort(due_s, kind="stable"), min(_STRETCHES, len(due_s)))
         begins_s = [due_s[stretch[0]] for stretch in stretches]
-        for label, quantile in (("largest", 1.0), ("median", 0.5)):
+        for label, quantile in (("largest", 1.0), ("50th percentile", 0.5)):
             values = [np.quantile(shown_us[stretch], quantile) for stretch in stretches]
             course.plot(begins_s, values, ".-", linewidth=0.8, markersize=3, label=label)
         course.set(yscale="log", xlabel="time (s)", ylabel="due to written (us)")
-        course.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+        course.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02))
 
     median, high = np.quantile(late_us, (0.5, 0.99))
-    statistics = f"median {median:.0f} us, 99 % below {high:.0f} us, largest {late_us.max():.0f} us"
+    statistics = f"50th percentile {median:.0f} us, 99th {high:.0f} us, largest {late_us.max():.0f} us"
     return draw_figure("lateness", "Lateness", f"From due to written: {statistics}.", 2.8, plot)
 
 
