@@ -39,8 +39,6 @@ def haze_table(monkeypatch):
 def test_shares_are_those_of_the_reference(table: str, measured: int, level: str, haze_table) -> None:
     rows = {row[0]: np.array(row[1].split("/"), dtype=float) for row in committed_rows(table)}
     for scene in importlib.import_module(f"{table}_table").SCENES:
-        if getattr(scene, "streak_optical_depth", 0.0) > 0.0:
-            continue  # Their fades differ: docs/accuracy.md.
         expected = rows[str(scene)]
         found = haze_table.shares(scene, level, SHOTS)
         variance = np.maximum(expected * (1.0 - expected), 1.0 / SHOTS) * (1.0 / SHOTS + 1.0 / measured)

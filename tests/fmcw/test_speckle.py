@@ -9,7 +9,7 @@ from scipy import stats
 
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.speckle import PITCH_W, forget_corners, set_weights, speckle_field
+from lidar_emu.fmcw.speckle import PITCH_W, forget_corners, set_weights, speckle_field, streak_weight
 from lidar_emu.scenario.instrument import Detection, Instrument, Optics, Waveform
 
 BEAMLETS = 128
@@ -70,6 +70,20 @@ def test_correlation_over_a_distance(east: float, north: float) -> None:
     # Close to a Gaussian of the distance, with its curvature at 0.
     if east * north == 0:
         assert abs(expected - np.exp(-(PITCH_W**2) * (east**2 + north**2))) < 0.03
+
+
+@pytest.mark.parametrize("way_m", [0.0, 0.0054, 0.0108, 0.03])
+def test_a_streak_crosses_the_beam(way_m: float) -> None:
+    """From record to record its field has the correlation exp(-d²/w0²), about the time of validity."""
+    waist_m, shots = Optics().waist_radius_m, 4000
+    half = 0.5 * way_m / (PITCH_W * waist_m)
+    before, after = (
+        np.array([complex(*streak_weight(np.uint64(5), shot, 2, sense * half)) for shot in range(shots)])
+        for sense in (-1.0, 1.0)
+    )
+    assert np.mean(np.abs(before) ** 2) == pytest.approx(1.0, abs=5 / np.sqrt(shots))
+    found = np.mean(np.conj(before) * after)
+    assert abs(found - np.exp(-((way_m / waist_m) ** 2))) < 0.03 + 4 / np.sqrt(shots)
 
 
 def test_field_is_continuous() -> None:

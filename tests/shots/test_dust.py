@@ -16,6 +16,7 @@ from lidar_emu.fmcw.returns import (
     DUST_SLOWEST_MPS,
     DUST_W,
 )
+from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.report.geometry_export import record_geometry
 from lidar_emu.scenario.instrument import Optics
 from lidar_emu.scenario.load import load
@@ -149,6 +150,19 @@ def test_fainter_by_the_depth_in_what_is_measured():
 
 def test_the_truth_stays():
     assert_same(simulate(landing(None, level="geometric")), simulate(landing({}, level="geometric")))
+
+
+def test_a_streak_crosses_the_beam_with_the_speed_of_its_dust():
+    """Dust at 20 m/s along level ground, a sensor that sinks at 1 m/s, a beam 22.5 degrees off nadir."""
+    plume = {"streak_share": 0.5, "speed_mps": 20.0, "speed_spread": 0.0, "onset_height_m": 60.0}
+    steady = "{kind: profile, waypoints: [{altitude_m: 20, speed_mps: 1}, {altitude_m: 15, speed_mps: 1}]}"
+    _, dusty, _ = echoes_of(landing(plume, trajectory=steady))
+    met = np.isfinite(dusty.streak_drift_per_s)
+    np.testing.assert_array_equal(met, dusty.power_w[..., -1] > 0.0)
+    across_mps = 20.0 / SLANT + SIDE
+    expected = across_mps / (PITCH_W * Optics().waist_radius_m)
+    assert 0 < met.sum() < met.size
+    np.testing.assert_allclose(dusty.streak_drift_per_s[met], expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("level", ["statistical", "spectral"])

@@ -4,7 +4,8 @@ A volume with the extinction α and the lidar ratio S returns α/S dr per sterad
 does. A sheet of uniform density lies on the ground. A beam whose one-way optical depth through it is τ receives
 exp(-2τ) of the ground's echo, and the sheet's light, ∫ α/S exp(-2αx) dx = (1 - exp(-2τ))/(2S), which the receiver
 spreads over the beats of all its ranges and speeds. A streak is a layer in the sheet whose dust has one speed: one more
-beamlet.
+beamlet. Its particles cross the beam with that speed, so that its speckle changes from record to record, with the
+correlation exp(-d²/w0²) over a way d, while the ground's stays.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from lidar_emu.flight.plume import DustPaths, PlumeGeometry
 from lidar_emu.flight.pointing import Pointing
 from lidar_emu.fmcw.link_budget import backscatter_w
 from lidar_emu.fmcw.returns import DUST_W, Echoes
+from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.scenario.plume import Plume
@@ -71,7 +73,7 @@ class Dust:
         return np.stack(columns, axis=-1)
 
     def _with_streak(self, echoes: Echoes, paths: DustPaths, pointing: Pointing) -> Echoes:
-        """Append the streaks as a beamlet, with the speckle and the motion of their beams."""
+        """Append the streaks as a beamlet, with the motion of their beams and a speckle of their own."""
         range_m, power_w = self._streak(paths)
         added = {
             "range_m": np.where(power_w > 0.0, range_m, np.nan),
@@ -83,7 +85,17 @@ class Dust:
             name: np.concatenate([getattr(echoes, name), values[..., None]], axis=-1)
             for name, values in added.items()
         }
-        return echoes._replace(**joined)
+        return echoes._replace(**joined, streak_drift_per_s=self._streak_drift_per_s(paths, pointing))
+
+    def _streak_drift_per_s(self, paths: DustPaths, pointing: Pointing) -> FloatArray:
+        """`Echoes.streak_drift_per_s`, including the change by the beam's rotation."""
+        optics, axis = self._scenario.instrument.optics, pointing.true_site
+        moving_mps = pointing.sensor_velocity_site_mps - paths.streak_mps[..., None] * paths.outward
+        across_mps = np.linalg.norm(np.cross(moving_mps, axis), axis=-1)
+        swing_radps = np.linalg.norm(np.cross(pointing.turning_site_radps, axis), axis=-1)
+        rayleigh_m = np.pi * optics.waist_radius_m**2 / self._scenario.instrument.waveform.wavelength_m
+        drift_per_s = np.hypot(across_mps, rayleigh_m * swing_radps) / (PITCH_W * optics.waist_radius_m)
+        return np.where(paths.in_streak, drift_per_s, np.nan)
 
     def _streak(self, paths: DustPaths) -> tuple[FloatArray, FloatArray]:
         """Ranges of the streaks, and their light; 0 where a beam meets none."""

@@ -27,7 +27,7 @@ from lidar_emu.fmcw.returns import DUST_W, RETURN_COLUMNS, Echoes
 from lidar_emu.fmcw.segment_spectrum import set_spectrum
 from lidar_emu.fmcw.skip_limits import negligible_bin2
 from lidar_emu.fmcw.speckle import forget_corners
-from lidar_emu.fmcw.speckle_change import needed_level
+from lidar_emu.fmcw.speckle_change import needed_level, streak_drift
 from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.fmcw.stated_variance import inconsistency, state_variances
 from lidar_emu.fmcw.statistical_model import draw_targets
@@ -122,7 +122,7 @@ def measure_beams(
             if row.reason == _INSIDE_GROUND:
                 continue
             beam.beam = b
-            _set_motion(beam, echoes, s, b)
+            _set_motion(model, beam, echoes, s, b)
             beam.left_out_bin2 = negligible_bin2(model, beam.power_w)
             beam.speckle_level = needed_level(model, beam.speckle_drift_per_s, beam.left_out_bin2)
             if model.haze.snr_per_m > 0.0:
@@ -150,7 +150,7 @@ def measure_beams(
 
 
 @kernel
-def _set_motion(beam: Any, echoes: Echoes, s: int, b: int) -> None:
+def _set_motion(model: ReceiverModel, beam: Any, echoes: Echoes, s: int, b: int) -> None:
     """Copy a beam's motion and its position in the speckle field."""
     beam.closing_acceleration_mps2 = _bounded(echoes.closing_acceleration_mps2[s, b])
     beam.closing_jerk_mps3 = _bounded(echoes.closing_jerk_mps3[s, b])
@@ -158,6 +158,7 @@ def _set_motion(beam: Any, echoes: Echoes, s: int, b: int) -> None:
     for axis in range(2):
         beam.speckle_place[axis] = _bounded(echoes.speckle_place[s, b, axis])
         beam.speckle_drift_per_s[axis] = _bounded(echoes.speckle_drift_per_s[s, b, axis])
+    beam.streak_drift_per_s = streak_drift(model, echoes, s, b)
 
 
 @kernel

@@ -15,7 +15,9 @@ from lidar_emu.fmcw.speckle import forget_corners
 from lidar_emu.fmcw.speckle_change import (
     highest_level,
     needed_level,
+    set_streak_weights,
     set_tone_weights,
+    streak_drift,
     tone_count,
     tone_offset_bin,
 )
@@ -99,6 +101,7 @@ def _set_field(
             forget_corners(work.speckle)
             place, drift_per_s = echoes.speckle_place[s, b], echoes.speckle_drift_per_s[s, b]
             level = needed_level(model, drift_per_s, negligible_bin2(model, power_w[s, b]))
+            streak_drift_per_s = streak_drift(model, echoes, s, b)
             for tone in range(tone_count(level)):
                 offset_bin[s, b, tone] = tone_offset_bin(level, tone)
             for segment in range(3):
@@ -117,6 +120,9 @@ def _set_field(
                         work.speckle,
                         work.change,
                     )
+                    if streak_drift_per_s >= 0.0:
+                        way = streak_drift_per_s * time_s
+                        set_streak_weights(seed, shot[s], b, way, level, model.ground_beamlets, work.speckle)
                 sense = field_sense(segment)
                 first = -1
                 for i in range(beamlets):

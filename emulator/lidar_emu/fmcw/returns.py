@@ -15,6 +15,9 @@ from lidar_emu.numerics.columns import Column, columns, missing_columns
 NO_DUST = np.zeros((0, 0, 0))
 """`Echoes.dust` of beams without dust."""
 
+NO_STREAKS = np.zeros((0, 0))
+"""`Echoes.streak_drift_per_s` of beams without dust."""
+
 DUST_W, DUST_NEAR_M, DUST_FAR_M, DUST_DEPTH, DUST_SLOWEST_MPS, DUST_FASTEST_MPS = range(6)
 """Columns of `Echoes.dust`."""
 
@@ -51,6 +54,9 @@ class Echoes(NamedTuple):
     dust: FloatArray = NO_DUST
     """(shots, beams, 6) Dust before the surface: power in the mode of the local oscillator, ranges of its ends, its
     optical depth, lowest and highest closing speed, over which its light is uniform. Empty without dust."""
+    streak_drift_per_s: FloatArray = NO_STREAKS
+    """(shots, beams) Motion of a streak of dust across the beam, in pitches of the speckle's lattice; NaN where a beam
+    meets none. Its beamlet is the first behind the footprint's. Empty without dust."""
 
 
 _FLAGS = ("fired", "inside")

@@ -22,7 +22,7 @@ from lidar_emu.fmcw.close_tones import are_close, set_close_tones
 from lidar_emu.fmcw.haze import set_haze_tone
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.speckle_change import set_tone_weights
+from lidar_emu.fmcw.speckle_change import set_streak_weights, set_tone_weights
 from lidar_emu.fmcw.spectrum import (
     BIN,
     NOISE,
@@ -131,6 +131,16 @@ def set_look_tones(
             work.speckle,
             work.change,
         )
+        if beam.streak_drift_per_s >= 0.0:
+            set_streak_weights(
+                beam.seed,
+                beam.shot,
+                beam.beam,
+                beam.streak_drift_per_s * time_s,
+                beam.speckle_level,
+                model.ground_beamlets,
+                work.speckle,
+            )
     turn, _ = uniform_pair(beam.seed, beam.shot, beam.beam, PHASE, segment + 3 * look)
     astray_m, astray_mps = sweep_error(model, beam, segment, look, work.beamlets[RANGE_M, 0])
     set_segment_tones(

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.philox import fill_normals_of_shots
-from lidar_emu.numerics.random_streams import SPECKLE
+from lidar_emu.numerics.philox import complex_normal, fill_normals_of_shots
+from lidar_emu.numerics.random_streams import SPECKLE, STREAK
 from lidar_emu.numerics.sine import sin_pi
 
 PITCH_W = pi * sqrt(2.0 / 27.0)
@@ -93,6 +93,18 @@ def set_weights(
             a, b, c = share_east * south_share, share_east * share, share_east * north_share
             for i in range(len(weight)):
                 weight[i] = weight[i] + a * below[i] + b * here[i] + c * above[i]
+
+
+@kernel
+def streak_weight(seed: np.uint64, shot: int, beam: int, place: float) -> tuple[float, float]:
+    """Field of a streak of dust that a beam meets in a shot, at a position in pitches along the way of the streak."""
+    nearest = floor(place + 0.5)
+    re = im = 0.0
+    for step in range(-1, 2):
+        share = _share(place - nearest - step)
+        x, y = complex_normal(seed, shot, beam, STREAK, int((int(nearest) + step) & _LOW_WORD))
+        re, im = re + share * x, im + share * y
+    return re, im
 
 
 @kernel

@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.skip_limits import negligible_bin2
-from lidar_emu.fmcw.speckle import PITCH_W, SpeckleField, set_weights
+from lidar_emu.fmcw.speckle import PITCH_W, SpeckleField, set_weights, streak_weight
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 
@@ -199,3 +200,27 @@ def set_tone_weights(
             for i in range(len(to_re)):
                 to_re[i] += re * at_re[i] - im * at_im[i]
                 to_im[i] += re * at_im[i] + im * at_re[i]
+
+
+@kernel
+def streak_drift(model: ReceiverModel, echoes: Echoes, s: int, b: int) -> float:
+    """Motion of the streak that a beam meets, in pitches per second; -1 without one."""
+    drifts_per_s = echoes.streak_drift_per_s
+    if drifts_per_s.size == 0 or echoes.range_m.shape[2] <= model.ground_beamlets:
+        return -1.0
+    drift_per_s: float = drifts_per_s[s, b]
+    return drift_per_s if drift_per_s >= 0.0 else -1.0
+
+
+@kernel
+def set_streak_weights(
+    seed: np.uint64, shot: int, beam: int, way: float, level: int, column: int, field: SpeckleField
+) -> None:
+    """Set the weights of a streak's tones of one record in `field`, at its way across the beam in pitches.
+
+    A streak moves by a fraction of a pitch within a record: its field is constant there.
+    """
+    count = tone_count(level)
+    field.weights[:count, :, column] = 0.0
+    re, im = streak_weight(seed, shot, beam, way)
+    field.weights[count // 2, 0, column], field.weights[count // 2, 1, column] = re, im

@@ -50,7 +50,7 @@ _OFF_ZERO = 1e-9
 """Distance in bins from the zeros of denominators, far less than a peak is accurate."""
 
 _APART_BINS = 1.5
-"""Lines nearer to the footprint's are one target with it."""
+"""Lines nearer to the footprint's are one target with it, like peaks of a band nearer to a line or to each other."""
 
 
 @kernel(inline="always")
@@ -91,12 +91,25 @@ def draw_targets(model: ReceiverModel, work: Workspace, beam: Any, segment: int)
         peaks = draw_volume_peaks(model, work, beam, segment, 0.0, 0.0, highest)
         if peaks > 0:
             highest = max(highest, work.volume_peaks[0].power)
+        _merge_peaks(work, 1 + lines, peaks)
     count = 0
     for line in range(1 + lines):
         if work.lines[line].power > 0.0 and work.lines[line].power_over_noise > model.threshold:
             count = insert_alarms(model, work.lines[line : line + 1], highest, targets, count)
     count = insert_alarms(model, work.alarms[:alarms], highest, targets, count)
     return insert_alarms(model, work.volume_peaks[:peaks], highest, targets, count)
+
+
+@kernel
+def _merge_peaks(work: Workspace, lines: int, peaks: int) -> None:
+    """Remove the weaker of a band's peak and a line or another peak beside it: bins that touch are one target."""
+    for i in range(peaks):
+        peak = work.volume_peaks[i]
+        for k in range(lines + i):
+            other = work.lines[k] if k < lines else work.volume_peaks[k - lines]
+            if abs(peak.frequency_bin - other.frequency_bin) <= _APART_BINS:
+                weaker = peak if peak.power <= other.power else other
+                weaker.power = 0.0
 
 
 @kernel(inline="always")

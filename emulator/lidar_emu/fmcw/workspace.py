@@ -37,6 +37,7 @@ BEAM = np.dtype(
         ("range_curvature_mps2", "f8"),
         ("speckle_place", "f8", (2,)),
         ("speckle_drift_per_s", "f8", (2,)),
+        ("streak_drift_per_s", "f8"),
         ("lit_beamlets", "i8"),
         ("power_w", "f8"),
         ("air_speed_mps", "f8"),
@@ -52,10 +53,10 @@ BEAM = np.dtype(
     ],
     align=True,
 )
-"""The beam being measured: seed, shot and beam number for the random numbers; motion and speckle as in `Echoes`; number
-of beamlets with light, the power of all light, closing speed, end, SNR and beats of the haze, SNR, row of `Echoes.dust`
-and beats of the dust (`volume_light`), the taps of the filter on each side, the level of `speckle_change`, and the
-variance of a beat below which a stage is left out."""
+"""The beam being measured: seed, shot and beam number for the random numbers; motion and speckle as in `Echoes`, the
+streak's drift -1 without one; number of beamlets with light, the power of all light, closing speed, end, SNR and beats
+of the haze, SNR, row of `Echoes.dust` and beats of the dust (`volume_light`), the taps of the filter on each side, the
+level of `speckle_change`, and the variance of a beat below which a stage is left out."""
 
 TARGET = np.dtype(
     [

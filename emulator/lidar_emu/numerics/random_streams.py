@@ -34,6 +34,8 @@ BACK_REFLECTION: Any = np.int64(5124)
 """Purpose of the phase of light that the optics reflect."""
 RIPPLE: Any = np.int64(5125)
 """Purpose of the phase of the chirps' periodic non-linearity; also a key of `generator`."""
+STREAK: Any = np.int64(5126)
+"""Purpose of the speckle of a streak of dust."""
 
 RELIEF, CRATERS, ROCKS = range(3)
 """Keys of `generator`, after the seed of a generated ground."""
