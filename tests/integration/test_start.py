@@ -13,7 +13,7 @@ from threading import Thread
 import handwritten
 import pytest
 from comparison import assert_complete, assert_equal
-from programs import Program, PtyReader, is_running, read_summary
+from programs import Program, PtyReader, is_running, listened_beams, read_summary
 from waiting import eventually
 
 from lidar_emu.measurement import Measurement
@@ -79,6 +79,19 @@ def test_a_host_that_listens_over_tcp_later_receives_every_shot(
     reader.join()
     assert json.loads(run.out.splitlines()[-1])["shots"]["sent"] == 20
     assert_equal(handwritten.rows(data), simulated("descent.yaml"))
+
+
+def test_a_host_that_connects_to_the_device_receives_every_shot(
+    start: Start, simulated: Simulated, tmp_path: Path
+) -> None:
+    run = start("run", *SHORT, "--port", f"unix:{tmp_path}/lidar", "--json")
+    assert ready_port(run) == f"unix:{tmp_path}/lidar"
+    listener = start("listen", "--port", f"unix:{tmp_path}/lidar", "--json", "--count", "20")
+    run.succeed()
+    assert listener.wait() == 0
+    assert json.loads(run.out.splitlines()[-1])["shots"]["sent"] == 20
+    assert_equal(listened_beams(listener), simulated("descent.yaml"))
+    assert not (tmp_path / "lidar").exists()
 
 
 @pytest.mark.parametrize("kind", ["pty", "tcp"])

@@ -20,7 +20,7 @@ from lidar_emu.transports.spec import Kind, PortSpec
 
 MS = 1_000_000
 SECOND_NS = 1_000_000_000
-PTY, TCP = PortSpec(Kind.PTY), PortSpec(Kind.SERIAL, "socket://127.0.0.1:5600")
+PTY, URL = PortSpec(Kind.PTY), PortSpec(Kind.SERIAL, "socket://127.0.0.1:5600")
 DEVICE, UDP = PortSpec(Kind.SERIAL, "/dev/ttyUSB0"), PortSpec(Kind.UDP, "127.0.0.1:5600")
 CAN, LOOPBACK = PortSpec(Kind.CAN, interface="socketcan", channel="vcan0"), PortSpec()
 AT_NOON = datetime(2030, 1, 1, 12, tzinfo=UTC)
@@ -30,7 +30,9 @@ AT_NOON = datetime(2030, 1, 1, 12, tzinfo=UTC)
     ("port", "expected"),
     [
         (PTY, StartEvent.ON_CONNECT),
-        (TCP, StartEvent.ON_CONNECT),
+        (URL, StartEvent.ON_CONNECT),
+        (PortSpec(Kind.TCP, "127.0.0.1:5600"), StartEvent.ON_CONNECT),
+        (PortSpec(Kind.UNIX, "/tmp/lidar"), StartEvent.ON_CONNECT),
         (DEVICE, StartEvent.NOW),
         (UDP, StartEvent.NOW),
         (CAN, StartEvent.NOW),

@@ -203,6 +203,48 @@ class Socket(FarEnd):
             self._connection.setblocking(False)
 
 
+class Listening(FarEnd):
+    """A host that connects to the address at which the device listens."""
+
+    outlives_device = False
+
+    def __init__(self, spec: PortSpec, family: int, address: Any) -> None:
+        super().__init__()
+        self.spec = spec
+        self._family, self._address = family, address
+
+    def attach(self, description: str) -> None:  # noqa: ARG002
+        self.reconnect()
+
+    def read(self) -> bytes:
+        return _all_of(lambda: self._socket.recv(_READ_BYTES))
+
+    def send(self, data: bytes) -> None:
+        self._socket.sendall(data)
+
+    def disconnect(self) -> None:
+        self._socket.close()
+        self.read_so_far = b""
+
+    def reconnect(self) -> None:
+        self._socket = socket.socket(self._family, socket.SOCK_STREAM)
+        self._socket.connect(self._address)
+        self._socket.setblocking(False)
+
+
+class Tcp(Listening):
+    def __init__(self) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            address = free.getsockname()
+        super().__init__(PortSpec(Kind.TCP, f"127.0.0.1:{address[1]}", baud=0), socket.AF_INET, address)
+
+
+class Unix(Listening):
+    def __init__(self, folder: Path) -> None:
+        path = str(folder / "lidar")
+        super().__init__(PortSpec(Kind.UNIX, path, baud=0), socket.AF_UNIX, path)
+
+
 class Telnet(Socket):
     """A terminal server of RFC 2217, by pyserial. A thread answers the device's negotiation; it takes no further data
     until `read` has fetched the last."""
@@ -405,6 +447,8 @@ LINES: dict[str, Callable[[Path], FarEnd]] = {
     "serial": Serial,
     "socket": lambda _: Socket(),
     "rfc2217": lambda _: Telnet(),
+    "tcp": lambda _: Tcp(),
+    "unix": Unix,
     "udp": lambda _: Udp(),
     "udp6": lambda _: Udp("::1"),
     "slcan": Slcan,

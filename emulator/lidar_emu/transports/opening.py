@@ -35,11 +35,15 @@ def opener(
 
 
 def host_opener(spec: PortSpec) -> Opener:
-    """A function that opens the host's end, which differs from the device's on UDP alone; errors as for `opener`."""
+    """A function that opens the host's end, which differs from the device's on sockets; errors as for `opener`."""
     if spec.kind is Kind.UDP:
         from lidar_emu.transports.udp_port import open_udp_host
 
         return lambda: open_udp_host(spec)
+    if spec.kind in (Kind.TCP, Kind.UNIX):
+        from lidar_emu.transports.stream_socket import open_stream_host
+
+        return lambda: open_stream_host(spec)
     return opener(spec)
 
 
@@ -76,10 +80,16 @@ def _open_udp(spec: PortSpec) -> PortChannel:
     return open_udp(spec)
 
 
+def _open_stream(spec: PortSpec) -> PortChannel:
+    from lidar_emu.transports.stream_socket import open_listening
+
+    return open_listening(spec)
+
+
 def _open_bytes(now_ns: Callable[[], int] | None, spec: PortSpec) -> PortChannel:
     from lidar_emu.transports.serial_port import open_byte_channel
 
     return open_byte_channel(spec, now_ns)
 
 
-_OPENERS = {Kind.CAN: _open_can, Kind.UDP: _open_udp}
+_OPENERS = {Kind.CAN: _open_can, Kind.UDP: _open_udp, Kind.TCP: _open_stream, Kind.UNIX: _open_stream}

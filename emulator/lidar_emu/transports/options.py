@@ -19,7 +19,9 @@ Command = Callable[..., Any]
 
 _OPTIONS = (
     click.option(
-        "--port", metavar="PORT", help="Serial device, pyserial URL, udp:[HOST:]PORT, pty, or pty:LINK."
+        "--port",
+        metavar="PORT",
+        help="Serial device, pyserial URL, pty, pty:LINK, udp:[HOST:]PORT, tcp:[HOST:]PORT, or unix:PATH.",
     ),
     click.option(
         "--baud", type=int, metavar="N", help=f"Serial bit rate in bit/s.  [default: {DEFAULT_BAUD}]"

@@ -14,6 +14,8 @@ DEFAULT_DATA_BITRATE = 2_000_000
 _URLS_WITHOUT_A_BIT_RATE = ("socket", "loop")
 _UDP = "udp:"
 _PTY = "pty:"
+_TCP = "tcp:"
+_UNIX = "unix:"
 _THIS_MACHINE = "127.0.0.1"
 
 
@@ -24,7 +26,12 @@ class Kind(StrEnum):
     SERIAL = "serial"
     PTY = "pty"
     UDP = "udp"
+    TCP = "tcp"
+    UNIX = "unix"
     CAN = "can"
+
+
+_SOCKETS = {Kind.UDP: _UDP, Kind.TCP: _TCP, Kind.UNIX: _UNIX}
 
 
 @dataclass(frozen=True)
@@ -33,10 +40,11 @@ class PortSpec:
 
     kind: Kind = Kind.LOOPBACK
     path: str = ""
-    """Device path or pyserial URL (serial); HOST:PORT of the other end (UDP); symbolic link to make (pty), or empty."""
+    """Device path or pyserial URL (serial); HOST:PORT of the other end (UDP), or to listen at (TCP); path of a
+    Unix socket; symbolic link to make (pty), or empty."""
     baud: int = DEFAULT_BAUD
-    """Bits per second on a serial line; on a pty, which has none, the rate of the line that it represents; on UDP the
-    rate of the line behind the bridge, or 0."""
+    """Bits per second on a serial line; on a pty, which has none, the rate of the line that it represents; on a
+    socket the rate of the line behind the bridge, or 0."""
     rs485: bool = False
     """Whether the driver is to enable the transmitter while it sends (serial)."""
     pulse_line: str = ""
@@ -58,14 +66,14 @@ class PortSpec:
     @property
     def has_bit_rate(self) -> bool:
         """Whether bits take time on this link."""
-        if self.kind is Kind.UDP:
+        if self.kind in _SOCKETS:
             return self.baud > 0
         return self.kind is not Kind.LOOPBACK and self.scheme not in _URLS_WITHOUT_A_BIT_RATE
 
     @property
     def shows_host(self) -> bool:
         """Whether the port shows that the other end has opened it: a cable, a bus and a datagram do not."""
-        return self.kind is Kind.PTY or self.scheme == "socket"
+        return self.kind in (Kind.PTY, Kind.TCP, Kind.UNIX) or self.scheme == "socket"
 
     def __str__(self) -> str:
         match self.kind:
@@ -75,8 +83,8 @@ class PortSpec:
                 return _PTY + self.path if self.path else "pty"
             case Kind.SERIAL:
                 return self.path
-            case Kind.UDP:
-                return f"{_UDP}{self.path}"
+            case Kind.UDP | Kind.TCP | Kind.UNIX:
+                return _SOCKETS[self.kind] + self.path
             case Kind.CAN:
                 return f"{self.interface} {self.channel}"
 
@@ -129,24 +137,31 @@ def _bytes(port: str | None, baud: int | None, rs485: bool) -> PortSpec:
     if port is None:
         _refuse_given({"--baud": baud, "--rs485": rs485 or None}, "allowed: only together with --port")
         return PortSpec()
-    if port in ("", _PTY):
-        allowed = "allowed: a device, a pyserial URL, udp:[HOST:]PORT, pty, or pty:LINK"
+    if port in ("", _PTY, _UNIX):
+        allowed = (
+            "allowed: a device, a pyserial URL, pty, pty:LINK, udp:[HOST:]PORT, tcp:[HOST:]PORT, unix:PATH"
+        )
         raise InputError("--port", None, port, allowed)
-    if port == "pty" or port.startswith((_PTY, _UDP)):
+    if port == "pty" or port.startswith((_PTY, _UDP, _TCP, _UNIX)):
         _refuse_given({"--rs485": rs485 or None}, "allowed: only with a serial device")
     speed = DEFAULT_BAUD if baud is None else baud
     if port == "pty" or port.startswith(_PTY):
         return PortSpec(Kind.PTY, path=port.removeprefix(_PTY) if port != "pty" else "", baud=speed)
-    if port.startswith(_UDP):
-        return PortSpec(Kind.UDP, path=_udp_address(port), baud=baud or 0)
+    for kind, prefix in _SOCKETS.items():
+        if port.startswith(prefix):
+            path = port.removeprefix(prefix) if kind is Kind.UNIX else _address(port, prefix)
+            return PortSpec(kind, path=path, baud=baud or 0)
     return PortSpec(Kind.SERIAL, path=port, baud=speed, rs485=rs485)
 
 
-def _udp_address(port: str) -> str:
-    host, _, number = port.removeprefix(_UDP).rpartition(":")
+def _address(port: str, prefix: str) -> str:
+    host, _, number = port.removeprefix(prefix).rpartition(":")
     if not (number.isascii() and number.isdigit() and 0 < int(number) < 1 << 16):
         raise InputError(
-            "--port", None, port, "allowed: udp:PORT on this machine, udp:HOST:PORT; ports 1 to 65535"
+            "--port",
+            None,
+            port,
+            f"allowed: {prefix}PORT on this machine, {prefix}HOST:PORT; ports 1 to 65535",
         )
     return f"{host or _THIS_MACHINE}:{number}"
 

@@ -19,7 +19,7 @@ from lidar_protocol import Interface
 
 _PERIOD_NS = 1_000_000_000
 _NEVER_LATE_NS = 10_000_000_000
-_ENDS_WITH_PORT_PROCESS = (Kind.PTY, Kind.LOOPBACK)
+_ENDS_WITH_PORT_PROCESS = (Kind.PTY, Kind.LOOPBACK, Kind.TCP, Kind.UNIX)
 
 
 def why_no_final_message(interface: Interface, can: bool) -> str | None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import socket
-import stat
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.transports.datagrams import datagram_socket, udp_socket
+from lidar_emu.transports.unix_paths import is_abandoned
 
 _LONGEST_BYTES = 65536
 _AT_ONCE = 64
@@ -34,7 +34,7 @@ class DatagramSocket:
         self._socket.setblocking(False)
 
     def _unix(self, path: str) -> socket.socket:
-        if _is_abandoned(path):
+        if is_abandoned(path):
             Path(path).unlink()
         bound = datagram_socket(socket.AF_UNIX, path, socket.socket.bind)
         self._path = path
@@ -80,17 +80,3 @@ class DatagramSocket:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _is_abandoned(path: str) -> bool:
-    """Whether the path is the socket of a process that has ended."""
-    try:
-        if not stat.S_ISSOCK(Path(path).stat().st_mode):
-            return False
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as trial:
-            trial.connect(path)
-    except ConnectionRefusedError:
-        return True
-    except OSError:
-        return False
-    return False
