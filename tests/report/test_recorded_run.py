@@ -118,7 +118,7 @@ def test_lateness_is_drawn_where_time_was_kept(bench_flown):
 
 def test_a_bench_pattern_states_why_it_has_no_path(bench_flown):
     drawings, notes, plan = draw_figures(bench_flown, ())
-    assert {drawing.name for drawing in drawings} == {"truth", "errors", "validity"}
+    assert {drawing.name for drawing in drawings} == {"truth", "errors", "signal", "validity"}
     assert any("bench pattern" in note for note in notes)
     assert plan is not None
 
@@ -129,7 +129,7 @@ def test_a_flight_without_a_valid_measurement_has_a_path(record):
     )
     assert not blind.measurement.range_valid.any()
     drawings, notes, _ = draw_figures(blind, ())
-    assert [drawing.name for drawing in drawings] == ["path", "validity"]
+    assert [drawing.name for drawing in drawings] == ["path", "motion", "signal", "validity"]
     assert any("no measurement is valid" in note for note in notes)
 
 
@@ -144,6 +144,13 @@ def test_a_scenario_whose_files_are_gone_is_drawn_without_them(record, tmp_path)
     )
     ground.unlink()
     drawings, notes, plan = draw_figures(flown, ())
-    assert {drawing.name for drawing in drawings} == {"path", "truth", "errors", "validity"}
+    assert {drawing.name for drawing in drawings} == {
+        "path",
+        "motion",
+        "truth",
+        "errors",
+        "signal",
+        "validity",
+    }
     assert plan is None
     assert any("gone.npz" in note for note in notes)

@@ -84,7 +84,7 @@ def _from_above(
     axes.plot(*measurement.position_site_m[-1, :2], "o", color=_PATH, markersize=4, label="end of path")
     axes.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
     axes.set(xlim=(extent.low_m[0], extent.high_m[0]), ylim=(extent.low_m[1], extent.high_m[1]))
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    axes.legend(loc="lower left", bbox_to_anchor=(-0.1, 1.0), ncols=3, columnspacing=1.2)
     return drawn
 
 

@@ -46,7 +46,7 @@ def draw_motion(measurement: Measurement, scene: Scene | None) -> Drawing:
         panels[-1].set_xlabel("time (s)")
 
     spans = "; ".join(
-        f"{name} {np.nanmin(values):.1f} to {np.nanmax(values):.1f}"
+        f"{name} {np.nanmin(values):z.1f} to {np.nanmax(values):z.1f}"
         for _, curves in rows
         for name, values in curves.items()
         if np.isfinite(values).any()

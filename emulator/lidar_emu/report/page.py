@@ -26,8 +26,8 @@ body { margin: 2rem auto; max-width: 62rem; padding: 0 1rem; background: var(--p
   font: 15px/1.5 system-ui, sans-serif; }
 h1 { font-size: 1.6rem; margin-bottom: 0.2rem; }
 h2 { font-size: 1.15rem; margin-top: 2.4rem; border-bottom: 1px solid var(--rule); }
-figure { margin: 0.8rem 0; }
-figure svg { width: 100%; height: auto; color: var(--ink); }
+figure { margin: 0.8rem 0; overflow-x: auto; }
+figure svg { width: 100%; min-width: 40rem; height: auto; color: var(--ink); }
 svg text { font-family: system-ui, sans-serif !important; }
 figcaption, .note { color: var(--faint); font-size: 0.88rem; }
 .wide { overflow-x: auto; }
